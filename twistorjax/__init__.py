@@ -1,0 +1,22 @@
+"""Differentiable mechanics of planar mechanisms of rigid bodies and elastic hinges."""
+
+from . import clifford as clifford, lines as lines, se2 as se2
+from .body import Body as Body, plate as plate
+from .boundary import Drive as Drive, Load as Load
+from .energy import (
+    AbstractEnergy as AbstractEnergy,
+    Quadratic as Quadratic,
+    Viscous as Viscous,
+)
+from .flexure import (
+    leaf as leaf,
+    leaf_outline as leaf_outline,
+    Material as Material,
+    notch as notch,
+    notch_outline as notch_outline,
+)
+from .hinge import Hinge as Hinge
+from .mechanism import Mechanism as Mechanism
+from .solve.linear import Linearised as Linearised, linearise as linearise
+from .solve.results import RESULTS as RESULTS
+from .solve.statics import Equilibrium as Equilibrium, equilibrium as equilibrium

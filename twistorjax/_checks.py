@@ -1,0 +1,73 @@
+"""Looking at values while they can be seen, and saying what is wrong with them."""
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+
+Choice = TypeVar("Choice", bound=str)
+
+
+def known(value: Any) -> np.ndarray | None:
+    """The value as NumPy has it, or nothing where JAX is tracing it."""
+    return None if isinstance(value, jax.core.Tracer) else np.asarray(value)
+
+
+def one_of(name: str, value: Choice, choices: Sequence[str]) -> Choice:
+    """The value, if it is one of the choices."""
+    if value not in choices:
+        listed = ", ".join(repr(choice) for choice in choices)
+        raise ValueError(f"{name} is {value!r}, but must be one of {listed}.")
+    return value
+
+
+def need_float64() -> None:
+    """Refuses single precision, in which equilibria of flexures are lost to rounding."""
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(
+            "twistorjax solves in double precision, which JAX has off. Before any array "
+            'is made, write:\n\n    jax.config.update("jax_enable_x64", True)\n'
+        )
+
+
+def within(
+    name: str, value: ArrayLike, low: float, high: float, needed: str
+) -> Float[Array, "..."]:
+    """The value, if it lies strictly above `low` and not above `high`.
+
+    Seen while building, a value outside is an error. Traced, it becomes NaN, so that in
+    a batch it harms its own lane alone: every solve reports such a lane in its `result`.
+    """
+    seen = known(value)
+    if seen is None:
+        return jnp.where((value > low) & (value <= high), value, jnp.nan)
+    if not np.issubdtype(seen.dtype, np.number) or seen.shape != ():
+        raise ValueError(f"{name} is {value!r}, but must be a number.")
+    if not low < seen <= high:  # NaN fails too
+        raise ValueError(f"{name} is {seen:g}, but {needed}.")
+    return jnp.asarray(value, float)
+
+
+def positive(name: str, value: ArrayLike) -> Float[Array, "..."]:
+    """The value, if it is positive and finite; see `within`."""
+    largest = float(np.finfo(float).max)
+    return within(name, value, 0.0, largest, "must be positive and finite")
+
+
+def row(
+    name: str, value: ArrayLike | Sequence[ArrayLike], what: str, size: int = 3
+) -> Float[Array, " size"]:
+    """The value as an array of so many entries, finite as far as can be seen."""
+    if isinstance(value, tuple | list):
+        value = jnp.stack([jnp.asarray(entry, float) for entry in value])
+    array = jnp.asarray(value, float)
+    if array.shape != (size,):
+        raise ValueError(f"{name} has shape {array.shape}, but must be {what}.")
+    seen = known(array)
+    if seen is not None and not np.all(np.isfinite(seen)):
+        raise ValueError(f"{name} is {seen.tolist()}, but must be finite.")
+    return array

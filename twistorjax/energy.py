@@ -1,0 +1,296 @@
+"""How much energy an elastic coupling stores at a displacement of its two frames.
+
+An energy is a function of the displacement of frame b seen from frame a, which coincide
+when the coupling is unstressed. Wrenches and stiffnesses are its derivatives. Chapters 3
+and 4 of the dissertation.
+"""
+
+from abc import abstractmethod
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from . import se2
+from ._checks import known, one_of
+from ._types import Matrix, Pose, Scalar, Twist, Wrench
+from .clifford import Displacement
+
+
+Coordinates = Literal["twist", "twistor"]
+
+
+class AbstractEnergy(eqx.Module):
+    """The energy of a coupling as a function of the displacement of its frames.
+
+    A subclass writes `stored`. Of every energy:
+    what it says does not depend on the observer; its wrench is conservative.
+    """
+
+    @abstractmethod
+    def stored(self, displacement: Displacement) -> Scalar:
+        """The energy stored at a displacement; J."""
+
+    def fault(self) -> str | None:
+        """What is wrong with the values it was given, in words, or nothing."""
+        return None
+
+    def __call__(self, pose: Pose) -> Scalar:
+        """The energy stored when frame b is seen at a pose from frame a; J."""
+        return self.stored(Displacement.of(pose))
+
+    def wrench(self, pose: Pose) -> Wrench:
+        """What body B exerts on the coupling: about the origin of b, in the axes of b.
+
+        The derivative of the energy along displacements that are fixed to b.
+
+        Args:
+            pose: frame b seen from frame a; rad, m, m.
+
+        Source:
+            Equations 3.52 and 4.34 of the dissertation; 3.53 and 4.35 are its closed
+            forms for the quadratic energies.
+
+        Example:
+            >>> leaf = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
+            >>> leaf.wrench(jnp.array([0.0, 0.0, 0.5]))
+            Array([0., 0., 5.], dtype=float64)
+        """
+        slope = jax.grad(self.__call__)(pose)
+        return jnp.concatenate([slope[:1], se2._turn(-pose[0], slope[1:])])
+
+    def tangent_stiffness(self, pose: Pose | None = None) -> Matrix:
+        """How the wrench grows with displacements that are fixed to b; N m/rad, N/m.
+
+        Args:
+            pose: frame b seen from frame a, by default at rest; rad, m, m.
+
+        Returns:
+            The derivative of `wrench`. It is symmetric where the coupling is unstressed;
+            elsewhere its antisymmetric part is the wrench's own, for displacements fixed
+            to a body do not commute.
+
+        Example:
+            >>> Quadratic(2.0 * jnp.eye(3)).tangent_stiffness()
+            Array([[2., 0., 0.],
+                   [0., 2., 0.],
+                   [0., 0., 2.]], dtype=float64)
+        """
+        pose = jnp.zeros(3) if pose is None else pose
+
+        def moved(step: Twist) -> Wrench:
+            return self.wrench(se2.compose(pose, se2.exp(step)))
+
+        return jax.jacfwd(moved)(jnp.zeros(3)) + 0.0
+
+    def __add__(self, other: "AbstractEnergy") -> "Sum":
+        return Sum((self, other))
+
+    def __rmul__(self, factor: ArrayLike) -> "Scaled":
+        return Scaled(jnp.asarray(factor, float), self)
+
+
+class Quadratic(AbstractEnergy):
+    """Half the stiffness times the square of the twist, or of the twistor.
+
+    Both have the stiffness that they were given at rest, and differ from the third order
+    on. The energy of the twist grows without bound with the angle; that of the twistor is
+    bounded in it, bears no moment at half a turn, and is the cheaper one: no sine, no
+    cosine.
+
+    Args:
+        stiffness: symmetric, with no negative eigenvalue, for the frame of the hinge:
+            its row and column order is rotation, axis 1, axis 2; N m/rad, N/rad, N/m.
+        coordinates: "twistor" for `2 v K v` of v = (xi, x1, x2), "twist" for
+            `t K t / 2` of the twist t.
+
+    Raises:
+        ValueError: the stiffness is not 3 by 3, not symmetric, has a negative eigenvalue
+            or a value that is not finite; the coordinates are unknown.
+
+    Source:
+        Equations 3.4 and 4.7 of the dissertation.
+
+    Example:
+        >>> leaf = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
+        >>> leaf(jnp.array([0.0, 0.0, 0.5]))
+        Array(1.25, dtype=float64)
+    """
+
+    stiffness: Matrix
+    coordinates: Coordinates = eqx.field(static=True)
+
+    def __init__(
+        self,
+        stiffness: Float[ArrayLike, "3 3"],
+        coordinates: Coordinates = "twistor",
+    ):
+        self.stiffness = jnp.asarray(stiffness, float)
+        self.coordinates = one_of("`coordinates`", coordinates, ("twistor", "twist"))
+        if fault := self.fault():
+            raise ValueError(f"A `Quadratic` energy cannot be made: {fault}")
+
+    def fault(self) -> str | None:
+        """What is wrong with the stiffness, in words, or nothing."""
+        return fault_of_matrix("stiffness", self.stiffness)
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        return half_square(self.stiffness, strain(displacement, self.coordinates))
+
+
+class Sum(AbstractEnergy):
+    """Couplings side by side, between the same two frames: their energies add up.
+
+    Example:
+        >>> spring = Quadratic(jnp.eye(3))
+        >>> (spring + 2.0 * spring)(jnp.array([0.0, 1.0, 0.0]))
+        Array(1.5, dtype=float64)
+    """
+
+    parts: tuple[AbstractEnergy, ...]
+
+    def fault(self) -> str | None:
+        """What is wrong with the first part at fault, or nothing."""
+        return next((fault for part in self.parts if (fault := part.fault())), None)
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        energies = [part.stored(displacement) for part in self.parts]
+        return jnp.sum(jnp.stack(energies))
+
+
+class Scaled(AbstractEnergy):
+    """An energy times a factor: the same coupling, wider or of a stiffer material."""
+
+    factor: Scalar
+    energy: AbstractEnergy
+
+    def fault(self) -> str | None:
+        """What is wrong with the factor or the energy, or nothing."""
+        factor = known(self.factor)
+        if factor is not None and not np.all((factor >= 0) & np.isfinite(factor)):
+            return f"its factor must be finite and not negative, but is {factor}."
+        return self.energy.fault()
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        return self.factor * self.energy.stored(displacement)
+
+
+class Viscous(eqx.Module):
+    """What a coupling dissipates: half the damping times the square of the strain rate.
+
+    Args:
+        damping: symmetric, with no negative eigenvalue, ordered as a stiffness is;
+            N m s/rad, N s/rad, N s/m.
+        coordinates: whose rates the damping multiplies: the "twistor" strain's
+            `2 (xi, x1, x2)` or the "twist"'s. The dissertation uses the twistor's in both
+            of its chapters, even beside the energy of the twist (equation 3.64 is 4.42).
+
+    Raises:
+        ValueError: as for the stiffness of a `Quadratic`.
+
+    Source:
+        Equations 3.62 to 3.64 and 4.40 to 4.42 of the dissertation.
+    """
+
+    damping: Matrix
+    coordinates: Coordinates = eqx.field(static=True)
+
+    def __init__(
+        self, damping: Float[ArrayLike, "3 3"], coordinates: Coordinates = "twistor"
+    ):
+        self.damping = jnp.asarray(damping, float)
+        self.coordinates = one_of("`coordinates`", coordinates, ("twistor", "twist"))
+        if fault := fault_of_matrix("damping", self.damping):
+            raise ValueError(f"A `Viscous` damping cannot be made: {fault}")
+
+    def __call__(self, pose: Pose, rate: Pose) -> Scalar:
+        """Half the power dissipated at a pose that changes at a rate; W."""
+
+        def measure(pose: Pose) -> Twist:
+            return jnp.stack(strain(Displacement.of(pose), self.coordinates))
+
+        _, strain_rate = jax.jvp(measure, (pose,), (rate,))
+        return half_square(self.damping, tuple(strain_rate))
+
+    def wrench(self, pose: Pose, first: Twist, second: Twist) -> Wrench:
+        """The viscous wrench that body B exerts on the coupling, about b, in its axes.
+
+        The derivative of half the dissipated power by the velocity of b.
+
+        Args:
+            pose: frame b seen from frame a; rad, m, m.
+            first: velocity of frame a, in its own axes; rad/s, m/s, m/s.
+            second: velocity of frame b, in its own axes; rad/s, m/s, m/s.
+
+        Example:
+            >>> still, spin = jnp.zeros(3), jnp.array([2.0, 0.0, 0.0])
+            >>> Viscous(3.0 * jnp.eye(3)).wrench(jnp.zeros(3), still, spin)
+            Array([6., 0., 0.], dtype=float64)
+        """
+
+        def dissipated(velocity: Twist) -> Scalar:
+            turning = velocity[0] - first[0]
+            lever = jnp.stack([-pose[2], pose[1]])
+            drift = se2._turn(pose[0], velocity[1:]) - first[1:] - first[0] * lever
+            return self(pose, jnp.concatenate([turning[None], drift]))
+
+        return jax.grad(dissipated)(second)
+
+
+def strain(
+    displacement: Displacement, coordinates: Coordinates
+) -> tuple[Scalar, Scalar, Scalar]:
+    """The three numbers whose square a quadratic energy takes."""
+    stretch = jnp.ones_like(displacement.xi)
+    turn = 2 * displacement.xi
+    if coordinates == "twist":
+        stretch = stretch / se2.sinc(displacement.angle / 2, displacement.xi)
+        turn = displacement.angle
+    return turn, 2 * stretch * displacement.x1, 2 * stretch * displacement.x2
+
+
+def half_square(
+    matrix: Matrix, vector: tuple[Scalar, Scalar, Scalar]
+) -> Scalar:
+    """Half a quadratic form.
+
+    Written out by scalars: batches of hinges then stay elementwise, and one loop on a
+    processor. As a product of arrays it takes a fifth longer over a sweep of stages.
+    """
+    a, b, c = vector
+    squares = matrix[0, 0] * a * a + matrix[1, 1] * b * b + matrix[2, 2] * c * c
+    mixed = matrix[0, 1] * a * b + matrix[0, 2] * a * c + matrix[1, 2] * b * c
+    return squares / 2 + mixed
+
+
+def fault_of_matrix(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
+    """What keeps a matrix from being a stiffness or a damping, in words, or nothing."""
+    if matrix.shape[-2:] != (3, 3):
+        return (
+            f"`{name}` has shape {matrix.shape}, but must be 3 by 3: a row and a column "
+            "each for the rotation and for the translations along axis 1 and axis 2."
+        )
+    values = known(matrix)
+    if values is None:
+        return None
+    if not np.all(np.isfinite(values)):
+        return f"`{name}` has a value that is not finite: {values.tolist()}."
+    # rotation and translation differ in unit, so by their size too: compare without it
+    size = np.sqrt(np.abs(np.diagonal(values, axis1=-2, axis2=-1)))
+    size = np.where(size > 0, size, 1.0)
+    scaled = values / (size[..., :, None] * size[..., None, :])
+    if np.max(np.abs(scaled - np.swapaxes(scaled, -1, -2))) > 1e-9:
+        return (
+            f"`{name}` is not symmetric: {values.tolist()}. Use its symmetric part, "
+            "`(matrix + matrix.T) / 2`; an antisymmetric part stores no energy."
+        )
+    lowest = np.linalg.eigvalsh((scaled + np.swapaxes(scaled, -1, -2)) / 2).min()
+    if lowest < -1e-9:
+        return (
+            f"`{name}` has a negative eigenvalue: {values.tolist()}. It would give "
+            "energy away when displaced; every eigenvalue must be zero or positive."
+        )
+    return None

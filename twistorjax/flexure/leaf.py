@@ -1,0 +1,75 @@
+"""Leaf hinges: slender straight beams of constant section, cut from a plate."""
+
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import ArrayLike
+
+from .._checks import one_of, positive, within
+from .._types import Corners
+from ..energy import Coordinates, Quadratic
+from .material import Material
+
+
+def leaf(
+    material: Material,
+    *,
+    length: ArrayLike,
+    thickness: ArrayLike,
+    width: ArrayLike,
+    theory: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli",
+    coordinates: Coordinates = "twistor",
+) -> Quadratic:
+    """The energy of a leaf hinge, in the frame at its middle with axis 1 along it.
+
+    There the stiffness is diagonal: the middle is the centre of stiffness.
+
+    Args:
+        material: of the plate.
+        length: along axis 1, free of its clamps; m.
+        thickness: in the plane, across; m.
+        width: out of the plane: the plate's own thickness; m.
+        theory: whether transverse forces also shear the leaf ("timoshenko", shear
+            factor 5/6) or bend it alone, as in the dissertation.
+        coordinates: of the quadratic energy, "twistor" or "twist".
+
+    Raises:
+        ValueError: a dimension is not positive, or the leaf is too stout: its thickness
+            may be a tenth of its length without shear, where that would add 3 % to the
+            transverse compliance, and a quarter with it.
+
+    Source:
+        Equation 5.8 of the dissertation and its listing `cant_stiff`, where the axial
+        direction is axis 2. Shear factor: Cowper (1966), for Poisson's ratio zero.
+
+    Example:
+        >>> soft = Material(modulus=3.45e9, poisson=0.3)
+        >>> jnp.diag(leaf(soft, length=10e-3, thickness=1e-3, width=5e-3).stiffness)
+        Array([1.4375e-01, 1.7250e+06, 1.7250e+04], dtype=float64)
+    """
+    one_of("`theory`", theory, ("euler-bernoulli", "timoshenko"))
+    length, width = positive("`length`", length), positive("`width`", width)
+    thickness = positive("`thickness`", thickness)
+    share = 0.25 if theory == "timoshenko" else 0.1
+    slender = within(
+        "`thickness / length`",
+        thickness / length,
+        0.0,
+        share * (1 + 1e-12),  # 0.3 mm to 3 mm is a tenth, but not to the last bit
+        f"the {theory} leaf holds to {share:g}: take a thinner or longer leaf"
+        + ("" if theory == "timoshenko" else ', or theory="timoshenko"'),
+    )
+    area = width * slender * length
+    second_moment = area * (slender * length) ** 2 / 12
+    bending = material.modulus * second_moment / length
+    transverse = length**2 / (12 * bending)
+    if theory == "timoshenko":
+        transverse = transverse + length / (material.shear_modulus * area * 5 / 6)
+    axial = material.modulus * area / length
+    return Quadratic(jnp.diag(jnp.stack([bending, axial, 1 / transverse])), coordinates)
+
+
+def leaf_outline(*, length: float, thickness: float) -> Corners:
+    """The outline of a leaf in its own frame, for drawing; m."""
+    x, y = length / 2, thickness / 2
+    return jnp.array([[-x, -y], [x, -y], [x, y], [-x, y]])

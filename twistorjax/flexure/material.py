@@ -1,0 +1,41 @@
+"""What a plate is made of."""
+
+import equinox as eqx
+from jaxtyping import ArrayLike
+
+from .._checks import positive, within
+from .._types import Scalar
+
+
+class Material(eqx.Module):
+    """An isotropic, linearly elastic material.
+
+    Args:
+        modulus: Young's modulus; Pa.
+        poisson: Poisson's ratio.
+        density: needed for masses alone; kg/m3.
+
+    Raises:
+        ValueError: a value is not positive, or Poisson's ratio is above a half.
+
+    Example:
+        >>> Material(modulus=69e9, poisson=0.33).shear_modulus
+        Array(2.594e+10, dtype=float64, weak_type=True)
+    """
+
+    modulus: Scalar
+    poisson: Scalar
+    density: Scalar | None
+
+    def __init__(
+        self, modulus: ArrayLike, poisson: ArrayLike, density: ArrayLike | None = None
+    ):
+        self.modulus = positive("`modulus`", modulus)
+        needed = "must lie above -1 and be at most 0.5"
+        self.poisson = within("`poisson`", poisson, -1.0, 0.5, needed)
+        self.density = None if density is None else positive("`density`", density)
+
+    @property
+    def shear_modulus(self) -> Scalar:
+        """Resistance to a change of angle; Pa."""
+        return self.modulus / (2 * (1 + self.poisson))

@@ -1,0 +1,151 @@
+"""Small displacements: the linear map from what is done to a mechanism to its answer."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._checks import need_float64
+from .._types import Poses
+from ..boundary import Drive, driven, Load, loaded, Loads
+from ..mechanism import Mechanism
+from . import newton
+from .results import RESULTS
+from .statics import Equilibrium, free_coordinates, raised
+
+
+class Linearised(eqx.Module):
+    """A mechanism near one state, its tangent factored once for many loads and drives.
+
+    Call it with drives of just the coordinates that it was made for, and any loads; it
+    answers with an `Equilibrium` whose displacements and reactions are the changes from
+    the state, to first order, and whose energy is half their product.
+    """
+
+    mechanism: Mechanism
+    about: Poses
+    matrix: Float[Array, "coordinates coordinates"]
+    factors: newton.Factors
+    places: newton.Places = eqx.field(static=True)
+    finite: Bool[Array, ""]
+
+    def __call__(
+        self,
+        *,
+        loads: Sequence[Load] = (),
+        drives: Sequence[Drive] = (),
+        throw: bool = True,
+    ) -> Equilibrium:
+        """The change of displacements and reactions under some loads and drives.
+
+        Args:
+            loads: small ones, beside those that act already.
+            drives: of the coordinates that were named to `linearise`, all of them.
+            throw: whether a failure is raised, or only told by `result`.
+
+        Raises:
+            ValueError: the driven coordinates are not those named, or a name is unknown.
+            RuntimeError: the state is not stable, or a value is not finite.
+        """
+        mechanism = self.mechanism
+        places, targets = driven(mechanism, drives)
+        if sorted(places) != sorted(self.places.driven):
+            raise ValueError(
+                f"`drives` moves {_listed(mechanism, places)}, but this map was made by "
+                f"`linearise` for {_listed(mechanism, self.places.driven)}."
+            )
+        free = np.array(self.places.free, int)
+        flat = jnp.zeros(self.about.size).at[np.array(places, int)].set(
+            jnp.array(targets, float)
+        )
+        applied, _ = Loads.of(loads, loaded(mechanism, loads), mechanism.rest).apply(
+            self.about - mechanism.rest
+        )
+        applied = applied.reshape(-1)
+        flat = flat.at[free].set(
+            self.factors.solve((applied - self.matrix @ flat)[free])
+        )
+        forces = self.matrix @ flat
+        held = np.ones(flat.size)
+        held[free] = 0.0
+        result = RESULTS.where(
+            self.factors.resists(), RESULTS.successful, RESULTS.loose
+        )
+        fine = self.finite & jnp.all(jnp.isfinite(applied))
+        result = RESULTS.where(fine, result, RESULTS.not_finite)
+        shape = self.about.shape
+        answer = Equilibrium(
+            displacements=flat.reshape(shape),
+            rest=self.about,
+            reactions=(held * (forces - applied)).reshape(shape),
+            energy=jnp.vdot(flat, forces) / 2,
+            fraction=jnp.ones(()),
+            steps=jnp.zeros((), int),
+            result=result,
+            names=mechanism.names,
+        )
+        return raised(answer) if throw else answer
+
+
+def linearise(
+    mechanism: Mechanism,
+    driven: Mapping[str, Sequence[str]] | None = None,
+    *,
+    about: Poses | None = None,
+    loads: Sequence[Load] = (),
+) -> Linearised:
+    """The answer of a mechanism to small loads and drives, as one factorisation.
+
+    Args:
+        mechanism: at rest where nothing loads it.
+        driven: which coordinates will be driven, as a mapping from the name of a body to
+            those, of "angle", "x" and "y".
+        about: poses of an equilibrium from which changes count, by default rest; rad, m, m.
+        loads: that hold the mechanism there; they add to its stiffness as they turn.
+
+    Returns:
+        A function of loads and drives.
+
+    Raises:
+        ValueError: double precision is off, or a name is unknown.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
+        >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+        >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], held=["wall"])
+        >>> small = linearise(mechanism, driven={"block": ["y"]})
+        >>> small(drives=[Drive("block", y=1e-3)]).reaction("block")
+        Array([0.  , 0.  , 0.01], dtype=float64)
+    """
+    need_float64()
+    zero = {
+        name: dict.fromkeys(coordinates, 0.0)
+        for name, coordinates in (driven or {}).items()
+    }
+    places, _ = _driven(mechanism, [Drive(name, **each) for name, each in zero.items()])
+    free = free_coordinates(len(mechanism.names), mechanism.held, places)
+    every = newton.Places(tuple(range(3 * len(mechanism.names))), ())
+    about = mechanism.rest if about is None else about
+    acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
+    whole = newton.Problem(mechanism.couplings, acting, jnp.zeros(0), every)
+    _, matrix, _ = whole.tangent(mechanism._displacements(about))
+    rows = np.array(free, int)
+    return Linearised(
+        mechanism=mechanism,
+        about=about,
+        matrix=matrix,
+        factors=newton.Factors.of(matrix[rows[:, None], rows], whole.symmetric),
+        places=newton.Places(free, places),
+        finite=jnp.all(jnp.isfinite(matrix)),
+    )
+
+
+_driven = driven  # `linearise` calls its own argument so
+
+
+def _listed(mechanism: Mechanism, places: Sequence[int]) -> str:
+    words = [mechanism.coordinate(place) for place in sorted(places)]
+    return " and ".join(words) or "nothing"

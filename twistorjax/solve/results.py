@@ -1,0 +1,31 @@
+"""How a solve ended."""
+
+import diffrax as dfx
+
+
+class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
+    """Why a solve stopped. Empty where it succeeded.
+
+    Extends the results of diffrax, so that one enumeration serves statics and motion.
+    """
+
+    successful = ""
+    not_finite = (
+        "A value of the mechanism, its loads or its drives is not finite: a NaN came in, "
+        "or a dimension of a hinge lies outside the range of its formula."
+    )
+    loose = (
+        "Some body can move without storing energy, so nothing picks out where it rests. "
+        "Hold it with `held`, drive it, add a hinge, or stiffen one: the mechanism's "
+        "`stiffness` at rest is singular."
+    )
+    no_equilibrium = (
+        "No equilibrium was found that continues the one at rest up to the full loads and "
+        "drives. `fraction` tells how much of them was reached: there the mechanism may "
+        "buckle or snap, or its hinges may have been displaced beyond what their energies "
+        "allow. Take smaller loads, or drive the motion instead of loading it."
+    )
+    steps_used_up = (
+        "The largest number of Newton steps was reached. `fraction` tells how much of the "
+        "loads and drives was; raise `max_steps`, or start nearer with `start`."
+    )

@@ -1,0 +1,213 @@
+"""Equilibrium of a mechanism under loads and imposed motions."""
+
+from collections.abc import Sequence
+from functools import lru_cache, partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from .._checks import known, need_float64
+from .._types import Pose, Poses, Scalar, Wrench, Wrenches
+from ..boundary import Drive, driven, Load, loaded, Loads
+from ..couplings import Couplings
+from ..mechanism import Mechanism
+from . import newton
+from .results import RESULTS
+
+
+class Equilibrium(eqx.Module):
+    """Where the bodies of a mechanism rest, and what holds them there.
+
+    Args:
+        displacements: of each body from its rest; rad, m, m.
+        rest: the poses from which they count; rad, m, m.
+        reactions: what held and driven coordinates receive from outside; zero elsewhere.
+            About each body's origin, in world axes; N m, N, N.
+        energy: stored in the hinges; J.
+        fraction: of the loads and drives that was reached: 1, or less where it failed.
+        steps: of Newton's method.
+        result: how it ended.
+        names: of the bodies, for its rows.
+    """
+
+    displacements: Poses
+    rest: Poses
+    reactions: Wrenches
+    energy: Scalar
+    fraction: Scalar
+    steps: Int[Array, ""]
+    result: RESULTS
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def poses(self) -> Poses:
+        """Where the bodies are; rad, m, m."""
+        return self.rest + self.displacements
+
+    def displacement(self, body: str) -> Pose:
+        """How far a body has moved from rest; rad, m, m."""
+        return self.displacements[self._row(body)]
+
+    def pose(self, body: str) -> Pose:
+        """Where a body is; rad, m, m."""
+        return self.poses[self._row(body)]
+
+    def reaction(self, body: str) -> Wrench:
+        """What a body's held and driven coordinates receive; N m, N, N."""
+        return self.reactions[self._row(body)]
+
+    def _row(self, body: str) -> int:
+        if body not in self.names:
+            raise ValueError(
+                f"`body` is {body!r}, but the bodies are "
+                f"{', '.join(map(repr, self.names))}."
+            )
+        return self.names.index(body)
+
+
+def equilibrium(
+    mechanism: Mechanism,
+    *,
+    loads: Sequence[Load] = (),
+    drives: Sequence[Drive] = (),
+    start: Poses | None = None,
+    tolerance: float = 1e-10,
+    max_steps: int = 400,
+    throw: bool = True,
+) -> Equilibrium:
+    """Where a mechanism comes to rest under loads and imposed motions.
+
+    Displacements may be large: where the whole load is too much for one solve it is
+    applied in steps, cut and grown as the mechanism allows, so that the answer continues
+    the state at rest. Held and driven coordinates are given exactly, and their reactions
+    returned. The answer has derivatives of every order, forward and reverse, by
+    everything that made the mechanism, its loads and its drives.
+
+    Args:
+        mechanism: at rest where nothing loads it.
+        loads: on its bodies.
+        drives: of coordinates that are not held.
+        start: poses from which to begin, by default at rest. Loads and drives grow from
+            nothing there, so it should be an equilibrium, or near one; rad, m, m.
+        tolerance: on the answer, relative: of the energy at work, its root.
+        max_steps: of Newton's method, altogether.
+        throw: whether a failure is raised, or only told by `result`. In a batch a failure
+            of one is raised for all; with `throw=False` the others are unharmed.
+
+    Returns:
+        The equilibrium; where it failed, the last one on the way.
+
+    Raises:
+        ValueError: double precision is off; a name is unknown; a coordinate is driven
+            twice, or driven and held; a shape is wrong.
+        RuntimeError: no equilibrium was found; the text says why.
+
+    Source:
+        Equations 5.25 and 6.4 of the dissertation, with the multipliers eliminated.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
+        >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+        >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], held=["wall"])
+        >>> rest = equilibrium(mechanism, loads=[Load("block", (0.0, 5.0, 0.0))])
+        >>> rest.displacement("block"), rest.reaction("wall")
+        (Array([0.  , 0.05, 0.  ], dtype=float64), Array([ 0., -5.,  0.], dtype=float64))
+    """
+    need_float64()
+    places, targets = driven(mechanism, drives)
+    answer = _solve(
+        mechanism.couplings,
+        mechanism.rest,
+        None if start is None else mechanism._displacements(start),
+        tuple(loads),
+        targets,
+        tolerance,
+        max_steps,
+        bodies=loaded(mechanism, loads),
+        places=newton.Places(
+            free_coordinates(len(mechanism.names), mechanism.held, places), places
+        ),
+        names=mechanism.names,
+    )
+    return raised(answer) if throw else answer
+
+
+@lru_cache(maxsize=256)
+def free_coordinates(
+    bodies: int, held: tuple[int, ...], driven: tuple[int, ...]
+) -> tuple[int, ...]:
+    """The places of the coordinates that are neither held nor driven."""
+    given = {*held, *driven}
+    return tuple(place for place in range(3 * bodies) if place not in given)
+
+
+@partial(jax.jit, static_argnames=("bodies", "places", "names"))
+def _solve(
+    couplings: Couplings,
+    rest: Poses,
+    begin: Poses | None,
+    loads: tuple[Load, ...],
+    targets: tuple[Scalar, ...],
+    tolerance: float,
+    max_steps: int,
+    *,
+    bodies: tuple[int, ...],
+    places: newton.Places,
+    names: tuple[str, ...],
+) -> Equilibrium:
+    problem = newton.Problem(
+        couplings, Loads.of(loads, bodies, rest), jnp.array(targets, float), places
+    )
+    begin = jnp.zeros_like(rest) if begin is None else begin
+    settled = newton.settle(
+        jax.lax.stop_gradient(problem),
+        jax.lax.stop_gradient(begin),
+        tolerance,
+        max_steps,
+    )
+    flat = settled.displacements.reshape(-1)
+    free = newton.follow(problem, flat[problem.free], begin)
+    converged = settled.status == newton.CONVERGED
+    given = jnp.where(
+        converged, problem.targets, flat[problem.driven]
+    )
+    displacements = problem.place(begin, free=free, driven=given)
+    held = np.ones(flat.size)
+    held[problem.free] = 0.0
+    reactions = (held * problem.residual(displacements)).reshape(rest.shape)
+    result = RESULTS.successful
+    for status, item in (
+        (newton.NOT_FINITE, RESULTS.not_finite),
+        (newton.LOOSE, RESULTS.loose),
+        (newton.STUCK, RESULTS.no_equilibrium),
+        (newton.USED_UP, RESULTS.steps_used_up),
+    ):
+        result = RESULTS.where(settled.status == status, item, result)
+    return Equilibrium(
+        displacements=displacements,
+        rest=rest,
+        reactions=reactions,
+        energy=problem.couplings.energy(displacements),
+        fraction=settled.fraction,
+        steps=settled.steps,
+        result=result,
+        names=names,
+    )
+
+
+def raised(answer: Equilibrium) -> Equilibrium:
+    """The answer, if it succeeded; otherwise its failure is raised."""
+    failed = known(answer.result._value)
+    if failed is None:
+        return answer.result.error_if(answer, answer.result != RESULTS.successful)
+    if failed.any():
+        where = np.unravel_index(np.argmax(failed != 0), failed.shape)
+        fraction, steps = known(answer.fraction)[where], known(answer.steps)[where]
+        lane = f" in lane {', '.join(map(str, where))} of the batch" if where else ""
+        text = RESULTS[jax.tree.map(lambda value: value[where], answer.result)]
+        raise RuntimeError(f"{text} (fraction {fraction:.4g}, {steps} Newton steps{lane})")
+    return answer

@@ -1,6 +1,6 @@
 """Differentiable mechanics of planar mechanisms of rigid bodies and elastic hinges."""
 
-from . import clifford as clifford, lines as lines, se2 as se2
+from . import cases as cases, clifford as clifford, lines as lines, se2 as se2
 from .body import Body as Body, plate as plate
 from .boundary import Drive as Drive, Load as Load
 from .energy import (
@@ -20,3 +20,4 @@ from .mechanism import Mechanism as Mechanism
 from .solve.linear import Linearised as Linearised, linearise as linearise
 from .solve.results import RESULTS as RESULTS
 from .solve.statics import Equilibrium as Equilibrium, equilibrium as equilibrium
+from .show.drawing import draw as draw

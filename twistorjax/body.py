@@ -88,7 +88,7 @@ def plate(
     # Green's theorem on triangles from the mean corner, which keeps the digits of an
     # outline far from the origin
     middle = jnp.mean(points, axis=0)
-    start = points - middle
+    start = points - middle[None]
     end = jnp.roll(start, -1, axis=0)
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     area = jnp.sum(cross) / 2
@@ -104,5 +104,5 @@ def plate(
         rest=jnp.concatenate([jnp.zeros(1), middle + centre]),
         mass=mass,
         inertia=mass * per_area,
-        outline=start - centre,
+        outline=start - centre[None],
     )

@@ -6,6 +6,12 @@ point at infinity and `e e = 0`. It sees a displacement from the frame half way 
 so that both ends of a hinge see the same one but for its sign. Sections 2.1.5, 2.7 and
 2.8 of the dissertation.
 
+Points are moved by the sandwich `q* x q`. With the printed `e . e* = 1` (equation 2.24)
+that turns them forwards but shifts them backwards; with `e . e* = -1`, and points
+`x + x x e / 2 + e*`, it does both as said. Products of twistors know `e` by `e e = 0`
+alone, so nothing else changes. (Equation 2.156 leaves the sign of a translation as it is
+in the conjugate, which hides this, but then `q* q` is not one.)
+
 Two of its printed products are in the wrong order: with points moved by `q* x q`, the
 displacement done first stands on the left. Equations 2.159 and 2.160 have it on the
 right; evaluated as they stand they give `... + 0 e1e + 2 e2e` and

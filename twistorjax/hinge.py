@@ -134,6 +134,7 @@ def halfway(first: End, second: End, axis: tuple[Scalar, Scalar]) -> Halfway:
 Six = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
+@jax.jit
 def forces(
     energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
 ) -> Six:
@@ -148,6 +149,7 @@ def forces(
     return _pull(first, second, half, slope)
 
 
+@jax.jit
 def tangent(
     energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
 ) -> tuple[Six, tuple[Six, Six, Six, Six, Six, Six]]:

@@ -82,8 +82,8 @@ def resultant(wrench: Wrench) -> Resultant:
         Equations 2.77 to 2.80 of the dissertation.
 
     Example:
-        >>> resultant(jnp.array([6.0, 0.0, 3.0])).foot
-        Array([2., 0.], dtype=float64)
+        >>> resultant(jnp.array([-6.0, 3.0, 0.0])).foot
+        Array([0., 2.], dtype=float64)
     """
     moment, fx, fy = wrench
     square = fx**2 + fy**2

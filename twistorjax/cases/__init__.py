@@ -1,0 +1,3 @@
+"""The dissertation's studies, as functions that build them and run them."""
+
+from . import stage as stage

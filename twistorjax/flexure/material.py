@@ -20,7 +20,7 @@ class Material(eqx.Module):
 
     Example:
         >>> Material(modulus=69e9, poisson=0.33).shear_modulus
-        Array(2.594e+10, dtype=float64, weak_type=True)
+        Array(2.59398496e+10, dtype=float64)
     """
 
     modulus: Scalar

@@ -1,0 +1,3 @@
+"""Pictures, on matplotlib's axes."""
+
+from .drawing import draw as draw

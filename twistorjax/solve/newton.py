@@ -121,7 +121,7 @@ class Factors(NamedTuple):
         """Factors a tangent."""
         diagonal = jnp.abs(jnp.diagonal(matrix))
         scale = jnp.where(diagonal > 0, diagonal, 1.0) ** -0.5
-        scaled = scale[:, None] * matrix * scale
+        scaled = scale[:, None] * matrix * scale[None]
         if symmetric:
             return cls(scale, jnp.linalg.cholesky(scaled, symmetrize_input=False), None)
         return cls(scale, *jax.scipy.linalg.lu_factor(scaled))

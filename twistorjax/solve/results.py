@@ -1,6 +1,9 @@
 """How a solve ended."""
 
 import diffrax as dfx
+import numpy as np
+
+from .._checks import known
 
 
 class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
@@ -29,3 +32,14 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "The largest number of Newton steps was reached. `fraction` tells how much of the "
         "loads and drives was; raise `max_steps`, or start nearer with `start`."
     )
+
+
+def outcomes(result: RESULTS) -> np.ndarray | None:
+    """The names of results, in the shape of their batch, or nothing while traced."""
+    index = known(result._value)
+    if index is None:
+        return None
+    names = np.empty(len(RESULTS), object)
+    for name, item in RESULTS._name_to_item.items():
+        names[int(item._value)] = name
+    return names[index]

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from .._checks import known, need_float64
+from .._checks import need_float64
 from .._types import Pose, Poses, Scalar, Wrench, Wrenches
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
 from . import newton
-from .results import RESULTS
+from .results import outcomes, RESULTS
 
 
 class Equilibrium(eqx.Module):
@@ -201,13 +201,16 @@ def _solve(
 
 def raised(answer: Equilibrium) -> Equilibrium:
     """The answer, if it succeeded; otherwise its failure is raised."""
-    failed = known(answer.result._value)
-    if failed is None:
+    ended = outcomes(answer.result)
+    if ended is None:
         return answer.result.error_if(answer, answer.result != RESULTS.successful)
-    if failed.any():
-        where = np.unravel_index(np.argmax(failed != 0), failed.shape)
-        fraction, steps = known(answer.fraction)[where], known(answer.steps)[where]
-        lane = f" in lane {', '.join(map(str, where))} of the batch" if where else ""
-        text = RESULTS[jax.tree.map(lambda value: value[where], answer.result)]
-        raise RuntimeError(f"{text} (fraction {fraction:.4g}, {steps} Newton steps{lane})")
+    failed = ended != "successful"
+    if np.any(failed):
+        lane = np.unravel_index(np.argmax(failed), np.shape(failed))
+        where = f" in lane {', '.join(map(str, lane))} of the batch" if lane else ""
+        text = RESULTS[getattr(RESULTS, np.asarray(ended)[lane])]
+        fraction, steps = (np.asarray(answer.fraction)[lane], np.asarray(answer.steps)[lane])
+        raise RuntimeError(
+            f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
+        )
     return answer

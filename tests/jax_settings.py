@@ -1,0 +1,8 @@
+"""Tests run in double precision, with nothing promoted silently."""
+
+import jax
+
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -1,0 +1,135 @@
+"""Twistors against the geometric algebra itself, of the `clifford` library."""
+
+import clifford
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close, some_poses
+
+from twistorjax import clifford as tc, se2
+
+
+LAYOUT, BLADES = clifford.Cl(3, 1)
+E1, E2, PLUS, MINUS = (BLADES[f"e{k}"] for k in (1, 2, 3, 4))
+INFINITY = -(PLUS + MINUS) / np.sqrt(2)  # e, with e . e* = -1: see `twistorjax.clifford`
+ORIGIN = (PLUS - MINUS) / np.sqrt(2)  # e*
+
+
+def multivector(twistor):
+    sigma, xi, x1, x2 = map(float, twistor)
+    return sigma + xi * E1 * E2 + x1 * E1 * INFINITY + x2 * E2 * INFINITY
+
+
+def homogeneous(point):
+    """A point of the horosphere, equation 2.40 with e . e* = -1."""
+    x, y = map(float, point)
+    return x * E1 + y * E2 + (x**2 + y**2) / 2 * INFINITY + ORIGIN
+
+
+def assert_same(actual, expected):
+    np.testing.assert_allclose(actual.value, expected.value, atol=1e-12)
+
+
+def test_the_basis_is_null_and_its_points_are_too():
+    for null in (INFINITY, ORIGIN, homogeneous([0.3, -0.7])):
+        assert (null * null).value == pytest.approx(0)
+    assert float((INFINITY | ORIGIN)[()]) == pytest.approx(-1)
+
+
+def test_the_printed_sign_of_the_basis_carries_translations_backwards():
+    infinity = -INFINITY  # equation 2.24: e . e* = 1
+    shift = 1 + 0.5 * E1 * infinity  # equation 2.155: by 1 along x
+    moved = ~shift * ORIGIN * shift
+    assert_same(moved, -1 * E1 - 0.5 * infinity + ORIGIN)  # equation 2.40 at x = -1
+
+
+def test_the_twistor_is_the_exponential_of_half_the_twist():
+    for pose in some_poses(0):
+        rotation, along, across = map(float, se2.twist(pose))
+        bivector = rotation * E1 * E2 + along * E1 * INFINITY + across * E2 * INFINITY
+        power, series = 1 + 0 * E1, 1 + 0 * E1
+        for k in range(1, 40):
+            power = power * bivector / (2 * k)
+            series = series + power
+        assert_same(multivector(tc.twistor(pose)), series)
+
+
+def test_product_is_the_geometric_product():
+    for first, second in zip(some_poses(0), some_poses(1), strict=True):
+        first, second = tc.twistor(first), tc.twistor(second)
+        expected = multivector(first) * multivector(second)
+        assert_same(multivector(tc.product(first, second)), expected)
+
+
+def test_conjugate_is_the_reverse():
+    for pose in some_poses(0):
+        twistor = tc.twistor(pose)
+        assert_same(multivector(tc.conjugate(twistor)), ~multivector(twistor))
+
+
+def test_move_is_the_sandwich_on_points_of_the_homogeneous_model():
+    point = jnp.array([0.3, -0.7])
+    for pose in some_poses(0):
+        q = multivector(tc.twistor(pose))
+        moved = tc.move(tc.twistor(pose), point)
+        assert_same(homogeneous(moved), ~q * homogeneous(point) * q)
+        assert_close(moved, se2.act(pose, point))
+
+
+def test_composition_is_the_product_with_the_first_displacement_on_the_left():
+    for outer, inner in zip(some_poses(0), some_poses(1), strict=True):
+        together = tc.twistor(se2.compose(outer, inner))
+        assert_close(tc.product(tc.twistor(inner), tc.twistor(outer)), together)
+
+
+def test_pose_undoes_twistor_within_a_full_turn():
+    poses = some_poses(0)
+    assert_close(jax.vmap(lambda pose: tc.pose(tc.twistor(pose)))(poses), poses)
+
+
+def test_the_way_back_is_the_same_twistor_but_for_its_sign():
+    for pose in some_poses(0):
+        back = tc.twistor(se2.inverse(pose))
+        assert_close(back, tc.conjugate(tc.twistor(pose)))
+
+
+def test_the_three_ways_of_section_2_7_4_agree():
+    root = np.sqrt(3)
+    turn = jnp.array([root / 2, 0.5, 0.0, 0.0])
+    expected = jnp.array([root / 2, 0.5, root, 1.0])
+    turn_then_shift = tc.product(turn, jnp.array([1.0, 0.0, 1.0, root]))
+    shift_then_turn = tc.product(jnp.array([1.0, 0.0, 2.0, 0.0]), turn)
+    about_pole = tc.twistor(jnp.array([np.pi / 3, 2.0, 2 * root]))
+    for twistor in (turn_then_shift, shift_then_turn, about_pole):
+        assert_close(twistor, expected)
+    assert_close(se2.pole(tc.pose(expected)), jnp.array([-2.0, 2 * root]))
+
+
+def test_the_printed_order_of_equation_2_159_does_not_give_its_printed_value():
+    root = np.sqrt(3)
+    printed = (1 + E1 * INFINITY + root * E2 * INFINITY) * (root / 2 + E1 * E2 / 2)
+    assert_same(printed, multivector([root / 2, 0.5, 0.0, 2.0]))
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_half_turn_has_the_derivatives_of_cosine_and_sine(order):
+    angle = jnp.array(0.8)
+    known = jnp.cos(angle / 2), jnp.sin(angle / 2)
+
+    def given(angle):
+        return jnp.stack(tc.half_turn(angle, *known))
+
+    def computed(angle):
+        return jnp.stack([jnp.cos(angle / 2), jnp.sin(angle / 2)])
+
+    for _ in range(order):
+        given, computed = jax.jacfwd(given), jax.jacfwd(computed)
+    assert_close(given(angle), computed(angle), digits=15)
+
+
+def test_a_displacement_measures_the_same_twist_as_its_pose():
+    for pose in some_poses(0):
+        seen = tc.Displacement.of(pose)
+        assert_close(seen.twist(), se2.twist(pose))
+        assert_close(seen.strain()[1:] / 2, tc.twistor(pose)[2:])

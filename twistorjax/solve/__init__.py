@@ -1,0 +1,3 @@
+"""What a mechanism does: where it rests."""
+
+from . import results as results, statics as statics

@@ -1,0 +1,456 @@
+"""Equilibria against closed forms, the elastica, and an independent minimisation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from helpers import assert_close, some_stiffness
+
+import twistorjax as tj
+
+
+WALL, BLOCK = tj.Body("wall"), tj.Body("block")
+
+
+def block_on_spring(stiffness, coordinates="twistor"):
+    spring = tj.Quadratic(stiffness, coordinates)
+    hinge = tj.Hinge("spring", "wall", "block", spring, (0.0, 0.0, 0.0))
+    return tj.Mechanism([WALL, BLOCK], [hinge], held=["wall"])
+
+
+def cantilever(elements, axial=1e6, coordinates="twist"):
+    """A slender beam of unit length and bending stiffness, clamped at its left end."""
+    size = 1 / elements
+    stiffness = np.diag([1 / size, axial / size, 12 / size**3])
+    leaf = tj.Quadratic(stiffness, coordinates)
+    bodies = [tj.Body(str(k), (0.0, k * size, 0.0)) for k in range(elements + 1)]
+    hinges = [
+        tj.Hinge(f"{k}", str(k), str(k + 1), leaf, (0.0, (k + 0.5) * size, 0.0))
+        for k in range(elements)
+    ]
+    return tj.Mechanism(bodies, hinges, held=["0"])
+
+
+def stage():
+    return tj.cases.stage.microstage()
+
+
+# Mattiasson, Int. J. Num. Meth. Eng. 17 (1981): PL^2/EI, w/L, u/L, tip angle
+MATTIASSON = [
+    (1.0, 0.3017207738, 0.0564332363, 0.4613519497),
+    (5.0, 0.7137915236, 0.3876283607, 1.2153681176),
+    (10.0, 0.8106090249, 0.5549955978, 1.4302855388),
+]
+
+
+def test_a_push_moves_a_block_by_its_compliance():
+    mechanism = block_on_spring(np.diag([2.0, 8.0, 5.0]))
+    rest = tj.equilibrium(mechanism, loads=[tj.Load("block", (0.0, 2.0, 0.0))])
+    assert_close(rest.displacement("block"), [0.0, 0.25, 0.0])
+    assert_close(rest.energy, 0.25)
+    assert_close(rest.reaction("wall"), [0.0, -2.0, 0.0])
+    assert_close(rest.reaction("block"), [0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("coordinates", ["twist", "twistor"])
+def test_a_moment_winds_a_block_up(coordinates):
+    mechanism = block_on_spring(np.diag([2.0, 8.0, 5.0]), coordinates)
+    rest = tj.equilibrium(mechanism, loads=[tj.Load("block", (1.9, 0.0, 0.0))])
+    # k angle, or k sin(angle): the closed forms of 3.4 and 4.7
+    expected = 0.95 if coordinates == "twist" else np.arcsin(0.95)
+    assert_close(rest.displacement("block")[0], expected, digits=10)
+
+
+@pytest.mark.parametrize(("load", "down", "back", "turn"), MATTIASSON)
+def test_a_cantilever_bends_as_the_elastica(load, down, back, turn):
+    """Converges at second order: 20 and 40 leaves tell what infinitely many do."""
+    tips = []
+    for elements in (20, 40):
+        end = str(elements)
+        rest = tj.equilibrium(
+            cantilever(elements), loads=[tj.Load(end, (0.0, 0.0, load))]
+        )
+        angle, x, y = np.asarray(rest.displacement(end))
+        tips.append(np.array([y, -x, angle]))
+    limit = tips[1] + (tips[1] - tips[0]) / 3
+    np.testing.assert_allclose(limit, [down, back, turn], rtol=3e-5)
+
+
+def test_a_cantilever_driven_through_a_full_turn_is_a_circle():
+    mechanism = cantilever(12)
+    rest = tj.equilibrium(mechanism, drives=[tj.Drive("12", angle=2 * np.pi)])
+    assert_close(rest.pose("12"), [2 * np.pi, 0.0, 0.0], digits=10)
+    assert_close(rest.reaction("12")[0], 2 * np.pi, digits=9)
+
+
+def test_a_column_stands_up_to_the_load_of_euler_and_no_more():
+    """Pushed along its axis it is straight in theory; the straight one is unstable."""
+    answer = tj.equilibrium(
+        cantilever(20), loads=[tj.Load("20", (0.0, -4.0, 0.0))], throw=False
+    )
+    assert tj.solve.results.outcomes(answer.result) == "no_equilibrium"
+    assert_close(4.0 * answer.fraction, np.pi**2 / 4, digits=3)
+    assert_close(answer.displacement("20")[2], 0.0)
+
+
+def test_a_follower_keeps_its_angle_to_the_body():
+    """It leaves the tip's moment balance to the tip's own frame."""
+    mechanism = cantilever(10)
+    load = tj.Load("10", (0.0, 0.0, 2.0), follows=True)
+    rest = tj.equilibrium(mechanism, loads=[load])
+    angle = rest.pose("10")[0]
+    reaction = rest.reaction("0")
+    expected = -2.0 * np.array([-np.sin(angle), np.cos(angle)])
+    assert_close(reaction[1:], expected, digits=9)
+    # and the moment about the clamp is that of the turned force at the tip
+    tip = np.asarray(rest.pose("10"))[1:]
+    assert_close(reaction[0], tip[0] * expected[1] - tip[1] * expected[0], digits=9)
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_a_load_off_centre_brings_its_moment(follows):
+    mechanism = block_on_spring(np.diag([2.0, 8.0, 5.0]), "twist")
+    load = tj.Load("block", (0.0, 0.0, -1.0), at=(0.4, 0.1), follows=follows)
+    rest = tj.equilibrium(mechanism, loads=[load])
+    angle = np.asarray(rest.displacement("block"))[0]
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    arm, force = turn @ [0.4, 0.1], np.array([0.0, -1.0])
+    if follows:
+        force = turn @ force
+    unbalanced = mechanism.wrenches(rest.poses)[1] + np.array(
+        [arm[0] * force[1] - arm[1] * force[0], *force]
+    )
+    assert_close(unbalanced, np.zeros(3), digits=9)
+
+
+def test_mixed_loads_on_the_stage_agree_with_a_minimisation():
+    """SciPy minimises energy less work, over the same free coordinates."""
+    mechanism = stage()
+    moment, force, along = 2e-4, np.array([0.3, -0.2]), 1.0e-6
+    rest = tj.equilibrium(
+        mechanism,
+        loads=[
+            tj.Load("4", (0.0, *force), at=(0.002, -0.003)),
+            tj.Load("3", (moment, 0.0, 0.0)),
+        ],
+        drives=[tj.Drive("6", x=along)],
+    )
+    free = [k for k in range(18) if k not in (*mechanism.held, 16)]
+    # in units in which the stage is well conditioned
+    unit = np.tile([1e-4, 1e-6, 1e-6], 6)[free]
+
+    def place(values):
+        moved = jnp.zeros(18).at[16].set(along)
+        return moved.at[np.array(free)].set(values * unit).reshape(6, 3)
+
+    def potential(values):
+        moved = place(values)
+        angle, x, y = moved[3]
+        arm_x = jnp.cos(angle) * 0.002 + jnp.sin(angle) * 0.003
+        arm_y = jnp.sin(angle) * 0.002 - jnp.cos(angle) * 0.003
+        work = force[0] * (x + arm_x) + force[1] * (y + arm_y) + moment * moved[2, 0]
+        return 1e6 * (mechanism.couplings.energy(moved) - work)
+
+    slope = jax.jit(jax.grad(potential))
+    curvature = jax.jit(jax.hessian(potential))
+    found = scipy.optimize.minimize(
+        jax.jit(potential), np.zeros(len(free)), jac=slope, hess=curvature,
+        method="trust-exact", options={"gtol": 1e-9},
+    )  # fmt: skip
+    np.testing.assert_allclose(rest.displacements, place(found.x), atol=1e-14, rtol=1e-7)
+
+
+def test_drives_and_loads_are_two_sides_of_one_equilibrium():
+    """Driven by what the load achieved, a coordinate reacts with the load."""
+    mechanism = stage()
+    loaded = tj.equilibrium(mechanism, loads=[tj.Load("6", (0.0, 20.0, 0.0))])
+    travel = loaded.displacement("6")[1]
+    driven = tj.equilibrium(mechanism, drives=[tj.Drive("6", x=travel)])
+    assert_close(driven.reaction("6")[1], 20.0, digits=8)
+    np.testing.assert_allclose(
+        driven.displacements, loaded.displacements, rtol=1e-8, atol=1e-17
+    )
+
+
+def test_reactions_balance_the_loads():
+    mechanism = stage()
+    rest = tj.equilibrium(
+        mechanism,
+        loads=[tj.Load("4", (0.01, 3.0, -2.0))],
+        drives=[tj.Drive("6", x=1e-6)],
+    )
+    about_origin = [
+        tj.se2.carry_wrench(pose.at[0].set(0.0), wrench)
+        for pose, wrench in zip(rest.poses, rest.reactions, strict=True)
+    ]
+    load = tj.se2.carry_wrench(
+        rest.pose("4").at[0].set(0.0), jnp.array([0.01, 3.0, -2.0])
+    )
+    assert_close(sum(about_origin) + load, np.zeros(3), digits=8)
+
+
+def test_starts_from_where_it_is_told():
+    mechanism = cantilever(10)
+    loads = [tj.Load("10", (0.0, 0.0, 5.0))]
+    far = tj.equilibrium(mechanism, loads=loads)
+    again = tj.equilibrium(mechanism, loads=loads, start=far.poses)
+    assert_close(again.poses, far.poses, digits=9)
+    assert again.steps < far.steps / 4
+
+
+# Derivatives
+
+
+def test_the_derivative_of_an_equilibrium_is_that_of_its_closed_form():
+    def travel(k):
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+        load = tj.Load("block", (0.0, 2.0, 0.0))
+        return tj.equilibrium(block_on_spring(stiffness), loads=[load]).displacement(
+            "block"
+        )[1]
+
+    k = jnp.array(8.0)
+    for derivative in (jax.grad, jax.jacfwd, lambda f: jax.grad(jax.jit(f))):
+        assert_close(derivative(travel)(k), -2.0 / k**2)
+    for second in (jax.hessian(travel), jax.grad(jax.grad(travel))):
+        assert_close(second(k), 4.0 / k**3)
+    assert_close(jax.grad(jax.grad(jax.grad(travel)))(k), -12.0 / k**4)
+
+
+def everything(parameters):
+    """A bent chain whose every ingredient depends on the parameters."""
+    stiffness, force, turn, place = parameters
+    spring = tj.Quadratic(some_stiffness(3) * stiffness)
+    ends = [(0.0, 0.0, 0.0), (0.3, 1.0, place), (0.6, 1.8, 0.5)]
+    bodies = [tj.Body(str(k), rest) for k, rest in enumerate(ends)]
+    hinges = [
+        tj.Hinge("h", "0", "1", spring, jnp.stack([jnp.array(0.1), place, place])),
+        tj.Hinge("i", "1", "2", spring, (0.2, 1.5, 0.2)),
+    ]
+    mechanism = tj.Mechanism(bodies, hinges, held=["0"])
+    rest = tj.equilibrium(
+        mechanism,
+        loads=[
+            tj.Load("1", (0.1, force, 0.5), at=(0.2, 0.1)),
+            tj.Load("2", (0.0, 0.0, force), follows=True),
+        ],
+        drives=[tj.Drive("2", angle=turn)],
+    )
+    weights = jax.random.normal(jax.random.key(1), (3, 3))
+    return jnp.vdot(weights, rest.poses) + jnp.vdot(weights, rest.reactions) + rest.energy
+
+
+def test_derivatives_by_all_that_makes_a_mechanism_agree_with_differences():
+    parameters = jnp.array([2.0, 0.4, 0.7, 0.3])
+    step = 1e-5
+    differences = [
+        (everything(parameters + step * e) - everything(parameters - step * e)) / (2 * step)
+        for e in jnp.eye(4)
+    ]
+    assert_close(jax.grad(everything)(parameters), jnp.stack(differences), digits=6)
+    assert_close(
+        jax.jacfwd(everything)(parameters), jax.grad(everything)(parameters), digits=9
+    )
+
+
+def test_second_derivatives_agree_with_differences_of_first():
+    parameters = jnp.array([2.0, 0.4, 0.7, 0.3])
+    gradient = jax.jit(jax.grad(everything))
+    step = 1e-5
+    differences = [
+        (gradient(parameters + step * e) - gradient(parameters - step * e)) / (2 * step)
+        for e in jnp.eye(4)
+    ]
+    hessian = jax.jit(jax.hessian(everything))(parameters)
+    assert_close(hessian, jnp.stack(differences), digits=5)
+
+
+# Batches and failures
+
+
+def outcome(answer):
+    return tj.solve.results.outcomes(answer.result)
+
+
+def test_a_batch_answers_each_lane_as_if_alone():
+    mechanism = cantilever(6)
+
+    def tip(force):
+        rest = tj.equilibrium(
+            mechanism, loads=[tj.Load("6", jnp.stack([0 * force, 0 * force, force]))]
+        )
+        return rest.displacement("6")
+
+    forces = jnp.array([1e-3, 1.0, 20.0])  # with few and with many load steps
+    alone = jnp.stack([tip(force) for force in forces])
+    assert_close(jax.vmap(tip)(forces), alone, digits=10)
+
+
+def test_a_bad_lane_is_marked_and_harms_no_other():
+    def solve(k, force):
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+        load = tj.Load("block", jnp.stack([jnp.zeros(()), force, jnp.zeros(())]))
+        return tj.equilibrium(block_on_spring(stiffness), loads=[load], throw=False)
+
+    lanes = jax.vmap(solve)(
+        jnp.array([4.0, 0.0, jnp.nan, 4.0]), jnp.array([2.0, 2.0, 2.0, jnp.nan])
+    )
+    assert list(outcome(lanes)) == ["successful", "loose", "not_finite", "not_finite"]
+    assert_close(lanes.displacements[0, 1], [0.0, 0.5, 0.0])
+
+
+def test_the_gradient_of_a_batch_is_finite_in_good_lanes():
+    def travel(k):
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+        load = tj.Load("block", (0.0, 2.0, 0.0))
+        answer = tj.equilibrium(block_on_spring(stiffness), loads=[load], throw=False)
+        return answer.displacement("block")[1]
+
+    slopes = jax.vmap(jax.grad(travel))(jnp.array([4.0, 0.0]))
+    assert_close(slopes[0], -2 / 16)
+
+
+def test_a_failed_batch_says_which_lane():
+    def solve(k):
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+        return tj.equilibrium(block_on_spring(stiffness), throw=False)
+
+    lanes = jax.vmap(solve)(jnp.array([4.0, 0.0]))
+    with pytest.raises(RuntimeError, match="lane 1 of the batch"):
+        tj.solve.statics.raised(lanes)
+
+
+@pytest.mark.parametrize("traced", [False, True])
+def test_a_block_that_nothing_keeps_has_no_equilibrium(traced):
+    def solve():
+        return tj.equilibrium(block_on_spring(np.diag([1.0, 0.0, 1.0]))).poses
+
+    with pytest.raises(Exception, match="can move without storing energy"):
+        (jax.jit(solve) if traced else solve)()
+
+
+def test_a_moment_beyond_what_a_twistor_spring_bears_has_no_equilibrium():
+    """It bears k sin(angle): at most k, at a quarter turn."""
+    mechanism = block_on_spring(np.eye(3))
+    with pytest.raises(RuntimeError, match="No equilibrium was found that continues"):
+        tj.equilibrium(mechanism, loads=[tj.Load("block", (1.25, 0.0, 0.0))])
+    answer = tj.equilibrium(
+        mechanism, loads=[tj.Load("block", (1.25, 0.0, 0.0))], throw=False
+    )
+    assert_close(answer.fraction, 0.8, digits=3)
+    assert_close(answer.displacement("block")[0], np.pi / 2, digits=1)
+
+
+def test_too_few_steps_are_told():
+    with pytest.raises(RuntimeError, match="number of Newton steps was reached"):
+        tj.equilibrium(
+            cantilever(10), loads=[tj.Load("10", (0.0, 0.0, 5.0))], max_steps=5
+        )
+
+
+def test_needs_double_precision():
+    with jax.enable_x64(False):
+        with pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
+            tj.equilibrium(block_on_spring(np.eye(3)))
+        with pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
+            tj.linearise(block_on_spring(np.eye(3)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"loads": [tj.Load("anvil", (0.0, 1.0, 0.0))]},
+            r"`loads\[0\]` names the body 'anvil', but the bodies are 'wall', 'block'",
+        ),
+        (
+            {"drives": [tj.Drive("anvil", x=1.0)]},
+            r"`drives\[0\]` names the body 'anvil'",
+        ),
+        (
+            {"drives": [tj.Drive("wall", x=1.0)]},
+            r"`drives\[0\]` drives the x of 'wall', which is held already",
+        ),
+        (
+            {"drives": [tj.Drive("block", x=1.0), tj.Drive("block", x=1.0)]},
+            r"`drives\[1\]` drives the x of 'block', which is driven already",
+        ),
+    ],
+)
+def test_refuses_what_the_mechanism_does_not_have(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        tj.equilibrium(block_on_spring(np.eye(3)), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: tj.Drive("b"), "The drive of 'b' moves nothing"),
+        (lambda: tj.Drive("b", x=np.nan), "`x` of the drive of 'b' is nan, but must be"),
+        (lambda: tj.Load("b", (1.0, 2.0)), r"`wrench` of the load on 'b' has shape \(2,\)"),
+        (
+            lambda: tj.Load("b", (1.0, 2.0, np.inf)),
+            "`wrench` of the load on 'b' is .*inf.*, but must be finite",
+        ),
+        (
+            lambda: tj.Load("b", (1.0, 2.0, 3.0), at=(0.0,)),
+            r"`at` of the load on 'b' has shape \(1,\), but must be \(x, y\)",
+        ),
+    ],
+)
+def test_refuses_what_is_no_load_or_drive(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_answers_know_their_bodies():
+    rest = tj.equilibrium(block_on_spring(np.eye(3)))
+    with pytest.raises(ValueError, match="`body` is 'anvil', but the bodies are 'wall'"):
+        rest.displacement("anvil")
+
+
+# Small displacements
+
+
+def test_the_linear_map_is_the_limit_of_equilibria():
+    mechanism = stage()
+    small = tj.linearise(mechanism, {"6": ["x"]})
+    loads, drives = [tj.Load("4", (1e-7, 1e-4, 2e-4))], [tj.Drive("6", x=1e-11)]
+    linear = small(loads=loads, drives=drives)
+    exact = tj.equilibrium(mechanism, loads=loads, drives=drives)
+    for quantity in ("displacements", "reactions"):
+        expected = np.asarray(getattr(exact, quantity))
+        scale = np.abs(expected).max(axis=0)
+        assert_close(getattr(linear, quantity) / scale, expected / scale, digits=5)
+    assert_close(linear.energy / exact.energy, 1.0, digits=5)
+
+
+def test_the_linear_map_about_a_loaded_state_is_its_derivative():
+    """With the load's own stiffness, and reactions too."""
+    mechanism = cantilever(5)
+    loads = [tj.Load("5", (0.0, -1.0, 1.5), at=(0.05, 0.1))]
+    state = tj.equilibrium(mechanism, loads=loads)
+    small = tj.linearise(mechanism, about=state.poses, loads=loads)
+    change = small(loads=[tj.Load("5", (0.0, 0.0, 1.0))])
+
+    def answer(extra):
+        push = tj.Load("5", jnp.stack([jnp.zeros(()), jnp.zeros(()), extra]))
+        moved = tj.equilibrium(mechanism, loads=[*loads, push])
+        return moved.displacements, moved.reactions
+
+    slope, reactions = jax.jacfwd(answer)(jnp.array(0.0))
+    assert_close(change.displacements, slope, digits=8)
+    assert_close(change.reactions, reactions, digits=7)
+
+
+def test_the_linear_map_refuses_other_drives():
+    small = tj.linearise(stage(), {"6": ["x"]})
+    with pytest.raises(ValueError, match="moves nothing, but this map .* for x of '6'"):
+        small(loads=[tj.Load("4", (0.0, 1.0, 0.0))])
+
+
+def test_the_linear_map_tells_a_loose_mechanism():
+    small = tj.linearise(block_on_spring(np.diag([1.0, 0.0, 1.0])))
+    with pytest.raises(RuntimeError, match="can move without storing energy"):
+        small()

@@ -72,7 +72,9 @@ def test_leaf_that_shears_has_the_compliance_of_timoshenko():
 def test_leaf_refuses_to_be_stout(theory, share):
     tj.leaf(SOFT, length=3e-3, thickness=share * 3e-3, width=1e-3, theory=theory)
     with pytest.raises(ValueError, match=f"holds to {share}: take a thinner or longer"):
-        tj.leaf(SOFT, length=1e-2, thickness=1.001 * share * 1e-2, width=1, theory=theory)
+        tj.leaf(
+            SOFT, length=1e-2, thickness=1.001 * share * 1e-2, width=1, theory=theory
+        )
 
 
 def test_notch_of_the_stage():
@@ -86,7 +88,9 @@ def test_notch_of_the_stage():
 @pytest.mark.parametrize("share", [0.01, 0.0833, 0.2, 0.3])
 def test_paros_and_weisbord_integrate_the_beam_exactly(share):
     web = share * 3e-3
-    notch = tj.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord")
+    notch = tj.notch(
+        ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
+    )
     np.testing.assert_allclose(diagonal(notch), beam_notch(web), rtol=1e-9)
 
 
@@ -155,7 +159,10 @@ def test_a_web_out_of_range_harms_its_own_lane_alone():
         ({"modulus": 1.0, "poisson": 0.51}, "`poisson` is 0.51, but"),
         ({"modulus": 1.0, "poisson": 0.3, "density": 0.0}, "`density` is 0, but"),
         ({"modulus": np.nan, "poisson": 0.3}, "`modulus` is nan, but"),
-        ({"modulus": "stiff", "poisson": 0.3}, "`modulus` is 'stiff', but must be a num"),
+        (
+            {"modulus": "stiff", "poisson": 0.3},
+            "`modulus` is 'stiff', but must be a num",
+        ),
     ],
 )
 @pytest.mark.untyped

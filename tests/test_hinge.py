@@ -103,9 +103,7 @@ def test_the_wrench_on_b_is_that_of_the_energy_carried_to_the_body(energy):
             for pose, rest in zip(poses, REST, strict=True)
         )
         in_world = se2.carry_wrench(b, energy.wrench(se2.between(a, b)))  # by body B
-        at_body = se2.carry_wrench(
-            se2.inverse(poses[1].at[0].set(0.0)), -in_world
-        )
+        at_body = se2.carry_wrench(se2.inverse(poses[1].at[0].set(0.0)), -in_world)
         assert_close(mechanism.wrenches(poses)[1], at_body, digits=9)
 
 
@@ -143,7 +141,10 @@ def test_has_derivatives_of_third_order(energy):
         ({"first": "a", "second": "a", "at": AT}, "joins the body 'a' to itself"),
         ({}, "needs either `at`.*neither is given"),
         ({"at": AT, "ports": (AT, AT)}, "needs either `at`.*both are given"),
-        ({"at": (1.0, 2.0)}, r"`at` of the hinge 'h' has shape \(2,\), but must be \(an"),
+        (
+            {"at": (1.0, 2.0)},
+            r"`at` of the hinge 'h' has shape \(2,\), but must be \(an",
+        ),
         ({"at": (0.0, np.nan, 0.0)}, "`at` of the hinge 'h' is .*, but must be finite"),
     ],
 )

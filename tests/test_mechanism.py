@@ -180,8 +180,12 @@ def test_refuses_by_name(make, message):
 def test_refuses_a_stiffness_gone_wrong_by_the_name_of_its_hinge():
     import equinox as eqx
 
-    broken = eqx.tree_at(lambda e: e.stiffness, SPRING, jnp.diag(jnp.array([1.0, -1, 1])))
-    with pytest.raises(ValueError, match="hinge 'h' cannot be used: `stiffness` has a neg"):
+    broken = eqx.tree_at(
+        lambda e: e.stiffness, SPRING, jnp.diag(jnp.array([1.0, -1, 1]))
+    )
+    with pytest.raises(
+        ValueError, match="hinge 'h' cannot be used: `stiffness` has a neg"
+    ):
         built(hinges=[hinge("h", "a", "b", broken)])
 
 
@@ -189,7 +193,9 @@ def test_refuses_a_stiffness_gone_wrong_by_the_name_of_its_hinge():
 def test_refuses_ports_that_do_not_coincide_at_rest(gap):
     ports = (0.0, 1.0, 0.0), np.array([0.0, 0.0, 0.0]) + gap
     names = [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))]
-    with pytest.raises(ValueError, match="ports of the hinge 'h' do not coincide at rest"):
+    with pytest.raises(
+        ValueError, match="ports of the hinge 'h' do not coincide at rest"
+    ):
         tj.Mechanism(names, [tj.Hinge("h", "a", "b", SPRING, ports=ports)], held=["a"])
 
 

@@ -115,10 +115,12 @@ def test_sinc_and_its_derivatives_keep_their_digits(x):
     for order in range(4):
         with mpmath.workdps(40):
             expected = mpmath.nsum(
-                lambda n, k=order: mpmath.mpf(-1) ** n
-                * mpmath.ff(2 * n, k)
-                * (mpmath.mpf(x) ** (2 * n - k) if 2 * n >= k else 0)
-                / mpmath.factorial(2 * n + 1),
+                lambda n, k=order: (
+                    mpmath.mpf(-1) ** n
+                    * mpmath.ff(2 * n, k)
+                    * (mpmath.mpf(x) ** (2 * n - k) if 2 * n >= k else 0)
+                    / mpmath.factorial(2 * n + 1)
+                ),
                 [0, 30],
             )
         assert abs(float(function(jnp.array(x))) - float(expected)) < 2e-15

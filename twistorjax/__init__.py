@@ -1,6 +1,12 @@
 """Differentiable mechanics of planar mechanisms of rigid bodies and elastic hinges."""
 
-from . import cases as cases, clifford as clifford, lines as lines, se2 as se2, solve as solve
+from . import (
+    cases as cases,
+    clifford as clifford,
+    lines as lines,
+    se2 as se2,
+    solve as solve,
+)
 from .body import Body as Body, plate as plate
 from .boundary import Drive as Drive, Load as Load
 from .energy import (

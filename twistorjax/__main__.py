@@ -78,15 +78,15 @@ def stage(
         "strain_energy_J": float(moved.energy),
         "dgain_dweb_per_m": float(slope),
     }
+    if plot is not None:
+        _save(plot, lambda: case.plot(case.microstage(web), answer))
     if as_json:
         poses = np.asarray(moved.rest) + np.asarray(moved.displacements)
         named = dict(zip(moved.names, poses.tolist(), strict=True))
         print(json.dumps({**values, "poses": named, "result": ended}))
     else:
         print(_table(values, web, travel))
-    if plot is not None:
-        _save(plot, lambda: case.plot(case.microstage(web), answer))
-        if not as_json:
+        if plot is not None:
             print(f"drawn to {plot}")
 
 
@@ -162,8 +162,12 @@ def _table(values: dict[str, float], web: float, travel: float) -> str:
         ),
     ]
     wide = max(len(row[1]) for row in rows)
-    lines = [f"{name:<18}{value:>{wide}}   {note}".rstrip() for name, value, note in rows]
-    title = f"micropositioning stage, webs {web / 1e-3:g} mm, input {travel / micro:g} um"
+    lines = [
+        f"{name:<18}{value:>{wide}}   {note}".rstrip() for name, value, note in rows
+    ]
+    title = (
+        f"micropositioning stage, webs {web / 1e-3:g} mm, input {travel / micro:g} um"
+    )
     return "\n".join([title, *lines])
 
 

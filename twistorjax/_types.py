@@ -13,7 +13,9 @@ Pose = Float[Array, "3"]  # (angle, x, y); rad, m, m
 Twist = Float[Array, "3"]  # (rotation, along axis 1, along axis 2); rad, m, m
 Twistor = Float[Array, "4"]  # (sigma, xi, x1, x2); -, -, m, m
 Wrench = Float[Array, "3"]  # (moment, fx, fy); N m, N, N
-Matrix = Float[Array, "3 3"]  # maps twists to twists, to wrenches, or wrenches to wrenches
+Matrix = Float[
+    Array, "3 3"
+]  # maps twists to twists, to wrenches, or wrenches to wrenches
 
 Poses = Float[Array, "bodies 3"]  # a row (angle, x, y) for each body
 Wrenches = Float[Array, "bodies 3"]  # a row (moment, fx, fy) for each body

@@ -87,7 +87,9 @@ class Drive(eqx.Module):
                 f"The drive of {body!r} moves nothing: give it `angle`, `x` or `y`."
             )
         self.angle, self.x, self.y = (
-            None if value is None else _number(f"`{name}` of the drive of {body!r}", value)
+            None
+            if value is None
+            else _number(f"`{name}` of the drive of {body!r}", value)
             for name, value in values.items()
         )
 
@@ -146,8 +148,9 @@ class Loads(eqx.Module):
         cos, sin = jnp.cos(angle), jnp.sin(angle)
         follows = np.array(self.follows)
         moment, fx, fy = self.wrenches.T
-        x, y = cos * self.at[:, 0] - sin * self.at[:, 1], (
-            sin * self.at[:, 0] + cos * self.at[:, 1]
+        x, y = (
+            cos * self.at[:, 0] - sin * self.at[:, 1],
+            (sin * self.at[:, 0] + cos * self.at[:, 1]),
         )
         world_x = jnp.where(follows, cos * fx - sin * fy, fx)
         world_y = jnp.where(follows, sin * fx + cos * fy, fy)

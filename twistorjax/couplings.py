@@ -63,8 +63,16 @@ class Couplings(eqx.Module):
         total = jnp.zeros(displacements.size).at[self._coordinates()]
         return total.add(jnp.stack(local)).reshape(displacements.shape)
 
+    def tension(self, displacements: Poses) -> Float[Array, "3 hinges"]:
+        """What each hinge bears, in its energy's own coordinates; N m, N, N."""
+        return jnp.stack(self._local(hinge.tension, displacements))
+
     def tangent(
-        self, displacements: Poses, rows: tuple[int, ...], columns: tuple[int, ...]
+        self,
+        displacements: Poses,
+        rows: tuple[int, ...],
+        columns: tuple[int, ...],
+        borne: Float[Array, "3 hinges"] | None = None,
     ) -> tuple[Float[Array, " coordinates"], Float[Array, "rows columns"], Scalar]:
         """The forces, and their derivatives among some coordinates.
 
@@ -72,12 +80,14 @@ class Couplings(eqx.Module):
             displacements: of each body from rest; rad, m, m.
             rows: coordinates whose forces are differentiated: three a body, in order.
             columns: coordinates by which they are.
+            borne: the `tension` with which hinges stiffen as they turn, by default
+                that which they have.
 
         Returns:
             The forces on all coordinates; the derivatives; and the sum of the sizes of
             forces times displacements, a measure of the energy at work; J.
         """
-        local, pairs = self._local(hinge.tangent, displacements)
+        local, pairs = self._local(hinge.tangent, displacements, borne)
         local = jnp.stack(local)
         flat = displacements.reshape(-1)
         where = self._coordinates()
@@ -95,14 +105,19 @@ class Couplings(eqx.Module):
     def _coordinates(self) -> np.ndarray:
         return _coordinates(self.ends, self._order())
 
-    def _local(self, function, displacements: Poses):
+    def _local(self, function, displacements: Poses, *more: Array | None):
         """A function of each hinge: trees of scalars, a row for each hinge in `_order`."""
-        parts = [self._map(function, stack, displacements) for stack in self.stacks]
+        parts, done = [], 0
+        for stack in self.stacks:
+            end = done + len(stack.members)
+            mine = [tuple(each[:, done:end]) for each in more if each is not None]
+            parts.append(self._map(function, stack, displacements, *mine))
+            done = end
         if len(parts) == 1:
             return parts[0]
         return jax.tree.map(lambda *values: jnp.concatenate(values), *parts)
 
-    def _map(self, function, stack: Stack, displacements: Poses):
+    def _map(self, function, stack: Stack, displacements: Poses, *more):
         members = np.array(stack.members)
         first, second = np.array(self.ends)[members].T
         angle, x, y = displacements.T
@@ -118,9 +133,12 @@ class Couplings(eqx.Module):
         def one(leaves, *hinge):
             return function(jax.tree.unflatten(tree, leaves), *hinge)
 
-        return jax.vmap(one, in_axes=(list(stack.axes), 0, 0, 0))(
-            leaves, end(first, arms[:, 0]), end(second, arms[:, 1]),
+        return jax.vmap(one, in_axes=(list(stack.axes), *(3 + len(more)) * (0,)))(
+            leaves,
+            end(first, arms[:, 0]),
+            end(second, arms[:, 1]),
             (axes[:, 0], axes[:, 1]),
+            *more,
         )
 
 
@@ -133,7 +151,9 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> tuple[Stack, ...]:
         kinds.setdefault(kind, []).append(place)
     stacks = []
     for (tree, _), members in kinds.items():
-        rows = zip(*(jax.tree.leaves(energies[place]) for place in members), strict=True)
+        rows = zip(
+            *(jax.tree.leaves(energies[place]) for place in members), strict=True
+        )
         leaves, axes = [], []
         for row in rows:
             shared = all(leaf is row[0] for leaf in row)

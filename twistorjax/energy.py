@@ -34,6 +34,14 @@ class AbstractEnergy(eqx.Module):
     def stored(self, displacement: Displacement) -> Scalar:
         """The energy stored at a displacement; J."""
 
+    def stretch(self, displacement: Displacement) -> Scalar:
+        """How much longer its own translations are than those seen half way.
+
+        Changes no answer. Newton's method foresees the tension of a hinge in these
+        coordinates, and takes few steps where the energy is nearly quadratic in them.
+        """
+        return jnp.ones_like(displacement.angle)
+
     def fault(self) -> str | None:
         """What is wrong with the values it was given, in words, or nothing."""
         return None
@@ -140,6 +148,9 @@ class Quadratic(AbstractEnergy):
     def stored(self, displacement: Displacement) -> Scalar:
         return half_square(self.stiffness, strain(displacement, self.coordinates))
 
+    def stretch(self, displacement: Displacement) -> Scalar:
+        return stretch(displacement, self.coordinates)
+
 
 class Sum(AbstractEnergy):
     """Couplings side by side, between the same two frames: their energies add up.
@@ -176,6 +187,9 @@ class Scaled(AbstractEnergy):
 
     def stored(self, displacement: Displacement) -> Scalar:
         return self.factor * self.energy.stored(displacement)
+
+    def stretch(self, displacement: Displacement) -> Scalar:
+        return self.energy.stretch(displacement)
 
 
 class Viscous(eqx.Module):
@@ -244,17 +258,19 @@ def strain(
     displacement: Displacement, coordinates: Coordinates
 ) -> tuple[Scalar, Scalar, Scalar]:
     """The three numbers whose square a quadratic energy takes."""
-    stretch = jnp.ones_like(displacement.xi)
-    turn = 2 * displacement.xi
+    turn = displacement.angle if coordinates == "twist" else 2 * displacement.xi
+    longer = stretch(displacement, coordinates)
+    return turn, 2 * longer * displacement.x1, 2 * longer * displacement.x2
+
+
+def stretch(displacement: Displacement, coordinates: Coordinates) -> Scalar:
+    """How much longer the translations of the coordinates are than those half way."""
     if coordinates == "twist":
-        stretch = stretch / se2.sinc(displacement.angle / 2, displacement.xi)
-        turn = displacement.angle
-    return turn, 2 * stretch * displacement.x1, 2 * stretch * displacement.x2
+        return 1 / se2.sinc(displacement.angle / 2, displacement.xi)
+    return jnp.ones_like(displacement.angle)
 
 
-def half_square(
-    matrix: Matrix, vector: tuple[Scalar, Scalar, Scalar]
-) -> Scalar:
+def half_square(matrix: Matrix, vector: tuple[Scalar, Scalar, Scalar]) -> Scalar:
     """Half a quadratic form.
 
     Written out by scalars: batches of hinges then stay elementwise, and one loop on a

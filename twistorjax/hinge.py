@@ -131,6 +131,7 @@ def halfway(first: End, second: End, axis: tuple[Scalar, Scalar]) -> Halfway:
     return Halfway(displacement, cos, sin)
 
 
+Three = tuple[Scalar, Scalar, Scalar]
 Six = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
@@ -150,18 +151,58 @@ def forces(
 
 
 @jax.jit
-def tangent(
+def tension(
     energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
-) -> tuple[Six, tuple[Six, Six, Six, Six, Six, Six]]:
-    """The `forces`, and their derivatives by the same six displacements."""
+) -> Three:
+    """What the hinge bears: its energy's slopes by the energy's own coordinates."""
     half = halfway(first, second, axis)
-    (g0, g1, g2), push = _slopes(energy, half.displacement)
+    (g0, g1, g2), _ = _slopes(energy, half.displacement)
+    longer, growth, _ = _stretch(energy, half.displacement)
+    s1, s2 = g1 / longer, g2 / longer
+    y1, y2 = 2 * half.displacement.x1, 2 * half.displacement.x2
+    return g0 - growth * (y1 * s1 + y2 * s2), s1, s2
+
+
+@jax.jit
+def tangent(
+    energy: AbstractEnergy,
+    first: End,
+    second: End,
+    axis: tuple[Scalar, Scalar],
+    borne: Three | None = None,
+) -> tuple[Six, tuple[Six, Six, Six, Six, Six, Six]]:
+    """The `forces`, and their derivatives by the same six displacements.
+
+    Args:
+        energy: of the hinge.
+        first: its end on body A.
+        second: its end on body B.
+        axis: cosine and sine of its angle at rest.
+        borne: the `tension` with which it stiffens as it turns, by default its own.
+            Newton's method foresees it from its last step, and is then as fast for stiff
+            hinges as for soft ones (Magisano, Leonetti and Garcea, Int. J. Num. Meth.
+            Eng. 109, 2017).
+    """
+    half = halfway(first, second, axis)
+    slopes, push = _slopes(energy, half.displacement)
+    g0, g1, g2 = slopes
     one, zero = jnp.ones_like(g0), jnp.zeros_like(g0)
     (h00, h01, h02), (_, h11, h12), (_, _, h22) = (
-        push(one, zero, zero), push(zero, one, zero), push(zero, zero, one)
+        push(one, zero, zero),
+        push(zero, one, zero),
+        push(zero, zero, one),
     )
     c, s = half.cos, half.sin
     y1, y2 = 2 * half.displacement.x1, 2 * half.displacement.x2
+    if borne is not None:
+        # The slopes, and what the bend of the energy's own coordinates adds to the second
+        # derivatives, by the tension foreseen instead of by that which it has.
+        longer, growth, bend = _stretch(energy, half.displacement)
+        b0, b1, b2 = borne
+        over1, over2 = b1 - g1 / longer, b2 - g2 / longer
+        h00 = h00 + bend * (y1 * over1 + y2 * over2)
+        h01, h02 = h01 + growth * over1, h02 + growth * over2
+        g0, g1, g2 = b0 + growth * (y1 * b1 + y2 * b2), longer * b1, longer * b2
 
     # The energy by (relative angle r, mean angle m, dx, dy), the difference of the ports'
     # positions in the world: turning the mean frame turns (y1, y2) backwards.
@@ -193,7 +234,7 @@ def tangent(
     aa = -ar + am / 2 + ax * swing_ax + ay * swing_ay + bend_a
     ab = ar + am / 2 + ax * swing_bx + ay * swing_by
     bb = br + bm / 2 + bx * swing_bx + by * swing_by + bend_b
-    return _pull(first, second, half, (g0, g1, g2)), (
+    return _pull(first, second, half, slopes), (
         (aa, -ax, -ay, ab, ax, ay),
         (-ax, xx, xy, -bx, -xx, -xy),
         (-ay, xy, yy, -by, -xy, -yy),
@@ -205,7 +246,7 @@ def tangent(
 
 def _slopes(
     energy: AbstractEnergy, at: Displacement
-) -> tuple[tuple[Scalar, Scalar, Scalar], Callable[..., tuple[Scalar, Scalar, Scalar]]]:
+) -> tuple[Three, Callable[..., Three]]:
     """The energy's derivatives by the angle and the half-way translation, linearised."""
 
     def stored(angle: Scalar, y1: Scalar, y2: Scalar) -> Scalar:
@@ -217,9 +258,23 @@ def _slopes(
     )
 
 
-def _pull(
-    first: End, second: End, half: Halfway, slope: tuple[Scalar, Scalar, Scalar]
-) -> Six:
+def _stretch(energy: AbstractEnergy, at: Displacement) -> Three:
+    """The energy's stretch, and its first two derivatives by the angle."""
+
+    def stretch(angle: Scalar) -> Scalar:
+        cos, sin = half_turn(angle, at.sigma, at.xi)
+        return energy.stretch(Displacement(angle, cos, sin, at.x1, at.x2))
+
+    def growing(angle: Scalar) -> tuple[Scalar, Scalar]:
+        return jax.jvp(stretch, (angle,), (jnp.ones_like(angle),))
+
+    (value, slope), (_, bend) = jax.jvp(
+        growing, (at.angle,), (jnp.ones_like(at.angle),)
+    )
+    return value, slope, bend
+
+
+def _pull(first: End, second: End, half: Halfway, slope: Three) -> Six:
     g0, g1, g2 = slope
     mean = half.displacement.x2 * g1 - half.displacement.x1 * g2
     fx, fy = half.cos * g1 - half.sin * g2, half.sin * g1 + half.cos * g2
@@ -229,5 +284,3 @@ def _pull(
     on_first = mean - g0 + fx * lever_ay - fy * lever_ax
     on_second = mean + g0 - fx * lever_by + fy * lever_bx
     return on_first, -fx, -fy, on_second, fx, fy
-
-

@@ -201,7 +201,9 @@ class Mechanism(eqx.Module):
             )
         return jnp.asarray(poses) - self.rest
 
-    def _held(self, held: Sequence[str] | Mapping[str, Sequence[str]]) -> tuple[int, ...]:
+    def _held(
+        self, held: Sequence[str] | Mapping[str, Sequence[str]]
+    ) -> tuple[int, ...]:
         if isinstance(held, str):
             raise ValueError(
                 f"`held` is the string {held!r}, but must be a sequence of names: "
@@ -243,7 +245,9 @@ def _find(where: str, noun: str, name: str, names: Sequence[str]) -> int:
     if name not in names:
         has = ", ".join(map(repr, names)) or "none"
         plural = {"body": "bodies"}.get(noun, f"{noun}s")
-        raise ValueError(f"{where} names the {noun} {name!r}, but the {plural} are {has}.")
+        raise ValueError(
+            f"{where} names the {noun} {name!r}, but the {plural} are {has}."
+        )
     return names.index(name)
 
 
@@ -251,7 +255,9 @@ def _distinct(noun: str, names: Sequence[str]) -> tuple[str, ...]:
     seen: set[str] = set()
     for name in names:
         if not isinstance(name, str) or not name:
-            raise ValueError(f"A {noun} is called {name!r}, but a name must be some text.")
+            raise ValueError(
+                f"A {noun} is called {name!r}, but a name must be some text."
+            )
         if name in seen:
             raise ValueError(f"The {noun} {name!r} is given twice; names must differ.")
         seen.add(name)
@@ -267,7 +273,9 @@ def _rows(poses: Sequence[Pose]) -> Poses:
 
 def _check_energy(hinge: Hinge) -> None:
     if fault := hinge.energy.fault():
-        raise ValueError(f"The energy of the hinge {hinge.name!r} cannot be used: {fault}")
+        raise ValueError(
+            f"The energy of the hinge {hinge.name!r} cannot be used: {fault}"
+        )
     for leaf in jax.tree.leaves(hinge.energy):
         values = known(leaf)
         if values is not None and not np.all(np.isfinite(values)):

@@ -101,7 +101,9 @@ def _shapes(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[np.ndarray, s
             shapes.append((_placed(poses[body], outline), colour))
     for row, ends in enumerate(mechanism.couplings.ends):
         ports = [
-            se2.compose(poses[body], se2.between(mechanism.rest[body], mechanism.at[row]))
+            se2.compose(
+                poses[body], se2.between(mechanism.rest[body], mechanism.at[row])
+            )
             for body in ends
         ]
         for body, port in zip(ends, ports, strict=True):

@@ -57,8 +57,10 @@ class Linearised(eqx.Module):
                 f"`linearise` for {_listed(mechanism, self.places.driven)}."
             )
         free = np.array(self.places.free, int)
-        flat = jnp.zeros(self.about.size).at[np.array(places, int)].set(
-            jnp.array(targets, float)
+        flat = (
+            jnp.zeros(self.about.size)
+            .at[np.array(places, int)]
+            .set(jnp.array(targets, float))
         )
         applied, _ = Loads.of(loads, loaded(mechanism, loads), mechanism.rest).apply(
             self.about - mechanism.rest

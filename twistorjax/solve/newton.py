@@ -66,16 +66,20 @@ class Problem(eqx.Module):
         displacements: Poses,
         fraction: Scalar | float = 1.0,
         stiffening: Scalar | float = 1.0,
+        borne: Float[Array, "3 hinges"] | None = None,
     ) -> tuple[
         Float[Array, " coordinates"], Float[Array, "free free_and_driven"], Scalar
     ]:
         """The residual under a fraction of the loads, its slope, and the work at play.
 
-        `stiffening` scales what the loads add to the slope by turning with the bodies.
+        `stiffening` scales what the loads add to the slope by turning with the bodies;
+        `borne` is the tension with which the hinges do.
         """
         free, driven = self.places
         columns = free + driven
-        forces, slope, work = self.couplings.tangent(displacements, free, columns)
+        forces, slope, work = self.couplings.tangent(
+            displacements, free, columns, borne
+        )
         if not self.loads.bodies:
             return forces, slope, work
         applied, by_angle = self.loads.apply(displacements)
@@ -94,7 +98,10 @@ class Problem(eqx.Module):
         return forces - applied, slope, work
 
     def place(
-        self, displacements: Poses, free: Array | None = None, driven: Array | None = None
+        self,
+        displacements: Poses,
+        free: Array | None = None,
+        driven: Array | None = None,
     ) -> Poses:
         """The displacements with new values of the free or the driven coordinates."""
         flat = displacements.reshape(-1)
@@ -153,14 +160,12 @@ class Settled(NamedTuple):
 
 # A load step is cut when it turns a body further, lest Newton end on another branch of
 # equilibria; when it has not converged in so many steps; and not below the least.
-_LARGEST_TURN = 0.6
+_LARGEST_TURN = 1.0
 _STEPS_EACH = 12
 _LEAST_STEP = 1e-5
 
 
-def settle(
-    problem: Problem, start: Poses, tolerance: float, max_steps: int
-) -> Settled:
+def settle(problem: Problem, start: Poses, tolerance: float, max_steps: int) -> Settled:
     """Follows the equilibrium from `start`, where it is unloaded, to the full load.
 
     Newton's method on a growing fraction of loads and drives, at first all of them.
@@ -175,7 +180,9 @@ def settle(
 
     class State(NamedTuple):
         now: Poses
+        borne: Array  # by the hinges there, as the last step foresaw it
         done: Poses  # at the last fraction that converged
+        done_borne: Array
         fraction: Scalar  # that converged
         stride: Scalar  # beyond it
         tries: Int[Array, ""]  # Newton steps in this stride
@@ -188,7 +195,9 @@ def settle(
         goal = state.fraction + state.stride
         # At first by the hinges alone: only so is the mechanism itself seen to be loose.
         stiffening = jnp.where(state.steps == 0, 0.0, goal)
-        residual, slope, work = problem.tangent(state.now, goal, stiffening)
+        residual, slope, work = problem.tangent(
+            state.now, goal, stiffening, state.borne
+        )
         flat = state.now.reshape(-1)
         given = begin + goal * (problem.targets - begin)
         move = given - flat[problem.driven]
@@ -197,6 +206,10 @@ def settle(
         step = factors.solve(right)
         now = problem.place(
             problem.place(state.now, free=flat[rows] + step), driven=given
+        )
+
+        foreseen = sum(
+            jax.jvp(problem.couplings.tension, (state.now,), (now - state.now,))
         )
 
         change = jnp.sum(jnp.abs(step * right))
@@ -231,7 +244,9 @@ def settle(
         grown = jnp.where(2.1 * stride > left, left, 2 * stride)
         return State(
             now=jnp.where(cut, state.done, now),
+            borne=jnp.where(cut, state.done_borne, foreseen),
             done=jnp.where(converged, now, state.done),
+            done_borne=jnp.where(converged, foreseen, state.done_borne),
             fraction=fraction,
             stride=jnp.where(converged, grown, stride),
             tries=jnp.where(converged | cut, 0, state.tries + 1),
@@ -242,7 +257,10 @@ def settle(
         )
 
     zero, none = jnp.zeros(()), jnp.zeros((), int)
-    state = State(start, start, zero, zero + 1, none, zero, zero, none, none)
+    borne = problem.couplings.tension(start)
+    state = State(
+        start, borne, start, borne, zero, zero + 1, none, zero, zero, none, none
+    )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
     return Settled(state.done, state.fraction, state.steps, state.status)
 
@@ -276,4 +294,6 @@ def _(primals, tangents):
     )
     displacements = problem.place(rest, free=free, driven=problem.targets)
     _, slope, _ = problem.tangent(displacements)
-    return free, -Factors.of(slope[:, : len(problem.free)], problem.symmetric).solve(pull)
+    return free, -Factors.of(slope[:, : len(problem.free)], problem.symmetric).solve(
+        pull
+    )

@@ -172,9 +172,7 @@ def _solve(
     flat = settled.displacements.reshape(-1)
     free = newton.follow(problem, flat[problem.free], begin)
     converged = settled.status == newton.CONVERGED
-    given = jnp.where(
-        converged, problem.targets, flat[problem.driven]
-    )
+    given = jnp.where(converged, problem.targets, flat[problem.driven])
     displacements = problem.place(begin, free=free, driven=given)
     held = np.ones(flat.size)
     held[problem.free] = 0.0
@@ -209,7 +207,10 @@ def raised(answer: Equilibrium) -> Equilibrium:
         lane = np.unravel_index(np.argmax(failed), np.shape(failed))
         where = f" in lane {', '.join(map(str, lane))} of the batch" if lane else ""
         text = RESULTS[getattr(RESULTS, np.asarray(ended)[lane])]
-        fraction, steps = (np.asarray(answer.fraction)[lane], np.asarray(answer.steps)[lane])
+        fraction, steps = (
+            np.asarray(answer.fraction)[lane],
+            np.asarray(answer.steps)[lane],
+        )
         raise RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )

@@ -1,0 +1,106 @@
+"""The command line, as a user types it."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Runs `twistorjax` in a process of its own, with a cache of its own."""
+    import os
+
+    folder = tmp_path_factory.mktemp("run")
+    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
+
+    def run(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "twistorjax", *arguments],
+            capture_output=True, text=True, env=environment, cwd=folder, check=False,
+        )  # fmt: skip
+
+    run.folder = folder
+    return run
+
+
+def test_stage_prints_its_gain_beside_the_measurement(run):
+    done = run("stage")
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert "27.628044   measured 27.8 to 28.1 (1978); dissertation 27.8" in done.stdout
+    for part in ("30.5289 N", "192.20 nm", "20.6072 uJ", "-50661.2101 /m"):
+        assert part in done.stdout
+
+
+def test_stage_answers_in_json(run):
+    done = run("stage", "--json", "--web", "0.3e-3", "--input", "2e-6")
+    answer = json.loads(done.stdout)
+    assert set(answer) == {
+        "gain", "output_m", "input_force_N", "compression_a_m", "strain_energy_J",
+        "dgain_dweb_per_m", "poses", "result",
+    }  # fmt: skip
+    np.testing.assert_allclose(answer["gain"], answer["output_m"] / 2e-6)
+    assert answer["poses"]["6"] == [0.0, -0.007 + 2e-6, 0.035]
+    assert answer["result"] == "successful"
+
+
+def test_a_second_run_finds_its_program_compiled(run):
+    run("stage")
+    before = len(list((run.folder / "cache" / "twistorjax").iterdir()))
+    run("stage")
+    assert before == len(list((run.folder / "cache" / "twistorjax").iterdir())) > 0
+
+
+@pytest.mark.parametrize("name", ["stage.png", "stage.svg"])
+def test_stage_draws_itself(run, name):
+    done = run("stage", "--plot", name)
+    assert done.returncode == 0
+    assert f"drawn to {name}" in done.stdout
+    assert (run.folder / name).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--web", "1e-6"], "--web cannot be used: `web / hole` is 0.000333333, but"),
+        (["--web", "2e-3"], "--web cannot be used: `web / hole` is 0.666667, but"),
+        (["--web", "-1"], "--web is -1, but must be positive and finite"),
+        (["--web", "nan"], "--web is nan, but must be positive and finite"),
+        (["--input", "0"], "--input is 0, but must be positive and finite"),
+        (["--input", "inf"], "--input is inf, but must be positive and finite"),
+        (["--input", "far"], "Invalid value for '--input'"),
+        (["--energy", "heat"], "--energy is 'heat', but must be 'twistor' or 'twist'"),
+        (["--plot", "nowhere/stage.png"], "there is no folder nowhere"),
+        (["--plot", "stage.poem"], "--plot cannot be written: Format 'poem'"),
+        (["--gian"], "No such option: --gian"),
+    ],
+)
+def test_wrong_input_is_one_clear_line(run, arguments, message):
+    done = run("stage", *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.startswith("twistorjax: ")
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""
+
+
+def test_an_input_too_far_is_a_failure_and_not_an_answer(run):
+    done = run("stage", "--input", "1.0", "--json")
+    assert done.returncode == 1
+    assert done.stderr.startswith("twistorjax: No equilibrium was found")
+    assert done.stdout == ""
+
+
+def test_an_unknown_command_is_wrong_input(run):
+    done = run("stgae")
+    assert done.returncode == 2
+    assert "stgae" in done.stderr
+
+
+def test_help_shows_examples(run):
+    done = run("stage", "--help")
+    assert done.returncode == 0
+    assert "twistorjax stage --input 2e-6 --json" in done.stdout

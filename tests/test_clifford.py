@@ -12,9 +12,7 @@ from twistorjax import clifford as tc, se2
 
 LAYOUT, BLADES = clifford.Cl(3, 1)
 E1, E2, PLUS, MINUS = (BLADES[f"e{k}"] for k in (1, 2, 3, 4))
-INFINITY = -(PLUS + MINUS) / np.sqrt(
-    2
-)  # e, with e . e* = -1: see `twistorjax.clifford`
+INFINITY = -(PLUS + MINUS) / np.sqrt(2)  # e, with e . e* = -1: see `twistorjax.clifford`
 ORIGIN = (PLUS - MINUS) / np.sqrt(2)  # e*
 
 

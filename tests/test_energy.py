@@ -145,9 +145,7 @@ def test_is_frame_indifferent(coordinates):
         inside = se2.compose(se2.compose(se2.inverse(moved), pose), moved)
         stiffness = se2.adjoint(moved).T @ STIFFNESS @ se2.adjoint(moved)
         other = tj.Quadratic((stiffness + stiffness.T) / 2, coordinates)
-        assert_close(
-            other(inside), tj.Quadratic(STIFFNESS, coordinates)(pose), digits=10
-        )
+        assert_close(other(inside), tj.Quadratic(STIFFNESS, coordinates)(pose), digits=10)
 
 
 @every_energy
@@ -165,9 +163,7 @@ def test_the_wrench_is_the_slope_of_the_energy_along_fixed_to_b(energy):
                 energy(se2.compose(pose, se2.exp(jnp.array(sign * step * direction))))
                 for sign in (1, -1)
             )
-            assert_close(
-                energy.wrench(pose)[k], (ahead - behind) / (2 * step), digits=6
-            )
+            assert_close(energy.wrench(pose)[k], (ahead - behind) / (2 * step), digits=6)
 
 
 @every_energy
@@ -187,9 +183,7 @@ def test_a_closed_loop_does_no_work(energy, turn):
     work, exchanged = 0.0, 0.0
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         poses = start + (nodes[:, None] + 1) / 2 * (end - start)
-        rates = power(
-            jnp.array(poses), jnp.array(np.broadcast_to(end - start, (40, 3)))
-        )
+        rates = power(jnp.array(poses), jnp.array(np.broadcast_to(end - start, (40, 3))))
         work += weights @ np.asarray(rates) / 2
         exchanged += weights @ np.abs(np.asarray(rates)) / 2
     stored = max(float(energy(jnp.array(corner))) for corner in corners)
@@ -238,9 +232,7 @@ def test_accepts_a_stiffness_at_the_edge():
 
 
 def test_refuses_unknown_coordinates():
-    with pytest.raises(
-        ValueError, match="`coordinates` is 'screw', but must be one of"
-    ):
+    with pytest.raises(ValueError, match="`coordinates` is 'screw', but must be one of"):
         tj.Quadratic(jnp.eye(3), "screw")
 
 

@@ -72,9 +72,7 @@ def test_leaf_that_shears_has_the_compliance_of_timoshenko():
 def test_leaf_refuses_to_be_stout(theory, share):
     tj.leaf(SOFT, length=3e-3, thickness=share * 3e-3, width=1e-3, theory=theory)
     with pytest.raises(ValueError, match=f"holds to {share}: take a thinner or longer"):
-        tj.leaf(
-            SOFT, length=1e-2, thickness=1.001 * share * 1e-2, width=1, theory=theory
-        )
+        tj.leaf(SOFT, length=1e-2, thickness=1.001 * share * 1e-2, width=1, theory=theory)
 
 
 def test_notch_of_the_stage():
@@ -88,23 +86,19 @@ def test_notch_of_the_stage():
 @pytest.mark.parametrize("share", [0.01, 0.0833, 0.2, 0.3])
 def test_paros_and_weisbord_integrate_the_beam_exactly(share):
     web = share * 3e-3
-    notch = tj.notch(
-        ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
-    )
+    notch = tj.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord")
     np.testing.assert_allclose(diagonal(notch), beam_notch(web), rtol=1e-9)
 
 
 def test_paros_and_weisbord_full_rotation_is_their_published_formula():
-    """Their equation for the angular compliance, with beta = t / 2 R and gamma = 1 + beta."""
+    """Their angular compliance, with beta = t / 2 R and gamma = 1 + beta."""
     radius, web, scale = 1.5e-3, 0.25e-3, 69e9 * 0.02
     beta = web / (2 * radius)
     span = 2 * beta + beta**2
     bracket = 1 / (1 + beta) + (3 + 2 * beta + beta**2) / ((1 + beta) * span)
     bracket += 6 * (1 + beta) / span**1.5 * np.arctan(np.sqrt((2 + beta) / beta))
     compliance = 3 / (2 * scale * radius**2) / span * bracket
-    notch = tj.notch(
-        ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
-    )
+    notch = tj.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord")
     assert_close(diagonal(notch)[0] * compliance, 1.0, digits=10)
 
 

@@ -180,9 +180,7 @@ def test_refuses_by_name(make, message):
 def test_refuses_a_stiffness_gone_wrong_by_the_name_of_its_hinge():
     import equinox as eqx
 
-    broken = eqx.tree_at(
-        lambda e: e.stiffness, SPRING, jnp.diag(jnp.array([1.0, -1, 1]))
-    )
+    broken = eqx.tree_at(lambda e: e.stiffness, SPRING, jnp.diag(jnp.array([1.0, -1, 1])))
     with pytest.raises(
         ValueError, match="hinge 'h' cannot be used: `stiffness` has a neg"
     ):

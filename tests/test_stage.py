@@ -57,9 +57,7 @@ def test_the_drive_does_the_work_that_the_hinges_store():
     np.testing.assert_allclose(small.equilibrium.energy, work, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "derivative", [jax.grad, jax.jacfwd], ids=["reverse", "forward"]
-)
+@pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd], ids=["reverse", "forward"])
 def test_the_gain_by_the_web(derivative):
     slope = derivative(lambda web: stage.amplify(stage.microstage(web)).gain)(
         jnp.array(stage.WEB)
@@ -140,7 +138,7 @@ def test_a_batch_of_webs_is_the_loop_over_them():
 
 
 def test_a_web_out_of_range_is_refused_by_name():
-    with pytest.raises(ValueError, match="`web / hole` is 0.0333333, but the formula"):
+    with pytest.raises(ValueError, match=r"`web / hole` is 0\.0333333, but the formula"):
         stage.microstage(0.1e-3)
 
 

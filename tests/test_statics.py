@@ -159,9 +159,7 @@ def test_mixed_loads_on_the_stage_agree_with_a_minimisation():
         jax.jit(potential), np.zeros(len(free)), jac=slope, hess=curvature,
         method="trust-exact", options={"gtol": 1e-9},
     )  # fmt: skip
-    np.testing.assert_allclose(
-        rest.displacements, place(found.x), atol=1e-14, rtol=1e-7
-    )
+    np.testing.assert_allclose(rest.displacements, place(found.x), atol=1e-14, rtol=1e-7)
 
 
 def test_drives_and_loads_are_two_sides_of_one_equilibrium():
@@ -239,9 +237,7 @@ def everything(parameters):
         drives=[tj.Drive("2", angle=turn)],
     )
     weights = jax.random.normal(jax.random.key(1), (3, 3))
-    return (
-        jnp.vdot(weights, rest.poses) + jnp.vdot(weights, rest.reactions) + rest.energy
-    )
+    return jnp.vdot(weights, rest.poses) + jnp.vdot(weights, rest.reactions) + rest.energy
 
 
 def test_derivatives_by_all_that_makes_a_mechanism_agree_with_differences():
@@ -416,9 +412,7 @@ def test_refuses_what_is_no_load_or_drive(make, message):
 
 def test_answers_know_their_bodies():
     rest = tj.equilibrium(block_on_spring(np.eye(3)))
-    with pytest.raises(
-        ValueError, match="`body` is 'anvil', but the bodies are 'wall'"
-    ):
+    with pytest.raises(ValueError, match="`body` is 'anvil', but the bodies are 'wall'"):
         rest.displacement("anvil")
 
 
@@ -459,7 +453,7 @@ def test_the_linear_map_about_a_loaded_state_is_its_derivative():
 
 def test_the_linear_map_refuses_other_drives():
     small = tj.linearise(stage(), {"6": ["x"]})
-    with pytest.raises(ValueError, match="moves nothing, but this map .* for x of '6'"):
+    with pytest.raises(ValueError, match=r"moves nothing, but this map .* for x of '6'"):
         small(loads=[tj.Load("4", (0.0, 1.0, 0.0))])
 
 

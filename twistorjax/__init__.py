@@ -23,7 +23,7 @@ from .flexure import (
 )
 from .hinge import Hinge as Hinge
 from .mechanism import Mechanism as Mechanism
-from .solve.linear import Linearised as Linearised, linearise as linearise
+from .show.drawing import draw as draw
+from .solve.linear import linearise as linearise, Linearised as Linearised
 from .solve.results import RESULTS as RESULTS
 from .solve.statics import Equilibrium as Equilibrium, equilibrium as equilibrium
-from .show.drawing import draw as draw

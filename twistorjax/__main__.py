@@ -109,9 +109,10 @@ def main() -> None:
         code = _complain(str(error), 1)
     except Exception as error:
         # typer carries its own copy of click, so its errors are known by what they can do
-        if not hasattr(error, "format_message"):
+        message = getattr(error, "format_message", None)
+        if message is None:
             raise
-        code = _complain(error.format_message(), 2)
+        code = _complain(message(), 2)
     sys.exit(code or 0)
 
 
@@ -162,12 +163,8 @@ def _table(values: dict[str, float], web: float, travel: float) -> str:
         ),
     ]
     wide = max(len(row[1]) for row in rows)
-    lines = [
-        f"{name:<18}{value:>{wide}}   {note}".rstrip() for name, value, note in rows
-    ]
-    title = (
-        f"micropositioning stage, webs {web / 1e-3:g} mm, input {travel / micro:g} um"
-    )
+    lines = [f"{name:<18}{value:>{wide}}   {note}".rstrip() for name, value, note in rows]
+    title = f"micropositioning stage, webs {web / 1e-3:g} mm, input {travel / micro:g} um"
     return "\n".join([title, *lines])
 
 

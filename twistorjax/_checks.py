@@ -1,11 +1,11 @@
 """Looking at values while they can be seen, and saying what is wrong with them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 
@@ -14,7 +14,14 @@ Choice = TypeVar("Choice", bound=str)
 
 def known(value: Any) -> np.ndarray | None:
     """The value as NumPy has it, or nothing where JAX is tracing it."""
-    return None if isinstance(value, jax.core.Tracer) else np.asarray(value)
+    return None if isinstance(value, Tracer) else np.asarray(value)
+
+
+def all_known(values: Iterable[Any]) -> list[np.ndarray] | None:
+    """The values as NumPy has them, or nothing where JAX is tracing one."""
+    seen = [known(value) for value in values]
+    found = [value for value in seen if value is not None]
+    return found if len(found) == len(seen) else None
 
 
 def one_of(name: str, value: Choice, choices: Sequence[str]) -> Choice:
@@ -27,7 +34,7 @@ def one_of(name: str, value: Choice, choices: Sequence[str]) -> Choice:
 
 def need_float64() -> None:
     """Refuses single precision, in which equilibria of flexures are lost to rounding."""
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+    if jnp.result_type(float) != jnp.float64:
         raise ValueError(
             "twistorjax solves in double precision, which JAX has off. Before any array "
             'is made, write:\n\n    jax.config.update("jax_enable_x64", True)\n'
@@ -44,7 +51,8 @@ def within(
     """
     seen = known(value)
     if seen is None:
-        return jnp.where((value > low) & (value <= high), value, jnp.nan)
+        traced = jnp.asarray(value, float)
+        return jnp.where((traced > low) & (traced <= high), traced, jnp.nan)
     if not np.issubdtype(seen.dtype, np.number) or seen.shape != ():
         raise ValueError(f"{name} is {value!r}, but must be a number.")
     if not low < seen <= high:  # NaN fails too

@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import known, row
 from ._types import Point, Poses, Scalar, Wrench, Wrenches
-from .mechanism import COORDINATES, Mechanism, _find
+from .mechanism import _find, COORDINATES, Mechanism
 
 
 class Load(eqx.Module):
@@ -160,9 +160,8 @@ class Loads(eqx.Module):
             jnp.where(follows, -world_y, 0.0),
             jnp.where(follows, world_x, 0.0),
         ]
-        return tuple(
-            none.at[bodies].add(jnp.stack(rows, axis=1)) for rows in (wrench, slope)
-        )
+        applied = none.at[bodies].add(jnp.stack(wrench, axis=1))
+        return applied, none.at[bodies].add(jnp.stack(slope, axis=1))
 
 
 def loaded(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import hinge
-from ._checks import known
+from ._checks import all_known
 from ._types import Poses, Scalar, Wrenches
 from .energy import AbstractEnergy
 from .hinge import End
@@ -106,7 +106,7 @@ class Couplings(eqx.Module):
         return _coordinates(self.ends, self._order())
 
     def _local(self, function, displacements: Poses, *more: Array | None):
-        """A function of each hinge: trees of scalars, a row for each hinge in `_order`."""
+        """A function of each hinge: trees of scalars, a row for each in `_order`."""
         parts, done = [], 0
         for stack in self.stacks:
             end = done + len(stack.members)
@@ -151,9 +151,7 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> tuple[Stack, ...]:
         kinds.setdefault(kind, []).append(place)
     stacks = []
     for (tree, _), members in kinds.items():
-        rows = zip(
-            *(jax.tree.leaves(energies[place]) for place in members), strict=True
-        )
+        rows = zip(*(jax.tree.leaves(energies[place]) for place in members), strict=True)
         leaves, axes = [], []
         for row in rows:
             shared = all(leaf is row[0] for leaf in row)
@@ -166,16 +164,12 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> tuple[Stack, ...]:
 
 def _stacked(row: Sequence[Array]) -> Array:
     # a thousand traced rows would be a thousand operations to compile
-    values = [known(leaf) for leaf in row]
-    if any(value is None for value in values):
-        return jnp.stack(row)
-    return jnp.asarray(np.stack(values))
+    values = all_known(row)
+    return jnp.stack(row) if values is None else jnp.asarray(np.stack(values))
 
 
 @lru_cache(maxsize=256)
-def _coordinates(
-    ends: tuple[tuple[int, int], ...], order: tuple[int, ...]
-) -> np.ndarray:
+def _coordinates(ends: tuple[tuple[int, int], ...], order: tuple[int, ...]) -> np.ndarray:
     """The six coordinates of each hinge's two bodies, a column for each hinge."""
     bodies = np.array(ends).reshape(-1, 2)[list(order)]
     return (3 * bodies[:, :, None] + np.arange(3)).reshape(-1, 6).T

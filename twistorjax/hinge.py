@@ -6,7 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import ArrayLike, Float
 
 from ._checks import row
 from ._types import Corners, Pose, Scalar
@@ -268,9 +268,7 @@ def _stretch(energy: AbstractEnergy, at: Displacement) -> Three:
     def growing(angle: Scalar) -> tuple[Scalar, Scalar]:
         return jax.jvp(stretch, (angle,), (jnp.ones_like(angle),))
 
-    (value, slope), (_, bend) = jax.jvp(
-        growing, (at.angle,), (jnp.ones_like(at.angle),)
-    )
+    (value, slope), (_, bend) = jax.jvp(growing, (at.angle,), (jnp.ones_like(at.angle),))
     return value, slope, bend
 
 

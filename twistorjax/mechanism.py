@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import se2
-from ._checks import known
+from ._checks import all_known, known
 from ._types import Corners, Pose, Poses, Scalar, Wrenches
 from .body import Body
 from .couplings import Couplings, stack_energies
@@ -158,12 +158,24 @@ class Mechanism(eqx.Module):
         Raises:
             ValueError: the mechanism has no hinge of that name.
         """
+        return se2.between(*self.ports(hinge, poses))
+
+    def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
+        """Where the two frames of a hinge stand, in the world; rad, m, m.
+
+        Args:
+            hinge: its name.
+            poses: of the bodies; rad, m, m.
+
+        Raises:
+            ValueError: the mechanism has no hinge of that name.
+        """
         row = _find("`hinge`", "hinge", hinge, self.hinge_names)
-        ports = [
+        first, second = (
             se2.compose(poses[body], se2.between(self.rest[body], self.at[row]))
             for body in self.couplings.ends[row]
-        ]
-        return se2.between(*ports)
+        )
+        return first, second
 
     def coordinate(self, place: int) -> str:
         """What the coordinate at a place is called, of three a body in order."""
@@ -201,9 +213,7 @@ class Mechanism(eqx.Module):
             )
         return jnp.asarray(poses) - self.rest
 
-    def _held(
-        self, held: Sequence[str] | Mapping[str, Sequence[str]]
-    ) -> tuple[int, ...]:
+    def _held(self, held: Sequence[str] | Mapping[str, Sequence[str]]) -> tuple[int, ...]:
         if isinstance(held, str):
             raise ValueError(
                 f"`held` is the string {held!r}, but must be a sequence of names: "
@@ -265,8 +275,8 @@ def _distinct(noun: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _rows(poses: Sequence[Pose]) -> Poses:
-    values = [known(pose) for pose in poses]
-    if any(value is None for value in values):
+    values = all_known(poses)
+    if values is None:
         return jnp.stack(poses)
     return jnp.asarray(np.reshape(values, (-1, 3)), float)
 
@@ -294,16 +304,16 @@ def _place(hinge: Hinge, first: Pose, second: Pose) -> Pose:
         se2.compose(body, port)
         for body, port in zip((first, second), hinge.ports, strict=True)
     )
-    gap = known(se2.between(a, b))
-    sizes = [known(value) for value in (a, b, *hinge.ports)]
-    if gap is not None and all(size is not None for size in sizes):
-        scale = 1e-12 + max(np.max(np.abs(size[1:])) for size in sizes)
+    seen = all_known([se2.between(a, b), a, b, *hinge.ports])
+    if seen is not None:
+        gap, *places = seen
+        scale = 1e-12 + max(np.max(np.abs(place[1:])) for place in places)
         apart = np.abs(gap) > 1e-9 * np.array([1.0, scale, scale])
         if np.any(apart):
             raise ValueError(
                 f"The ports of the hinge {hinge.name!r} do not coincide at rest: seen "
-                f"from port a on {hinge.first!r}, port b on {hinge.second!r} is turned by "
-                f"{gap[0]:.6g} rad and shifted by ({gap[1]:.6g}, {gap[2]:.6g}) m. A hinge "
-                "is unstressed at rest: move a port or a body, or give `at` instead."
+                f"from port a on {hinge.first!r}, port b on {hinge.second!r} is turned "
+                f"by {gap[0]:.6g} rad and shifted by ({gap[1]:.6g}, {gap[2]:.6g}) m. A "
+                "hinge is unstressed at rest: move a port or a body, or give `at`."
             )
     return a

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .._checks import known
+from .._checks import all_known
 from .._types import Corners, Scalar
 from ..body import Body
 from ..boundary import Drive
@@ -45,6 +45,7 @@ DISSERTATION_GAIN = 27.8  # section 6.4, read off its figure 6.3
 RIGID_GAIN = 328 / 9  # levers on pins: 36.44
 
 _MM = 1e-3
+_ARROW = "#1b4965"
 
 # name: centre of mass; m
 _CENTRES = {
@@ -228,22 +229,15 @@ def plot(stage: Mechanism, answer: Amplification, *, magnify: float = 50.0) -> "
     """
     moved = answer.equilibrium
     axes = draw(stage, moved.poses, magnify=magnify)
-    for name, word, dy in (("6", "input", -5.5), ("4", "output", -5.5)):
-        x = float(moved.displacement(name)[1])
-        centre = 1e3 * (np.asarray(moved.rest)[moved.names.index(name), 1:])
-        axes.annotate(
-            f"{word} {1e6 * x:.4g} \N{MICRO SIGN}m",
-            centre + np.array([2.0 if name == "6" else 1.0, dy]),
-            color="#1b4965",
-            ha="center",
-            va="top",
-        )
-        axes.annotate(
-            "",
-            centre + np.array([6.0, dy + 1.0]),
-            centre + np.array([0.0, dy + 1.0]),
-            arrowprops={"arrowstyle": "->", "color": "#1b4965"},
-        )
+    # beside the input, and below the output: where the drawing is empty
+    for name, word, dx, dy in (("6", "input", 11.5, 0.0), ("4", "output", 0.0, -6.5)):
+        row = moved.names.index(name)
+        x, y = 1e3 * np.asarray(moved.rest)[row, 1:] + np.array([dx, dy])
+        travel = 1e6 * float(moved.displacements[row, 1])
+        label = f"{word} {travel:.4g} \N{MICRO SIGN}m"
+        axes.annotate(label, (x, y - 0.8), color=_ARROW, ha="center", va="top")
+        style = {"arrowstyle": "->", "color": _ARROW}
+        axes.annotate("", (x + 3.5, y), (x - 3.5, y), arrowprops=style)
     axes.set_title(
         f"gain {float(answer.gain):.3f}, {axes.get_title()}", fontsize="medium"
     )
@@ -276,10 +270,10 @@ def _areas(name: str) -> tuple[float, float]:
 
 
 def _neck(hole: ArrayLike, web: ArrayLike) -> Corners | None:
-    seen = known(hole), known(web)
-    if any(value is None for value in seen):
-        return None
-    return notch_outline(hole=float(seen[0]), web=float(seen[1]))
+    seen = all_known([hole, web])  # a traced web has no picture
+    return (
+        None if seen is None else notch_outline(hole=float(seen[0]), web=float(seen[1]))
+    )
 
 
 # Corners, in the world at rest, after figure 6.1; mm. The listing has no outlines: these
@@ -293,9 +287,9 @@ _RIGHT_LEVER = np.array(
 _OUTLINES = {
     "1": np.array(
         [
-            (-12.5, 49), (-12.5, 42.3), (24, 42.3), (24, 4), (15.5, 1.7),
-            (15.5, -1.7), (12.5, -4), (-12.5, -4), (-15.5, -1.7), (-15.5, 1.3), (-21, 1.3),
-            (-27, -2), (-27, -9), (31, -9), (31, 49),
+            (-12.5, 49), (-12.5, 42.3), (24, 42.3), (24, 4), (15.5, 1.7), (15.5, -1.7),
+            (12.5, -4), (-12.5, -4), (-15.5, -1.7), (-15.5, 1.3), (-21, 1.3), (-27, -2),
+            (-27, -9), (31, -9), (31, 49),
         ]
     ),
     "2": np.array(

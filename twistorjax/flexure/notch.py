@@ -113,9 +113,7 @@ def _beam(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     third = (3 * a * second - first + 2 / a**2) / (2 * square)
     axial = (a * first - jnp.pi) / 2
     rotation = 6 * (a * third - second)
-    shear = 1.5 * (
-        jnp.pi - a * square * third + (3 * a**2 - 1) * second - 3 * a * first
-    )
+    shear = 1.5 * (jnp.pi - a * square * third + (3 * a**2 - 1) * second - 3 * a * first)
     return 1 / rotation, 1 / axial, 1 / shear
 
 

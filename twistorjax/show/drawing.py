@@ -99,22 +99,20 @@ def _shapes(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[np.ndarray, s
         colour = HELD if {3 * body, 3 * body + 1, 3 * body + 2} <= held else BODY
         if outline is not None:
             shapes.append((_placed(poses[body], outline), colour))
-    for row, ends in enumerate(mechanism.couplings.ends):
-        ports = [
-            se2.compose(
-                poses[body], se2.between(mechanism.rest[body], mechanism.at[row])
-            )
-            for body in ends
-        ]
+    for row, (name, ends) in enumerate(
+        zip(mechanism.hinge_names, mechanism.couplings.ends, strict=True)
+    ):
+        ports = mechanism.ports(name, jnp.asarray(poses))
         for body, port in zip(ends, ports, strict=True):
             if mechanism.outlines[body] is None:
                 spoke = np.stack([poses[body][1:], np.asarray(port)[1:]])
                 shapes.append((spoke, BODY))
         outline = mechanism.hinge_outlines[row]
         if outline is None:
-            turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-            outline = _DOT * (size or 1.0) * np.stack([np.cos(turn), np.sin(turn)], 1)
-        shapes.append((_bent(*ports, jnp.asarray(outline)), HINGE))
+            turn = jnp.linspace(0, 2 * jnp.pi, 24, endpoint=False)
+            dot = jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=1)
+            outline = _DOT * (size or 1.0) * dot
+        shapes.append((_bent(ports[0], ports[1], outline), HINGE))
     return shapes
 
 
@@ -144,17 +142,13 @@ def _label(axes: "Axes", mechanism: Mechanism, poses: np.ndarray) -> None:
     for name, pose, outline in zip(
         mechanism.names, poses, mechanism.outlines, strict=True
     ):
-        middle = pose[1:]
-        if outline is not None:
-            middle = _inside(_placed(pose, outline))
-        axes.annotate(name, 1e3 * middle, ha="center", va="center", zorder=5)
-    for row, name in enumerate(mechanism.hinge_names):
-        body = mechanism.couplings.ends[row][0]
-        port = se2.compose(
-            poses[body], se2.between(mechanism.rest[body], mechanism.at[row])
-        )
+        x, y = 1e3 * (pose[1:] if outline is None else _inside(_placed(pose, outline)))
+        axes.annotate(name, (x, y), ha="center", va="center", zorder=5)
+    for name in mechanism.hinge_names:
+        port, _ = mechanism.ports(name, jnp.asarray(poses))
+        _, x, y = 1e3 * np.asarray(port)
         axes.annotate(
-            name, 1e3 * np.asarray(port)[1:], xytext=(0, 7), ha="center", zorder=5,
+            name, (x, y), xytext=(0, 7), ha="center", zorder=5,
             textcoords="offset points", color="#8c3b00", fontstyle="italic",
         )  # fmt: skip
 
@@ -166,8 +160,8 @@ def _inside(corners: np.ndarray) -> np.ndarray:
     """
     from matplotlib.path import Path
 
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, 30).T), -1).reshape(-1, 2)
+    columns, rows = np.linspace(corners.min(axis=0), corners.max(axis=0), 30).T
+    grid = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
     grid = grid[Path(corners).contains_points(grid)]
     start, end = corners, np.roll(corners, -1, axis=0)
     along = end - start

@@ -66,15 +66,10 @@ class Linearised(eqx.Module):
             self.about - mechanism.rest
         )
         applied = applied.reshape(-1)
-        flat = flat.at[free].set(
-            self.factors.solve((applied - self.matrix @ flat)[free])
-        )
+        flat = flat.at[free].set(self.factors.solve((applied - self.matrix @ flat)[free]))
         forces = self.matrix @ flat
-        held = np.ones(flat.size)
-        held[free] = 0.0
-        result = RESULTS.where(
-            self.factors.resists(), RESULTS.successful, RESULTS.loose
-        )
+        held = jnp.ones(flat.size).at[free].set(0.0)
+        result = RESULTS.where(self.factors.resists(), RESULTS.successful, RESULTS.loose)
         fine = self.finite & jnp.all(jnp.isfinite(applied))
         result = RESULTS.where(fine, result, RESULTS.not_finite)
         shape = self.about.shape
@@ -104,7 +99,8 @@ def linearise(
         mechanism: at rest where nothing loads it.
         driven: which coordinates will be driven, as a mapping from the name of a body to
             those, of "angle", "x" and "y".
-        about: poses of an equilibrium from which changes count, by default rest; rad, m, m.
+        about: poses of an equilibrium from which changes count, by default rest; rad,
+            m, m.
         loads: that hold the mechanism there; they add to its stiffness as they turn.
 
     Returns:

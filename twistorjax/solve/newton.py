@@ -77,9 +77,7 @@ class Problem(eqx.Module):
         """
         free, driven = self.places
         columns = free + driven
-        forces, slope, work = self.couplings.tangent(
-            displacements, free, columns, borne
-        )
+        forces, slope, work = self.couplings.tangent(displacements, free, columns, borne)
         if not self.loads.bodies:
             return forces, slope, work
         applied, by_angle = self.loads.apply(displacements)
@@ -195,9 +193,7 @@ def settle(problem: Problem, start: Poses, tolerance: float, max_steps: int) -> 
         goal = state.fraction + state.stride
         # At first by the hinges alone: only so is the mechanism itself seen to be loose.
         stiffening = jnp.where(state.steps == 0, 0.0, goal)
-        residual, slope, work = problem.tangent(
-            state.now, goal, stiffening, state.borne
-        )
+        residual, slope, work = problem.tangent(state.now, goal, stiffening, state.borne)
         flat = state.now.reshape(-1)
         given = begin + goal * (problem.targets - begin)
         move = given - flat[problem.driven]
@@ -294,6 +290,4 @@ def _(primals, tangents):
     )
     displacements = problem.place(rest, free=free, driven=problem.targets)
     _, slope, _ = problem.tangent(displacements)
-    return free, -Factors.of(slope[:, : len(problem.free)], problem.symmetric).solve(
-        pull
-    )
+    return free, -Factors.of(slope[:, : len(problem.free)], problem.symmetric).solve(pull)

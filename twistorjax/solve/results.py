@@ -23,14 +23,14 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "`stiffness` at rest is singular."
     )
     no_equilibrium = (
-        "No equilibrium was found that continues the one at rest up to the full loads and "
-        "drives. `fraction` tells how much of them was reached: there the mechanism may "
-        "buckle or snap, or its hinges may have been displaced beyond what their energies "
-        "allow. Take smaller loads, or drive the motion instead of loading it."
+        "No equilibrium was found that continues the one at rest up to the full loads "
+        "and drives. `fraction` tells how much of them was reached: there the mechanism "
+        "may buckle or snap, or a hinge be displaced beyond what its energy allows. Take "
+        "smaller loads, or drive the motion instead of loading it."
     )
     steps_used_up = (
-        "The largest number of Newton steps was reached. `fraction` tells how much of the "
-        "loads and drives was; raise `max_steps`, or start nearer with `start`."
+        "The largest number of Newton steps was reached. `fraction` tells how much of "
+        "the loads and drives was; raise `max_steps`, or start nearer with `start`."
     )
 
 

@@ -174,8 +174,7 @@ def _solve(
     converged = settled.status == newton.CONVERGED
     given = jnp.where(converged, problem.targets, flat[problem.driven])
     displacements = problem.place(begin, free=free, driven=given)
-    held = np.ones(flat.size)
-    held[problem.free] = 0.0
+    held = jnp.ones(flat.size).at[problem.free].set(0.0)
     reactions = (held * problem.residual(displacements)).reshape(rest.shape)
     result = RESULTS.successful
     for status, item in (

@@ -1,0 +1,1 @@
+"""Times of twistorjax and its peers, in one run: `python -m benchmarks`."""

@@ -1,0 +1,61 @@
+"""Prints the table, and keeps it as JSON where asked: `python -m benchmarks --help`."""
+
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from . import command, peers, statics
+
+
+PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
+
+
+def main(
+    out: Annotated[
+        Path | None, typer.Option(help="Write the rows here, as JSON.")
+    ] = None,
+) -> None:
+    """Times twistorjax beside its peers, in one run."""
+    jax.config.update("jax_enable_x64", True)
+    table = Table("what", "measured", "", "asked", "met")
+    rows = []
+    for part in (statics, peers, command):
+        for row in part.run():
+            rows.append(row)
+            value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.4g}"
+            met = {None: "", True: "yes", False: "NO"}[row.met]
+            table.add_row(row.what, value, row.unit, row.asked, met)
+    versions = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    machine = (
+        f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, "
+        f"{jax.devices()[0].device_kind}"
+    )
+    table.caption = (
+        f"medians on {machine}; {datetime.date.today()}; "
+        f"{', '.join(f'{name} {version}' for name, version in versions.items())}"
+    )
+    Console(width=110).print(table)
+    if out is not None:
+        rows = [asdict(row) for row in rows]
+        out.write_text(
+            json.dumps({"machine": machine, "versions": versions, "rows": rows}, indent=1)
+        )
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -211,6 +211,7 @@ def test_sums_and_multiples_add_up():
     assert_close(total.wrench(pose), 3 * twist.wrench(pose) + twistor.wrench(pose))
 
 
+@pytest.mark.untyped
 @pytest.mark.parametrize("kind", [tj.Quadratic, tj.Viscous])
 @pytest.mark.parametrize(
     ("matrix", "message"),
@@ -231,6 +232,7 @@ def test_accepts_a_stiffness_at_the_edge():
     tj.Quadratic(np.diag([1.0, 1e9, 1e7]) + 1e-12 * np.eye(3, k=1))  # rounding
 
 
+@pytest.mark.untyped
 def test_refuses_unknown_coordinates():
     with pytest.raises(ValueError, match="`coordinates` is 'screw', but must be one of"):
         tj.Quadratic(jnp.eye(3), "screw")

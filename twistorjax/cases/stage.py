@@ -20,8 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .._checks import all_known
-from .._types import Corners, Scalar
+from .._types import Scalar
 from ..body import Body
 from ..boundary import Drive
 from ..energy import Coordinates
@@ -135,7 +134,7 @@ def microstage(
                 outline=outline,
             )
         )
-    outline = _neck(hole, web)
+    outline = notch_outline(hole=hole, web=web)
     hinges = [
         Hinge(name, first, second, neck, at=(0.0, *place), outline=outline)
         for name, (first, second, place) in _HINGES.items()
@@ -230,7 +229,7 @@ def plot(stage: Mechanism, answer: Amplification, *, magnify: float = 50.0) -> "
     moved = answer.equilibrium
     axes = draw(stage, moved.poses, magnify=magnify)
     # beside the input, and below the output: where the drawing is empty
-    for name, word, dx, dy in (("6", "input", 11.5, 0.0), ("4", "output", 0.0, -6.5)):
+    for name, word, dx, dy in (("6", "input", 14.0, 0.0), ("4", "output", 0.0, -6.5)):
         row = moved.names.index(name)
         x, y = 1e3 * np.asarray(moved.rest)[row, 1:] + np.array([dx, dy])
         travel = 1e6 * float(moved.displacements[row, 1])
@@ -267,13 +266,6 @@ def _areas(name: str) -> tuple[float, float]:
         for size, sides, place in parts
     )
     return area * _MM**2, moment * _MM**4
-
-
-def _neck(hole: ArrayLike, web: ArrayLike) -> Corners | None:
-    seen = all_known([hole, web])  # a traced web has no picture
-    return (
-        None if seen is None else notch_outline(hole=float(seen[0]), web=float(seen[1]))
-    )
 
 
 # Corners, in the world at rest, after figure 6.1; mm. The listing has no outlines: these

@@ -69,7 +69,8 @@ def leaf(
     return Quadratic(jnp.diag(jnp.stack([bending, axial, 1 / transverse])), coordinates)
 
 
-def leaf_outline(*, length: float, thickness: float) -> Corners:
+def leaf_outline(*, length: ArrayLike, thickness: ArrayLike, points: int = 24) -> Corners:
     """The outline of a leaf in its own frame, for drawing; m."""
-    x, y = length / 2, thickness / 2
-    return jnp.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+    x = jnp.linspace(-0.5, 0.5, points) * length
+    y = jnp.full_like(x, 0.5) * thickness
+    return jnp.concatenate([jnp.stack([x, y], 1), jnp.stack([x, -y], 1)[::-1]])

@@ -87,11 +87,11 @@ def notch(
     return Quadratic(jnp.diag(units * jnp.stack(stiffnesses)), coordinates)
 
 
-def notch_outline(*, hole: float, web: float, points: int = 24) -> Corners:
+def notch_outline(*, hole: ArrayLike, web: ArrayLike, points: int = 24) -> Corners:
     """The outline of a notch's neck in its own frame, for drawing; m."""
-    radius = hole / 2
     angle = jnp.linspace(-jnp.pi / 2, jnp.pi / 2, points)
-    x, y = radius * jnp.sin(angle), web / 2 + radius * (1 - jnp.cos(angle))
+    x = jnp.sin(angle) * hole / 2
+    y = (1 - jnp.cos(angle)) * hole / 2 + jnp.ones_like(angle) * web / 2
     return jnp.concatenate([jnp.stack([x, y], 1), jnp.stack([x, -y], 1)[::-1]])
 
 

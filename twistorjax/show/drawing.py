@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .. import se2
 from .._types import Corners, Pose, Poses
@@ -99,20 +100,27 @@ def _shapes(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[np.ndarray, s
         colour = HELD if {3 * body, 3 * body + 1, 3 * body + 2} <= held else BODY
         if outline is not None:
             shapes.append((_placed(poses[body], outline), colour))
-    for row, (name, ends) in enumerate(
-        zip(mechanism.hinge_names, mechanism.couplings.ends, strict=True)
+    turn = jnp.linspace(0, 2 * jnp.pi, 24, endpoint=False)
+    dot = _DOT * (size or 1.0) * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=1)
+    for name, ends, outline in zip(
+        mechanism.hinge_names,
+        mechanism.couplings.ends,
+        mechanism.hinge_outlines,
+        strict=True,
     ):
         ports = mechanism.ports(name, jnp.asarray(poses))
-        for body, port in zip(ends, ports, strict=True):
+        reach = jnp.zeros(2)
+        if outline is not None:
+            reach = jnp.stack([jnp.min(outline[:, 0]), jnp.max(outline[:, 0])])
+        for body, port, along in zip(ends, ports, reach, strict=True):
             if mechanism.outlines[body] is None:
-                spoke = np.stack([poses[body][1:], np.asarray(port)[1:]])
-                shapes.append((spoke, BODY))
-        outline = mechanism.hinge_outlines[row]
+                grip = se2.act(port, jnp.stack([along, jnp.zeros(())]))
+                shapes.append((np.stack([poses[body][1:], np.asarray(grip)]), BODY))
         if outline is None:
-            turn = jnp.linspace(0, 2 * jnp.pi, 24, endpoint=False)
-            dot = jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=1)
-            outline = _DOT * (size or 1.0) * dot
-        shapes.append((_bent(ports[0], ports[1], outline), HINGE))
+            middle = (ports[0][1:] + ports[1][1:]) / 2
+            shapes.append((np.asarray(middle[None] + dot), HINGE))
+        else:
+            shapes.append((_bent(*ports, reach, outline), HINGE))
     return shapes
 
 
@@ -120,16 +128,37 @@ def _placed(pose: np.ndarray, outline: Corners) -> np.ndarray:
     return np.asarray(jax.vmap(se2.act, (None, 0))(jnp.asarray(pose), outline))
 
 
-def _bent(first: Pose, second: Pose, outline: Corners) -> np.ndarray:
-    """An outline whose one end moves with a port, its other with the other port."""
-    along = outline[:, 0]
-    share = (along - along.min()) / (along.max() - along.min())
-    twist = se2.twist(se2.between(first, second))
+def _bent(
+    first: Pose, second: Pose, reach: Float[Array, "2"], outline: Corners
+) -> np.ndarray:
+    """An outline whose ends are clamped to the two ports, bent as a beam between."""
+    length = reach[1] - reach[0]
+    across = jnp.zeros_like(reach)
+    start, end = (
+        jnp.stack(
+            [se2.act(port, corner) for corner in jnp.stack([reach, across], axis=1)]
+        )
+        for port in (first, second)
+    )
+    # Hermite's cubic: where the first end is and the last, and how they point
+    a, b = start[0], end[1]
+    da, db = start[1] - start[0], end[1] - end[0]
 
-    def placed(share, corner):
-        return se2.act(se2.compose(first, se2.exp(share * twist)), corner)
+    def placed(corner):
+        u = (corner[0] - reach[0]) / length
+        middle = (
+            (1 + 2 * u) * (1 - u) ** 2 * a
+            + u * (1 - u) ** 2 * da
+            + u**2 * (3 - 2 * u) * b
+            - u**2 * (1 - u) * db
+        )
+        slope = (
+            6 * u * (1 - u) * (b - a) + (1 - u) * (1 - 3 * u) * da - u * (2 - 3 * u) * db
+        )
+        normal = jnp.stack([-slope[1], slope[0]]) / jnp.linalg.norm(slope)
+        return middle + corner[1] * normal
 
-    return np.asarray(jax.vmap(placed)(share, outline))
+    return np.asarray(jax.vmap(placed)(outline))
 
 
 def _polygon(axes: "Axes", corners: np.ndarray, **style) -> None:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
 from .._types import Poses, Scalar
 from ..boundary import Loads
@@ -163,7 +163,9 @@ _STEPS_EACH = 12
 _LEAST_STEP = 1e-5
 
 
-def settle(problem: Problem, start: Poses, tolerance: float, max_steps: int) -> Settled:
+def settle(
+    problem: Problem, start: Poses, tolerance: ScalarLike, max_steps: ScalarLike
+) -> Settled:
     """Follows the equilibrium from `start`, where it is unloaded, to the full load.
 
     Newton's method on a growing fraction of loads and drives, at first all of them.

@@ -42,4 +42,4 @@ def outcomes(result: RESULTS) -> np.ndarray | None:
     names = np.empty(len(RESULTS), object)
     for name, item in RESULTS._name_to_item.items():
         names[int(item._value)] = name
-    return names[index]
+    return np.array(names[index], object)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Int, ScalarLike
 
 from .._checks import need_float64
 from .._types import Pose, Poses, Scalar, Wrench, Wrenches
@@ -152,8 +152,8 @@ def _solve(
     begin: Poses | None,
     loads: tuple[Load, ...],
     targets: tuple[Scalar, ...],
-    tolerance: float,
-    max_steps: int,
+    tolerance: ScalarLike,
+    max_steps: ScalarLike,
     *,
     bodies: tuple[int, ...],
     places: newton.Places,

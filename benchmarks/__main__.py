@@ -22,7 +22,7 @@ PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
 
 def main(
     out: Annotated[
-        Path | None, typer.Option(help="Write the rows here, as JSON.")
+        Path | None, typer.Option(help="Keep the rows here: as .json, or as .md a table.")
     ] = None,
 ) -> None:
     """Times twistorjax beside its peers, in one run."""
@@ -50,11 +50,17 @@ def main(
         f"{', '.join(f'{name} {version}' for name, version in versions.items())}"
     )
     Console(width=110).print(table)
-    if out is not None:
-        rows = [asdict(row) for row in rows]
+    if out is not None and out.suffix == ".md":
+        lines = ["| what | measured | | asked | met |", "|---|---:|---|---|---|"]
+        cells = zip(*(column.cells for column in table.columns), strict=True)
+        lines += [f"| {' | '.join(map(str, row))} |" for row in cells]
         out.write_text(
-            json.dumps({"machine": machine, "versions": versions, "rows": rows}, indent=1)
+            "\n".join(["# Benchmarks", "", str(table.caption), "", *lines, ""])
         )
+    elif out is not None:
+        kept = [asdict(row) for row in rows]
+        record = {"machine": machine, "versions": versions, "rows": kept}
+        out.write_text(json.dumps(record, indent=1))
 
 
 if __name__ == "__main__":

@@ -84,20 +84,17 @@ class Couplings(eqx.Module):
                 that which they have.
 
         Returns:
-            The forces on all coordinates; the derivatives; and the sum of the sizes of
-            forces times displacements, a measure of the energy at work; J.
+            The forces on all coordinates; the derivatives; and a measure of the energy
+            at work in the hinges, never negative; J.
         """
-        local, pairs = self._local(hinge.tangent, displacements, borne)
-        local = jnp.stack(local)
-        flat = displacements.reshape(-1)
-        where = self._coordinates()
-        forces = jnp.zeros(flat.shape).at[where].add(local)
-        work = jnp.sum(jnp.abs(local * flat[where]))
+        local, pairs, work = self._local(hinge.tangent, displacements, borne)
+        forces = jnp.zeros(displacements.size).at[self._coordinates()]
+        forces = forces.add(jnp.stack(local))
         entries = jnp.stack([jnp.stack(line) for line in pairs]).reshape(-1)
         source, target = _places(self.ends, self._order(), rows, columns)
         size = (len(rows), len(columns))
         matrix = jnp.zeros(size[0] * size[1]).at[target].add(entries[source])
-        return forces, matrix.reshape(size), work
+        return forces, matrix.reshape(size), jnp.sum(work)
 
     def _order(self) -> tuple[int, ...]:
         return tuple(member for stack in self.stacks for member in stack.members)

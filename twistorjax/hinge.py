@@ -170,8 +170,11 @@ def tangent(
     second: End,
     axis: tuple[Scalar, Scalar],
     borne: Three | None = None,
-) -> tuple[Six, tuple[Six, Six, Six, Six, Six, Six]]:
-    """The `forces`, and their derivatives by the same six displacements.
+) -> tuple[Six, tuple[Six, Six, Six, Six, Six, Six], Scalar]:
+    """The `forces`, their derivatives by the same six displacements, and their work.
+
+    The work is a measure of the energy at play, never negative: sizes of slopes times
+    sizes of what they are slopes by.
 
     Args:
         energy: of the hinge.
@@ -194,6 +197,7 @@ def tangent(
     )
     c, s = half.cos, half.sin
     y1, y2 = 2 * half.displacement.x1, 2 * half.displacement.x2
+    work = jnp.abs(g0 * half.displacement.angle) + jnp.abs(g1 * y1) + jnp.abs(g2 * y2)
     if borne is not None:
         # The slopes, and what the bend of the energy's own coordinates adds to the second
         # derivatives, by the tension foreseen instead of by that which it has.
@@ -234,7 +238,7 @@ def tangent(
     aa = -ar + am / 2 + ax * swing_ax + ay * swing_ay + bend_a
     ab = ar + am / 2 + ax * swing_bx + ay * swing_by
     bb = br + bm / 2 + bx * swing_bx + by * swing_by + bend_b
-    return _pull(first, second, half, slopes), (
+    pairs = (
         (aa, -ax, -ay, ab, ax, ay),
         (-ax, xx, xy, -bx, -xx, -xy),
         (-ay, xy, yy, -by, -xy, -yy),
@@ -242,6 +246,7 @@ def tangent(
         (ax, -xx, -xy, bx, xx, xy),
         (ay, -xy, -yy, by, xy, yy),
     )
+    return _pull(first, second, half, slopes), pairs, work
 
 
 def _slopes(

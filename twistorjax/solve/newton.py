@@ -56,10 +56,12 @@ class Problem(eqx.Module):
         """Places of the driven coordinates."""
         return np.array(self.places.driven, int)
 
-    def residual(self, displacements: Poses) -> Float[Array, " coordinates"]:
+    def residual(
+        self, displacements: Poses, fraction: Scalar | float = 1.0
+    ) -> Float[Array, " coordinates"]:
         """What hinges and loads leave unbalanced: the reactions where it is held."""
         applied, _ = self.loads.apply(displacements)
-        return (self.couplings.forces(displacements) - applied).reshape(-1)
+        return (self.couplings.forces(displacements) - fraction * applied).reshape(-1)
 
     def tangent(
         self,
@@ -70,7 +72,7 @@ class Problem(eqx.Module):
     ) -> tuple[
         Float[Array, " coordinates"], Float[Array, "free free_and_driven"], Scalar
     ]:
-        """The residual under a fraction of the loads, its slope, and the work at play.
+        """The residual under a fraction of the loads, its slope, and the work in hinges.
 
         `stiffening` scales what the loads add to the slope by turning with the bodies;
         `borne` is the tension with which the hinges do.
@@ -92,7 +94,6 @@ class Problem(eqx.Module):
         if pairs:
             rows, where, which = np.array(pairs).T
             slope = slope.at[rows, where].add(-by_angle.reshape(-1)[which])
-        work = work + jnp.sum(jnp.abs(applied * displacements.reshape(-1)))
         return forces - applied, slope, work
 
     def place(
@@ -166,17 +167,19 @@ _LEAST_STEP = 1e-5
 def settle(
     problem: Problem, start: Poses, tolerance: ScalarLike, max_steps: ScalarLike
 ) -> Settled:
-    """Follows the equilibrium from `start`, where it is unloaded, to the full load.
+    """Follows the equilibrium from `start` to the full loads and drives.
 
-    Newton's method on a growing fraction of loads and drives, at first all of them.
+    Newton's method on a growing fraction of them, at first all. What holds the mechanism
+    at `start` fades as they grow: at rest nothing, at another equilibrium its loads.
     Driven coordinates are moved within the first step of each fraction, together with
     the first answer of the free ones. Errors are measured by the energy that a step
-    changes against the energy at work; near the answer each step's share of the last one
-    tells what the next would be, and saves it.
+    changes, against the energy at work in the hinges; near the answer each step's share
+    of the last one tells what the next would be, and saves it.
     """
     rows = problem.free
     begin = start.reshape(-1)[problem.driven]
     count = len(problem.free)
+    holding = problem.couplings.forces(start).reshape(-1)[rows]
 
     class State(NamedTuple):
         now: Poses
@@ -187,7 +190,7 @@ def settle(
         stride: Scalar  # beyond it
         tries: Int[Array, ""]  # Newton steps in this stride
         change: Scalar  # energy of the last step
-        scale: Scalar  # largest energy seen
+        scale: Scalar  # energy of the first step of this stride
         steps: Int[Array, ""]
         status: Int[Array, ""]
 
@@ -199,7 +202,8 @@ def settle(
         flat = state.now.reshape(-1)
         given = begin + goal * (problem.targets - begin)
         move = given - flat[problem.driven]
-        right = -(residual[rows] + slope[:, count:] @ move)
+        residual = residual[rows] - (1 - goal) * holding
+        right = -(residual + slope[:, count:] @ move)
         factors = Factors.of(slope[:, :count], problem.symmetric)
         step = factors.solve(right)
         now = problem.place(
@@ -211,10 +215,11 @@ def settle(
         )
 
         change = jnp.sum(jnp.abs(step * right))
-        scale = jnp.maximum(jnp.maximum(state.scale, work), change)
         first = state.tries == 0
+        scale = jnp.where(first, change, state.scale)
         share = jnp.where(first, 1.0, jnp.sqrt(change / state.change))
-        error = jnp.sqrt(change / jnp.where(scale > 0, scale, 1.0))
+        measure = jnp.maximum(scale, work)
+        error = jnp.sqrt(change / jnp.where(measure > 0, measure, 1.0))
         expected = jnp.where(share < 0.25, error * share / (1 - share), error)
         turned = jnp.max(jnp.abs(now - state.done)[:, 0], initial=0.0)
         sane = jnp.isfinite(change) & (turned <= _LARGEST_TURN)

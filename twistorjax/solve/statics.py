@@ -90,8 +90,8 @@ def equilibrium(
         mechanism: at rest where nothing loads it.
         loads: on its bodies.
         drives: of coordinates that are not held.
-        start: poses from which to begin, by default at rest. Loads and drives grow from
-            nothing there, so it should be an equilibrium, or near one; rad, m, m.
+        start: poses from which to begin, by default at rest: best another equilibrium,
+            from whose loads to the new ones the way is short; rad, m, m.
         tolerance: on the answer, relative: of the energy at work, its root.
         max_steps: of Newton's method, altogether.
         throw: whether a failure is raised, or only told by `result`. In a batch a failure
@@ -175,7 +175,8 @@ def _solve(
     given = jnp.where(converged, problem.targets, flat[problem.driven])
     displacements = problem.place(begin, free=free, driven=given)
     held = jnp.ones(flat.size).at[problem.free].set(0.0)
-    reactions = (held * problem.residual(displacements)).reshape(rest.shape)
+    reactions = held * problem.residual(displacements, settled.fraction)
+    reactions = reactions.reshape(rest.shape)
     result = RESULTS.successful
     for status, item in (
         (newton.NOT_FINITE, RESULTS.not_finite),

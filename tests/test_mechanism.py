@@ -135,6 +135,7 @@ def built(names=("a", "b"), hinges=None, held=("a",)):
             lambda: built(hinges=[hinge("h", "a", "c")]),
             "`second` of the hinge 'h' names the body 'c', but the bodies are 'a', 'b'",
         ),
+        (lambda: built(hinges=[]), "`hinges` is empty, but a mechanism needs"),
         (lambda: built(held=["c"]), "`held` names the body 'c', but the bodies are"),
         (lambda: built(held="a"), r"`held` is the string 'a'.*\['a'\]"),
         (

@@ -416,6 +416,20 @@ def test_answers_know_their_bodies():
         rest.displacement("anvil")
 
 
+def test_answers_print_in_a_few_lines():
+    mechanism = block_on_spring(np.diag([2.0, 8.0, 5.0]))
+    printed = repr(tj.equilibrium(mechanism, loads=[tj.Load("block", (0, 2.0, 0))]))
+    first, head, wall, block = printed.splitlines()
+    assert first.startswith("successful: 1 of loads and drives, ")
+    assert head.split() == ["body", "angle", "(rad)", "x", "(m)", "y", "(m)"]
+    assert (wall.split()[0], block.split()) == ("wall", ["block", "0", "0.25", "0"])
+    assert len(repr(tj.equilibrium(cantilever(100))).splitlines()) < 25
+    lanes = jax.vmap(
+        lambda k: tj.equilibrium(block_on_spring(k * jnp.eye(3)), throw=False)
+    )
+    assert "displacements=f64[2,2,3]" in repr(lanes(jnp.array([1.0, 2.0])))
+
+
 # Small displacements
 
 

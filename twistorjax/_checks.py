@@ -11,6 +11,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 Choice = TypeVar("Choice", bound=str)
 
+PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
+
 
 def known(value: Any) -> np.ndarray | None:
     """The value as NumPy has it, or nothing where JAX is tracing it."""
@@ -30,6 +32,16 @@ def one_of(name: str, value: Choice, choices: Sequence[str]) -> Choice:
         listed = ", ".join(repr(choice) for choice in choices)
         raise ValueError(f"{name} is {value!r}, but must be one of {listed}.")
     return value
+
+
+def find(where: str, noun: str, name: str, names: Sequence[str]) -> int:
+    """The place of a name among those there are."""
+    if name not in names:
+        has = ", ".join(map(repr, names))
+        raise ValueError(
+            f"{where} names the {noun} {name!r}, but the {PLURAL[noun]} are {has}."
+        )
+    return names.index(name)
 
 
 def need_float64() -> None:

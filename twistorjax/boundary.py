@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ._checks import known, row
+from ._checks import find, known, row
 from ._types import Point, Poses, Scalar, Wrench, Wrenches
-from .mechanism import _find, COORDINATES, Mechanism
+from .mechanism import COORDINATES, Mechanism
 
 
 class Load(eqx.Module):
@@ -171,7 +171,7 @@ def loaded(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:
         ValueError: a load names a body that the mechanism does not have.
     """
     return tuple(
-        _find(f"`loads[{k}]`", "body", load.body, mechanism.names)
+        find(f"`loads[{k}]`", "body", load.body, mechanism.names)
         for k, load in enumerate(loads)
     )
 
@@ -187,7 +187,7 @@ def driven(
     """
     values: dict[int, Scalar] = {}
     for k, drive in enumerate(drives):
-        body = _find(f"`drives[{k}]`", "body", drive.body, mechanism.names)
+        body = find(f"`drives[{k}]`", "body", drive.body, mechanism.names)
         for name, value in zip(drive.coordinates, drive.values, strict=True):
             place = 3 * body + COORDINATES.index(name)
             if place in mechanism.held or place in values:

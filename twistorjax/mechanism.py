@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import se2
-from ._checks import all_known, known
+from ._checks import all_known, find, known, PLURAL
 from ._types import Corners, Pose, Poses, Scalar, Wrenches
 from .body import Body
 from .couplings import Couplings, stack_energies
@@ -69,6 +69,8 @@ class Mechanism(eqx.Module):
         self.inertias = tuple(body.inertia for body in bodies)
         self.outlines = tuple(body.outline for body in bodies)
         self.hinge_outlines = tuple(hinge.outline for hinge in hinges)
+        if not hinges:
+            raise ValueError("`hinges` is empty, but a mechanism needs at least one.")
         ends = tuple(
             (
                 self._body(f"`first` of the hinge {hinge.name!r}", hinge.first),
@@ -170,7 +172,7 @@ class Mechanism(eqx.Module):
         Raises:
             ValueError: the mechanism has no hinge of that name.
         """
-        row = _find("`hinge`", "hinge", hinge, self.hinge_names)
+        row = find("`hinge`", "hinge", hinge, self.hinge_names)
         first, second = (
             se2.compose(poses[body], se2.between(self.rest[body], self.at[row]))
             for body in self.couplings.ends[row]
@@ -184,15 +186,13 @@ class Mechanism(eqx.Module):
     def __repr__(self) -> str:
         def listed(noun: str, names: Sequence[str]) -> str:
             shown = names if len(names) <= 12 else (*names[:10], "...", names[-1])
-            plural = noun if len(names) == 1 else f"{noun[:-1]}ies"
-            if noun == "hinge" and len(names) != 1:
-                plural = "hinges"
-            return f"{len(names)} {plural} ({', '.join(shown)})"
+            word = noun if len(names) == 1 else PLURAL[noun]
+            return f"{len(names)} {word} ({', '.join(shown)})"
 
-        held = ", ".join(self._held_words())
         return (
             f"Mechanism of {listed('body', self.names)}, "
-            f"{listed('hinge', self.hinge_names)}; held: {held or 'nothing'}"
+            f"{listed('hinge', self.hinge_names)}; "
+            f"held: {', '.join(self._held_words()) or 'nothing'}"
         )
 
     def _held_words(self) -> Iterable[str]:
@@ -202,7 +202,7 @@ class Mechanism(eqx.Module):
                 yield name if len(held) == 3 else f"{' and '.join(held)} of {name}"
 
     def _body(self, where: str, name: str) -> int:
-        return _find(where, "body", name, self.names)
+        return find(where, "body", name, self.names)
 
     def _displacements(self, poses: Poses) -> Poses:
         if jnp.shape(poses) != self.rest.shape:
@@ -227,7 +227,7 @@ class Mechanism(eqx.Module):
             for coordinate in coordinates:
                 where = f"`held` of the body {name!r}"
                 places.append(
-                    3 * body + _find(where, "coordinate", coordinate, COORDINATES)
+                    3 * body + find(where, "coordinate", coordinate, COORDINATES)
                 )
         return tuple(sorted(set(places)))
 
@@ -249,16 +249,6 @@ class Mechanism(eqx.Module):
                 f"Nothing holds {' and '.join(map(repr, loose))}: no chain of hinges "
                 "leads from there to a body in `held`. Hold one of them, or add a hinge."
             )
-
-
-def _find(where: str, noun: str, name: str, names: Sequence[str]) -> int:
-    if name not in names:
-        has = ", ".join(map(repr, names)) or "none"
-        plural = {"body": "bodies"}.get(noun, f"{noun}s")
-        raise ValueError(
-            f"{where} names the {noun} {name!r}, but the {plural} are {has}."
-        )
-    return names.index(name)
 
 
 def _distinct(noun: str, names: Sequence[str]) -> tuple[str, ...]:

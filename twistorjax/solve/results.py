@@ -26,7 +26,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "No equilibrium was found that continues the one at rest up to the full loads "
         "and drives. `fraction` tells how much of them was reached: there the mechanism "
         "may buckle or snap, or a hinge be displaced beyond what its energy allows. Take "
-        "smaller loads, or drive the motion instead of loading it."
+        "smaller loads, drive the motion instead of loading it, or, where a symmetric "
+        "mechanism may give way to either side, choose one by a small load."
     )
     steps_used_up = (
         "The largest number of Newton steps was reached. `fraction` tells how much of "

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, ScalarLike
 
-from .._checks import need_float64
+from .._checks import all_known, need_float64
 from .._types import Pose, Poses, Scalar, Wrench, Wrenches
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
@@ -58,6 +58,25 @@ class Equilibrium(eqx.Module):
     def reaction(self, body: str) -> Wrench:
         """What a body's held and driven coordinates receive; N m, N, N."""
         return self.reactions[self._row(body)]
+
+    def __repr__(self) -> str:
+        ended = outcomes(self.result)
+        seen = all_known([self.displacements, self.energy, self.fraction])
+        if ended is None or seen is None or ended.shape:
+            return eqx.tree_pformat(self)
+        moved, energy, fraction = seen
+        wide = max(map(len, (*self.names, "body")))
+        lines = [
+            f"{ended}: {float(fraction):.4g} of loads and drives, "
+            f"{int(self.steps)} Newton steps, {float(energy):.6g} J in the hinges",
+            f"{'body':<{wide}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}",
+        ]
+        for name, row in zip(self.names, moved, strict=True):
+            values = "  ".join(f"{value:>13.6g}" for value in row)
+            lines.append(f"{name:<{wide}}  {values}")
+        if len(lines) > 22:
+            lines[12:-1] = [f"... {len(lines) - 13} more"]
+        return "\n".join(lines)
 
     def _row(self, body: str) -> int:
         if body not in self.names:

@@ -65,8 +65,11 @@ def test_stage_draws_itself(run, name):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--web", "1e-6"], "--web cannot be used: `web / hole` is 0.000333333, but"),
-        (["--web", "2e-3"], "--web cannot be used: `web / hole` is 0.666667, but"),
+        (
+            ["--web", "1e-6"],
+            "cannot be used, holes being 3 mm: `web / hole` is 0.000333333",
+        ),
+        (["--web", "2e-3"], "cannot be used, holes being 3 mm: `web / hole` is 0.666667"),
         (["--web", "-1"], "--web is -1, but must be positive and finite"),
         (["--web", "nan"], "--web is nan, but must be positive and finite"),
         (["--input", "0"], "--input is 0, but must be positive and finite"),
@@ -90,7 +93,8 @@ def test_wrong_input_is_one_clear_line(run, arguments, message):
 def test_an_input_too_far_is_a_failure_and_not_an_answer(run):
     done = run("stage", "--input", "1.0", "--json")
     assert done.returncode == 1
-    assert done.stderr.startswith("twistorjax: No equilibrium was found")
+    assert done.stderr.startswith("twistorjax: --input 1: No equilibrium was found")
+    assert "(fraction 0.0" in done.stderr
     assert done.stdout == ""
 
 
@@ -98,6 +102,18 @@ def test_an_unknown_command_is_wrong_input(run):
     done = run("stgae")
     assert done.returncode == 2
     assert "stgae" in done.stderr
+
+
+def test_without_a_command_it_tells_what_it_can_do(run):
+    done = run()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "stage" in done.stdout
+    assert len(done.stdout.splitlines()) > 5
+    assert run("--version").stdout.startswith("twistorjax 0.")
+
+
+def test_the_measurement_is_told_of_the_device_measured_alone(run):
+    assert "measured" not in run("stage", "--web", "0.3e-3").stdout
 
 
 def test_help_shows_examples(run):

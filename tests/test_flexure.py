@@ -83,7 +83,7 @@ def test_notch_of_the_stage():
     np.testing.assert_allclose(notch, [2.5096, 1.588e8, 1.661e7], rtol=3e-4)
 
 
-@pytest.mark.parametrize("share", [0.01, 0.0833, 0.2, 0.3])
+@pytest.mark.parametrize("share", [0.01, 0.0833, 0.2, 0.25])
 def test_paros_and_weisbord_integrate_the_beam_exactly(share):
     web = share * 3e-3
     notch = tj.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord")
@@ -121,7 +121,7 @@ def test_simplified_tends_to_full_for_thin_webs(share, within):
 
 @pytest.mark.parametrize(
     ("formula", "low", "high"),
-    [("fitted", 0.05, 0.5), ("paros-weisbord", None, 0.3),
+    [("fitted", 0.05, 0.5), ("paros-weisbord", None, 0.25),
      ("paros-weisbord-simplified", None, 0.1)],
 )  # fmt: skip
 def test_notch_says_where_its_formula_ends(formula, low, high):

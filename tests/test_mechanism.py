@@ -106,6 +106,30 @@ def test_a_plate_has_the_inertia_of_its_shape():
         assert_close(np.asarray(bar.outline).mean(axis=0), [0.0, 0.0])
 
 
+def test_a_plate_does_not_feel_how_its_outline_is_told():
+    """A right triangle with a needless corner: inertia b h (b^2 + h^2) / 36 an area."""
+    base, height = 0.03, 0.02
+    corners = np.array([[0, 0], [0.001, 0], [base, 0], [0, height]])
+    steel = tj.Material(modulus=210e9, poisson=0.3, density=7800.0)
+    plate = tj.plate("wedge", corners, width=0.004, of=steel)
+    mass = 7800 * 0.004 * base * height / 2
+    assert_close(plate.rest, [0.0, base / 3, height / 3])
+    assert_close(plate.inertia / mass, (base**2 + height**2) / 18)
+
+
+def test_the_wrench_of_a_hinge_is_what_balances_a_load():
+    mechanism = tj.Mechanism(
+        bodies("a", "b"), [hinge("h", "a", "b", at=(np.pi / 2, 0.0, 0.0))], held=["a"]
+    )
+    rest = tj.equilibrium(mechanism, loads=[tj.Load("b", (0.1, 0.2, -0.3))])
+    _, port = mechanism.ports("h", rest.poses)
+    wrench = mechanism.wrench_of("h", rest.poses)
+    at_body = tj.se2.carry_wrench(
+        port.at[1:].add(-rest.pose("b")[1:]), wrench
+    )  # from frame b to the body's origin, in world axes
+    assert_close(at_body, [0.1, 0.2, -0.3], digits=9)
+
+
 def test_prints_what_it_is():
     names = bodies("frame", "stage")
     mechanism = tj.Mechanism(
@@ -122,11 +146,12 @@ def built(names=("a", "b"), hinges=None, held=("a",)):
     return tj.Mechanism(bodies(*names), hinges, held)
 
 
+@pytest.mark.untyped
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: built(("a", "a")), "The body 'a' is given twice"),
-        (lambda: built(("a", "")), "A body is called ''"),
+        (lambda: built(("a", "")), "The name of a body is ''"),
         (
             lambda: built(hinges=[hinge("h", "a", "b")] * 2),
             "The hinge 'h' is given twice",
@@ -135,6 +160,12 @@ def built(names=("a", "b"), hinges=None, held=("a",)):
             lambda: built(hinges=[hinge("h", "a", "c")]),
             "`second` of the hinge 'h' names the body 'c', but the bodies are 'a', 'b'",
         ),
+        (lambda: hinge("h", tj.Body("a"), "b"), "`first` of the hinge 'h' is Body"),
+        (
+            lambda: hinge("h", "a", "b", np.eye(3)),
+            "`energy` of the hinge 'h' is a ndarray, but must be an energy",
+        ),
+        (lambda: tj.Mechanism(["a"], []), r"`bodies\[0\]` is a str, but must be a Body"),
         (lambda: built(hinges=[]), "`hinges` is empty, but a mechanism needs"),
         (lambda: built(held=["c"]), "`held` names the body 'c', but the bodies are"),
         (lambda: built(held="a"), r"`held` is the string 'a'.*\['a'\]"),

@@ -25,5 +25,5 @@ from .hinge import Hinge as Hinge
 from .mechanism import Mechanism as Mechanism
 from .show.drawing import draw as draw
 from .solve.linear import linearise as linearise, Linearised as Linearised
-from .solve.results import RESULTS as RESULTS
+from .solve.results import outcomes as outcomes, RESULTS as RESULTS
 from .solve.statics import Equilibrium as Equilibrium, equilibrium as equilibrium

@@ -11,16 +11,28 @@ import typer
 
 
 app = typer.Typer(
-    help="Differentiable mechanics of planar flexure mechanisms.",
-    no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
 
-@app.callback()
-def _commands() -> None:
-    """Lets `twistorjax stage` be a command though it is the only one."""
+@app.callback(invoke_without_command=True)
+def overview(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.")
+    ] = False,
+) -> None:
+    """Differentiable mechanics of planar flexure mechanisms.
+
+    Example: twistorjax stage
+    """
+    if version:
+        from importlib.metadata import version as installed
+
+        print(f"twistorjax {installed('twistorjax')}")
+    elif context.invoked_subcommand is None:
+        print(context.get_help())
 
 
 @app.command()
@@ -67,9 +79,10 @@ def stage(
         try:
             case.microstage(web)  # tells what is wrong with the web
         except ValueError as error:
-            raise Refused(f"--web cannot be used: {error}") from None
+            raise Refused(f"--web cannot be used, holes being 3 mm: {error}") from None
     if ended != "successful":
-        raise Failed(RESULTS[moved.result])
+        reached = f"(fraction {float(moved.fraction):.4g})"
+        raise Failed(f"--input {travel:g}: {RESULTS[moved.result]} {reached}")
     values = {
         "gain": float(answer.gain),
         "output_m": float(answer.output),
@@ -141,19 +154,18 @@ def _table(values: dict[str, float], web: float, travel: float) -> str:
     gain = values["gain"]
     slope = values["dgain_dweb_per_m"]
     micro = 1e-6
+    told = compressed = ""
+    if web == case.WEB:  # the device that was measured
+        told = f"measured {low} to {high} (1978); dissertation {case.DISSERTATION_GAIN}; "
+        compressed = "for 1.35 um: measured 50 nm; dissertation about 150 nm"
     rows = [
-        (
-            "gain",
-            f"{gain:.6f}",
-            f"measured {low} to {high} (1978); dissertation {case.DISSERTATION_GAIN}; "
-            f"rigid levers {case.RIGID_GAIN:.4f}",
-        ),
+        ("gain", f"{gain:.6f}", f"{told}rigid levers {case.RIGID_GAIN:.4f}"),
         ("output", f"{values['output_m'] / micro:.4f} um", "travel of body 4"),
         ("input force", f"{values['input_force_N']:.4f} N", ""),
         (
             "compression of a",
             f"{values['compression_a_m'] / 1e-9:.2f} nm",
-            "measured 50 nm; dissertation about 150 nm",
+            compressed,
         ),
         ("strain energy", f"{values['strain_energy_J'] / micro:.4f} uJ", ""),
         (

@@ -44,13 +44,34 @@ def find(where: str, noun: str, name: str, names: Sequence[str]) -> int:
     return names.index(name)
 
 
-def need_float64() -> None:
+def text(what: str, value: Any) -> str:
+    """The value, if it is some text."""
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{what} is {value!r}, but must be some text.")
+    return value
+
+
+def need_float64(array: Array) -> None:
     """Refuses single precision, in which equilibria of flexures are lost to rounding."""
-    if jnp.result_type(float) != jnp.float64:
+    if array.dtype != jnp.float64 or jnp.result_type(float) != jnp.float64:
         raise ValueError(
-            "twistorjax solves in double precision, which JAX has off. Before any array "
-            'is made, write:\n\n    jax.config.update("jax_enable_x64", True)\n'
+            "twistorjax solves in double precision, but this mechanism was made in "
+            "single precision, or JAX has the double one off. Before any array is made, "
+            "write:"
+            '\n\n    jax.config.update("jax_enable_x64", True)\n'
         )
+
+
+def kinds(name: str, values: Sequence[Any], kind: type) -> None:
+    """Refuses anything but a sequence of things of one kind."""
+    if isinstance(values, kind):
+        raise ValueError(f"`{name}` is one {kind.__name__}: put it in a list, [...].")
+    for place, value in enumerate(values):
+        if not isinstance(value, kind):
+            raise ValueError(
+                f"`{name}[{place}]` is a {type(value).__name__}, but must be a "
+                f"{kind.__name__}."
+            )
 
 
 def within(

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, Float
 
-from ._checks import known, positive, row
+from ._checks import kinds, known, positive, row, text
 from ._types import Corners, Pose, Scalar
 from .flexure.material import Material
 
@@ -41,7 +41,7 @@ class Body(eqx.Module):
         inertia: ArrayLike | None = None,
         outline: Float[ArrayLike, "corners 2"] | None = None,
     ):
-        self.name = name
+        self.name = text("The name of a body", name)
         self.rest = row(f"`rest` of the body {name!r}", rest, "(angle, x, y)")
         self.mass, self.inertia = (
             None if value is None else positive(f"`{what}` of the body {name!r}", value)
@@ -74,6 +74,7 @@ def plate(
         >>> bar.rest, bar.mass
         (Array([0.  , 0.05, 0.05], dtype=float64), Array(0.78, dtype=float64))
     """
+    kinds("of", [of], Material)
     if of.density is None:
         raise ValueError(
             f"The plate {name!r} needs the `density` of its material to have a mass: "

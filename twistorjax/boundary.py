@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ._checks import find, known, row
+from ._checks import find, kinds, known, row
 from ._types import Point, Poses, Scalar, Wrench, Wrenches
 from .mechanism import COORDINATES, Mechanism
 
@@ -168,8 +168,9 @@ def loaded(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:
     """The place of each load's body.
 
     Raises:
-        ValueError: a load names a body that the mechanism does not have.
+        ValueError: a load names a body that the mechanism does not have, or is no load.
     """
+    kinds("loads", loads, Load)
     return tuple(
         find(f"`loads[{k}]`", "body", load.body, mechanism.names)
         for k, load in enumerate(loads)
@@ -185,6 +186,7 @@ def driven(
         ValueError: a drive names a body that the mechanism does not have, or a coordinate
             that is held or driven already.
     """
+    kinds("drives", drives, Drive)
     values: dict[int, Scalar] = {}
     for k, drive in enumerate(drives):
         body = find(f"`drives[{k}]`", "body", drive.body, mechanism.names)

@@ -46,6 +46,17 @@ class Couplings(eqx.Module):
     axes: Float[Array, "hinges 2"]
     stacks: tuple[Stack, ...]
 
+    def energy_of(self, row: int) -> AbstractEnergy:
+        """The energy of one hinge, by its place in the mechanism's list."""
+        stack = next(stack for stack in self.stacks if row in stack.members)
+        place = stack.members.index(row)
+        leaves, tree = jax.tree.flatten(stack.energy)
+        own = [
+            leaf if axis is None else leaf[place]
+            for leaf, axis in zip(leaves, stack.axes, strict=True)
+        ]
+        return jax.tree.unflatten(tree, own)
+
     def energy(self, displacements: Poses) -> Scalar:
         """What all hinges store; J."""
 

@@ -107,7 +107,7 @@ class Quadratic(AbstractEnergy):
     Both have the stiffness that they were given at rest, and differ from the third order
     on. The energy of the twist grows without bound with the angle; that of the twistor is
     bounded in it, bears no moment at half a turn, and is the cheaper one: no sine, no
-    cosine.
+    cosine. The twist is not defined beyond a full turn of one hinge.
 
     Args:
         stiffness: symmetric, with no negative eigenvalue, for the frame of the hinge:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, Float
 
-from ._checks import row
+from ._checks import row, text
 from ._types import Corners, Pose, Scalar
 from .clifford import Displacement, half_turn
 from .energy import AbstractEnergy
@@ -26,7 +26,8 @@ class Hinge(eqx.Module):
         second: name of body B, on which frame b sits.
         energy: what it stores at a displacement of b against a.
         at: both frames at rest, in the world; rad, m, m. Axis 1 of a leaf or a notch
-            lies along it, so the angle is that of the hinge's own axis.
+            lies along it and leads from the first body to the second: from base to table
+            upwards its angle is pi / 2.
         ports: frame a in the frame of body A, and b in that of B; rad, m, m.
         outline: a closed polygon in the frame of the hinge, for drawing; m.
 
@@ -54,7 +55,14 @@ class Hinge(eqx.Module):
         ports: Sequence[Float[ArrayLike, "3"] | Sequence[ArrayLike]] | None = None,
         outline: Float[ArrayLike, "corners 2"] | None = None,
     ):
-        self.name, self.first, self.second = name, first, second
+        self.name = text("The name of a hinge", name)
+        self.first = text(f"`first` of the hinge {name!r}", first)
+        self.second = text(f"`second` of the hinge {name!r}", second)
+        if not isinstance(energy, AbstractEnergy):
+            raise ValueError(
+                f"`energy` of the hinge {name!r} is a {type(energy).__name__}, but must "
+                "be an energy: `Quadratic(stiffness)`, `leaf(...)`, `notch(...)`."
+            )
         self.energy = energy
         if first == second:
             raise ValueError(f"The hinge {name!r} joins the body {first!r} to itself.")

@@ -55,7 +55,7 @@ def force(at: Point, force: Point) -> Wrench:
         >>> force(jnp.array([4.0, 0.0]), 3 * half)
         Array([6.        , 2.59807621, 1.5       ], dtype=float64)
     """
-    return line(at, at + force)
+    return jnp.concatenate([_cross(at, force)[None], force])
 
 
 class Resultant(eqx.Module):

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import se2
-from ._checks import all_known, find, known, PLURAL
-from ._types import Corners, Pose, Poses, Scalar, Wrenches
+from ._checks import all_known, find, kinds, known, PLURAL
+from ._types import Corners, Pose, Poses, Scalar, Wrench, Wrenches
 from .body import Body
 from .couplings import Couplings, stack_energies
 from .hinge import Hinge
@@ -62,6 +62,8 @@ class Mechanism(eqx.Module):
         hinges: Sequence[Hinge],
         held: Sequence[str] | Mapping[str, Sequence[str]] = (),
     ):
+        kinds("bodies", bodies, Body)
+        kinds("hinges", hinges, Hinge)
         self.names = _distinct("body", [body.name for body in bodies])
         self.hinge_names = _distinct("hinge", [hinge.name for hinge in hinges])
         self.rest = _rows([body.rest for body in bodies])
@@ -85,7 +87,7 @@ class Mechanism(eqx.Module):
             for hinge, (first, second) in zip(hinges, ends, strict=True)
         ]
         self.at = _rows(at)
-        self.held = self._held(held)
+        self.held = self.coordinates("held", held)
         self._check_support(ends)
         pairs = np.array(ends, int).reshape(-1, 2)
         self.couplings = Couplings(
@@ -162,6 +164,23 @@ class Mechanism(eqx.Module):
         """
         return se2.between(*self.ports(hinge, poses))
 
+    def wrench_of(self, hinge: str, poses: Poses) -> Wrench:
+        """What a hinge bears: what body B exerts on it, about frame b, in its axes.
+
+        Args:
+            hinge: its name.
+            poses: of the bodies; rad, m, m.
+
+        Returns:
+            Moment, and force along axes 1 and 2 of frame b: axial and transverse for a
+            leaf or a notch; N m, N, N.
+
+        Raises:
+            ValueError: the mechanism has no hinge of that name.
+        """
+        row = find("`hinge`", "hinge", hinge, self.hinge_names)
+        return self.couplings.energy_of(row).wrench(self.displacement_of(hinge, poses))
+
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
         """Where the two frames of a hinge stand, in the world; rad, m, m.
 
@@ -204,32 +223,44 @@ class Mechanism(eqx.Module):
     def _body(self, where: str, name: str) -> int:
         return find(where, "body", name, self.names)
 
-    def _displacements(self, poses: Poses) -> Poses:
+    def _displacements(self, poses: Poses, name: str = "poses") -> Poses:
         if jnp.shape(poses) != self.rest.shape:
             raise ValueError(
-                f"`poses` has shape {jnp.shape(poses)}, but a mechanism with the bodies "
+                f"`{name}` has shape {jnp.shape(poses)}, but a mechanism with the bodies "
                 f"{', '.join(self.names)} has poses of shape {self.rest.shape}: a row "
                 "(angle, x, y) for each body, in that order."
             )
         return jnp.asarray(poses) - self.rest
 
-    def _held(self, held: Sequence[str] | Mapping[str, Sequence[str]]) -> tuple[int, ...]:
-        if isinstance(held, str):
+    def coordinates(
+        self, argument: str, chosen: Sequence[str] | Mapping[str, Sequence[str]]
+    ) -> tuple[int, ...]:
+        """The places of some bodies' coordinates, of three a body in order.
+
+        Args:
+            argument: what messages call the choice.
+            chosen: names of bodies, for all their coordinates; or a mapping from names to
+                some of "angle", "x" and "y".
+
+        Raises:
+            ValueError: a name is unknown or given twice.
+        """
+        if isinstance(chosen, str):
             raise ValueError(
-                f"`held` is the string {held!r}, but must be a sequence of names: "
-                f"[{held!r}]."
+                f"`{argument}` is the string {chosen!r}, but must be a sequence of "
+                f"names: [{chosen!r}]."
             )
-        if not isinstance(held, Mapping):
-            held = {name: COORDINATES for name in _distinct("held body", held)}
-        places = []
-        for name, coordinates in held.items():
-            body = self._body("`held`", name)
+        if not isinstance(chosen, Mapping):
+            names = _distinct(f"body in `{argument}`", chosen)
+            chosen = dict.fromkeys(names, COORDINATES)
+        places = set()
+        for name, coordinates in chosen.items():
+            body = self._body(f"`{argument}`", name)
+            where = f"`{argument}` of the body {name!r}"
             for coordinate in coordinates:
-                where = f"`held` of the body {name!r}"
-                places.append(
-                    3 * body + find(where, "coordinate", coordinate, COORDINATES)
-                )
-        return tuple(sorted(set(places)))
+                row = find(where, "coordinate", coordinate, COORDINATES)
+                places.add(3 * body + row)
+        return tuple(sorted(places))
 
     def _check_support(self, ends: Sequence[tuple[int, int]]) -> None:
         """Every body must be held, or joined by hinges to one that is."""
@@ -254,10 +285,6 @@ class Mechanism(eqx.Module):
 def _distinct(noun: str, names: Sequence[str]) -> tuple[str, ...]:
     seen: set[str] = set()
     for name in names:
-        if not isinstance(name, str) or not name:
-            raise ValueError(
-                f"A {noun} is called {name!r}, but a name must be some text."
-            )
         if name in seen:
             raise ValueError(f"The {noun} {name!r} is given twice; names must differ.")
         seen.add(name)

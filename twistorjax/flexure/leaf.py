@@ -5,7 +5,7 @@ from typing import Literal
 import jax.numpy as jnp
 from jaxtyping import ArrayLike
 
-from .._checks import one_of, positive, within
+from .._checks import kinds, one_of, positive, within
 from .._types import Corners
 from ..energy import Coordinates, Quadratic
 from .material import Material
@@ -31,7 +31,9 @@ def leaf(
         width: out of the plane: the plate's own thickness; m.
         theory: whether transverse forces also shear the leaf ("timoshenko", shear
             factor 5/6) or bend it alone, as in the dissertation.
-        coordinates: of the quadratic energy, "twistor" or "twist".
+        coordinates: of the quadratic energy, "twistor" or "twist": that of the twist is
+            exact for a leaf bent by a moment alone, that of the twistor bears at most
+            EI / length.
 
     Raises:
         ValueError: a dimension is not positive, or the leaf is too stout: its thickness
@@ -47,6 +49,7 @@ def leaf(
         >>> jnp.diag(leaf(soft, length=10e-3, thickness=1e-3, width=5e-3).stiffness)
         Array([1.4375e-01, 1.7250e+06, 1.7250e+04], dtype=float64)
     """
+    kinds("material", [material], Material)
     one_of("`theory`", theory, ("euler-bernoulli", "timoshenko"))
     length, width = positive("`length`", length), positive("`width`", width)
     thickness = positive("`thickness`", thickness)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from .. import se2
 from .._types import Corners, Pose, Poses
 from ..mechanism import Mechanism
+from ..solve.statics import Equilibrium
 
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ _DOT = 0.012  # radius of a hinge without an outline, as a part of the mechanism
 
 def draw(
     mechanism: Mechanism,
-    poses: Poses | None = None,
+    poses: Poses | Equilibrium | None = None,
     *,
     magnify: float = 1.0,
     ghost: bool = True,
@@ -36,7 +37,7 @@ def draw(
 
     Args:
         mechanism: what to draw.
-        poses: of its bodies, by default at rest; rad, m, m.
+        poses: of its bodies, by default at rest, or an equilibrium; rad, m, m.
         magnify: a factor on displacements, angles included; stated on the axes.
         ghost: whether the shape at rest is shown too, where it differs.
         names: whether bodies and hinges are labelled.
@@ -63,6 +64,8 @@ def draw(
 
     rest = np.asarray(mechanism.rest)
     displacements = np.zeros_like(rest)
+    if isinstance(poses, Equilibrium):
+        poses = poses.poses
     if poses is not None:
         displacements = np.asarray(mechanism._displacements(poses))
     moved = rest + magnify * displacements
@@ -87,7 +90,10 @@ def draw(
     axes.set_xlabel("x (mm)")
     axes.set_ylabel("y (mm)")
     if magnify != 1:
-        axes.set_title(f"displacements magnified {magnify:g} times", fontsize="medium")
+        title = f"displacements magnified {magnify:g} times"
+        if ghost and np.any(displacements):
+            title += "; dotted: at rest"
+        axes.set_title(title, fontsize="medium")
     return axes
 
 

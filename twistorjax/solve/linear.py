@@ -21,7 +21,8 @@ class Linearised(eqx.Module):
 
     Call it with drives of just the coordinates that it was made for, and any loads; it
     answers with an `Equilibrium` whose displacements and reactions are the changes from
-    the state, to first order, and whose energy is half their product.
+    the state, to first order, and whose energy is half their product: at rest what the
+    hinges store, about a loaded state the second-order change of the whole potential.
     """
 
     mechanism: Mechanism
@@ -78,6 +79,7 @@ class Linearised(eqx.Module):
             rest=self.about,
             reactions=(held * (forces - applied)).reshape(shape),
             energy=jnp.vdot(flat, forces) / 2,
+            reached=flat.reshape(shape),
             fraction=jnp.ones(()),
             steps=jnp.zeros((), int),
             result=result,
@@ -88,7 +90,7 @@ class Linearised(eqx.Module):
 
 def linearise(
     mechanism: Mechanism,
-    driven: Mapping[str, Sequence[str]] | None = None,
+    driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
     about: Poses | None = None,
     loads: Sequence[Load] = (),
@@ -97,8 +99,8 @@ def linearise(
 
     Args:
         mechanism: at rest where nothing loads it.
-        driven: which coordinates will be driven, as a mapping from the name of a body to
-            those, of "angle", "x" and "y".
+        driven: which coordinates will be driven: names of bodies, for all three, or a
+            mapping from names to some of "angle", "x" and "y".
         about: poses of an equilibrium from which changes count, by default rest; rad,
             m, m.
         loads: that hold the mechanism there; they add to its stiffness as they turn.
@@ -118,18 +120,18 @@ def linearise(
         >>> small(drives=[Drive("block", y=1e-3)]).reaction("block")
         Array([0.  , 0.  , 0.01], dtype=float64)
     """
-    need_float64()
-    zero = {
-        name: dict.fromkeys(coordinates, 0.0)
-        for name, coordinates in (driven or {}).items()
-    }
-    places, _ = _driven(mechanism, [Drive(name, **each) for name, each in zero.items()])
+    need_float64(mechanism.rest)
+    places = mechanism.coordinates("driven", driven)
+    if both := sorted(set(places) & set(mechanism.held)):
+        raise ValueError(
+            f"`driven` has the {_listed(mechanism, both)}, but that is held already."
+        )
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
     every = newton.Places(tuple(range(3 * len(mechanism.names))), ())
     about = mechanism.rest if about is None else about
     acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
     whole = newton.Problem(mechanism.couplings, acting, jnp.zeros(0), every)
-    _, matrix, _ = whole.tangent(mechanism._displacements(about))
+    _, matrix, _ = whole.tangent(mechanism._displacements(about, "about"))
     rows = np.array(free, int)
     return Linearised(
         mechanism=mechanism,
@@ -139,9 +141,6 @@ def linearise(
         places=newton.Places(free, places),
         finite=jnp.all(jnp.isfinite(matrix)),
     )
-
-
-_driven = driven  # `linearise` calls its own argument so
 
 
 def _listed(mechanism: Mechanism, places: Sequence[int]) -> str:

@@ -56,26 +56,22 @@ class Problem(eqx.Module):
         """Places of the driven coordinates."""
         return np.array(self.places.driven, int)
 
-    def residual(
-        self, displacements: Poses, fraction: Scalar | float = 1.0
-    ) -> Float[Array, " coordinates"]:
+    def residual(self, displacements: Poses) -> Float[Array, " coordinates"]:
         """What hinges and loads leave unbalanced: the reactions where it is held."""
         applied, _ = self.loads.apply(displacements)
-        return (self.couplings.forces(displacements) - fraction * applied).reshape(-1)
+        return (self.couplings.forces(displacements) - applied).reshape(-1)
 
     def tangent(
         self,
         displacements: Poses,
         fraction: Scalar | float = 1.0,
-        stiffening: Scalar | float = 1.0,
         borne: Float[Array, "3 hinges"] | None = None,
     ) -> tuple[
         Float[Array, " coordinates"], Float[Array, "free free_and_driven"], Scalar
     ]:
         """The residual under a fraction of the loads, its slope, and the work in hinges.
 
-        `stiffening` scales what the loads add to the slope by turning with the bodies;
-        `borne` is the tension with which the hinges do.
+        `borne` is the tension with which the hinges stiffen as they turn.
         """
         free, driven = self.places
         columns = free + driven
@@ -83,7 +79,7 @@ class Problem(eqx.Module):
         if not self.loads.bodies:
             return forces, slope, work
         applied, by_angle = self.loads.apply(displacements)
-        applied, by_angle = fraction * applied.reshape(-1), stiffening * by_angle
+        applied, by_angle = fraction * applied.reshape(-1), fraction * by_angle
         # a load's wrench depends on the angle of its own body alone
         place = {coordinate: column for column, coordinate in enumerate(columns)}
         pairs = [
@@ -142,10 +138,18 @@ class Factors(NamedTuple):
         return self.scale * answer
 
     def resists(self) -> Bool[Array, ""]:
-        """Whether every displacement meets resistance, beyond rounding."""
-        pivots = jnp.abs(jnp.diagonal(self.triangle))
-        least = 1e-14 if self.pivots is not None else 1e-7  # their roots by Cholesky
-        return jnp.all(pivots > least)
+        """Whether every displacement meets resistance, beyond rounding.
+
+        With followers the determinant's sign is all that is seen: it changes where a
+        first displacement meets none.
+        """
+        diagonal = jnp.diagonal(self.triangle)
+        if self.pivots is None:
+            return jnp.all(diagonal > 1e-7)  # Cholesky's are the roots of pivots
+        swaps = jnp.sum(self.pivots != jnp.arange(self.pivots.size, dtype=jnp.int32))
+        negative = jnp.sum(diagonal < 0)
+        upright = (swaps + negative) % 2 == 0
+        return upright & jnp.all(jnp.abs(diagonal) > 1e-14)
 
 
 class Settled(NamedTuple):
@@ -196,9 +200,7 @@ def settle(
 
     def advance(state: State) -> State:
         goal = state.fraction + state.stride
-        # At first by the hinges alone: only so is the mechanism itself seen to be loose.
-        stiffening = jnp.where(state.steps == 0, 0.0, goal)
-        residual, slope, work = problem.tangent(state.now, goal, stiffening, state.borne)
+        residual, slope, work = problem.tangent(state.now, goal, state.borne)
         flat = state.now.reshape(-1)
         given = begin + goal * (problem.targets - begin)
         move = given - flat[problem.driven]
@@ -218,27 +220,28 @@ def settle(
         first = state.tries == 0
         scale = jnp.where(first, change, state.scale)
         share = jnp.where(first, 1.0, jnp.sqrt(change / state.change))
-        measure = jnp.maximum(scale, work)
+        measure = jnp.maximum(scale, work)  # NaN only beside a change that is too
         error = jnp.sqrt(change / jnp.where(measure > 0, measure, 1.0))
         expected = jnp.where(share < 0.25, error * share / (1 - share), error)
         turned = jnp.max(jnp.abs(now - state.done)[:, 0], initial=0.0)
-        sane = jnp.isfinite(change) & (turned <= _LARGEST_TURN)
+        resists = factors.resists()
+        sane = resists & jnp.isfinite(change) & (turned <= _LARGEST_TURN)
         converged = sane & (expected <= tolerance)
 
-        at_rest = first & (state.steps == 0)
         finite = jnp.all(jnp.isfinite(slope)) & jnp.all(jnp.isfinite(right))
         cut = ~converged & (~sane | (state.tries + 1 >= _STEPS_EACH))
         stride = jnp.where(cut, state.stride / 4, state.stride)
         steps = state.steps + 1
         status = jnp.select(
             [
-                at_rest & ~finite,
-                at_rest & ~factors.resists(),
+                (state.steps == 0) & ~finite,
                 converged & (goal >= 1),
+                # hardly loaded, it is the mechanism itself that does not resist
+                (stride < _LEAST_STEP) & (state.fraction == 0) & first & ~resists,
                 stride < _LEAST_STEP,
                 steps >= max_steps,
             ],
-            [NOT_FINITE, LOOSE, CONVERGED, STUCK, USED_UP],
+            [NOT_FINITE, CONVERGED, LOOSE, STUCK, USED_UP],
             RUNNING,
         )
         fraction = jnp.where(converged, goal, state.fraction)
@@ -269,32 +272,41 @@ def settle(
 
 
 @jax.custom_jvp
-def follow(problem: Problem, root: Float[Array, " free"], rest: Poses) -> Array:
+def follow(
+    problem: Problem, root: Float[Array, " free"], rest: Poses, found: Bool[Array, ""]
+) -> Array:
     """The free coordinates at equilibrium, as a function of the problem.
 
-    `root` is where they are, found beforehand. The derivative is that of the equilibrium
-    itself, by the implicit function theorem, not of Newton's way to it; being written
-    with `follow` again, it has derivatives of every order.
+    `root` is where they are, found beforehand, and `rest` where the held ones are. The
+    derivative is that of the equilibrium itself, by the implicit function theorem, not of
+    Newton's way to it; being written with `follow` again, it has derivatives of every
+    order. Where no equilibrium was found it is zero, not NaN, which a sum over a batch
+    could not mask.
     """
-    del problem, rest
+    del problem, rest, found
     return root
 
 
 @follow.defjvp
 def _(primals, tangents):
-    problem, root, rest = primals
-    change = tangents[0]
-    free = follow(problem, root, rest)
+    problem, root, rest, found = primals
+    change, _, moved, _ = tangents
+    free = follow(problem, root, rest, found)
 
-    def unbalanced(problem: Problem):
+    def unbalanced(problem: Problem, rest: Poses):
         displacements = problem.place(rest, free=free, driven=problem.targets)
         return problem.residual(displacements)[problem.free]
 
     dynamic, static = eqx.partition(problem, eqx.is_inexact_array)
     rates = eqx.filter(change, eqx.is_inexact_array)
     _, pull = jax.jvp(
-        lambda dynamic: unbalanced(eqx.combine(dynamic, static)), (dynamic,), (rates,)
+        lambda dynamic, rest: unbalanced(eqx.combine(dynamic, static), rest),
+        (dynamic, rest),
+        (rates, moved),
     )
     displacements = problem.place(rest, free=free, driven=problem.targets)
     _, slope, _ = problem.tangent(displacements)
-    return free, -Factors.of(slope[:, : len(problem.free)], problem.symmetric).solve(pull)
+    count = len(problem.free)
+    slope = jnp.where(found, slope[:, :count], jnp.eye(count))
+    pull = jnp.where(found, pull, 0.0)
+    return free, -Factors.of(slope, problem.symmetric).solve(pull)

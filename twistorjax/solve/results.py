@@ -7,9 +7,11 @@ from .._checks import known
 
 
 class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
-    """Why a solve stopped. Empty where it succeeded.
+    """Why a solve stopped. The text is empty where it succeeded.
 
-    Extends the results of diffrax, so that one enumeration serves statics and motion.
+    For equilibria one of `successful`, `not_finite`, `loose`, `no_equilibrium` and
+    `steps_used_up`; `RESULTS[item]` is its text. Extends the results of diffrax, so that
+    one enumeration serves statics and motion.
     """
 
     successful = ""
@@ -18,9 +20,10 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "or a dimension of a hinge lies outside the range of its formula."
     )
     loose = (
-        "Some body can move without storing energy, so nothing picks out where it rests. "
-        "Hold it with `held`, drive it, add a hinge, or stiffen one: the mechanism's "
-        "`stiffness` at rest is singular."
+        "Some body can move without storing energy, or even gives some away, so nothing "
+        "picks out where it rests. Hold it with `held`, drive it, add a hinge, or "
+        "stiffen one: the mechanism's `stiffness` there is singular or has a negative "
+        "eigenvalue."
     )
     no_equilibrium = (
         "No equilibrium was found that continues the one at rest up to the full loads "

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, ScalarLike
+from jaxtyping import Array, Bool, Int, ScalarLike
 
 from .._checks import all_known, need_float64
 from .._types import Pose, Poses, Scalar, Wrench, Wrenches
@@ -21,15 +21,21 @@ from .results import outcomes, RESULTS
 class Equilibrium(eqx.Module):
     """Where the bodies of a mechanism rest, and what holds them there.
 
+    Where none was found, displacements, reactions and energy are NaN, with derivatives of
+    zero, so that a batch can be masked by `succeeded`; `reached` and `fraction` tell how
+    far it went.
+
     Args:
         displacements: of each body from its rest; rad, m, m.
         rest: the poses from which they count; rad, m, m.
         reactions: what held and driven coordinates receive from outside; zero elsewhere.
             About each body's origin, in world axes; N m, N, N.
         energy: stored in the hinges; J.
-        fraction: of the loads and drives that was reached: 1, or less where it failed.
+        reached: displacements under that fraction of the loads and drives; rad, m, m.
+        fraction: that was reached: 1, or less where it failed.
         steps: of Newton's method.
-        result: how it ended.
+        result: how it ended: `RESULTS.successful`, or what went wrong; `outcomes` gives
+            its name.
         names: of the bodies, for its rows.
     """
 
@@ -37,10 +43,16 @@ class Equilibrium(eqx.Module):
     rest: Poses
     reactions: Wrenches
     energy: Scalar
+    reached: Poses
     fraction: Scalar
     steps: Int[Array, ""]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def succeeded(self) -> Bool[Array, ""]:
+        """Whether this is an equilibrium."""
+        return self.result == RESULTS.successful
 
     @property
     def poses(self) -> Poses:
@@ -56,12 +68,15 @@ class Equilibrium(eqx.Module):
         return self.poses[self._row(body)]
 
     def reaction(self, body: str) -> Wrench:
-        """What a body's held and driven coordinates receive; N m, N, N."""
+        """What a body's held and driven coordinates receive from outside; N m, N, N.
+
+        About the body's origin, in world axes.
+        """
         return self.reactions[self._row(body)]
 
     def __repr__(self) -> str:
         ended = outcomes(self.result)
-        seen = all_known([self.displacements, self.energy, self.fraction])
+        seen = all_known([self.reached, self.energy, self.fraction])
         if ended is None or seen is None or ended.shape:
             return eqx.tree_pformat(self)
         moved, energy, fraction = seen
@@ -105,6 +120,9 @@ def equilibrium(
     returned. The answer has derivatives of every order, forward and reverse, by
     everything that made the mechanism, its loads and its drives.
 
+    An unstable equilibrium is not an answer. Of loads that follow a body, which have no
+    potential, only the first loss of stability is seen.
+
     Args:
         mechanism: at rest where nothing loads it.
         loads: on its bodies.
@@ -113,15 +131,15 @@ def equilibrium(
             from whose loads to the new ones the way is short; rad, m, m.
         tolerance: on the answer, relative: of the energy at work, its root.
         max_steps: of Newton's method, altogether.
-        throw: whether a failure is raised, or only told by `result`. In a batch a failure
-            of one is raised for all; with `throw=False` the others are unharmed.
+        throw: whether a failure is raised, or only told by the answer. In a batch a
+            failure of one is raised for all; with `throw=False` the others are unharmed.
 
     Returns:
-        The equilibrium; where it failed, the last one on the way.
+        The equilibrium; NaN where there is none, with `throw=False`.
 
     Raises:
         ValueError: double precision is off; a name is unknown; a coordinate is driven
-            twice, or driven and held; a shape is wrong.
+            twice, or driven and held; a shape is wrong; a setting makes no sense.
         RuntimeError: no equilibrium was found; the text says why.
 
     Source:
@@ -136,17 +154,23 @@ def equilibrium(
         >>> rest.displacement("block"), rest.reaction("wall")
         (Array([0.  , 0.05, 0.  ], dtype=float64), Array([ 0., -5.,  0.], dtype=float64))
     """
-    need_float64()
+    need_float64(mechanism.rest)
+    if not 0 < tolerance < 1 or max_steps < 1:
+        raise ValueError(
+            f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but they "
+            "must lie between 0 and 1, and be at least 1."
+        )
+    bodies = loaded(mechanism, loads)
     places, targets = driven(mechanism, drives)
     answer = _solve(
         mechanism.couplings,
         mechanism.rest,
-        None if start is None else mechanism._displacements(start),
+        None if start is None else mechanism._displacements(start, "start"),
         tuple(loads),
         targets,
         tolerance,
         max_steps,
-        bodies=loaded(mechanism, loads),
+        bodies=bodies,
         places=newton.Places(
             free_coordinates(len(mechanism.names), mechanism.held, places), places
         ),
@@ -189,13 +213,12 @@ def _solve(
         max_steps,
     )
     flat = settled.displacements.reshape(-1)
-    free = newton.follow(problem, flat[problem.free], begin)
-    converged = settled.status == newton.CONVERGED
-    given = jnp.where(converged, problem.targets, flat[problem.driven])
+    found = settled.status == newton.CONVERGED
+    free = newton.follow(problem, flat[problem.free], begin, found)
+    given = jnp.where(found, problem.targets, flat[problem.driven])
     displacements = problem.place(begin, free=free, driven=given)
     held = jnp.ones(flat.size).at[problem.free].set(0.0)
-    reactions = held * problem.residual(displacements, settled.fraction)
-    reactions = reactions.reshape(rest.shape)
+    reactions = (held * problem.residual(displacements)).reshape(rest.shape)
     result = RESULTS.successful
     for status, item in (
         (newton.NOT_FINITE, RESULTS.not_finite),
@@ -205,10 +228,11 @@ def _solve(
     ):
         result = RESULTS.where(settled.status == status, item, result)
     return Equilibrium(
-        displacements=displacements,
+        displacements=jnp.where(found, displacements, jnp.nan),
         rest=rest,
-        reactions=reactions,
-        energy=problem.couplings.energy(displacements),
+        reactions=jnp.where(found, reactions, jnp.nan),
+        energy=jnp.where(found, problem.couplings.energy(displacements), jnp.nan),
+        reached=settled.displacements,
         fraction=settled.fraction,
         steps=settled.steps,
         result=result,

@@ -114,11 +114,10 @@ def test_a_weight_hangs_from_a_hinge_that_turns_freely():
     """The load alone picks out where it rests."""
     free = tj.Quadratic(np.diag([0.0, 1e4, 1e4]), "twist")
     hinge = tj.Hinge("pin", "wall", "block", free, (0.0, 0.0, 0.0))
-    mechanism = tj.Mechanism(
-        [WALL, tj.Body("block", (0.0, 0.1, -1.0))], [hinge], ["wall"]
-    )
-    rest = tj.equilibrium(mechanism, loads=[tj.Load("block", (0.0, 0.0, -5.0))])
-    assert_close(rest.pose("block")[1], 0.0, digits=8)
+    mechanism = tj.Mechanism([WALL, BLOCK], [hinge], held=["wall"])
+    weight = tj.Load("block", (0.0, 0.0, -5.0), at=(0.1, -1.0))
+    rest = tj.equilibrium(mechanism, loads=[weight])
+    assert_close(rest.displacement("block")[0], -np.arctan(0.1), digits=8)
 
 
 @pytest.mark.parametrize("push", [3.0, 5.0])

@@ -112,7 +112,7 @@ def test_a_follower_keeps_its_angle_to_the_body():
 
 def test_a_weight_hangs_from_a_hinge_that_turns_freely():
     """The load alone picks out where it rests."""
-    free = tj.Quadratic(np.diag([0.0, 1e4, 1e4]), "twist")
+    free = tj.Quadratic(np.diag([0.0, 1e4, 1e4]))
     hinge = tj.Hinge("pin", "wall", "block", free, (0.0, 0.0, 0.0))
     mechanism = tj.Mechanism([WALL, BLOCK], [hinge], held=["wall"])
     weight = tj.Load("block", (0.0, 0.0, -5.0), at=(0.1, -1.0))

@@ -218,7 +218,7 @@ def amplify_by_web(
     return answer, slope
 
 
-def plot(stage: Mechanism, answer: Amplification, *, magnify: float = 50.0) -> "Axes":
+def plot(stage: Mechanism, answer: Amplification, *, magnify: float | int = 50) -> "Axes":
     """Draws a stage as its input has moved it, with the travels of input and output.
 
     Args:

@@ -25,7 +25,7 @@ def draw(
     mechanism: Mechanism,
     poses: Poses | Equilibrium | None = None,
     *,
-    magnify: float = 1.0,
+    magnify: float | int = 1.0,
     ghost: bool = True,
     names: bool = True,
     axes: "Axes | None" = None,

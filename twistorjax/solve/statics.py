@@ -7,10 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, ScalarLike
+from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
 from .._checks import all_known, need_float64
-from .._types import Pose, Poses, Scalar, Wrench, Wrenches
+from .._types import Poses, Scalar, Wrenches
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
@@ -50,29 +50,29 @@ class Equilibrium(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
-    def succeeded(self) -> Bool[Array, ""]:
+    def succeeded(self) -> Bool[Array, "*batch"]:
         """Whether this is an equilibrium."""
         return self.result == RESULTS.successful
 
     @property
-    def poses(self) -> Poses:
+    def poses(self) -> Float[Array, "*batch bodies 3"]:
         """Where the bodies are; rad, m, m."""
         return self.rest + self.displacements
 
-    def displacement(self, body: str) -> Pose:
+    def displacement(self, body: str) -> Float[Array, "*batch 3"]:
         """How far a body has moved from rest; rad, m, m."""
-        return self.displacements[self._row(body)]
+        return self.displacements[..., self._row(body), :]
 
-    def pose(self, body: str) -> Pose:
+    def pose(self, body: str) -> Float[Array, "*batch 3"]:
         """Where a body is; rad, m, m."""
-        return self.poses[self._row(body)]
+        return self.poses[..., self._row(body), :]
 
-    def reaction(self, body: str) -> Wrench:
+    def reaction(self, body: str) -> Float[Array, "*batch 3"]:
         """What a body's held and driven coordinates receive from outside; N m, N, N.
 
         About the body's origin, in world axes.
         """
-        return self.reactions[self._row(body)]
+        return self.reactions[..., self._row(body), :]
 
     def __repr__(self) -> str:
         ended = outcomes(self.result)

@@ -41,9 +41,9 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
 def outcomes(result: RESULTS) -> np.ndarray | None:
     """The names of results, in the shape of their batch, or nothing while traced."""
     index = known(result._value)
-    if index is None:
-        return None
-    names = np.empty(len(RESULTS), object)
-    for name, item in RESULTS._name_to_item.items():
-        names[int(item._value)] = name
-    return np.array(names[index], object)
+    return None if index is None else np.array(_NAMES[index], object)
+
+
+_NAMES = np.empty(len(RESULTS), object)
+for _name, _item in RESULTS._name_to_item.items():
+    _NAMES[int(_item._value)] = _name

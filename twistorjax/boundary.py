@@ -98,11 +98,6 @@ class Drive(eqx.Module):
         """Names of the coordinates that are driven."""
         return tuple(name for name in COORDINATES if getattr(self, name) is not None)
 
-    @property
-    def values(self) -> tuple[Scalar, ...]:
-        """The displacements from rest, one for each of `coordinates`."""
-        return tuple(getattr(self, name) for name in self.coordinates)
-
 
 class Loads(eqx.Module):
     """All loads on a mechanism, as functions of how far its bodies have moved.
@@ -190,7 +185,10 @@ def driven(
     values: dict[int, Scalar] = {}
     for k, drive in enumerate(drives):
         body = find(f"`drives[{k}]`", "body", drive.body, mechanism.names)
-        for name, value in zip(drive.coordinates, drive.values, strict=True):
+        given = drive.angle, drive.x, drive.y
+        for name, value in zip(COORDINATES, given, strict=True):
+            if value is None:
+                continue
             place = 3 * body + COORDINATES.index(name)
             if place in mechanism.held or place in values:
                 how = "held" if place in mechanism.held else "driven"

@@ -37,15 +37,20 @@ def states(seed, count=24):
     return jnp.stack([some_poses(seed, count), some_poses(seed + 1, count) / 2], axis=1)
 
 
+def frames(poses):
+    """Both frames of the hinge in the world, carried along by their bodies."""
+    return [
+        se2.compose(pose, se2.between(rest, AT))
+        for pose, rest in zip(poses, REST, strict=True)
+    ]
+
+
 @every_energy
 def test_stores_the_energy_of_its_relative_pose(energy):
     """By composing frames, as section 5.1 does."""
     mechanism = pair(energy)
     for poses in states(0):
-        a, b = (
-            se2.compose(pose, se2.between(rest, AT))
-            for pose, rest in zip(poses, REST, strict=True)
-        )
+        a, b = frames(poses)
         assert_close(mechanism.energy(poses), energy(se2.between(a, b)), digits=10)
 
 
@@ -98,10 +103,7 @@ def test_wrenches_on_the_two_bodies_balance(energy):
 def test_the_wrench_on_b_is_that_of_the_energy_carried_to_the_body(energy):
     mechanism = pair(energy)
     for poses in states(0):
-        a, b = (
-            se2.compose(pose, se2.between(rest, AT))
-            for pose, rest in zip(poses, REST, strict=True)
-        )
+        a, b = frames(poses)
         in_world = se2.carry_wrench(b, energy.wrench(se2.between(a, b)))  # by body B
         at_body = se2.carry_wrench(se2.inverse(poses[1].at[0].set(0.0)), -in_world)
         assert_close(mechanism.wrenches(poses)[1], at_body, digits=9)

@@ -7,7 +7,7 @@ import pytest
 from helpers import assert_close, some_poses, some_stiffness
 
 import twistorjax as tj
-from twistorjax import hinge as th, se2
+from twistorjax import pull, se2
 
 
 class Quartic(tj.AbstractEnergy):
@@ -163,9 +163,9 @@ def test_the_frame_half_way_is_that_of_the_twistor():
     def end(pose):
         half = pose[0] / 2
         zero = jnp.zeros(())
-        return th.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
+        return pull.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
 
-    half = th.halfway(end(first), end(second), (jnp.ones(()), jnp.zeros(())))
+    half = pull.halfway(end(first), end(second), (jnp.ones(()), jnp.zeros(())))
     seen = half.displacement
     actual = jnp.stack([seen.sigma, seen.xi, seen.x1, seen.x2])
     assert_close(actual, tj.clifford.twistor(se2.between(first, second)))

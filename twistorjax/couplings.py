@@ -1,7 +1,7 @@
 """All hinges of a mechanism together: what they store, and how they pull."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import equinox as eqx
@@ -10,24 +10,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import hinge
+from . import pull
 from ._checks import all_known
 from ._types import Poses, Scalar, Wrenches
-from .energy import AbstractEnergy
-from .hinge import End
+from .energy import AbstractEnergy, Viscous
+from .hinge import Hinge
+from .pull import End
 
 
 class Stack(eqx.Module):
-    """Hinges whose energies are of one kind, evaluated as one array operation.
+    """Hinges of one kind of energy and damping, evaluated as one array operation.
 
     Args:
         members: their places in the mechanism's list of hinges.
         energy: their energies, stacked; what all of them share stands once.
-        axes: for each array of the energy 0 where it is stacked, or nothing.
+        damping: the same of what they dissipate, if anything.
+        axes: for each array of the two 0 where it is stacked, or nothing.
     """
 
     members: tuple[int, ...] = eqx.field(static=True)
     energy: AbstractEnergy
+    damping: Viscous | None
     axes: tuple[int | None, ...] = eqx.field(static=True)
 
 
@@ -35,12 +38,14 @@ class Couplings(eqx.Module):
     """The hinges of a mechanism, as functions of how far its bodies have moved.
 
     Args:
+        bodies: how many there are.
         ends: the two bodies of each hinge, by their places.
         arms: from each body's origin to the hinge at rest, in world axes; m.
         axes: cosine and sine of each hinge's angle at rest.
         stacks: the energies, the like of them together.
     """
 
+    bodies: int = eqx.field(static=True)
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
     arms: Float[Array, "hinges 2 2"]
     axes: Float[Array, "hinges 2"]
@@ -50,18 +55,20 @@ class Couplings(eqx.Module):
         """The energy of one hinge, by its place in the mechanism's list."""
         stack = next(stack for stack in self.stacks if row in stack.members)
         place = stack.members.index(row)
-        leaves, tree = jax.tree.flatten(stack.energy)
+        leaves, tree = jax.tree.flatten((stack.energy, stack.damping))
         own = [
             leaf if axis is None else leaf[place]
             for leaf, axis in zip(leaves, stack.axes, strict=True)
         ]
-        return jax.tree.unflatten(tree, own)
+        energy, _ = jax.tree.unflatten(tree, own)
+        return energy
 
     def energy(self, displacements: Poses) -> Scalar:
         """What all hinges store; J."""
 
-        def stored(energy, first, second, axis):
-            return energy.stored(hinge.halfway(first, second, axis).displacement)
+        def stored(energy, damping, first, second, axis):
+            del damping
+            return energy.stored(pull.halfway(first, second, axis).displacement)
 
         return sum(
             (jnp.sum(self._map(stored, stack, displacements)) for stack in self.stacks),
@@ -70,13 +77,12 @@ class Couplings(eqx.Module):
 
     def forces(self, displacements: Poses) -> Wrenches:
         """Derivative of the energy by each body's displacement; N m/rad, N, N."""
-        local = self._local(hinge.forces, displacements)
-        total = jnp.zeros(displacements.size).at[self._coordinates()]
-        return total.add(jnp.stack(local)).reshape(displacements.shape)
+        local = self._local(_elastic(pull.forces), displacements)
+        return self._gathered(local).reshape(displacements.shape)
 
     def tension(self, displacements: Poses) -> Float[Array, "3 hinges"]:
         """What each hinge bears, in its energy's own coordinates; N m, N, N."""
-        return jnp.stack(self._local(hinge.tension, displacements))
+        return jnp.stack(self._local(_elastic(pull.tension), displacements))
 
     def tangent(
         self,
@@ -98,14 +104,57 @@ class Couplings(eqx.Module):
             The forces on all coordinates; the derivatives; and a measure of the energy
             at work in the hinges, never negative; J.
         """
-        local, pairs, work = self._local(hinge.tangent, displacements, borne)
-        forces = jnp.zeros(displacements.size).at[self._coordinates()]
-        forces = forces.add(jnp.stack(local))
+        more = () if borne is None else (tuple(borne),)
+        local, pairs, work = self._local(_elastic(pull.tangent), displacements, *more)
+        forces = self._gathered(local)
+        return forces, self._assembled(pairs, rows, columns), jnp.sum(work)
+
+    def forces_in_motion(
+        self, displacements: Poses, rates: Poses
+    ) -> tuple[Wrenches, Scalar]:
+        """What resists the motion of each body, and the power that is dissipated.
+
+        Args:
+            displacements: of each body from rest; rad, m, m.
+            rates: of the displacements; rad/s, m/s, m/s.
+
+        Returns:
+            Elastic and viscous forces together; N m/rad, N, N; and the power; W.
+        """
+        local, power = self._local(pull.forces_in_motion, displacements, self._of(rates))
+        return self._gathered(local).reshape(displacements.shape), jnp.sum(power)
+
+    def tangent_in_motion(
+        self, displacements: Poses, rates: Poses, free: tuple[int, ...]
+    ) -> tuple[Float[Array, "free free"], Float[Array, "free free"]]:
+        """Derivatives of `forces_in_motion` by displacements, and by their rates.
+
+        Args:
+            displacements: of each body from rest; rad, m, m.
+            rates: of the displacements; rad/s, m/s, m/s.
+            free: the coordinates whose forces are differentiated, and by which.
+        """
+        local = self._local(pull.tangent_in_motion, displacements, self._of(rates))
+        stiffness, damping = (self._assembled(pairs, free, free) for pairs in local)
+        return stiffness, damping
+
+    def _of(self, rates: Poses):
+        """The rates of both bodies of each hinge, in `_order`."""
+        ends = np.array(self.ends).reshape(-1, 2)[list(self._order())]
+        return tuple(tuple(rates[body].T) for body in ends.T)
+
+    def _gathered(self, local) -> Float[Array, " coordinates"]:
+        total = jnp.zeros(3 * self.bodies).at[self._coordinates()]
+        return total.add(jnp.stack(local))
+
+    def _assembled(
+        self, pairs, rows: tuple[int, ...], columns: tuple[int, ...]
+    ) -> Float[Array, "rows columns"]:
         entries = jnp.stack([jnp.stack(line) for line in pairs]).reshape(-1)
         source, target = _places(self.ends, self._order(), rows, columns)
         size = (len(rows), len(columns))
         matrix = jnp.zeros(size[0] * size[1]).at[target].add(entries[source])
-        return forces, matrix.reshape(size), jnp.sum(work)
+        return matrix.reshape(size)
 
     def _order(self) -> tuple[int, ...]:
         return tuple(member for stack in self.stacks for member in stack.members)
@@ -113,12 +162,12 @@ class Couplings(eqx.Module):
     def _coordinates(self) -> np.ndarray:
         return _coordinates(self.ends, self._order())
 
-    def _local(self, function, displacements: Poses, *more: Array | None):
+    def _local(self, function, displacements: Poses, *more):
         """A function of each hinge: trees of scalars, a row for each in `_order`."""
         parts, done = [], 0
         for stack in self.stacks:
             end = done + len(stack.members)
-            mine = [tuple(each[:, done:end]) for each in more if each is not None]
+            mine = jax.tree.map(lambda row, done=done, end=end: row[done:end], more)
             parts.append(self._map(function, stack, displacements, *mine))
             done = end
         if len(parts) == 1:
@@ -136,10 +185,10 @@ class Couplings(eqx.Module):
             moved = (values[body] for values in (angle, x, y, cos, sin))
             return End(*moved, arm_x=arm[:, 0], arm_y=arm[:, 1])
 
-        leaves, tree = jax.tree.flatten(stack.energy)
+        leaves, tree = jax.tree.flatten((stack.energy, stack.damping))
 
         def one(leaves, *hinge):
-            return function(jax.tree.unflatten(tree, leaves), *hinge)
+            return function(*jax.tree.unflatten(tree, leaves), *hinge)
 
         return jax.vmap(one, in_axes=(list(stack.axes), *(3 + len(more)) * (0,)))(
             leaves,
@@ -150,24 +199,49 @@ class Couplings(eqx.Module):
         )
 
 
-def stack_energies(energies: Sequence[AbstractEnergy]) -> tuple[Stack, ...]:
-    """Sorts energies by their kind, and stacks the like of them."""
+def stack_hinges(hinges: Sequence[Hinge]) -> tuple[Stack, ...]:
+    """Sorts hinges by the kind of their energy and damping, and stacks the like ones."""
+    couples = [(hinge.energy, hinge.damping) for hinge in hinges]
     kinds: dict[Any, list[int]] = {}
-    for place, energy in enumerate(energies):
-        leaves, tree = jax.tree.flatten(energy)
+    for place, couple in enumerate(couples):
+        leaves, tree = jax.tree.flatten(couple)
         kind = (tree, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves))
         kinds.setdefault(kind, []).append(place)
     stacks = []
     for (tree, _), members in kinds.items():
-        rows = zip(*(jax.tree.leaves(energies[place]) for place in members), strict=True)
+        rows = zip(*(jax.tree.leaves(couples[place]) for place in members), strict=True)
         leaves, axes = [], []
         for row in rows:
             shared = all(leaf is row[0] for leaf in row)
             axes.append(None if shared else 0)
             leaves.append(row[0] if shared else _stacked(row))
-        energy = jax.tree.unflatten(tree, leaves)
-        stacks.append(Stack(tuple(members), energy, tuple(axes)))
+        energy, damping = jax.tree.unflatten(tree, leaves)
+        if eqx.is_array(damping):  # a time
+            damping = Viscous(_proportional(energy, damping, tuple(axes)))
+            axes[-1] = None if damping.damping.ndim == 2 else 0
+        stacks.append(Stack(tuple(members), energy, damping, tuple(axes)))
     return tuple(stacks)
+
+
+@partial(jax.jit, static_argnames="axes")
+def _proportional(
+    energy: AbstractEnergy, time: Array, axes: tuple[int | None, ...]
+) -> Float[Array, "... 3 3"]:
+    """The stiffness at rest times a time, of stacked energies."""
+    leaves, tree = jax.tree.flatten(energy)
+
+    def one(leaves, time):
+        return time * jax.tree.unflatten(tree, leaves).tangent_stiffness()
+
+    *of_energy, of_time = axes
+    if any(axis == 0 for axis in axes):
+        one = jax.vmap(one, in_axes=(of_energy, of_time))
+    return one(leaves, time)
+
+
+def _elastic(function):
+    """A function of energies alone, where dampings are handed over as well."""
+    return lambda energy, damping, *hinge: function(energy, *hinge)
 
 
 def _stacked(row: Sequence[Array]) -> Array:

@@ -12,7 +12,7 @@ from . import se2
 from ._checks import all_known, find, kinds, known, PLURAL
 from ._types import Corners, Pose, Poses, Scalar, Wrench, Wrenches
 from .body import Body
-from .couplings import Couplings, stack_energies
+from .couplings import Couplings, stack_hinges
 from .hinge import Hinge
 
 
@@ -91,10 +91,11 @@ class Mechanism(eqx.Module):
         self._check_support(ends)
         pairs = np.array(ends, int).reshape(-1, 2)
         self.couplings = Couplings(
+            bodies=len(bodies),
             ends=ends,
             arms=self.at[:, None, 1:] - self.rest[pairs, 1:],
             axes=jnp.stack([jnp.cos(self.at[:, 0]), jnp.sin(self.at[:, 0])], axis=1),
-            stacks=stack_energies([hinge.energy for hinge in hinges]),
+            stacks=stack_hinges(hinges),
         )
 
     def index(self, name: str) -> int:

@@ -22,8 +22,12 @@ from .flexure import (
     notch_outline as notch_outline,
 )
 from .hinge import Hinge as Hinge
+from .joints import Constraint as Constraint, Pin as Pin, Slider as Slider
 from .mechanism import Mechanism as Mechanism
 from .show.drawing import draw as draw
+from .solve.collocation import Gauss as Gauss, Radau as Radau
+from .solve.dynamics import simulate as simulate
 from .solve.linear import linearise as linearise, Linearised as Linearised
+from .solve.motion import Motion as Motion
 from .solve.results import outcomes as outcomes, RESULTS as RESULTS
 from .solve.statics import Equilibrium as Equilibrium, equilibrium as equilibrium

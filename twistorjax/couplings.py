@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,6 +16,22 @@ from ._types import Poses, Scalar, Wrenches
 from .energy import AbstractEnergy, Viscous
 from .hinge import Hinge
 from .pull import End
+
+
+class Tangent(NamedTuple):
+    """How the forces of all hinges follow the free coordinates; see `pull.Tangent`.
+
+    Args:
+        stiffness: by displacements, the stretches following them; N m/rad, N/m.
+        damping: by their rates; N m s/rad, N s/m.
+        stretching: of the stretches, by displacements.
+        bearing: of the forces, by the stretches.
+    """
+
+    stiffness: Float[Array, "free free"]
+    damping: Float[Array, "free free"]
+    stretching: Float[Array, "free stretches"]
+    bearing: Float[Array, "free stretches"]
 
 
 class Stack(eqx.Module):
@@ -110,33 +126,72 @@ class Couplings(eqx.Module):
         return forces, self._assembled(pairs, rows, columns), jnp.sum(work)
 
     def forces_in_motion(
-        self, displacements: Poses, rates: Poses
-    ) -> tuple[Wrenches, Scalar]:
+        self,
+        displacements: Poses,
+        rates: Poses,
+        stretches: Float[Array, "hinges 2"] | None = None,
+    ) -> tuple[Wrenches, Float[Array, "hinges 2"], Scalar]:
         """What resists the motion of each body, and the power that is dissipated.
 
         Args:
             displacements: of each body from rest; rad, m, m.
             rates: of the displacements; rad/s, m/s, m/s.
+            stretches: the half-way translations that the hinges are taken to bear, by
+                default their own; m. In the order of the `stacks`.
 
         Returns:
-            Elastic and viscous forces together; N m/rad, N, N; and the power; W.
+            Elastic and viscous forces together; N m/rad, N, N; how much the hinges' own
+            translations exceed the stretches; m; and the power; W.
         """
-        local, power = self._local(pull.forces_in_motion, displacements, self._of(rates))
-        return self._gathered(local).reshape(displacements.shape), jnp.sum(power)
+        more = self._moving(rates, stretches)
+        local, excess, power = self._local(pull.forces_in_motion, displacements, *more)
+        forces = self._gathered(local).reshape(displacements.shape)
+        return forces, jnp.stack(excess, axis=1), jnp.sum(power)
 
     def tangent_in_motion(
-        self, displacements: Poses, rates: Poses, free: tuple[int, ...]
-    ) -> tuple[Float[Array, "free free"], Float[Array, "free free"]]:
-        """Derivatives of `forces_in_motion` by displacements, and by their rates.
+        self,
+        displacements: Poses,
+        rates: Poses,
+        free: tuple[int, ...],
+        stretches: Float[Array, "hinges 2"] | None = None,
+    ) -> Tangent:
+        """Derivatives of `forces_in_motion` among some coordinates.
 
         Args:
             displacements: of each body from rest; rad, m, m.
             rates: of the displacements; rad/s, m/s, m/s.
             free: the coordinates whose forces are differentiated, and by which.
+            stretches: as for the forces.
         """
-        local = self._local(pull.tangent_in_motion, displacements, self._of(rates))
-        stiffness, damping = (self._assembled(pairs, free, free) for pairs in local)
-        return stiffness, damping
+        more = self._moving(rates, stretches)
+        local = self._local(pull.tangent_in_motion, displacements, *more)
+        source, target = _lines(self.ends, self._order(), free)
+        size = (len(free), 2 * len(self.ends))
+
+        def lined(lines) -> Float[Array, "free stretches"]:
+            entries = jnp.stack([jnp.stack(line) for line in lines]).reshape(-1)
+            return _summed(entries, source, target, size[0] * size[1]).reshape(size)
+
+        return Tangent(
+            stiffness=self._assembled(local.stiffness, free, free),
+            damping=self._assembled(local.damping, free, free),
+            stretching=lined(local.stretching),
+            bearing=lined(local.bearing),
+        )
+
+    def stretches(self, displacements: Poses) -> Float[Array, "hinges 2"]:
+        """The translation of each hinge seen half way, in the order of the stacks; m."""
+
+        def stretch(energy, damping, *hinge):
+            del energy, damping
+            at = pull.halfway(*hinge).displacement
+            return 2 * at.x1, 2 * at.x2
+
+        return jnp.stack(self._local(stretch, displacements), axis=1)
+
+    def _moving(self, rates: Poses, stretches: Array | None):
+        both = self._of(rates)
+        return (both,) if stretches is None else (both, tuple(stretches.T))
 
     def _of(self, rates: Poses):
         """The rates of both bodies of each hinge, in `_order`."""
@@ -144,8 +199,9 @@ class Couplings(eqx.Module):
         return tuple(tuple(rates[body].T) for body in ends.T)
 
     def _gathered(self, local) -> Float[Array, " coordinates"]:
-        total = jnp.zeros(3 * self.bodies).at[self._coordinates()]
-        return total.add(jnp.stack(local))
+        target = self._coordinates().reshape(-1)
+        entries = jnp.stack(local).reshape(-1)
+        return _summed(entries, np.arange(target.size), target, 3 * self.bodies)
 
     def _assembled(
         self, pairs, rows: tuple[int, ...], columns: tuple[int, ...]
@@ -153,8 +209,7 @@ class Couplings(eqx.Module):
         entries = jnp.stack([jnp.stack(line) for line in pairs]).reshape(-1)
         source, target = _places(self.ends, self._order(), rows, columns)
         size = (len(rows), len(columns))
-        matrix = jnp.zeros(size[0] * size[1]).at[target].add(entries[source])
-        return matrix.reshape(size)
+        return _summed(entries, source, target, size[0] * size[1]).reshape(size)
 
     def _order(self) -> tuple[int, ...]:
         return tuple(member for stack in self.stacks for member in stack.members)
@@ -239,6 +294,26 @@ def _proportional(
     return one(leaves, time)
 
 
+def _summed(
+    entries: Float[Array, " entries"], source: np.ndarray, target: np.ndarray, size: int
+) -> Float[Array, " size"]:
+    """The sums of those entries of a row that have one target.
+
+    Where the targets are few each gathers its own, which a processor does side by side;
+    it would add them one after another.
+    """
+    counts = np.bincount(target, minlength=size)
+    most = counts.max(initial=0)
+    if size * most > 8 * entries.size + 1024:
+        return jnp.zeros(size).at[target].add(entries[source])
+    order = np.argsort(target, kind="stable")
+    place = np.arange(target.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    gathered = np.full((size, most), entries.size)
+    gathered[target[order], place] = source[order]
+    padded = jnp.concatenate([entries, jnp.zeros(1)])
+    return jnp.sum(padded[gathered], axis=1)
+
+
 def _elastic(function):
     """A function of energies alone, where dampings are handed over as well."""
     return lambda energy, damping, *hinge: function(energy, *hinge)
@@ -274,4 +349,20 @@ def _places(
     column = np.broadcast_to(column_of[coordinates][None], (6, *coordinates.shape))
     source = np.flatnonzero((row >= 0) & (column >= 0))
     target = row.reshape(-1)[source] * len(columns) + column.reshape(-1)[source]
+    return source, target
+
+
+@lru_cache(maxsize=256)
+def _lines(
+    ends: tuple[tuple[int, int], ...], order: tuple[int, ...], rows: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which entries of all hinges' two lines go where in a mechanism's matrix."""
+    coordinates = _coordinates(ends, order)
+    row_of = np.full(1 + max(coordinates.max(initial=0), *rows, 0), -1)
+    row_of[list(rows)] = np.arange(len(rows))
+    hinges = coordinates.shape[1]
+    row = np.broadcast_to(row_of[coordinates][None], (2, 6, hinges))
+    column = 2 * np.arange(hinges) + np.arange(2)[:, None, None]
+    source = np.flatnonzero(row >= 0)
+    target = (row * 2 * hinges + np.broadcast_to(column, row.shape)).reshape(-1)[source]
     return source, target

@@ -16,6 +16,7 @@ from .clifford import Displacement, half_turn
 from .energy import AbstractEnergy, half_square, strain, Viscous
 
 
+Two = tuple[Scalar, Scalar]
 Three = tuple[Scalar, Scalar, Scalar]
 Six = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 SixBySix = tuple[Six, Six, Six, Six, Six, Six]
@@ -239,8 +240,9 @@ def forces_in_motion(
     second: End,
     axis: tuple[Scalar, Scalar],
     rates: tuple[Three, Three],
-) -> tuple[Six, Scalar]:
-    """What moves against a hinge: elastic and viscous forces, and the power dissipated.
+    stretch: Two | None = None,
+) -> tuple[Six, Two, Scalar]:
+    """What resists motion: elastic and viscous forces, and the power dissipated.
 
     Args:
         energy: of the hinge.
@@ -249,15 +251,37 @@ def forces_in_motion(
         second: its end on body B.
         axis: cosine and sine of its angle at rest.
         rates: of (angle, x, y) of both bodies; rad/s, m/s, m/s.
+        stretch: the translation that it is taken to bear, by default its own: a solver
+            may foresee it, as Newton's method does the tension in `tangent`; m.
+
+    Returns:
+        The forces; how much its own translation exceeds the `stretch`; the power.
     """
     grip = Grip.of(first, second, axis)
+    at, excess = _borne(grip.half.displacement, stretch)
+    slope, _ = _slopes(energy, at)
     moving = grip.rates(*rates)
-    slope, _ = _slopes(energy, grip.half.displacement)
-    if damping is None:
-        return _pull(grip, slope), jnp.zeros_like(slope[0])
-    displacement = grip.half.displacement
-    drag = _drag(damping, displacement, _coordinates(displacement), moving)
-    return _pull(grip, _sum(slope, drag)), _dot(drag, moving)
+    drag = None if damping is None else _drag(damping, at, _coordinates(at), moving)
+    if drag is None:
+        return _pull(grip, slope), excess, jnp.zeros_like(slope[0])
+    return _pull(grip, _sum(slope, drag)), excess, _dot(drag, moving)
+
+
+class Tangent(NamedTuple):
+    """How a hinge's forces follow its bodies, among their six displacements.
+
+    Args:
+        stiffness: by displacements, the stretch following them. Not symmetric where a
+            damped hinge moves: how it drags depends on how far it has turned.
+        damping: by their rates.
+        stretching: of the half-way translation, by displacements.
+        bearing: of the forces, by the half-way translation.
+    """
+
+    stiffness: SixBySix
+    damping: SixBySix
+    stretching: tuple[Six, Six]
+    bearing: tuple[Six, Six]
 
 
 @jax.jit
@@ -268,41 +292,54 @@ def tangent_in_motion(
     second: End,
     axis: tuple[Scalar, Scalar],
     rates: tuple[Three, Three],
-) -> tuple[SixBySix, SixBySix]:
-    """Derivatives of `forces_in_motion` by displacements, and by their rates.
-
-    The first is not symmetric where a damped hinge moves: how it drags depends on how
-    far it has turned.
-    """
+    stretch: Two | None = None,
+) -> Tangent:
+    """Derivatives of `forces_in_motion`, of the same arguments."""
     grip = Grip.of(first, second, axis)
-    displacement, columns = grip.half.displacement, grip.columns()
-    slope, push = _slopes(energy, displacement)
+    at, _ = _borne(grip.half.displacement, stretch)
+    columns = grip.columns()
+    slope, push = _slopes(energy, at)
     one, zero = jnp.ones_like(slope[0]), jnp.zeros_like(slope[0])
     unit = (one, zero, zero), (zero, one, zero), (zero, zero, one)
-    curvature = [push(*direction) for direction in unit]
-    pushed = [_combined(curvature, column) for column in columns]
-    if damping is None:
-        stiffness = _spread(columns, pushed, grip.bend(slope), symmetric=True)
-        return stiffness, _spread(columns, 4 * [3 * (zero,)], None, symmetric=True)
-    moving = grip.rates(*rates)
-    drag, drag_push = jax.linearize(
-        lambda place, rates: _drag(damping, displacement, place, rates),
-        _coordinates(displacement),
-        moving,
-    )
-    still = (zero, zero, zero)
-    by_place = [drag_push(direction, still) for direction in unit]
-    by_rate = [drag_push(still, direction) for direction in unit]
-    turning = grip.turning(moving, (rates[0][0] + rates[1][0]) / 2)
-    for k, (column, turned) in enumerate(zip(columns, turning, strict=True)):
-        more = _sum(_combined(by_place, column), _combined(by_rate, turned))
-        pushed[k] = _sum(pushed[k], more)
-    bend = grip.bend(_sum(slope, drag))
+    by_place = [push(*direction) for direction in unit]
+    by_rate = 3 * [(zero, zero, zero)]
+    pushed = [_combined(by_place, column) for column in columns]
+    if damping is not None:
+        moving = grip.rates(*rates)
+        drag, drag_push = jax.linearize(
+            lambda place, rates: _drag(damping, at, place, rates),
+            _coordinates(at),
+            moving,
+        )
+        still = (zero, zero, zero)
+        for k, direction in enumerate(unit):
+            by_place[k] = _sum(by_place[k], drag_push(direction, still))
+            by_rate[k] = drag_push(still, direction)
+        turning = grip.turning(moving, (rates[0][0] + rates[1][0]) / 2)
+        pushed = [
+            _sum(_combined(by_place, column), _combined(by_rate, turned))
+            for column, turned in zip(columns, turning, strict=True)
+        ]
+        slope = _sum(slope, drag)
     dragged = [_combined(by_rate, column) for column in columns]
-    return (
-        _spread(columns, pushed, bend, symmetric=False),
-        _spread(columns, dragged, None, symmetric=True),
+    bend = grip.bend(slope)
+    along, across = ([column[k] for column in columns] for k in (1, 2))
+    return Tangent(
+        stiffness=_spread(columns, pushed, bend, symmetric=damping is None),
+        damping=_spread(columns, dragged, None, symmetric=True),
+        stretching=(_six(*along), _six(*across)),
+        bearing=(_pull(grip, by_place[1]), _pull(grip, by_place[2])),
     )
+
+
+def _borne(at: Displacement, stretch: Two | None) -> tuple[Displacement, Two]:
+    """The displacement with a translation of its own, and what that leaves over."""
+    if stretch is None:
+        none = jnp.zeros_like(at.x1)
+        return at, (none, none)
+    y1, y2 = stretch
+    borne = Displacement(at.angle, at.sigma, at.xi, y1 / 2, y2 / 2)
+    return borne, (2 * at.x1 - y1, 2 * at.x2 - y2)
 
 
 def _slopes(
@@ -353,7 +390,11 @@ def _moved(at: Displacement, place: Three) -> Displacement:
 
 
 def _pull(grip: Grip, slopes: Three) -> Six:
-    on_first, on_second, x, y = (_dot(column, slopes) for column in grip.columns())
+    return _six(*(_dot(column, slopes) for column in grip.columns()))
+
+
+def _six(on_first: Scalar, on_second: Scalar, x: Scalar, y: Scalar) -> Six:
+    """Of the four motions, the six displacements."""
     return on_first, -x, -y, on_second, x, y
 
 

@@ -1,7 +1,9 @@
-"""How a solve ended."""
+"""How a solve ended, and what all answers share."""
 
 import diffrax as dfx
+import equinox as eqx
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from .._checks import known
 
@@ -10,8 +12,9 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     """Why a solve stopped. The text is empty where it succeeded.
 
     For equilibria one of `successful`, `not_finite`, `loose`, `no_equilibrium` and
-    `steps_used_up`; `RESULTS[item]` is its text. Extends the results of diffrax, so that
-    one enumeration serves statics and motion.
+    `steps_used_up`; for motions `successful`, `event_occurred`, `max_steps_reached`,
+    `not_finite`, and what is wrong with their start. `RESULTS[item]` is its text. Extends
+    the results of diffrax, so that one enumeration serves both.
     """
 
     successful = ""
@@ -38,6 +41,22 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     )
 
 
+    times_not_increasing = (
+        "The times do not increase. Give at least two, each later than the one before."
+    )
+    drive_jumps = (
+        "At the first time a driven coordinate is not where its body starts: it would "
+        "have to jump. Let the drive begin at the start, or start where it begins."
+    )
+    damping_gives_energy = (
+        "The damping of a hinge has a negative eigenvalue, so it would give energy to "
+        "the mechanism instead of taking it. Every eigenvalue must be zero or positive."
+    )
+    constraints_at_odds = (
+        "The constraints repeat or contradict one another, or the start violates them."
+    )
+
+
 def outcomes(result: RESULTS) -> np.ndarray | None:
     """The names of results, in the shape of their batch, or nothing while traced."""
     index = known(result._value)
@@ -47,3 +66,49 @@ def outcomes(result: RESULTS) -> np.ndarray | None:
 _NAMES = np.empty(len(RESULTS), object)
 for _name, _item in RESULTS._name_to_item.items():
     _NAMES[int(_item._value)] = _name
+
+
+class ByBody(eqx.Module):
+    """What an answer tells of each body, called by its name."""
+
+    displacements: eqx.AbstractVar[Float[Array, "..."]]
+    rest: eqx.AbstractVar[Float[Array, "..."]]
+    reactions: eqx.AbstractVar[Float[Array, "..."]]
+    result: eqx.AbstractVar[RESULTS]
+    names: eqx.AbstractVar[tuple[str, ...]]
+
+    @property
+    def succeeded(self) -> Bool[Array, "*batch"]:
+        """Whether this is an answer."""
+        done = self.result == RESULTS.successful
+        return done | (self.result == RESULTS.event_occurred)
+
+    @property
+    def poses(self) -> Float[Array, "*batch bodies 3"]:
+        """Where the bodies are; rad, m, m."""
+        more = self.displacements.ndim - self.rest.ndim
+        shape = (*self.rest.shape[:-2], *more * (1,), *self.rest.shape[-2:])
+        return self.rest.reshape(shape) + self.displacements
+
+    def displacement(self, body: str) -> Float[Array, "*batch 3"]:
+        """How far a body has moved from rest; rad, m, m."""
+        return self.displacements[..., self._row(body), :]
+
+    def pose(self, body: str) -> Float[Array, "*batch 3"]:
+        """Where a body is; rad, m, m."""
+        return self.poses[..., self._row(body), :]
+
+    def reaction(self, body: str) -> Float[Array, "*batch 3"]:
+        """What a body's held and driven coordinates receive from outside; N m, N, N.
+
+        About the body's origin, in world axes.
+        """
+        return self.reactions[..., self._row(body), :]
+
+    def _row(self, body: str) -> int:
+        if body not in self.names:
+            raise ValueError(
+                f"`body` is {body!r}, but the bodies are "
+                f"{', '.join(map(repr, self.names))}."
+            )
+        return self.names.index(body)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, ScalarLike
+from jaxtyping import Array, Int, ScalarLike
 
 from .._checks import all_known, need_float64
 from .._types import Poses, Scalar, Wrenches
@@ -15,10 +15,10 @@ from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
 from . import newton
-from .results import outcomes, RESULTS
+from .results import ByBody, outcomes, RESULTS
 
 
-class Equilibrium(eqx.Module):
+class Equilibrium(ByBody):
     """Where the bodies of a mechanism rest, and what holds them there.
 
     Where none was found, displacements, reactions and energy are NaN, with derivatives of
@@ -49,31 +49,6 @@ class Equilibrium(eqx.Module):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
 
-    @property
-    def succeeded(self) -> Bool[Array, "*batch"]:
-        """Whether this is an equilibrium."""
-        return self.result == RESULTS.successful
-
-    @property
-    def poses(self) -> Float[Array, "*batch bodies 3"]:
-        """Where the bodies are; rad, m, m."""
-        return self.rest + self.displacements
-
-    def displacement(self, body: str) -> Float[Array, "*batch 3"]:
-        """How far a body has moved from rest; rad, m, m."""
-        return self.displacements[..., self._row(body), :]
-
-    def pose(self, body: str) -> Float[Array, "*batch 3"]:
-        """Where a body is; rad, m, m."""
-        return self.poses[..., self._row(body), :]
-
-    def reaction(self, body: str) -> Float[Array, "*batch 3"]:
-        """What a body's held and driven coordinates receive from outside; N m, N, N.
-
-        About the body's origin, in world axes.
-        """
-        return self.reactions[..., self._row(body), :]
-
     def __repr__(self) -> str:
         ended = outcomes(self.result)
         seen = all_known([self.reached, self.energy, self.fraction])
@@ -92,14 +67,6 @@ class Equilibrium(eqx.Module):
         if len(lines) > 22:
             lines[12:-1] = [f"... {len(lines) - 13} more"]
         return "\n".join(lines)
-
-    def _row(self, body: str) -> int:
-        if body not in self.names:
-            raise ValueError(
-                f"`body` is {body!r}, but the bodies are "
-                f"{', '.join(map(repr, self.names))}."
-            )
-        return self.names.index(body)
 
 
 def equilibrium(

@@ -1,0 +1,428 @@
+"""Collocation for stiff mechanisms: linearly implicit solvers for diffrax.
+
+A flexure mechanism is stiff in a way that defeats the usual methods: its hinges hardly
+stretch, so what it can do is a curved surface among all displacements, and every
+linearisation leaves it. The false tension of such a step is large, and points along the
+surface as soon as the hinge has turned. Rosenbrock methods then take small steps, and
+the Newton's method of implicit ones fails.
+
+Here each hinge's stretch is an unknown of its own, foreseen from the last step, and
+forced to agree with the displacements by the same linear solve that finds these: what a
+hinge bears stays smooth, and three solves with one tangent, at the foreseen middle of the
+step, suffice for steps six times as long as those of Rodas5P. Nothing iterates to
+convergence, so that the lanes of a batch stay together; what the last solve still
+changed counts as an error of the step.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import Scalar
+from .system import Slopes, State, System
+
+
+class Scheme(NamedTuple):
+    """Coefficients of a collocation method.
+
+    Args:
+        nodes: of the stages, as parts of the step.
+        matrix: integrals to each node of the polynomials that are one at a node.
+        weights: the same to the end of the step.
+        reaches: eigenvalues of the matrix, one of each conjugate pair.
+        into: takes stages to the directions of these eigenvalues.
+        out_of: takes the directions back to stages, as its real part.
+        powers: takes values at the nodes to the coefficients of their polynomial.
+        through: the same for all values that are known, that at the start among them
+            where the last step has left it.
+        real: which of the reaches is real.
+    """
+
+    nodes: np.ndarray
+    matrix: np.ndarray
+    weights: np.ndarray
+    reaches: np.ndarray
+    into: np.ndarray
+    out_of: np.ndarray
+    powers: np.ndarray
+    through: np.ndarray
+    real: int
+
+    @property
+    def stages(self) -> int:
+        """How many there are."""
+        return len(self.nodes)
+
+    @property
+    def ends(self) -> bool:
+        """Whether the last stage is the end of the step."""
+        return self.nodes[-1] == 1
+
+
+@lru_cache
+def scheme(kind: str, stages: int) -> Scheme:
+    """The collocation method at Gauss's points, or at Radau's that end the step.
+
+    Source:
+        Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and
+        IV.8.
+    """
+    legendre = np.zeros(stages + 1)
+    legendre[stages:] = 1.0
+    if kind == "radau":
+        legendre[stages - 1] = -1.0
+    nodes = (np.sort(np.polynomial.legendre.legroots(legendre)) + 1) / 2
+    if kind == "radau":
+        nodes[-1] = 1.0
+    powers = np.linalg.inv(np.vander(nodes, increasing=True))
+    degrees = np.arange(1, stages + 1)
+    matrix = (nodes[:, None] ** degrees / degrees) @ powers
+    reaches, directions = np.linalg.eig(matrix)
+    into = np.linalg.inv(directions)
+    kept = reaches.imag > -1e-12
+    twice = np.where(np.abs(reaches.imag) > 1e-12, 2.0, 1.0)
+    known = np.append(0.0, nodes) if kind == "radau" else nodes
+    return Scheme(
+        nodes=nodes,
+        matrix=matrix,
+        weights=(1 / degrees) @ powers,
+        reaches=reaches[kept],
+        into=into[kept],
+        out_of=(directions * twice)[:, kept],
+        powers=powers,
+        through=np.linalg.inv(np.vander(known, increasing=True)),
+        real=int(np.argmin(np.abs(reaches[kept].imag))),
+    )
+
+
+class Memory(NamedTuple):
+    """What one step leaves to the next: polynomials in time, by their coefficients.
+
+    Args:
+        acceleration: of the free coordinates, at the end.
+        stretches: that the hinges bear, at the end; m.
+        accelerations: through the step.
+        stretching: the stretches through the step.
+        pushes: of the constraints, through the step.
+        step: its length; s.
+    """
+
+    acceleration: Float[Array, " free"]
+    stretches: Float[Array, " stretches"]
+    accelerations: Float[Array, "degrees free"]
+    stretching: Float[Array, "degrees stretches"]
+    pushes: Float[Array, "degrees constraints"]
+    step: Scalar
+
+
+class Within(dfx.AbstractLocalInterpolation):
+    """The motion within a step, as the integrals of its accelerations' polynomial.
+
+    Args:
+        t0: start of the step; s.
+        t1: its end; s.
+        y0: the state at its start.
+        y1: the state at its end.
+        accelerations: coefficients of their polynomial, lowest power first.
+        powers: the same of what is done; W.
+    """
+
+    t0: Scalar
+    t1: Scalar
+    y0: State
+    y1: State
+    accelerations: Float[Array, "degrees free"]
+    powers: Float[Array, "degrees works"]
+
+    def evaluate(self, t0, t1=None, left=True) -> State:
+        if t1 is not None:
+            start, end = self.evaluate(t0, left=left), self.evaluate(t1, left=left)
+            return jax.tree.map(jnp.subtract, end, start)
+        since = t0 - self.t0
+        length = self.t1 - self.t0
+        part = since / jnp.where(length > 0, length, 1.0)
+        degrees = jnp.arange(1, 1 + len(self.accelerations), dtype=part.dtype)
+        once = since * part ** (degrees - 1) / degrees
+        twice = since * once / (degrees + 1)
+        inside = State(
+            place=self.y0.place + since * self.y0.rate + twice @ self.accelerations,
+            rate=self.y0.rate + once @ self.accelerations,
+            work=self.y0.work + once @ self.powers,
+        )
+        # constraints may have shifted the end, which is then to be met
+        ended = t0 >= self.t1
+        return jax.tree.map(lambda a, b: jnp.where(ended, a, b), self.y1, inside)
+
+
+class Radau(dfx.AbstractAdaptiveSolver):
+    """Collocation at Radau's three points, with a given number of linear solves a step.
+
+    Of order five, stiffly accurate and L-stable. A step takes one tangent, and factors
+    it twice: `M + h g D + (h g)^2 K`, of the size of the places alone, for one real and
+    one complex number g. An angle or length that constraints keep is kept at each stage.
+
+    Its equation is `equation`, its arguments a `System`.
+
+    Args:
+        sweeps: linear solves for the stages of a step.
+
+    Source:
+        Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.8; the
+        foreseen stretches after Magisano, Leonetti and Garcea, Int. J. Num. Meth. Eng.
+        109, 2017.
+    """
+
+    sweeps: int = 3
+    term_structure: ClassVar[Any] = dfx.ODETerm
+    interpolation_cls: ClassVar[Callable[..., Within]] = Within
+
+    def order(self, terms):
+        del terms
+        return 5
+
+    def init(self, terms, t0, t1, y0, args):
+        del terms, t1
+        return _first(scheme("radau", 3), t0, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        if made_jump is not False:
+            fresh = self.init(terms, t0, t1, y0, args)
+            solver_state = jax.tree.map(
+                lambda new, old: jnp.where(made_jump, new, old), fresh, solver_state
+            )
+        return _step(
+            scheme("radau", 3), self.sweeps, t0, t1 - t0, y0, args, solver_state
+        )
+
+
+class Gauss(dfx.AbstractSolver):
+    """Collocation at Gauss's two points: symplectic, for undamped motion at fixed steps.
+
+    Of order four. It keeps momenta, and energy but for an error that does not grow with
+    time. There is no error estimate: choose the step with `dfx.ConstantStepSize` and
+    `dt0`, short against the fastest motion that matters.
+
+    Args:
+        sweeps: linear solves for the stages of a step, to reach rounding.
+
+    Source:
+        Hairer, Lubich and Wanner, Geometric Numerical Integration, chapters II and VI.
+    """
+
+    sweeps: int = 8
+    term_structure: ClassVar[Any] = dfx.ODETerm
+    interpolation_cls: ClassVar[Callable[..., Within]] = Within
+
+    def order(self, terms):
+        del terms
+        return 4
+
+    def init(self, terms, t0, t1, y0, args):
+        del terms, t1
+        return _first(scheme("gauss", 2), t0, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del terms, made_jump
+        return _step(
+            scheme("gauss", 2), self.sweeps, t0, t1 - t0, y0, args, solver_state
+        )
+
+
+def _first(kind: Scheme, time: Scalar, state: State, system: System) -> Memory:
+    """What there is to foresee the first step from: that nothing changes."""
+    acceleration, push = system.solved(time, state.place, state.rate)
+    displacements, _ = system.spread(time, state.place, state.rate)
+    stretches = system.mechanism.couplings.stretches(displacements).reshape(-1)
+
+    def constant(value: Array) -> Array:
+        return jnp.zeros((len(kind.through), value.size)).at[0].set(value)
+
+    return Memory(
+        acceleration=acceleration,
+        stretches=stretches,
+        accelerations=constant(acceleration),
+        stretching=constant(stretches),
+        pushes=constant(push)[: kind.stages],
+        step=jnp.ones_like(time),
+    )
+
+
+def _step(
+    kind: Scheme,
+    sweeps: int,
+    start: Scalar,
+    step: Scalar,
+    state: State,
+    system: System,
+    memory: Memory,
+) -> tuple[State, State | None, dict[str, Any], Memory, dfx.RESULTS]:
+    size, mass = state.place.size, system.mass
+    matrix = step * jnp.asarray(kind.matrix)
+    twice = step**2 * jnp.asarray(kind.matrix @ kind.matrix)
+    times = start + step * jnp.asarray(kind.nodes)
+
+    # The stages, foreseen
+    part = 1 + jnp.asarray(kind.nodes) * step / memory.step
+    ahead = part[:, None] ** np.arange(len(kind.through))
+    accelerations = _mix(ahead, memory.accelerations)
+    stretches = _mix(ahead, memory.stretching)
+    pushes = _mix(ahead[:, : kind.stages], memory.pushes)
+
+    def moved(accelerations: Array) -> tuple[Array, Array]:
+        rates = state.rate + _mix(matrix, accelerations)
+        return state.place + _mix(matrix, rates), rates
+
+    # One tangent, at the middle one of them. How it depends on parameters is left to the
+    # residual: it changes the way to an answer, not the answer.
+    places, rates = moved(accelerations)
+    middle = kind.stages // 2
+    tangent = system.slopes(
+        times[middle], places[middle], rates[middle], stretches[middle], pushes[middle]
+    )
+    reach = step * jnp.asarray(kind.reaches)[:, None, None]
+    tangent, reach, held_mass = jax.lax.stop_gradient((tangent, reach, mass))
+    inverse = _inverse(tangent, reach, held_mass)
+
+    def solve(_, stages):
+        accelerations, stretches, pushes, _ = stages
+        places, rates = moved(accelerations)
+        forces = jax.vmap(system.forces)(times, places, rates, stretches, pushes)
+        lacking = forces.net - mass * accelerations
+        lacking = lacking - _mix(forces.excess, tangent.bearing.T)
+        right = _mix(jnp.asarray(kind.into), lacking)
+        if pushes.size:
+            gap = -_mix(jnp.asarray(kind.into), forces.violation) / reach[..., 0] ** 2
+            right = jnp.concatenate([right, gap], axis=1)
+        solved = jnp.sum(inverse * right[:, None], axis=-1)
+        solved = jnp.real(_mix(jnp.asarray(kind.out_of), solved))
+        change, more = solved[:, :size], solved[:, size:]
+        followed = _mix(_mix(twice, change), tangent.stretching)
+        stretches = stretches + forces.excess + followed
+        return accelerations + change, stretches, pushes + more, change
+
+    stages = accelerations, stretches, pushes, jnp.zeros_like(accelerations)
+    stages = jax.lax.fori_loop(0, sweeps, solve, stages)
+    accelerations, stretches, pushes, change = stages
+    places, rates = moved(accelerations)
+
+    weights = step * jnp.asarray(kind.weights)
+    place = state.place + weights @ rates
+    rate = state.rate + weights @ accelerations
+    place, rate = system.project(start + step, place, rate)
+    powers = jnp.zeros((kind.stages, state.work.size))
+    if state.work.size:
+        powers = jax.vmap(system.powers)(times, places, rates)
+    end = State(place, rate, state.work + weights @ powers)
+
+    through = jnp.asarray(kind.through)
+    nodes = accelerations, stretches
+    if kind.ends:
+        nodes = (
+            jnp.concatenate([memory.acceleration[None], accelerations]),
+            jnp.concatenate([memory.stretches[None], stretches]),
+        )
+    kept = Memory(
+        acceleration=accelerations[-1],
+        stretches=stretches[-1],
+        accelerations=through @ nodes[0],
+        stretching=through @ nodes[1],
+        pushes=jnp.asarray(kind.powers) @ pushes,
+        step=step,
+    )
+    dense = {
+        "y0": state,
+        "y1": end,
+        "accelerations": jnp.asarray(kind.powers) @ accelerations,
+        "powers": jnp.asarray(kind.powers) @ powers,
+    }
+    fine = jnp.all(jnp.isfinite(memory.acceleration))
+    result = dfx.RESULTS.where(fine, dfx.RESULTS.successful, dfx.RESULTS.nonfinite)
+    error = None
+    if kind.ends:
+        error = _error(
+            kind, step, state, system, memory, rates, accelerations, change, inverse,
+            tangent,
+        )  # fmt: skip
+        # an error of NaN would shrink the step for ever
+        error = jax.tree.map(lambda part: jnp.where(fine, part, 0.0), error)
+    return end, error, dense, kept, result
+
+
+def _mix(matrix: Array, rows: Array) -> Array:
+    """Their product, as a sum that is fused with what is around it.
+
+    For a few rows a product of matrices costs more by its call than by its work.
+    """
+    return jnp.sum(matrix[:, :, None] * rows[None], axis=1)
+
+
+def _inverse(
+    tangent: Slopes, reach: Array, mass: Array
+) -> Float[Array, "reaches unknowns unknowns"]:
+    """Of the matrix of all stages, one direction at a time, constraints included."""
+    matrix = jnp.diag(mass) + reach * tangent.damping + reach**2 * tangent.stiffness
+    count = len(tangent.normals)
+    if count:
+        normals = jnp.broadcast_to(tangent.normals, (len(reach), *tangent.normals.shape))
+        across = jnp.swapaxes(normals, 1, 2)
+        corner = jnp.zeros((len(reach), count, count))
+        matrix = jnp.block([[matrix, -across], [normals, corner]])
+    return jnp.linalg.inv(matrix)
+
+
+def _error(
+    kind: Scheme,
+    step: Scalar,
+    state: State,
+    system: System,
+    memory: Memory,
+    rates: Array,
+    accelerations: Array,
+    change: Array,
+    inverse: Array,
+    tangent: Slopes,
+) -> State:
+    """The error of a step: of its collocation, and of solves that were too few.
+
+    That of the collocation is estimated by a quadrature of the third order, whose root of
+    degree 2/3 is of the method's own; that of the solves by their last change.
+
+    Source:
+        Hairer and Wanner, equations IV.8.19 and IV.8.20, and the exponent of their
+        program RADAU.
+    """
+    reach = kind.reaches[kind.real].real
+    lower = _embedded(kind, reach)
+    place = step * (reach * state.rate + lower @ rates)
+    rate = step * (reach * memory.acceleration + lower @ accelerations)
+    reach = reach * step
+    right = system.mass * (reach * rate + place) + reach * tangent.damping @ place
+    size = place.size
+    smooth = jnp.real(inverse[kind.real, :size, :size]) @ right
+    estimate = State(smooth, (smooth - place) / reach, state.work * 0)
+    estimate = jax.tree.map(jnp.abs, jax.lax.stop_gradient(estimate))
+    grown = 10**1.5 * jnp.sqrt(system.size(estimate))
+    weights = step * jnp.asarray(kind.weights)
+    late = weights @ change
+    last = State(jnp.abs(weights @ (step * jnp.asarray(kind.matrix) @ change)), jnp.abs(late), state.work * 0)
+    return jax.tree.map(lambda a, b: grown * a + b, estimate, last)
+
+
+def _embedded(kind: Scheme, reach: float) -> np.ndarray:
+    """Weights of the lower quadrature, less those of the method, the start's apart."""
+    degrees = np.arange(1, kind.stages + 1)
+    exact = 1 / degrees
+    exact[0] -= reach
+    return exact @ kind.powers - kind.weights

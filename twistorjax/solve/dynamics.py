@@ -1,0 +1,287 @@
+"""Motion of a mechanism in time, under loads, drives and constraints."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .._checks import need_float64
+from .._types import Poses, Scalar
+from ..boundary import Drive, driven, Load, loaded
+from ..joints import AbstractConstraint, Joined, joined
+from ..mechanism import Mechanism
+from . import start as begin
+from .collocation import Radau
+from .motion import Energies, Motion
+from .newton import Places
+from .results import RESULTS
+from .statics import Equilibrium, free_coordinates
+from .system import equation, State, System
+
+
+Loading = Sequence[Load] | Callable[[Scalar], Sequence[Load]]
+Driving = Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
+
+
+def simulate(
+    mechanism: Mechanism,
+    times: Float[ArrayLike, " times"],
+    *,
+    loads: Loading = (),
+    drives: Driving = (),
+    constraints: Sequence[AbstractConstraint] = (),
+    start: Poses | Equilibrium | None = None,
+    velocities: Mapping[str, Sequence[ArrayLike] | Array] | None = None,
+    tolerance: ArrayLike = 1e-6,
+    solver: dfx.AbstractSolver | None = None,
+    step: ArrayLike | None = None,
+    controller: dfx.AbstractStepSizeController | None = None,
+    saveat: dfx.SaveAt | None = None,
+    event: dfx.Event | None = None,
+    progress_meter: dfx.AbstractProgressMeter | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    max_steps: int = 100_000,
+    energies: bool = True,
+    throw: bool = True,
+) -> Motion:
+    """How a mechanism moves under loads, imposed motions and constraints.
+
+    Held and driven coordinates are given exactly, and their reactions returned; the
+    driven ones' velocities and accelerations follow by differentiation. The motion has
+    derivatives in reverse, by everything that made the mechanism; forwards with
+    `adjoint=diffrax.ForwardMode()`.
+
+    Args:
+        mechanism: its bodies that can move need mass and inertia, about an origin at
+            their centre of mass.
+        times: at which to tell the motion, from its start to its end; s.
+        loads: on its bodies; or a function of time that gives them.
+        drives: of coordinates that are not held; or a function of time that gives them,
+            smooth in it. A new function is compiled anew: define it once.
+        constraints: what else must stay as it is: pins, sliders, any equation.
+        start: poses at the start, by default at rest, or an equilibrium; rad, m, m.
+        velocities: of some bodies at the start, by default none: a mapping from the name
+            to (rate of turning, velocity along x and along y); rad/s, m/s, m/s.
+        tolerance: error that a step may make: in angles, and in displacements and
+            velocities measured by a lever of the mechanism and its slowest period. The
+            error of the whole is larger by some ten times, or by as many as the motion
+            itself magnifies them.
+        solver: by default `Radau()`; `Gauss()` with a `step` for motion without damping;
+            or any other of diffrax.
+        step: of constant length, instead of steps chosen by the tolerance; s.
+        controller: of the steps, in diffrax's sense, instead of the tolerance.
+        saveat: what to keep, in diffrax's sense, instead of the `times` but the first
+            and the last: every step, or the whole as a function of time.
+        event: that ends the motion, in diffrax's sense. Its condition is called with the
+            time and, for the state, `poses` and `velocities`.
+        progress_meter: in diffrax's sense, by default none.
+        adjoint: how to differentiate, in diffrax's sense, by default in reverse.
+        max_steps: of the solver, altogether.
+        energies: whether to account for the work done and dissipated, for a tenth of the
+            time. Without, these are zero.
+        throw: whether a failure is raised, or only told by the answer.
+
+    Returns:
+        The motion.
+
+    Raises:
+        ValueError: double precision is off; a name is unknown; a coordinate is driven
+            twice, or driven and held; a body that moves has no mass; times do not
+            increase; a drive or a constraint does not fit the start; a shape is wrong or
+            a value not finite.
+        RuntimeError: the motion did not reach its end; the text says why and when.
+
+    Source:
+        Equations 5.24, 5.25 and 6.4 of the dissertation.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
+        >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+        >>> block = Body("block", mass=1.0, inertia=0.1)
+        >>> mechanism = Mechanism([Body("wall"), block], [hinge], held=["wall"])
+        >>> swing = simulate(mechanism, [0.0, jnp.pi / 10], start=[[0, 0, 0], [0, 0.1, 0]])
+        >>> swing.displacement("block")[-1, 1]  # half a period later
+        Array(-0.1000..., dtype=float64)
+    """
+    need_float64(mechanism.rest)
+    instants = begin.times(times)
+    first = instants[0]
+    begin.limits(tolerance, max_steps, step)
+    now = drives(first) if callable(drives) else drives
+    acting = loads(first) if callable(loads) else loads
+    loaded(mechanism, acting)
+    places, _ = driven(mechanism, now)
+    free = free_coordinates(len(mechanism.names), mechanism.held, places)
+    if isinstance(start, Equilibrium):
+        start = start.poses
+    moved = jnp.zeros_like(mechanism.rest)
+    if start is not None:
+        moved = mechanism._displacements(jnp.asarray(start, float), "start")
+    rates = begin.velocities(mechanism, velocities, free)
+    joints = joined(mechanism, constraints)
+    answer = _solve(
+        mechanism,
+        instants,
+        loads if callable(loads) else tuple(loads),
+        drives if callable(drives) else tuple(drives),
+        joints,
+        moved,
+        rates,
+        jnp.asarray(tolerance, float),
+        None if step is None else jnp.asarray(step, float),
+        Radau() if solver is None else solver,
+        controller,
+        saveat,
+        event,
+        dfx.NoProgressMeter() if progress_meter is None else progress_meter,
+        dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
+        max_steps,
+        energies,
+        Places(free, places),
+    )
+    return begin.raised(answer, mechanism, drives, joints, moved) if throw else answer
+
+
+@eqx.filter_jit
+def _solve(
+    mechanism: Mechanism,
+    times: Float[Array, " times"],
+    loads: Loading,
+    drives: Driving,
+    joints: Joined,
+    moved: Poses,
+    given: Poses | None,
+    tolerance: Scalar,
+    step: Scalar | None,
+    solver: dfx.AbstractSolver,
+    controller: dfx.AbstractStepSizeController | None,
+    saveat: dfx.SaveAt | None,
+    event: dfx.Event | None,
+    progress_meter: dfx.AbstractProgressMeter,
+    adjoint: dfx.AbstractAdjoint,
+    max_steps: int,
+    energies: bool,
+    places: Places,
+) -> Motion:
+    system, state, result = begin.begin(
+        mechanism, times, loads, drives, joints, moved, given, energies, places
+    )
+    if controller is None and step is None:
+        controller = dfx.PIDController(
+            rtol=0.0, atol=tolerance, norm=system.size, pcoeff=0.3, icoeff=0.4
+        )
+    solution = dfx.diffeqsolve(
+        equation,
+        solver,
+        times[0],
+        times[-1],
+        step,
+        state,
+        args=system,
+        saveat=_kept(dfx.SaveAt() if saveat is None else saveat, times),
+        stepsize_controller=dfx.ConstantStepSize() if controller is None else controller,
+        event=None if event is None else _seen(event),
+        progress_meter=progress_meter,
+        adjoint=adjoint,
+        max_steps=max_steps,
+        throw=False,
+    )
+    ended = RESULTS.promote(solution.result)
+    lost = (ended == RESULTS.nonfinite) | (ended == RESULTS.nonfinite_input)
+    ended = RESULTS.where(lost, RESULTS.not_finite, ended)
+    result = RESULTS.where(result == RESULTS.successful, ended, result)
+    at, kept = solution.ts[0], solution.ys[0]
+    there = jnp.isfinite(at)
+    tell = jax.vmap(partial(_told, system))(jnp.where(there, at, times[0]), kept)
+    tell = jax.tree.map(
+        lambda value: jnp.where(
+            there.reshape(-1, *(value.ndim - 1) * (1,)), value, jnp.nan
+        ),
+        tell,
+    )
+    displacements, velocities, reactions, pushes, energy = tell
+    return Motion(
+        times=jnp.where(there, at, jnp.nan),
+        displacements=displacements,
+        velocities=velocities,
+        rest=mechanism.rest,
+        reactions=reactions,
+        pushes=pushes,
+        energies=energy,
+        reached=solution.ts[1][-1],
+        steps=solution.stats["num_steps"],
+        rejected=solution.stats["num_rejected_steps"],
+        result=result,
+        solution=solution,
+        system=None if solution.interpolation is None else system,
+        names=mechanism.names,
+        joints=tuple(joints.owners()),
+    )
+
+
+def _told(system: System, time: Scalar, state: State):
+    """All that is told of an instant."""
+    place, rate = system.project(time, state.place, state.rate)
+    displacements, velocities = system.spread(time, place, rate)
+    reactions, pushes = system.reactions(time, place, rate)
+    works = state.work if state.work.size else jnp.zeros(3)
+    energy = Energies(
+        elastic=system.mechanism.couplings.energy(displacements),
+        kinetic=jnp.sum(system.inertia * velocities.reshape(-1) ** 2) / 2,
+        dissipated=works[0],
+        by_loads=works[1],
+        by_drives=works[2],
+    )
+    return displacements, velocities, reactions, pushes, energy
+
+
+def _kept(saveat: dfx.SaveAt, times: Float[Array, " times"]) -> dfx.SaveAt:
+    """What is to be kept, and where it ended."""
+    own = dfx.SubSaveAt(ts=times) if saveat.subs is None else saveat.subs
+    if not isinstance(own, dfx.SubSaveAt) or own.fn is not dfx.SubSaveAt(t1=True).fn:
+        raise ValueError(
+            "`saveat` has several `subs` or a `fn` of its own, but a motion tells all "
+            "that there is at the times that it keeps: give `ts`, `steps` or `dense`."
+        )
+    return dfx.SaveAt(
+        subs=[own, dfx.SubSaveAt(t1=True)],
+        dense=saveat.dense,
+        solver_state=saveat.solver_state,
+        controller_state=saveat.controller_state,
+        made_jump=saveat.made_jump,
+    )
+
+
+class Instant(eqx.Module):
+    """What the condition of an event sees.
+
+    Args:
+        poses: of the bodies; rad, m, m.
+        displacements: of the bodies from rest; rad, m, m.
+        velocities: of the bodies; rad/s, m/s, m/s.
+    """
+
+    poses: Poses
+    displacements: Poses
+    velocities: Poses
+
+
+def _seen(event: dfx.Event) -> dfx.Event:
+    """An event whose conditions see bodies instead of free coordinates."""
+
+    def wrapped(condition):
+        def see(t, y, args, **more):
+            displacements, velocities = args.spread(t, y.place, y.rate)
+            poses = args.mechanism.rest + displacements
+            return condition(t, Instant(poses, displacements, velocities), args, **more)
+
+        return see
+
+    conditions = jax.tree.map(wrapped, event.cond_fn, is_leaf=callable)
+    return dfx.Event(conditions, event.root_finder, event.direction)

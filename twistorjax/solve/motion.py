@@ -1,0 +1,150 @@
+"""How a mechanism moved, as an answer."""
+
+from typing import TYPE_CHECKING
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from .._checks import all_known
+from .results import ByBody, outcomes, RESULTS
+from .system import System
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class Energies(eqx.Module):
+    """Where the energy of a motion is, and where it came from; J.
+
+    What is stored and moving is what it was at the start, and what loads and drives have
+    done since, less what was dissipated.
+
+    Args:
+        elastic: stored in the hinges.
+        kinetic: of the bodies.
+        dissipated: in the hinges, since the start.
+        by_loads: done by the loads, since the start.
+        by_drives: done by what drives coordinates and moves constraints, since the start.
+    """
+
+    elastic: Float[Array, "*batch times"]
+    kinetic: Float[Array, "*batch times"]
+    dissipated: Float[Array, "*batch times"]
+    by_loads: Float[Array, "*batch times"]
+    by_drives: Float[Array, "*batch times"]
+
+    @property
+    def imbalance(self) -> Float[Array, "*batch times"]:
+        """What is there and should not be: the error of the motion, as energy."""
+        held = self.elastic + self.kinetic
+        came = self.by_loads + self.by_drives - self.dissipated
+        return held - held[..., :1] - came
+
+
+class Motion(ByBody):
+    """How the bodies of a mechanism moved.
+
+    Where a motion stopped before its end, the rows of later times are NaN.
+
+    Args:
+        times: s.
+        displacements: of each body from its rest; rad, m, m.
+        velocities: of each body, in world axes; rad/s, m/s, m/s.
+        rest: the poses from which displacements count; rad, m, m.
+        reactions: what held and driven coordinates receive from outside; zero elsewhere.
+            About each body's origin, in world axes; N m, N, N.
+        pushes: of each constraint's entries; N m, N.
+        energies: where the energy is, and where it came from; J.
+        reached: the time up to which it went; s.
+        steps: of the solver, those that were tried again included.
+        rejected: those that were tried again.
+        result: how it ended; `outcomes` gives its name.
+        solution: all else that diffrax tells.
+        system: its equations, where the whole of it was kept.
+        names: of the bodies, for their rows.
+        joints: the constraint that each entry of `pushes` belongs to.
+    """
+
+    times: Float[Array, "*batch times"]
+    displacements: Float[Array, "*batch times bodies 3"]
+    velocities: Float[Array, "*batch times bodies 3"]
+    rest: Float[Array, "*batch bodies 3"]
+    reactions: Float[Array, "*batch times bodies 3"]
+    pushes: Float[Array, "*batch times entries"]
+    energies: Energies
+    reached: Float[Array, "*batch"]
+    steps: Int[Array, "*batch"]
+    rejected: Int[Array, "*batch"]
+    result: RESULTS
+    solution: dfx.Solution
+    system: System | None
+    names: tuple[str, ...] = eqx.field(static=True)
+    joints: tuple[str, ...] = eqx.field(static=True)
+
+    def velocity(self, body: str) -> Float[Array, "*batch times 3"]:
+        """How fast a body moves; rad/s, m/s, m/s."""
+        return self.velocities[..., self._row(body), :]
+
+    def at(self, time: ArrayLike) -> Float[Array, "bodies 3"]:
+        """The poses at any time of a motion kept as a whole, by `SaveAt(dense=True)`.
+
+        Args:
+            time: between its start and its end; s.
+
+        Raises:
+            ValueError: the motion was not kept as a whole.
+        """
+        if self.system is None:
+            raise ValueError(
+                "This motion was kept at its times alone. For poses at any time: "
+                "`simulate(..., saveat=diffrax.SaveAt(dense=True))`."
+            )
+        instant = jnp.asarray(time, float)
+        state = self.solution.evaluate(instant)
+        return self.rest + self.system.spread(instant, state.place, state.rate)[0]
+
+    def push(self, constraint: str) -> Float[Array, "*batch times entries"]:
+        """What a constraint exerts, for each of its entries; N m, N."""
+        rows = [k for k, name in enumerate(self.joints) if name == constraint]
+        if not rows:
+            there = ", ".join(map(repr, dict.fromkeys(self.joints))) or "none"
+            raise ValueError(
+                f"`constraint` is {constraint!r}, but the constraints are {there}."
+            )
+        return self.pushes[..., np.array(rows)]
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """The motion as a dataset, with names and units.
+
+        Raises:
+            ImportError: xarray is not installed.
+            ValueError: the motion is one of a batch of them.
+        """
+        from ..show.tables import motion_table
+
+        return motion_table(self)
+
+    def __repr__(self) -> str:
+        ended = outcomes(self.result)
+        seen = all_known([self.times, self.displacements, self.energies.kinetic])
+        if ended is None or seen is None or ended.shape:
+            return eqx.tree_pformat(self)
+        times, moved, _ = seen
+        wide = max(map(len, (*self.names, "body")))
+        went = float(self.reached)
+        lines = [
+            f"{ended}: {float(times[0]):g} to {went:.6g} s in {int(self.steps)} steps, "
+            f"{int(self.rejected)} tried again; {times.size} times kept",
+            f"{'largest':<{wide}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}",
+        ]
+        largest = np.nanmax(np.abs(moved), axis=0)
+        for name, values in zip(self.names, largest, strict=True):
+            cells = "  ".join(f"{value:>13.6g}" for value in values)
+            lines.append(f"{name:<{wide}}  {cells}")
+        if len(lines) > 22:
+            lines[12:-1] = [f"... {len(lines) - 13} more"]
+        return "\n".join(lines)

@@ -1,0 +1,313 @@
+"""The equations of motion of a mechanism: who moves it, and what resists."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import Poses, Scalar, Wrenches
+from ..boundary import Drive, driven, Load, loaded, Loads
+from ..joints import Joined
+from ..mechanism import Mechanism
+from .newton import Places
+
+
+class State(NamedTuple):
+    """Where a mechanism is, and how it moves.
+
+    Args:
+        place: displacements of its free coordinates from rest; rad, m.
+        rate: of the displacements; rad/s, m/s.
+        work: what was dissipated, and what loads and drives have done, or nothing; J.
+    """
+
+    place: Float[Array, " free"]
+    rate: Float[Array, " free"]
+    work: Float[Array, " works"]
+
+
+class Forces(NamedTuple):
+    """What moves the free coordinates at an instant.
+
+    Args:
+        net: force on each; N m, N.
+        excess: of the hinges' own half-way translations over those they were taken to
+            bear; m.
+        violation: of the constraints; rad, m.
+    """
+
+    net: Float[Array, " free"]
+    excess: Float[Array, " stretches"]
+    violation: Float[Array, " constraints"]
+
+
+class Slopes(NamedTuple):
+    """How `Forces` follow the free coordinates.
+
+    Args:
+        stiffness: by which their net forces fall with displacements.
+        damping: the same with their rates.
+        stretching: of the half-way translations, by displacements.
+        bearing: of what resists, by the half-way translations.
+        normals: of the violations, by displacements.
+    """
+
+    stiffness: Float[Array, "free free"]
+    damping: Float[Array, "free free"]
+    stretching: Float[Array, "free stretches"]
+    bearing: Float[Array, "free stretches"]
+    normals: Float[Array, "constraints free"]
+
+
+class System(eqx.Module):
+    """A mechanism with all that moves it, as forces on its free coordinates.
+
+    It is the `args` of diffrax's solve, and `equation` its term.
+
+    Args:
+        mechanism: its bodies and hinges.
+        loads: on its bodies, or a function of time that gives them.
+        drives: of its coordinates, or a function of time that gives them.
+        joined: its constraints.
+        inertia: of each coordinate, zero where it is held; kg m2, kg, kg.
+        length: of a lever of the mechanism, by which displacements are measured; m.
+        period: of its slowest motion, by which rates are; s.
+        places: of the free and of the driven coordinates.
+    """
+
+    mechanism: Mechanism
+    loads: Sequence[Load] | Callable[[Scalar], Sequence[Load]]
+    drives: Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
+    joined: Joined
+    inertia: Float[Array, " coordinates"]
+    length: Scalar
+    period: Scalar
+    places: Places = eqx.field(static=True)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Places of the free coordinates."""
+        return np.array(self.places.free, int)
+
+    @property
+    def mass(self) -> Float[Array, " free"]:
+        """Inertia of each free coordinate; kg m2, kg."""
+        return self.inertia[self.free]
+
+    def size(self, error: State) -> Scalar:
+        """How large an error is: in angles, and in parts of the length and the period."""
+        turns = self.free % 3 == 0
+        unit = jnp.where(turns, 1.0, self.length)
+        place, rate = error.place / unit, error.rate * self.period / unit
+        return jnp.sqrt((jnp.sum(place**2) + jnp.sum(rate**2)) / (2 * place.size))
+
+    def targets(self, time: Scalar) -> Float[Array, " driven"]:
+        """Where the driven coordinates are at a time; rad, m."""
+        drives = self.drives(time) if callable(self.drives) else self.drives
+        places, targets = driven(self.mechanism, drives)
+        if places != self.places.driven:
+            raise ValueError(
+                "`drives` must give the same coordinates in the same order at all times."
+            )
+        return jnp.array(targets, float)
+
+    def driving(self, time: Scalar) -> tuple[Array, Array, Array]:
+        """Where the driven coordinates are, their velocities and accelerations."""
+        if not callable(self.drives) or not self.places.driven:
+            where = self.targets(time)
+            return where, jnp.zeros_like(where), jnp.zeros_like(where)
+        one = jnp.ones_like(time)
+
+        def moving(time: Scalar) -> tuple[Array, Array]:
+            return jax.jvp(self.targets, (time,), (one,))
+
+        (where, velocity), (_, gain) = jax.jvp(moving, (time,), (one,))
+        return where, velocity, gain
+
+    def spread(self, time: Scalar, place: Array, rate: Array) -> tuple[Poses, Poses]:
+        """Displacements and rates of all coordinates."""
+        where, velocity, _ = self.driving(time)
+        return self._whole(place, where), self._whole(rate, velocity)
+
+    def forces(
+        self,
+        time: Scalar,
+        place: Array,
+        rate: Array,
+        stretches: Array | None = None,
+        push: Array | None = None,
+    ) -> Forces:
+        """What moves the free coordinates.
+
+        Args:
+            time: s.
+            place: displacements of the free coordinates; rad, m.
+            rate: of the displacements; rad/s, m/s.
+            stretches: the half-way translations that the hinges are taken to bear, by
+                default their own; m.
+            push: of each constraint, by default none; N m, N.
+        """
+        displacements, rates = self.spread(time, place, rate)
+        borne = None if stretches is None else stretches.reshape(-1, 2)
+        resisting, excess, _ = self.mechanism.couplings.forces_in_motion(
+            displacements, rates, borne
+        )
+        applied, _, _ = self.applied(time, displacements)
+        net = (applied - resisting).reshape(-1)[self.free]
+        violation, back = jax.vjp(lambda place: self.violation(time, place), place)
+        if push is not None and push.size:
+            net = net + back(push)[0]
+        return Forces(net, excess.reshape(-1), violation)
+
+    def slopes(
+        self, time: Scalar, place: Array, rate: Array, stretches: Array, push: Array
+    ) -> Slopes:
+        """How the `forces` follow the free coordinates, for the same arguments."""
+        displacements, rates = self.spread(time, place, rate)
+        tangent = self.mechanism.couplings.tangent_in_motion(
+            displacements, rates, self.places.free, stretches.reshape(-1, 2)
+        )
+        stiffness = tangent.stiffness
+        _, by_angle, bodies = self.applied(time, displacements)
+        pairs = [
+            (row, self.places.free.index(3 * (coordinate // 3)), coordinate)
+            for row, coordinate in enumerate(self.places.free)
+            if coordinate // 3 in bodies and 3 * (coordinate // 3) in self.places.free
+        ]
+        if pairs:  # a load's wrench depends on the angle of its own body alone
+            rows, columns, which = np.array(pairs).T
+            stiffness = stiffness.at[rows, columns].add(-by_angle.reshape(-1)[which])
+        normals = self.normals(time, place)
+        if push.size:
+
+            def pushed(place: Array) -> Array:
+                return jax.vjp(lambda at: self.violation(time, at), place)[1](push)[0]
+
+            stiffness = stiffness - jax.jacfwd(pushed)(place)
+        return Slopes(stiffness, *tangent[1:], normals)
+
+    def acceleration(self, time: Scalar, place: Array, rate: Array) -> Array:
+        """The accelerations of the free coordinates; rad/s2, m/s2."""
+        return self.solved(time, place, rate)[0]
+
+    def solved(self, time: Scalar, place: Array, rate: Array) -> tuple[Array, Array]:
+        """Accelerations, and the forces of constraints: equation 5.25."""
+        net = self.forces(time, place, rate).net
+        if not self.joined.size:
+            return net / self.mass, jnp.zeros(0)
+        normals = self.normals(time, place)
+
+        def violation_rate(time: Scalar, place: Array) -> Array:
+            ones = jnp.ones_like(time)
+            return jax.jvp(self.violation, (time, place), (ones, rate))[1]
+
+        _, curving = jax.jvp(violation_rate, (time, place), (jnp.ones_like(time), rate))
+        light = normals / self.mass
+        push = jnp.linalg.solve(light @ normals.T, -curving - light @ net)
+        return (net + push @ normals) / self.mass, push
+
+    def powers(self, time: Scalar, place: Array, rate: Array) -> Float[Array, "3"]:
+        """What is dissipated, and what loads and drives do; W."""
+        displacements, rates = self.spread(time, place, rate)
+        resisting, _, dissipated = self.mechanism.couplings.forces_in_motion(
+            displacements, rates
+        )
+        applied, _, _ = self.applied(time, displacements)
+        by_drives = jnp.zeros(())
+        if self.places.driven or self.joined.size:
+            held = self.reactions(time, place, rate)[0] * rates
+            by_drives = jnp.sum(held) + self._done_by_constraints(time, place, rate)
+        return jnp.stack([dissipated, jnp.vdot(applied, rates), by_drives])
+
+    def reactions(self, time: Scalar, place: Array, rate: Array) -> tuple[Wrenches, Array]:
+        """What held and driven coordinates receive, and the forces of constraints."""
+        displacements, rates = self.spread(time, place, rate)
+        acceleration, push = self.solved(time, place, rate)
+        _, _, gain = self.driving(time)
+        resisting, _, _ = self.mechanism.couplings.forces_in_motion(displacements, rates)
+        applied, _, _ = self.applied(time, displacements)
+        total = self.inertia * self._whole(acceleration, gain).reshape(-1)
+        total = total + (resisting - applied).reshape(-1)
+        if push.size:
+            _, back = jax.vjp(lambda at: self.joined.violation(at, time), displacements)
+            total = total - back(push)[0].reshape(-1)
+        held = np.ones(total.size)
+        held[self.free] = 0.0
+        return (held * total).reshape(displacements.shape), push
+
+    def project(self, time: Scalar, place: Array, rate: Array) -> tuple[Array, Array]:
+        """The nearest place and rate that the constraints allow, as inertia measures."""
+        if not self.joined.size:
+            return place, rate
+
+        def nearest(normals: Array, violation: Array) -> Array:
+            light = normals / self.mass
+            return -light.T @ jnp.linalg.solve(light @ normals.T, violation)
+
+        for _ in range(2):
+            normals = self.normals(time, place)
+            place = place + nearest(normals, self.violation(time, place))
+        normals = self.normals(time, place)
+        _, drift = jax.jvp(
+            self.violation, (time, place), (jnp.ones_like(time), rate)
+        )
+        return place, rate + nearest(normals, drift)
+
+    def violation(self, time: Scalar, place: Array) -> Float[Array, " constraints"]:
+        """By how much the constraints are violated; rad, m."""
+        if not self.joined.size:
+            return jnp.zeros(0)
+        where, _, _ = self.driving(time)
+        return self.joined.violation(self._whole(place, where), time)
+
+    def normals(self, time: Scalar, place: Array) -> Float[Array, "constraints free"]:
+        """Derivatives of the violation by the free coordinates."""
+        if not self.joined.size:
+            return jnp.zeros((0, place.size))
+        return jax.jacrev(lambda place: self.violation(time, place))(place)
+
+    def applied(
+        self, time: Scalar, displacements: Poses
+    ) -> tuple[Wrenches, Wrenches, tuple[int, ...]]:
+        """What loads apply, its derivatives by each body's angle, and the loaded ones."""
+        loads = self.loads(time) if callable(self.loads) else self.loads
+        bodies = loaded(self.mechanism, loads)
+        acting = Loads.of(loads, bodies, self.mechanism.rest)
+        return *acting.apply(displacements), bodies
+
+    def _done_by_constraints(self, time: Scalar, place: Array, rate: Array) -> Scalar:
+        """The power of constraints that change with time."""
+        if not self.joined.size:
+            return jnp.zeros(())
+        _, push = self.solved(time, place, rate)
+        displacements, _ = self.spread(time, place, rate)
+        _, moving = jax.jvp(
+            lambda time: self.joined.violation(displacements, time),
+            (time,),
+            (jnp.ones_like(time),),
+        )
+        return -jnp.vdot(push, moving)
+
+    def _whole(self, free: Array, given: Array) -> Poses:
+        """Values of the free and of the driven coordinates, and zero for the held."""
+        known = (*self.places.free, *self.places.driven)
+        source = np.full(self.inertia.size, len(known))
+        source[list(known)] = np.arange(len(known))
+        return jnp.concatenate([free, given, jnp.zeros(1)])[source].reshape(-1, 3)
+
+
+def _rates(time: Scalar, state: State, system: System) -> State:
+    place, rate, work = state
+    return State(
+        place=rate,
+        rate=system.acceleration(time, place, rate),
+        work=system.powers(time, place, rate) if work.size else work,
+    )
+
+
+equation = dfx.ODETerm(_rates)

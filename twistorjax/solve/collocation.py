@@ -19,6 +19,7 @@ from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -199,9 +200,7 @@ class Radau(dfx.AbstractAdaptiveSolver):
             solver_state = jax.tree.map(
                 lambda new, old: jnp.where(made_jump, new, old), fresh, solver_state
             )
-        return _step(
-            scheme("radau", 3), self.sweeps, t0, t1 - t0, y0, args, solver_state
-        )
+        return _step("radau", 3, self.sweeps, t0, t1 - t0, y0, args, solver_state)
 
 
 class Gauss(dfx.AbstractSolver):
@@ -235,14 +234,12 @@ class Gauss(dfx.AbstractSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         del terms, made_jump
-        return _step(
-            scheme("gauss", 2), self.sweeps, t0, t1 - t0, y0, args, solver_state
-        )
+        return _step("gauss", 2, self.sweeps, t0, t1 - t0, y0, args, solver_state)
 
 
 def _first(kind: Scheme, time: Scalar, state: State, system: System) -> Memory:
     """What there is to foresee the first step from: that nothing changes."""
-    acceleration, push = system.solved(time, state.place, state.rate)
+    now = system.instant(time, state.place, state.rate)
     displacements, _ = system.spread(time, state.place, state.rate)
     stretches = system.mechanism.couplings.stretches(displacements).reshape(-1)
 
@@ -250,17 +247,19 @@ def _first(kind: Scheme, time: Scalar, state: State, system: System) -> Memory:
         return jnp.zeros((len(kind.through), value.size)).at[0].set(value)
 
     return Memory(
-        acceleration=acceleration,
+        acceleration=now.acceleration,
         stretches=stretches,
-        accelerations=constant(acceleration),
+        accelerations=constant(now.acceleration),
         stretching=constant(stretches),
-        pushes=constant(push)[: kind.stages],
+        pushes=constant(now.push)[: kind.stages],
         step=jnp.ones_like(time),
     )
 
 
+@eqx.filter_jit  # diffrax traces a step three times
 def _step(
-    kind: Scheme,
+    nodes: str,
+    stages: int,
     sweeps: int,
     start: Scalar,
     step: Scalar,
@@ -268,6 +267,7 @@ def _step(
     system: System,
     memory: Memory,
 ) -> tuple[State, State | None, dict[str, Any], Memory, dfx.RESULTS]:
+    kind = scheme(nodes, stages)
     size, mass = state.place.size, system.mass
     matrix = step * jnp.asarray(kind.matrix)
     twice = step**2 * jnp.asarray(kind.matrix @ kind.matrix)
@@ -295,8 +295,8 @@ def _step(
     tangent, reach, held_mass = jax.lax.stop_gradient((tangent, reach, mass))
     inverse = _inverse(tangent, reach, held_mass)
 
-    def solve(_, stages):
-        accelerations, stretches, pushes, _ = stages
+    def solve(_, found):
+        accelerations, stretches, pushes, _ = found
         places, rates = moved(accelerations)
         forces = jax.vmap(system.forces)(times, places, rates, stretches, pushes)
         lacking = forces.net - mass * accelerations
@@ -312,9 +312,9 @@ def _step(
         stretches = stretches + forces.excess + followed
         return accelerations + change, stretches, pushes + more, change
 
-    stages = accelerations, stretches, pushes, jnp.zeros_like(accelerations)
-    stages = jax.lax.fori_loop(0, sweeps, solve, stages)
-    accelerations, stretches, pushes, change = stages
+    found = accelerations, stretches, pushes, jnp.zeros_like(accelerations)
+    found = jax.lax.fori_loop(0, sweeps, solve, found)
+    accelerations, stretches, pushes, change = found
     places, rates = moved(accelerations)
 
     weights = step * jnp.asarray(kind.weights)
@@ -323,7 +323,7 @@ def _step(
     place, rate = system.project(start + step, place, rate)
     powers = jnp.zeros((kind.stages, state.work.size))
     if state.work.size:
-        powers = jax.vmap(system.powers)(times, places, rates)
+        powers = jax.vmap(system.instant)(times, places, rates).powers
     end = State(place, rate, state.work + weights @ powers)
 
     through = jnp.asarray(kind.through)

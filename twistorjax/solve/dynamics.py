@@ -169,7 +169,7 @@ def _solve(
     energies: bool,
     places: Places,
 ) -> Motion:
-    system, state, result = begin.begin(
+    system, state, first, result = begin.begin(
         mechanism, times, loads, drives, joints, moved, given, energies, places
     )
     if controller is None and step is None:
@@ -181,7 +181,7 @@ def _solve(
         solver,
         times[0],
         times[-1],
-        step,
+        first if step is None else step,
         state,
         args=system,
         saveat=_kept(dfx.SaveAt() if saveat is None else saveat, times),
@@ -229,7 +229,7 @@ def _told(system: System, time: Scalar, state: State):
     """All that is told of an instant."""
     place, rate = system.project(time, state.place, state.rate)
     displacements, velocities = system.spread(time, place, rate)
-    reactions, pushes = system.reactions(time, place, rate)
+    now = system.instant(time, place, rate)
     works = state.work if state.work.size else jnp.zeros(3)
     energy = Energies(
         elastic=system.mechanism.couplings.energy(displacements),
@@ -238,7 +238,7 @@ def _told(system: System, time: Scalar, state: State):
         by_loads=works[1],
         by_drives=works[2],
     )
-    return displacements, velocities, reactions, pushes, energy
+    return displacements, velocities, now.reactions, now.push, energy
 
 
 def _kept(saveat: dfx.SaveAt, times: Float[Array, " times"]) -> dfx.SaveAt:
@@ -258,7 +258,7 @@ def _kept(saveat: dfx.SaveAt, times: Float[Array, " times"]) -> dfx.SaveAt:
     )
 
 
-class Instant(eqx.Module):
+class Snapshot(eqx.Module):
     """What the condition of an event sees.
 
     Args:
@@ -279,7 +279,7 @@ def _seen(event: dfx.Event) -> dfx.Event:
         def see(t, y, args, **more):
             displacements, velocities = args.spread(t, y.place, y.rate)
             poses = args.mechanism.rest + displacements
-            return condition(t, Instant(poses, displacements, velocities), args, **more)
+            return condition(t, Snapshot(poses, displacements, velocities), args, **more)
 
         return see
 

@@ -98,8 +98,8 @@ def begin(
     given: Poses | None,
     energies: bool,
     places: Places,
-) -> tuple[System, State, RESULTS]:
-    """The equations of a motion, its first state, and whether it can begin.
+) -> tuple[System, State, Array, RESULTS]:
+    """The equations of a motion, its first state and step, and whether it can begin.
 
     A state that cannot begin is NaN, at which every solver stops.
     """
@@ -117,7 +117,7 @@ def begin(
         places=places,
     )
     place = moved.reshape(-1)[system.free]
-    period = _period(system, moved, times[-1] - times[0])
+    period, first = _periods(system, moved, times[-1] - times[0])
     system = eqx.tree_at(lambda system: system.period, system, period)
     rate = jnp.zeros_like(place)
     if given is not None:
@@ -139,18 +139,20 @@ def begin(
     works = jnp.zeros(3 if energies else 0)
     state = State(place, rate, works)
     fine = result == RESULTS.successful
-    return system, jax.tree.map(lambda x: jnp.where(fine, x, jnp.nan), state), result
+    return system, jax.tree.map(lambda x: jnp.where(fine, x, jnp.nan), state), first, result
 
 
-def _period(system: System, moved: Poses, longest: Array) -> Array:
-    """Of the slowest vibration, over two pi; s."""
+def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array]:
+    """The period of the slowest vibration and of the fastest, over two pi; s."""
     couplings = system.mechanism.couplings
     _, stiffness, _ = couplings.tangent(moved, system.places.free, system.places.free)
     stiffness, mass = jax.lax.stop_gradient((stiffness, system.mass))
     root = jnp.sqrt(mass)
     squares = jnp.linalg.eigvalsh(stiffness / (root[:, None] * root))
-    slowest = jnp.min(squares, initial=jnp.inf)
-    return 1 / jnp.sqrt(jnp.maximum(slowest, 1 / longest**2))
+    least = 1 / longest**2
+    slowest = jnp.clip(jnp.min(squares, initial=jnp.inf), least, 1e30)
+    fastest = jnp.clip(jnp.max(squares, initial=0.0), least, 1e30)
+    return 1 / jnp.sqrt(slowest), 1 / jnp.sqrt(fastest)
 
 
 def _gives_energy(mechanism: Mechanism) -> Array:

@@ -64,6 +64,22 @@ class Slopes(NamedTuple):
     normals: Float[Array, "constraints free"]
 
 
+class Instant(NamedTuple):
+    """What happens at an instant.
+
+    Args:
+        acceleration: of the free coordinates; rad/s2, m/s2.
+        push: of each constraint's entries; N m, N.
+        reactions: what held and driven coordinates receive; N m, N, N.
+        powers: what is dissipated, and what loads and drives do; W.
+    """
+
+    acceleration: Float[Array, " free"]
+    push: Float[Array, " constraints"]
+    reactions: Wrenches
+    powers: Float[Array, "3"]
+
+
 class System(eqx.Module):
     """A mechanism with all that moves it, as forces on its free coordinates.
 
@@ -76,7 +92,7 @@ class System(eqx.Module):
         joined: its constraints.
         inertia: of each coordinate, zero where it is held; kg m2, kg, kg.
         length: of a lever of the mechanism, by which displacements are measured; m.
-        period: of its slowest motion, by which rates are; s.
+        period: of its slowest motion over two pi, by which rates are; s.
         places: of the free and of the driven coordinates.
     """
 
@@ -191,54 +207,48 @@ class System(eqx.Module):
             stiffness = stiffness - jax.jacfwd(pushed)(place)
         return Slopes(stiffness, *tangent[1:], normals)
 
-    def acceleration(self, time: Scalar, place: Array, rate: Array) -> Array:
-        """The accelerations of the free coordinates; rad/s2, m/s2."""
-        return self.solved(time, place, rate)[0]
-
-    def solved(self, time: Scalar, place: Array, rate: Array) -> tuple[Array, Array]:
-        """Accelerations, and the forces of constraints: equation 5.25."""
-        net = self.forces(time, place, rate).net
-        if not self.joined.size:
-            return net / self.mass, jnp.zeros(0)
-        normals = self.normals(time, place)
-
-        def violation_rate(time: Scalar, place: Array) -> Array:
-            ones = jnp.ones_like(time)
-            return jax.jvp(self.violation, (time, place), (ones, rate))[1]
-
-        _, curving = jax.jvp(violation_rate, (time, place), (jnp.ones_like(time), rate))
-        light = normals / self.mass
-        push = jnp.linalg.solve(light @ normals.T, -curving - light @ net)
-        return (net + push @ normals) / self.mass, push
-
-    def powers(self, time: Scalar, place: Array, rate: Array) -> Float[Array, "3"]:
-        """What is dissipated, and what loads and drives do; W."""
+    def instant(self, time: Scalar, place: Array, rate: Array) -> "Instant":
+        """What happens at an instant: equation 5.25, and what follows from it."""
         displacements, rates = self.spread(time, place, rate)
         resisting, _, dissipated = self.mechanism.couplings.forces_in_motion(
             displacements, rates
         )
         applied, _, _ = self.applied(time, displacements)
-        by_drives = jnp.zeros(())
-        if self.places.driven or self.joined.size:
-            held = self.reactions(time, place, rate)[0] * rates
-            by_drives = jnp.sum(held) + self._done_by_constraints(time, place, rate)
-        return jnp.stack([dissipated, jnp.vdot(applied, rates), by_drives])
-
-    def reactions(self, time: Scalar, place: Array, rate: Array) -> tuple[Wrenches, Array]:
-        """What held and driven coordinates receive, and the forces of constraints."""
-        displacements, rates = self.spread(time, place, rate)
-        acceleration, push = self.solved(time, place, rate)
+        net = (applied - resisting).reshape(-1)
+        push, back, moving = jnp.zeros(0), jnp.zeros_like(net), jnp.zeros(())
+        if self.joined.size:
+            push, back, moving = self._pushed(time, place, rate, displacements, net)
+        acceleration = (net + back)[self.free] / self.mass
         _, _, gain = self.driving(time)
-        resisting, _, _ = self.mechanism.couplings.forces_in_motion(displacements, rates)
-        applied, _, _ = self.applied(time, displacements)
         total = self.inertia * self._whole(acceleration, gain).reshape(-1)
-        total = total + (resisting - applied).reshape(-1)
-        if push.size:
-            _, back = jax.vjp(lambda at: self.joined.violation(at, time), displacements)
-            total = total - back(push)[0].reshape(-1)
-        held = np.ones(total.size)
+        held = np.ones(net.size)
         held[self.free] = 0.0
-        return (held * total).reshape(displacements.shape), push
+        reactions = (held * (total - net - back)).reshape(displacements.shape)
+        by_drives = jnp.vdot(reactions, rates) - moving
+        powers = jnp.stack([dissipated, jnp.vdot(applied, rates), by_drives])
+        return Instant(acceleration, push, reactions, powers)
+
+    def _pushed(
+        self, time: Scalar, place: Array, rate: Array, displacements: Poses, net: Array
+    ) -> tuple[Array, Array, Scalar]:
+        """Forces of the constraints, these on all coordinates, and the power they take.
+
+        That of constraints which change with time, as a drive does.
+        """
+        one = jnp.ones_like(time)
+
+        def violation_rate(time: Scalar, place: Array) -> Array:
+            return jax.jvp(self.violation, (time, place), (one, rate))[1]
+
+        _, curving = jax.jvp(violation_rate, (time, place), (one, rate))
+        normals = self.normals(time, place)
+        light = normals / self.mass
+        push = jnp.linalg.solve(light @ normals.T, -curving - light @ net[self.free])
+        _, back = jax.vjp(lambda at: self.joined.violation(at, time), displacements)
+        _, moving = jax.jvp(
+            lambda time: self.joined.violation(displacements, time), (time,), (one,)
+        )
+        return push, back(push)[0].reshape(-1), jnp.vdot(push, moving)
 
     def project(self, time: Scalar, place: Array, rate: Array) -> tuple[Array, Array]:
         """The nearest place and rate that the constraints allow, as inertia measures."""
@@ -280,19 +290,6 @@ class System(eqx.Module):
         acting = Loads.of(loads, bodies, self.mechanism.rest)
         return *acting.apply(displacements), bodies
 
-    def _done_by_constraints(self, time: Scalar, place: Array, rate: Array) -> Scalar:
-        """The power of constraints that change with time."""
-        if not self.joined.size:
-            return jnp.zeros(())
-        _, push = self.solved(time, place, rate)
-        displacements, _ = self.spread(time, place, rate)
-        _, moving = jax.jvp(
-            lambda time: self.joined.violation(displacements, time),
-            (time,),
-            (jnp.ones_like(time),),
-        )
-        return -jnp.vdot(push, moving)
-
     def _whole(self, free: Array, given: Array) -> Poses:
         """Values of the free and of the driven coordinates, and zero for the held."""
         known = (*self.places.free, *self.places.driven)
@@ -303,11 +300,8 @@ class System(eqx.Module):
 
 def _rates(time: Scalar, state: State, system: System) -> State:
     place, rate, work = state
-    return State(
-        place=rate,
-        rate=system.acceleration(time, place, rate),
-        work=system.powers(time, place, rate) if work.size else work,
-    )
+    now = system.instant(time, place, rate)
+    return State(rate, now.acceleration, now.powers if work.size else work)
 
 
 equation = dfx.ODETerm(_rates)

@@ -31,3 +31,9 @@ from .solve.linear import linearise as linearise, Linearised as Linearised
 from .solve.motion import Motion as Motion
 from .solve.results import outcomes as outcomes, RESULTS as RESULTS
 from .solve.statics import Equilibrium as Equilibrium, equilibrium as equilibrium
+from .solve.vibrations import (
+    frequency_response as frequency_response,
+    Response as Response,
+    Vibrations as Vibrations,
+    vibrations as vibrations,
+)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from .._checks import all_known
-from .results import ByBody, outcomes, RESULTS
+from .results import outcomes, Placed, RESULTS
 from .system import System
 
 
@@ -45,7 +45,7 @@ class Energies(eqx.Module):
         return held - held[..., :1] - came
 
 
-class Motion(ByBody):
+class Motion(Placed):
     """How the bodies of a mechanism moved.
 
     Where a motion stopped before its end, the rows of later times are NaN.

@@ -72,7 +72,6 @@ class ByBody(eqx.Module):
     """What an answer tells of each body, called by its name."""
 
     displacements: eqx.AbstractVar[Float[Array, "..."]]
-    rest: eqx.AbstractVar[Float[Array, "..."]]
     reactions: eqx.AbstractVar[Float[Array, "..."]]
     result: eqx.AbstractVar[RESULTS]
     names: eqx.AbstractVar[tuple[str, ...]]
@@ -83,20 +82,9 @@ class ByBody(eqx.Module):
         done = self.result == RESULTS.successful
         return done | (self.result == RESULTS.event_occurred)
 
-    @property
-    def poses(self) -> Float[Array, "*batch bodies 3"]:
-        """Where the bodies are; rad, m, m."""
-        more = self.displacements.ndim - self.rest.ndim
-        shape = (*self.rest.shape[:-2], *more * (1,), *self.rest.shape[-2:])
-        return self.rest.reshape(shape) + self.displacements
-
     def displacement(self, body: str) -> Float[Array, "*batch 3"]:
         """How far a body has moved from rest; rad, m, m."""
         return self.displacements[..., self._row(body), :]
-
-    def pose(self, body: str) -> Float[Array, "*batch 3"]:
-        """Where a body is; rad, m, m."""
-        return self.poses[..., self._row(body), :]
 
     def reaction(self, body: str) -> Float[Array, "*batch 3"]:
         """What a body's held and driven coordinates receive from outside; N m, N, N.
@@ -112,3 +100,20 @@ class ByBody(eqx.Module):
                 f"{', '.join(map(repr, self.names))}."
             )
         return self.names.index(body)
+
+
+class Placed(ByBody):
+    """What an answer tells that says where each body is."""
+
+    rest: eqx.AbstractVar[Float[Array, "..."]]
+
+    @property
+    def poses(self) -> Float[Array, "*batch bodies 3"]:
+        """Where the bodies are; rad, m, m."""
+        more = self.displacements.ndim - self.rest.ndim
+        shape = (*self.rest.shape[:-2], *more * (1,), *self.rest.shape[-2:])
+        return self.rest.reshape(shape) + self.displacements
+
+    def pose(self, body: str) -> Float[Array, "*batch 3"]:
+        """Where a body is; rad, m, m."""
+        return self.poses[..., self._row(body), :]

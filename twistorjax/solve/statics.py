@@ -15,10 +15,10 @@ from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
 from . import newton
-from .results import ByBody, outcomes, RESULTS
+from .results import outcomes, Placed, RESULTS
 
 
-class Equilibrium(ByBody):
+class Equilibrium(Placed):
     """Where the bodies of a mechanism rest, and what holds them there.
 
     Where none was found, displacements, reactions and energy are NaN, with derivatives of

@@ -1,0 +1,291 @@
+"""Small vibrations about an equilibrium: free ones, and those that are forced."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Complex, Float
+
+from .._checks import known, need_float64
+from .._types import Poses
+from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
+from ..mechanism import Mechanism
+from . import newton
+from .results import ByBody, outcomes, RESULTS
+from .statics import Equilibrium, free_coordinates
+
+
+class Vibrations(eqx.Module):
+    """The natural vibrations of a mechanism, the slowest first.
+
+    Where the equilibrium is unstable its frequency is NaN.
+
+    Args:
+        frequencies: Hz.
+        shapes: displacements of each body, of unit modal mass; rad, m, m, all of them by
+            the root of kg m2.
+        result: how it ended; `outcomes` gives its name.
+        names: of the bodies, for their rows.
+    """
+
+    frequencies: Float[Array, "*batch modes"]
+    shapes: Float[Array, "*batch modes bodies 3"]
+    result: RESULTS
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def succeeded(self) -> Bool[Array, "*batch"]:
+        """Whether the equilibrium is stable, so that it vibrates."""
+        return self.result == RESULTS.successful
+
+    def __repr__(self) -> str:
+        ended = outcomes(self.result)
+        if ended is None or ended.shape:
+            return eqx.tree_pformat(self)
+        lines = [f"{ended}: {self.frequencies.size} vibrations", "frequency (Hz)  moves"]
+        for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
+            most = np.argsort(-np.linalg.norm(np.asarray(shape)[:, 1:], axis=1))[:3]
+            moved = ", ".join(self.names[body] for body in most)
+            lines.append(f"{float(frequency):>14.6g}  {moved}")
+        return "\n".join(lines)
+
+
+def vibrations(
+    mechanism: Mechanism,
+    driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
+    *,
+    about: Poses | Equilibrium | None = None,
+    loads: Sequence[Load] = (),
+    throw: bool = True,
+) -> Vibrations:
+    """The natural frequencies of a mechanism about an equilibrium, and their shapes.
+
+    Damping is left aside; `frequency_response` has it. The answer has derivatives by
+    everything that made the mechanism, those of shapes where no two frequencies are one.
+
+    Args:
+        mechanism: its bodies that can move need mass and inertia.
+        driven: which coordinates a drive holds: names of bodies, for all three, or a
+            mapping from names to some of "angle", "x" and "y".
+        about: poses of the equilibrium, by default rest; rad, m, m.
+        loads: that hold the mechanism there; they add to its stiffness as they turn.
+        throw: whether an unstable equilibrium is raised, or only told by `result`.
+
+    Raises:
+        ValueError: double precision is off; a name is unknown; a body that moves has no
+            mass; a load follows its body, so that there is no potential.
+        RuntimeError: the equilibrium is not stable.
+
+    Source:
+        The matrices of equation 5.24 of the dissertation, linearised.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 400.0, 100.0])))
+        >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+        >>> block = Body("block", mass=1.0, inertia=0.1)
+        >>> mechanism = Mechanism([Body("wall"), block], [hinge], held=["wall"])
+        >>> 2 * jnp.pi * vibrations(mechanism).frequencies
+        Array([ 3.16227766, 10.        , 20.        ], dtype=float64)
+    """
+    need_float64(mechanism.rest)
+    if any(load.follows for load in loads):
+        raise ValueError(
+            "`loads` has one that follows its body. It has no potential, so vibrations "
+            "need not be: see how the mechanism answers with `frequency_response`, or "
+            "let it move with `simulate`."
+        )
+    given = mechanism.coordinates("driven", driven)
+    free = free_coordinates(len(mechanism.names), mechanism.held, given)
+    answer = _vibrations(mechanism, _state(mechanism, about), tuple(loads), free)
+    if throw:
+        ended = outcomes(answer.result)
+        if ended is None:
+            return answer.result.error_if(answer, ~answer.succeeded)
+        if np.any(ended != "successful"):
+            text = RESULTS[getattr(RESULTS, ended[ended != "successful"].flat[0])]
+            raise RuntimeError(text)
+    return answer
+
+
+@eqx.filter_jit
+def _vibrations(
+    mechanism: Mechanism, moved: Poses, loads: tuple[Load, ...], free: tuple[int, ...]
+) -> Vibrations:
+    rows = np.array(free, int)
+    stiffness = _stiffness(mechanism, moved, loads)[rows[:, None], rows]
+    root = jnp.sqrt(mechanism.inertia().reshape(-1)[rows])
+    matrix = stiffness / (root[:, None] * root)
+    finite = jnp.all(jnp.isfinite(matrix))
+    squares, vectors = jnp.linalg.eigh(jnp.where(finite, matrix, jnp.eye(len(free))))
+    stable = squares[0] > -1e-9 * squares[-1] if free else jnp.ones((), bool)
+    positive = squares > 0
+    frequencies = jnp.sqrt(jnp.where(positive, squares, 1.0)) / (2 * jnp.pi)
+    none = jnp.where(stable, 0.0, jnp.nan)
+    frequencies = jnp.where(positive, frequencies, none)
+    shapes = jnp.zeros((len(free), mechanism.rest.size))
+    shapes = shapes.at[:, rows].set((vectors / root[:, None]).T)
+    result = RESULTS.where(stable, RESULTS.successful, RESULTS.loose)
+    result = RESULTS.where(finite, result, RESULTS.not_finite)
+    return Vibrations(
+        frequencies=jnp.where(finite, frequencies, jnp.nan),
+        shapes=jnp.where(finite, shapes, jnp.nan).reshape(-1, *mechanism.rest.shape),
+        result=result,
+        names=mechanism.names,
+    )
+
+
+class Response(ByBody):
+    """How a mechanism answers to what swings, at each frequency.
+
+    Amplitudes are complex: what swings with `cos(2 pi f t)` is answered by the real part
+    of the amplitude times `exp(2 pi i f t)`.
+
+    Args:
+        frequencies: Hz.
+        displacements: amplitude of each body's, from the equilibrium; rad, m, m.
+        reactions: amplitude of what held and driven coordinates receive; N m, N, N.
+        result: how it ended; `outcomes` gives its name.
+        names: of the bodies, for their rows.
+    """
+
+    frequencies: Float[Array, " frequencies"]
+    displacements: Complex[Array, "frequencies bodies 3"]
+    reactions: Complex[Array, "frequencies bodies 3"]
+    result: RESULTS
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+def frequency_response(
+    mechanism: Mechanism,
+    frequencies: Float[ArrayLike, " frequencies"],
+    *,
+    loads: Sequence[Load] = (),
+    drives: Sequence[Drive] = (),
+    about: Poses | Equilibrium | None = None,
+    bears: Sequence[Load] = (),
+    throw: bool = True,
+) -> Response:
+    """The answer of a mechanism to small loads and drives that swing.
+
+    Args:
+        mechanism: its bodies that can move need mass and inertia; its hinges may be
+            damped.
+        frequencies: Hz.
+        loads: amplitudes of loads.
+        drives: amplitudes of driven coordinates.
+        about: poses of the equilibrium about which it swings, by default rest; rad, m, m.
+        bears: loads that hold the mechanism there; they add to its stiffness.
+        throw: whether a failure is raised, or only told by `result`.
+
+    Raises:
+        ValueError: double precision is off; a name is unknown; a coordinate is driven
+            twice, or driven and held; a body that moves has no mass.
+        RuntimeError: a frequency is a resonance without damping, or a value not finite.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 400.0, 100.0])))
+        >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+        >>> block = Body("block", mass=1.0, inertia=0.1)
+        >>> mechanism = Mechanism([Body("wall"), block], [hinge], held=["wall"])
+        >>> push = Load("block", (0.0, 1.0, 0.0))
+        >>> answer = frequency_response(mechanism, [0.0], loads=[push])
+        >>> abs(answer.displacement("block")[0, 1])  # 1 N over 400 N/m
+        Array(0.0025, dtype=float64)
+    """
+    need_float64(mechanism.rest)
+    values = jnp.asarray(frequencies, float)
+    if values.ndim != 1:
+        raise ValueError(
+            f"`frequencies` has shape {values.shape}, but must be a row of them: "
+            "[100.0], or jnp.linspace(0, 100, 11)."
+        )
+    places, targets = driven_by(mechanism, drives)
+    free = free_coordinates(len(mechanism.names), mechanism.held, places)
+    loaded(mechanism, loads)
+    answer = _response(
+        mechanism,
+        values,
+        tuple(loads),
+        targets,
+        _state(mechanism, about),
+        tuple(bears),
+        newton.Places(free, places),
+    )
+    if throw:
+        ended = outcomes(answer.result)
+        if ended is None:
+            return answer.result.error_if(answer, ~answer.succeeded)
+        if np.any(ended != "successful"):
+            raise RuntimeError(
+                "At some frequency the answer is not finite: a resonance without damping, "
+                "or a value of the mechanism that is not finite. Give the hinges "
+                "`damping`, or leave the frequency out."
+            )
+    return answer
+
+
+@eqx.filter_jit
+def _response(
+    mechanism: Mechanism,
+    frequencies: Array,
+    loads: tuple[Load, ...],
+    targets: tuple[Array, ...],
+    moved: Poses,
+    bears: tuple[Load, ...],
+    places: newton.Places,
+) -> Response:
+    every = tuple(range(mechanism.rest.size))
+    still = jnp.zeros_like(mechanism.rest)
+    damping = mechanism.couplings.tangent_in_motion(moved, still, every).damping
+    stiffness = _stiffness(mechanism, moved, bears)
+    inertia = mechanism.inertia().reshape(-1)
+    inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
+    bodies = loaded(mechanism, loads)
+    applied, _ = Loads.of(loads, bodies, mechanism.rest).apply(moved)
+    force = applied.reshape(-1)
+    free, given = (np.array(chosen, int) for chosen in places)
+    held = np.ones(force.size)
+    held[free] = 0.0
+
+    def at(frequency: Array) -> tuple[Array, Array]:
+        omega = 2 * jnp.pi * frequency
+        matrix = stiffness - omega**2 * jnp.diag(inertia) + 1j * omega * damping
+        swing = jnp.zeros(force.size, matrix.dtype)
+        swing = swing.at[given].set(jnp.array(targets, matrix.dtype))
+        right = (force - matrix @ swing)[free]
+        swing = swing.at[free].set(
+            jnp.linalg.solve(matrix[free[:, None], free], right)
+        )
+        return swing.reshape(still.shape), (held * (matrix @ swing - force)).reshape(
+            still.shape
+        )
+
+    displacements, reactions = jax.vmap(at)(frequencies)
+    finite = jnp.all(jnp.isfinite(displacements))
+    return Response(
+        frequencies=frequencies,
+        displacements=displacements,
+        reactions=reactions,
+        result=RESULTS.where(finite, RESULTS.successful, RESULTS.not_finite),
+        names=mechanism.names,
+    )
+
+
+def _stiffness(
+    mechanism: Mechanism, moved: Poses, loads: tuple[Load, ...]
+) -> Float[Array, "coordinates coordinates"]:
+    every = newton.Places(tuple(range(mechanism.rest.size)), ())
+    acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
+    problem = newton.Problem(mechanism.couplings, acting, jnp.zeros(0), every)
+    return problem.tangent(moved)[1]
+
+
+def _state(mechanism: Mechanism, about: Poses | Equilibrium | None) -> Poses:
+    if about is None:
+        return jnp.zeros_like(mechanism.rest)
+    poses = about.poses if isinstance(about, Equilibrium) else about
+    return mechanism._displacements(poses, "about")

@@ -24,7 +24,9 @@ from .flexure import (
 from .hinge import Hinge as Hinge
 from .joints import Constraint as Constraint, Pin as Pin, Slider as Slider
 from .mechanism import Mechanism as Mechanism
+from .show.animation import animate as animate
 from .show.drawing import draw as draw
+from .show.progress import ProgressBar as ProgressBar
 from .solve.collocation import Gauss as Gauss, Radau as Radau
 from .solve.dynamics import simulate as simulate
 from .solve.linear import linearise as linearise, Linearised as Linearised

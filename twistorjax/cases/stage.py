@@ -23,7 +23,7 @@ from jaxtyping import ArrayLike
 from .._types import Scalar
 from ..body import Body
 from ..boundary import Drive
-from ..energy import Coordinates
+from ..energy import Coordinates, Viscous
 from ..flexure import Material, notch, notch_outline
 from ..flexure.notch import Formula
 from ..hinge import Hinge
@@ -81,6 +81,7 @@ def microstage(
     material: Material | None = None,
     formula: Formula = "fitted",
     coordinates: Coordinates = "twistor",
+    damping: Viscous | ArrayLike | None = None,
 ) -> Mechanism:
     """The micropositioning stage.
 
@@ -91,6 +92,8 @@ def microstage(
         material: of the plate, by default `aluminium`.
         formula: for the stiffness of the notches.
         coordinates: of their quadratic energies, "twistor" or "twist".
+        damping: of each notch, needed for motion alone: a `Viscous`, or the time by
+            which its stiffness is multiplied; s.
 
     Returns:
         Bodies "1" to "6" and hinges "a" to "g", as the dissertation calls them; "1" is
@@ -136,7 +139,7 @@ def microstage(
         )
     outline = notch_outline(hole=hole, web=web)
     hinges = [
-        Hinge(name, first, second, neck, at=(0.0, *place), outline=outline)
+        Hinge(name, first, second, neck, at=(0.0, *place), damping=damping, outline=outline)
         for name, (first, second, place) in _HINGES.items()
     ]
     held = {"1": ("angle", "x", "y"), "6": ("angle", "y")}

@@ -23,9 +23,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 from .._types import Scalar
+from .elimination import inverse
 from .system import Slopes, State, System
 
 
@@ -293,7 +294,7 @@ def _step(
     )
     reach = step * jnp.asarray(kind.reaches)[:, None, None]
     tangent, reach, held_mass = jax.lax.stop_gradient((tangent, reach, mass))
-    inverse = _inverse(tangent, reach, held_mass)
+    backwards = _backwards(tangent, reach, held_mass)
 
     def solve(_, found):
         accelerations, stretches, pushes, _ = found
@@ -305,7 +306,7 @@ def _step(
         if pushes.size:
             gap = -_mix(jnp.asarray(kind.into), forces.violation) / reach[..., 0] ** 2
             right = jnp.concatenate([right, gap], axis=1)
-        solved = jnp.sum(inverse * right[:, None], axis=-1)
+        solved = jnp.sum(backwards * right[:, None], axis=-1)
         solved = jnp.real(_mix(jnp.asarray(kind.out_of), solved))
         change, more = solved[:, :size], solved[:, size:]
         followed = _mix(_mix(twice, change), tangent.stretching)
@@ -352,7 +353,7 @@ def _step(
     error = None
     if kind.ends:
         error = _error(
-            kind, step, state, system, memory, rates, accelerations, change, inverse,
+            kind, step, state, system, memory, rates, accelerations, change, backwards,
             tangent,
         )  # fmt: skip
         # an error of NaN would shrink the step for ever
@@ -368,9 +369,9 @@ def _mix(matrix: Array, rows: Array) -> Array:
     return jnp.sum(matrix[:, :, None] * rows[None], axis=1)
 
 
-def _inverse(
+def _backwards(
     tangent: Slopes, reach: Array, mass: Array
-) -> Float[Array, "reaches unknowns unknowns"]:
+) -> Complex[Array, "reaches unknowns unknowns"]:
     """Of the matrix of all stages, one direction at a time, constraints included."""
     matrix = jnp.diag(mass) + reach * tangent.damping + reach**2 * tangent.stiffness
     count = len(tangent.normals)
@@ -379,7 +380,7 @@ def _inverse(
         across = jnp.swapaxes(normals, 1, 2)
         corner = jnp.zeros((len(reach), count, count))
         matrix = jnp.block([[matrix, -across], [normals, corner]])
-    return jnp.linalg.inv(matrix)
+    return inverse(matrix)
 
 
 def _error(
@@ -391,7 +392,7 @@ def _error(
     rates: Array,
     accelerations: Array,
     change: Array,
-    inverse: Array,
+    backwards: Array,
     tangent: Slopes,
 ) -> State:
     """The error of a step: of its collocation, and of solves that were too few.
@@ -410,7 +411,7 @@ def _error(
     reach = reach * step
     right = system.mass * (reach * rate + place) + reach * tangent.damping @ place
     size = place.size
-    smooth = jnp.real(inverse[kind.real, :size, :size]) @ right
+    smooth = jnp.real(backwards[kind.real, :size, :size]) @ right
     estimate = State(smooth, (smooth - place) / reach, state.work * 0)
     estimate = jax.tree.map(jnp.abs, jax.lax.stop_gradient(estimate))
     grown = 10**1.5 * jnp.sqrt(system.size(estimate))

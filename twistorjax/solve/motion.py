@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from .._checks import all_known
 from .results import outcomes, Placed, RESULTS
 from .system import System
+from .tables import motion_table
 
 
 if TYPE_CHECKING:
@@ -124,8 +125,6 @@ class Motion(Placed):
             ImportError: xarray is not installed.
             ValueError: the motion is one of a batch of them.
         """
-        from ..show.tables import motion_table
-
         return motion_table(self)
 
     def __repr__(self) -> str:

@@ -14,6 +14,7 @@ from .._types import Poses
 from ..boundary import driven
 from ..joints import Joined
 from ..mechanism import Mechanism
+from .elimination import inverse
 from .newton import Places
 from .results import outcomes, RESULTS
 from .statics import free_coordinates
@@ -143,16 +144,18 @@ def begin(
 
 
 def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array]:
-    """The period of the slowest vibration and of the fastest, over two pi; s."""
+    """Those of the slowest vibration and of the fastest, over two pi, or nearly; s.
+
+    By the sums of the squares of all periods, and of all frequencies, which they lead.
+    """
     couplings = system.mechanism.couplings
     _, stiffness, _ = couplings.tangent(moved, system.places.free, system.places.free)
     stiffness, mass = jax.lax.stop_gradient((stiffness, system.mass))
-    root = jnp.sqrt(mass)
-    squares = jnp.linalg.eigvalsh(stiffness / (root[:, None] * root))
-    least = 1 / longest**2
-    slowest = jnp.clip(jnp.min(squares, initial=jnp.inf), least, 1e30)
-    fastest = jnp.clip(jnp.max(squares, initial=0.0), least, 1e30)
-    return 1 / jnp.sqrt(slowest), 1 / jnp.sqrt(fastest)
+    slowest = jnp.sum(jnp.diagonal(inverse(stiffness)) * mass)
+    fastest = jnp.sum(jnp.diagonal(stiffness) / mass)
+    # where nothing holds a body, no period but that of the motion itself
+    slowest = jnp.where((slowest > 0) & (slowest < longest**2), slowest, longest**2)
+    return jnp.sqrt(slowest), 1 / jnp.sqrt(jnp.maximum(fastest, 1 / longest**2))
 
 
 def _gives_energy(mechanism: Mechanism) -> Array:
@@ -163,7 +166,12 @@ def _gives_energy(mechanism: Mechanism) -> Array:
             size = jnp.sqrt(jnp.abs(jnp.diagonal(matrix, axis1=1, axis2=2)))
             size = jnp.where(size > 0, size, 1.0)
             scaled = matrix / (size[:, :, None] * size[:, None])
-            wrong |= jnp.any(jnp.linalg.eigvalsh(scaled) < -1e-9)
+            # positive where each of its minors about the diagonal is
+            a, b, c = scaled[:, 0, 1], scaled[:, 0, 2], scaled[:, 1, 2]
+            x, y, z = jnp.diagonal(scaled, axis1=1, axis2=2).T
+            minors = [x, y, z, x * y - a * a, x * z - b * b, y * z - c * c]
+            whole = x * y * z + 2 * a * b * c - x * c * c - y * b * b - z * a * a
+            wrong |= jnp.any(jnp.stack([*minors, whole]) < -1e-9)
     return wrong
 
 
@@ -179,14 +187,13 @@ def _consistent(
     allowed = system.project(time, place, rate)[1]
     scaled = normals * jnp.where(system.free % 3 == 0, 1.0, system.length)
     scaled = scaled / jnp.linalg.norm(scaled, axis=1, keepdims=True)
-    least = jnp.linalg.svd(scaled, compute_uv=False)[-1]
-    if normals.shape[0] > normals.shape[1]:
-        least = jnp.zeros(())
+    largest = jnp.max(jnp.abs(inverse(scaled @ scaled.T)))
+    apart = (largest < 1e12) & (normals.shape[0] <= normals.shape[1])
     met = jnp.max(jnp.abs(violation)) <= _EXACT * (1 + system.length)
     if told:
         speed = 1 + jnp.max(jnp.abs(rate))
         met &= jnp.max(jnp.abs(allowed - rate)) <= 1e-6 * speed
-    return met & (least > 1e-9), allowed
+    return met & apart, allowed
 
 
 def raised(

@@ -14,6 +14,7 @@ from .._types import Poses, Scalar, Wrenches
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..joints import Joined
 from ..mechanism import Mechanism
+from .elimination import inverse
 from .newton import Places
 
 
@@ -243,7 +244,7 @@ class System(eqx.Module):
         _, curving = jax.jvp(violation_rate, (time, place), (one, rate))
         normals = self.normals(time, place)
         light = normals / self.mass
-        push = jnp.linalg.solve(light @ normals.T, -curving - light @ net[self.free])
+        push = inverse(light @ normals.T) @ (-curving - light @ net[self.free])
         _, back = jax.vjp(lambda at: self.joined.violation(at, time), displacements)
         _, moving = jax.jvp(
             lambda time: self.joined.violation(displacements, time), (time,), (one,)
@@ -257,7 +258,7 @@ class System(eqx.Module):
 
         def nearest(normals: Array, violation: Array) -> Array:
             light = normals / self.mass
-            return -light.T @ jnp.linalg.solve(light @ normals.T, violation)
+            return -light.T @ (inverse(light @ normals.T) @ violation)
 
         for _ in range(2):
             normals = self.normals(time, place)

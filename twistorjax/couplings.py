@@ -316,7 +316,7 @@ def _summed(
 
 def _elastic(function):
     """A function of energies alone, where dampings are handed over as well."""
-    return lambda energy, damping, *hinge: function(energy, *hinge)
+    return lambda energy, _, *hinge: function(energy, *hinge)
 
 
 def _stacked(row: Sequence[Array]) -> Array:

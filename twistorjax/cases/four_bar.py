@@ -11,7 +11,7 @@ matrix, would freeze everything; one that is in proportion to the stiffness is t
 instead. The listing also holds the driven link's x, which the text does not.
 """
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -78,9 +78,7 @@ def four_bar(
         Mechanism of 4 bodies (1, 2, 3, 4), 4 hinges (A, B, C, D); held: 1
     """
     if hinges not in ("identical", "mixed"):
-        raise ValueError(
-            f"`hinges` is {hinges!r}, but must be 'identical' or 'mixed'."
-        )
+        raise ValueError(f"`hinges` is {hinges!r}, but must be 'identical' or 'mixed'.")
     links = Material(modulus=69e9, poisson=0.3, density=2.7e3)
     soft = Material(modulus=69e9 / 20, poisson=0.3)
 

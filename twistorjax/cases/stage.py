@@ -139,7 +139,9 @@ def microstage(
         )
     outline = notch_outline(hole=hole, web=web)
     hinges = [
-        Hinge(name, first, second, neck, at=(0.0, *place), damping=damping, outline=outline)
+        Hinge(
+            name, first, second, neck, at=(0.0, *place), damping=damping, outline=outline
+        )
         for name, (first, second, place) in _HINGES.items()
     ]
     held = {"1": ("angle", "x", "y"), "6": ("angle", "y")}

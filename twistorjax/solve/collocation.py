@@ -276,14 +276,14 @@ def _step(
 
     # The stages, foreseen
     part = 1 + jnp.asarray(kind.nodes) * step / memory.step
-    ahead = part[:, None] ** np.arange(len(kind.through))
+    ahead = part[:, None] ** np.arange(len(kind.through), dtype=float)[None]
     accelerations = _mix(ahead, memory.accelerations)
     stretches = _mix(ahead, memory.stretching)
     pushes = _mix(ahead[:, : kind.stages], memory.pushes)
 
     def moved(accelerations: Array) -> tuple[Array, Array]:
-        rates = state.rate + _mix(matrix, accelerations)
-        return state.place + _mix(matrix, rates), rates
+        rates = state.rate[None] + _mix(matrix, accelerations)
+        return state.place[None] + _mix(matrix, rates), rates
 
     # One tangent, at the middle one of them. How it depends on parameters is left to the
     # residual: it changes the way to an answer, not the answer.
@@ -292,7 +292,8 @@ def _step(
     tangent = system.slopes(
         times[middle], places[middle], rates[middle], stretches[middle], pushes[middle]
     )
-    reach = step * jnp.asarray(kind.reaches)[:, None, None]
+    into, out_of = jnp.asarray(kind.into), jnp.asarray(kind.out_of)
+    reach = step.astype(into.dtype) * jnp.asarray(kind.reaches)[:, None, None]
     tangent, reach, held_mass = jax.lax.stop_gradient((tangent, reach, mass))
     backwards = _backwards(tangent, reach, held_mass)
 
@@ -300,14 +301,15 @@ def _step(
         accelerations, stretches, pushes, _ = found
         places, rates = moved(accelerations)
         forces = jax.vmap(system.forces)(times, places, rates, stretches, pushes)
-        lacking = forces.net - mass * accelerations
+        lacking = forces.net - mass[None] * accelerations
         lacking = lacking - _mix(forces.excess, tangent.bearing.T)
-        right = _mix(jnp.asarray(kind.into), lacking)
+        right = _mix(into, lacking.astype(into.dtype))
         if pushes.size:
-            gap = -_mix(jnp.asarray(kind.into), forces.violation) / reach[..., 0] ** 2
+            gap = _mix(into, forces.violation.astype(into.dtype))
+            gap = -gap / reach[:, 0] ** 2
             right = jnp.concatenate([right, gap], axis=1)
         solved = jnp.sum(backwards * right[:, None], axis=-1)
-        solved = jnp.real(_mix(jnp.asarray(kind.out_of), solved))
+        solved = jnp.real(_mix(out_of, solved))
         change, more = solved[:, :size], solved[:, size:]
         followed = _mix(_mix(twice, change), tangent.stretching)
         stretches = stretches + forces.excess + followed
@@ -373,12 +375,18 @@ def _backwards(
     tangent: Slopes, reach: Array, mass: Array
 ) -> Complex[Array, "reaches unknowns unknowns"]:
     """Of the matrix of all stages, one direction at a time, constraints included."""
-    matrix = jnp.diag(mass) + reach * tangent.damping + reach**2 * tangent.stiffness
+    inertia, damping, stiffness, normals = (
+        part.astype(reach.dtype)[None]
+        for part in (
+            jnp.diag(mass), tangent.damping, tangent.stiffness, tangent.normals,
+        )
+    )  # fmt: skip
+    matrix = inertia + reach * damping + reach**2 * stiffness
     count = len(tangent.normals)
     if count:
-        normals = jnp.broadcast_to(tangent.normals, (len(reach), *tangent.normals.shape))
+        normals = jnp.broadcast_to(normals, (len(reach), *normals.shape[1:]))
         across = jnp.swapaxes(normals, 1, 2)
-        corner = jnp.zeros((len(reach), count, count))
+        corner = jnp.zeros((len(reach), count, count), reach.dtype)
         matrix = jnp.block([[matrix, -across], [normals, corner]])
     return inverse(matrix)
 
@@ -417,7 +425,11 @@ def _error(
     grown = 10**1.5 * jnp.sqrt(system.size(estimate))
     weights = step * jnp.asarray(kind.weights)
     late = weights @ change
-    last = State(jnp.abs(weights @ (step * jnp.asarray(kind.matrix) @ change)), jnp.abs(late), state.work * 0)
+    last = State(
+        jnp.abs(weights @ (step * jnp.asarray(kind.matrix) @ change)),
+        jnp.abs(late),
+        state.work * 0,
+    )
     return jax.tree.map(lambda a, b: grown * a + b, estimate, last)
 
 

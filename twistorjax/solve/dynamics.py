@@ -7,7 +7,6 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import need_float64
@@ -105,7 +104,8 @@ def simulate(
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)
         >>> mechanism = Mechanism([Body("wall"), block], [hinge], held=["wall"])
-        >>> swing = simulate(mechanism, [0.0, jnp.pi / 10], start=[[0, 0, 0], [0, 0.1, 0]])
+        >>> pulled = [[0, 0, 0], [0, 0.1, 0]]
+        >>> swing = simulate(mechanism, [0.0, jnp.pi / 10], start=pulled)
         >>> swing.displacement("block")[-1, 1]  # half a period later
         Array(-0.1000..., dtype=float64)
     """

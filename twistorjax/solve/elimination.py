@@ -24,13 +24,14 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
     size = matrix.shape[-1]
 
     def eliminate(k: Array, rest: Array) -> Array:
-        down = jax.lax.dynamic_index_in_dim(rest, k, rest.ndim - 1, keepdims=True)
-        along = jax.lax.dynamic_index_in_dim(rest, k, rest.ndim - 2, keepdims=True)
-        over = 1 / jax.lax.dynamic_index_in_dim(along, k, rest.ndim - 1, keepdims=True)
+        down = jax.lax.dynamic_index_in_dim(rest, k, 2, keepdims=True)
+        along = jax.lax.dynamic_index_in_dim(rest, k, 1, keepdims=True)
+        over = 1 / jax.lax.dynamic_index_in_dim(along, k, 2, keepdims=True)
         along = along * over
         here = jnp.arange(size) == k
-        row = here[:, None]
-        found = jnp.where(here, -down * over, rest - down * along)
-        return jnp.where(row, jnp.where(here, over, along), found)
+        row, column = here[None, :, None], here[None, None]
+        found = jnp.where(column, -down * over, rest - down * along)
+        return jnp.where(row, jnp.where(column, over, along), found)
 
-    return jax.lax.fori_loop(0, size, eliminate, matrix)
+    flat = matrix.reshape(-1, size, size)
+    return jax.lax.fori_loop(0, size, eliminate, flat).reshape(matrix.shape)

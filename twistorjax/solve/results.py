@@ -40,7 +40,6 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "the loads and drives was; raise `max_steps`, or start nearer with `start`."
     )
 
-
     times_not_increasing = (
         "The times do not increase. Give at least two, each later than the one before."
     )

@@ -140,7 +140,12 @@ def begin(
     works = jnp.zeros(3 if energies else 0)
     state = State(place, rate, works)
     fine = result == RESULTS.successful
-    return system, jax.tree.map(lambda x: jnp.where(fine, x, jnp.nan), state), first, result
+    return (
+        system,
+        jax.tree.map(lambda x: jnp.where(fine, x, jnp.nan), state),
+        first,
+        result,
+    )
 
 
 def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array]:
@@ -185,7 +190,7 @@ def _consistent(
     normals = system.normals(time, place)
     violation = system.violation(time, place)
     allowed = system.project(time, place, rate)[1]
-    scaled = normals * jnp.where(system.free % 3 == 0, 1.0, system.length)
+    scaled = normals * jnp.where(system.free % 3 == 0, 1.0, system.length)[None]
     scaled = scaled / jnp.linalg.norm(scaled, axis=1, keepdims=True)
     largest = jnp.max(jnp.abs(inverse(scaled @ scaled.T)))
     apart = (largest < 1e12) & (normals.shape[0] <= normals.shape[1])
@@ -245,7 +250,7 @@ def _at_odds(
 ) -> str:
     """Which constraints are violated at the start, or add nothing to those before."""
     given = drives(now) if callable(drives) else drives
-    places, targets = driven(mechanism, given)
+    places, _ = driven(mechanism, given)
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
     violation = np.asarray(joints.violation(moved, now))
     normals = np.asarray(
@@ -297,7 +302,9 @@ def _stopped(answer: "Motion", mechanism: Mechanism) -> str:
     if not kept.size:
         return at
     last = kept[-1]
-    fastest = np.argmax(np.linalg.norm(np.asarray(answer.velocities)[last, :, 1:], axis=1))
+    fastest = np.argmax(
+        np.linalg.norm(np.asarray(answer.velocities)[last, :, 1:], axis=1)
+    )
     poses = answer.poses[last]
     stored = [
         float(mechanism.couplings.energy_of(row)(mechanism.displacement_of(name, poses)))

@@ -1,7 +1,7 @@
 """The equations of motion of a mechanism: who moves it, and what resists."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -243,7 +243,7 @@ class System(eqx.Module):
 
         _, curving = jax.jvp(violation_rate, (time, place), (one, rate))
         normals = self.normals(time, place)
-        light = normals / self.mass
+        light = normals / self.mass[None]
         push = inverse(light @ normals.T) @ (-curving - light @ net[self.free])
         _, back = jax.vjp(lambda at: self.joined.violation(at, time), displacements)
         _, moving = jax.jvp(
@@ -257,16 +257,14 @@ class System(eqx.Module):
             return place, rate
 
         def nearest(normals: Array, violation: Array) -> Array:
-            light = normals / self.mass
+            light = normals / self.mass[None]
             return -light.T @ (inverse(light @ normals.T) @ violation)
 
         for _ in range(2):
             normals = self.normals(time, place)
             place = place + nearest(normals, self.violation(time, place))
         normals = self.normals(time, place)
-        _, drift = jax.jvp(
-            self.violation, (time, place), (jnp.ones_like(time), rate)
-        )
+        _, drift = jax.jvp(self.violation, (time, place), (jnp.ones_like(time), rate))
         return place, rate + nearest(normals, drift)
 
     def violation(self, time: Scalar, place: Array) -> Float[Array, " constraints"]:

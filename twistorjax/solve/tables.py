@@ -52,7 +52,11 @@ def motion_table(motion: "Motion") -> "xarray.Dataset":
 
     rows = ("time", "body")
     put(rows, motion.poses, ("angle", "rad"), ("x", "m"), ("y", "m"))
-    velocities = ("angular_velocity", "rad/s"), ("velocity_x", "m/s"), ("velocity_y", "m/s")
+    velocities = (
+        ("angular_velocity", "rad/s"),
+        ("velocity_x", "m/s"),
+        ("velocity_y", "m/s"),
+    )
     put(rows, motion.velocities, *velocities)
     put(rows, motion.reactions, ("moment", "N m"), ("force_x", "N"), ("force_y", "N"))
     if motion.joints:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
-from .._checks import known, need_float64
+from .._checks import need_float64
 from .._types import Poses
 from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
 from ..mechanism import Mechanism
@@ -117,7 +117,7 @@ def _vibrations(
     rows = np.array(free, int)
     stiffness = _stiffness(mechanism, moved, loads)[rows[:, None], rows]
     root = jnp.sqrt(mechanism.inertia().reshape(-1)[rows])
-    matrix = stiffness / (root[:, None] * root)
+    matrix = stiffness / (root[:, None] * root[None])
     finite = jnp.all(jnp.isfinite(matrix))
     squares, vectors = jnp.linalg.eigh(jnp.where(finite, matrix, jnp.eye(len(free))))
     stable = squares[0] > -1e-9 * squares[-1] if free else jnp.ones((), bool)
@@ -248,21 +248,20 @@ def _response(
     applied, _ = Loads.of(loads, bodies, mechanism.rest).apply(moved)
     force = applied.reshape(-1)
     free, given = (np.array(chosen, int) for chosen in places)
-    held = np.ones(force.size)
+    held = np.ones(force.size, complex)
     held[free] = 0.0
 
     def at(frequency: Array) -> tuple[Array, Array]:
         omega = 2 * jnp.pi * frequency
-        matrix = stiffness - omega**2 * jnp.diag(inertia) + 1j * omega * damping
+        real = stiffness - omega**2 * jnp.diag(inertia)
+        matrix = jax.lax.complex(real, omega * damping)
         swing = jnp.zeros(force.size, matrix.dtype)
-        swing = swing.at[given].set(jnp.array(targets, matrix.dtype))
-        right = (force - matrix @ swing)[free]
-        swing = swing.at[free].set(
-            jnp.linalg.solve(matrix[free[:, None], free], right)
-        )
-        return swing.reshape(still.shape), (held * (matrix @ swing - force)).reshape(
-            still.shape
-        )
+        swing = swing.at[given].set(jnp.array(targets, float).astype(matrix.dtype))
+        right = (force.astype(matrix.dtype) - matrix @ swing)[free]
+        swing = swing.at[free].set(jnp.linalg.solve(matrix[free[:, None], free], right))
+        return swing.reshape(still.shape), (
+            held * (matrix @ swing - force.astype(matrix.dtype))
+        ).reshape(still.shape)
 
     displacements, reactions = jax.vmap(at)(frequencies)
     finite = jnp.all(jnp.isfinite(displacements))

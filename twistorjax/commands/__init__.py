@@ -1,0 +1,1 @@
+"""The commands of `twistorjax`, each with what it prints."""

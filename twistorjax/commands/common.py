@@ -1,0 +1,84 @@
+"""What the commands share: how they refuse, prepare, and draw."""
+
+import math
+import os
+import sys
+from pathlib import Path
+
+
+class Refused(Exception):
+    """Input that cannot be used, told in one line."""
+
+
+class Failed(Exception):
+    """A solve that found no answer, told in one line."""
+
+
+def prepare_jax() -> None:
+    """Double precision, and compiled programs kept for the next call."""
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    import jax
+    import platformdirs
+
+    jax.config.update("jax_enable_x64", True)
+    cache = platformdirs.user_cache_path("twistorjax")
+    jax.config.update("jax_compilation_cache_dir", str(cache))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def need(option: str, value: float, unit: str) -> None:
+    """Refuses what is not positive and finite."""
+    if not (math.isfinite(value) and value > 0):
+        raise Refused(f"{option} is {value:g}, but must be positive and finite; {unit}.")
+
+
+def need_energy(energy: str) -> None:
+    """Refuses unknown coordinates."""
+    if energy not in ("twistor", "twist"):
+        raise Refused(f"--energy is {energy!r}, but must be 'twistor' or 'twist'.")
+
+
+def need_folder(option: str, path: Path | None) -> None:
+    """Refuses a file in a folder that is not there."""
+    if path is not None and not path.resolve().parent.is_dir():
+        raise Refused(f"{option} is {path}, but there is no folder {path.parent}.")
+
+
+def meter():
+    """A progress bar, where somebody looks."""
+    from ..show.progress import ProgressBar
+
+    return ProgressBar() if sys.stderr.isatty() else None
+
+
+def finished(motion):
+    """The motion, if it reached its end."""
+    from ..solve.results import outcomes, RESULTS
+
+    ended = str(outcomes(motion.result))
+    if ended != "successful":
+        text = RESULTS[motion.result]
+        raise Failed(f"{text} It went to t = {float(motion.reached):.6g} s.")
+    return motion
+
+
+def matplotlib_for(option: str) -> None:
+    """Matplotlib, drawing into files alone."""
+    try:
+        import matplotlib
+    except ImportError:
+        raise Refused(
+            f'{option} needs matplotlib: pip install "twistorjax[show]".'
+        ) from None
+    matplotlib.use("agg")
+
+
+def save(path: Path, picture) -> None:
+    """Draws a picture, axes or a figure, into a file."""
+    matplotlib_for("--plot")
+    drawn = picture()
+    try:
+        getattr(drawn, "figure", drawn).savefig(path, dpi=160)
+    except (OSError, ValueError) as error:
+        raise Refused(f"--plot cannot be written: {error}") from None

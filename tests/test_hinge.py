@@ -7,7 +7,7 @@ import pytest
 from helpers import assert_close, some_poses, some_stiffness
 
 import twistorjax as tj
-from twistorjax import pull, se2
+from twistorjax import grip, se2
 
 
 class Quartic(tj.AbstractEnergy):
@@ -163,9 +163,50 @@ def test_the_frame_half_way_is_that_of_the_twistor():
     def end(pose):
         half = pose[0] / 2
         zero = jnp.zeros(())
-        return pull.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
+        return grip.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
 
-    half = pull.halfway(end(first), end(second), (jnp.ones(()), jnp.zeros(())))
+    half = grip.halfway(end(first), end(second), (jnp.ones(()), jnp.zeros(())))
     seen = half.displacement
     actual = jnp.stack([seen.sigma, seen.xi, seen.x1, seen.x2])
     assert_close(actual, tj.clifford.twistor(se2.between(first, second)))
+
+
+@pytest.mark.parametrize("coordinates", ["twist", "twistor"])
+@every_energy
+def test_the_tangent_of_a_moving_hinge_is_the_slope_of_its_forces(energy, coordinates):
+    """With a damping of every coupling, by displacements and by their rates."""
+    damping = tj.Viscous(some_stiffness(5), coordinates)
+    hinge = tj.Hinge("h", "a", "b", energy, AT, damping=damping)
+    bodies = [tj.Body("a", REST[0]), tj.Body("b", REST[1])]
+    couplings = tj.Mechanism(bodies, [hinge], held=["a"]).couplings
+    every = tuple(range(6))
+    for place, rate in zip(0.4 * states(0, 8), states(5, 8), strict=True):
+        place = place - 0.4 * REST
+
+        def forces(place, rate):
+            return couplings.forces_in_motion(place, rate)[0]
+
+        found = couplings.tangent_in_motion(place, rate, every)
+        slopes = jax.jacfwd(forces, argnums=(0, 1))(place, rate)
+        for mine, slope in zip((found.stiffness, found.damping), slopes, strict=True):
+            scale = jnp.max(jnp.abs(slope))
+            assert_close(mine / scale, slope.reshape(6, 6) / scale, digits=11)
+
+
+@pytest.mark.parametrize("coordinates", ["twist", "twistor"])
+def test_drag_is_the_viscous_wrench_and_takes_its_power(coordinates):
+    """Equations 3.62 to 3.66, carried to the bodies; the power is that of the forces."""
+    damping = tj.Viscous(some_stiffness(5), coordinates)
+    none = tj.Quadratic(jnp.zeros((3, 3)))
+    hinge = tj.Hinge("h", "a", "b", none, AT, damping=damping)
+    bodies = [tj.Body("a", REST[0]), tj.Body("b", REST[1])]
+    couplings = tj.Mechanism(bodies, [hinge], held=["a"]).couplings
+    for poses, rates in zip(states(0, 8), states(5, 8), strict=True):
+        drag, _, power = couplings.forces_in_motion(poses - REST, rates)
+        assert_close(power, jnp.sum(drag * rates), digits=10)
+
+        def apart(poses):
+            return se2.between(*frames(poses))
+
+        pose, rate = jax.jvp(apart, (poses,), (rates,))
+        assert_close(power, 2 * damping(pose, rate), digits=10)

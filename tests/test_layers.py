@@ -10,7 +10,7 @@ import pytest
 
 LAYERS = [
     "_types", "_checks", "se2", "clifford", "lines", "energy", "flexure", "body", "hinge",
-    "pull", "couplings", "mechanism", "boundary", "joints", "solve", "study", "show",
+    "grip", "pull", "couplings", "mechanism", "boundary", "joints", "solve", "study", "show",
     "cases", "commands", "__main__",
 ]  # fmt: skip
 PACKAGE = pathlib.Path(__file__).parents[1] / "twistorjax"

@@ -14,8 +14,8 @@ from . import pull
 from ._checks import all_known
 from ._types import Poses, Scalar, Wrenches
 from .energy import AbstractEnergy, Viscous
+from .grip import End, halfway
 from .hinge import Hinge
-from .pull import End
 
 
 class Tangent(NamedTuple):
@@ -84,7 +84,7 @@ class Couplings(eqx.Module):
 
         def stored(energy, damping, first, second, axis):
             del damping
-            return energy.stored(pull.halfway(first, second, axis).displacement)
+            return energy.stored(halfway(first, second, axis).displacement)
 
         return sum(
             (jnp.sum(self._map(stored, stack, displacements)) for stack in self.stacks),
@@ -184,7 +184,7 @@ class Couplings(eqx.Module):
 
         def stretch(energy, damping, *hinge):
             del energy, damping
-            at = pull.halfway(*hinge).displacement
+            at = halfway(*hinge).displacement
             return 2 * at.x1, 2 * at.x2
 
         return jnp.stack(self._local(stretch, displacements), axis=1)

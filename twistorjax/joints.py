@@ -79,7 +79,8 @@ class Constraint(AbstractConstraint):
 
     def violation(self, poses: Poses, rests: Poses, time: Scalar) -> Float[Array, "..."]:
         del rests
-        return jnp.ravel(jnp.asarray(self.zero(*poses, time)))
+        entries = jnp.asarray(self.zero(*poses, time))
+        return entries[None] if entries.ndim == 0 else entries
 
 
 class Pin(AbstractConstraint):
@@ -129,8 +130,8 @@ class Pin(AbstractConstraint):
 class Slider(AbstractConstraint):
     """A straight guide: the second body slides along an axis fixed to the first.
 
-    Its forces are the moment and the force across that it exerts on the second body;
-    N m, N.
+    Its forces are the moment and the force across that it exerts on the second body,
+    about that point of it which was at `at`; N m, N.
 
     Args:
         name: by which answers and messages call it.

@@ -14,148 +14,16 @@ import jax.numpy as jnp
 from ._types import Scalar
 from .clifford import Displacement, half_turn
 from .energy import AbstractEnergy, half_square, strain, Viscous
-
-
-Two = tuple[Scalar, Scalar]
-Three = tuple[Scalar, Scalar, Scalar]
-Six = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-SixBySix = tuple[Six, Six, Six, Six, Six, Six]
-
-
-class End(NamedTuple):
-    """One end of a hinge: how far its body has moved, and where on the body it grips.
-
-    Displacements are counted from rest, for which differences of positions would lose
-    digits: a stage of 40 mm moves by micrometres.
-    """
-
-    angle: Scalar  # that the body has turned; rad
-    x: Scalar  # that its origin has moved; m
-    y: Scalar
-    cos: Scalar  # of half the angle
-    sin: Scalar
-    arm_x: Scalar  # from the body's origin to the hinge, in world axes at rest; m
-    arm_y: Scalar
-
-    def turn(self) -> tuple[Scalar, Scalar]:
-        """What the body's turning adds to the place of the hinge: (R - 1) arm."""
-        versine, sine = 2 * self.sin * self.sin, 2 * self.sin * self.cos
-        return (
-            -versine * self.arm_x - sine * self.arm_y,
-            sine * self.arm_x - versine * self.arm_y,
-        )
-
-
-class Halfway(NamedTuple):
-    """A displacement, and the frame half way along it, in the world."""
-
-    displacement: Displacement
-    cos: Scalar  # of that frame's angle
-    sin: Scalar
-
-
-def halfway(first: End, second: End, axis: tuple[Scalar, Scalar]) -> Halfway:
-    """The displacement of b against a, by products of half angles alone.
-
-    Args:
-        first: the end on body A.
-        second: the end on body B.
-        axis: cosine and sine of the hinge's angle at rest.
-    """
-    (turn_ax, turn_ay), (turn_bx, turn_by) = first.turn(), second.turn()
-    dx = (second.x - first.x) + (turn_bx - turn_ax)
-    dy = (second.y - first.y) + (turn_by - turn_ay)
-    sigma = second.cos * first.cos + second.sin * first.sin
-    xi = second.sin * first.cos - second.cos * first.sin
-    mean_cos = second.cos * first.cos - second.sin * first.sin
-    mean_sin = second.sin * first.cos + second.cos * first.sin
-    cos = mean_cos * axis[0] - mean_sin * axis[1]
-    sin = mean_sin * axis[0] + mean_cos * axis[1]
-    x1, x2 = (cos * dx + sin * dy) / 2, (cos * dy - sin * dx) / 2
-    displacement = Displacement(second.angle - first.angle, sigma, xi, x1, x2)
-    return Halfway(displacement, cos, sin)
-
-
-class Grip(NamedTuple):
-    """How a hinge's coordinates follow its bodies.
-
-    The coordinates are the relative angle and the translation (y1, y2) seen half way.
-    Shifting body A is shifting body B backwards, so four motions of the six are told
-    apart: turning A, turning B, and shifting B along x and along y.
-
-    Args:
-        half: where the hinge is.
-        a1: from body A's origin to the hinge, in the axes half way; m.
-        a2: the same, across.
-        b1: from body B's origin to the hinge; m.
-        b2: the same, across.
-    """
-
-    half: Halfway
-    a1: Scalar
-    a2: Scalar
-    b1: Scalar
-    b2: Scalar
-
-    @classmethod
-    def of(cls, first: End, second: End, axis: tuple[Scalar, Scalar]) -> "Grip":
-        """The grip of a hinge on its two ends."""
-        half = halfway(first, second, axis)
-        levers = []
-        for end in (first, second):
-            turn_x, turn_y = end.turn()
-            x, y = end.arm_x + turn_x, end.arm_y + turn_y
-            levers += [half.cos * x + half.sin * y, half.cos * y - half.sin * x]
-        return cls(half, *levers)
-
-    def columns(self) -> tuple[Three, Three, Three, Three]:
-        """The coordinates' derivatives by the four motions."""
-        c, s = self.half.cos, self.half.sin
-        y1, y2 = self.half.displacement.x1, self.half.displacement.x2  # halves
-        one, zero = jnp.ones_like(c), jnp.zeros_like(c)
-        return (
-            (-one, y2 + self.a2, -y1 - self.a1),
-            (one, y2 - self.b2, -y1 + self.b1),
-            (zero, c, -s),
-            (zero, s, c),
-        )
-
-    def rates(self, first: Three, second: Three) -> Three:
-        """The coordinates' rates, for those of the bodies' (angle, x, y)."""
-        motions = first[0], second[0], second[1] - first[1], second[2] - first[2]
-        return _combined(self.columns(), motions)
-
-    def bend(self, slopes: Three) -> list[list[Scalar]]:
-        """What slopes by the coordinates add to second derivatives by the motions."""
-        _, g1, g2 = slopes
-        c, s = self.half.cos, self.half.sin
-        x, y = c * g1 - s * g2, s * g1 + c * g2  # the force, in the world
-        own = -(g1 * self.half.displacement.x1 + g2 * self.half.displacement.x2) / 2
-        mixed = own + (g1 * (self.b1 - self.a1) + g2 * (self.b2 - self.a2)) / 2
-        zero = jnp.zeros_like(own)
-        return [
-            [own, mixed, -y / 2, x / 2],
-            [mixed, own, -y / 2, x / 2],
-            [-y / 2, -y / 2, zero, zero],
-            [x / 2, x / 2, zero, zero],
-        ]
-
-    def turning(self, rates: Three, mean: Scalar) -> tuple[Three, Three, Three, Three]:
-        """Derivatives of the `rates` by the four motions, the bodies' own rates kept.
-
-        Args:
-            rates: of the coordinates.
-            mean: of the two bodies' rates of turning; rad/s.
-        """
-        c, s = self.half.cos, self.half.sin
-        turn, along, across = (rate / 2 for rate in rates)
-        zero = jnp.zeros_like(c)
-        return (
-            (zero, across - turn * self.a1, -along - turn * self.a2),
-            (zero, across - turn * self.b1, -along - turn * self.b2),
-            (zero, -mean * s, -mean * c),
-            (zero, mean * c, -mean * s),
-        )
+from .grip import (
+    combined,
+    End,
+    Grip,
+    halfway,
+    Six,
+    SixBySix,
+    Three,
+    Two,
+)
 
 
 @jax.jit
@@ -227,7 +95,7 @@ def tangent(
         slopes = b0 + growth * (y1 * b1 + y2 * b2), longer * b1, longer * b2
     curvature = (h00, h01, h02), (h01, h11, h12), (h02, h12, h22)
     columns = grip.columns()
-    pushed = [_combined(curvature, column) for column in columns]
+    pushed = [combined(curvature, column) for column in columns]
     matrix = _spread(columns, pushed, grip.bend(slopes), symmetric=True)
     return _pull(grip, own), matrix, work
 
@@ -303,7 +171,7 @@ def tangent_in_motion(
     unit = (one, zero, zero), (zero, one, zero), (zero, zero, one)
     by_place = [push(*direction) for direction in unit]
     by_rate = 3 * [(zero, zero, zero)]
-    pushed = [_combined(by_place, column) for column in columns]
+    pushed = [combined(by_place, column) for column in columns]
     if damping is not None:
         moving = grip.rates(*rates)
         drag, drag_push = jax.linearize(
@@ -317,11 +185,11 @@ def tangent_in_motion(
             by_rate[k] = drag_push(still, direction)
         turning = grip.turning(moving, (rates[0][0] + rates[1][0]) / 2)
         pushed = [
-            _sum(_combined(by_place, column), _combined(by_rate, turned))
+            _sum(combined(by_place, column), combined(by_rate, turned))
             for column, turned in zip(columns, turning, strict=True)
         ]
         slope = _sum(slope, drag)
-    dragged = [_combined(by_rate, column) for column in columns]
+    dragged = [combined(by_rate, column) for column in columns]
     bend = grip.bend(slope)
     along, across = ([column[k] for column in columns] for k in (1, 2))
     return Tangent(
@@ -404,14 +272,6 @@ def _dot(first: Three, second: Three) -> Scalar:
 
 def _sum(first: Three, second: Three) -> Three:
     return first[0] + second[0], first[1] + second[1], first[2] + second[2]
-
-
-def _combined(columns: Sequence[Three], weights: Sequence[Scalar]) -> Three:
-    """The columns of a matrix, times a vector."""
-    total = [weights[0] * entry for entry in columns[0]]
-    for column, weight in zip(columns[1:], weights[1:], strict=True):
-        total = [old + weight * entry for old, entry in zip(total, column, strict=True)]
-    return total[0], total[1], total[2]
 
 
 def _spread(

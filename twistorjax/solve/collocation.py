@@ -15,7 +15,6 @@ changed counts as an error of the step.
 """
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import diffrax as dfx
@@ -27,80 +26,8 @@ from jaxtyping import Array, Complex, Float
 
 from .._types import Scalar
 from .elimination import inverse
+from .schemes import Scheme, scheme
 from .system import Slopes, State, System
-
-
-class Scheme(NamedTuple):
-    """Coefficients of a collocation method.
-
-    Args:
-        nodes: of the stages, as parts of the step.
-        matrix: integrals to each node of the polynomials that are one at a node.
-        weights: the same to the end of the step.
-        reaches: eigenvalues of the matrix, one of each conjugate pair.
-        into: takes stages to the directions of these eigenvalues.
-        out_of: takes the directions back to stages, as its real part.
-        powers: takes values at the nodes to the coefficients of their polynomial.
-        through: the same for all values that are known, that at the start among them
-            where the last step has left it.
-        real: which of the reaches is real.
-    """
-
-    nodes: np.ndarray
-    matrix: np.ndarray
-    weights: np.ndarray
-    reaches: np.ndarray
-    into: np.ndarray
-    out_of: np.ndarray
-    powers: np.ndarray
-    through: np.ndarray
-    real: int
-
-    @property
-    def stages(self) -> int:
-        """How many there are."""
-        return len(self.nodes)
-
-    @property
-    def ends(self) -> bool:
-        """Whether the last stage is the end of the step."""
-        return self.nodes[-1] == 1
-
-
-@lru_cache
-def scheme(kind: str, stages: int) -> Scheme:
-    """The collocation method at Gauss's points, or at Radau's that end the step.
-
-    Source:
-        Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and
-        IV.8.
-    """
-    legendre = np.zeros(stages + 1)
-    legendre[stages:] = 1.0
-    if kind == "radau":
-        legendre[stages - 1] = -1.0
-    nodes = (np.sort(np.polynomial.legendre.legroots(legendre)) + 1) / 2
-    if kind == "radau":
-        nodes[-1] = 1.0
-    powers = np.linalg.inv(np.vander(nodes, increasing=True))
-    degrees = np.arange(1, stages + 1)
-    matrix = (nodes[:, None] ** degrees / degrees) @ powers
-    reaches, directions = np.linalg.eig(matrix)
-    into = np.linalg.inv(directions)
-    kept = reaches.imag > -1e-12
-    twice = np.where(np.abs(reaches.imag) > 1e-12, 2.0, 1.0)
-    known = np.append(0.0, nodes) if kind == "radau" else nodes
-    return Scheme(
-        nodes=nodes,
-        matrix=matrix,
-        weights=(1 / degrees) @ powers,
-        reaches=reaches[kept],
-        into=into[kept],
-        out_of=(directions * twice)[:, kept],
-        powers=powers,
-        through=np.linalg.inv(np.vander(known, increasing=True)),
-        real=int(np.argmin(np.abs(reaches[kept].imag))),
-    )
 
 
 class Memory(NamedTuple):
@@ -146,20 +73,26 @@ class Within(dfx.AbstractLocalInterpolation):
         if t1 is not None:
             start, end = self.evaluate(t0, left=left), self.evaluate(t1, left=left)
             return jax.tree.map(jnp.subtract, end, start)
-        since = t0 - self.t0
         length = self.t1 - self.t0
-        part = since / jnp.where(length > 0, length, 1.0)
+        part = (t0 - self.t0) / jnp.where(length > 0, length, 1.0)
+        inside, end = self._inside(part), self._inside(jnp.ones_like(part))
+        # constraints have shifted the end, which is to be met
+        return jax.tree.map(
+            lambda here, there, met: here + part**3 * (met - there), inside, end, self.y1
+        )
+
+    def _inside(self, part: Scalar) -> State:
+        length = self.t1 - self.t0
         degrees = jnp.arange(1, 1 + len(self.accelerations), dtype=part.dtype)
-        once = since * part ** (degrees - 1) / degrees
-        twice = since * once / (degrees + 1)
-        inside = State(
-            place=self.y0.place + since * self.y0.rate + twice @ self.accelerations,
+        once = length * part**degrees / degrees
+        twice = length * part * once / (degrees + 1)
+        return State(
+            place=self.y0.place
+            + length * part * self.y0.rate
+            + twice @ self.accelerations,
             rate=self.y0.rate + once @ self.accelerations,
             work=self.y0.work + once @ self.powers,
         )
-        # constraints may have shifted the end, which is then to be met
-        ended = t0 >= self.t1
-        return jax.tree.map(lambda a, b: jnp.where(ended, a, b), self.y1, inside)
 
 
 class Radau(dfx.AbstractAdaptiveSolver):
@@ -207,9 +140,9 @@ class Radau(dfx.AbstractAdaptiveSolver):
 class Gauss(dfx.AbstractSolver):
     """Collocation at Gauss's two points: symplectic, for undamped motion at fixed steps.
 
-    Of order four. It keeps momenta, and energy but for an error that does not grow with
-    time. There is no error estimate: choose the step with `dfx.ConstantStepSize` and
-    `dt0`, short against the fastest motion that matters.
+    Of order four; of order two where constraints act. It keeps momenta, and energy but
+    for an error that does not grow with time. There is no error estimate: `simulate` asks
+    for a `step`, short against the fastest motion that matters.
 
     Args:
         sweeps: linear solves for the stages of a step, to reach rounding.
@@ -236,6 +169,10 @@ class Gauss(dfx.AbstractSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         del terms, made_jump
         return _step("gauss", 2, self.sweeps, t0, t1 - t0, y0, args, solver_state)
+
+
+# What the last solve of a step may still change, where nothing else controls its length
+_UNSETTLED = 1e-2
 
 
 def _first(kind: Scheme, time: Scalar, state: State, system: System) -> Memory:
@@ -350,16 +287,23 @@ def _step(
         "accelerations": jnp.asarray(kind.powers) @ accelerations,
         "powers": jnp.asarray(kind.powers) @ powers,
     }
-    fine = jnp.all(jnp.isfinite(memory.acceleration))
-    result = dfx.RESULTS.where(fine, dfx.RESULTS.successful, dfx.RESULTS.nonfinite)
+    # A step that is not finite is tried again with less of it; but not for ever.
+    lost = ~jnp.all(jnp.isfinite(memory.acceleration))
+    broken = ~jnp.all(jnp.isfinite(place)) | ~jnp.all(jnp.isfinite(rate))
+    lost |= broken & (step < 1e-9 * system.period)
+    left = system.size(State(_mix(twice, change)[-1], _mix(matrix, change)[-1], end.work))
+    result = dfx.RESULTS.where(
+        left > _UNSETTLED, dfx.RESULTS.nonlinear_divergence, dfx.RESULTS.successful
+    )
+    result = dfx.RESULTS.where(lost, dfx.RESULTS.nonfinite, result)
     error = None
     if kind.ends:
         error = _error(
             kind, step, state, system, memory, rates, accelerations, change, backwards,
             tangent,
         )  # fmt: skip
-        # an error of NaN would shrink the step for ever
-        error = jax.tree.map(lambda part: jnp.where(fine, part, 0.0), error)
+        # kept, so that diffrax sees the result
+        error = jax.tree.map(lambda part: jnp.where(lost, 0.0, part), error)
     return end, error, dense, kept, result
 
 

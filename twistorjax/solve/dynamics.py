@@ -15,7 +15,7 @@ from ..boundary import Drive, driven, Load, loaded
 from ..joints import AbstractConstraint, Joined, joined
 from ..mechanism import Mechanism
 from . import start as begin
-from .collocation import Radau
+from .collocation import Gauss, Radau
 from .motion import Energies, Motion
 from .newton import Places
 from .results import RESULTS
@@ -113,6 +113,11 @@ def simulate(
     instants = begin.times(times)
     first = instants[0]
     begin.limits(tolerance, max_steps, step)
+    if step is None and controller is None and isinstance(solver, Gauss):
+        raise ValueError(
+            "`Gauss()` does not choose its steps: give it a `step`, short against the "
+            "fastest motion that matters."
+        )
     now = drives(first) if callable(drives) else drives
     acting = loads(first) if callable(loads) else loads
     loaded(mechanism, acting)
@@ -123,8 +128,11 @@ def simulate(
     moved = jnp.zeros_like(mechanism.rest)
     if start is not None:
         moved = mechanism._displacements(jnp.asarray(start, float), "start")
+        begin.finite("start", moved)
     rates = begin.velocities(mechanism, velocities, free)
     joints = joined(mechanism, constraints)
+    if throw:
+        begin.refuse(mechanism, drives, joints, moved, first, velocities is not None)
     answer = _solve(
         mechanism,
         instants,
@@ -145,7 +153,9 @@ def simulate(
         energies,
         Places(free, places),
     )
-    return begin.raised(answer, mechanism, drives, joints, moved) if throw else answer
+    if not throw:
+        return answer
+    return begin.raised(answer, mechanism, drives, joints, moved, first)
 
 
 @eqx.filter_jit
@@ -194,7 +204,11 @@ def _solve(
     )
     ended = RESULTS.promote(solution.result)
     lost = (ended == RESULTS.nonfinite) | (ended == RESULTS.nonfinite_input)
-    ended = RESULTS.where(lost, RESULTS.not_finite, ended)
+    final = solution.ys[1]
+    there = jnp.all(jnp.isfinite(final.place)) & jnp.all(jnp.isfinite(final.rate))
+    ended = RESULTS.where(lost | ~there, RESULTS.not_finite, ended)
+    unsettled = ended == RESULTS.nonlinear_divergence
+    ended = RESULTS.where(unsettled, RESULTS.step_too_long, ended)
     result = RESULTS.where(result == RESULTS.successful, ended, result)
     at, kept = solution.ts[0], solution.ys[0]
     there = jnp.isfinite(at)

@@ -22,6 +22,8 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
                [0.  , 0.25]], dtype=float64)
     """
     size = matrix.shape[-1]
+    if not size:
+        return matrix
 
     def eliminate(k: Array, rest: Array) -> Array:
         down = jax.lax.dynamic_index_in_dim(rest, k, 2, keepdims=True)

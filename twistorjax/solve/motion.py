@@ -43,7 +43,7 @@ class Energies(eqx.Module):
         """What is there and should not be: the error of the motion, as energy."""
         held = self.elastic + self.kinetic
         came = self.by_loads + self.by_drives - self.dissipated
-        return held - held[..., :1] - came
+        return (held - held[..., :1]) - (came - came[..., :1])
 
 
 class Motion(Placed):

@@ -13,8 +13,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
 
     For equilibria one of `successful`, `not_finite`, `loose`, `no_equilibrium` and
     `steps_used_up`; for motions `successful`, `event_occurred`, `max_steps_reached`,
-    `not_finite`, and what is wrong with their start. `RESULTS[item]` is its text. Extends
-    the results of diffrax, so that one enumeration serves both.
+    `not_finite`, `step_too_long`, and what is wrong with their start. `RESULTS[item]` is
+    its text. Extends the results of diffrax, so that one enumeration serves both.
     """
 
     successful = ""
@@ -40,6 +40,10 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "the loads and drives was; raise `max_steps`, or start nearer with `start`."
     )
 
+    step_too_long = (
+        "The steps of constant length are too long for this motion: the solves of one "
+        "did not settle. Give a shorter `step`, or none, so that steps are chosen."
+    )
     times_not_increasing = (
         "The times do not increase. Give at least two, each later than the one before."
     )

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import find, known, row
+from .._checks import all_known, find, known, row
 from .._types import Poses
 from ..boundary import driven
 from ..joints import Joined
@@ -48,6 +48,13 @@ def times(given: ArrayLike) -> Float[Array, " times"]:
                 f"after `times[{k}]` = {seen[k]:g}."
             )
     return values
+
+
+def finite(name: str, value: Array) -> None:
+    """Refuses what can be seen not to be finite."""
+    seen = known(value)
+    if seen is not None and not np.all(np.isfinite(seen)):
+        raise ValueError(f"`{name}` must be finite, but has {seen.tolist()}.")
 
 
 def limits(tolerance: ArrayLike, max_steps: int, step: ArrayLike | None) -> None:
@@ -113,8 +120,9 @@ def begin(
         drives=drives,
         joined=joints,
         inertia=jnp.where(jnp.isinf(inertia), 0.0, inertia),
-        length=jnp.where(length > 0, length, 1.0),
+        length=_finite(length),
         period=jnp.ones(()),
+        still=moved.reshape(-1),
         places=places,
     )
     place = moved.reshape(-1)[system.free]
@@ -160,7 +168,13 @@ def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array
     fastest = jnp.sum(jnp.diagonal(stiffness) / mass)
     # where nothing holds a body, no period but that of the motion itself
     slowest = jnp.where((slowest > 0) & (slowest < longest**2), slowest, longest**2)
-    return jnp.sqrt(slowest), 1 / jnp.sqrt(jnp.maximum(fastest, 1 / longest**2))
+    fastest = jnp.where(fastest > 1 / longest**2, fastest, 1 / longest**2)
+    return _finite(jnp.sqrt(slowest)), _finite(1 / jnp.sqrt(fastest))
+
+
+def _finite(value: Array) -> Array:
+    # what is not finite is told by the motion itself
+    return jnp.where(jnp.isfinite(value) & (value > 0), value, 1.0)
 
 
 def _gives_energy(mechanism: Mechanism) -> Array:
@@ -198,11 +212,41 @@ def _consistent(
     if told:
         speed = 1 + jnp.max(jnp.abs(rate))
         met &= jnp.max(jnp.abs(allowed - rate)) <= 1e-6 * speed
-    return met & apart, allowed
+    # what is not finite is told as such
+    seen = jnp.all(jnp.isfinite(normals)) & jnp.all(jnp.isfinite(violation))
+    return (met & apart) | ~seen, allowed
+
+
+def refuse(
+    mechanism: Mechanism, drives, joints: Joined, moved: Poses, now: Array, told: bool
+) -> None:
+    """Refuses a start that can be seen to be none, before anything is compiled."""
+    if all_known([moved, now, *jax.tree.leaves((mechanism, joints))]) is None:
+        return
+    given = drives(now) if callable(drives) else drives
+    places, targets = driven(mechanism, given)
+    if all_known(targets) is None:
+        return
+    unit = np.sqrt(np.mean(np.sum(np.square(mechanism.couplings.arms), axis=-1)))
+    for place, target in zip(places, targets, strict=True):
+        apart = abs(float(target) - float(moved.reshape(-1)[place]))
+        if apart > _EXACT * (1.0 if place % 3 == 0 else unit or 1.0):
+            text = RESULTS[RESULTS.drive_jumps]
+            raise ValueError(f"{text} {_jumps(mechanism, drives, moved, now)}")
+    seen = np.isfinite(np.asarray(joints.violation(moved, now))) if joints.size else ()
+    if joints.size and not told and np.all(seen):
+        words = _at_odds(mechanism, joints, moved, now, drives)
+        if not words.startswith("The velocities"):
+            raise ValueError(f"{RESULTS[RESULTS.constraints_at_odds]} {words}")
 
 
 def raised(
-    answer: "Motion", mechanism: Mechanism, drives, joints: Joined, moved: Poses
+    answer: "Motion",
+    mechanism: Mechanism,
+    drives,
+    joints: Joined,
+    moved: Poses,
+    now: Array,
 ) -> "Motion":
     """The answer, if it succeeded; otherwise its failure is raised.
 
@@ -221,7 +265,6 @@ def raised(
     text = RESULTS[getattr(RESULTS, item)]
     if lane:
         raise RuntimeError(f"{text} (lane {', '.join(map(str, lane))} of the batch)")
-    now = answer.times[0]
     if item == "drive_jumps":
         raise ValueError(f"{text} {_jumps(mechanism, drives, moved, now)}")
     if item == "constraints_at_odds":
@@ -229,7 +272,9 @@ def raised(
     if item in ("times_not_increasing", "damping_gives_energy"):
         raise ValueError(text)
     if item == "not_finite":
-        raise RuntimeError(f"{text}{_not_finite(mechanism)}")
+        raise RuntimeError(
+            f"{text}{_not_finite(mechanism)} {_stopped(answer, mechanism)}"
+        )
     raise RuntimeError(f"{text} {_stopped(answer, mechanism)}")
 
 
@@ -284,12 +329,12 @@ def _at_odds(
 
 def _not_finite(mechanism: Mechanism) -> str:
     """Which hinge or body has the value."""
-    for row, name in enumerate(mechanism.hinge_names):
-        values = jax.tree.leaves(mechanism.couplings.energy_of(row))
+    for place, name in enumerate(mechanism.hinge_names):
+        values = jax.tree.leaves(mechanism.couplings.energy_of(place))
         if not all(np.all(np.isfinite(value)) for value in values):
             return f" It is in the energy of the hinge {name!r}."
-    for row, name in enumerate(mechanism.names):
-        values = (mechanism.rest[row], mechanism.masses[row], mechanism.inertias[row])
+    for body, name in enumerate(mechanism.names):
+        values = mechanism.rest[body], mechanism.masses[body], mechanism.inertias[body]
         if not all(np.all(np.isfinite(v)) for v in values if v is not None):
             return f" It is in the body {name!r}."
     return ""
@@ -302,13 +347,17 @@ def _stopped(answer: "Motion", mechanism: Mechanism) -> str:
     if not kept.size:
         return at
     last = kept[-1]
+    if last == 0:
+        return at
     fastest = np.argmax(
         np.linalg.norm(np.asarray(answer.velocities)[last, :, 1:], axis=1)
     )
     poses = answer.poses[last]
     stored = [
-        float(mechanism.couplings.energy_of(row)(mechanism.displacement_of(name, poses)))
-        for row, name in enumerate(mechanism.hinge_names)
+        float(
+            mechanism.couplings.energy_of(place)(mechanism.displacement_of(name, poses))
+        )
+        for place, name in enumerate(mechanism.hinge_names)
     ]
     return (
         f"{at} At {float(answer.times[last]):.6g} s the body "

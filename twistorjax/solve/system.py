@@ -94,6 +94,7 @@ class System(eqx.Module):
         inertia: of each coordinate, zero where it is held; kg m2, kg, kg.
         length: of a lever of the mechanism, by which displacements are measured; m.
         period: of its slowest motion over two pi, by which rates are; s.
+        still: displacements at the start, at which held coordinates stay; rad, m.
         places: of the free and of the driven coordinates.
     """
 
@@ -104,6 +105,7 @@ class System(eqx.Module):
     inertia: Float[Array, " coordinates"]
     length: Scalar
     period: Scalar
+    still: Float[Array, " coordinates"]
     places: Places = eqx.field(static=True)
 
     @property
@@ -121,7 +123,7 @@ class System(eqx.Module):
         turns = self.free % 3 == 0
         unit = jnp.where(turns, 1.0, self.length)
         place, rate = error.place / unit, error.rate * self.period / unit
-        return jnp.sqrt((jnp.sum(place**2) + jnp.sum(rate**2)) / (2 * place.size))
+        return jnp.sqrt((jnp.sum(place**2) + jnp.sum(rate**2)) / max(1, 2 * place.size))
 
     def targets(self, time: Scalar) -> Float[Array, " driven"]:
         """Where the driven coordinates are at a time; rad, m."""
@@ -149,7 +151,7 @@ class System(eqx.Module):
     def spread(self, time: Scalar, place: Array, rate: Array) -> tuple[Poses, Poses]:
         """Displacements and rates of all coordinates."""
         where, velocity, _ = self.driving(time)
-        return self._whole(place, where), self._whole(rate, velocity)
+        return self._placed(place, where), self._whole(rate, velocity)
 
     def forces(
         self,
@@ -272,7 +274,7 @@ class System(eqx.Module):
         if not self.joined.size:
             return jnp.zeros(0)
         where, _, _ = self.driving(time)
-        return self.joined.violation(self._whole(place, where), time)
+        return self.joined.violation(self._placed(place, where), time)
 
     def normals(self, time: Scalar, place: Array) -> Float[Array, "constraints free"]:
         """Derivatives of the violation by the free coordinates."""
@@ -288,6 +290,11 @@ class System(eqx.Module):
         bodies = loaded(self.mechanism, loads)
         acting = Loads.of(loads, bodies, self.mechanism.rest)
         return *acting.apply(displacements), bodies
+
+    def _placed(self, free: Array, given: Array) -> Poses:
+        held = np.ones(self.inertia.size)
+        held[list(self.places.free + self.places.driven)] = 0.0
+        return self._whole(free, given) + (held * self.still).reshape(-1, 3)
 
     def _whole(self, free: Array, given: Array) -> Poses:
         """Values of the free and of the driven coordinates, and zero for the held."""

@@ -221,7 +221,7 @@ def frequency_response(
             return answer.result.error_if(answer, ~answer.succeeded)
         if np.any(ended != "successful"):
             raise RuntimeError(
-                "At some frequency the answer is not finite: a resonance without damping, "
+                "At some frequency the answer is not finite: a resonance without damping "
                 "or a value of the mechanism that is not finite. Give the hinges "
                 "`damping`, or leave the frequency out."
             )
@@ -258,7 +258,17 @@ def _response(
         swing = jnp.zeros(force.size, matrix.dtype)
         swing = swing.at[given].set(jnp.array(targets, float).astype(matrix.dtype))
         right = (force.astype(matrix.dtype) - matrix @ swing)[free]
-        swing = swing.at[free].set(jnp.linalg.solve(matrix[free[:, None], free], right))
+        # each row and column by its own size, so that units do not matter
+        size = (
+            jnp.diagonal(stiffness) + omega**2 * inertia + omega * jnp.diagonal(damping)
+        )
+        size = jnp.sqrt(jnp.abs(size[free]))
+        size = jnp.where(size > 0, size, 1.0).astype(matrix.dtype)
+        scaled = matrix[free[:, None], free] / (size[:, None] * size[None])
+        back = jnp.linalg.inv(scaled)
+        worst = jnp.linalg.norm(scaled) * jnp.linalg.norm(back)
+        solved = back @ (right / size) / size
+        swing = swing.at[free].set(jnp.where(worst < 1e13, solved, jnp.nan))
         return swing.reshape(still.shape), (
             held * (matrix @ swing - force.astype(matrix.dtype))
         ).reshape(still.shape)

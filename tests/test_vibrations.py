@@ -1,0 +1,112 @@
+"""Vibrations: against reference frequencies, closed forms, and motion itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+
+import twistorjax as tj
+from twistorjax.cases import four_bar, stage
+
+
+# By another program in 50 digits; Hz
+STAGE = [
+    306.1366849, 4719.7317869, 6302.6505985, 9474.0135068, 12316.9615762, 14874.9283712,
+]  # fmt: skip
+FOUR_BAR = [
+    36.3871815, 568.9155405, 681.1718392, 1230.3478384, 1300.4124816, 3078.9487182,
+    3578.5604614, 7433.2397532, 9639.3729878,
+]  # fmt: skip
+
+
+def test_the_dissertations_mechanisms_vibrate_as_the_reference_does():
+    held = tj.vibrations(stage.microstage(), {"6": ["x"]})
+    np.testing.assert_allclose(held.frequencies[:6], STAGE, rtol=1e-7)
+    found = tj.vibrations(four_bar.four_bar())
+    np.testing.assert_allclose(found.frequencies, FOUR_BAR, rtol=1e-7)
+    assert repr(found).startswith("successful: 9 vibrations")
+
+
+def test_shapes_have_unit_modal_mass_and_no_part_in_one_another():
+    linkage = four_bar.four_bar()
+    shapes = tj.vibrations(linkage).shapes
+    inertia = linkage.inertia()
+    weighed = jnp.where(jnp.isinf(inertia), 0.0, inertia)[None] * shapes
+    assert_close(jnp.einsum("ibk,jbk->ij", weighed, shapes), jnp.eye(9), digits=9)
+
+
+def column(load, stiffness=2.0):
+    """A rigid rod on a torsion hinge, pressed from above."""
+    hinge = tj.Quadratic(jnp.diag(jnp.stack([jnp.asarray(stiffness), *jnp.full(2, 1e9)])))
+    rod = tj.Body("rod", rest=(0, 0, 0.5), mass=1e-6, inertia=0.3)
+    mechanism = tj.Mechanism(
+        [tj.Body("base"), rod], [tj.Hinge("h", "base", "rod", hinge, (0, 0, 0))], ["base"]
+    )
+    return mechanism, [tj.Load("rod", (0, 0, -load), at=(0, 0.5))]
+
+
+def test_a_pressed_column_slows_down():
+    """I w^2 = k - P L, down to Euler's load."""
+
+    def frequency(load):
+        mechanism, loads = column(load)
+        rest = tj.equilibrium(mechanism, loads=loads)
+        found = tj.vibrations(mechanism, about=rest, loads=loads)
+        return found.frequencies[0]
+
+    expected = np.sqrt((2.0 - 1.2) / 0.3) / (2 * np.pi)
+    np.testing.assert_allclose(frequency(1.2), expected, rtol=1e-5)
+    slope = jax.grad(frequency)(1.2)
+    np.testing.assert_allclose(slope, -expected / (2 * (2.0 - 1.2)), rtol=1e-5)
+
+
+def test_an_unstable_state_does_not_vibrate():
+    mechanism, loads = column(2.1)
+    with pytest.raises(RuntimeError, match="gives some away"):
+        tj.vibrations(mechanism, loads=loads)
+    told = tj.vibrations(mechanism, loads=loads, throw=False)
+    assert not told.succeeded and np.isnan(told.frequencies[0])
+
+
+def test_loads_that_follow_have_no_vibrations():
+    mechanism, _ = column(1.0)
+    follower = tj.Load("rod", (0, 0, -1.0), follows=True)
+    with pytest.raises(ValueError, match="follows its body"):
+        tj.vibrations(mechanism, loads=[follower])
+
+
+def block(damping):
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 50.0, 80.0])))
+    hinge = tj.Hinge("spring", "wall", "block", spring, (0, 0, 0), damping=damping)
+    body = tj.Body("block", mass=2.0, inertia=0.1)
+    return tj.Mechanism([tj.Body("wall"), body], [hinge], held=["wall"])
+
+
+def test_the_response_to_a_load_is_the_textbooks():
+    time = 0.02
+    frequencies = np.array([0.0, 0.5, 0.8, 3.0])
+    answer = tj.frequency_response(
+        block(time), frequencies, loads=[tj.Load("block", (0, 1.0, 0))]
+    )
+    omega = 2 * np.pi * frequencies
+    expected = 1 / (50 - 2 * omega**2 + 1j * omega * time * 50)
+    assert_close(answer.displacement("block")[:, 1], expected, digits=12)
+    assert_close(answer.reaction("wall")[:, 1], -expected * 50 * (1 + 1j * omega * time))
+
+
+def test_the_response_to_a_drive_asks_for_its_force():
+    omega = 2 * np.pi * 0.5
+    answer = tj.frequency_response(block(0.02), [0.5], drives=[tj.Drive("block", y=1e-3)])
+    expected = 1e-3 * (80 - 2 * omega**2 + 1j * omega * 0.02 * 80)
+    assert_close(answer.reaction("block")[0, 2], expected)
+
+
+def test_a_resonance_without_damping_has_no_answer():
+    resonance = float(tj.vibrations(block(None)).frequencies[1])
+    push = tj.Load("block", (0, 1.0, 1.0))
+    with pytest.raises(RuntimeError, match="a resonance without damping"):
+        tj.frequency_response(block(None), [1.0, resonance], loads=[push])
+    assert tj.frequency_response(block(0.1), [resonance], loads=[push]).succeeded
+    with pytest.raises(ValueError, match="must be a row of them"):
+        tj.frequency_response(block(0.1), resonance, loads=[push])

@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from . import command, peers, statics
+from . import command, motion, peers, peers_motion, statics
 
 
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
@@ -29,7 +29,7 @@ def main(
     jax.config.update("jax_enable_x64", True)
     table = Table("what", "measured", "", "asked", "met")
     rows = []
-    for part in (statics, peers, command):
+    for part in (statics, peers, motion, peers_motion, command):
         for row in part.run():
             rows.append(row)
             value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.4g}"

@@ -120,3 +120,41 @@ def test_help_shows_examples(run):
     done = run("stage", "--help")
     assert done.returncode == 0
     assert "twistorjax stage --input 2e-6 --json" in done.stdout
+
+
+def test_the_four_bar_answers_in_json_and_draws(run):
+    done = run(
+        "four-bar", "--hinges", "mixed", "--times", "0.09,0.405", "--json",
+        "--plot", "panels.png",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert set(answer) == {"times", "poses", "reactions", "steps", "result"}
+    assert answer["times"] == [0.09, 0.405]
+    expected = [-0.01264399614, 0.06121225566]
+    np.testing.assert_allclose(answer["poses"]["3"][0][1:], expected, atol=1e-7)
+    assert (run.folder / "panels.png").stat().st_size > 10_000
+
+
+def test_the_stage_settles_to_its_static_gain(run):
+    done = run("stage", "--transient", "--step", "--json", "--plot", "transient.png")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert abs(answer["gain"] - answer["static_gain"]) < 1e-8 * answer["gain"]
+    assert abs(answer["compression_a_m"] - 192.2e-9) < 0.1e-9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--hinges", "some"], "must be 'identical' or 'mixed'"),
+        (["--times", "0.2,0.1"], "must increase"),
+        (["--times", "0.1,x"], "must be numbers between commas"),
+        (["--damping-time", "-1"], "must be zero or positive"),
+        (["--animate", "film.avi"], "must end in .gif, .mp4 or .html"),
+    ],
+)
+def test_the_four_bar_refuses_in_one_line(run, arguments, message):
+    done = run("four-bar", *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr and done.stderr.count("\n") == 1

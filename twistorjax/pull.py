@@ -6,7 +6,7 @@ takes twice the time to compile and 1.5 to 2 times the time to run a sweep of st
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, cast, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -225,8 +225,8 @@ def _drag(damping: Viscous, at: Displacement, place: Three, rates: Three) -> Thr
     """What a damping adds to the slopes, by the coordinates and their rates."""
 
     def half_power(rates: Three) -> Scalar:
-        def measure(*place: Scalar) -> Three:
-            return strain(_moved(at, place), damping.coordinates)
+        def measure(angle: Scalar, y1: Scalar, y2: Scalar) -> Three:
+            return strain(_moved(at, (angle, y1, y2)), damping.coordinates)
 
         return half_square(damping.damping, jax.jvp(measure, place, rates)[1])
 
@@ -282,7 +282,7 @@ def _spread(
     symmetric: bool,
 ) -> SixBySix:
     """Products of the four motions' columns, among the six displacements."""
-    four = [[None] * 4 for _ in range(4)]
+    four: list[list[Any]] = [[None] * 4 for _ in range(4)]
     for row in range(4):
         for column in range(4):
             if symmetric and column < row:
@@ -291,10 +291,11 @@ def _spread(
             value = _dot(columns[row], pushed[column])
             four[row][column] = value if bend is None else value + bend[row][column]
     motions = (0, 1), (2, -1), (3, -1), (1, 1), (2, 1), (3, 1)
-    return tuple(
+    six = [
         tuple(
             four[row][column] if up * left > 0 else -four[row][column]
             for column, left in motions
         )
         for row, up in motions
-    )
+    ]
+    return cast(SixBySix, tuple(six))

@@ -11,6 +11,7 @@ matrix, would freeze everything; one that is in proportion to the stiffness is t
 instead. The listing also holds the driven link's x, which the text does not.
 """
 
+from collections.abc import Sequence
 from typing import Literal, TYPE_CHECKING
 
 import jax.numpy as jnp
@@ -83,9 +84,11 @@ def four_bar(
     soft = Material(modulus=69e9 / 20, poisson=0.3)
 
     def blade(length: ArrayLike):
-        size = {"length": length, "thickness": thickness}
-        energy = leaf(soft, **size, width=_WIDTH, coordinates=coordinates)
-        return length, energy, leaf_outline(**size)
+        energy = leaf(
+            soft, length=length, thickness=thickness, width=_WIDTH,
+            coordinates=coordinates,
+        )  # fmt: skip
+        return length, energy, leaf_outline(length=length, thickness=thickness)
 
     short = blade(length)
     kinds = dict.fromkeys("ABCD", short)
@@ -141,7 +144,9 @@ def turn(time: Scalar) -> list[Drive]:
 
 
 def drive(
-    linkage: Mechanism, times: Float[ArrayLike, " times"] = PANELS, **settings
+    linkage: Mechanism,
+    times: Float[ArrayLike, " times"] | Sequence[ArrayLike] = PANELS,
+    **settings,
 ) -> Motion:
     """Moves a linkage by turning link 2.
 
@@ -162,7 +167,7 @@ def drive(
 
 def release(
     linkage: Mechanism,
-    times: Float[ArrayLike, " times"],
+    times: Float[ArrayLike, " times"] | Sequence[ArrayLike],
     speed: ArrayLike = SPEED,
     **settings,
 ) -> Motion:
@@ -201,9 +206,8 @@ def plot(linkage: Mechanism, motion: Motion) -> "Figure":
         rows, columns, figsize=(2.4 * columns, 3.2 * rows), sharex=True, sharey=True,
         layout="constrained", squeeze=False,
     )  # fmt: skip
-    poses = np.asarray(motion.poses)
     for panel, row in zip(axes.flat, shown, strict=False):
-        draw(linkage, poses[row], axes=panel, names=row == shown[0], ghost=True)
+        draw(linkage, motion.poses[row], axes=panel, names=row == shown[0], ghost=True)
         panel.set_title(f"{float(motion.times[row]):.3f} s", fontsize="medium")
         panel.label_outer()
     for panel in axes.flat[len(shown) :]:

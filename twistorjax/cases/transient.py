@@ -1,5 +1,6 @@
 """The micropositioning stage as it moves: section 6.4, figures 6.3 and 6.4."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -63,7 +64,7 @@ class Transient(eqx.Module):
 
 def settle(
     stage: Mechanism,
-    times: Float[ArrayLike, " times"] = TIMES,
+    times: Float[ArrayLike, " times"] | Sequence[ArrayLike] = TIMES,
     *,
     travel: ArrayLike = TRAVEL,
     rise: ArrayLike | None = RISE,

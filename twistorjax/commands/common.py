@@ -4,6 +4,7 @@ import math
 import os
 import sys
 from pathlib import Path
+from typing import Literal
 
 
 class Refused(Exception):
@@ -33,10 +34,11 @@ def need(option: str, value: float, unit: str) -> None:
         raise Refused(f"{option} is {value:g}, but must be positive and finite; {unit}.")
 
 
-def need_energy(energy: str) -> None:
-    """Refuses unknown coordinates."""
-    if energy not in ("twistor", "twist"):
-        raise Refused(f"--energy is {energy!r}, but must be 'twistor' or 'twist'.")
+def need_energy(energy: str) -> Literal["twistor", "twist"]:
+    """The coordinates of that name."""
+    if energy == "twistor" or energy == "twist":
+        return energy
+    raise Refused(f"--energy is {energy!r}, but must be 'twistor' or 'twist'.")
 
 
 def need_folder(option: str, path: Path | None) -> None:

@@ -57,7 +57,7 @@ def four_bar(
     """
     if hinges not in ("identical", "mixed"):
         raise Refused(f"--hinges is {hinges!r}, but must be 'identical' or 'mixed'.")
-    need_energy(energy)
+    coordinates = need_energy(energy)
     if damping_time is not None and not (
         math.isfinite(damping_time) and damping_time >= 0
     ):
@@ -84,7 +84,9 @@ def four_bar(
     if damping is None:
         damping = case.DRIVEN_DAMPING if release is None else case.RELEASED_DAMPING
     # as one program, not as a hundred small ones to compile
-    linkage = eqx.filter_jit(case.four_bar)(hinges, coordinates=energy, damping=damping)
+    linkage = eqx.filter_jit(case.four_bar)(
+        hinges, coordinates=coordinates, damping=damping
+    )
 
     def move(instants: list[float]):
         settings = {"tolerance": 1e-9, "throw": False, "progress_meter": meter()}

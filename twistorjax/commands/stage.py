@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -58,12 +58,12 @@ def stage(
     need("--input", travel, "m")
     need("--web", web, "m")
     need("--damping-time", damping_time, "s")
-    need_energy(energy)
+    coordinates = need_energy(energy)
     need_folder("--plot", plot)
     if step and not transient:
         raise Refused("--step tells how the input moves in time: give --transient, too.")
     if transient:
-        _transient(travel, web, energy, as_json, plot, step, damping_time)
+        _transient(travel, web, coordinates, as_json, plot, step, damping_time)
         return
     prepare_jax()
     import numpy as np
@@ -71,7 +71,7 @@ def stage(
     from ..cases import stage as case
     from ..solve.results import outcomes, RESULTS
 
-    answer, slope = case.amplify_by_web(web, travel, coordinates=energy)
+    answer, slope = case.amplify_by_web(web, travel, coordinates=coordinates)
     moved = answer.equilibrium
     ended = str(outcomes(moved.result))
     if ended == "not_finite":
@@ -138,7 +138,7 @@ def _table(values: dict[str, float], web: float, travel: float) -> str:
 def _transient(
     travel: float,
     web: float,
-    energy: str,
+    coordinates: Literal["twistor", "twist"],
     as_json: bool,
     plot: Path | None,
     step: bool,
@@ -148,7 +148,7 @@ def _transient(
     from ..cases import stage, transient as case
 
     try:
-        design = stage.microstage(web, coordinates=energy, damping=damping_time)
+        design = stage.microstage(web, coordinates=coordinates, damping=damping_time)
     except ValueError as error:
         raise Refused(f"--web cannot be used, holes being 3 mm: {error}") from None
     settled = case.settle(

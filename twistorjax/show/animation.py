@@ -1,6 +1,6 @@
 """A mechanism in motion, on matplotlib axes."""
 
-from typing import TYPE_CHECKING
+from typing import cast, TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from .drawing import draw
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def animate(
@@ -75,9 +76,8 @@ def animate(
         return list(axes.patches)
 
     length = 1e3 * slower * (times[kept[-1]] - times[kept[0]])
-    figure = axes.figure
     return FuncAnimation(
-        figure.figure if hasattr(figure, "figure") else figure,
+        cast("Figure", axes.get_figure(root=True)),
         frame,
         frames=[int(k) for k in kept],
         interval=max(20.0, length / max(1, len(kept) - 1)),

@@ -81,7 +81,7 @@ class Within(dfx.AbstractLocalInterpolation):
             lambda here, there, met: here + part**3 * (met - there), inside, end, self.y1
         )
 
-    def _inside(self, part: Scalar) -> State:
+    def _inside(self, part: Any) -> State:
         length = self.t1 - self.t0
         degrees = jnp.arange(1, 1 + len(self.accelerations), dtype=part.dtype)
         once = length * part**degrees / degrees
@@ -171,11 +171,14 @@ class Gauss(dfx.AbstractSolver):
         return _step("gauss", 2, self.sweeps, t0, t1 - t0, y0, args, solver_state)
 
 
+# its items are inherited, which type checkers do not see
+_results: Any = dfx.RESULTS
+
 # What the last solve of a step may still change, where nothing else controls its length
 _UNSETTLED = 1e-2
 
 
-def _first(kind: Scheme, time: Scalar, state: State, system: System) -> Memory:
+def _first(kind: Scheme, time: Any, state: State, system: System) -> Memory:
     """What there is to foresee the first step from: that nothing changes."""
     now = system.instant(time, state.place, state.rate)
     displacements, _ = system.spread(time, state.place, state.rate)
@@ -199,8 +202,8 @@ def _step(
     nodes: str,
     stages: int,
     sweeps: int,
-    start: Scalar,
-    step: Scalar,
+    start: Any,
+    step: Any,
     state: State,
     system: System,
     memory: Memory,
@@ -267,17 +270,17 @@ def _step(
     end = State(place, rate, state.work + weights @ powers)
 
     through = jnp.asarray(kind.through)
-    nodes = accelerations, stretches
+    values = accelerations, stretches
     if kind.ends:
-        nodes = (
+        values = (
             jnp.concatenate([memory.acceleration[None], accelerations]),
             jnp.concatenate([memory.stretches[None], stretches]),
         )
     kept = Memory(
         acceleration=accelerations[-1],
         stretches=stretches[-1],
-        accelerations=through @ nodes[0],
-        stretching=through @ nodes[1],
+        accelerations=through @ values[0],
+        stretching=through @ values[1],
         pushes=jnp.asarray(kind.powers) @ pushes,
         step=step,
     )
@@ -292,10 +295,10 @@ def _step(
     broken = ~jnp.all(jnp.isfinite(place)) | ~jnp.all(jnp.isfinite(rate))
     lost |= broken & (step < 1e-9 * system.period)
     left = system.size(State(_mix(twice, change)[-1], _mix(matrix, change)[-1], end.work))
-    result = dfx.RESULTS.where(
-        left > _UNSETTLED, dfx.RESULTS.nonlinear_divergence, dfx.RESULTS.successful
+    result = _results.where(
+        left > _UNSETTLED, _results.nonlinear_divergence, _results.successful
     )
-    result = dfx.RESULTS.where(lost, dfx.RESULTS.nonfinite, result)
+    result = _results.where(lost, _results.nonfinite, result)
     error = None
     if kind.ends:
         error = _error(

@@ -29,7 +29,7 @@ Driving = Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
 
 def simulate(
     mechanism: Mechanism,
-    times: Float[ArrayLike, " times"],
+    times: Float[ArrayLike, " times"] | Sequence[ArrayLike],
     *,
     loads: Loading = (),
     drives: Driving = (),
@@ -202,6 +202,7 @@ def _solve(
         max_steps=max_steps,
         throw=False,
     )
+    assert solution.ts is not None and solution.ys is not None
     ended = RESULTS.promote(solution.result)
     lost = (ended == RESULTS.nonfinite) | (ended == RESULTS.nonfinite_input)
     final = solution.ys[1]

@@ -61,10 +61,10 @@ def scheme(kind: str, stages: int) -> Scheme:
     powers = np.linalg.inv(np.vander(nodes, increasing=True))
     degrees = np.arange(1, stages + 1)
     matrix = (nodes[:, None] ** degrees / degrees) @ powers
-    reaches, directions = np.linalg.eig(matrix)
+    reaches, directions = (part.astype(complex) for part in np.linalg.eig(matrix))
     into = np.linalg.inv(directions)
-    kept = reaches.imag > -1e-12
-    twice = np.where(np.abs(reaches.imag) > 1e-12, 2.0, 1.0)
+    kept = np.imag(reaches) > -1e-12
+    twice = np.where(np.abs(np.imag(reaches)) > 1e-12, 2.0, 1.0)
     known = np.append(0.0, nodes) if kind == "radau" else nodes
     return Scheme(
         nodes=nodes,
@@ -75,5 +75,5 @@ def scheme(kind: str, stages: int) -> Scheme:
         out_of=(directions * twice)[:, kept],
         powers=powers,
         through=np.linalg.inv(np.vander(known, increasing=True)),
-        real=int(np.argmin(np.abs(reaches[kept].imag))),
+        real=int(np.argmin(np.abs(np.imag(reaches[kept])))),
     )

@@ -1,7 +1,7 @@
 """How a motion begins, and what is wrong where it cannot."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Any, cast, TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import all_known, find, known, row
 from .._types import Poses
-from ..boundary import driven
+from ..boundary import Drive, driven
 from ..joints import Joined
 from ..mechanism import Mechanism
 from .elimination import inverse
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _EXACT = 1e-9
 
 
-def times(given: ArrayLike) -> Float[Array, " times"]:
+def times(given: ArrayLike | Sequence[ArrayLike]) -> Float[Array, " times"]:
     """The times at which a motion is told, if they increase as far as can be seen."""
     values = jnp.asarray(given, float)
     if values.ndim != 1 or len(values) < 2:
@@ -217,13 +217,17 @@ def _consistent(
     return (met & apart) | ~seen, allowed
 
 
+def _given(drives: Any, now: Array) -> Sequence[Drive]:
+    return cast(Sequence[Drive], drives(now) if callable(drives) else drives)
+
+
 def refuse(
     mechanism: Mechanism, drives, joints: Joined, moved: Poses, now: Array, told: bool
 ) -> None:
     """Refuses a start that can be seen to be none, before anything is compiled."""
     if all_known([moved, now, *jax.tree.leaves((mechanism, joints))]) is None:
         return
-    given = drives(now) if callable(drives) else drives
+    given = _given(drives, now)
     places, targets = driven(mechanism, given)
     if all_known(targets) is None:
         return
@@ -279,7 +283,7 @@ def raised(
 
 
 def _jumps(mechanism: Mechanism, drives, moved: Poses, now: Array) -> str:
-    given = drives(now) if callable(drives) else drives
+    given = _given(drives, now)
     places, targets = driven(mechanism, given)
     words = [
         f"The {mechanism.coordinate(place)} starts at {moved.reshape(-1)[place]:.6g} and "
@@ -294,7 +298,7 @@ def _at_odds(
     mechanism: Mechanism, joints: Joined, moved: Poses, now: Array, drives
 ) -> str:
     """Which constraints are violated at the start, or add nothing to those before."""
-    given = drives(now) if callable(drives) else drives
+    given = _given(drives, now)
     places, _ = driven(mechanism, given)
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
     violation = np.asarray(joints.violation(moved, now))

@@ -1,7 +1,7 @@
 """The equations of motion of a mechanism: who moves it, and what resists."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -226,7 +226,8 @@ class System(eqx.Module):
         total = self.inertia * self._whole(acceleration, gain).reshape(-1)
         held = np.ones(net.size)
         held[self.free] = 0.0
-        reactions = (held * (total - net - back)).reshape(displacements.shape)
+        reactions = jnp.asarray(held) * (total - net - back)
+        reactions = reactions.reshape(displacements.shape)
         by_drives = jnp.vdot(reactions, rates) - moving
         powers = jnp.stack([dissipated, jnp.vdot(applied, rates), by_drives])
         return Instant(acceleration, push, reactions, powers)
@@ -304,7 +305,7 @@ class System(eqx.Module):
         return jnp.concatenate([free, given, jnp.zeros(1)])[source].reshape(-1, 3)
 
 
-def _rates(time: Scalar, state: State, system: System) -> State:
+def _rates(time: Any, state: State, system: System) -> State:
     place, rate, work = state
     now = system.instant(time, place, rate)
     return State(rate, now.acceleration, now.powers if work.size else work)

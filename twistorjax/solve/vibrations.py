@@ -160,7 +160,7 @@ class Response(ByBody):
 
 def frequency_response(
     mechanism: Mechanism,
-    frequencies: Float[ArrayLike, " frequencies"],
+    frequencies: Float[ArrayLike, " frequencies"] | Sequence[ArrayLike],
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
@@ -248,8 +248,9 @@ def _response(
     applied, _ = Loads.of(loads, bodies, mechanism.rest).apply(moved)
     force = applied.reshape(-1)
     free, given = (np.array(chosen, int) for chosen in places)
-    held = np.ones(force.size, complex)
-    held[free] = 0.0
+    mask = np.ones(force.size, complex)
+    mask[free] = 0.0
+    held = jnp.asarray(mask)
 
     def at(frequency: Array) -> tuple[Array, Array]:
         omega = 2 * jnp.pi * frequency

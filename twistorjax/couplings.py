@@ -272,7 +272,7 @@ def stack_hinges(hinges: Sequence[Hinge]) -> tuple[Stack, ...]:
             leaves.append(row[0] if shared else _stacked(row))
         energy, damping = jax.tree.unflatten(tree, leaves)
         if eqx.is_array(damping):  # a time
-            damping = Viscous(_proportional(energy, damping, tuple(axes)))
+            damping = _proportional(energy, damping, tuple(axes))
             axes[-1] = None if damping.damping.ndim == 2 else 0
         stacks.append(Stack(tuple(members), energy, damping, tuple(axes)))
     return tuple(stacks)
@@ -281,12 +281,12 @@ def stack_hinges(hinges: Sequence[Hinge]) -> tuple[Stack, ...]:
 @partial(jax.jit, static_argnames="axes")
 def _proportional(
     energy: AbstractEnergy, time: Array, axes: tuple[int | None, ...]
-) -> Float[Array, "... 3 3"]:
-    """The stiffness at rest times a time, of stacked energies."""
+) -> Viscous:
+    """The dampings that are the stiffness at rest times a time, of stacked energies."""
     leaves, tree = jax.tree.flatten(energy)
 
     def one(leaves, time):
-        return time * jax.tree.unflatten(tree, leaves).tangent_stiffness()
+        return Viscous(time * jax.tree.unflatten(tree, leaves).tangent_stiffness())
 
     *of_energy, of_time = axes
     if any(axis == 0 for axis in axes):

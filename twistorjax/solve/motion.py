@@ -32,14 +32,14 @@ class Energies(eqx.Module):
         by_drives: done by what drives coordinates and moves constraints, since the start.
     """
 
-    elastic: Float[Array, "*batch times"]
-    kinetic: Float[Array, "*batch times"]
-    dissipated: Float[Array, "*batch times"]
-    by_loads: Float[Array, "*batch times"]
-    by_drives: Float[Array, "*batch times"]
+    elastic: Float[Array, "..."]
+    kinetic: Float[Array, "..."]
+    dissipated: Float[Array, "..."]
+    by_loads: Float[Array, "..."]
+    by_drives: Float[Array, "..."]
 
     @property
-    def imbalance(self) -> Float[Array, "*batch times"]:
+    def imbalance(self) -> Float[Array, "..."]:
         """What is there and should not be: the error of the motion, as energy."""
         held = self.elastic + self.kinetic
         came = self.by_loads + self.by_drives - self.dissipated

@@ -3,7 +3,7 @@
 import diffrax as dfx
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Inexact
 
 from .._checks import known
 
@@ -74,8 +74,8 @@ for _name, _item in RESULTS._name_to_item.items():
 class ByBody(eqx.Module):
     """What an answer tells of each body, called by its name."""
 
-    displacements: eqx.AbstractVar[Float[Array, "..."]]
-    reactions: eqx.AbstractVar[Float[Array, "..."]]
+    displacements: eqx.AbstractVar[Inexact[Array, "..."]]
+    reactions: eqx.AbstractVar[Inexact[Array, "..."]]
     result: eqx.AbstractVar[RESULTS]
     names: eqx.AbstractVar[tuple[str, ...]]
 
@@ -85,11 +85,11 @@ class ByBody(eqx.Module):
         done = self.result == RESULTS.successful
         return done | (self.result == RESULTS.event_occurred)
 
-    def displacement(self, body: str) -> Float[Array, "*batch 3"]:
+    def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
         """How far a body has moved from rest; rad, m, m."""
         return self.displacements[..., self._row(body), :]
 
-    def reaction(self, body: str) -> Float[Array, "*batch 3"]:
+    def reaction(self, body: str) -> Inexact[Array, "*batch 3"]:
         """What a body's held and driven coordinates receive from outside; N m, N, N.
 
         About the body's origin, in world axes.

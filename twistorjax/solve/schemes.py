@@ -40,7 +40,7 @@ class Scheme(NamedTuple):
     @property
     def ends(self) -> bool:
         """Whether the last stage is the end of the step."""
-        return self.nodes[-1] == 1
+        return bool(self.nodes[-1] == 1)
 
 
 @lru_cache

@@ -120,7 +120,7 @@ def _vibrations(
     matrix = stiffness / (root[:, None] * root[None])
     finite = jnp.all(jnp.isfinite(matrix))
     squares, vectors = jnp.linalg.eigh(jnp.where(finite, matrix, jnp.eye(len(free))))
-    stable = squares[0] > -1e-9 * squares[-1] if free else jnp.ones((), bool)
+    stable = squares[0] > -1e-14 * squares[-1] if free else jnp.ones((), bool)
     positive = squares > 0
     frequencies = jnp.sqrt(jnp.where(positive, squares, 1.0)) / (2 * jnp.pi)
     none = jnp.where(stable, 0.0, jnp.nan)

@@ -1,4 +1,10 @@
-"""Tests run in double precision, with nothing promoted silently."""
+"""Tests run in double precision, with nothing promoted silently, and compile fast."""
+
+import os
+
+
+# most of their time is compilation, of programs that run once
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import jax
 

@@ -25,6 +25,7 @@ from ..energy import Coordinates, Viscous
 from ..flexure import leaf, leaf_outline, Material, notch, notch_outline
 from ..hinge import Hinge
 from ..mechanism import Mechanism
+from ..show.canvas import subplots
 from ..show.drawing import draw
 from ..solve.dynamics import simulate
 from ..solve.motion import Motion
@@ -160,7 +161,7 @@ def drive(
 
     Example:
         >>> drive(four_bar()).displacement("3")[2]
-        Array([ 0.00234939, -0.01486585, -0.00225525], dtype=float64)
+        Array([ 0.002349, -0.014866, -0.002255], dtype=float64)
     """
     return simulate(linkage, times, drives=turn, **settings)
 
@@ -197,15 +198,17 @@ def plot(linkage: Mechanism, motion: Motion) -> "Figure":
         linkage: a `four_bar`.
         motion: of it; at most ten of its times are drawn, evenly chosen.
     """
-    from matplotlib import pyplot as plt
-
     shown = np.unique(np.linspace(0, len(motion.times) - 1, 10).round().astype(int))
     columns = min(5, len(shown))
     rows = -(-len(shown) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(2.4 * columns, 3.2 * rows), sharex=True, sharey=True,
-        layout="constrained", squeeze=False,
-    )  # fmt: skip
+    figure, axes = subplots(
+        rows,
+        columns,
+        size=(2.4 * columns, 3.2 * rows),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+    )
     for panel, row in zip(axes.flat, shown, strict=False):
         draw(linkage, motion.poses[row], axes=panel, names=row == shown[0], ghost=True)
         panel.set_title(f"{float(motion.times[row]):.3f} s", fontsize="medium")

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..boundary import Drive
 from ..mechanism import Mechanism
+from ..show.canvas import subplots
 from ..solve.dynamics import simulate
 from ..solve.motion import Motion
 from .stage import amplify, TRAVEL
@@ -88,7 +89,7 @@ def settle(
     Example:
         >>> from twistorjax.cases.stage import microstage
         >>> settle(microstage(damping=1e-3)).gain
-        Array(27.62804368, dtype=float64)
+        Array(27.62804, dtype=float64)
     """
     start, drives = None, [Drive("6", x=travel)]
     if rise is not None:
@@ -119,12 +120,8 @@ def plot(transient: Transient) -> "Figure":
     Source:
         Figures 6.3 and 6.4 of the dissertation.
     """
-    from matplotlib import pyplot as plt
-
     times = 1e3 * np.asarray(transient.motion.times)
-    figure, (above, below) = plt.subplots(
-        2, 1, figsize=(6.5, 6.5), sharex=True, layout="constrained"
-    )
+    figure, (above, below) = subplots(2, size=(6.5, 6.5), sharex=True)
     above.plot(times, 1e6 * np.asarray(transient.output), color="#1b4965")
     above.set_ylabel("output, body 4 (\N{MICRO SIGN}m)")
     above.set_title(

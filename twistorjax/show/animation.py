@@ -6,13 +6,15 @@ import numpy as np
 
 from ..mechanism import Mechanism
 from ..solve.motion import Motion
-from .drawing import draw
+from .canvas import new_axes
+from .drawing import draw, draw_ghost, shapes
 
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon
 
 
 def animate(
@@ -43,17 +45,9 @@ def animate(
         >>> from twistorjax.cases import four_bar
         >>> linkage = four_bar.four_bar()
         >>> film = animate(linkage, four_bar.drive(linkage), slower=10)
-        >>> film.to_jshtml()[:7]
-        '<script'
+        >>> "<script" in film.to_jshtml()
+        True
     """
-    try:
-        from matplotlib import pyplot as plt
-        from matplotlib.animation import FuncAnimation
-    except ImportError as error:
-        raise ImportError(
-            'Pictures need matplotlib: install it with `pip install "twistorjax[show]"`.'
-        ) from error
-
     times = np.asarray(motion.times)
     poses = np.asarray(motion.poses)
     if poses.ndim != 3:
@@ -62,18 +56,26 @@ def animate(
         )
     kept = np.flatnonzero(np.isfinite(times))
     if axes is None:
-        _, axes = plt.subplots(figsize=(5, 5), layout="constrained")
-    limits = _limits(mechanism, poses[kept], magnify)
+        axes = new_axes((5, 5))
+    from matplotlib.animation import FuncAnimation
 
-    def frame(k: int) -> list:
-        axes.clear()
-        draw(mechanism, poses[k], magnify=magnify, names=False, axes=axes)
-        axes.set(**limits)
-        title = axes.get_title()
-        axes.set_title(
-            f"{times[k]:.4g} s" + (f"; {title}" if title else ""), fontsize="medium"
-        )
-        return list(axes.patches)
+    rest = np.asarray(mechanism.rest)
+    placed = rest + magnify * (poses - rest)
+    already = len(axes.patches)
+    first = motion.poses[kept[0]]
+    draw(mechanism, first, magnify=magnify, ghost=False, names=False, axes=axes)
+    moving = cast("list[Polygon]", list(axes.patches)[already:])
+    draw_ghost(mechanism, axes)
+    every = [corners for k in kept for corners, _ in shapes(mechanism, placed[k])]
+    axes.set(**_limits(np.concatenate(every)))
+    stated = axes.get_title()
+
+    def frame(k: int) -> list["Polygon"]:
+        for patch, (corners, _) in zip(moving, shapes(mechanism, placed[k]), strict=True):
+            patch.set_xy(1e3 * corners)
+        title = f"{times[k]:.4g} s" + (f"; {stated}" if stated else "")
+        axes.set_title(title, fontsize="medium")
+        return moving
 
     length = 1e3 * slower * (times[kept[-1]] - times[kept[0]])
     return FuncAnimation(
@@ -84,21 +86,9 @@ def animate(
     )
 
 
-def _limits(mechanism: Mechanism, poses: np.ndarray, magnify: float | int) -> dict:
-    """Limits of the axes within which the whole motion lies; mm."""
-    rest = np.asarray(mechanism.rest)
-    moved = rest + magnify * (poses - rest)
-    points = []
-    for body, outline in enumerate(mechanism.outlines):
-        corners = np.zeros((1, 2)) if outline is None else np.asarray(outline)
-        cos, sin = np.cos(moved[:, body, :1]), np.sin(moved[:, body, :1])
-        x = moved[:, body, 1:2] + cos * corners[:, 0] - sin * corners[:, 1]
-        y = moved[:, body, 2:3] + sin * corners[:, 0] + cos * corners[:, 1]
-        points.append(np.stack([x, y], axis=-1).reshape(-1, 2))
-    every = 1e3 * np.concatenate(points)
-    low, high = every.min(axis=0), every.max(axis=0)
+def _limits(corners: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Limits of the axes, with some room around the corners; mm."""
+    low, high = 1e3 * corners.min(axis=0), 1e3 * corners.max(axis=0)
     margin = 0.05 * np.max(high - low)
-    return {
-        "xlim": (low[0] - margin, high[0] + margin),
-        "ylim": (low[1] - margin, high[1] + margin),
-    }
+    low, high = low - margin, high + margin
+    return {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}

@@ -2,15 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from .. import se2
-from .._types import Corners, Pose, Poses
+from .._types import Corners, Poses
 from ..mechanism import Mechanism
 from ..solve.statics import Equilibrium
+from .canvas import new_axes
 
 
 if TYPE_CHECKING:
@@ -55,13 +52,6 @@ def draw(
         >>> axes.get_xlabel()
         'x (mm)'
     """
-    try:
-        from matplotlib import pyplot as plt
-    except ImportError as error:
-        raise ImportError(
-            'Pictures need matplotlib: install it with `pip install "twistorjax[show]"`.'
-        ) from error
-
     rest = np.asarray(mechanism.rest)
     displacements = np.zeros_like(rest)
     if isinstance(poses, Equilibrium):
@@ -70,14 +60,10 @@ def draw(
         displacements = np.asarray(mechanism._displacements(poses))
     moved = rest + magnify * displacements
     if axes is None:
-        _, axes = plt.subplots(figsize=(7, 6), layout="constrained")
+        axes = new_axes((7, 6))
     if ghost and np.any(displacements):
-        for shape, colour in _shapes(mechanism, rest):
-            if colour != HINGE:
-                _polygon(
-                    axes, shape, fill=False, edgecolor=GHOST, linestyle=":", zorder=3
-                )
-    for shape, colour in _shapes(mechanism, moved):
+        draw_ghost(mechanism, axes)
+    for shape, colour in shapes(mechanism, moved):
         closed = colour != HINGE
         _polygon(
             axes, shape, facecolor=colour, edgecolor="#404040" if closed else colour,
@@ -97,74 +83,90 @@ def draw(
     return axes
 
 
-def _shapes(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[np.ndarray, str]]:
-    """Polygons in the world, in metres, and their colours."""
+def draw_ghost(mechanism: Mechanism, axes: "Axes") -> None:
+    """Dots the bodies at rest."""
+    for shape, colour in shapes(mechanism, np.asarray(mechanism.rest)):
+        if colour != HINGE:
+            _polygon(axes, shape, fill=False, edgecolor=GHOST, linestyle=":", zorder=3)
+
+
+def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[np.ndarray, str]]:
+    """Polygons in the world, in metres, and their colours.
+
+    By NumPy: as operations of JAX, one by one, a frame of a film would take ten times as
+    long.
+    """
     size = np.ptp(np.concatenate([mechanism.rest, mechanism.at])[:, 1:], axis=0).max()
     held = set(mechanism.held)
-    shapes = []
+    drawn = []
     for body, outline in enumerate(mechanism.outlines):
         colour = HELD if {3 * body, 3 * body + 1, 3 * body + 2} <= held else BODY
         if outline is not None:
-            shapes.append((_placed(poses[body], outline), colour))
-    turn = jnp.linspace(0, 2 * jnp.pi, 24, endpoint=False)
-    dot = _DOT * (size or 1.0) * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=1)
-    for name, ends, outline in zip(
-        mechanism.hinge_names,
-        mechanism.couplings.ends,
-        mechanism.hinge_outlines,
-        strict=True,
+            drawn.append((_placed(poses[body], outline), colour))
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    dot = _DOT * (size or 1.0) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    for hinge, (ends, outline) in enumerate(
+        zip(mechanism.couplings.ends, mechanism.hinge_outlines, strict=True)
     ):
-        ports = mechanism.ports(name, jnp.asarray(poses))
-        reach = jnp.zeros(2)
-        if outline is not None:
-            reach = jnp.stack([jnp.min(outline[:, 0]), jnp.max(outline[:, 0])])
+        ports = _ports(mechanism, poses, hinge)
+        corners = np.zeros((1, 2)) if outline is None else np.asarray(outline)
+        reach = np.array([corners[:, 0].min(), corners[:, 0].max()])
         for body, port, along in zip(ends, ports, reach, strict=True):
             if mechanism.outlines[body] is None:
-                grip = se2.act(port, jnp.stack([along, jnp.zeros(())]))
-                shapes.append((np.stack([poses[body][1:], np.asarray(grip)]), BODY))
+                (grip,) = _placed(port, np.array([[along, 0.0]]))
+                drawn.append((np.stack([poses[body][1:], grip]), BODY))
         if outline is None:
             middle = (ports[0][1:] + ports[1][1:]) / 2
-            shapes.append((np.asarray(middle[None] + dot), HINGE))
+            drawn.append((middle + dot, HINGE))
         else:
-            shapes.append((_bent(*ports, reach, outline), HINGE))
-    return shapes
+            drawn.append((_bent(*ports, reach, corners), HINGE))
+    return drawn
 
 
-def _placed(pose: np.ndarray, outline: Corners) -> np.ndarray:
-    return np.asarray(jax.vmap(se2.act, (None, 0))(jnp.asarray(pose), outline))
+def _placed(pose: np.ndarray, corners: np.ndarray | Corners) -> np.ndarray:
+    cos, sin = np.cos(pose[0]), np.sin(pose[0])
+    return pose[1:] + np.asarray(corners) @ np.array([[cos, sin], [-sin, cos]])
+
+
+def _ports(
+    mechanism: Mechanism, poses: np.ndarray, hinge: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The frames in which a hinge grips its bodies, in the world."""
+    first, second = (
+        np.concatenate(
+            [
+                mechanism.at[hinge, :1] + poses[body, :1] - mechanism.rest[body, :1],
+                _placed(poses[body] - [mechanism.rest[body, 0], 0, 0], arm[None])[0],
+            ]
+        )
+        for body, arm in zip(
+            mechanism.couplings.ends[hinge], mechanism.couplings.arms[hinge], strict=True
+        )
+    )
+    return first, second
 
 
 def _bent(
-    first: Pose, second: Pose, reach: Float[Array, "2"], outline: Corners
+    first: np.ndarray, second: np.ndarray, reach: np.ndarray, outline: np.ndarray
 ) -> np.ndarray:
     """An outline whose ends are clamped to the two ports, bent as a beam between."""
     length = reach[1] - reach[0]
-    across = jnp.zeros_like(reach)
-    start, end = (
-        jnp.stack(
-            [se2.act(port, corner) for corner in jnp.stack([reach, across], axis=1)]
-        )
-        for port in (first, second)
-    )
+    ends = np.stack([reach, np.zeros(2)], axis=1)
+    start, end = _placed(first, ends), _placed(second, ends)
     # Hermite's cubic: where the first end is and the last, and how they point
     a, b = start[0], end[1]
     da, db = start[1] - start[0], end[1] - end[0]
-
-    def placed(corner):
-        u = (corner[0] - reach[0]) / length
-        middle = (
-            (1 + 2 * u) * (1 - u) ** 2 * a
-            + u * (1 - u) ** 2 * da
-            + u**2 * (3 - 2 * u) * b
-            - u**2 * (1 - u) * db
-        )
-        slope = (
-            6 * u * (1 - u) * (b - a) + (1 - u) * (1 - 3 * u) * da - u * (2 - 3 * u) * db
-        )
-        normal = jnp.stack([-slope[1], slope[0]]) / jnp.linalg.norm(slope)
-        return middle + corner[1] * normal
-
-    return np.asarray(jax.vmap(placed)(outline))
+    u = (outline[:, :1] - reach[0]) / length
+    middle = (
+        (1 + 2 * u) * (1 - u) ** 2 * a
+        + u * (1 - u) ** 2 * da
+        + u**2 * (3 - 2 * u) * b
+        - u**2 * (1 - u) * db
+    )
+    slope = 6 * u * (1 - u) * (b - a) + (1 - u) * (1 - 3 * u) * da - u * (2 - 3 * u) * db
+    normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return middle + outline[:, 1:] * normal
 
 
 def _polygon(axes: "Axes", corners: np.ndarray, **style) -> None:
@@ -179,9 +181,8 @@ def _label(axes: "Axes", mechanism: Mechanism, poses: np.ndarray) -> None:
     ):
         x, y = 1e3 * (pose[1:] if outline is None else _inside(_placed(pose, outline)))
         axes.annotate(name, (x, y), ha="center", va="center", zorder=5)
-    for name in mechanism.hinge_names:
-        port, _ = mechanism.ports(name, jnp.asarray(poses))
-        _, x, y = 1e3 * np.asarray(port)
+    for hinge, name in enumerate(mechanism.hinge_names):
+        _, x, y = 1e3 * _ports(mechanism, poses, hinge)[0]
         axes.annotate(
             name, (x, y), xytext=(0, 7), ha="center", zorder=5,
             textcoords="offset points", color="#8c3b00", fontstyle="italic",

@@ -95,14 +95,39 @@ class Within(dfx.AbstractLocalInterpolation):
         )
 
 
-class Radau(dfx.AbstractAdaptiveSolver):
+class _Collocation(dfx.AbstractSolver):
+    """A method of collocation, with a given number of linear solves a step.
+
+    Its equation is `equation`, its arguments a `System`.
+    """
+
+    sweeps: eqx.AbstractVar[int]
+    kind: eqx.AbstractClassVar[Scheme]
+    term_structure: ClassVar[Any] = dfx.ODETerm
+    interpolation_cls: ClassVar[Callable[..., Within]] = Within
+
+    def init(self, terms, t0, t1, y0, args):
+        del terms, t1
+        return _first(self.kind, t0, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        if made_jump is not False:
+            fresh = self.init(terms, t0, t1, y0, args)
+            solver_state = jax.tree.map(
+                lambda new, old: jnp.where(made_jump, new, old), fresh, solver_state
+            )
+        return _step(self, t0, t1 - t0, y0, args, solver_state)
+
+
+class Radau(_Collocation, dfx.AbstractAdaptiveSolver):
     """Collocation at Radau's three points, with a given number of linear solves a step.
 
     Of order five, stiffly accurate and L-stable. A step takes one tangent, and factors
     it twice: `M + h g D + (h g)^2 K`, of the size of the places alone, for one real and
     one complex number g. An angle or length that constraints keep is kept at each stage.
-
-    Its equation is `equation`, its arguments a `System`.
 
     Args:
         sweeps: linear solves for the stages of a step.
@@ -114,30 +139,14 @@ class Radau(dfx.AbstractAdaptiveSolver):
     """
 
     sweeps: int = 3
-    term_structure: ClassVar[Any] = dfx.ODETerm
-    interpolation_cls: ClassVar[Callable[..., Within]] = Within
+    kind: ClassVar[Scheme] = scheme("radau", 3)
 
     def order(self, terms):
         del terms
         return 5
 
-    def init(self, terms, t0, t1, y0, args):
-        del terms, t1
-        return _first(scheme("radau", 3), t0, y0, args)
 
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        if made_jump is not False:
-            fresh = self.init(terms, t0, t1, y0, args)
-            solver_state = jax.tree.map(
-                lambda new, old: jnp.where(made_jump, new, old), fresh, solver_state
-            )
-        return _step("radau", 3, self.sweeps, t0, t1 - t0, y0, args, solver_state)
-
-
-class Gauss(dfx.AbstractSolver):
+class Gauss(_Collocation):
     """Collocation at Gauss's two points: symplectic, for undamped motion at fixed steps.
 
     Of order four; of order two where constraints act. It keeps momenta, and energy but
@@ -152,23 +161,11 @@ class Gauss(dfx.AbstractSolver):
     """
 
     sweeps: int = 8
-    term_structure: ClassVar[Any] = dfx.ODETerm
-    interpolation_cls: ClassVar[Callable[..., Within]] = Within
+    kind: ClassVar[Scheme] = scheme("gauss", 2)
 
     def order(self, terms):
         del terms
         return 4
-
-    def init(self, terms, t0, t1, y0, args):
-        del terms, t1
-        return _first(scheme("gauss", 2), t0, y0, args)
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        del terms, made_jump
-        return _step("gauss", 2, self.sweeps, t0, t1 - t0, y0, args, solver_state)
 
 
 # its items are inherited, which type checkers do not see
@@ -199,16 +196,14 @@ def _first(kind: Scheme, time: Any, state: State, system: System) -> Memory:
 
 @eqx.filter_jit  # diffrax traces a step three times
 def _step(
-    nodes: str,
-    stages: int,
-    sweeps: int,
+    method: _Collocation,
     start: Any,
     step: Any,
     state: State,
     system: System,
     memory: Memory,
 ) -> tuple[State, State | None, dict[str, Any], Memory, dfx.RESULTS]:
-    kind = scheme(nodes, stages)
+    kind = method.kind
     size, mass = state.place.size, system.mass
     matrix = step * jnp.asarray(kind.matrix)
     twice = step**2 * jnp.asarray(kind.matrix @ kind.matrix)
@@ -256,7 +251,7 @@ def _step(
         return accelerations + change, stretches, pushes + more, change
 
     found = accelerations, stretches, pushes, jnp.zeros_like(accelerations)
-    found = jax.lax.fori_loop(0, sweeps, solve, found)
+    found = jax.lax.fori_loop(0, method.sweeps, solve, found)
     accelerations, stretches, pushes, change = found
     places, rates = moved(accelerations)
 

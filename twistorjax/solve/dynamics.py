@@ -18,7 +18,7 @@ from . import start as begin
 from .collocation import Gauss, Radau
 from .motion import Energies, Motion
 from .newton import Places
-from .results import RESULTS
+from .results import raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates
 from .system import equation, State, System
 
@@ -155,7 +155,8 @@ def simulate(
     )
     if not throw:
         return answer
-    return begin.raised(answer, mechanism, drives, joints, moved, first)
+    why = partial(begin.failure, answer, mechanism, drives, joints, moved, first)
+    return raise_failed(answer, why)
 
 
 @eqx.filter_jit

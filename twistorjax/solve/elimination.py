@@ -17,9 +17,9 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
         matrix: one or many of them; where it has no inverse the answer is not finite.
 
     Example:
-        >>> inverse(jnp.array([[2.0, 0.0], [0.0, 4.0]]))
-        Array([[0.5 , 0.  ],
-               [0.  , 0.25]], dtype=float64)
+        >>> inverse(jnp.array([[2.0, 1.0], [1.0, 1.0]]))
+        Array([[ 1., -1.],
+               [-1.,  2.]], dtype=float64)
     """
     size = matrix.shape[-1]
     if not size:

@@ -133,17 +133,9 @@ class Motion(Placed):
         if ended is None or seen is None or ended.shape:
             return eqx.tree_pformat(self)
         times, moved, _ = seen
-        wide = max(map(len, (*self.names, "body")))
-        went = float(self.reached)
-        lines = [
-            f"{ended}: {float(times[0]):g} to {went:.6g} s in {int(self.steps)} steps, "
-            f"{int(self.rejected)} tried again; {times.size} times kept",
-            f"{'largest':<{wide}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}",
-        ]
-        largest = np.nanmax(np.abs(moved), axis=0)
-        for name, values in zip(self.names, largest, strict=True):
-            cells = "  ".join(f"{value:>13.6g}" for value in values)
-            lines.append(f"{name:<{wide}}  {cells}")
-        if len(lines) > 22:
-            lines[12:-1] = [f"... {len(lines) - 13} more"]
-        return "\n".join(lines)
+        title = (
+            f"{ended}: {float(times[0]):g} to {float(self.reached):.6g} s in "
+            f"{int(self.steps)} steps, {int(self.rejected)} tried again; "
+            f"{times.size} times kept"
+        )
+        return self._listed(title, "largest", np.nanmax(np.abs(moved), axis=0))

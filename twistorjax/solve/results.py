@@ -1,5 +1,8 @@
 """How a solve ended, and what all answers share."""
 
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
 import diffrax as dfx
 import equinox as eqx
 import numpy as np
@@ -66,6 +69,43 @@ def outcomes(result: RESULTS) -> np.ndarray | None:
     return None if index is None else np.array(_NAMES[index], object)
 
 
+class Ended(Protocol):
+    """An answer that says how it ended."""
+
+    @property
+    def result(self) -> RESULTS: ...
+
+    @property
+    def succeeded(self) -> Bool[Array, "*batch"]: ...
+
+
+Answer = TypeVar("Answer", bound=Ended)
+
+
+def raise_failed(
+    answer: Answer, failure: Callable[[str, tuple[int, ...]], Exception]
+) -> Answer:
+    """The answer, if it succeeded; otherwise the failure of its first lane is raised.
+
+    Args:
+        answer: of a solve, or of a batch of them.
+        failure: what to raise, from the name of the outcome and the lane of the batch.
+    """
+    ended = outcomes(answer.result)
+    if ended is None:
+        return answer.result.error_if(answer, ~answer.succeeded)
+    failed = ~np.asarray(answer.succeeded)
+    if np.any(failed):
+        lane = tuple(map(int, np.unravel_index(np.argmax(failed), failed.shape)))
+        raise failure(np.asarray(ended)[lane], lane)
+    return answer
+
+
+def meaning(item: str) -> str:
+    """What an outcome means, by its name."""
+    return RESULTS[getattr(RESULTS, item)]
+
+
 _NAMES = np.empty(len(RESULTS), object)
 for _name, _item in RESULTS._name_to_item.items():
     _NAMES[int(_item._value)] = _name
@@ -120,3 +160,14 @@ class Placed(ByBody):
     def pose(self, body: str) -> Float[Array, "*batch 3"]:
         """Where a body is; rad, m, m."""
         return self.poses[..., self._row(body), :]
+
+    def _listed(self, title: str, head: str, rows: np.ndarray) -> str:
+        """A line for each body, of so many that they fit on a screen."""
+        wide = max(map(len, (*self.names, head)))
+        lines = [f"{head:<{wide}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}"]
+        for name, values in zip(self.names, rows, strict=True):
+            cells = "  ".join(f"{value:>13.6g}" for value in values)
+            lines.append(f"{name:<{wide}}  {cells}")
+        if len(lines) > 21:
+            lines[11:-1] = [f"... {len(lines) - 12} more"]
+        return "\n".join([title, *lines])

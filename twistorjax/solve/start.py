@@ -16,7 +16,7 @@ from ..joints import Joined
 from ..mechanism import Mechanism
 from .elimination import inverse
 from .newton import Places
-from .results import outcomes, RESULTS
+from .results import meaning, RESULTS
 from .statics import free_coordinates
 from .system import State, System
 
@@ -36,10 +36,9 @@ def times(given: ArrayLike | Sequence[ArrayLike]) -> Float[Array, " times"]:
             f"`times` has shape {values.shape}, but must be a row of at least two times: "
             "when the motion begins, and when it ends."
         )
+    finite("times", values)
     seen = known(values)
     if seen is not None:
-        if not np.all(np.isfinite(seen)):
-            raise ValueError(f"`times` must be finite, but has {seen.tolist()}.")
         late = np.flatnonzero(np.diff(seen) <= 0)
         if late.size:
             k = int(late[0])
@@ -235,51 +234,38 @@ def refuse(
     for place, target in zip(places, targets, strict=True):
         apart = abs(float(target) - float(moved.reshape(-1)[place]))
         if apart > _EXACT * (1.0 if place % 3 == 0 else unit or 1.0):
-            text = RESULTS[RESULTS.drive_jumps]
-            raise ValueError(f"{text} {_jumps(mechanism, drives, moved, now)}")
+            words = _jumps(mechanism, drives, moved, now)
+            raise ValueError(f"{meaning('drive_jumps')} {words}")
     seen = np.isfinite(np.asarray(joints.violation(moved, now))) if joints.size else ()
     if joints.size and not told and np.all(seen):
         words = _at_odds(mechanism, joints, moved, now, drives)
         if not words.startswith("The velocities"):
-            raise ValueError(f"{RESULTS[RESULTS.constraints_at_odds]} {words}")
+            raise ValueError(f"{meaning('constraints_at_odds')} {words}")
 
 
-def raised(
+def failure(
     answer: "Motion",
     mechanism: Mechanism,
     drives,
     joints: Joined,
     moved: Poses,
     now: Array,
-) -> "Motion":
-    """The answer, if it succeeded; otherwise its failure is raised.
-
-    Raises:
-        ValueError: it could not begin.
-        RuntimeError: it did not reach its end.
-    """
-    ended = outcomes(answer.result)
-    if ended is None:
-        return answer.result.error_if(answer, ~answer.succeeded)
-    failed = (ended != "successful") & (ended != "event_occurred")
-    if not np.any(failed):
-        return answer
-    lane = np.unravel_index(np.argmax(failed), np.shape(failed))
-    item = np.asarray(ended)[lane]
-    text = RESULTS[getattr(RESULTS, item)]
+    item: str,
+    lane: tuple[int, ...],
+) -> Exception:
+    """What is wrong with a motion that did not reach its end, or could not begin."""
+    text = meaning(item)
     if lane:
-        raise RuntimeError(f"{text} (lane {', '.join(map(str, lane))} of the batch)")
+        return RuntimeError(f"{text} (lane {', '.join(map(str, lane))} of the batch)")
     if item == "drive_jumps":
-        raise ValueError(f"{text} {_jumps(mechanism, drives, moved, now)}")
+        return ValueError(f"{text} {_jumps(mechanism, drives, moved, now)}")
     if item == "constraints_at_odds":
-        raise ValueError(f"{text} {_at_odds(mechanism, joints, moved, now, drives)}")
+        return ValueError(f"{text} {_at_odds(mechanism, joints, moved, now, drives)}")
     if item in ("times_not_increasing", "damping_gives_energy"):
-        raise ValueError(text)
+        return ValueError(text)
     if item == "not_finite":
-        raise RuntimeError(
-            f"{text}{_not_finite(mechanism)} {_stopped(answer, mechanism)}"
-        )
-    raise RuntimeError(f"{text} {_stopped(answer, mechanism)}")
+        text += _not_finite(mechanism)
+    return RuntimeError(f"{text} {_stopped(answer, mechanism)}")
 
 
 def _jumps(mechanism: Mechanism, drives, moved: Poses, now: Array) -> str:

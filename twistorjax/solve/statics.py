@@ -15,7 +15,7 @@ from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
 from . import newton
-from .results import outcomes, Placed, RESULTS
+from .results import meaning, outcomes, Placed, raise_failed, RESULTS
 
 
 class Equilibrium(Placed):
@@ -55,18 +55,11 @@ class Equilibrium(Placed):
         if ended is None or seen is None or ended.shape:
             return eqx.tree_pformat(self)
         moved, energy, fraction = seen
-        wide = max(map(len, (*self.names, "body")))
-        lines = [
+        title = (
             f"{ended}: {float(fraction):.4g} of loads and drives, "
-            f"{int(self.steps)} Newton steps, {float(energy):.6g} J in the hinges",
-            f"{'body':<{wide}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}",
-        ]
-        for name, row in zip(self.names, moved, strict=True):
-            values = "  ".join(f"{value:>13.6g}" for value in row)
-            lines.append(f"{name:<{wide}}  {values}")
-        if len(lines) > 22:
-            lines[12:-1] = [f"... {len(lines) - 13} more"]
-        return "\n".join(lines)
+            f"{int(self.steps)} Newton steps, {float(energy):.6g} J in the hinges"
+        )
+        return self._listed(title, "body", moved)
 
 
 def equilibrium(
@@ -209,19 +202,14 @@ def _solve(
 
 def raised(answer: Equilibrium) -> Equilibrium:
     """The answer, if it succeeded; otherwise its failure is raised."""
-    ended = outcomes(answer.result)
-    if ended is None:
-        return answer.result.error_if(answer, answer.result != RESULTS.successful)
-    failed = ended != "successful"
-    if np.any(failed):
-        lane = np.unravel_index(np.argmax(failed), np.shape(failed))
-        where = f" in lane {', '.join(map(str, lane))} of the batch" if lane else ""
-        text = RESULTS[getattr(RESULTS, np.asarray(ended)[lane])]
-        fraction, steps = (
-            np.asarray(answer.fraction)[lane],
-            np.asarray(answer.steps)[lane],
-        )
-        raise RuntimeError(
-            f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
-        )
-    return answer
+    return raise_failed(answer, partial(_failure, answer))
+
+
+def _failure(answer: Equilibrium, item: str, lane: tuple[int, ...]) -> RuntimeError:
+    fraction, steps = (
+        np.asarray(value)[lane] for value in (answer.fraction, answer.steps)
+    )
+    where = f" in lane {', '.join(map(str, lane))} of the batch" if lane else ""
+    return RuntimeError(
+        f"{meaning(item)} (fraction {fraction:.4g}, {steps} Newton steps{where})"
+    )

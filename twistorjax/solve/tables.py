@@ -28,7 +28,7 @@ def motion_table(motion: "Motion") -> "xarray.Dataset":
     Example:
         >>> from twistorjax.cases import four_bar
         >>> table = motion_table(four_bar.drive(four_bar.four_bar()))
-        >>> float(table.x.sel(body="3", time=0.09, method="nearest"))
+        >>> float(table.x.sel(body="3").sel(time=0.09, method="nearest"))
         -0.01486...
     """
     try:

@@ -13,7 +13,7 @@ from .._types import Poses
 from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
 from ..mechanism import Mechanism
 from . import newton
-from .results import ByBody, outcomes, RESULTS
+from .results import ByBody, meaning, outcomes, raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates
 
 
@@ -100,14 +100,12 @@ def vibrations(
     given = mechanism.coordinates("driven", driven)
     free = free_coordinates(len(mechanism.names), mechanism.held, given)
     answer = _vibrations(mechanism, _state(mechanism, about), tuple(loads), free)
-    if throw:
-        ended = outcomes(answer.result)
-        if ended is None:
-            return answer.result.error_if(answer, ~answer.succeeded)
-        if np.any(ended != "successful"):
-            text = RESULTS[getattr(RESULTS, ended[ended != "successful"].flat[0])]
-            raise RuntimeError(text)
-    return answer
+    return raise_failed(answer, _loose) if throw else answer
+
+
+def _loose(item: str, lane: tuple[int, ...]) -> RuntimeError:
+    del lane
+    return RuntimeError(meaning(item))
 
 
 @eqx.filter_jit
@@ -215,17 +213,16 @@ def frequency_response(
         tuple(bears),
         newton.Places(free, places),
     )
-    if throw:
-        ended = outcomes(answer.result)
-        if ended is None:
-            return answer.result.error_if(answer, ~answer.succeeded)
-        if np.any(ended != "successful"):
-            raise RuntimeError(
-                "At some frequency the answer is not finite: a resonance without damping "
-                "or a value of the mechanism that is not finite. Give the hinges "
-                "`damping`, or leave the frequency out."
-            )
-    return answer
+    return raise_failed(answer, _resonant) if throw else answer
+
+
+def _resonant(item: str, lane: tuple[int, ...]) -> RuntimeError:
+    del item, lane
+    return RuntimeError(
+        "At some frequency the answer is not finite: a resonance without damping or a "
+        "value of the mechanism that is not finite. Give the hinges `damping`, or leave "
+        "the frequency out."
+    )
 
 
 @eqx.filter_jit

@@ -6,6 +6,7 @@ import re
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
+import pytest
 
 
 mpl.use("agg")
@@ -13,6 +14,7 @@ mpl.use("agg")
 README = (pathlib.Path(__file__).parents[1] / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_its_code_runs_and_its_table_is_a_parallelogram(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scope = {}

@@ -46,6 +46,7 @@ def column(load, stiffness=2.0):
     return mechanism, [tj.Load("rod", (0, 0, -load), at=(0, 0.5))]
 
 
+@pytest.mark.slow
 def test_a_pressed_column_slows_down():
     """I w^2 = k - P L, about the hinge."""
 

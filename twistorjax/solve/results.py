@@ -1,7 +1,7 @@
 """How a solve ended, and what all answers share."""
 
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Protocol, runtime_checkable, TypeVar
 
 import diffrax as dfx
 import equinox as eqx
@@ -69,6 +69,7 @@ def outcomes(result: RESULTS) -> np.ndarray | None:
     return None if index is None else np.array(_NAMES[index], object)
 
 
+@runtime_checkable
 class Ended(Protocol):
     """An answer that says how it ended."""
 

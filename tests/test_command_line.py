@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Runs `twistorjax` in a process of its own, with a cache of its own."""

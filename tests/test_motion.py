@@ -14,6 +14,9 @@ import twistorjax as tj
 from twistorjax.cases import four_bar
 
 
+pytestmark = pytest.mark.slow
+
+
 def numbers(text):
     return np.array([[float(cell) for cell in row.split()] for row in text.split("\n")])
 
@@ -62,7 +65,6 @@ def swinging(damping=None, coordinates="twistor", inertia=2e-3):
     return tj.Mechanism([tj.Body("wall"), arm], [hinge], held=["wall"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 def test_one_body_moves_as_by_scipy(coordinates):
     """Forces from differences of the energy, drag from the closed form of the wrench."""
@@ -133,7 +135,6 @@ def test_a_driven_block_asks_for_the_force_of_its_motion():
     assert_close(moved.reaction("wall")[:, 1], -50 * swing[0] - 2.5 * swing[1], digits=10)
 
 
-@pytest.mark.slow
 def test_a_load_may_depend_on_time():
     """Resonance grows as t sin(w t) / (2 w)."""
 
@@ -167,7 +168,6 @@ def test_energy_is_accounted_for(energies):
     assert_close(told.by_loads, -way[0] + 1e-3 * way[1], digits=9)
 
 
-@pytest.mark.slow
 def test_drives_and_constraints_do_the_same():
     times = np.linspace(0, 0.1, 4)
     linkage = four_bar.four_bar()
@@ -199,7 +199,6 @@ def pendulum(**settings):
     )
 
 
-@pytest.mark.slow
 def test_a_pendulum_swings_about_its_pin():
     """Energy gives the speed at each angle; the pin bears weight and what turns it."""
     moved = pendulum(times=np.linspace(0, 2, 11), tolerance=1e-9)
@@ -218,7 +217,6 @@ def test_a_pendulum_swings_about_its_pin():
     assert_close(moved.push("pin"), np.stack([push, lift], axis=1), digits=5)
 
 
-@pytest.mark.slow
 def test_constraints_do_not_drift():
     moved = pendulum(times=[0.0, 20.0], step=2e-3, solver=tj.Radau(), energies=False)
     assert int(moved.steps) == 10_000
@@ -249,7 +247,6 @@ def test_a_slider_leaves_one_way():
     assert_close(moved.push("rail")[:, 0], -0.2 - spring, digits=10)
 
 
-@pytest.mark.slow
 def test_a_pseudo_rigid_body_model_stands_beside_ours():
     """Section 5.4: pins with torsion springs where the leaves are; stiff ones agree."""
     linkage = four_bar.four_bar(damping=None)
@@ -277,7 +274,6 @@ def test_a_pseudo_rigid_body_model_stands_beside_ours():
     assert abs(swing - float(elastic.displacement("2")[-1, 0])) < 0.05 * abs(swing)
 
 
-@pytest.mark.slow
 def test_undamped_motion_keeps_its_energy():
     """By Gauss's points, over a hundred thousand steps: no growth, no drift."""
     linkage = four_bar.four_bar(damping=None)
@@ -293,7 +289,6 @@ def test_undamped_motion_keeps_its_energy():
     assert abs(np.mean(drift[51:]) - np.mean(drift[1:51])) < 1e-8
 
 
-@pytest.mark.slow
 def test_derivatives_through_a_stiff_run_are_exact():
     """Hinges of 10 kHz, links of 36 Hz; reverse, forward and by differences."""
     times = np.array([0.0, 0.01])
@@ -323,7 +318,6 @@ def test_derivatives_through_a_stiff_run_are_exact():
         assert_close(forward / differences, jnp.ones(()), digits=5)
 
 
-@pytest.mark.slow
 def test_a_bad_lane_harms_no_other():
     def moved(mass):
         return tj.simulate(
@@ -342,7 +336,6 @@ def test_a_bad_lane_harms_no_other():
     assert np.all(np.isnan(batch.displacement("block")[1]))
 
 
-@pytest.mark.slow
 def test_what_diffrax_offers_stays_usable():
     mechanism = oscillator(0.02)
     start = {"block": (0.0, 1.0, 0.0)}
@@ -383,7 +376,6 @@ def test_a_motion_prints_and_becomes_a_table():
     assert float(table.angle.sel(body="2", time=0.09)) == float(moved.pose("2")[1, 0])
 
 
-@pytest.mark.slow
 def test_a_motion_may_begin_at_an_equilibrium():
     """At its loads it stays; without them it leaves."""
     mechanism, push = oscillator(), tj.Load("block", (0.0, 1.0, 0.0))
@@ -440,14 +432,12 @@ def test_a_run_that_stops_says_when_and_where():
         )  # fmt: skip
 
 
-@pytest.mark.slow
 def test_a_value_that_is_not_finite_is_named():
     broken = eqx.tree_at(lambda m: m.masses[1], oscillator(), jnp.array(jnp.nan))
     with pytest.raises(RuntimeError, match="body 'block'"):
         tj.simulate(broken, [0.0, 1.0])
 
 
-@pytest.mark.slow
 def test_damping_that_gives_energy_is_refused():
     hinge = tj.Viscous(jnp.eye(3))
     with pytest.raises(ValueError, match="negative eigenvalue"):

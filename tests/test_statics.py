@@ -10,6 +10,9 @@ from helpers import assert_close, some_stiffness
 import twistorjax as tj
 
 
+pytestmark = pytest.mark.slow
+
+
 WALL, BLOCK = tj.Body("wall"), tj.Body("block")
 
 
@@ -246,7 +249,6 @@ def test_starts_from_where_it_is_told():
 # Derivatives
 
 
-@pytest.mark.slow
 def test_the_derivative_of_an_equilibrium_is_that_of_its_closed_form():
     def travel(k):
         stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
@@ -284,7 +286,6 @@ def everything(parameters):
     return jnp.vdot(weights, rest.poses) + jnp.vdot(weights, rest.reactions) + rest.energy
 
 
-@pytest.mark.slow
 def test_derivatives_by_all_that_makes_a_mechanism_agree_with_differences():
     parameters = jnp.array([2.0, 0.4, 0.7, 0.3])
     step = 1e-5
@@ -299,7 +300,6 @@ def test_derivatives_by_all_that_makes_a_mechanism_agree_with_differences():
     )
 
 
-@pytest.mark.slow
 def test_second_derivatives_agree_with_differences_of_first():
     parameters = jnp.array([2.0, 0.4, 0.7, 0.3])
     gradient = jax.jit(jax.grad(everything))
@@ -312,7 +312,6 @@ def test_second_derivatives_agree_with_differences_of_first():
     assert_close(hessian, jnp.stack(differences), digits=5)
 
 
-@pytest.mark.slow
 def test_derivatives_by_where_it_starts_are_those_of_what_is_held_there():
     """A held body is held where `start` has it."""
     mechanism = cantilever(2)
@@ -541,7 +540,6 @@ def test_the_linear_map_is_the_limit_of_equilibria():
     assert_close(linear.energy / exact.energy, 1.0, digits=5)
 
 
-@pytest.mark.slow
 def test_the_linear_map_about_a_loaded_state_is_its_derivative():
     """With the load's own stiffness, and reactions too."""
     mechanism = cantilever(5)

@@ -3,7 +3,9 @@
 Rotation comes first everywhere, angles are real numbers and never wrapped.
 """
 
-from jaxtyping import Array, Float
+from collections.abc import Sequence
+
+from jaxtyping import Array, ArrayLike, Float
 
 
 Scalar = Float[Array, ""]
@@ -18,5 +20,7 @@ Matrix = Float[
 ]  # maps twists to twists, to wrenches, or wrenches to wrenches
 
 Poses = Float[Array, "bodies 3"]  # a row (angle, x, y) for each body
+# the same, as a caller may write them
+PosesLike = Float[ArrayLike, "bodies 3"] | Sequence[Sequence[ArrayLike]]
 Wrenches = Float[Array, "bodies 3"]  # a row (moment, fx, fy) for each body
 Corners = Float[Array, "corners 2"]  # a closed polygon, in order; m

@@ -51,7 +51,11 @@ class Body(eqx.Module):
 
 
 def plate(
-    name: str, corners: Float[ArrayLike, "corners 2"], *, width: ArrayLike, of: Material
+    name: str,
+    corners: Float[ArrayLike, "corners 2"] | Sequence[Sequence[ArrayLike]],
+    *,
+    width: ArrayLike,
+    of: Material,
 ) -> Body:
     """A body cut from a plate: mass, inertia and frame follow from its outline.
 

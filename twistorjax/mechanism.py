@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from . import se2
 from ._checks import all_known, find, kinds, known, PLURAL
-from ._types import Corners, Pose, Poses, Scalar, Wrench, Wrenches
+from ._types import Corners, Pose, Poses, PosesLike, Scalar, Wrench, Wrenches
 from .body import Body
 from .couplings import Couplings, stack_hinges
 from .hinge import Hinge
@@ -224,14 +224,15 @@ class Mechanism(eqx.Module):
     def _body(self, where: str, name: str) -> int:
         return find(where, "body", name, self.names)
 
-    def _displacements(self, poses: Poses, name: str = "poses") -> Poses:
-        if jnp.shape(poses) != self.rest.shape:
+    def _displacements(self, poses: PosesLike, name: str = "poses") -> Poses:
+        array = jnp.asarray(poses, float)
+        if array.shape != self.rest.shape:
             raise ValueError(
-                f"`{name}` has shape {jnp.shape(poses)}, but a mechanism with the bodies "
+                f"`{name}` has shape {array.shape}, but a mechanism with the bodies "
                 f"{', '.join(self.names)} has poses of shape {self.rest.shape}: a row "
                 "(angle, x, y) for each body, in that order."
             )
-        return jnp.asarray(poses) - self.rest
+        return array - self.rest
 
     def coordinates(
         self, argument: str, chosen: Sequence[str] | Mapping[str, Sequence[str]]

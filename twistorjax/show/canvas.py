@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def subplots(
-    rows: int = 1, columns: int = 1, *, size: tuple[float, float], **settings
+    rows: int = 1, columns: int = 1, *, size: tuple[float | int, float | int], **settings
 ) -> tuple["Figure", Any]:
     """A new figure and its axes, laid out so that nothing overlaps.
 
@@ -34,6 +34,6 @@ def subplots(
     return plt.subplots(rows, columns, figsize=size, layout="constrained", **settings)
 
 
-def new_axes(size: tuple[float, float]) -> "Axes":
+def new_axes(size: tuple[float | int, float | int]) -> "Axes":
     """The axes of a new figure of that size; inches."""
     return subplots(size=size)[1]

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._types import Corners, Poses
+from .._types import Corners, PosesLike
 from ..mechanism import Mechanism
 from ..solve.statics import Equilibrium
 from .canvas import new_axes
@@ -20,7 +20,7 @@ _DOT = 0.012  # radius of a hinge without an outline, as a part of the mechanism
 
 def draw(
     mechanism: Mechanism,
-    poses: Poses | Equilibrium | None = None,
+    poses: PosesLike | Equilibrium | None = None,
     *,
     magnify: float | int = 1.0,
     ghost: bool = True,
@@ -132,18 +132,14 @@ def _ports(
     mechanism: Mechanism, poses: np.ndarray, hinge: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The frames in which a hinge grips its bodies, in the world."""
-    first, second = (
-        np.concatenate(
-            [
-                mechanism.at[hinge, :1] + poses[body, :1] - mechanism.rest[body, :1],
-                _placed(poses[body] - [mechanism.rest[body, 0], 0, 0], arm[None])[0],
-            ]
-        )
-        for body, arm in zip(
-            mechanism.couplings.ends[hinge], mechanism.couplings.arms[hinge], strict=True
-        )
-    )
-    return first, second
+    ends, arms = mechanism.couplings.ends[hinge], mechanism.couplings.arms[hinge]
+    angle = float(mechanism.at[hinge, 0])
+    ports = []
+    for body, arm in zip(ends, arms, strict=True):
+        turned = poses[body] - np.array([float(mechanism.rest[body, 0]), 0.0, 0.0])
+        place = _placed(turned, arm[None])[0]
+        ports.append(np.array([angle + turned[0], *place]))
+    return ports[0], ports[1]
 
 
 def _bent(

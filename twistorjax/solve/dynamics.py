@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import need_float64
-from .._types import Poses, Scalar
+from .._types import Poses, PosesLike, Scalar
 from ..boundary import Drive, driven, Load, loaded
 from ..joints import AbstractConstraint, Joined, joined
 from ..mechanism import Mechanism
@@ -34,7 +34,7 @@ def simulate(
     loads: Loading = (),
     drives: Driving = (),
     constraints: Sequence[AbstractConstraint] = (),
-    start: Poses | Equilibrium | None = None,
+    start: PosesLike | Equilibrium | None = None,
     velocities: Mapping[str, Sequence[ArrayLike] | Array] | None = None,
     tolerance: ArrayLike = 1e-6,
     solver: dfx.AbstractSolver | None = None,
@@ -127,7 +127,7 @@ def simulate(
         start = start.poses
     moved = jnp.zeros_like(mechanism.rest)
     if start is not None:
-        moved = mechanism._displacements(jnp.asarray(start, float), "start")
+        moved = mechanism._displacements(start, "start")
         begin.finite("start", moved)
     rates = begin.velocities(mechanism, velocities, free)
     joints = joined(mechanism, constraints)

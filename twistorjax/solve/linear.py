@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._checks import need_float64
-from .._types import Poses
+from .._types import Poses, PosesLike
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..mechanism import Mechanism
 from . import newton
@@ -92,7 +92,7 @@ def linearise(
     mechanism: Mechanism,
     driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
-    about: Poses | None = None,
+    about: PosesLike | None = None,
     loads: Sequence[Load] = (),
 ) -> Linearised:
     """The answer of a mechanism to small loads and drives, as one factorisation.
@@ -128,14 +128,16 @@ def linearise(
         )
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
     every = newton.Places(tuple(range(3 * len(mechanism.names))), ())
-    about = mechanism.rest if about is None else about
+    moved = jnp.zeros_like(mechanism.rest)
+    if about is not None:
+        moved = mechanism._displacements(about, "about")
     acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
     whole = newton.Problem(mechanism.couplings, acting, jnp.zeros(0), every)
-    _, matrix, _ = whole.tangent(mechanism._displacements(about, "about"))
+    _, matrix, _ = whole.tangent(moved)
     rows = np.array(free, int)
     return Linearised(
         mechanism=mechanism,
-        about=about,
+        about=mechanism.rest + moved,
         matrix=matrix,
         factors=newton.Factors.of(matrix[rows[:, None], rows], whole.symmetric),
         places=newton.Places(free, places),

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Int, ScalarLike
 
 from .._checks import all_known, need_float64
-from .._types import Poses, Scalar, Wrenches
+from .._types import Poses, PosesLike, Scalar, Wrenches
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
@@ -67,7 +67,7 @@ def equilibrium(
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
-    start: Poses | None = None,
+    start: PosesLike | None = None,
     tolerance: float = 1e-10,
     max_steps: int = 400,
     throw: bool = True,

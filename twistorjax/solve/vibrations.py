@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
 from .._checks import need_float64
-from .._types import Poses
+from .._types import Poses, PosesLike
 from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
 from ..mechanism import Mechanism
 from . import newton
@@ -56,7 +56,7 @@ def vibrations(
     mechanism: Mechanism,
     driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
-    about: Poses | Equilibrium | None = None,
+    about: PosesLike | Equilibrium | None = None,
     loads: Sequence[Load] = (),
     throw: bool = True,
 ) -> Vibrations:
@@ -162,7 +162,7 @@ def frequency_response(
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
-    about: Poses | Equilibrium | None = None,
+    about: PosesLike | Equilibrium | None = None,
     bears: Sequence[Load] = (),
     throw: bool = True,
 ) -> Response:
@@ -291,7 +291,7 @@ def _stiffness(
     return problem.tangent(moved)[1]
 
 
-def _state(mechanism: Mechanism, about: Poses | Equilibrium | None) -> Poses:
+def _state(mechanism: Mechanism, about: PosesLike | Equilibrium | None) -> Poses:
     if about is None:
         return jnp.zeros_like(mechanism.rest)
     poses = about.poses if isinstance(about, Equilibrium) else about

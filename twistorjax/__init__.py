@@ -24,6 +24,13 @@ from .flexure import (
 from .hinge import Hinge as Hinge
 from .joints import Constraint as Constraint, Pin as Pin, Slider as Slider
 from .mechanism import Mechanism as Mechanism
+from .monomials import monomials as monomials
+from .polynomial import (
+    Polynomial as Polynomial,
+    Rational as Rational,
+    Squares as Squares,
+)
+from .regression import Fit as Fit, fit_energy as fit_energy
 from .show.animation import animate as animate
 from .show.drawing import draw as draw
 from .show.progress import ProgressBar as ProgressBar
@@ -39,3 +46,4 @@ from .solve.vibrations import (
     Vibrations as Vibrations,
     vibrations as vibrations,
 )
+from .trials import read_trials as read_trials, Trials as Trials

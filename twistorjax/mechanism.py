@@ -48,6 +48,7 @@ class Mechanism(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     hinge_names: tuple[str, ...] = eqx.field(static=True)
     held: tuple[int, ...] = eqx.field(static=True)
+    loose: tuple[str, ...] = eqx.field(static=True)
     rest: Poses
     masses: tuple[Scalar | None, ...]
     inertias: tuple[Scalar | None, ...]
@@ -88,7 +89,7 @@ class Mechanism(eqx.Module):
         ]
         self.at = _rows(at)
         self.held = self.coordinates("held", held)
-        self._check_support(ends)
+        self.loose = self._unsupported(ends)
         pairs = np.array(ends, int).reshape(-1, 2)
         self.couplings = Couplings(
             bodies=len(bodies),
@@ -264,8 +265,8 @@ class Mechanism(eqx.Module):
                 places.add(3 * body + row)
         return tuple(sorted(places))
 
-    def _check_support(self, ends: Sequence[tuple[int, int]]) -> None:
-        """Every body must be held, or joined by hinges to one that is."""
+    def _unsupported(self, ends: Sequence[tuple[int, int]]) -> tuple[str, ...]:
+        """The bodies from which no chain of hinges leads to one that is held."""
         reached = {place // 3 for place in self.held}
         joined: dict[int, list[int]] = {}
         for first, second in ends:
@@ -276,11 +277,19 @@ class Mechanism(eqx.Module):
             fresh = set(joined.get(front.pop(), ())) - reached
             reached |= fresh
             front.extend(fresh)
-        loose = [name for k, name in enumerate(self.names) if k not in reached]
-        if loose:
+        return tuple(name for k, name in enumerate(self.names) if k not in reached)
+
+    def need_support(self) -> None:
+        """Refuses what cannot rest: a body that no chain of hinges ties to a held one.
+
+        Raises:
+            ValueError: there is one; the text names it.
+        """
+        if self.loose:
             raise ValueError(
-                f"Nothing holds {' and '.join(map(repr, loose))}: no chain of hinges "
-                "leads from there to a body in `held`. Hold one of them, or add a hinge."
+                f"Nothing holds {' and '.join(map(repr, self.loose))}: no chain of "
+                "hinges leads from there to a body in `held`. Hold one of them, or add a "
+                "hinge. (In motion, pins and sliders may hold it: `simulate`.)"
             )
 
 

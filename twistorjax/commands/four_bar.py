@@ -159,13 +159,18 @@ def _motion_table(motion, rows: slice) -> str:
 
 def _film(path: Path, mechanism, motion) -> None:
     matplotlib_for("--animate")
+    from matplotlib.animation import writers
+
     from ..show.animation import animate
 
+    if path.suffix == ".mp4" and not writers.is_available("ffmpeg"):
+        raise Refused(f"--animate {path} needs ffmpeg: install it, or write a .gif.")
     film = animate(mechanism, motion, slower=10)
     try:
         if path.suffix == ".html":
             path.write_text(film.to_jshtml(), encoding="utf-8")
         else:
-            film.save(path, dpi=100)
+            writer = "pillow" if path.suffix == ".gif" else "ffmpeg"
+            film.save(path, writer=writer, dpi=100)
     except (OSError, ValueError) as error:
         raise Refused(f"--animate cannot be written: {error}") from None

@@ -23,6 +23,7 @@ def animate(
     *,
     magnify: float | int = 1.0,
     slower: float | int = 1.0,
+    frames: int = 120,
     axes: "Axes | None" = None,
 ) -> "FuncAnimation":
     """Draws a mechanism at each time of a motion, one after another.
@@ -32,6 +33,7 @@ def animate(
         motion: of it, told at times evenly apart, so that it runs evenly.
         magnify: a factor on displacements, angles included; stated on the axes.
         slower: than it was, by this factor.
+        frames: how many to draw at most, evenly chosen; each takes a tenth of a second.
         axes: on which to draw, by default new ones.
 
     Returns:
@@ -55,6 +57,8 @@ def animate(
             f"`motion` is a batch of motions, of shape {poses.shape[:-3]}: animate one."
         )
     kept = np.flatnonzero(np.isfinite(times))
+    chosen = np.linspace(0, len(kept) - 1, min(frames, len(kept))).round().astype(int)
+    kept = kept[chosen]
     if axes is None:
         axes = new_axes((5, 5))
     from matplotlib.animation import FuncAnimation

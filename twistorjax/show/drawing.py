@@ -6,6 +6,7 @@ import numpy as np
 
 from .._types import Corners, PosesLike
 from ..mechanism import Mechanism
+from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
 from .canvas import new_axes
 
@@ -20,7 +21,7 @@ _DOT = 0.012  # radius of a hinge without an outline, as a part of the mechanism
 
 def draw(
     mechanism: Mechanism,
-    poses: PosesLike | Equilibrium | None = None,
+    poses: PosesLike | Equilibrium | Motion | None = None,
     *,
     magnify: float | int = 1.0,
     ghost: bool = True,
@@ -34,7 +35,8 @@ def draw(
 
     Args:
         mechanism: what to draw.
-        poses: of its bodies, by default at rest, or an equilibrium; rad, m, m.
+        poses: of its bodies, by default at rest, or an equilibrium, or a motion for its
+            end; rad, m, m.
         magnify: a factor on displacements, angles included; stated on the axes.
         ghost: whether the shape at rest is shown too, where it differs.
         names: whether bodies and hinges are labelled.
@@ -54,8 +56,8 @@ def draw(
     """
     rest = np.asarray(mechanism.rest)
     displacements = np.zeros_like(rest)
-    if isinstance(poses, Equilibrium):
-        poses = poses.poses
+    if isinstance(poses, Equilibrium | Motion):
+        poses = poses.poses if isinstance(poses, Equilibrium) else poses.poses[-1]
     if poses is not None:
         displacements = np.asarray(mechanism._displacements(poses))
     moved = rest + magnify * displacements

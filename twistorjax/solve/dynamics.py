@@ -118,6 +118,8 @@ def simulate(
             "`Gauss()` does not choose its steps: give it a `step`, short against the "
             "fastest motion that matters."
         )
+    begin.traceable("drives", drives, first)
+    begin.traceable("loads", loads, first)
     now = drives(first) if callable(drives) else drives
     acting = loads(first) if callable(loads) else loads
     loaded(mechanism, acting)

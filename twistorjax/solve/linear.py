@@ -121,6 +121,7 @@ def linearise(
         Array([0.  , 0.  , 0.01], dtype=float64)
     """
     need_float64(mechanism.rest)
+    mechanism.need_support()
     places = mechanism.coordinates("driven", driven)
     if both := sorted(set(places) & set(mechanism.held)):
         raise ValueError(

@@ -129,7 +129,7 @@ class Motion(Placed):
 
     def __repr__(self) -> str:
         ended = outcomes(self.result)
-        seen = all_known([self.times, self.displacements, self.energies.kinetic])
+        seen = all_known([self.times, self.displacements, self.energies.dissipated])
         if ended is None or seen is None or ended.shape:
             return eqx.tree_pformat(self)
         times, moved, _ = seen
@@ -138,4 +138,8 @@ class Motion(Placed):
             f"{int(self.steps)} steps, {int(self.rejected)} tried again; "
             f"{times.size} times kept"
         )
+        if np.any(seen[2]):
+            lost = np.nanmax(np.abs(self.energies.imbalance))
+            held = np.nanmax(self.energies.elastic + self.energies.kinetic)
+            title += f"\nenergy out of balance by {lost:.2g} J of {held:.3g} J"
         return self._listed(title, "largest", np.nanmax(np.abs(moved), axis=0))

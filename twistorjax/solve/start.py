@@ -56,6 +56,20 @@ def finite(name: str, value: Array) -> None:
         raise ValueError(f"`{name}` must be finite, but has {seen.tolist()}.")
 
 
+def traceable(name: str, given: Any, now: Array) -> None:
+    """Refuses a function of time that JAX cannot compile."""
+    if not callable(given):
+        return
+    try:
+        eqx.filter_eval_shape(given, now)
+    except jax.errors.JAXTypeError as error:
+        raise ValueError(
+            f"`{name}` is a function that cannot be compiled. Write it with jax.numpy "
+            "instead of numpy or math, and with `jax.numpy.where` instead of `if` about "
+            f"the time. JAX says: {str(error).splitlines()[0]}"
+        ) from error
+
+
 def limits(tolerance: ArrayLike, max_steps: int, step: ArrayLike | None) -> None:
     """Refuses settings that make no sense."""
     for name, value in (("tolerance", tolerance), ("step", step)):

@@ -115,6 +115,7 @@ def equilibrium(
         (Array([0.  , 0.05, 0.  ], dtype=float64), Array([ 0., -5.,  0.], dtype=float64))
     """
     need_float64(mechanism.rest)
+    mechanism.need_support()
     if not 0 < tolerance < 1 or max_steps < 1:
         raise ValueError(
             f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but they "

@@ -46,8 +46,9 @@ class Vibrations(eqx.Module):
             return eqx.tree_pformat(self)
         lines = [f"{ended}: {self.frequencies.size} vibrations", "frequency (Hz)  moves"]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
-            most = np.argsort(-np.linalg.norm(np.asarray(shape)[:, 1:], axis=1))[:3]
-            moved = ", ".join(self.names[body] for body in most)
+            travels = np.linalg.norm(np.asarray(shape)[:, 1:], axis=1)
+            most = [body for body in np.argsort(-travels)[:3] if travels[body] > 0]
+            moved = ", ".join(self.names[body] for body in most) or "turns alone"
             lines.append(f"{float(frequency):>14.6g}  {moved}")
         return "\n".join(lines)
 

@@ -1,0 +1,237 @@
+"""Energies that are polynomials, or quotients of them, of a displacement's coordinates.
+
+Sections 3.6 and 4.7 of the dissertation. A polynomial of the twistor is one from every
+frame, for twistors seen from other frames are linear in one another.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from . import clifford, se2
+from ._checks import known, one_of, positive
+from ._types import Pose, Scalar
+from .clifford import Displacement
+from .energy import AbstractEnergy, Coordinates, stretch
+from .monomials import (
+    expanded,
+    monomials,
+    Powers,
+    reduction,
+    summed,
+    VARIABLES,
+    variables,
+)
+
+
+class Polynomial(AbstractEnergy):
+    """A polynomial of the twist, or of the twistor.
+
+    Args:
+        coefficients: of its terms; J.
+        powers: of each term's variables, of (tau, t1, t2) or (sigma, xi, x1, x2), as
+            `monomials` gives them, or only those that there are.
+        coordinates: which of the two.
+        scale: the length by which translations are divided before they are raised to
+            their powers; m. One metre, unless told, as in the dissertation.
+
+    Raises:
+        ValueError: numbers of coefficients, powers or variables do not fit; a power is
+            negative or stands twice; a value is not finite.
+
+    Source:
+        Equations 3.67 and 4.69 of the dissertation.
+
+    Example:
+        >>> bend = Polynomial([0.5, 0.1], [(2, 0, 0), (4, 0, 0)], "twist")
+        >>> bend(jnp.array([2.0, 0.0, 0.0]))
+        Array(3.6, dtype=float64)
+    """
+
+    coefficients: Float[Array, " terms"]
+    scale: Scalar
+    powers: Powers = eqx.field(static=True)
+    coordinates: Coordinates = eqx.field(static=True)
+
+    def __init__(
+        self,
+        coefficients: Float[ArrayLike, " terms"] | Sequence[ArrayLike],
+        powers: Sequence[Sequence[int]],
+        coordinates: Coordinates = "twistor",
+        scale: ArrayLike = 1.0,
+    ):
+        self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
+        self.powers = _checked(powers, coordinates)
+        self.coefficients = jnp.asarray(coefficients, float)
+        self.scale = positive("`scale`", scale)
+        if self.coefficients.shape != (len(self.powers),):
+            raise ValueError(
+                f"`coefficients` has shape {self.coefficients.shape}, but there are "
+                f"{len(self.powers)} `powers`: a coefficient is needed for each."
+            )
+        if fault := self.fault():
+            raise ValueError(f"A `Polynomial` energy cannot be made: {fault}")
+
+    @property
+    def order(self) -> int:
+        """The largest sum of powers in a term."""
+        return max(map(sum, self.powers), default=0)
+
+    def fault(self) -> str | None:
+        """Which coefficient is not finite, in words, or nothing."""
+        seen = known(self.coefficients)
+        if seen is None or np.all(np.isfinite(seen)):
+            return None
+        term = self.powers[int(np.argwhere(~np.isfinite(seen))[0][-1])]
+        return f"the coefficient of the term of powers {term} is not finite."
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        at = variables(displacement, self.coordinates, self.scale)
+        return summed(self.powers, (0,) * len(at), self.coefficients, at)
+
+    def stretch(self, displacement: Displacement) -> Scalar:
+        return stretch(displacement, self.coordinates)
+
+    def seen_from(self, first: Pose, second: Pose | None = None) -> "Polynomial":
+        """The same energy as a polynomial of the displacement between other frames.
+
+        Args:
+            first: the other frame on body A, seen from frame a; rad, m, m.
+            second: the other frame on body B, seen from frame b, by default the same, so
+                that both still coincide when the hinge is unstressed. For energies of the
+                twist it must be.
+
+        Returns:
+            A polynomial of all monomials of its order.
+
+        Source:
+            Equations 3.69 and 4.70 of the dissertation.
+
+        Example:
+            >>> spring = Polynomial([100.0], [(0, 0, 0, 2)])
+            >>> aside = spring.seen_from(jnp.array([0.0, 0.5, 0.0]))
+            >>> aside(jnp.array([0.1, 0.0, 0.0]))  # 100 (0.5 sin 0.05)^2
+            Array(0.0624479, dtype=float64)
+        """
+        if self.coordinates == "twist":
+            if second is not None:
+                raise ValueError(
+                    "`second` is given for an energy of the twist, but only for those of "
+                    "the twistor may the two frames be changed by themselves."
+                )
+            matrix = se2.adjoint(first)
+            scales = jnp.stack([jnp.ones(()), self.scale, self.scale])
+        else:
+            second = first if second is None else second
+            there = clifford.twistor(first)
+            back = clifford.conjugate(clifford.twistor(second))
+
+            def before(twistor):
+                return clifford.product(clifford.product(back, twistor), there)
+
+            matrix = jax.jacfwd(before)(jnp.zeros(4))
+            one = jnp.ones(())
+            scales = jnp.stack([one, one, self.scale, self.scale])
+        matrix = matrix * scales[None] / scales[:, None]
+        order = self.order
+        wide = expanded(self.powers, matrix) if self.powers else jnp.zeros((0, 1))
+        coefficients = self.coefficients @ wide
+        powers = monomials(order, self.coordinates, redundant=True)
+        if self.coordinates == "twistor":
+            coefficients = coefficients @ reduction(order)
+            powers = monomials(order)
+        return Polynomial(coefficients, powers, self.coordinates, self.scale)
+
+
+class Rational(AbstractEnergy):
+    """A polynomial over another.
+
+    Args:
+        numerator: J.
+        denominator: without unit: a `Polynomial`, whose zeros are poles, or `Squares`,
+            which has none.
+
+    Source:
+        Equation 7.22 of the dissertation.
+
+    Example:
+        >>> far = Polynomial([1.0], [(0, 0, 2)], "twist")
+        >>> Rational(far, Squares([[1.0]], [(0, 0, 1)], "twist"))(jnp.array([0, 0, 3.0]))
+        Array(0.9, dtype=float64)
+    """
+
+    numerator: AbstractEnergy
+    denominator: AbstractEnergy
+
+    def fault(self) -> str | None:
+        """What is wrong with the first part at fault, or nothing."""
+        return self.numerator.fault() or self.denominator.fault()
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        return self.numerator.stored(displacement) / self.denominator.stored(displacement)
+
+    def stretch(self, displacement: Displacement) -> Scalar:
+        return self.numerator.stretch(displacement)
+
+
+class Squares(AbstractEnergy):
+    """One and a sum of squares of polynomials: a denominator that cannot vanish.
+
+    Args:
+        coefficients: a row for each polynomial.
+        powers: of their terms, as for `Polynomial`.
+        coordinates: of which they are polynomials.
+        scale: the length by which translations are divided; m.
+
+    Raises:
+        ValueError: as for `Polynomial`.
+    """
+
+    coefficients: Float[Array, "squares terms"]
+    scale: Scalar
+    powers: Powers = eqx.field(static=True)
+    coordinates: Coordinates = eqx.field(static=True)
+
+    def __init__(
+        self,
+        coefficients: Float[ArrayLike, "squares terms"] | Sequence[Sequence[ArrayLike]],
+        powers: Sequence[Sequence[int]],
+        coordinates: Coordinates = "twistor",
+        scale: ArrayLike = 1.0,
+    ):
+        self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
+        self.powers = _checked(powers, coordinates)
+        self.coefficients = jnp.asarray(coefficients, float)
+        self.scale = positive("`scale`", scale)
+        if self.coefficients.shape[1:] != (len(self.powers),):
+            raise ValueError(
+                f"`coefficients` has shape {self.coefficients.shape}, but must have rows "
+                f"of {len(self.powers)}, one for each of `powers`."
+            )
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        at = variables(displacement, self.coordinates, self.scale)
+        none = (0,) * len(at)
+        values = jax.vmap(lambda row: summed(self.powers, none, row, at))(
+            self.coefficients
+        )
+        return 1.0 + jnp.sum(values**2)
+
+
+def _checked(powers: Sequence[Sequence[int]], coordinates: Coordinates) -> Powers:
+    names = VARIABLES[coordinates]
+    rows = tuple(tuple(int(power) for power in row) for row in powers)
+    for place, row in enumerate(rows):
+        if len(row) != len(names) or min(row) < 0:
+            raise ValueError(
+                f"`powers[{place}]` is {row}, but must be {len(names)} whole numbers "
+                f"from 0 on, the powers of ({', '.join(names)})."
+            )
+    if len(set(rows)) < len(rows):
+        twice = next(row for row in rows if rows.count(row) > 1)
+        raise ValueError(f"`powers` has {twice} more than once.")
+    return rows

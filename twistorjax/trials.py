@@ -1,0 +1,214 @@
+"""What was measured of a hinge: displacements, and what they took."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+
+_POSE = ("angle_rad", "px_m", "py_m")
+_WRENCH = ("moment_Nm", "fx_N", "fy_N")
+_ENERGY = "energy_J"
+
+
+class Trials(eqx.Module):
+    """Displacements of a hinge, with the wrench or the energy that each took, or both.
+
+    Args:
+        poses: frame b seen from frame a, a row for each trial; rad, m, m.
+        wrenches: that body B exerted on the hinge there: about the displaced origin of b,
+            in its axes; N m, N, N.
+        energies: stored there; J.
+        wrench_deviations: standard deviation of each wrench, or one row for all. By
+            default the components' own root mean squares, so that each counts alike;
+            N m, N, N.
+        energy_deviations: standard deviation of each energy, or one for all; J.
+
+    Raises:
+        ValueError: there is neither a wrench nor an energy; shapes do not fit; a value is
+            not finite, or a standard deviation not positive.
+
+    Example:
+        >>> trials = Trials([[0.1, 0.0, 0.0]], wrenches=[[0.2, 0.0, 0.0]])
+        >>> len(trials)
+        1
+    """
+
+    poses: Float[Array, "trials 3"]
+    wrenches: Float[Array, "trials 3"] | None
+    energies: Float[Array, " trials"] | None
+    wrench_deviations: Float[Array, "trials 3"] | None
+    energy_deviations: Float[Array, " trials"] | None
+
+    def __init__(
+        self,
+        poses: Float[ArrayLike, "trials 3"] | Sequence[Sequence[ArrayLike]],
+        wrenches: Float[ArrayLike, "trials 3"]
+        | Sequence[Sequence[ArrayLike]]
+        | None = None,
+        energies: Float[ArrayLike, " trials"] | Sequence[ArrayLike] | None = None,
+        *,
+        wrench_deviations: Float[ArrayLike, "*trials 3"]
+        | Sequence[ArrayLike]
+        | None = None,
+        energy_deviations: Float[ArrayLike, "*trials"]
+        | Sequence[ArrayLike]
+        | None = None,
+    ):
+        if wrenches is None and energies is None:
+            raise ValueError("`Trials` need `wrenches` or `energies`, or both.")
+        self.poses = _finite("poses", poses, None)
+        count = len(self.poses)
+        self.wrenches = self.energies = None
+        self.wrench_deviations = self.energy_deviations = None
+        if wrenches is not None:
+            self.wrenches = _finite("wrenches", wrenches, (count, 3))
+            if wrench_deviations is None:
+                wrench_deviations = _size(self.wrenches)
+            self.wrench_deviations = _deviations("wrench", wrench_deviations, (count, 3))
+        if energies is not None:
+            self.energies = _finite("energies", energies, (count,))
+            if energy_deviations is None:
+                energy_deviations = _size(self.energies)
+            self.energy_deviations = _deviations("energy", energy_deviations, (count,))
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __getitem__(self, rows: np.ndarray) -> "Trials":
+        """Some of the trials."""
+
+        def some(values: Array | None) -> Array | None:
+            return None if values is None else values[rows]
+
+        return Trials(
+            self.poses[rows],
+            some(self.wrenches),
+            some(self.energies),
+            wrench_deviations=some(self.wrench_deviations),
+            energy_deviations=some(self.energy_deviations),
+        )
+
+
+def read_trials(path: str | Path) -> Trials:
+    """Reads trials from a file of comma-separated values, a trial a row.
+
+    Args:
+        path: of the file. Its first row names the columns: angle_rad, px_m, py_m for the
+            pose; moment_Nm, fx_N, fy_N for the wrench, energy_J for the energy, one of
+            these or both; and their standard deviations where they are known, as
+            sd_moment_Nm, sd_fx_N, sd_fy_N, sd_energy_J. Others are left aside.
+
+    Raises:
+        ValueError: a column is missing or named twice, a row is too short or too long, an
+            entry is no finite number; the text names the row, the first being 1.
+        OSError: the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not a text of comma-separated values.") from error
+    rows = list(csv.reader(lines))
+    head = [name.strip() for name in rows[0]] if rows else []
+    has_wrench = any(name in head for name in _WRENCH)
+    wanted = [*_POSE, *(_WRENCH if has_wrench else ())]
+    if not has_wrench or _ENERGY in head:
+        wanted.append(_ENERGY)
+    if missing := [name for name in wanted if name not in head]:
+        raise ValueError(
+            f"{path} lacks the column {', '.join(missing)}: its first row is "
+            f"{', '.join(head) or 'empty'}, but must name {', '.join(_POSE)}, and "
+            f"{', '.join(_WRENCH)} or {_ENERGY} or all of them."
+        )
+    deviations = [f"sd_{name}" for name in wanted[3:] if f"sd_{name}" in head]
+    wanted += deviations
+    if twice := [name for name in wanted if head.count(name) > 1]:
+        raise ValueError(f"{path} has the column {twice[0]} more than once.")
+    columns = {name: head.index(name) for name in wanted}
+    table: dict[str, list[float]] = {name: [] for name in wanted}
+    for number, row in enumerate(rows[1:], start=1):
+        if not any(entry.strip() for entry in row):
+            continue
+        if len(row) != len(head):
+            raise ValueError(
+                f"{path}, row {number}: it has {len(row)} entries, but the first row "
+                f"names {len(head)} columns. Is the file whole?"
+            )
+        for name, place in columns.items():
+            table[name].append(_number(path, number, name, row[place]))
+
+    if not table[_POSE[0]]:
+        raise ValueError(f"{path} has no trials: only the row of names.")
+
+    def block(names: Sequence[str]) -> np.ndarray:
+        return np.stack([np.array(table[name]) for name in names], axis=1)
+
+    def column(name: str) -> np.ndarray | None:
+        return np.array(table[name]) if name in table else None
+
+    spreads = [f"sd_{name}" for name in _WRENCH]
+    try:
+        return Trials(
+            block(_POSE),
+            block(_WRENCH) if has_wrench else None,
+            column(_ENERGY),
+            wrench_deviations=block(spreads) if set(spreads) <= set(table) else None,
+            energy_deviations=column(f"sd_{_ENERGY}"),
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _number(path: Path, row: int, name: str, entry: str) -> float:
+    try:
+        value = float(entry)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise ValueError(
+            f"{path}, row {row}: {name} is {entry.strip() or 'empty'}, but must be a "
+            "finite number."
+        )
+    return value
+
+
+def _finite(name: str, given, shape: tuple[int, ...] | None) -> Array:
+    values = jnp.asarray(given, float)
+    if shape is None and (values.ndim != 2 or values.shape[1] != 3 or not len(values)):
+        raise ValueError(
+            f"`{name}` has shape {values.shape}, but must have a row (angle, x, y) for "
+            "each trial."
+        )
+    if shape is not None and values.shape != shape:
+        raise ValueError(
+            f"`{name}` has shape {values.shape}, but for {shape[0]} poses must have "
+            f"{shape}."
+        )
+    if not np.all(np.isfinite(values)):
+        row = int(np.argwhere(~np.isfinite(values))[0][0])
+        raise ValueError(f"`{name}[{row}]` is {values[row]}, but must be finite.")
+    return values
+
+
+def _size(values: Array) -> Array:
+    """The root mean square of each column; one, where all are zero."""
+    size = jnp.sqrt(jnp.mean(values**2, axis=0))
+    return jnp.where(size > 0, size, 1.0)
+
+
+def _deviations(name: str, given, shape: tuple[int, ...]) -> Array:
+    values = jnp.asarray(given, float)
+    try:
+        values = jnp.broadcast_to(values, shape)
+    except ValueError:
+        raise ValueError(
+            f"`{name}_deviations` has shape {values.shape}, but must fit {shape}."
+        ) from None
+    if not np.all((values > 0) & np.isfinite(values)):
+        raise ValueError(f"`{name}_deviations` must be positive and finite.")
+    return values

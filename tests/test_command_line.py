@@ -1,6 +1,7 @@
 """The command line, as a user types it."""
 
 import json
+import pathlib
 import subprocess
 import sys
 
@@ -186,3 +187,31 @@ def test_the_stage_settles_to_its_static_gain(run):
 )
 def test_the_four_bar_refuses_in_one_line(told, arguments, message):
     is_one_clear_line(told("four-bar", *arguments), message)
+
+
+REFERENCE = pathlib.Path(__file__).parent / "reference"
+
+
+def test_fit_foretells_its_error_and_keeps_the_hinge(run):
+    trials = str(REFERENCE / "fe_notch.csv")
+    done = run(
+        "fit", trials, "--order", "4", "--symmetry", "leaf", "--hold-out", "0.2",
+        "--save", "notch.json", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["rank"] == answer["terms"] == 12
+    assert max(answer["relative_error"]["held_out"]) < 1e-3
+    assert json.loads((run.folder / "notch.json").read_text())["twistorjax"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.csv"], "No such file"),
+        ([str(REFERENCE / "stage.json")], "lacks the column angle_rad"),
+        ([str(REFERENCE / "fe_notch.csv"), "--symmetry", "round"], "'mirror', 'ends'"),
+    ],
+)
+def test_fit_refuses_in_one_line(run, arguments, message):
+    is_one_clear_line(run("fit", *arguments), message)

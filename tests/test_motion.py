@@ -445,3 +445,42 @@ def test_damping_that_gives_energy_is_refused():
     wrong = eqx.tree_at(lambda v: v.damping, hinge, -jnp.eye(3))
     with pytest.raises(ValueError, match="give energy"):
         tj.simulate(oscillator(wrong), [0.0, 1.0])
+
+
+def test_a_pin_may_hold_what_no_hinge_does():
+    """A rod that hangs from a held wall by a pin swings as a physical pendulum."""
+    spring = tj.Quadratic(jnp.eye(3))
+    inertia, mass, reach = 0.02, 2.0, 0.3
+    rod = tj.Body("rod", (0.0, 0.0, -reach), mass=mass, inertia=inertia)
+    block = tj.Body("block", mass=1.0, inertia=1.0)
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+    mechanism = tj.Mechanism([tj.Body("wall"), block, rod], [hinge], held=["wall"])
+    with pytest.raises(ValueError, match="Nothing holds 'rod'"):
+        tj.equilibrium(mechanism)
+    weight = [tj.Load("rod", (0.0, 0.0, -9.81 * mass))]
+    period = 2 * np.pi * np.sqrt((inertia + mass * reach**2) / (mass * 9.81 * reach))
+    small = 1e-3
+    start = mechanism.rest.at[2].set(
+        jnp.array([small, reach * np.sin(small), -reach * np.cos(small)])
+    )
+    moved = tj.simulate(
+        *(mechanism, [0.0, period / 2, period]),
+        loads=weight,
+        constraints=[tj.Pin("pin", "wall", "rod", at=(0.0, 0.0))],
+        start=start,
+        tolerance=1e-10,
+    )
+    angle = moved.displacement("rod")[:, 0]
+    np.testing.assert_allclose(angle, small * np.array([1, -1, 1]), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        lambda time: [tj.Drive("2", angle=0.1 if time > 1 else 0.0)],
+        lambda time: [tj.Drive("2", angle=np.sin(time))],
+    ],
+)
+def test_a_drive_that_cannot_be_compiled_is_told(drive):
+    with pytest.raises(ValueError, match="`drives` is a function that cannot be comp"):
+        tj.simulate(four_bar.four_bar(), [0.0, 0.1], drives=drive)

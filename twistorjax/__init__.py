@@ -46,4 +46,5 @@ from .solve.vibrations import (
     Vibrations as Vibrations,
     vibrations as vibrations,
 )
+from .storage import load_energy as load_energy, save_energy as save_energy
 from .trials import read_trials as read_trials, Trials as Trials

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from .commands.common import Failed, Refused
+from .commands.fit import fit
 from .commands.four_bar import four_bar
 from .commands.stage import stage
 
@@ -18,6 +19,7 @@ app = typer.Typer(
 
 app.command()(stage)
 app.command("four-bar")(four_bar)
+app.command()(fit)
 
 
 @app.callback(invoke_without_command=True)

@@ -59,7 +59,8 @@ def solve(
     within = u.T @ target
 
     def filtered(ridge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        gains = np.where(seen, s**2 / (s**2 + ridge * s[0] ** 2), 0.0)
+        squares = np.where(seen, s, 1.0) ** 2
+        gains = np.where(seen, squares / (squares + ridge * s[0] ** 2), 0.0)
         residual = target - u @ (gains * within)
         blocks = u.reshape(trials, each, -1)
         hat = (blocks * gains) @ np.swapaxes(blocks, 1, 2)

@@ -110,6 +110,7 @@ def fit_energy(
     redundant: bool = False,
     rest: Literal["stable", "unstressed", "free"] = "stable",
     ridge: float | None = None,
+    scale: float | None = None,
     hold_out: float = 0.0,
     seed: int = 0,
 ) -> Fit:
@@ -126,6 +127,8 @@ def fit_energy(
             ("unstressed"), and has a positive stiffness besides ("stable"), or nothing.
         ridge: weight that draws coefficients to zero, as a part of the largest singular
             value's square; by default that of the least expected error.
+        scale: the length in parts of which translations are raised to powers, by default
+            the largest there is; m.
         hold_out: the part of the trials that are held back to check the fit to the
             others; the energy itself is fitted to all.
         seed: of the choice of these.
@@ -157,7 +160,7 @@ def fit_energy(
         )
     if ridge is not None and not 0 <= ridge < np.inf:
         raise ValueError(f"`ridge` is {ridge!r}, but must be finite and not negative.")
-    settings = _Settings(coordinates, rest, redundant, symmetry, ridge)
+    settings = _Settings(coordinates, rest, redundant, symmetry, ridge, scale)
     orders = (order,) if order is not None else range(2, 13)
     best = _best(trials, orders, settings)
     held_out = None
@@ -183,6 +186,7 @@ class _Settings(NamedTuple):
     redundant: bool
     symmetry: Literal["leaf"] | Sequence[Symmetry]
     ridge: float | None
+    scale: float | None
 
 
 class _Candidate(NamedTuple):
@@ -252,7 +256,7 @@ def _candidate(
     trials: Trials, order: int, powers: Powers, settings: _Settings
 ) -> _Candidate:
     lengths = np.linalg.norm(np.asarray(trials.poses[:, 1:]), axis=1)
-    scale = float(lengths.max()) or 1.0
+    scale = settings.scale or float(lengths.max()) or 1.0
     rows, right = _equations(trials, powers, settings.coordinates, scale)
     conditions, values = np.zeros((0, len(powers))), np.zeros(0)
     at_rest, slopes = _at_rest(powers, settings.coordinates, scale)

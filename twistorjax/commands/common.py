@@ -34,11 +34,11 @@ def need(option: str, value: float, unit: str) -> None:
         raise Refused(f"{option} is {value:g}, but must be positive and finite; {unit}.")
 
 
-def need_energy(energy: str) -> Literal["twistor", "twist"]:
+def need_energy(energy: str, option: str = "--energy") -> Literal["twistor", "twist"]:
     """The coordinates of that name."""
     if energy == "twistor" or energy == "twist":
         return energy
-    raise Refused(f"--energy is {energy!r}, but must be 'twistor' or 'twist'.")
+    raise Refused(f"{option} is {energy!r}, but must be 'twistor' or 'twist'.")
 
 
 def need_folder(option: str, path: Path | None) -> None:

@@ -1,0 +1,246 @@
+"""Energies from measurements, and what is said of them."""
+
+import pathlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close, some_stiffness
+
+import twistorjax as tj
+
+
+REFERENCE = pathlib.Path(__file__).parent / "reference"
+
+
+def some_trials(energy, count=40, seed=0, size=0.3, noise=0.0):
+    rng = np.random.default_rng(seed)
+    poses = jnp.array(rng.uniform(-size, size, (count, 3)))
+    wrenches = jax.vmap(energy.wrench)(poses)
+    wrenches = wrenches + noise * jnp.array(rng.normal(size=wrenches.shape))
+    return tj.Trials(poses, wrenches, wrench_deviations=max(noise, 1.0) * np.ones(3))
+
+
+def truth(coordinates="twistor", order=4, seed=1):
+    powers = [row for row in tj.monomials(order, coordinates) if sum(row[-3:]) >= 2]
+    rng = np.random.default_rng(seed)
+    small = tj.Polynomial(0.1 * rng.normal(size=len(powers)), powers, coordinates)
+    return tj.Quadratic(some_stiffness(3), coordinates) + small
+
+
+@pytest.mark.parametrize("coordinates", ["twist", "twistor"])
+def test_a_polynomial_is_found_again(coordinates):
+    energy = truth(coordinates)
+    fit = tj.fit_energy(some_trials(energy), order=4, coordinates=coordinates)
+    fresh = some_trials(energy, seed=5)
+    wrenches = jax.vmap(fit.energy.wrench)(fresh.poses)
+    assert_close(wrenches, fresh.wrenches, digits=9)
+    stored = jax.vmap(fit.energy)(fresh.poses) - fit.energy(jnp.zeros(3))
+    assert_close(stored, jax.vmap(energy)(fresh.poses) - energy(jnp.zeros(3)), digits=9)
+
+
+def test_energies_alone_are_enough():
+    energy = truth()
+    poses = some_trials(energy, 90).poses
+    trials = tj.Trials(poses, energies=jax.vmap(energy)(poses))
+    fit = tj.fit_energy(trials, order=4)
+    wrenches = jax.vmap(fit.energy.wrench)(poses)
+    assert_close(wrenches, jax.vmap(energy.wrench)(poses), digits=7)
+
+
+def test_what_is_expected_of_left_out_trials_is_what_leaving_them_out_gives():
+    trials = some_trials(truth(order=6), 30, noise=0.01)
+    fit = tj.fit_energy(trials, order=3, ridge=0.0, scale=0.5)
+    errors = []
+    for row in range(len(trials)):
+        others = trials[np.arange(len(trials)) != row]
+        energy = tj.fit_energy(others, order=3, ridge=0.0, scale=0.5).energy
+        errors.append(trials.wrenches[row] - energy.wrench(trials.poses[row]))
+    expected = np.sqrt(np.mean(np.square(errors), axis=0))
+    np.testing.assert_allclose(fit.expected.wrench, expected, rtol=1e-7)
+
+
+def test_the_covariance_is_the_spread_of_repeated_fits():
+    energy = tj.Quadratic(some_stiffness(4))
+    rng = np.random.default_rng(9)
+    clean = some_trials(energy, 20)
+    coefficients, covariances = [], []
+    for _ in range(300):
+        noisy = clean.wrenches + 0.01 * jnp.array(rng.normal(size=clean.wrenches.shape))
+        trials = tj.Trials(clean.poses, noisy, wrench_deviations=0.01 * np.ones(3))
+        fit = tj.fit_energy(trials, order=2, ridge=0.0)
+        coefficients.append(np.asarray(fit.energy.coefficients))
+        covariances.append(fit.covariance)
+    spread = np.cov(np.array(coefficients).T)
+    told = np.mean(covariances, axis=0)
+    free = np.diagonal(told) > 1e-20
+    ratio = np.diagonal(spread)[free] / np.diagonal(told)[free]
+    assert free.sum() >= 6
+    np.testing.assert_allclose(ratio, 1.0, atol=0.25)
+
+
+def test_rest_bears_nothing_unless_asked():
+    energy = tj.Polynomial([1.0, 5.0, 5.0], [(0, 1, 0, 0), (0, 0, 2, 0), (0, 2, 0, 0)])
+    trials = some_trials(energy, 60)
+    held = tj.fit_energy(trials, order=2, rest="unstressed")
+    assert_close(held.energy.wrench(jnp.zeros(3)), jnp.zeros(3), digits=12)
+    free = tj.fit_energy(trials, order=2, rest="free")
+    assert_close(free.energy.wrench(jnp.zeros(3)), jnp.array([0.5, 0.0, 0.0]), digits=9)
+
+
+def test_a_stiffness_at_rest_is_made_positive():
+    """Of a strut that snaps through, with no stiffness across at rest."""
+    energy = tj.Polynomial(
+        [1.0, 9.0, -2.0, 40.0], [(0, 2, 0, 0), (0, 0, 2, 0), (0, 0, 0, 2), (0, 0, 0, 4)]
+    )
+    trials = some_trials(energy, 60)
+    stable = tj.fit_energy(trials, order=4).energy.tangent_stiffness()
+    assert np.linalg.eigvalsh(stable)[0] > 0
+    unstable = tj.fit_energy(trials, order=4, rest="unstressed")
+    assert np.linalg.eigvalsh(unstable.energy.tangent_stiffness())[0] < -0.5
+
+
+def test_what_trials_do_not_tell_is_named():
+    """Without a turn nothing is seen of what turns."""
+    energy = tj.Quadratic(some_stiffness(5))
+    poses = some_trials(energy, 20).poses.at[:, 0].set(0.0)
+    fit = tj.fit_energy(tj.Trials(poses, energies=jax.vmap(energy)(poses)), order=2)
+    assert fit.rank < fit.terms
+    assert any("xi^2" in words for words in fit.unseen)
+
+
+def test_finite_elements_of_a_leaf_are_met_and_the_error_foreseen():
+    """Held-back trials within half a per cent, and within twice what was expected."""
+    trials = tj.read_trials(REFERENCE / "fe_leaf.csv")
+    assert len(trials) == 122
+    back = np.arange(len(trials)) % 8 == 7
+    fit = tj.fit_energy(trials[~back], symmetry="leaf")
+    error = np.asarray(
+        trials.wrenches[back] - jax.vmap(fit.energy.wrench)(trials.poses[back])
+    )
+    size = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
+    relative = np.sqrt(np.mean(error**2, axis=0)) / size
+    assert np.all(relative < 5e-3)
+    assert np.all(relative < 2 * fit.expected.relative)
+    assert np.all(fit.expected.relative < 5e-3)
+
+
+def test_finite_elements_of_a_notch_are_met():
+    trials = tj.read_trials(REFERENCE / "fe_notch.csv")
+    fit = tj.fit_energy(trials, order=4, symmetry="leaf", hold_out=0.25)
+    assert fit.held_out is not None
+    assert np.all(fit.held_out.relative < 1e-3)
+    assert np.all(fit.expected.relative < 2 * fit.held_out.relative)
+    stiffness = jnp.diag(fit.energy.tangent_stiffness())
+    np.testing.assert_allclose(stiffness, [2.3875, 1.9406e8, 1.6210e7], rtol=2e-3)
+
+
+def test_random_numbers_are_interpolated_and_that_is_said():
+    """Section 7.1: 17 trials give 51 numbers for 69 coefficients of fourth order."""
+    trials = tj.read_trials(REFERENCE / "random_trials.csv")
+    settings = {"redundant": True, "rest": "free", "ridge": 0.0, "hold_out": 1 / 17}
+    with pytest.warns(UserWarning, match="interpolates: 69 coefficients for 51 numbers"):
+        fit = tj.fit_energy(trials, order=4, **settings)
+    assert fit.rank == 51
+    assert np.all(fit.training.largest < 2.6e-5)
+    assert np.all(np.isinf(fit.expected.wrench))
+    assert fit.held_out is not None
+    assert np.all(fit.held_out.relative > 1.0)  # it foretells nothing
+    assert "warning: the fit interpolates" in repr(fit)
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+HEAD = "angle_rad,px_m,py_m,moment_Nm,fx_N,fy_N"
+
+
+def test_columns_are_found_by_their_names(tmp_path):
+    text = "fy_N,note,angle_rad,px_m,py_m,moment_Nm,fx_N\n6,first,1,2,3,4,5\n"
+    trials = tj.read_trials(write(tmp_path / "t.csv", text))
+    assert_close(trials.poses, np.array([[1.0, 2.0, 3.0]]))
+    assert_close(trials.wrenches, np.array([[4.0, 5.0, 6.0]]))
+    assert trials.energies is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "lacks the column angle_rad"),
+        ("angle_rad,px_m\n1,2\n", "lacks the column py_m"),
+        (f"{HEAD}\n1,2,3,4,5,6\n1,2,3\n", "row 2: it has 3 entries"),
+        (f"{HEAD}\n1,2,3,4,5,nan\n", "row 1: fy_N is nan"),
+        (f"{HEAD}\n1,2,3,4,five,6\n", "row 1: fx_N is five"),
+        (f"{HEAD}\n", "has no trials"),
+        (f"{HEAD},fx_N\n1,2,3,4,5,6,7\n", "has the column fx_N more than once"),
+        (f"{HEAD},sd_fx_N,sd_fy_N,sd_moment_Nm\n1,2,3,4,5,6,0,1,1\n", "must be positive"),
+    ],
+)
+def test_a_broken_file_is_told_by_its_row(tmp_path, text, message):
+    with pytest.raises(ValueError) as error:
+        tj.read_trials(write(tmp_path / "trials.csv", text))
+    assert "trials.csv" in str(error.value)
+    assert message in str(error.value)
+
+
+def test_a_file_that_is_no_text_is_told(tmp_path):
+    path = tmp_path / "trials.csv"
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(ValueError, match="is not a text of comma-separated values"):
+        tj.read_trials(path)
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: tj.Trials([[0, 0, 0]]), "need `wrenches` or `energies`"),
+        (lambda: tj.Trials([0, 0, 0], energies=[1.0]), "a row (angle, x, y)"),
+        (lambda: tj.Trials([[0, 0, 0]], [[1.0, 2.0]]), "must have (1, 3)"),
+        (lambda: tj.Trials([[0, 0, np.nan]], energies=[1.0]), "`poses[0]`"),
+        (
+            lambda: tj.fit_energy(some_trials(truth(), 5), 2, hold_out=1.5),
+            "`hold_out` is 1.5",
+        ),
+        (lambda: tj.fit_energy(some_trials(truth(), 5), 2, ridge=-1.0), "`ridge` is -1"),
+        (lambda: tj.fit_energy(some_trials(truth(), 5), 2, rest="calm"), "'stable'"),
+    ],
+)
+def test_bad_input_is_told(make, message):
+    with pytest.raises(ValueError) as error:
+        make()
+    assert message in str(error.value)
+
+
+def energies():
+    polynomial = truth().parts[1]
+    squares = tj.Squares([[0.1, 0.7]], [(0, 1, 0, 0), (0, 0, 0, 1)], scale=1 / 3)
+    return [polynomial, 0.3 * truth("twist"), tj.Rational(polynomial, squares)]
+
+
+@pytest.mark.parametrize("energy", energies(), ids=["polynomial", "sum", "rational"])
+def test_a_saved_energy_comes_back_to_the_last_bit(tmp_path, energy):
+    tj.save_energy(energy, tmp_path / "hinge.json")
+    back = tj.load_energy(tmp_path / "hinge.json")
+    assert jax.tree.structure(back) == jax.tree.structure(energy)
+    for there, here in zip(jax.tree.leaves(back), jax.tree.leaves(energy), strict=True):
+        assert np.asarray(there).tobytes() == np.asarray(here).tobytes()
+
+
+def test_a_broken_energy_is_refused(tmp_path):
+    path = tmp_path / "hinge.json"
+    tj.save_energy(energies()[0], path)
+    text = path.read_text()
+    for broken, message in (
+        (text[: len(text) // 2], "is not whole"),
+        (text.replace('"twistorjax": 1', '"twistorjax": 99'), "is 99, but must be 1"),
+        (text.replace('"scale"', '"size"'), "has the fields"),
+        (text.replace('"Polynomial"', '"Spline"'), "must be one of Quadratic"),
+        ("[1]", "was not written"),
+    ):
+        with pytest.raises(ValueError, match=message) as error:
+            tj.load_energy(write(path, broken))
+        assert "hinge.json" in str(error.value)

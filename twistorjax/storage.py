@@ -1,0 +1,111 @@
+"""Energies in files, so that a hinge once fitted can be used again."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .energy import AbstractEnergy, Quadratic, Scaled, Sum
+from .polynomial import Polynomial, Rational, Squares
+
+
+VERSION = 1
+_KINDS = {
+    kind.__name__: kind
+    for kind in (Quadratic, Polynomial, Rational, Squares, Sum, Scaled)
+}
+
+
+def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
+    """Writes an energy as JSON, to the last bit.
+
+    Args:
+        energy: quadratic, polynomial or rational; their sums and multiples.
+        path: of the file; one that is there is replaced.
+
+    Raises:
+        ValueError: the energy is of another kind.
+        OSError: the file cannot be written.
+
+    Example:
+        >>> from twistorjax import Polynomial
+        >>> save_energy(Polynomial([0.1], [(0, 2, 0, 0)]), "/tmp/hinge.json")
+        >>> load_energy("/tmp/hinge.json").coefficients
+        Array([0.1], dtype=float64)
+    """
+    record = {"twistorjax": VERSION, "energy": _told(energy)}
+    Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def load_energy(path: str | Path) -> AbstractEnergy:
+    """Reads an energy that `save_energy` wrote.
+
+    Raises:
+        ValueError: the file is not whole, of another version, or names what is unknown.
+        OSError: the file cannot be read.
+    """
+    try:
+        record = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(
+            f"{path} is not whole, or no JSON: {error}. Save the energy again."
+        ) from error
+    if not isinstance(record, dict) or record.get("twistorjax") != VERSION:
+        came = record.get("twistorjax") if isinstance(record, dict) else type(record)
+        raise ValueError(
+            f"{path} was not written by this version's `save_energy`: its field "
+            f"`twistorjax` is {came}, but must be {VERSION}."
+        )
+    if set(record) != {"twistorjax", "energy"}:
+        raise ValueError(
+            f"{path} has the fields {', '.join(record)}, but must have `twistorjax` and "
+            "`energy` alone."
+        )
+    try:
+        return _made(record["energy"])
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path} holds no energy: {error}") from error
+
+
+def _told(energy: AbstractEnergy) -> dict[str, Any]:
+    if type(energy).__name__ not in _KINDS:
+        raise ValueError(
+            f"An energy of the kind {type(energy).__name__} cannot be saved, but only "
+            f"{', '.join(_KINDS)}."
+        )
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, AbstractEnergy):
+            return _told(value)
+        if isinstance(value, tuple):
+            return [plain(part) for part in value]
+        if isinstance(value, str | int):
+            return value
+        return np.asarray(value).tolist()
+
+    fields = dataclasses.fields(energy)
+    told = {field.name: plain(getattr(energy, field.name)) for field in fields}
+    return {"kind": type(energy).__name__, **told}
+
+
+def _made(record: Any) -> AbstractEnergy:
+    if not isinstance(record, dict) or record.get("kind") not in _KINDS:
+        raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}.")
+    kind = _KINDS[record["kind"]]
+    names = {field.name for field in dataclasses.fields(kind)}
+    if set(record) - {"kind"} != names:
+        raise ValueError(
+            f"a {record['kind']} has the fields {', '.join(sorted(names))}, but "
+            f"{', '.join(sorted(set(record) - {'kind'})) or 'none'} are there."
+        )
+
+    def whole(value: Any) -> Any:
+        if isinstance(value, dict):
+            return _made(value)
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            return tuple(_made(part) for part in value)
+        return value
+
+    return kind(**{name: whole(record[name]) for name in names})

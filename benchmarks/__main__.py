@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from . import command, motion, peers, peers_motion, statics
+from .measure import Row
 
 
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
@@ -28,13 +29,19 @@ def main(
     """Times twistorjax beside its peers, in one run."""
     jax.config.update("jax_enable_x64", True)
     table = Table("what", "measured", "", "asked", "met")
-    rows = []
+    rows: list[Row] = []
+
+    def keep(row: Row) -> None:
+        rows.append(row)
+        value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.4g}"
+        met = {None: "", True: "yes", False: "NO"}[row.met]
+        table.add_row(row.what, value, row.unit, row.asked, met)
+
     for part in (statics, peers, motion, peers_motion, command):
         for row in part.run():
-            rows.append(row)
-            value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.4g}"
-            met = {None: "", True: "yes", False: "NO"}[row.met]
-            table.add_row(row.what, value, row.unit, row.asked, met)
+            keep(row)
+    for row in motion.beside(rows):
+        keep(row)
     versions = {}
     for name in PACKAGES:
         try:

@@ -15,6 +15,11 @@ from .energy import (
     Viscous as Viscous,
 )
 from .flexure import (
+    Beam as Beam,
+    bend as bend,
+    Bent as Bent,
+    Exact as Exact,
+    largest_turn as largest_turn,
     leaf as leaf,
     leaf_outline as leaf_outline,
     Material as Material,

@@ -1,5 +1,12 @@
 """What is cut from a plate, as energies."""
 
+from .beam import (
+    Beam as Beam,
+    bend as bend,
+    Bent as Bent,
+    largest_turn as largest_turn,
+)
+from .exact import Exact as Exact
 from .leaf import leaf as leaf, leaf_outline as leaf_outline
 from .material import Material as Material
 from .notch import notch as notch, notch_outline as notch_outline

@@ -172,3 +172,44 @@ def test_outlines_have_the_size_of_the_hinge():
     assert 0.125e-3 <= np.abs(middle[:, 1]).min() < 0.14e-3
     leaf = tj.leaf_outline(length=0.01, thickness=0.001)
     assert_close(np.ptp(leaf, axis=0), [0.01, 0.001])
+
+
+def chain(count, energy):
+    """A cantilever of unit length and stiffness, of so many like hinges."""
+    part = 1 / count
+    bodies = [tj.Body("0")]
+    bodies += [tj.Body(f"{k}", (0.0, k * part, 0.0)) for k in range(1, count + 1)]
+    hinges = [
+        tj.Hinge(f"h{k}", f"{k}", f"{k + 1}", energy, at=(0.0, (k + 0.5) * part, 0.0))
+        for k in range(count)
+    ]
+    return tj.Mechanism(bodies, hinges, held=["0"])
+
+
+def test_a_quartic_leaf_bends_as_the_elastica_and_a_chain_to_fourth_order():
+    """Under P L^2 / E I = 1: angle, travel along and across; errors at most 0.3 %."""
+    exact = np.array([0.461351949712, -0.0564332362834, 0.3017207738])
+    unit, thickness = tj.Material(modulus=1.0, poisson=0.3), 1e-2
+    errors = []
+    for count in (1, 2):
+        energy = tj.quartic_leaf(
+            unit, length=1 / count, thickness=thickness, width=12 / thickness**3
+        )
+        tip = f"{count}"
+        load = [tj.Load(tip, (0.0, 0.0, 1.0))]
+        moved = tj.equilibrium(chain(count, energy), loads=load).displacement(tip)
+        errors.append(np.abs(moved / exact - 1))
+    np.testing.assert_array_less(errors[0], 3e-3)
+    assert np.log2(errors[0][0] / errors[1][0]) > 3.9
+    assert np.all(errors[1] < 3e-4)
+
+
+def test_a_quartic_leaf_is_at_rest_the_leaf():
+    sizes = {"length": 10e-3, "thickness": 0.8e-3, "width": 5e-3}
+    soft = tj.Material(modulus=3.45e9, poisson=0.3)
+    for theory in ("euler-bernoulli", "timoshenko"):
+        curved = tj.quartic_leaf(soft, theory=theory, **sizes)
+        straight = tj.leaf(soft, theory=theory, **sizes).stiffness
+        np.testing.assert_allclose(
+            jnp.diag(curved.tangent_stiffness()), jnp.diag(straight), rtol=1e-12
+        )

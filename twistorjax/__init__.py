@@ -25,6 +25,7 @@ from .flexure import (
     Material as Material,
     notch as notch,
     notch_outline as notch_outline,
+    quartic_leaf as quartic_leaf,
 )
 from .hinge import Hinge as Hinge
 from .joints import Constraint as Constraint, Pin as Pin, Slider as Slider

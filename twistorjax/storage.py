@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from .energy import AbstractEnergy, Quadratic, Scaled, Sum
@@ -106,6 +107,8 @@ def _made(record: Any) -> AbstractEnergy:
             return _made(value)
         if isinstance(value, list) and value and isinstance(value[0], dict):
             return tuple(_made(part) for part in value)
-        return value
+        return jnp.asarray(value, float) if isinstance(value, list | float) else value
 
-    return kind(**{name: whole(record[name]) for name in names})
+    # powers are whole numbers
+    made = {name: whole(record[name]) for name in names - {"powers"}}
+    return kind(**made, **({"powers": record["powers"]} if "powers" in names else {}))

@@ -7,6 +7,10 @@ from .beam import (
     largest_turn as largest_turn,
 )
 from .exact import Exact as Exact
-from .leaf import leaf as leaf, leaf_outline as leaf_outline
+from .leaf import (
+    leaf as leaf,
+    leaf_outline as leaf_outline,
+    quartic_leaf as quartic_leaf,
+)
 from .material import Material as Material
 from .notch import notch as notch, notch_outline as notch_outline

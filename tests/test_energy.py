@@ -11,6 +11,9 @@ import twistorjax as tj
 from twistorjax import clifford, se2
 
 
+pytestmark = pytest.mark.slow
+
+
 STIFFNESS = some_stiffness(7)
 DAMPING = some_stiffness(8)
 

@@ -10,6 +10,9 @@ import twistorjax as tj
 from twistorjax import grip, se2
 
 
+pytestmark = pytest.mark.slow
+
+
 class Quartic(tj.AbstractEnergy):
     """An energy of no special form, with every coupling."""
 
@@ -121,7 +124,6 @@ def test_tiny_displacements_lose_no_digits():
     np.testing.assert_allclose(couplings.energy(tiny), expected, rtol=1e-11)
 
 
-@pytest.mark.slow
 @every_energy
 def test_has_derivatives_of_third_order(energy):
     mechanism = pair(energy)
@@ -172,7 +174,6 @@ def test_the_frame_half_way_is_that_of_the_twistor():
     assert_close(actual, tj.clifford.twistor(se2.between(first, second)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 @every_energy
 def test_the_tangent_of_a_moving_hinge_is_the_slope_of_its_forces(energy, coordinates):

@@ -11,6 +11,9 @@ from helpers import assert_close, some_stiffness
 import twistorjax as tj
 
 
+pytestmark = pytest.mark.slow
+
+
 REFERENCE = pathlib.Path(__file__).parent / "reference"
 
 

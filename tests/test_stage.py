@@ -17,6 +17,9 @@ import twistorjax as tj
 from twistorjax.cases import stage
 
 
+pytestmark = pytest.mark.slow
+
+
 REFERENCE = json.loads((Path(__file__).parent / "reference" / "stage.json").read_text())
 
 

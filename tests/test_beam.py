@@ -165,6 +165,7 @@ def test_stress_is_that_of_a_bent_and_pulled_bar():
     assert_close(tj.largest_turn(beam, fibre), 0.05 / 0.14375, digits=12)
 
 
+@pytest.mark.long
 def test_it_is_a_hinge_of_a_mechanism():
     """A body on the end of a leaf, pushed: by statics as from end to end."""
     beam = leaf()

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import lru_cache, partial, reduce
 from itertools import product
+from operator import mul
 from typing import Literal
 
 import jax
@@ -271,12 +272,12 @@ def columns(
         tables.append(tables[-1] * at)
     table = jnp.stack(tables)
     parts = [table[exponents[:, k], :, k].T for k in range(exponents.shape[1])]
-    energies = _product(parts)
+    energies = reduce(mul, parts)
     by_pose = jnp.zeros((len(poses), 3, len(powers)))
     for k in range(exponents.shape[1]):
         lower = table[np.maximum(exponents[:, k] - 1, 0), :, k].T
         factors = exponents[:, k].astype(float)
-        grown = _product([*parts[:k], lower * factors[None], *parts[k + 1 :]])
+        grown = reduce(mul, [*parts[:k], lower * factors[None], *parts[k + 1 :]])
         by_pose = by_pose + slopes[:, k, :, None] * grown[:, None]
     turned = jax.vmap(jax.vmap(se2._turn, (None, 1), 1))(-poses[:, 0], by_pose[:, 1:])
     still = jnp.zeros((1, 3))
@@ -284,10 +285,3 @@ def columns(
     resting = jnp.prod(at_rest[None] ** exponents.astype(float), axis=1)
     wrenches = jnp.concatenate([by_pose[:, :1], turned], axis=1)
     return wrenches, energies - resting[None]
-
-
-def _product(factors: Sequence[Array]) -> Array:
-    total = factors[0]
-    for factor in factors[1:]:
-        total = total * factor
-    return total

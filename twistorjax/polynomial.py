@@ -5,6 +5,7 @@ frame, for twistors seen from other frames are linear in one another.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -28,7 +29,42 @@ from .monomials import (
 )
 
 
-class Polynomial(AbstractEnergy):
+class _OfMonomials(AbstractEnergy):
+    """What is made of sums of monomials, by one row of coefficients or several."""
+
+    coefficients: eqx.AbstractVar[Float[Array, "*sums terms"]]
+    scale: eqx.AbstractVar[Scalar]
+    powers: eqx.AbstractVar[Powers]
+    coordinates: eqx.AbstractVar[Coordinates]
+
+    def fault(self) -> str | None:
+        """Which coefficient is not finite, in words, or nothing."""
+        seen = known(self.coefficients)
+        if seen is None or np.all(np.isfinite(seen)):
+            return None
+        term = self.powers[int(np.argwhere(~np.isfinite(seen))[0][-1])]
+        return f"the coefficient of the term of powers {term} is not finite."
+
+    def _checked(self, dimensions: int) -> None:
+        """Refuses coefficients that do not fit, or are not finite."""
+        shape = self.coefficients.shape
+        if len(shape) != dimensions or shape[-1] != len(self.powers):
+            raise ValueError(
+                f"`coefficients` has shape {shape}, but there are {len(self.powers)} "
+                "`powers`: a coefficient is needed for each"
+                + ("." if dimensions == 1 else ", in every row.")
+            )
+        if fault := self.fault():
+            raise ValueError(f"A `{type(self).__name__}` energy cannot be made: {fault}")
+
+    def _sum(
+        self, displacement: Displacement, coefficients: Float[Array, " terms"]
+    ) -> Scalar:
+        at = variables(displacement, self.coordinates, self.scale)
+        return summed(self.powers, (0,) * len(at), coefficients, at)
+
+
+class Polynomial(_OfMonomials):
     """A polynomial of the twist, or of the twistor.
 
     Args:
@@ -65,33 +101,18 @@ class Polynomial(AbstractEnergy):
         scale: ArrayLike = 1.0,
     ):
         self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
-        self.powers = _checked(powers, coordinates)
+        self.powers = _rows(powers, coordinates)
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = positive("`scale`", scale)
-        if self.coefficients.shape != (len(self.powers),):
-            raise ValueError(
-                f"`coefficients` has shape {self.coefficients.shape}, but there are "
-                f"{len(self.powers)} `powers`: a coefficient is needed for each."
-            )
-        if fault := self.fault():
-            raise ValueError(f"A `Polynomial` energy cannot be made: {fault}")
+        self._checked(dimensions=1)
 
     @property
     def order(self) -> int:
         """The largest sum of powers in a term."""
         return max(map(sum, self.powers), default=0)
 
-    def fault(self) -> str | None:
-        """Which coefficient is not finite, in words, or nothing."""
-        seen = known(self.coefficients)
-        if seen is None or np.all(np.isfinite(seen)):
-            return None
-        term = self.powers[int(np.argwhere(~np.isfinite(seen))[0][-1])]
-        return f"the coefficient of the term of powers {term} is not finite."
-
     def stored(self, displacement: Displacement) -> Scalar:
-        at = variables(displacement, self.coordinates, self.scale)
-        return summed(self.powers, (0,) * len(at), self.coefficients, at)
+        return self._sum(displacement, self.coefficients)
 
     def stretch(self, displacement: Displacement) -> Scalar:
         return stretch(displacement, self.coordinates)
@@ -178,7 +199,7 @@ class Rational(AbstractEnergy):
         return self.numerator.stretch(displacement)
 
 
-class Squares(AbstractEnergy):
+class Squares(_OfMonomials):
     """One and a sum of squares of polynomials: a denominator that cannot vanish.
 
     Args:
@@ -204,25 +225,17 @@ class Squares(AbstractEnergy):
         scale: ArrayLike = 1.0,
     ):
         self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
-        self.powers = _checked(powers, coordinates)
+        self.powers = _rows(powers, coordinates)
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = positive("`scale`", scale)
-        if self.coefficients.shape[1:] != (len(self.powers),):
-            raise ValueError(
-                f"`coefficients` has shape {self.coefficients.shape}, but must have rows "
-                f"of {len(self.powers)}, one for each of `powers`."
-            )
+        self._checked(dimensions=2)
 
     def stored(self, displacement: Displacement) -> Scalar:
-        at = variables(displacement, self.coordinates, self.scale)
-        none = (0,) * len(at)
-        values = jax.vmap(lambda row: summed(self.powers, none, row, at))(
-            self.coefficients
-        )
-        return 1.0 + jnp.sum(values**2)
+        sums = jax.vmap(partial(self._sum, displacement))(self.coefficients)
+        return 1.0 + jnp.sum(sums**2)
 
 
-def _checked(powers: Sequence[Sequence[int]], coordinates: Coordinates) -> Powers:
+def _rows(powers: Sequence[Sequence[int]], coordinates: Coordinates) -> Powers:
     names = VARIABLES[coordinates]
     rows = tuple(tuple(int(power) for power in row) for row in powers)
     for place, row in enumerate(rows):

@@ -193,7 +193,11 @@ class _Candidate(NamedTuple):
     order: int
     energy: Polynomial
     solved: Solved
-    interpolates: bool
+
+    @property
+    def interpolates(self) -> bool:
+        solved = self.solved
+        return solved.rank >= solved.residual.size and solved.ridge == 0
 
     def told(self, trials: Trials, held_out: Errors | None) -> Fit:
         solved = self.solved
@@ -272,8 +276,7 @@ def _candidate(
             values = np.concatenate([values, mended[upper]])
             solved = solve(rows, right, conditions, values, settings.ridge)
     energy = Polynomial(solved.coefficients, powers, settings.coordinates, scale)
-    interpolates = solved.rank >= right.size and solved.ridge == 0
-    return _Candidate(order, energy, solved, interpolates)
+    return _Candidate(order, energy, solved)
 
 
 def _positive(stiffness: np.ndarray) -> np.ndarray | None:

@@ -31,9 +31,11 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
         OSError: the file cannot be written.
 
     Example:
+        >>> from tempfile import TemporaryDirectory
         >>> from twistorjax import Polynomial
-        >>> save_energy(Polynomial([0.1], [(0, 2, 0, 0)]), "/tmp/hinge.json")
-        >>> load_energy("/tmp/hinge.json").coefficients
+        >>> with TemporaryDirectory() as folder:
+        ...     save_energy(Polynomial([0.1], [(0, 2, 0, 0)]), f"{folder}/hinge.json")
+        ...     load_energy(f"{folder}/hinge.json").coefficients
         Array([0.1], dtype=float64)
     """
     record = {"twistorjax": VERSION, "energy": _told(energy)}
@@ -95,7 +97,8 @@ def _made(record: Any) -> AbstractEnergy:
     if not isinstance(record, dict) or record.get("kind") not in _KINDS:
         raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}.")
     kind = _KINDS[record["kind"]]
-    names = {field.name for field in dataclasses.fields(kind)}
+    fields = dataclasses.fields(kind)
+    names = {field.name for field in fields}
     if set(record) - {"kind"} != names:
         raise ValueError(
             f"a {record['kind']} has the fields {', '.join(sorted(names))}, but "
@@ -109,6 +112,10 @@ def _made(record: Any) -> AbstractEnergy:
             return tuple(_made(part) for part in value)
         return jnp.asarray(value, float) if isinstance(value, list | float) else value
 
-    # powers are whole numbers
-    made = {name: whole(record[name]) for name in names - {"powers"}}
-    return kind(**made, **({"powers": record["powers"]} if "powers" in names else {}))
+    values = {
+        field.name: record[field.name]
+        if field.metadata.get("static")
+        else whole(record[field.name])
+        for field in fields
+    }
+    return kind(**values)

@@ -13,15 +13,15 @@ from .. import se2
 from .._types import Pose, Scalar
 from ..clifford import Displacement
 from ..energy import AbstractEnergy
-from .beam import Beam, end_of, integrated, last_of, units_of
+from .beam import Beam, end_of, integrated, last_of, State, units_of
 
 
 class Exact(AbstractEnergy):
     """The energy of a beam itself: exact at any displacement, and slow.
 
     The load that brings it to a displacement is found by Newton's method, from rest along
-    the twist that leads there; where none is found, the energy is NaN. Some milliseconds
-    a displacement: a polynomial distilled from it takes less than a microsecond.
+    the twist that leads there; where none is found, the energy is NaN. It takes some
+    milliseconds a displacement, and as a hinge of a mechanism a minute to compile.
 
     Args:
         beam: with its frames at the middle, axis 1 along it.
@@ -48,9 +48,11 @@ class Exact(AbstractEnergy):
 @jax.custom_jvp
 def _stored(beam: Beam, pose: Pose) -> Scalar:
     """The energy of a beam at a pose."""
-    load = _load(beam, pose)
-    end = last_of(integrated(beam, load, dfx.SaveAt(t1=True)))
-    return units_of(beam)[0] * end.energy
+    return _through_load(beam, pose)
+
+
+def _through_load(beam: Beam, pose: Pose) -> Scalar:
+    return units_of(beam)[0] * _end_state(beam, _load(beam, pose)).energy
 
 
 @partial(_stored.defjvp, symbolic_zeros=True)
@@ -64,14 +66,10 @@ def _(primals, tangents):
     turn = _whole(of_pose, pose)
     rate = moment * turn[0] + jnp.dot(wrench[1:], turn[1:])
 
-    def stored(beam: Beam) -> Scalar:
-        load = _load(beam, pose)
-        end = last_of(integrated(beam, load, dfx.SaveAt(t1=True)))
-        return units_of(beam)[0] * end.energy
-
     if _still(of_beam):
-        return stored(beam), rate
-    value, more = eqx.filter_jvp(stored, (beam,), (_whole(of_beam, beam),))
+        return _through_load(beam, pose), rate
+    moving = (_whole(of_beam, beam),)
+    value, more = eqx.filter_jvp(lambda beam: _through_load(beam, pose), (beam,), moving)
     return value, rate + more
 
 
@@ -122,16 +120,13 @@ def _(primals, tangents):
     load = _load(beam, pose)
     _, slope = _reached_and_slope(beam, load)
 
-    def short(beam: Beam, pose: Pose) -> Array:
-        gap = pose / _sizes(beam)
-        return gap if _still(of_beam) else gap - _reached(beam, load)
+    rate = _whole(of_pose, pose) / _sizes(beam)
+    if not _still(of_beam):
 
-    turn = _whole(of_pose, pose)
-    if _still(of_beam):
-        _, rate = jax.jvp(lambda pose: short(beam, pose), (pose,), (turn,))
-    else:
-        moving = (_whole(of_beam, beam), turn)
-        _, rate = eqx.filter_jvp(short, (beam, pose), moving)
+        def short(beam: Beam) -> Array:
+            return pose / _sizes(beam) - _reached(beam, load)
+
+        rate = rate + eqx.filter_jvp(short, (beam,), (_whole(of_beam, beam),))[1]
     return load, jnp.linalg.solve(slope, rate)
 
 
@@ -141,9 +136,12 @@ _PARTS = 8
 
 def _reached(beam: Beam, load: Array) -> Float[Array, "3"]:
     """The pose that a load leads to, translations in parts of the length."""
-    end = last_of(integrated(beam, load, dfx.SaveAt(t1=True)))
-    pose, _ = end_of(beam, load * units_of(beam), end)
+    pose, _ = end_of(beam, load * units_of(beam), _end_state(beam, load))
     return pose / _sizes(beam)
+
+
+def _end_state(beam: Beam, load: Array) -> State:
+    return last_of(integrated(beam, load, dfx.SaveAt(t1=True)))
 
 
 def _sizes(beam: Beam) -> Float[Array, "3"]:

@@ -118,10 +118,9 @@ def simulate(
             "`Gauss()` does not choose its steps: give it a `step`, short against the "
             "fastest motion that matters."
         )
-    begin.traceable("drives", drives, first)
-    begin.traceable("loads", loads, first)
-    now = drives(first) if callable(drives) else drives
-    acting = loads(first) if callable(loads) else loads
+    with begin.compiling(first, drives=drives, loads=loads):
+        now = drives(first) if callable(drives) else drives
+        acting = loads(first) if callable(loads) else loads
     loaded(mechanism, acting)
     places, _ = driven(mechanism, now)
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
@@ -135,26 +134,27 @@ def simulate(
     joints = joined(mechanism, constraints)
     if throw:
         begin.refuse(mechanism, drives, joints, moved, first, velocities is not None)
-    answer = _solve(
-        mechanism,
-        instants,
-        loads if callable(loads) else tuple(loads),
-        drives if callable(drives) else tuple(drives),
-        joints,
-        moved,
-        rates,
-        jnp.asarray(tolerance, float),
-        None if step is None else jnp.asarray(step, float),
-        Radau() if solver is None else solver,
-        controller,
-        saveat,
-        event,
-        dfx.NoProgressMeter() if progress_meter is None else progress_meter,
-        dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
-        max_steps,
-        energies,
-        Places(free, places),
-    )
+    with begin.compiling(first, drives=drives, loads=loads):
+        answer = _solve(
+            mechanism,
+            instants,
+            loads if callable(loads) else tuple(loads),
+            drives if callable(drives) else tuple(drives),
+            joints,
+            moved,
+            rates,
+            jnp.asarray(tolerance, float),
+            None if step is None else jnp.asarray(step, float),
+            Radau() if solver is None else solver,
+            controller,
+            saveat,
+            event,
+            dfx.NoProgressMeter() if progress_meter is None else progress_meter,
+            dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
+            max_steps,
+            energies,
+            Places(free, places),
+        )
     if not throw:
         return answer
     why = partial(begin.failure, answer, mechanism, drives, joints, moved, first)

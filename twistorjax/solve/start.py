@@ -1,6 +1,7 @@
 """How a motion begins, and what is wrong where it cannot."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, cast, TYPE_CHECKING
 
 import equinox as eqx
@@ -56,12 +57,21 @@ def finite(name: str, value: Array) -> None:
         raise ValueError(f"`{name}` must be finite, but has {seen.tolist()}.")
 
 
-def traceable(name: str, given: Any, now: Array) -> None:
-    """Refuses a function of time that JAX cannot compile."""
-    if not callable(given):
-        return
+@contextmanager
+def compiling(now: Array, **functions: Any) -> Iterator[None]:
+    """Tells which function of time it was, where JAX cannot compile one."""
     try:
-        eqx.filter_eval_shape(given, now)
+        yield
+    except jax.errors.JAXTypeError:
+        for name, function in functions.items():
+            if callable(function):
+                _compilable(name, function, now)
+        raise
+
+
+def _compilable(name: str, function: Callable, now: Array) -> None:
+    try:
+        eqx.filter_eval_shape(function, now)
     except jax.errors.JAXTypeError as error:
         raise ValueError(
             f"`{name}` is a function that cannot be compiled. Write it with jax.numpy "

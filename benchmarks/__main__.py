@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from . import command, motion, peers, peers_motion, statics
+from . import command, leaves, motion, peers, peers_motion, statics
 from .measure import Row
 
 
@@ -37,7 +37,7 @@ def main(
         met = {None: "", True: "yes", False: "NO"}[row.met]
         table.add_row(row.what, value, row.unit, row.asked, met)
 
-    for part in (statics, peers, motion, peers_motion, command):
+    for part in (statics, peers, leaves, motion, peers_motion, command):
         for row in part.run():
             keep(row)
     for row in motion.beside(rows):

@@ -215,3 +215,41 @@ def test_fit_foretells_its_error_and_keeps_the_hinge(run):
 )
 def test_fit_refuses_in_one_line(run, arguments, message):
     is_one_clear_line(run("fit", *arguments), message)
+
+
+def test_random_data_says_that_it_interpolates(run):
+    done = run("random-data", "--json", "--plot", "random.png")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert (answer["terms"], answer["equations"], answer["rank"]) == (69, 51, 51)
+    assert max(answer["largest_error_training"]) < 2.6e-5
+    assert min(answer["relative_error_held_out"]) > 1
+    assert "the fit interpolates" in answer["warning"]
+    assert (run.folder / "random.png").stat().st_size > 10_000
+
+
+def test_water_compares_its_fits(run):
+    done = run("water", "--order", "4", "--json", "--plot", "water.png")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert (answer["fitted"], answer["held_out"]) == (500, 2000)
+    errors = {name: fit["largest_error_held_out"] for name, fit in answer["fits"].items()}
+    assert list(errors) == ["polynomial", "plain quotient", "kept from poles"]
+    assert errors["kept from poles"] < errors["polynomial"] / 10
+    assert (run.folder / "water.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--order", "5"], "--order is 5, but must be even, from 2 to 12"),
+        (["--order", "0"], "--order is 0, but must be even"),
+        (["--range", "0"], "--range is 0, but must be above 0, and at most a turn"),
+        (["--range", "nan"], "--range is nan, but must be above 0"),
+        (["--points", "1"], "--points is 1, but must lie between 2 and 20000"),
+        (["--seed", "-1"], "--seed is -1, but must be a whole number"),
+        (["--plot", "nowhere/water.png"], "there is no folder nowhere"),
+    ],
+)
+def test_water_refuses_in_one_line(told, arguments, message):
+    is_one_clear_line(told("water", *arguments), message)

@@ -9,10 +9,11 @@ import pytest
 
 
 LAYERS = [
-    "_types", "_checks", "se2", "clifford", "lines", "energy", "monomials", "polynomial",
-    "storage", "trials", "leastsquares", "regression", "flexure", "body", "hinge", "grip",
-    "pull", "couplings", "mechanism", "boundary", "joints", "solve", "study", "show",
-    "cases", "commands", "__main__",
+    "_types", "_checks", "se2", "clifford", "lines", "energy", "coulomb", "monomials",
+    "polynomial", "slender", "certified", "storage", "trials", "leastsquares",
+    "regression", "quotients", "flexure", "body", "hinge", "grip", "pull", "couplings",
+    "mechanism", "boundary", "joints", "solve", "study", "show", "cases", "commands",
+    "__main__",
 ]  # fmt: skip
 PACKAGE = pathlib.Path(__file__).parents[1] / "twistorjax"
 FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]

@@ -9,6 +9,8 @@ from . import (
 )
 from .body import Body as Body, plate as plate
 from .boundary import Drive as Drive, Load as Load
+from .certified import Certified as Certified
+from .coulomb import Coulomb as Coulomb
 from .energy import (
     AbstractEnergy as AbstractEnergy,
     Quadratic as Quadratic,
@@ -18,6 +20,7 @@ from .flexure import (
     Beam as Beam,
     bend as bend,
     Bent as Bent,
+    distilled as distilled,
     Exact as Exact,
     largest_turn as largest_turn,
     leaf as leaf,
@@ -25,6 +28,7 @@ from .flexure import (
     Material as Material,
     notch as notch,
     notch_outline as notch_outline,
+    notch_profile as notch_profile,
     quartic_leaf as quartic_leaf,
 )
 from .hinge import Hinge as Hinge
@@ -36,10 +40,12 @@ from .polynomial import (
     Rational as Rational,
     Squares as Squares,
 )
+from .quotients import fit_rational as fit_rational, RationalFit as RationalFit
 from .regression import Fit as Fit, fit_energy as fit_energy
 from .show.animation import animate as animate
 from .show.drawing import draw as draw
 from .show.progress import ProgressBar as ProgressBar
+from .slender import Slender as Slender
 from .solve.collocation import Gauss as Gauss, Radau as Radau
 from .solve.dynamics import simulate as simulate
 from .solve.linear import linearise as linearise, Linearised as Linearised

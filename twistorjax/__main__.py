@@ -8,7 +8,9 @@ import typer
 from .commands.common import Failed, Refused
 from .commands.fit import fit
 from .commands.four_bar import four_bar
+from .commands.random_data import random_data
 from .commands.stage import stage
+from .commands.water import water
 
 
 app = typer.Typer(
@@ -20,6 +22,8 @@ app = typer.Typer(
 app.command()(stage)
 app.command("four-bar")(four_bar)
 app.command()(fit)
+app.command("random-data")(random_data)
+app.command()(water)
 
 
 @app.callback(invoke_without_command=True)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from . import pull
 from ._checks import all_known
@@ -96,9 +96,29 @@ class Couplings(eqx.Module):
         local = self._local(_elastic(pull.forces), displacements)
         return self._gathered(local).reshape(displacements.shape)
 
-    def tension(self, displacements: Poses) -> Float[Array, "3 hinges"]:
-        """What each hinge bears, in its energy's own coordinates; N m, N, N."""
-        return jnp.stack(self._local(_elastic(pull.tension), displacements))
+    def tension(
+        self, displacements: Poses, borne: Float[Array, "3 hinges"] | None = None
+    ) -> Float[Array, "3 hinges"]:
+        """What each hinge bears, in its energy's own coordinates; N m, N, N.
+
+        `borne` is that which was foreseen, as for the `tangent`.
+        """
+        more = () if borne is None else (tuple(borne),)
+        return jnp.stack(self._local(_elastic(pull.tension), displacements, *more))
+
+    def beyond(self, displacements: Poses) -> Bool[Array, " hinges"]:
+        """Whether each hinge is displaced beyond the range of its energy."""
+
+        def beyond(energy, damping, first, second, axis):
+            del damping
+            return energy.beyond(halfway(first, second, axis).displacement)
+
+        answer = jnp.zeros(len(self.ends), bool)
+        for stack in self.stacks:
+            mine = self._map(beyond, stack, displacements)
+            if mine is not None:
+                answer = answer.at[np.array(stack.members)].set(mine)
+        return answer
 
     def tangent(
         self,

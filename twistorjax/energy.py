@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from . import se2
 from ._checks import known, one_of
@@ -42,13 +42,54 @@ class AbstractEnergy(eqx.Module):
         """
         return jnp.ones_like(displacement.angle)
 
+    def foreseen(self, tension: Scalar) -> "AbstractEnergy":
+        """What stands for it in a step of Newton's method.
+
+        Changes no answer. Of an energy that knows better than its own derivatives how it
+        goes on near a tension: near that, its slopes are its own to first order.
+
+        Args:
+            tension: foreseen, along axis 1; N.
+        """
+        del tension
+        return self
+
+    def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
+        """Whether it is not known there, or nothing, where it is known everywhere."""
+        del displacement
+        return None
+
     def fault(self) -> str | None:
         """What is wrong with the values it was given, in words, or nothing."""
         return None
 
     def __call__(self, pose: Pose) -> Scalar:
-        """The energy stored when frame b is seen at a pose from frame a; J."""
-        return self.stored(Displacement.of(pose))
+        """The energy stored when frame b is seen at a pose from frame a; J.
+
+        Raises:
+            ValueError: the pose is beyond the range of the energy; NaN where it is being
+                traced.
+        """
+        return self._within(pose, self.stored(Displacement.of(pose)))
+
+    def _within(self, pose: Pose, value: Array) -> Array:
+        """The value at a pose, unless that is beyond the range."""
+        beyond = self.beyond(Displacement.of(pose))
+        if beyond is None:
+            return value
+        seen = known(beyond)
+        if seen is not None and np.any(seen):
+            at = known(pose)
+            shown = "" if at is None else f" {at.tolist()}"
+            raise ValueError(
+                f"The pose{shown} is beyond the range of the energy: {self.range()}."
+            )
+        # a product, so that its derivatives are NaN as well
+        return value * jnp.where(beyond, jnp.nan, 1.0)
+
+    def range(self) -> str:
+        """How far it is known, in words."""
+        return "any displacement"
 
     def wrench(self, pose: Pose) -> Wrench:
         """What body B exerts on the coupling: about the origin of b, in the axes of b.
@@ -67,8 +108,9 @@ class AbstractEnergy(eqx.Module):
             >>> leaf.wrench(jnp.array([0.0, 0.0, 0.5]))
             Array([0., 0., 5.], dtype=float64)
         """
-        slope = jax.grad(self.__call__)(pose)
-        return jnp.concatenate([slope[:1], se2._turn(-pose[0], slope[1:])])
+        slope = jax.grad(lambda pose: self.stored(Displacement.of(pose)))(pose)
+        force = se2._turn(-pose[0], slope[1:])
+        return self._within(pose, jnp.concatenate([slope[:1], force]))
 
     def tangent_stiffness(self, pose: Pose | None = None) -> Matrix:
         """How the wrench grows with displacements that are fixed to b; N m/rad, N/m.

@@ -43,8 +43,7 @@ def solve(
     trials, each, terms = rows.shape
     matrix, target = rows.reshape(-1, terms), right.reshape(-1)
     # Conditions first: what they leave free is spanned by `free`
-    size = np.linalg.norm(matrix, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = _sizes(matrix)
     matrix, conditions = matrix / size, conditions / size
     start, free = np.zeros(terms), np.eye(terms)
     if len(conditions):
@@ -91,6 +90,36 @@ def solve(
         spread=shape @ shape.T,
         unseen=_unseen(free, v, seen) / size[:, None],
     )
+
+
+def least(
+    rows: np.ndarray, right: np.ndarray, even: bool = True
+) -> tuple[np.ndarray, int, float]:
+    """The coefficients that meet equations best, and of such the smallest.
+
+    Args:
+        rows: what a unit of each coefficient adds to each number.
+        right: the numbers.
+        even: whether coefficients are measured by what they add, or as they stand.
+
+    Returns:
+        The coefficients; how many of them the equations tell apart; and the ratio of the
+        largest singular value to the smallest that counts.
+
+    Example:
+        >>> least(np.array([[1.0, 0.0], [0.0, 2.0]]), np.array([3.0, 8.0]))
+        (array([3., 4.]), 2, 1.0)
+    """
+    size = _sizes(rows) if even else np.ones(rows.shape[1])
+    coefficients, _, rank, s = np.linalg.lstsq(rows / size, right, rcond=_BEYOND)
+    condition = float(s[0] / s[rank - 1]) if rank else np.inf
+    return coefficients / size, int(rank), condition
+
+
+def _sizes(matrix: np.ndarray) -> np.ndarray:
+    """The length of each column, by which all come to count alike; one, where it is 0."""
+    size = np.linalg.norm(matrix, axis=0)
+    return np.where(size > 0, size, 1.0)
 
 
 def _unseen(free: np.ndarray, v: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -154,6 +154,23 @@ class Mechanism(eqx.Module):
                 rows.append(jnp.stack([inertia, mass, mass]))
         return jnp.stack(rows)
 
+    def ranges_beyond(self, poses: Poses) -> str:
+        """Which hinges are displaced beyond the range of their energies, in words.
+
+        Args:
+            poses: of the bodies; rad, m, m.
+        """
+        beyond = np.asarray(self.couplings.beyond(self._displacements(poses)))
+        words = []
+        for row in map(int, np.flatnonzero(beyond)):
+            name, energy = self.hinge_names[row], self.couplings.energy_of(row)
+            turn = float(self.displacement_of(name, poses)[0])
+            words.append(
+                f"The hinge {name!r} is turned by {turn:.4g} rad; its energy is known up "
+                f"to {energy.range()}."
+            )
+        return " ".join(words)
+
     def displacement_of(self, hinge: str, poses: Poses) -> Pose:
         """How far a hinge is displaced: its frame b, seen from its frame a; rad, m, m.
 

@@ -257,10 +257,7 @@ def columns(
     powers: Powers,
     coordinates: Coordinates,
 ) -> tuple[Float[Array, "trials 3 terms"], Float[Array, "trials terms"]]:
-    """The wrench and the energy of each term of a polynomial, at each of many poses.
-
-    The energy is that above the one at rest.
-    """
+    """The wrench and the energy of each term of a polynomial, at each of many poses."""
     exponents = np.array(powers).reshape(len(powers), -1)
 
     def values(pose: Array) -> Array:
@@ -280,8 +277,9 @@ def columns(
         grown = reduce(mul, [*parts[:k], lower * factors[None], *parts[k + 1 :]])
         by_pose = by_pose + slopes[:, k, :, None] * grown[:, None]
     turned = jax.vmap(jax.vmap(se2._turn, (None, 1), 1))(-poses[:, 0], by_pose[:, 1:])
-    still = jnp.zeros((1, 3))
-    at_rest = jax.vmap(values)(still)[0]
-    resting = jnp.prod(at_rest[None] ** exponents.astype(float), axis=1)
-    wrenches = jnp.concatenate([by_pose[:, :1], turned], axis=1)
-    return wrenches, energies - resting[None]
+    return jnp.concatenate([by_pose[:, :1], turned], axis=1), energies
+
+
+def resting(powers: Powers) -> np.ndarray:
+    """The value of each monomial at rest, where sigma is one, and all else is zero."""
+    return np.array([not any(row[-3:]) for row in powers], float)

@@ -39,23 +39,7 @@ class _OfMonomials(AbstractEnergy):
 
     def fault(self) -> str | None:
         """Which coefficient is not finite, in words, or nothing."""
-        seen = known(self.coefficients)
-        if seen is None or np.all(np.isfinite(seen)):
-            return None
-        term = self.powers[int(np.argwhere(~np.isfinite(seen))[0][-1])]
-        return f"the coefficient of the term of powers {term} is not finite."
-
-    def _checked(self, dimensions: int) -> None:
-        """Refuses coefficients that do not fit, or are not finite."""
-        shape = self.coefficients.shape
-        if len(shape) != dimensions or shape[-1] != len(self.powers):
-            raise ValueError(
-                f"`coefficients` has shape {shape}, but there are {len(self.powers)} "
-                "`powers`: a coefficient is needed for each"
-                + ("." if dimensions == 1 else ", in every row.")
-            )
-        if fault := self.fault():
-            raise ValueError(f"A `{type(self).__name__}` energy cannot be made: {fault}")
+        return fault_of_coefficients(self.coefficients, self.powers)
 
     def _sum(
         self, displacement: Displacement, coefficients: Float[Array, " terms"]
@@ -101,10 +85,10 @@ class Polynomial(_OfMonomials):
         scale: ArrayLike = 1.0,
     ):
         self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
-        self.powers = _rows(powers, coordinates)
+        self.powers = rows_of_powers(powers, VARIABLES[coordinates])
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = positive("`scale`", scale)
-        self._checked(dimensions=1)
+        need_fitting(self, self.coefficients, self.powers)
 
     @property
     def order(self) -> int:
@@ -225,18 +209,18 @@ class Squares(_OfMonomials):
         scale: ArrayLike = 1.0,
     ):
         self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
-        self.powers = _rows(powers, coordinates)
+        self.powers = rows_of_powers(powers, VARIABLES[coordinates])
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = positive("`scale`", scale)
-        self._checked(dimensions=2)
+        need_fitting(self, self.coefficients, self.powers, dimensions=2)
 
     def stored(self, displacement: Displacement) -> Scalar:
         sums = jax.vmap(partial(self._sum, displacement))(self.coefficients)
         return 1.0 + jnp.sum(sums**2)
 
 
-def _rows(powers: Sequence[Sequence[int]], coordinates: Coordinates) -> Powers:
-    names = VARIABLES[coordinates]
+def rows_of_powers(powers: Sequence[Sequence[int]], names: Sequence[str]) -> Powers:
+    """The powers of variables of some names, if they are such."""
     rows = tuple(tuple(int(power) for power in row) for row in powers)
     for place, row in enumerate(rows):
         if len(row) != len(names) or min(row) < 0:
@@ -248,3 +232,32 @@ def _rows(powers: Sequence[Sequence[int]], coordinates: Coordinates) -> Powers:
         twice = next(row for row in rows if rows.count(row) > 1)
         raise ValueError(f"`powers` has {twice} more than once.")
     return rows
+
+
+def fault_of_coefficients(
+    coefficients: Float[Array, "*sums terms"], powers: Powers
+) -> str | None:
+    """Which coefficient is not finite, in words, or nothing."""
+    seen = known(coefficients)
+    if seen is None or np.all(np.isfinite(seen)):
+        return None
+    term = powers[int(np.argwhere(~np.isfinite(seen))[0][-1])]
+    return f"the coefficient of the term of powers {term} is not finite."
+
+
+def need_fitting(
+    energy: AbstractEnergy,
+    coefficients: Float[Array, "*sums terms"],
+    powers: Powers,
+    dimensions: int = 1,
+) -> None:
+    """Refuses coefficients that do not fit their powers, or have a fault."""
+    shape = coefficients.shape
+    if len(shape) != dimensions or shape[-1] != len(powers):
+        raise ValueError(
+            f"`coefficients` has shape {shape}, but there are {len(powers)} `powers`: a "
+            "coefficient is needed for each"
+            + ("." if dimensions == 1 else ", in every row.")
+        )
+    if fault := energy.fault():
+        raise ValueError(f"A `{type(energy).__name__}` energy cannot be made: {fault}")

@@ -38,11 +38,18 @@ def forces(
 
 @jax.jit
 def tension(
-    energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
+    energy: AbstractEnergy,
+    first: End,
+    second: End,
+    axis: tuple[Scalar, Scalar],
+    borne: Three | None = None,
 ) -> Three:
-    """What the hinge bears: its energy's slopes by the energy's own coordinates."""
+    """What the hinge bears: its energy's slopes by the energy's own coordinates.
+
+    `borne` is that which was foreseen, as for the `tangent`.
+    """
     half = halfway(first, second, axis)
-    (g0, g1, g2), _ = _slopes(energy, half.displacement)
+    (g0, g1, g2), _ = _slopes(_foreseen(energy, borne), half.displacement)
     longer, growth, _ = _stretch(energy, half.displacement)
     s1, s2 = g1 / longer, g2 / longer
     y1, y2 = 2 * half.displacement.x1, 2 * half.displacement.x2
@@ -74,7 +81,7 @@ def tangent(
     """
     grip = Grip.of(first, second, axis)
     displacement = grip.half.displacement
-    slopes, push = _slopes(energy, displacement)
+    slopes, push = _slopes(_foreseen(energy, borne), displacement)
     g0, g1, g2 = own = slopes
     one, zero = jnp.ones_like(g0), jnp.zeros_like(g0)
     (h00, h01, h02), (_, h11, h12), (_, _, h22) = (
@@ -198,6 +205,10 @@ def tangent_in_motion(
         stretching=(_six(*along), _six(*across)),
         bearing=(_pull(grip, by_place[1]), _pull(grip, by_place[2])),
     )
+
+
+def _foreseen(energy: AbstractEnergy, borne: Three | None) -> AbstractEnergy:
+    return energy if borne is None else energy.foreseen(borne[1])
 
 
 def _borne(at: Displacement, stretch: Two | None) -> tuple[Displacement, Two]:

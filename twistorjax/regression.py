@@ -18,25 +18,9 @@ from jaxtyping import Array, Float
 from ._checks import need_float64, one_of
 from .energy import Coordinates
 from .leastsquares import solve, Solved
-from .monomials import columns, monomials, Powers, Symmetry, VARIABLES
+from .monomials import columns, monomials, Powers, resting, Symmetry, VARIABLES
 from .polynomial import Polynomial
-from .trials import Trials
-
-
-class Errors(eqx.Module):
-    """How far an energy is from trials.
-
-    Args:
-        wrench: root mean square by component; N m, N, N. NaN where none was measured.
-        largest: the same of the single largest; N m, N, N.
-        relative: root mean square over that of what was measured.
-        energy: root mean square; J. NaN where none was measured.
-    """
-
-    wrench: Float[np.ndarray, "3"]
-    largest: Float[np.ndarray, "3"]
-    relative: Float[np.ndarray, "3"]
-    energy: float
+from .trials import compared, Errors, measured, Trials
 
 
 class Fit(eqx.Module):
@@ -215,7 +199,7 @@ class _Candidate(NamedTuple):
         return Fit(
             energy=self.energy,
             training=_compared(self.energy, trials),
-            expected=_measured(trials, solved.left_out),
+            expected=measured(trials, solved.left_out),
             held_out=held_out,
             equations=equations,
             terms=solved.free,
@@ -263,9 +247,10 @@ def _candidate(
     scale = settings.scale or float(lengths.max()) or 1.0
     rows, right = _equations(trials, powers, settings.coordinates, scale)
     conditions, values = np.zeros((0, len(powers))), np.zeros(0)
-    at_rest, slopes = _at_rest(powers, settings.coordinates, scale)
+    slopes = np.zeros((3, 3, len(powers)))
     if settings.rest != "free":
-        conditions, values = at_rest, np.zeros(3)
+        conditions, slopes = _at_rest(powers, settings.coordinates, scale)
+        values = np.zeros(3)
     solved = solve(rows, right, conditions, values, settings.ridge)
     if settings.rest == "stable":
         stiffness = np.einsum("ijk,k->ij", slopes, solved.coefficients)
@@ -308,7 +293,7 @@ def _equations(
         right.append(np.asarray(trials.wrenches) / deviations)
     if trials.energies is not None:
         deviations = np.asarray(trials.energy_deviations)[:, None]
-        rows.append((energies / deviations)[:, None])
+        rows.append(((energies - resting(powers)) / deviations)[:, None])
         right.append(np.asarray(trials.energies)[:, None] / deviations)
     return np.concatenate(rows, axis=1), np.concatenate(right, axis=1)
 
@@ -344,30 +329,10 @@ def _words(direction: np.ndarray, powers: Powers, names: Sequence[str]) -> str:
 
 def _compared(energy: Polynomial, trials: Trials) -> Errors:
     """How far an energy is from trials."""
-    wrenches, energies = columns(
-        trials.poses, energy.scale, energy.powers, energy.coordinates
+    wrenches, energies = map(
+        np.asarray,
+        columns(trials.poses, energy.scale, energy.powers, energy.coordinates),
     )
-    left = []
-    if trials.wrenches is not None:
-        gap = trials.wrenches - wrenches @ energy.coefficients
-        left.append(gap / trials.wrench_deviations)
-    if trials.energies is not None:
-        gap = trials.energies - energies @ energy.coefficients
-        left.append((gap / trials.energy_deviations)[:, None])
-    return _measured(trials, np.concatenate([np.asarray(part) for part in left], axis=1))
-
-
-def _measured(trials: Trials, residual: np.ndarray) -> Errors:
-    """Errors in their units, from those in standard deviations."""
-    wrench, largest, relative = (np.full(3, np.nan) for _ in range(3))
-    energy = np.nan
-    if trials.wrenches is not None:
-        error = residual[:, :3] * np.asarray(trials.wrench_deviations)
-        wrench = np.sqrt(np.mean(error**2, axis=0))
-        largest = np.max(np.abs(error), axis=0)
-        size = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
-        relative = wrench / np.where(size > 0, size, np.nan)
-    if trials.energies is not None:
-        error = residual[:, -1] * np.asarray(trials.energy_deviations)
-        energy = float(np.sqrt(np.mean(error**2)))
-    return Errors(wrench, largest, relative, energy)
+    coefficients = np.asarray(energy.coefficients)
+    above = energies - resting(energy.powers)
+    return compared(trials, wrenches @ coefficients, above @ coefficients)

@@ -8,14 +8,25 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from .certified import Certified
 from .energy import AbstractEnergy, Quadratic, Scaled, Sum
 from .polynomial import Polynomial, Rational, Squares
+from .slender import Slender
 
 
 VERSION = 1
 _KINDS = {
     kind.__name__: kind
-    for kind in (Quadratic, Polynomial, Rational, Squares, Sum, Scaled)
+    for kind in (
+        Quadratic,
+        Polynomial,
+        Rational,
+        Squares,
+        Slender,
+        Certified,
+        Sum,
+        Scaled,
+    )
 }
 
 
@@ -23,7 +34,8 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
     """Writes an energy as JSON, to the last bit.
 
     Args:
-        energy: quadratic, polynomial or rational; their sums and multiples.
+        energy: quadratic, polynomial, rational or slender; certified ones, their sums
+            and multiples.
         path: of the file; one that is there is replaced.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What was measured of a hinge: displacements, and what they took."""
+"""What was measured of a hinge: displacements, what they took, and errors against it."""
 
 import csv
 from collections.abc import Sequence
@@ -92,6 +92,73 @@ class Trials(eqx.Module):
             wrench_deviations=some(self.wrench_deviations),
             energy_deviations=some(self.energy_deviations),
         )
+
+
+class Errors(eqx.Module):
+    """How far an energy is from trials.
+
+    Args:
+        wrench: root mean square by component; N m, N, N. NaN where none was measured.
+        largest: the same of the single largest; N m, N, N.
+        relative: root mean square over that of what was measured.
+        energy: root mean square; J. NaN where none was measured.
+        largest_energy: the largest; J.
+    """
+
+    wrench: Float[np.ndarray, "3"]
+    largest: Float[np.ndarray, "3"]
+    relative: Float[np.ndarray, "3"]
+    energy: float
+    largest_energy: float
+
+
+def compared(
+    trials: Trials,
+    wrenches: Float[np.ndarray, "trials 3"],
+    energies: Float[np.ndarray, " trials"],
+) -> Errors:
+    """How far from trials is what an energy says at their poses.
+
+    Args:
+        trials: measured.
+        wrenches: of the energy at their poses; N m, N, N.
+        energies: there; J. Those of what was not measured are left aside.
+
+    Example:
+        >>> trials = Trials([[0.1, 0.0, 0.0]], energies=[2.0])
+        >>> compared(trials, np.zeros((1, 3)), np.array([1.5])).energy
+        0.5
+    """
+    left = []
+    if trials.wrenches is not None:
+        gap = np.asarray(trials.wrenches) - wrenches
+        left.append(gap / np.asarray(trials.wrench_deviations))
+    if trials.energies is not None:
+        gap = np.asarray(trials.energies) - energies
+        left.append((gap / np.asarray(trials.energy_deviations))[:, None])
+    return measured(trials, np.concatenate(left, axis=1))
+
+
+def measured(trials: Trials, residual: Float[np.ndarray, "trials numbers"]) -> Errors:
+    """Errors in their units, from those in standard deviations.
+
+    Args:
+        trials: whose deviations these are.
+        residual: of each trial: of its wrench, and last of its energy, as measured.
+    """
+    wrench, largest, relative = (np.full(3, np.nan) for _ in range(3))
+    energy = largest_energy = np.nan
+    if trials.wrenches is not None:
+        error = residual[:, :3] * np.asarray(trials.wrench_deviations)
+        wrench = np.sqrt(np.mean(error**2, axis=0))
+        largest = np.max(np.abs(error), axis=0)
+        size = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
+        relative = wrench / np.where(size > 0, size, np.nan)
+    if trials.energies is not None:
+        error = residual[:, -1] * np.asarray(trials.energy_deviations)
+        energy = float(np.sqrt(np.mean(error**2)))
+        largest_energy = float(np.max(np.abs(error)))
+    return Errors(wrench, largest, relative, energy, largest_energy)
 
 
 def read_trials(path: str | Path) -> Trials:

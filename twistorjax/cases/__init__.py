@@ -1,3 +1,9 @@
 """The dissertation's studies, as functions that build them and run them."""
 
-from . import four_bar as four_bar, stage as stage, transient as transient
+from . import (
+    four_bar as four_bar,
+    random_data as random_data,
+    stage as stage,
+    transient as transient,
+    water as water,
+)

@@ -6,6 +6,7 @@ from .beam import (
     Bent as Bent,
     largest_turn as largest_turn,
 )
+from .distillation import distilled as distilled
 from .exact import Exact as Exact
 from .leaf import (
     leaf as leaf,
@@ -13,4 +14,8 @@ from .leaf import (
     quartic_leaf as quartic_leaf,
 )
 from .material import Material as Material
-from .notch import notch as notch, notch_outline as notch_outline
+from .notch import (
+    notch as notch,
+    notch_outline as notch_outline,
+    notch_profile as notch_profile,
+)

@@ -32,7 +32,7 @@ class Beam(eqx.Module):
         material: of the plate.
         length: along axis 1, free of its clamps; m.
         thickness: in the plane, across; or a function that gives it at a place along the
-            axis, from -length / 2 to length / 2; m.
+            axis, from -length / 2 to length / 2, as `notch_profile` makes one; m.
         width: out of the plane: the plate's own thickness; m.
         law: "linear" for forces that are linear in a section's strains;
             "saint-venant-kirchhoff" for a material whose stress is linear in Green's
@@ -87,10 +87,11 @@ class Beam(eqx.Module):
             raise ValueError(f"`steps` is {steps!r}, but must be at least 1.")
         self.steps = steps
         if callable(thickness):
-            self.profile = jax.tree_util.Partial(thickness)
+            kept = isinstance(thickness, jax.tree_util.Partial)
+            self.profile = thickness if kept else jax.tree_util.Partial(thickness)
         else:
             thickness = positive("`thickness`", thickness)
-            self.profile = jax.tree_util.Partial(_even, thickness)
+            self.profile = jax.tree_util.Partial(uniform, thickness)
 
     @property
     def bending(self) -> Scalar:
@@ -100,7 +101,8 @@ class Beam(eqx.Module):
         return modulus * self.width * height**3 / (12 * self.length)
 
 
-def _even(thickness: Scalar, place: Scalar) -> Scalar:
+def uniform(thickness: Scalar, place: Scalar) -> Scalar:
+    """One thickness everywhere."""
     del place
     return thickness
 

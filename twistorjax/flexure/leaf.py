@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 from .._checks import kinds, one_of, positive, within
 from .._types import Corners
 from ..energy import Coordinates, Quadratic
-from ..polynomial import Polynomial
+from ..slender import Slender
 from .material import Material
 
 
@@ -80,7 +80,7 @@ def quartic_leaf(
     thickness: ArrayLike,
     width: ArrayLike,
     theory: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli",
-) -> Polynomial:
+) -> Slender:
     """The energy of a leaf hinge that shortens as it bends, to the fourth order.
 
     As `leaf`, in the coordinates of the twist, but what stretches the leaf is its
@@ -114,18 +114,17 @@ def quartic_leaf(
     )
     bending, axial, across = jnp.diag(straight.stiffness)
     size = positive("`length`", length)
-    stretch = axial * size**2 / 2  # of (t1 + 3 t2^2 / 5 - angle^2 / 12), in lengths
+    force = bending / size
     terms = {
         (2, 0, 0): bending / 2,
-        (0, 0, 2): across * size**2 / 2,
-        (0, 2, 0): stretch,
-        (0, 1, 2): 6 / 5 * stretch,
-        (2, 1, 0): -stretch / 6,
-        (0, 0, 4): 9 / 25 * stretch,
-        (2, 0, 2): -stretch / 10,
-        (4, 0, 0): stretch / 144,
+        (0, 2, 0): across * size**2 / 2,
+        (0, 2, 1): 3 / 5 * bending,
+        (2, 0, 1): -bending / 12,
+        (0, 0, 2): -(force**2) / (2 * axial),
     }
-    return Polynomial(jnp.stack(list(terms.values())), tuple(terms), "twist", size)
+    return Slender(
+        jnp.stack(list(terms.values())), tuple(terms), length=size, force=force
+    )
 
 
 def leaf_outline(*, length: ArrayLike, thickness: ArrayLike, points: int = 24) -> Corners:

@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import ArrayLike
 
@@ -87,6 +88,31 @@ def notch(
     }[formula](ratio)
     units = jnp.stack([scale * hole**2, scale, scale])
     return Quadratic(jnp.diag(units * jnp.stack(stiffnesses)), coordinates)
+
+
+def notch_profile(*, hole: ArrayLike, web: ArrayLike) -> jax.tree_util.Partial:
+    """The thickness of a notch's neck along its axis, for a `Beam` as long as the holes.
+
+    Args:
+        hole: diameter of the two round holes; m.
+        web: thickness of the neck where it is thinnest; m.
+
+    Raises:
+        ValueError: a dimension is not positive.
+
+    Example:
+        >>> neck = notch_profile(hole=3e-3, web=0.25e-3)
+        >>> neck(jnp.array(0.0)), neck(jnp.array(1.5e-3))
+        (Array(0.00025, dtype=float64), Array(0.00325, dtype=float64))
+    """
+    hole, web = positive("`hole`", hole), positive("`web`", web)
+    return jax.tree_util.Partial(_between_holes, hole, web)
+
+
+def _between_holes(hole: Scalar, web: Scalar, place: Scalar) -> Scalar:
+    square = hole**2 - (2 * place) ** 2
+    inside = square > 0  # rounding puts the ends outside, where a root has no derivative
+    return web + hole - jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
 
 
 def notch_outline(*, hole: ArrayLike, web: ArrayLike, points: int = 24) -> Corners:

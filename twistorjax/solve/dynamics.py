@@ -217,6 +217,13 @@ def _solve(
     at, kept = solution.ts[0], solution.ys[0]
     there = jnp.isfinite(at)
     tell = jax.vmap(partial(_told, system))(jnp.where(there, at, times[0]), kept)
+    beyond = jax.vmap(mechanism.couplings.beyond)(tell[0])
+    out = jnp.cumsum(there & jnp.any(beyond, axis=1)) > 0
+    ended_well = (result == RESULTS.successful) | (result == RESULTS.event_occurred)
+    left = jnp.any(out)
+    result = RESULTS.where(ended_well & left, RESULTS.out_of_range, result)
+    there = there & ~out
+    last = jnp.max(jnp.where(there, at, times[0]))
     tell = jax.tree.map(
         lambda value: jnp.where(
             there.reshape(-1, *(value.ndim - 1) * (1,)), value, jnp.nan
@@ -232,7 +239,7 @@ def _solve(
         reactions=reactions,
         pushes=pushes,
         energies=energy,
-        reached=solution.ts[1][-1],
+        reached=jnp.where(left, last, solution.ts[1][-1]),
         steps=solution.stats["num_steps"],
         rejected=solution.stats["num_rejected_steps"],
         result=result,

@@ -13,7 +13,7 @@ from ..boundary import Drive, driven, Load, loaded, Loads
 from ..mechanism import Mechanism
 from . import newton
 from .results import RESULTS
-from .statics import Equilibrium, free_coordinates, raised
+from .statics import Equilibrium, free_coordinates, raised, within_range
 
 
 class Linearised(eqx.Module):
@@ -85,7 +85,7 @@ class Linearised(eqx.Module):
             result=result,
             names=mechanism.names,
         )
-        return raised(answer) if throw else answer
+        return raised(answer, mechanism) if throw else answer
 
 
 def linearise(
@@ -131,7 +131,7 @@ def linearise(
     every = newton.Places(tuple(range(3 * len(mechanism.names))), ())
     moved = jnp.zeros_like(mechanism.rest)
     if about is not None:
-        moved = mechanism._displacements(about, "about")
+        moved = within_range(mechanism, "about", about)
     acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
     whole = newton.Problem(mechanism.couplings, acting, jnp.zeros(0), every)
     _, matrix, _ = whole.tangent(moved)

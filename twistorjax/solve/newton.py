@@ -212,9 +212,10 @@ def settle(
             problem.place(state.now, free=flat[rows] + step), driven=given
         )
 
-        foreseen = sum(
-            jax.jvp(problem.couplings.tension, (state.now,), (now - state.now,))
-        )
+        def tension(displacements: Poses) -> Float[Array, "3 hinges"]:
+            return problem.couplings.tension(displacements, state.borne)
+
+        foreseen = sum(jax.jvp(tension, (state.now,), (now - state.now,)))
 
         change = jnp.sum(jnp.abs(step * right))
         first = state.tries == 0
@@ -226,7 +227,9 @@ def settle(
         turned = jnp.max(jnp.abs(now - state.done)[:, 0], initial=0.0)
         resists = factors.resists()
         sane = resists & jnp.isfinite(change) & (turned <= _LARGEST_TURN)
-        converged = sane & (expected <= tolerance)
+        # a step that drives saw only the slope of the way they take
+        seen = ~first | jnp.all(move == 0)
+        converged = sane & seen & (expected <= tolerance)
 
         finite = jnp.all(jnp.isfinite(slope)) & jnp.all(jnp.isfinite(right))
         cut = ~converged & (~sane | (state.tries + 1 >= _STEPS_EACH))

@@ -14,10 +14,11 @@ from .._checks import known
 class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     """Why a solve stopped. The text is empty where it succeeded.
 
-    For equilibria one of `successful`, `not_finite`, `loose`, `no_equilibrium` and
-    `steps_used_up`; for motions `successful`, `event_occurred`, `max_steps_reached`,
-    `not_finite`, `step_too_long`, and what is wrong with their start. `RESULTS[item]` is
-    its text. Extends the results of diffrax, so that one enumeration serves both.
+    For equilibria one of `successful`, `not_finite`, `loose`, `no_equilibrium`,
+    `steps_used_up` and `out_of_range`; for motions `successful`, `event_occurred`,
+    `max_steps_reached`, `not_finite`, `out_of_range`, `step_too_long`, and what is wrong
+    with their start. `RESULTS[item]` is its text. Extends the results of diffrax, so
+    that one enumeration serves both.
     """
 
     successful = ""
@@ -41,6 +42,11 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     steps_used_up = (
         "The largest number of Newton steps was reached. `fraction` tells how much of "
         "the loads and drives was; raise `max_steps`, or start nearer with `start`."
+    )
+    out_of_range = (
+        "A hinge is displaced beyond the range in which its energy is known: it is "
+        "turned further, or bears a larger force, than it was made for. Make it for a "
+        "wider range, or load the mechanism less."
     )
 
     step_too_long = (

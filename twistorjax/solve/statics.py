@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, ScalarLike
 
-from .._checks import all_known, need_float64
+from .._checks import all_known, known, need_float64
 from .._types import Poses, PosesLike, Scalar, Wrenches
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
@@ -137,7 +137,21 @@ def equilibrium(
         ),
         names=mechanism.names,
     )
-    return raised(answer) if throw else answer
+    return raised(answer, mechanism) if throw else answer
+
+
+def within_range(mechanism: Mechanism, name: str, poses: PosesLike) -> Poses:
+    """Displacements from rest to poses, unless a hinge is beyond its range there."""
+    moved = mechanism._displacements(poses, name)
+    beyond = jnp.any(mechanism.couplings.beyond(moved))
+    if known(beyond) is None:
+        return jnp.where(beyond, jnp.nan, moved)
+    if beyond:
+        raise ValueError(
+            f"`{name}` displaces a hinge beyond the range in which its energy is known. "
+            f"{mechanism.ranges_beyond(mechanism.rest + moved)}"
+        )
+    return moved
 
 
 @lru_cache(maxsize=256)
@@ -178,6 +192,8 @@ def _solve(
     free = newton.follow(problem, flat[problem.free], begin, found)
     given = jnp.where(found, problem.targets, flat[problem.driven])
     displacements = problem.place(begin, free=free, driven=given)
+    beyond = found & jnp.any(couplings.beyond(settled.displacements))
+    sure = found & ~beyond
     held = jnp.ones(flat.size).at[problem.free].set(0.0)
     reactions = (held * problem.residual(displacements)).reshape(rest.shape)
     result = RESULTS.successful
@@ -188,11 +204,12 @@ def _solve(
         (newton.USED_UP, RESULTS.steps_used_up),
     ):
         result = RESULTS.where(settled.status == status, item, result)
+    result = RESULTS.where(beyond, RESULTS.out_of_range, result)
     return Equilibrium(
-        displacements=jnp.where(found, displacements, jnp.nan),
+        displacements=jnp.where(sure, displacements, jnp.nan),
         rest=rest,
-        reactions=jnp.where(found, reactions, jnp.nan),
-        energy=jnp.where(found, problem.couplings.energy(displacements), jnp.nan),
+        reactions=jnp.where(sure, reactions, jnp.nan),
+        energy=jnp.where(sure, problem.couplings.energy(displacements), jnp.nan),
         reached=settled.displacements,
         fraction=settled.fraction,
         steps=settled.steps,
@@ -201,16 +218,19 @@ def _solve(
     )
 
 
-def raised(answer: Equilibrium) -> Equilibrium:
+def raised(answer: Equilibrium, mechanism: Mechanism) -> Equilibrium:
     """The answer, if it succeeded; otherwise its failure is raised."""
-    return raise_failed(answer, partial(_failure, answer))
+    return raise_failed(answer, partial(_failure, answer, mechanism))
 
 
-def _failure(answer: Equilibrium, item: str, lane: tuple[int, ...]) -> RuntimeError:
+def _failure(
+    answer: Equilibrium, mechanism: Mechanism, item: str, lane: tuple[int, ...]
+) -> RuntimeError:
     fraction, steps = (
         np.asarray(value)[lane] for value in (answer.fraction, answer.steps)
     )
     where = f" in lane {', '.join(map(str, lane))} of the batch" if lane else ""
-    return RuntimeError(
-        f"{meaning(item)} (fraction {fraction:.4g}, {steps} Newton steps{where})"
-    )
+    text = meaning(item)
+    if item == "out_of_range" and not lane:
+        text += f" {mechanism.ranges_beyond(mechanism.rest + answer.reached)}"
+    return RuntimeError(f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})")

@@ -14,7 +14,7 @@ from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
 from ..mechanism import Mechanism
 from . import newton
 from .results import ByBody, meaning, outcomes, raise_failed, RESULTS
-from .statics import Equilibrium, free_coordinates
+from .statics import Equilibrium, free_coordinates, within_range
 
 
 class Vibrations(eqx.Module):
@@ -296,4 +296,4 @@ def _state(mechanism: Mechanism, about: PosesLike | Equilibrium | None) -> Poses
     if about is None:
         return jnp.zeros_like(mechanism.rest)
     poses = about.poses if isinstance(about, Equilibrium) else about
-    return mechanism._displacements(poses, "about")
+    return within_range(mechanism, "about", poses)

@@ -139,6 +139,43 @@ def test_finite_elements_of_a_notch_are_met():
     np.testing.assert_allclose(stiffness, [2.3875, 1.9406e8, 1.6210e7], rtol=2e-3)
 
 
+@pytest.mark.parametrize(("name", "limit"), [("fe_leaf", 2e-4), ("fe_notch", 1e-5)])
+def test_by_tension_finite_elements_are_met_to_their_own_error(name, limit):
+    """Those held back, and about as well as the fit foretells."""
+    trials = tj.read_trials(REFERENCE / f"{name}.csv")
+    fit = tj.fit_energy(
+        trials, order=6, coordinates="tension", symmetry="leaf", hold_out=0.2
+    )
+    np.testing.assert_array_less(fit.held_out.relative, limit)
+    np.testing.assert_array_less(fit.expected.relative, limit)
+    assert np.all(fit.held_out.relative > fit.expected.relative / 10)
+
+
+def test_by_tension_a_slender_energy_is_found_again():
+    leaf = tj.Slender([0.5, 6.0, -1e-3, 0.6, -0.08, -0.01], [
+        (2, 0, 0), (0, 2, 0), (0, 0, 2), (0, 2, 1), (2, 0, 1), (0, 2, 2),
+    ], length=0.2, force=1.0)  # fmt: skip
+    poses = np.random.default_rng(0).uniform(-1, 1, (30, 3)) * [0.5, 1e-3, 0.1]
+    poses[:, 1] -= poses[:, 2] ** 2
+    wrenches = jax.vmap(leaf.wrench)(poses)
+    fit = tj.fit_energy(
+        tj.Trials(poses, wrenches), 2, coordinates="tension", symmetry="leaf", scale=0.2
+    )
+    np.testing.assert_array_less(fit.training.relative, 1e-10)
+    np.testing.assert_allclose(
+        fit.energy.tangent_stiffness(), leaf.tangent_stiffness(), rtol=1e-8, atol=1e-8
+    )
+
+
+def test_by_tension_what_is_no_flexure_is_told():
+    trials = tj.read_trials(REFERENCE / "random_trials.csv")
+    with pytest.raises(ValueError, match="not those of a flexure that gives along"):
+        tj.fit_energy(trials, 2, coordinates="tension")
+    alone = tj.Trials(trials.poses, energies=np.ones(17))
+    with pytest.raises(ValueError, match="needs the wrench of each"):
+        tj.fit_energy(alone, 2, coordinates="tension")
+
+
 def test_random_numbers_are_interpolated_and_that_is_said():
     """Section 7.1: 17 trials give 51 numbers for 69 coefficients of fourth order."""
     trials = tj.read_trials(REFERENCE / "random_trials.csv")

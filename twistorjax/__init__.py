@@ -16,6 +16,7 @@ from .energy import (
     Quadratic as Quadratic,
     Viscous as Viscous,
 )
+from .fitted import Fit as Fit
 from .flexure import (
     Beam as Beam,
     bend as bend,
@@ -41,7 +42,7 @@ from .polynomial import (
     Squares as Squares,
 )
 from .quotients import fit_rational as fit_rational, RationalFit as RationalFit
-from .regression import Fit as Fit, fit_energy as fit_energy
+from .regression import fit_energy as fit_energy
 from .show.animation import animate as animate
 from .show.drawing import draw as draw
 from .show.progress import ProgressBar as ProgressBar

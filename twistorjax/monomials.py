@@ -23,13 +23,17 @@ from .energy import Coordinates, stretch
 Powers = tuple[tuple[int, ...], ...]
 Symmetry = Literal["mirror", "ends", "exchange", "sign"]
 
-VARIABLES = {"twist": ("tau", "t1", "t2"), "twistor": ("sigma", "xi", "x1", "x2")}
+VARIABLES = {
+    "twist": ("tau", "t1", "t2"),
+    "twistor": ("sigma", "xi", "x1", "x2"),
+    "tension": ("tau", "t2", "n"),
+}
 
 # Which variables change sign together
 _PARITY = {
     "mirror": {"xi", "x2", "tau", "t2"},
     "ends": {"xi", "tau"},
-    "exchange": {"xi", "x1", "x2", "tau", "t1", "t2"},
+    "exchange": {"xi", "x1", "x2", "tau", "t1", "t2", "n"},
     "sign": {"sigma", "xi", "x1", "x2"},
 }
 LEAF = ("mirror", "ends")
@@ -37,7 +41,7 @@ LEAF = ("mirror", "ends")
 
 def monomials(
     order: int,
-    coordinates: Coordinates = "twistor",
+    coordinates: Coordinates | Literal["tension"] = "twistor",
     *,
     symmetry: Literal["leaf"] | Sequence[Symmetry] = (),
     redundant: bool = False,
@@ -47,7 +51,8 @@ def monomials(
     Args:
         order: the largest sum of powers in one.
         coordinates: "twist" for powers of (tau, t1, t2), "twistor" for those of
-            (sigma, xi, x1, x2).
+            (sigma, xi, x1, x2); "tension" for those of a `Slender` energy, (tau, t2, n):
+            the order is that in the first two, and n goes to half of it and one more.
         symmetry: keeps only what is the same for a hinge
 
             * "mirror": and its mirror image across axis 1;
@@ -77,23 +82,26 @@ def monomials(
     if not isinstance(order, int) or order < 0:
         raise ValueError(f"`order` is {order!r}, but must be a whole number from 0 on.")
     if symmetry == "leaf":
-        symmetry = LEAF if coordinates == "twist" else (*LEAF, "sign")
+        symmetry = (*LEAF, "sign") if coordinates == "twistor" else LEAF
     for kind in symmetry:
         one_of("`symmetry`", kind, tuple(_PARITY))
-        if kind == "sign" and coordinates == "twist":
+        if kind == "sign" and coordinates != "twistor":
             raise ValueError("`symmetry` has 'sign', which is one of the twistor alone.")
     odd = [[name in _PARITY[kind] for name in names] for kind in symmetry]
     tops = [order] * len(names)
     if coordinates == "twistor" and not redundant:
         tops[0] = min(order, 1)
+    counted = slice(None)
+    if coordinates == "tension":
+        tops[2], counted = order // 2 + 1, slice(2)
     # the last power varies slowest
     rows = product(*(range(top + 1) for top in reversed(tops)))
     powers = (tuple(reversed(row)) for row in rows)
-    return tuple(
-        row
-        for row in powers
-        if sum(row) <= order and all(np.dot(row, parity) % 2 == 0 for parity in odd)
-    )
+
+    def even(row: tuple[int, ...]) -> bool:
+        return all(np.dot(row, parity) % 2 == 0 for parity in odd)
+
+    return tuple(row for row in powers if sum(row[counted]) <= order and even(row))
 
 
 def variables(

@@ -6,6 +6,7 @@ frame, for twistors seen from other frames are linear in one another.
 
 from collections.abc import Sequence
 from functools import partial
+from typing import get_args
 
 import equinox as eqx
 import jax
@@ -84,7 +85,7 @@ class Polynomial(_OfMonomials):
         coordinates: Coordinates = "twistor",
         scale: ArrayLike = 1.0,
     ):
-        self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
+        self.coordinates = one_of("`coordinates`", coordinates, get_args(Coordinates))
         self.powers = rows_of_powers(powers, VARIABLES[coordinates])
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = positive("`scale`", scale)
@@ -208,7 +209,7 @@ class Squares(_OfMonomials):
         coordinates: Coordinates = "twistor",
         scale: ArrayLike = 1.0,
     ):
-        self.coordinates = one_of("`coordinates`", coordinates, tuple(VARIABLES))
+        self.coordinates = one_of("`coordinates`", coordinates, get_args(Coordinates))
         self.powers = rows_of_powers(powers, VARIABLES[coordinates])
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = positive("`scale`", scale)

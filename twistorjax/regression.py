@@ -9,87 +9,27 @@ import warnings
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from . import mixed, se2
 from ._checks import need_float64, one_of
 from .energy import Coordinates
+from .fitted import Fit, in_words, variables_of
 from .leastsquares import solve, Solved
 from .monomials import columns, monomials, Powers, resting, Symmetry, VARIABLES
 from .polynomial import Polynomial
+from .slender import Slender
 from .trials import compared, Errors, measured, Trials
-
-
-class Fit(eqx.Module):
-    """An energy fitted to trials, and how far it can be trusted.
-
-    Args:
-        energy: fitted to all of the trials.
-        training: how far it is from them.
-        expected: how far from fresh trials of the same kind: what each trial's error
-            would be, were it left out of the fit. Infinite where the fit interpolates.
-        held_out: how far from trials that were held back a fit to the others was, or
-            nothing, where none were.
-        equations: numbers that were measured, less those held back.
-        terms: coefficients that were free.
-        rank: how many of these the trials tell apart.
-        condition: ratio of the largest singular value to the smallest that counts.
-        ridge: weight that draws coefficients to zero, as a part of the largest singular
-            value's square; chosen for the least expected error.
-        covariance: of the coefficients; J^2.
-        unseen: combinations of terms of which the trials tell nothing, in words.
-        warning: what to beware of, or nothing.
-    """
-
-    energy: Polynomial
-    training: Errors
-    expected: Errors
-    held_out: Errors | None
-    equations: int
-    terms: int
-    rank: int
-    condition: float
-    ridge: float
-    covariance: Float[np.ndarray, "terms terms"]
-    unseen: tuple[str, ...]
-    warning: str | None
-
-    def __repr__(self) -> str:
-        energy = self.energy
-        lines = [
-            f"{energy.coordinates} polynomial of order {energy.order}: {self.terms} free "
-            f"coefficients from {self.equations} numbers, rank {self.rank}, condition "
-            f"{self.condition:.1e}, ridge {self.ridge:.0e}",
-            f"{'rms error':<22}  {'moment (N m)':>20}  {'force 1 (N)':>20}  "
-            f"{'force 2 (N)':>20}",
-        ]
-        kinds = (
-            ("training", self.training),
-            ("expected of fresh ones", self.expected),
-            ("held out", self.held_out),
-        )
-        for name, errors in kinds:
-            if errors is not None:
-                cells = [
-                    f"{f'{size:.3g} ({100 * share:.2g} %)':>20}"
-                    for size, share in zip(errors.wrench, errors.relative, strict=True)
-                ]
-                lines.append(f"{name:<22}  {'  '.join(cells)}")
-        if self.unseen:
-            lines.append(f"unseen: {'; '.join(self.unseen)}")
-        if self.warning:
-            lines.append(f"warning: {self.warning}")
-        return "\n".join(lines)
 
 
 def fit_energy(
     trials: Trials,
     order: int | None = None,
     *,
-    coordinates: Coordinates = "twistor",
+    coordinates: Coordinates | Literal["tension"] = "twistor",
     symmetry: Literal["leaf"] | Sequence[Symmetry] = (),
     redundant: bool = False,
     rest: Literal["stable", "unstressed", "free"] = "stable",
@@ -103,7 +43,9 @@ def fit_energy(
     Args:
         trials: measured, or computed by finite elements.
         order: of the polynomial, by default that of the least expected error.
-        coordinates: "twistor" or "twist".
+        coordinates: "twistor" or "twist"; or "tension", for a `Slender` energy of turn,
+            translation across and tension: for flexures, which are stiff along axis 1, it
+            is by far the best.
         symmetry: of the hinge, as for `monomials`: the more it has, the fewer trials are
             needed.
         redundant: with the powers of sigma above the first, as the dissertation has them.
@@ -155,17 +97,23 @@ def fit_energy(
                 f"There are {len(trials)} trials: too few to hold {hold_out:g} of them "
                 "back."
             )
-        mixed = np.random.default_rng(seed).permutation(len(trials))
-        back, others = trials[np.sort(mixed[:count])], trials[np.sort(mixed[count:])]
+        drawn = np.random.default_rng(seed).permutation(len(trials))
+        back, others = trials[np.sort(drawn[:count])], trials[np.sort(drawn[count:])]
         held_out = _compared(_best(others, (best.order,), settings).energy, back)
     fit = best.told(trials, held_out)
+    if np.any(np.isnan(fit.training.wrench)) and trials.wrenches is not None:
+        raise ValueError(
+            "These trials are not those of a flexure that gives along axis 1 as it is "
+            "pulled: no tension belongs to some of them in the energy that fits best. "
+            "Take the coordinates 'twistor' or 'twist', or another order."
+        )
     if fit.warning:
         warnings.warn(fit.warning, stacklevel=2)
     return fit
 
 
 class _Settings(NamedTuple):
-    coordinates: Coordinates
+    coordinates: Coordinates | Literal["tension"]
     rest: str
     redundant: bool
     symmetry: Literal["leaf"] | Sequence[Symmetry]
@@ -175,7 +123,7 @@ class _Settings(NamedTuple):
 
 class _Candidate(NamedTuple):
     order: int
-    energy: Polynomial
+    energy: Polynomial | Slender
     solved: Solved
 
     @property
@@ -195,7 +143,7 @@ class _Candidate(NamedTuple):
                 "numbers. That it meets the trials says nothing of others. Take a lower "
                 "order, more symmetry, or more trials."
             )
-        names = VARIABLES[self.energy.coordinates]
+        names = VARIABLES[variables_of(self.energy)]
         return Fit(
             energy=self.energy,
             training=_compared(self.energy, trials),
@@ -208,7 +156,7 @@ class _Candidate(NamedTuple):
             ridge=solved.ridge,
             covariance=variance * solved.spread,
             unseen=tuple(
-                _words(direction, self.energy.powers, names)
+                in_words(direction, self.energy.powers, names)
                 for direction in solved.unseen.T[:5]
             ),
             warning=warning,
@@ -243,25 +191,119 @@ def _best(trials: Trials, orders: Sequence[int], settings: _Settings) -> _Candid
 def _candidate(
     trials: Trials, order: int, powers: Powers, settings: _Settings
 ) -> _Candidate:
-    lengths = np.linalg.norm(np.asarray(trials.poses[:, 1:]), axis=1)
+    far = trials.poses[:, 1:]
+    if settings.coordinates == "tension":
+        far = jax.vmap(se2.twist)(trials.poses)[:, 2:]
+    lengths = np.linalg.norm(np.asarray(far), axis=1)
     scale = settings.scale or float(lengths.max()) or 1.0
+    if settings.coordinates == "tension":
+        return _by_tension(trials, order, powers, settings, scale)
     rows, right = _equations(trials, powers, settings.coordinates, scale)
-    conditions, values = np.zeros((0, len(powers))), np.zeros(0)
-    slopes = np.zeros((3, 3, len(powers)))
+    conditions, slopes = np.zeros((0, len(powers))), np.zeros((3, 3, len(powers)))
     if settings.rest != "free":
         conditions, slopes = _at_rest(powers, settings.coordinates, scale)
-        values = np.zeros(3)
-    solved = solve(rows, right, conditions, values, settings.ridge)
-    if settings.rest == "stable":
-        stiffness = np.einsum("ijk,k->ij", slopes, solved.coefficients)
-        mended = _positive(stiffness)
-        if mended is not None:
-            upper = np.triu_indices(3)
-            conditions = np.concatenate([conditions, slopes[upper]])
-            values = np.concatenate([values, mended[upper]])
-            solved = solve(rows, right, conditions, values, settings.ridge)
+    solved = _solved(rows, right, conditions, slopes, settings)
     energy = Polynomial(solved.coefficients, powers, settings.coordinates, scale)
     return _Candidate(order, energy, solved)
+
+
+def _by_tension(
+    trials: Trials, order: int, powers: Powers, settings: _Settings, length: float
+) -> _Candidate:
+    """By turn, translation across and tension.
+
+    Linear but for what an error of the length is as one of the wrench: that follows from
+    a first fit, and from another.
+    """
+    if trials.wrenches is None:
+        raise ValueError(
+            "`trials` have energies alone, but a fit by tension needs the wrench of "
+            "each: the tension is a part of it. Take 'twistor' or 'twist'."
+        )
+    if settings.rest != "free":
+        powers = tuple(row for row in powers if sum(row) > 1)
+    twists, turning = map(np.asarray, jax.vmap(mixed.by_twist)(trials.poses))
+    wrenches = np.asarray(trials.wrenches)
+    pulls = np.einsum("sij,sj->si", turning, wrenches)
+    tensions = pulls[:, 1]
+    force = float(np.abs(tensions).max()) or 1.0
+    adds = mixed.terms(powers, jnp.asarray(twists), jnp.asarray(tensions), length, force)
+    adds = jax.tree.map(np.asarray, adds)
+    back = np.linalg.inv(turning) / np.asarray(trials.wrench_deviations)[:, :, None]
+    at_rest = _curvature_at_rest(powers, length, force)
+
+    def fitted(give: np.ndarray, leaning: Sequence[np.ndarray]) -> Solved:
+        # the error of the tension at a pose, and through it those of the others
+        rows = np.stack([adds.moment, -adds.length / give[:, None], adds.shear], axis=1)
+        right = np.stack([pulls[:, 0], -twists[:, 1] / give, pulls[:, 2]], axis=1)
+        for place, lean in zip((0, 2), leaning, strict=True):
+            rows[:, place] += lean[:, None] * rows[:, 1]
+            right[:, place] += lean * right[:, 1]
+        rows, right = back @ rows, np.einsum("sij,sj->si", back, right)
+        if trials.energies is not None:
+            deviations = np.asarray(trials.energy_deviations)[:, None]
+            above = np.asarray(trials.energies) - tensions * twists[:, 1]
+            rows = np.concatenate([rows, (adds.energy / deviations)[:, None]], axis=1)
+            right = np.concatenate([right, above[:, None] / deviations], axis=1)
+        none = np.zeros((0, len(powers)))
+        return _solved(rows, right, none, at_rest, settings)
+
+    first = np.std(twists[:, 1]) / (np.sqrt(np.mean(tensions**2)) or 1.0) or 1.0
+    still = np.zeros(len(trials))
+    solved = fitted(still + first, (still, still))
+    for _ in range(3):
+        give = adds.give @ solved.coefficients
+        give = np.maximum(give, 1e-3 * np.median(np.abs(give)))
+        solved = fitted(give, [lean @ solved.coefficients for lean in adds.leaning])
+    energy = Slender(solved.coefficients, powers, length=length, force=force)
+    return _Candidate(order, energy, solved)
+
+
+def _curvature_at_rest(powers: Powers, length: float, force: float) -> np.ndarray:
+    """What must be positive definite of W at rest, by the coefficients.
+
+    Its second derivatives by turn and translation across, and less that by tension.
+    """
+    curvature = np.zeros((3, 3, len(powers)))
+    for row, places, value in (
+        ((2, 0, 0), [(0, 0)], 2.0),
+        ((1, 1, 0), [(0, 2), (2, 0)], 1 / length),
+        ((0, 2, 0), [(2, 2)], 2 / length**2),
+        ((0, 0, 2), [(1, 1)], -2 / force**2),
+    ):
+        if row in powers:
+            for place in places:
+                curvature[*place, powers.index(row)] = value
+    return curvature
+
+
+def _solved(
+    rows: np.ndarray,
+    right: np.ndarray,
+    conditions: np.ndarray,
+    curvature: np.ndarray,
+    settings: _Settings,
+) -> Solved:
+    """The coefficients, the curvature at rest positive definite where that is asked.
+
+    Args:
+        rows: what a unit of each coefficient adds to each number, a block for each trial.
+        right: the numbers.
+        conditions: what a unit of each adds to what must vanish.
+        curvature: what it adds to the stiffness at rest, or what stands for it.
+        settings: of the fit.
+    """
+    values = np.zeros(len(conditions))
+    solved = solve(rows, right, conditions, values, settings.ridge)
+    if settings.rest != "stable":
+        return solved
+    mended = _positive(np.einsum("ijk,k->ij", curvature, solved.coefficients))
+    if mended is None:
+        return solved
+    upper = np.triu_indices(3)
+    conditions = np.concatenate([conditions, curvature[upper]])
+    values = np.concatenate([values, mended[upper]])
+    return solve(rows, right, conditions, values, settings.ridge)
 
 
 def _positive(stiffness: np.ndarray) -> np.ndarray | None:
@@ -311,24 +353,11 @@ def _at_rest(
     return np.asarray(wrench(rest)), np.moveaxis(np.asarray(slopes), 2, 1)
 
 
-def _words(direction: np.ndarray, powers: Powers, names: Sequence[str]) -> str:
-    """A combination of terms, the largest three."""
-    share = direction / np.abs(direction).max()
-    most = np.argsort(-np.abs(share), kind="stable")[:3]
-    parts = []
-    for term in most:
-        if abs(share[term]) > 0.1:
-            factors = [
-                name if power == 1 else f"{name}^{power}"
-                for name, power in zip(names, powers[term], strict=True)
-                if power
-            ]
-            parts.append(f"{share[term]:+.2g} {' '.join(factors) or '1'}")
-    return " ".join(parts) + (" ..." if np.sum(np.abs(share) > 0.1) > 3 else "")
-
-
-def _compared(energy: Polynomial, trials: Trials) -> Errors:
+def _compared(energy: Polynomial | Slender, trials: Trials) -> Errors:
     """How far an energy is from trials."""
+    if isinstance(energy, Slender):
+        wrenches, energies = map(np.asarray, _of_slender(energy, trials.poses))
+        return compared(trials, wrenches, energies)
     wrenches, energies = map(
         np.asarray,
         columns(trials.poses, energy.scale, energy.powers, energy.coordinates),
@@ -336,3 +365,10 @@ def _compared(energy: Polynomial, trials: Trials) -> Errors:
     coefficients = np.asarray(energy.coefficients)
     above = energies - resting(energy.powers)
     return compared(trials, wrenches @ coefficients, above @ coefficients)
+
+
+@jax.jit
+def _of_slender(
+    energy: Slender, poses: Float[Array, "trials 3"]
+) -> tuple[Float[Array, "trials 3"], Float[Array, " trials"]]:
+    return jax.vmap(energy.wrench)(poses), jax.vmap(energy)(poses)

@@ -80,6 +80,11 @@ class Slender(AbstractEnergy):
         self.force = positive("`force`", force)
         need_fitting(self, self.coefficients, self.powers)
 
+    @property
+    def order(self) -> int:
+        """The largest sum of powers of turn and translation in a term."""
+        return max(row[0] + row[1] for row in self.powers)
+
     def fault(self) -> str | None:
         """Which coefficient is not finite, or that there is no give along the axis."""
         if fault := fault_of_coefficients(self.coefficients, self.powers):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import need_energy, need_folder, prepare_jax, Refused
+from .common import need_folder, prepare_jax, Refused
 
 
 def fit(
@@ -18,7 +18,8 @@ def fit(
         typer.Option(help="Of the polynomial. [default: that of the least error]"),
     ] = None,
     coordinates: Annotated[
-        str, typer.Option(help="Of the polynomial: twistor or twist.")
+        str,
+        typer.Option(help="Of the polynomial: twistor, twist, or for flexures tension."),
     ] = "twistor",
     symmetry: Annotated[
         str | None,
@@ -40,9 +41,15 @@ def fit(
     The first row of the file names its columns: angle_rad, px_m, py_m, moment_Nm, fx_N,
     fy_N; energy_J and standard deviations (sd_fx_N) where there are any.
 
-    Example: twistorjax fit trials.csv --symmetry leaf --hold-out 0.2 --save hinge.json
+    Example: twistorjax fit trials.csv --coordinates tension --symmetry leaf
     """
-    kind = need_energy(coordinates, "--coordinates")
+    kinds_of_fit = ("twistor", "twist", "tension")
+    if coordinates not in kinds_of_fit:
+        raise Refused(
+            f"--coordinates is {coordinates!r}, but must be one of "
+            f"{', '.join(kinds_of_fit)}."
+        )
+    kind: Any = coordinates
     if order is not None and not 1 <= order <= 20:
         raise Refused(f"--order is {order}, but must lie between 1 and 20.")
     if not (math.isfinite(hold_out) and 0 <= hold_out < 1):

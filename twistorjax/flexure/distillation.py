@@ -1,7 +1,7 @@
 """Energies of beams as polynomials: nearly exact, at the cost of one hinge."""
 
+from collections.abc import Sequence
 from functools import partial
-from itertools import product
 from typing import NamedTuple
 
 import diffrax as dfx
@@ -12,17 +12,16 @@ from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, ArrayLike, Float
 
-from .. import se2
+from .. import mixed
 from .._checks import all_known, known, need_float64, positive, within
-from .._types import Matrix, Pose, Scalar, Twist, Wrench
+from .._types import Matrix, Pose, Scalar, Wrench
 from ..certified import Certified
-from ..monomials import Powers
+from ..monomials import monomials, Powers, Symmetry
 from ..slender import Slender
 from .beam import Beam, end_of, integrated, last_of, State, uniform, units_of
 
 
-# order in turn and translation, and in the tension
-_ORDERS = {4: 3, 6: 4, 8: 5, 10: 6}
+_ORDERS = (4, 6, 8, 10)
 _SAMPLES = 800  # to fit, and half as many to certify
 _NEAR_REST = (2, 0, 0), (1, 1, 0), (0, 2, 0), (0, 0, 2)
 
@@ -78,7 +77,7 @@ def distilled(
     if not error > 0:
         raise ValueError(f"`error` is {error!r}, but must be positive.")
     if order is not None and order not in _ORDERS:
-        raise ValueError(f"`order` is {order!r}, but must be one of {(*_ORDERS,)}.")
+        raise ValueError(f"`order` is {order!r}, but must be one of {_ORDERS}.")
     if force is not None:
         force = positive("`force`", force)
     alike = _alike(beam)
@@ -190,17 +189,10 @@ def _alike(beam: Beam) -> bool:
 
 
 def _powers(order: int, alike: bool) -> Powers:
-    """Those of a flexure that is its own mirror image; W has none in n alone, but n^2."""
-    return tuple(
-        (turn, across, tension)
-        for tension, across, turn in product(
-            range(_ORDERS[order] + 1), range(order + 1), range(order + 1)
-        )
-        if turn + across <= order
-        and (turn + across) % 2 == 0
-        and not (alike and turn % 2)
-        and (turn + across > 0 or tension > 1)
-    )
+    """Those of a flexure that is its own mirror image, and bears nothing at rest."""
+    symmetry: Sequence[Symmetry] = ("mirror", "ends") if alike else ("mirror",)
+    powers = monomials(order, "tension", symmetry=symmetry)
+    return tuple(row for row in powers if row not in ((0, 0, 0), (0, 0, 1)))
 
 
 @partial(jax.jit, static_argnums=0)
@@ -222,32 +214,25 @@ def _coefficients(
     An error of the length is one of the tension, by how much the beam gives there: so
     the lengths' weights follow from a first fit, and from another.
     """
-    twists, pulls = jax.vmap(_by_twist)(
-        samples.poses[:_SAMPLES], samples.wrenches[:_SAMPLES]
-    )
-    turns, along, across = twists.T
-    force, exponents = samples.force, np.array(powers)
-    (t, dt, _), (y, dy, _), (n, dn, ddn) = (
-        _table(values, exponents[:, k])
-        for k, values in enumerate((turns, across / length, pulls[:, 1] / force))
-    )
+    twists, turning = jax.vmap(mixed.by_twist)(samples.poses[:_SAMPLES])
+    pulls = jnp.einsum("sij,sj->si", turning, samples.wrenches[:_SAMPLES])
+    adds = mixed.terms(powers, twists, pulls[:, 1], length, samples.force)
     known = _known_at_rest(powers, length, samples)
-    rows = jnp.stack([dt * y * n, t * dy * n / length, -t * y * dn / force])
-    right = jnp.stack([pulls[:, 0], pulls[:, 2], along]) - rows @ known
+    rows = jnp.stack([adds.moment, adds.shear, adds.length])
+    right = jnp.stack([pulls[:, 0], pulls[:, 2], twists[:, 1]]) - rows @ known
     free = np.array([k for k, row in enumerate(powers) if row not in _NEAR_REST])
-    rows, curves = rows[..., free], (t * y * ddn)[:, free] / force**2
+    rows, gives = rows[..., free], adds.give[:, free]
 
     moment, tension, shear = jnp.sqrt(jnp.mean(pulls**2, axis=0))
     stiffest = samples.stiffness[1, 1]
-    give = jnp.full_like(along, jnp.std(along) / tension)
+    give = jnp.full_like(twists[:, 1], jnp.std(twists[:, 1]) / tension)
     found = jnp.zeros(len(free))
     for _ in range(4):
         each = 1 / (give * tension)
         weights = jnp.stack([0 * each + 1 / moment, 0 * each + 1 / shear, each])
         weighted = (weights[..., None] * rows).reshape(-1, len(free))
         found = _least_squares(weighted, (weights * right).reshape(-1))
-        give = jnp.abs(curves @ found - 1 / stiffest)
-        give = jnp.maximum(give, 1e-3 / stiffest)
+        give = jnp.maximum(gives @ found + 1 / stiffest, 1e-3 / stiffest)
     return known.at[free].set(found)
 
 
@@ -263,27 +248,6 @@ def _known_at_rest(
         (0, 0, 2): -(samples.force**2) / (2 * stiffness[1, 1]),
     }
     return jnp.stack([told.get(row, jnp.zeros(())) for row in powers])
-
-
-def _by_twist(pose: Pose, wrench: Wrench) -> tuple[Twist, Wrench]:
-    """The twist, and the slopes of the energy by it."""
-    twist = se2.twist(pose)
-    _, back = jax.vjp(se2.exp, twist)
-    force = se2._turn(pose[0], wrench[1:])
-    return twist, back(jnp.concatenate([wrench[:1], force]))[0]
-
-
-def _table(values: Float[Array, " samples"], exponents: np.ndarray) -> list[Array]:
-    """Powers of the values, and their first two derivatives."""
-    rows = [jnp.ones_like(values)]
-    for _ in range(exponents.max()):
-        rows.append(rows[-1] * values)
-    table = jnp.stack(rows, axis=1)
-    factors = np.ones(exponents.shape), exponents * 1.0, exponents * (exponents - 1.0)
-    return [
-        jnp.asarray(factor)[None] * table[:, np.maximum(exponents - times, 0)]
-        for times, factor in enumerate(factors)
-    ]
 
 
 def _least_squares(

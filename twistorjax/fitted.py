@@ -1,0 +1,97 @@
+"""What a fit to trials tells: the energy, and how far it can be trusted."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .energy import Coordinates
+from .monomials import Powers
+from .polynomial import Polynomial
+from .slender import Slender
+from .trials import Errors
+
+
+class Fit(eqx.Module):
+    """An energy fitted to trials, and how far it can be trusted.
+
+    Args:
+        energy: fitted to all of the trials.
+        training: how far it is from them.
+        expected: how far from fresh trials of the same kind: what each trial's error
+            would be, were it left out of the fit. Infinite where the fit interpolates.
+        held_out: how far from trials that were held back a fit to the others was, or
+            nothing, where none were.
+        equations: numbers that were measured, less those held back.
+        terms: coefficients that were free.
+        rank: how many of these the trials tell apart.
+        condition: ratio of the largest singular value to the smallest that counts.
+        ridge: weight that draws coefficients to zero, as a part of the largest singular
+            value's square; chosen for the least expected error.
+        covariance: of the coefficients; J^2.
+        unseen: combinations of terms of which the trials tell nothing, in words.
+        warning: what to beware of, or nothing.
+    """
+
+    energy: Polynomial | Slender
+    training: Errors
+    expected: Errors
+    held_out: Errors | None
+    equations: int
+    terms: int
+    rank: int
+    condition: float
+    ridge: float
+    covariance: Float[np.ndarray, "terms terms"]
+    unseen: tuple[str, ...]
+    warning: str | None
+
+    def __repr__(self) -> str:
+        energy = self.energy
+        lines = [
+            f"{variables_of(energy)} polynomial of order {energy.order}: {self.terms} "
+            f"free coefficients from {self.equations} numbers, rank {self.rank}, "
+            f"condition {self.condition:.1e}, ridge {self.ridge:.0e}",
+            f"{'rms error':<22}  {'moment (N m)':>20}  {'force 1 (N)':>20}  "
+            f"{'force 2 (N)':>20}",
+        ]
+        kinds = (
+            ("training", self.training),
+            ("expected of fresh ones", self.expected),
+            ("held out", self.held_out),
+        )
+        for name, errors in kinds:
+            if errors is not None:
+                cells = [
+                    f"{f'{size:.3g} ({100 * share:.2g} %)':>20}"
+                    for size, share in zip(errors.wrench, errors.relative, strict=True)
+                ]
+                lines.append(f"{name:<22}  {'  '.join(cells)}")
+        if self.unseen:
+            lines.append(f"unseen: {'; '.join(self.unseen)}")
+        if self.warning:
+            lines.append(f"warning: {self.warning}")
+        return "\n".join(lines)
+
+
+def variables_of(energy: Polynomial | Slender) -> Coordinates | Literal["tension"]:
+    """The variables of which it is a polynomial."""
+    return "tension" if isinstance(energy, Slender) else energy.coordinates
+
+
+def in_words(direction: np.ndarray, powers: Powers, names: Sequence[str]) -> str:
+    """A combination of terms, the largest three."""
+    share = direction / np.abs(direction).max()
+    most = np.argsort(-np.abs(share), kind="stable")[:3]
+    parts = []
+    for term in most:
+        if abs(share[term]) > 0.1:
+            factors = [
+                name if power == 1 else f"{name}^{power}"
+                for name, power in zip(names, powers[term], strict=True)
+                if power
+            ]
+            parts.append(f"{share[term]:+.2g} {' '.join(factors) or '1'}")
+    return " ".join(parts) + (" ..." if np.sum(np.abs(share) > 0.1) > 3 else "")

@@ -258,10 +258,11 @@ def test_bad_input_is_told(make, message):
 def energies():
     polynomial = truth().parts[1]
     squares = tj.Squares([[0.1, 0.7]], [(0, 1, 0, 0), (0, 0, 0, 1)], scale=1 / 3)
-    return [polynomial, 0.3 * truth("twist"), tj.Rational(polynomial, squares)]
+    charges = tj.Coulomb([1 / 3, -0.1], [[0.1, 0.0], [-0.3, 0.7]])
+    return [polynomial, 0.3 * truth("twist"), tj.Rational(polynomial, squares), charges]
 
 
-@pytest.mark.parametrize("energy", energies(), ids=["polynomial", "sum", "rational"])
+@pytest.mark.parametrize("energy", energies(), ids=["polynomial", "sum", "rational", "charges"])
 def test_a_saved_energy_comes_back_to_the_last_bit(tmp_path, energy):
     tj.save_energy(energy, tmp_path / "hinge.json")
     back = tj.load_energy(tmp_path / "hinge.json")

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .certified import Certified
+from .coulomb import Coulomb
 from .energy import AbstractEnergy, Quadratic, Scaled, Sum
 from .polynomial import Polynomial, Rational, Squares
 from .slender import Slender
@@ -24,6 +25,7 @@ _KINDS = {
         Squares,
         Slender,
         Certified,
+        Coulomb,
         Sum,
         Scaled,
     )
@@ -34,8 +36,8 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
     """Writes an energy as JSON, to the last bit.
 
     Args:
-        energy: quadratic, polynomial, rational or slender; certified ones, their sums
-            and multiples.
+        energy: quadratic, polynomial, rational, slender or of charges; certified ones,
+            their sums and multiples.
         path: of the file; one that is there is replaced.
 
     Raises:

@@ -153,6 +153,20 @@ def test_a_notch_is_a_beam_of_its_own_outline():
         np.testing.assert_allclose(stiffness, expected, rtol=1e-5)
 
 
+def test_a_section_gives_way_beyond_its_largest_moment():
+    """St. Venant-Kirchhoff's is M = k - 0.3 (t / L)^2 k^3, whose top is at 7.03."""
+    beam = leaf("saint-venant-kirchhoff")
+
+    def turn(moment):
+        return bend(beam, jnp.array([moment * float(beam.bending), 0.0, 0.0])).pose[0]
+
+    for moment in (5.0, 6.9):
+        bound = np.sqrt(1 / 0.9) / 0.1
+        exact = brentq(lambda k, m=moment: k - 3e-3 * k**3 - m, 0.0, bound)
+        np.testing.assert_allclose(turn(moment), exact, rtol=1e-8)
+    assert np.isnan(turn(7.1)) and np.isnan(turn(8.0))
+
+
 def test_stress_is_that_of_a_bent_and_pulled_bar():
     beam = leaf()
     bent = bend(beam, jnp.array([0.05, 0.0, 0.0]))

@@ -262,7 +262,9 @@ def energies():
     return [polynomial, 0.3 * truth("twist"), tj.Rational(polynomial, squares), charges]
 
 
-@pytest.mark.parametrize("energy", energies(), ids=["polynomial", "sum", "rational", "charges"])
+@pytest.mark.parametrize(
+    "energy", energies(), ids=["polynomial", "sum", "rational", "charges"]
+)
 def test_a_saved_energy_comes_back_to_the_last_bit(tmp_path, energy):
     tj.save_energy(energy, tmp_path / "hinge.json")
     back = tj.load_energy(tmp_path / "hinge.json")

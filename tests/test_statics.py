@@ -513,7 +513,7 @@ def test_answers_print_in_a_few_lines():
     mechanism = block_on_spring(np.diag([2.0, 8.0, 5.0]))
     printed = repr(tj.equilibrium(mechanism, loads=[tj.Load("block", (0, 2.0, 0))]))
     first, head, wall, block = printed.splitlines()
-    assert first.startswith("successful: 1 of loads and drives, ")
+    assert first.startswith("successful: 100 % of loads and drives, ")
     assert head.split() == ["body", "angle", "(rad)", "x", "(m)", "y", "(m)"]
     assert (wall.split()[0], block.split()) == ("wall", ["block", "0", "0.25", "0"])
     assert len(repr(tj.equilibrium(cantilever(100))).splitlines()) < 25
@@ -581,3 +581,20 @@ def test_the_linear_map_tells_a_loose_mechanism():
     small = tj.linearise(block_on_spring(np.diag([1.0, 0.0, 1.0])))
     with pytest.raises(RuntimeError, match="can move without storing energy"):
         small()
+
+
+def test_a_soft_part_is_solved_beside_one_that_holds_much_more_energy():
+    leaf = tj.Quadratic(jnp.diag(jnp.array([1.0, 1e4, 12.0])), "twist")
+    block = tj.Quadratic(1e12 * jnp.eye(3))
+    mechanism = tj.Mechanism(
+        [tj.Body("wall"), tj.Body("tip", (0, 1, 0)), tj.Body("block", (0, 0, 5))],
+        [
+            tj.Hinge("leaf", "wall", "tip", leaf, at=(0, 0.5, 0)),
+            tj.Hinge("spring", "wall", "block", block, at=(0, 0, 5)),
+        ],
+        held=["wall"],
+    )
+    loads = [tj.Load("tip", (0, 0, 0.7)), tj.Load("block", (0, 1e12, 0))]
+    rest = tj.equilibrium(mechanism, loads=loads)
+    resisting = mechanism.wrenches(rest.poses)[1]
+    np.testing.assert_allclose(resisting, [0.0, 0.0, -0.7], atol=1e-3)

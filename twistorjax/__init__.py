@@ -20,6 +20,7 @@ from .fitted import Fit as Fit
 from .flexure import (
     Beam as Beam,
     bend as bend,
+    bend_to as bend_to,
     Bent as Bent,
     distilled as distilled,
     Exact as Exact,

@@ -1,14 +1,14 @@
 """Energies that say how far, and how well, they are known."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from ._checks import known, positive, row
+from ._checks import all_known, positive, row
 from ._types import Scalar
 from .clifford import Displacement
-from .energy import AbstractEnergy
+from .energy import AbstractEnergy, Viscous
 
 
 class Certified(AbstractEnergy):
@@ -34,8 +34,8 @@ class Certified(AbstractEnergy):
         >>> sure.wrench(jnp.array([0.2, 0.0, 0.0]))
         Traceback (most recent call last):
             ...
-        ValueError: The pose [0.2, 0.0, 0.0] is beyond the range of the energy: a turn of
-        0.1 rad and a force of 5 N.
+        ValueError: Beyond the range of the energy: it is turned by 0.2 rad and bears 0 N,
+        but is known up to 0.1 rad and 5 N.
     """
 
     energy: AbstractEnergy
@@ -67,27 +67,57 @@ class Certified(AbstractEnergy):
     def stretch(self, displacement: Displacement) -> Scalar:
         return self.energy.stretch(displacement)
 
+    def damped(self, time: Scalar) -> Viscous:
+        return self.energy.damped(time)
+
+    def resisted(
+        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        return self.energy.resisted(displacement, rates)
+
     def foreseen(self, tension: Scalar) -> AbstractEnergy:
         return self.energy.foreseen(tension)
 
     def beyond(self, displacement: Displacement) -> Bool[Array, ""]:
         """Whether the turn or the force is larger than those of the range."""
-        at = displacement
+        # at its very end there is rounding, and the error of the force itself
+        slack = 1 + 1e-9
+        sure = jnp.abs(displacement.angle) <= slack * self.turn
+        most = (slack + 3 * jnp.max(self.error)) * self.force
+        return ~(sure & (self._borne(displacement) <= most))
+
+    def _borne(self, at: Displacement) -> Scalar:
+        """The size of the force; N."""
 
         def stored(y1: Scalar, y2: Scalar) -> Scalar:
             moved = Displacement(at.angle, at.sigma, at.xi, y1 / 2, y2 / 2)
             return self.energy.stored(moved)
 
         along, across = jax.grad(stored, (0, 1))(2 * at.x1, 2 * at.x2)
-        slack = 1 + 1e-9  # of rounding, at the very end of the range
-        within = (jnp.abs(at.angle) <= slack * self.turn) & (
-            along**2 + across**2 <= (slack * self.force) ** 2
-        )
-        return ~within
+        return jnp.sqrt(along**2 + across**2)
 
-    def range(self) -> str:
-        """How far it is known, in words."""
-        turn, force = known(self.turn), known(self.force)
-        if turn is None or force is None:
-            return "the turn and the force that it was made for"
-        return f"a turn of {np.max(turn):.4g} rad and a force of {np.max(force):.4g} N"
+    def place_in_range(self, displacement: Displacement) -> str:
+        """How far it is displaced, and how far it is known, in words."""
+        seen = all_known(
+            [displacement.angle, self._borne(displacement), self.turn, self.force]
+        )
+        if seen is None:
+            return "it is turned further, or bears more, than it was made for"
+        turn, force, most_turn, most_force = map(float, seen)
+        return (
+            f"it is turned by {turn:.4g} rad and bears {force:.4g} N, but is known up to "
+            f"{most_turn:.4g} rad and {most_force:.4g} N"
+        )
+
+    def __repr__(self) -> str:
+        seen = all_known([self.turn, self.force, self.error])
+        if seen is None or seen[0].shape:
+            return eqx.tree_pformat(self)
+        turn, force, (moment, axial, transverse) = seen
+        terms = getattr(self.energy, "powers", None)
+        size = "" if terms is None else f" of {len(terms)} terms"
+        return (
+            f"{type(self.energy).__name__} energy{size}, known up to {float(turn):.4g} "
+            f"rad and {float(force):.4g} N; rms error {100 * moment:.2g} % in moment, "
+            f"{100 * axial:.2g} % in axial, {100 * transverse:.2g} % in transverse force"
+        )

@@ -306,7 +306,7 @@ def _proportional(
     leaves, tree = jax.tree.flatten(energy)
 
     def one(leaves, time):
-        return Viscous(time * jax.tree.unflatten(tree, leaves).tangent_stiffness())
+        return jax.tree.unflatten(tree, leaves).damped(time)
 
     *of_energy, of_time = axes
     if any(axis == 0 for axis in axes):

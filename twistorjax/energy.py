@@ -54,6 +54,20 @@ class AbstractEnergy(eqx.Module):
         del tension
         return self
 
+    def damped(self, time: Scalar) -> "Viscous":
+        """The damping that is its stiffness at rest times a time; N m s/rad, N s/m."""
+        return Viscous(time * self.tangent_stiffness())
+
+    def resisted(
+        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Of the rates of the twist, those that its stiffness at rest resists.
+
+        For dampings that are asked for it; see `Viscous`.
+        """
+        del displacement
+        return rates
+
     def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
         """Whether it is not known there, or nothing, where it is known everywhere."""
         del displacement
@@ -79,17 +93,15 @@ class AbstractEnergy(eqx.Module):
             return value
         seen = known(beyond)
         if seen is not None and np.any(seen):
-            at = known(pose)
-            shown = "" if at is None else f" {at.tolist()}"
-            raise ValueError(
-                f"The pose{shown} is beyond the range of the energy: {self.range()}."
-            )
+            place = self.place_in_range(Displacement.of(pose))
+            raise ValueError(f"Beyond the range of the energy: {place}.")
         # a product, so that its derivatives are NaN as well
         return value * jnp.where(beyond, jnp.nan, 1.0)
 
-    def range(self) -> str:
-        """How far it is known, in words."""
-        return "any displacement"
+    def place_in_range(self, displacement: Displacement) -> str:
+        """How far it is displaced, and how far it is known, in words."""
+        del displacement
+        return "it is known everywhere"
 
     def wrench(self, pose: Pose) -> Wrench:
         """What body B exerts on the coupling: about the origin of b, in the axes of b.
@@ -233,6 +245,14 @@ class Scaled(AbstractEnergy):
     def stretch(self, displacement: Displacement) -> Scalar:
         return self.energy.stretch(displacement)
 
+    def damped(self, time: Scalar) -> "Viscous":
+        return self.energy.damped(self.factor * time)
+
+    def resisted(
+        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        return self.energy.resisted(displacement, rates)
+
 
 class Viscous(eqx.Module):
     """What a coupling dissipates: half the damping times the square of the strain rate.
@@ -243,6 +263,9 @@ class Viscous(eqx.Module):
         coordinates: whose rates the damping multiplies: the "twistor" strain's
             `2 (xi, x1, x2)` or the "twist"'s. The dissertation uses the twistor's in both
             of its chapters, even beside the energy of the twist (equation 3.64 is 4.42).
+        resisted: whether only those rates count that the energy of its hinge resists. A
+            flexure whose ends come nearer as it bends is not stretched by that: damped
+            as if it were, it would lose a hundred times as much.
 
     Raises:
         ValueError: as for the stiffness of a `Quadratic`.
@@ -253,10 +276,16 @@ class Viscous(eqx.Module):
 
     damping: Matrix
     coordinates: Coordinates = eqx.field(static=True)
+    resisted: bool = eqx.field(static=True)
 
     def __init__(
-        self, damping: Float[ArrayLike, "3 3"], coordinates: Coordinates = "twistor"
+        self,
+        damping: Float[ArrayLike, "3 3"],
+        coordinates: Coordinates = "twistor",
+        *,
+        resisted: bool = False,
     ):
+        self.resisted = resisted
         self.damping = jnp.asarray(damping, float)
         self.coordinates = one_of("`coordinates`", coordinates, ("twistor", "twist"))
         if fault := fault_of_matrix("damping", self.damping):

@@ -12,6 +12,7 @@ from . import se2
 from ._checks import all_known, find, kinds, known, PLURAL
 from ._types import Corners, Pose, Poses, PosesLike, Scalar, Wrench, Wrenches
 from .body import Body
+from .clifford import Displacement
 from .couplings import Couplings, stack_hinges
 from .hinge import Hinge
 
@@ -164,11 +165,8 @@ class Mechanism(eqx.Module):
         words = []
         for row in map(int, np.flatnonzero(beyond)):
             name, energy = self.hinge_names[row], self.couplings.energy_of(row)
-            turn = float(self.displacement_of(name, poses)[0])
-            words.append(
-                f"The hinge {name!r} is turned by {turn:.4g} rad; its energy is known up "
-                f"to {energy.range()}."
-            )
+            at = Displacement.of(self.displacement_of(name, poses))
+            words.append(f"The hinge {name!r}: {energy.place_in_range(at)}.")
         return " ".join(words)
 
     def displacement_of(self, hinge: str, poses: Poses) -> Pose:

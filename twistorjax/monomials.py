@@ -83,11 +83,13 @@ def monomials(
         raise ValueError(f"`order` is {order!r}, but must be a whole number from 0 on.")
     if symmetry == "leaf":
         symmetry = (*LEAF, "sign") if coordinates == "twistor" else LEAF
-    for kind in symmetry:
-        one_of("`symmetry`", kind, tuple(_PARITY))
+    kinds: Sequence[str] = (symmetry,) if isinstance(symmetry, str) else symmetry
+    for kind in kinds:
+        if kind not in _PARITY:
+            one_of("`symmetry`", kind, ("leaf", *_PARITY))
         if kind == "sign" and coordinates != "twistor":
             raise ValueError("`symmetry` has 'sign', which is one of the twistor alone.")
-    odd = [[name in _PARITY[kind] for name in names] for kind in symmetry]
+    odd = [[name in _PARITY[kind] for name in names] for kind in kinds]
     tops = [order] * len(names)
     if coordinates == "twistor" and not redundant:
         tops[0] = min(order, 1)

@@ -136,7 +136,9 @@ def forces_in_motion(
     at, excess = _borne(grip.half.displacement, stretch)
     slope, _ = _slopes(energy, at)
     moving = grip.rates(*rates)
-    drag = None if damping is None else _drag(damping, at, _coordinates(at), moving)
+    drag = (
+        None if damping is None else _drag(energy, damping, at, _coordinates(at), moving)
+    )
     if drag is None:
         return _pull(grip, slope), excess, jnp.zeros_like(slope[0])
     return _pull(grip, _sum(slope, drag)), excess, _dot(drag, moving)
@@ -182,7 +184,7 @@ def tangent_in_motion(
     if damping is not None:
         moving = grip.rates(*rates)
         drag, drag_push = jax.linearize(
-            lambda place, rates: _drag(damping, at, place, rates),
+            lambda place, rates: _drag(energy, damping, at, place, rates, at),
             _coordinates(at),
             moving,
         )
@@ -232,14 +234,29 @@ def _slopes(
     return jax.linearize(jax.grad(stored, argnums=(0, 1, 2)), *_coordinates(at))
 
 
-def _drag(damping: Viscous, at: Displacement, place: Three, rates: Three) -> Three:
-    """What a damping adds to the slopes, by the coordinates and their rates."""
+def _drag(
+    energy: AbstractEnergy,
+    damping: Viscous,
+    at: Displacement,
+    place: Three,
+    rates: Three,
+    resisting: Displacement | None = None,
+) -> Three:
+    """What a damping adds to the slopes, by the coordinates and their rates.
+
+    A tangent may take for `resisting`, where the energy says what it resists, the place
+    about which it is: a solver converges as fast, and is compiled in half the time.
+    """
 
     def half_power(rates: Three) -> Scalar:
         def measure(angle: Scalar, y1: Scalar, y2: Scalar) -> Three:
             return strain(_moved(at, (angle, y1, y2)), damping.coordinates)
 
-        return half_square(damping.damping, jax.jvp(measure, place, rates)[1])
+        _, strained = jax.jvp(measure, place, rates)
+        if damping.resisted:
+            where = _moved(at, place) if resisting is None else resisting
+            strained = energy.resisted(where, strained)
+        return half_square(damping.damping, strained)
 
     return jax.grad(half_power)(rates)
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, ArrayLike, Float
 from ._checks import known, positive
 from ._types import Scalar
 from .clifford import Displacement
-from .energy import AbstractEnergy, strain, stretch
+from .energy import AbstractEnergy, strain, stretch, Viscous
 from .monomials import Powers, summed
 from .polynomial import fault_of_coefficients, need_fitting, rows_of_powers
 
@@ -109,6 +109,24 @@ class Slender(AbstractEnergy):
 
     def foreseen(self, tension: Scalar) -> "AbstractEnergy":
         return _Foreseen(self, tension / self.force)
+
+    def damped(self, time: Scalar) -> Viscous:
+        return Viscous(time * self.tangent_stiffness(), "twist", resisted=True)
+
+    def resisted(
+        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """The rates of a solid whose every strain is damped by the same time.
+
+        Along the axis that of the tension, as the translation that it would be at rest.
+        """
+        turn, along, across = strain(displacement, "twist")
+        tension = _tension(self.parts(turn, across), self.force * along)
+        still = jnp.zeros_like(turn)
+        (_, lean), bend = _leaning(self, tension, turn, across)
+        _, at_rest = _leaning(self, still, still, still)
+        rate = rates[1] + (lean[0] * rates[0] + lean[1] * rates[2]) / self.force
+        return rates[0], rate * jnp.sqrt(at_rest / bend), rates[2]
 
     def parts(self, turn: Scalar, across: Scalar) -> Parts:
         """What multiplies each power of the tension, from 0 on; J."""

@@ -7,7 +7,7 @@ from .beam import (
     largest_turn as largest_turn,
 )
 from .distillation import distilled as distilled
-from .exact import Exact as Exact
+from .exact import bend_to as bend_to, Exact as Exact
 from .leaf import (
     leaf as leaf,
     leaf_outline as leaf_outline,

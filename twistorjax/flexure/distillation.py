@@ -13,7 +13,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, ArrayLike, Float
 
 from .. import mixed
-from .._checks import all_known, known, need_float64, positive, within
+from .._checks import all_known, kinds, known, need_float64, positive, within
 from .._types import Matrix, Pose, Scalar, Wrench
 from ..certified import Certified
 from ..monomials import monomials, Powers, Symmetry
@@ -38,14 +38,15 @@ def distilled(
 
     Of a mixed kind, see `Slender`: so it takes as few terms for a very slender leaf as
     for a thick one. At rest its stiffness is the beam's own. It can be differentiated by
-    all dimensions of the beam, to the error that it has; make a sweep over them under
-    `jax.jit`, with `order` given.
+    all dimensions of the beam, to the error that it has in the wrench. A sweep over them
+    goes under `jax.jit` and `jax.lax.map`, with `order` given.
 
     Args:
         beam: leaf, notch or any other outline.
         turn: the largest, either way, up to which it is to hold; rad.
         force: the largest, in any direction; by default five times the bending stiffness
-            over the length, five E I / L^2 of a leaf; N.
+            over the length, five E I / L^2 of a leaf. At some ten times it would buckle
+            between its ends, which no polynomial follows; N.
         error: the largest that is accepted in any component of the wrench, root mean
             square over that of the wrenches, on samples that the fit has not seen. While
             the beam is being traced it cannot be looked at: then it is only told.
@@ -72,6 +73,7 @@ def distilled(
         >>> hinge.wrench(bend(leaf, jnp.array([0.05, 0.0, 2.0])).pose)[2].round(2)
         Array(1.88, dtype=float64)
     """
+    kinds("beam", [beam], Beam)
     need_float64(beam.length)
     turn = within("`turn`", turn, 0.0, 2 * np.pi, "must be positive, to a full turn")
     if not error > 0:
@@ -89,9 +91,10 @@ def distilled(
     ends = f"a turn of {float(turn):.4g} rad and a force of {float(samples.force):.4g} N"
     if not missed < 1e-6:
         raise ValueError(
-            f"The beam cannot be bent everywhere up to {ends}: one turn is missed by "
-            f"{missed:.1g} rad. Take a smaller `turn` or `force`, or a beam with more "
-            "`steps`."
+            f"The beam cannot be bent everywhere up to {ends}: from "
+            f"{float(samples.least_missed):.3g} N on some turns are not found. Pressed "
+            "by some ten times its bending stiffness over its length it buckles between "
+            "its ends. Take a smaller `turn` or `force`."
         )
     reached = {}
     for tried in _ORDERS if order is None else (order,):
@@ -113,6 +116,7 @@ class _Samples(NamedTuple):
         poses: of frame b, seen from frame a; rad, m, m.
         wrenches: that body B exerts: about b, in its axes; N m, N, N.
         missed: by how much the turn is not what was wanted; rad.
+        least_missed: the least force under which one is missed; N.
         force: the largest; N.
         stiffness: of the beam at rest, rotation first; N m/rad, N/rad, N/m.
     """
@@ -120,6 +124,7 @@ class _Samples(NamedTuple):
     poses: Float[Array, "samples 3"]
     wrenches: Float[Array, "samples 3"]
     missed: Float[Array, " samples"]
+    least_missed: Scalar
     force: Scalar
     stiffness: Matrix
 
@@ -138,6 +143,8 @@ def _sampled(beam: Beam, turn: Scalar, force: Scalar | None) -> _Samples:
     limit = 5 * stiffness[0, 0] / beam.length if force is None else force
     still, largest, slack = lax.stop_gradient((beam, turn, limit / units[1]))
 
+    softest = lax.stop_gradient(units[0] / stiffness[0, 0])
+
     def turned(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
         return _end(still, jnp.concatenate([moment[None], force])).angle
 
@@ -150,17 +157,20 @@ def _sampled(beam: Beam, turn: Scalar, force: Scalar | None) -> _Samples:
         def nearer(_, moment: Scalar) -> Scalar:
             one = jnp.ones_like(moment)
             reached, slope = jax.jvp(lambda m: turned(m, across), (moment,), (one,))
-            return moment + (wanted - reached) / slope
+            # no more than from one winding to the next
+            gap = jnp.clip(wanted - reached, -1.0, 1.0)
+            return moment + gap / jnp.maximum(slope, 0.3 * softest)
 
-        first = lax.stop_gradient(stiffness[0, 0] / units[0]) * wanted
-        moment = lax.fori_loop(0, 7, nearer, first)
+        moment = lax.fori_loop(0, 10, nearer, wanted / softest)
         missed = jnp.abs(turned(moment, across) - wanted)
         return jnp.concatenate([moment[None], across]), missed
 
     loads, missed = jax.vmap(load)(_spread())
     poses, wrenches = jax.vmap(sample)(lax.stop_gradient(loads))
     missed = jnp.where(jnp.isfinite(missed), missed, jnp.inf)
-    return _Samples(poses, wrenches, missed, limit, stiffness)
+    forces = units[1] * jnp.linalg.norm(loads[:, 1:], axis=1)
+    least = jnp.min(jnp.where(missed < 1e-6, jnp.inf, forces))
+    return _Samples(poses, wrenches, missed, least, limit, stiffness)
 
 
 def _spread() -> Float[Array, "samples 3"]:

@@ -13,7 +13,7 @@ from .. import se2
 from .._types import Pose, Scalar
 from ..clifford import Displacement
 from ..energy import AbstractEnergy
-from .beam import Beam, end_of, integrated, last_of, State, units_of
+from .beam import Beam, bend, Bent, end_of, integrated, last_of, State, units_of
 
 
 class Exact(AbstractEnergy):
@@ -43,6 +43,28 @@ class Exact(AbstractEnergy):
         place = jnp.stack([cos * half - sin * across, sin * half + cos * across])
         pose = jnp.concatenate([displacement.angle[None], 2 * place])
         return _stored(self.beam, pose)
+
+
+def bend_to(beam: Beam, pose: Pose, places: int = 21) -> Bent:
+    """A beam bent to a pose: what it bears there, its line and its stress.
+
+    Args:
+        beam: with its frames at the middle, axis 1 along it.
+        pose: of frame b, seen from frame a, as `Mechanism.displacement_of` tells it of a
+            hinge; rad, m, m.
+        places: how many sections are told, the ends among them.
+
+    Returns:
+        NaN where no load is found that bends it there; see `Exact`.
+
+    Example:
+        >>> from twistorjax import Material
+        >>> soft = Material(modulus=3.45e9, poisson=0.3)
+        >>> leaf = Beam(soft, length=10e-3, thickness=1e-3, width=5e-3)
+        >>> bend_to(leaf, jnp.array([0.1, 0.0, 0.0])).stress.max() / 1e6  # MPa
+        Array(15.15..., dtype=float64)
+    """
+    return bend(beam, _load(beam, pose) * units_of(beam), places)
 
 
 @jax.custom_jvp

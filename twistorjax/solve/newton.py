@@ -193,7 +193,7 @@ def settle(
         fraction: Scalar  # that converged
         stride: Scalar  # beyond it
         tries: Int[Array, ""]  # Newton steps in this stride
-        change: Scalar  # energy of the last step
+        changes: Float[Array, " free"]  # energy of the last step, by coordinate
         scale: Scalar  # energy of the first step of this stride
         steps: Int[Array, ""]
         status: Int[Array, ""]
@@ -217,13 +217,17 @@ def settle(
 
         foreseen = sum(jax.jvp(tension, (state.now,), (now - state.now,)))
 
-        change = jnp.sum(jnp.abs(step * right))
+        changes = jnp.abs(step * right)
+        change = jnp.sum(changes)
         first = state.tries == 0
         scale = jnp.where(first, change, state.scale)
-        share = jnp.where(first, 1.0, jnp.sqrt(change / state.change))
+        # each coordinate by itself: a soft one converges beside stiff ones that have
+        shares = jnp.where(first, 1.0, changes / state.changes)
+        fast = shares < 0.0625  # the root of which is that of the errors
+        saved = shares / (1 - jnp.sqrt(jnp.where(fast, shares, 0.0))) ** 2
         measure = jnp.maximum(scale, work)  # NaN only beside a change that is too
-        error = jnp.sqrt(change / jnp.where(measure > 0, measure, 1.0))
-        expected = jnp.where(share < 0.25, error * share / (1 - share), error)
+        left = jnp.sum(jnp.where(fast, changes * saved, changes))
+        expected = jnp.sqrt(left / jnp.where(measure > 0, measure, 1.0))
         turned = jnp.max(jnp.abs(now - state.done)[:, 0], initial=0.0)
         resists = factors.resists()
         sane = resists & jnp.isfinite(change) & (turned <= _LARGEST_TURN)
@@ -259,16 +263,17 @@ def settle(
             fraction=fraction,
             stride=jnp.where(converged, grown, stride),
             tries=jnp.where(converged | cut, 0, state.tries + 1),
-            change=change,
+            changes=changes,
             scale=scale,
             steps=steps,
             status=status,
         )
 
     zero, none = jnp.zeros(()), jnp.zeros((), int)
+    nothing = jnp.zeros(count)
     borne = problem.couplings.tension(start)
     state = State(
-        start, borne, start, borne, zero, zero + 1, none, zero, zero, none, none
+        start, borne, start, borne, zero, zero + 1, none, nothing, zero, none, none
     )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
     return Settled(state.done, state.fraction, state.steps, state.status)

@@ -56,9 +56,11 @@ class Equilibrium(Placed):
             return eqx.tree_pformat(self)
         moved, energy, fraction = seen
         title = (
-            f"{ended}: {float(fraction):.4g} of loads and drives, "
-            f"{int(self.steps)} Newton steps, {float(energy):.6g} J in the hinges"
+            f"{ended}: {100 * float(fraction):.4g} % of loads and drives, "
+            f"{int(self.steps)} Newton steps"
         )
+        if np.isfinite(energy):
+            title += f", {float(energy):.6g} J in the hinges"
         return self._listed(title, "body", moved)
 
 

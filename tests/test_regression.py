@@ -149,6 +149,10 @@ def test_by_tension_finite_elements_are_met_to_their_own_error(name, limit):
     np.testing.assert_array_less(fit.held_out.relative, limit)
     np.testing.assert_array_less(fit.expected.relative, limit)
     assert np.all(fit.held_out.relative > fit.expected.relative / 10)
+    sure, furthest = fit.certified, trials.poses[np.argmax(np.abs(trials.poses[:, 0]))]
+    np.testing.assert_array_equal(sure.wrench(furthest), fit.energy.wrench(furthest))
+    with pytest.raises(ValueError, match="Beyond the range of the energy"):
+        sure.wrench(1.01 * furthest)
 
 
 def test_by_tension_a_slender_energy_is_found_again():
@@ -174,6 +178,8 @@ def test_by_tension_what_is_no_flexure_is_told():
     alone = tj.Trials(trials.poses, energies=np.ones(17))
     with pytest.raises(ValueError, match="needs the wrench of each"):
         tj.fit_energy(alone, 2, coordinates="tension")
+    with pytest.raises(ValueError, match="cannot be certified"):
+        print(tj.fit_energy(alone, 2, symmetry="leaf").certified)
 
 
 def test_random_numbers_are_interpolated_and_that_is_said():

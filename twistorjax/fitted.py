@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .certified import Certified
 from .energy import Coordinates
 from .monomials import Powers
 from .polynomial import Polynomial
@@ -33,6 +34,8 @@ class Fit(eqx.Module):
         covariance: of the coefficients; J^2.
         unseen: combinations of terms of which the trials tell nothing, in words.
         warning: what to beware of, or nothing.
+        turn: the largest of the trials; rad.
+        force: the largest of the trials; N. NaN where none was measured.
     """
 
     energy: Polynomial | Slender
@@ -47,6 +50,23 @@ class Fit(eqx.Module):
     covariance: Float[np.ndarray, "terms terms"]
     unseen: tuple[str, ...]
     warning: str | None
+    turn: float
+    force: float
+
+    @property
+    def certified(self) -> Certified:
+        """The energy as a hinge that is refused beyond the trials, with its error.
+
+        Raises:
+            ValueError: the trials have no wrenches, or the fit interpolates them.
+        """
+        if not np.all(np.isfinite(self.expected.relative)):
+            raise ValueError(
+                "This fit cannot be certified: it foretells nothing of the wrench at other "
+                "trials. It needs some with wrenches, and more of them than it has "
+                "coefficients."
+            )
+        return Certified(self.energy, self.turn, self.force, self.expected.relative)
 
     def __repr__(self) -> str:
         energy = self.energy

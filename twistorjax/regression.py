@@ -144,6 +144,9 @@ class _Candidate(NamedTuple):
                 "order, more symmetry, or more trials."
             )
         names = VARIABLES[variables_of(self.energy)]
+        forces = np.full((1, 2), np.nan)
+        if trials.wrenches is not None:
+            forces = np.asarray(trials.wrenches[:, 1:])
         return Fit(
             energy=self.energy,
             training=_compared(self.energy, trials),
@@ -160,6 +163,8 @@ class _Candidate(NamedTuple):
                 for direction in solved.unseen.T[:5]
             ),
             warning=warning,
+            turn=float(np.abs(trials.poses[:, 0]).max()),
+            force=float(np.linalg.norm(forces, axis=1).max()),
         )
 
 

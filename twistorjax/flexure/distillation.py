@@ -159,7 +159,7 @@ def _sampled(beam: Beam, turn: Scalar, force: Scalar | None) -> _Samples:
             reached, slope = jax.jvp(lambda m: turned(m, across), (moment,), (one,))
             # no more than from one winding to the next
             gap = jnp.clip(wanted - reached, -1.0, 1.0)
-            return moment + gap / jnp.maximum(slope, 0.3 * softest)
+            return moment + gap / jnp.maximum(slope, 0.03 * softest)
 
         moment = lax.fori_loop(0, 10, nearer, wanted / softest)
         missed = jnp.abs(turned(moment, across) - wanted)

@@ -62,7 +62,7 @@ class Fit(eqx.Module):
         """
         if not np.all(np.isfinite(self.expected.relative)):
             raise ValueError(
-                "This fit cannot be certified: it foretells nothing of the wrench at other "
+                "This fit cannot be certified: it foretells nothing of wrenches at other "
                 "trials. It needs some with wrenches, and more of them than it has "
                 "coefficients."
             )

@@ -248,7 +248,8 @@ def test_poses_beyond_the_range_are_refused():
     for pose in (turned, pulled):
         with pytest.raises(ValueError, match=r"is known up to 0\.1 rad and 5 N"):
             SURE.wrench(pose)
-    for one in (SURE, SURE.wrench, jax.grad(SURE)):
+    doubled = 2.0 * SURE + SURE.energy
+    for one in (SURE, SURE.wrench, jax.grad(SURE), doubled):
         values = jax.vmap(one)(jnp.stack([inside, turned, pulled]))
         finite = jnp.isfinite(values.reshape(3, -1)).all(axis=1)
         np.testing.assert_array_equal(finite, [True, False, False])

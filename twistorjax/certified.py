@@ -1,5 +1,7 @@
 """Energies that say how far, and how well, they are known."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -48,7 +50,7 @@ class Certified(AbstractEnergy):
         energy: AbstractEnergy,
         turn: ArrayLike,
         force: ArrayLike,
-        error: Float[ArrayLike, "3"],
+        error: Float[ArrayLike, "3"] | Sequence[ArrayLike],
     ):
         if not isinstance(energy, AbstractEnergy):
             raise ValueError(f"`energy` is a {type(energy).__name__}, but must be one.")

@@ -225,6 +225,20 @@ class Sum(AbstractEnergy):
         energies = [part.stored(displacement) for part in self.parts]
         return jnp.sum(jnp.stack(energies))
 
+    def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
+        """Whether one of the parts is not known there."""
+        seen = [part.beyond(displacement) for part in self.parts]
+        found = [beyond for beyond in seen if beyond is not None]
+        return jnp.any(jnp.stack(found)) if found else None
+
+    def place_in_range(self, displacement: Displacement) -> str:
+        """How far it is displaced, and how far that part is known, in words."""
+        for part in self.parts:
+            beyond = part.beyond(displacement)
+            if beyond is not None and known(beyond) is not None and beyond:
+                return part.place_in_range(displacement)
+        return super().place_in_range(displacement)
+
 
 class Scaled(AbstractEnergy):
     """An energy times a factor: the same coupling, wider or of a stiffer material."""
@@ -244,6 +258,19 @@ class Scaled(AbstractEnergy):
 
     def stretch(self, displacement: Displacement) -> Scalar:
         return self.energy.stretch(displacement)
+
+    def foreseen(self, tension: Scalar) -> "Scaled":
+        some = self.factor > 0
+        share = jnp.where(some, tension / jnp.where(some, self.factor, 1.0), 0.0)
+        return Scaled(self.factor, self.energy.foreseen(share))
+
+    def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
+        """Whether the energy is not known there."""
+        return self.energy.beyond(displacement)
+
+    def place_in_range(self, displacement: Displacement) -> str:
+        """How far it is displaced, and how far the energy is known, in words."""
+        return self.energy.place_in_range(displacement)
 
     def damped(self, time: Scalar) -> "Viscous":
         return self.energy.damped(self.factor * time)

@@ -11,11 +11,8 @@ from .body import Body as Body, plate as plate
 from .boundary import Drive as Drive, Load as Load
 from .certified import Certified as Certified
 from .coulomb import Coulomb as Coulomb
-from .energy import (
-    AbstractEnergy as AbstractEnergy,
-    Quadratic as Quadratic,
-    Viscous as Viscous,
-)
+from .damping import Viscous as Viscous
+from .energy import AbstractEnergy as AbstractEnergy, Quadratic as Quadratic
 from .fitted import Fit as Fit
 from .flexure import (
     Beam as Beam,

@@ -10,7 +10,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from ._checks import all_known, positive, row
 from ._types import Scalar
 from .clifford import Displacement
-from .energy import AbstractEnergy, Viscous
+from .damping import Viscous
+from .energy import AbstractEnergy
 
 
 class Certified(AbstractEnergy):

@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float
 from . import pull
 from ._checks import all_known
 from ._types import Poses, Scalar, Wrenches
-from .energy import AbstractEnergy, Viscous
+from .damping import Viscous
+from .energy import AbstractEnergy
 from .grip import End, halfway
 from .hinge import Hinge
 

@@ -6,7 +6,6 @@ and 4 of the dissertation.
 """
 
 from abc import abstractmethod
-from typing import Literal
 
 import equinox as eqx
 import jax
@@ -18,9 +17,8 @@ from . import se2
 from ._checks import known, one_of
 from ._types import Matrix, Pose, Scalar, Twist, Wrench
 from .clifford import Displacement
-
-
-Coordinates = Literal["twist", "twistor"]
+from .damping import Viscous
+from .strains import Coordinates, fault_of_matrix, half_square, strain, stretch
 
 
 class AbstractEnergy(eqx.Module):
@@ -279,132 +277,3 @@ class Scaled(AbstractEnergy):
         self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
     ) -> tuple[Scalar, Scalar, Scalar]:
         return self.energy.resisted(displacement, rates)
-
-
-class Viscous(eqx.Module):
-    """What a coupling dissipates: half the damping times the square of the strain rate.
-
-    Args:
-        damping: symmetric, with no negative eigenvalue, ordered as a stiffness is;
-            N m s/rad, N s/rad, N s/m.
-        coordinates: whose rates the damping multiplies: the "twistor" strain's
-            `2 (xi, x1, x2)` or the "twist"'s. The dissertation uses the twistor's in both
-            of its chapters, even beside the energy of the twist (equation 3.64 is 4.42).
-        resisted: whether only those rates count that the energy of its hinge resists. A
-            flexure whose ends come nearer as it bends is not stretched by that: damped
-            as if it were, it would lose a hundred times as much.
-
-    Raises:
-        ValueError: as for the stiffness of a `Quadratic`.
-
-    Source:
-        Equations 3.62 to 3.64 and 4.40 to 4.42 of the dissertation.
-    """
-
-    damping: Matrix
-    coordinates: Coordinates = eqx.field(static=True)
-    resisted: bool = eqx.field(static=True)
-
-    def __init__(
-        self,
-        damping: Float[ArrayLike, "3 3"],
-        coordinates: Coordinates = "twistor",
-        *,
-        resisted: bool = False,
-    ):
-        self.resisted = resisted
-        self.damping = jnp.asarray(damping, float)
-        self.coordinates = one_of("`coordinates`", coordinates, ("twistor", "twist"))
-        if fault := fault_of_matrix("damping", self.damping):
-            raise ValueError(f"A `Viscous` damping cannot be made: {fault}")
-
-    def __call__(self, pose: Pose, rate: Pose) -> Scalar:
-        """Half the power dissipated at a pose that changes at a rate; W."""
-
-        def measure(pose: Pose) -> Twist:
-            return jnp.stack(strain(Displacement.of(pose), self.coordinates))
-
-        _, strain_rate = jax.jvp(measure, (pose,), (rate,))
-        return half_square(self.damping, tuple(strain_rate))
-
-    def wrench(self, pose: Pose, first: Twist, second: Twist) -> Wrench:
-        """The viscous wrench that body B exerts on the coupling, about b, in its axes.
-
-        The derivative of half the dissipated power by the velocity of b.
-
-        Args:
-            pose: frame b seen from frame a; rad, m, m.
-            first: velocity of frame a, in its own axes; rad/s, m/s, m/s.
-            second: velocity of frame b, in its own axes; rad/s, m/s, m/s.
-
-        Example:
-            >>> still, spin = jnp.zeros(3), jnp.array([2.0, 0.0, 0.0])
-            >>> Viscous(3.0 * jnp.eye(3)).wrench(jnp.zeros(3), still, spin)
-            Array([6., 0., 0.], dtype=float64)
-        """
-
-        def dissipated(velocity: Twist) -> Scalar:
-            turning = velocity[0] - first[0]
-            lever = jnp.stack([-pose[2], pose[1]])
-            drift = se2._turn(pose[0], velocity[1:]) - first[1:] - first[0] * lever
-            return self(pose, jnp.concatenate([turning[None], drift]))
-
-        return jax.grad(dissipated)(second)
-
-
-def strain(
-    displacement: Displacement, coordinates: Coordinates
-) -> tuple[Scalar, Scalar, Scalar]:
-    """The three numbers whose square a quadratic energy takes."""
-    turn = displacement.angle if coordinates == "twist" else 2 * displacement.xi
-    longer = stretch(displacement, coordinates)
-    return turn, 2 * longer * displacement.x1, 2 * longer * displacement.x2
-
-
-def stretch(displacement: Displacement, coordinates: Coordinates) -> Scalar:
-    """How much longer the translations of the coordinates are than those half way."""
-    if coordinates == "twist":
-        return 1 / se2.sinc(displacement.angle / 2, displacement.xi)
-    return jnp.ones_like(displacement.angle)
-
-
-def half_square(matrix: Matrix, vector: tuple[Scalar, Scalar, Scalar]) -> Scalar:
-    """Half a quadratic form.
-
-    Written out by scalars: batches of hinges then stay elementwise, and one loop on a
-    processor. As a product of arrays it takes a fifth longer over a sweep of stages.
-    """
-    a, b, c = vector
-    squares = matrix[0, 0] * a * a + matrix[1, 1] * b * b + matrix[2, 2] * c * c
-    mixed = matrix[0, 1] * a * b + matrix[0, 2] * a * c + matrix[1, 2] * b * c
-    return squares / 2 + mixed
-
-
-def fault_of_matrix(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
-    """What keeps a matrix from being a stiffness or a damping, in words, or nothing."""
-    if matrix.shape[-2:] != (3, 3):
-        return (
-            f"`{name}` has shape {matrix.shape}, but must be 3 by 3: a row and a column "
-            "each for the rotation and for the translations along axis 1 and axis 2."
-        )
-    values = known(matrix)
-    if values is None:
-        return None
-    if not np.all(np.isfinite(values)):
-        return f"`{name}` has a value that is not finite: {values.tolist()}."
-    # rotation and translation differ in unit, so by their size too: compare without it
-    size = np.sqrt(np.abs(np.diagonal(values, axis1=-2, axis2=-1)))
-    size = np.where(size > 0, size, 1.0)
-    scaled = values / (size[..., :, None] * size[..., None, :])
-    if np.max(np.abs(scaled - np.swapaxes(scaled, -1, -2))) > 1e-9:
-        return (
-            f"`{name}` is not symmetric: {values.tolist()}. Use its symmetric part, "
-            "`(matrix + matrix.T) / 2`; an antisymmetric part stores no energy."
-        )
-    lowest = np.linalg.eigvalsh((scaled + np.swapaxes(scaled, -1, -2)) / 2).min()
-    if lowest < -1e-9:
-        return (
-            f"`{name}` has a negative eigenvalue: {values.tolist()}. It would give "
-            "energy away when displaced; every eigenvalue must be zero or positive."
-        )
-    return None

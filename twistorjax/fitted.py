@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .certified import Certified
-from .energy import Coordinates
 from .monomials import Powers
 from .polynomial import Polynomial
 from .slender import Slender
+from .strains import Coordinates
 from .trials import Errors
 
 

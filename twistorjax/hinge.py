@@ -9,7 +9,8 @@ from jaxtyping import ArrayLike, Float
 
 from ._checks import row, text, within
 from ._types import Corners, Pose, Scalar
-from .energy import AbstractEnergy, Viscous
+from .damping import Viscous
+from .energy import AbstractEnergy
 
 
 class Hinge(eqx.Module):

@@ -17,7 +17,7 @@ from . import se2
 from ._checks import one_of
 from ._types import Scalar
 from .clifford import Displacement
-from .energy import Coordinates, stretch
+from .strains import Coordinates, stretch
 
 
 Powers = tuple[tuple[int, ...], ...]

@@ -18,7 +18,7 @@ from . import clifford, se2
 from ._checks import known, one_of, positive
 from ._types import Pose, Scalar
 from .clifford import Displacement
-from .energy import AbstractEnergy, Coordinates, stretch
+from .energy import AbstractEnergy
 from .monomials import (
     expanded,
     monomials,
@@ -28,6 +28,7 @@ from .monomials import (
     VARIABLES,
     variables,
 )
+from .strains import Coordinates, stretch
 
 
 class _OfMonomials(AbstractEnergy):

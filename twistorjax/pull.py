@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from ._types import Scalar
 from .clifford import Displacement, half_turn
-from .energy import AbstractEnergy, half_square, strain, Viscous
+from .damping import Viscous
+from .energy import AbstractEnergy
 from .grip import (
     combined,
     End,
@@ -24,6 +25,7 @@ from .grip import (
     Three,
     Two,
 )
+from .strains import half_square, strain
 
 
 @jax.jit

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import need_float64, one_of
-from .energy import Coordinates
 from .leastsquares import least
 from .monomials import columns, monomials, Powers, Symmetry, VARIABLES
 from .polynomial import Polynomial, Rational
+from .strains import Coordinates
 from .trials import compared, Errors, Trials
 
 

@@ -16,12 +16,12 @@ from jaxtyping import Array, Float
 
 from . import mixed, se2
 from ._checks import need_float64, one_of
-from .energy import Coordinates
 from .fitted import Fit, in_words, variables_of
 from .leastsquares import solve, Solved
 from .monomials import columns, monomials, Powers, resting, Symmetry, VARIABLES
 from .polynomial import Polynomial
 from .slender import Slender
+from .strains import Coordinates
 from .trials import compared, Errors, measured, Trials
 
 

@@ -17,9 +17,11 @@ from jaxtyping import Array, ArrayLike, Float
 from ._checks import known, positive
 from ._types import Scalar
 from .clifford import Displacement
-from .energy import AbstractEnergy, strain, stretch, Viscous
+from .damping import Viscous
+from .energy import AbstractEnergy
 from .monomials import Powers, summed
 from .polynomial import fault_of_coefficients, need_fitting, rows_of_powers
+from .strains import strain, stretch
 
 
 Parts = tuple[Scalar, ...]  # what the powers of the tension from 0 on are multiplied by

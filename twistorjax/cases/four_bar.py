@@ -21,7 +21,7 @@ from jaxtyping import ArrayLike, Float
 from .._types import Scalar
 from ..body import Body, plate
 from ..boundary import Drive
-from ..energy import Coordinates, Viscous
+from ..damping import Viscous
 from ..flexure import leaf, leaf_outline, Material, notch, notch_outline
 from ..hinge import Hinge
 from ..mechanism import Mechanism
@@ -29,6 +29,7 @@ from ..show.canvas import subplots
 from ..show.drawing import draw
 from ..solve.dynamics import simulate
 from ..solve.motion import Motion
+from ..strains import Coordinates
 
 
 if TYPE_CHECKING:

@@ -23,13 +23,14 @@ from jaxtyping import ArrayLike
 from .._types import Scalar
 from ..body import Body
 from ..boundary import Drive
-from ..energy import Coordinates, Viscous
+from ..damping import Viscous
 from ..flexure import Material, notch, notch_outline
 from ..flexure.notch import Formula
 from ..hinge import Hinge
 from ..mechanism import Mechanism
 from ..show.drawing import draw
 from ..solve.statics import Equilibrium, equilibrium
+from ..strains import Coordinates
 
 
 if TYPE_CHECKING:

@@ -7,8 +7,9 @@ from jaxtyping import ArrayLike
 
 from .._checks import kinds, one_of, positive, within
 from .._types import Corners
-from ..energy import Coordinates, Quadratic
+from ..energy import Quadratic
 from ..slender import Slender
+from ..strains import Coordinates
 from .material import Material
 
 

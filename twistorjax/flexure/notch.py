@@ -8,7 +8,8 @@ from jaxtyping import ArrayLike
 
 from .._checks import kinds, one_of, positive, within
 from .._types import Corners, Scalar
-from ..energy import Coordinates, Quadratic
+from ..energy import Quadratic
+from ..strains import Coordinates
 from .material import Material
 
 

@@ -19,6 +19,10 @@ pytestmark = pytest.mark.slow
 REFERENCE = json.loads(
     (pathlib.Path(__file__).parent / "reference" / "beams.json").read_text()
 )
+LAWS = [
+    pytest.param("linear", marks=pytest.mark.long),
+    "saint-venant-kirchhoff",  # the linear one is a part of it
+]
 SOFT = tj.Material(modulus=3.45e9, poisson=0.3)
 bend = jax.jit(tj.bend)
 
@@ -83,7 +87,7 @@ def test_a_guided_leaf_shortens(row):
     np.testing.assert_allclose([y, -x], [across, along], rtol=3e-8)
 
 
-@pytest.mark.parametrize("law", ["linear", "saint-venant-kirchhoff"])
+@pytest.mark.parametrize("law", LAWS)
 def test_its_wrench_is_the_slope_of_its_energy(law):
     """Castigliano: two ways through the same beam, there by a load, back by a pose."""
     beam = leaf(law)
@@ -95,6 +99,7 @@ def test_its_wrench_is_the_slope_of_its_energy(law):
     )
 
 
+@pytest.mark.long
 def test_derivatives_by_the_geometry_agree_with_differences():
     """Of the energy and of the wrench at one pose, by the thickness."""
     pose = bend(leaf(), jnp.array([0.08, 12.0, -9.0])).pose
@@ -125,7 +130,7 @@ def test_finite_elements_of_a_leaf_obey_the_same_material_law():
     assert np.all(errors[1] > 4 * errors[0])
 
 
-@pytest.mark.parametrize("law", ["linear", "saint-venant-kirchhoff"])
+@pytest.mark.parametrize("law", LAWS)
 def test_it_is_at_rest_what_beam_theory_says(law):
     exact = tj.Exact(leaf(law))
     stiffness = jnp.diag(eqx.filter_jit(exact.tangent_stiffness)(jnp.zeros(3)))

@@ -139,7 +139,10 @@ def test_finite_elements_of_a_notch_are_met():
     np.testing.assert_allclose(stiffness, [2.3875, 1.9406e8, 1.6210e7], rtol=2e-3)
 
 
-@pytest.mark.parametrize(("name", "limit"), [("fe_leaf", 2e-4), ("fe_notch", 1e-5)])
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [("fe_leaf", 2e-4), pytest.param("fe_notch", 1e-5, marks=pytest.mark.long)],
+)
 def test_by_tension_finite_elements_are_met_to_their_own_error(name, limit):
     """Those held back, and about as well as the fit foretells."""
     trials = tj.read_trials(REFERENCE / f"{name}.csv")

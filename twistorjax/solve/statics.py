@@ -220,19 +220,22 @@ def _solve(
     )
 
 
-def raised(answer: Equilibrium, mechanism: Mechanism) -> Equilibrium:
-    """The answer, if it succeeded; otherwise its failure is raised."""
+def raised(answer: Equilibrium, mechanism: Mechanism | None = None) -> Equilibrium:
+    """The answer, if it succeeded; otherwise its failure is raised.
+
+    Given the mechanism of one answer, its text names the hinges beyond their range.
+    """
     return raise_failed(answer, partial(_failure, answer, mechanism))
 
 
 def _failure(
-    answer: Equilibrium, mechanism: Mechanism, item: str, lane: tuple[int, ...]
+    answer: Equilibrium, mechanism: Mechanism | None, item: str, lane: tuple[int, ...]
 ) -> RuntimeError:
     fraction, steps = (
         np.asarray(value)[lane] for value in (answer.fraction, answer.steps)
     )
     where = f" in lane {', '.join(map(str, lane))} of the batch" if lane else ""
     text = meaning(item)
-    if item == "out_of_range" and not lane:
+    if item == "out_of_range" and mechanism is not None and not lane:
         text += f" {mechanism.ranges_beyond(mechanism.rest + answer.reached)}"
     return RuntimeError(f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})")

@@ -14,7 +14,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from . import command, leaves, motion, peers, peers_motion, statics
+from . import (
+    command,
+    identification,
+    leaves,
+    motion,
+    peers,
+    peers_identification,
+    peers_motion,
+    statics,
+)
 from .measure import Row
 
 
@@ -37,11 +46,16 @@ def main(
         met = {None: "", True: "yes", False: "NO"}[row.met]
         table.add_row(row.what, value, row.unit, row.asked, met)
 
-    for part in (statics, peers, leaves, motion, peers_motion, command):
+    parts = (
+        statics, peers, leaves, motion, peers_motion, identification,
+        peers_identification, command,
+    )  # fmt: skip
+    for part in parts:
         for row in part.run():
             keep(row)
-    for row in motion.beside(rows):
-        keep(row)
+    for part in (motion, identification):
+        for row in part.beside(rows):
+            keep(row)
     versions = {}
     for name in PACKAGES:
         try:

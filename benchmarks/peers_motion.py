@@ -9,6 +9,7 @@ Coordinates are the angles of links 2 to 4, then their displacements along x, al
 
 import warnings
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -155,15 +156,19 @@ def scipy_driven(method: str, rtol: float, atol: float) -> Motion:
     return lambda: motion()[2:], steps
 
 
-def exudyn_release(
-    steps: int = 4000, relative: float = 2e-5, absolute: float = 1e-6
-) -> Callable[[], np.ndarray]:
-    """The release by EXUDYN's rigid bodies and bushings, built once: the angles.
+def exudyn_linkage(
+    end: float, kept: float, steps: int, relative: float, absolute: float
+) -> tuple[Any, Callable[[], np.ndarray], int]:
+    """The linkage of EXUDYN's rigid bodies and bushings, let go.
 
     With its implicit solver as Newmark's method without numerical damping, and a modified
     Newton's method that renews its matrix often, to the given tolerances. With beta 0.16
-    it errs less than with 1/4, which needs 5700 steps, but is unstable at 3500; RK44,
-    the best of its explicit solvers, is unstable at 25,000.
+    it errs less than with 1/4, which needs 5700 steps for 1e-4 rad over 0.2 s, but is
+    unstable at 3500; RK44, the best of its explicit solvers, is unstable at 25,000.
+
+    Returns:
+        The system; a call that runs it, and gives displacements (x, y, angle) of links 2
+        to 4 at each time kept; and the number of the connector that is hinge A.
     """
     import exudyn as exu
     from exudyn import itemInterface as items
@@ -178,6 +183,7 @@ def exudyn_release(
         body = items.ObjectRigidBody2D(mass=MASS, inertia=INERTIA, nodeNumber=nodes[-1])
         bodies.append(system.AddObject(body))
     stiffness = np.diag([ALONG_X, ALONG_Y, 0, 0, 0, ROTATION])
+    connectors = []
     for row, at in enumerate(HINGES):
         markers = [
             system.AddMarker(
@@ -187,11 +193,10 @@ def exudyn_release(
             )
             for link in (row, (row + 1) % 4)
         ]
-        system.AddObject(
-            items.ObjectConnectorRigidBodySpringDamper(
-                markerNumbers=markers, stiffness=stiffness, damping=1e-4 * stiffness
-            )
+        connector = items.ObjectConnectorRigidBodySpringDamper(
+            markerNumbers=markers, stiffness=stiffness, damping=1e-4 * stiffness
         )
+        connectors.append(system.AddObject(connector))
     sensors = [
         system.AddSensor(
             items.SensorNode(
@@ -208,10 +213,10 @@ def exudyn_release(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         settings.solutionSettings.writeSolutionToFile = False
-        settings.solutionSettings.sensorsWritePeriod = RELEASE[1]
+        settings.solutionSettings.sensorsWritePeriod = kept
     integration = settings.timeIntegration
     integration.verboseMode = 0
-    integration.endTime = RELEASE[-1]
+    integration.endTime = end
     integration.numberOfSteps = steps
     integration.generalizedAlpha.useNewmark = True
     integration.generalizedAlpha.newmarkBeta = 0.16
@@ -221,11 +226,20 @@ def exudyn_release(
     integration.newton.absoluteTolerance = absolute
     solver = exu.MainSolverImplicitSecondOrder()
 
-    def angles() -> np.ndarray:
+    def moved() -> np.ndarray:
         solver.SolveSystem(system, settings)
-        return np.array([system.GetSensorStoredData(sensor)[:, 3] for sensor in sensors])
+        told = [system.GetSensorStoredData(sensor)[:, 1:] for sensor in sensors]
+        return np.array(told)
 
-    return angles
+    return system, moved, connectors[0]
+
+
+def exudyn_release(
+    steps: int = 4000, relative: float = 2e-5, absolute: float = 1e-6
+) -> Callable[[], np.ndarray]:
+    """The release by EXUDYN, built once: the angles of links 2 to 4."""
+    _, moved, _ = exudyn_linkage(RELEASE[-1], RELEASE[1], steps, relative, absolute)
+    return lambda: moved()[:, :, 2]
 
 
 # The loosest settings that keep the error: 1e-4 rad at all times, and 1e-8 m.

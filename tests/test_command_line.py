@@ -253,3 +253,26 @@ def test_water_compares_its_fits(run):
 )
 def test_water_refuses_in_one_line(told, arguments, message):
     is_one_clear_line(told("water", *arguments), message)
+
+
+def test_identify_finds_what_was_put_in(run):
+    done = run("identify", "--json", "--seed", "2")
+    answer = json.loads(done.stdout)
+    for name, true in answer["true"].items():
+        gap = abs(answer["estimates"][name] - true)
+        assert gap < 4 * answer["standard_errors"][name]
+    assert answer["readings"] == 909
+    assert answer["result"] == "successful"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--travel", "0"), "--travel is 0, but must be positive and finite"),
+        (("--seed", "-2"), "--seed is -2, but must be 0 or larger"),
+    ],
+)
+def test_identify_refuses_what_makes_no_sense(told, arguments, message):
+    done = told("identify", *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr

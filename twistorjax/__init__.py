@@ -6,6 +6,7 @@ from . import (
     lines as lines,
     se2 as se2,
     solve as solve,
+    study as study,
 )
 from .body import Body as Body, plate as plate
 from .boundary import Drive as Drive, Load as Load
@@ -58,4 +59,21 @@ from .solve.vibrations import (
     vibrations as vibrations,
 )
 from .storage import load_energy as load_energy, save_energy as save_energy
+from .study import (
+    Advice as Advice,
+    advise as advise,
+    fit as fit,
+    Gauge as Gauge,
+    HingeTest as HingeTest,
+    Identification as Identification,
+    Measured as Measured,
+    MotionTest as MotionTest,
+    posterior as posterior,
+    read_measured as read_measured,
+    Reading as Reading,
+    Sensor as Sensor,
+    StaticTest as StaticTest,
+    Unknown as Unknown,
+    VibrationTest as VibrationTest,
+)
 from .trials import read_trials as read_trials, Trials as Trials

@@ -8,6 +8,7 @@ import typer
 from .commands.common import Failed, Refused
 from .commands.fit import fit
 from .commands.four_bar import four_bar
+from .commands.identify import identify
 from .commands.random_data import random_data
 from .commands.stage import stage
 from .commands.water import water
@@ -22,6 +23,7 @@ app = typer.Typer(
 app.command()(stage)
 app.command("four-bar")(four_bar)
 app.command()(fit)
+app.command()(identify)
 app.command("random-data")(random_data)
 app.command()(water)
 

@@ -10,11 +10,10 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from ._checks import all_known, positive, row
 from ._types import Scalar
 from .clifford import Displacement
-from .damping import Viscous
-from .energy import AbstractEnergy
+from .energy import AbstractEnergy, Wrapped
 
 
-class Certified(AbstractEnergy):
+class Certified(Wrapped):
     """An energy with the range in which it holds, and its error there.
 
     Solves that end beyond the range are refused, and so are poses there.
@@ -59,27 +58,6 @@ class Certified(AbstractEnergy):
         self.turn = positive("`turn`", turn)
         self.force = positive("`force`", force)
         self.error = row("`error`", error, "one for each of (moment, force 1, force 2)")
-
-    def fault(self) -> str | None:
-        """What is wrong with the energy, in words, or nothing."""
-        return self.energy.fault()
-
-    def stored(self, displacement: Displacement) -> Scalar:
-        return self.energy.stored(displacement)
-
-    def stretch(self, displacement: Displacement) -> Scalar:
-        return self.energy.stretch(displacement)
-
-    def damped(self, time: Scalar) -> Viscous:
-        return self.energy.damped(time)
-
-    def resisted(
-        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        return self.energy.resisted(displacement, rates)
-
-    def foreseen(self, tension: Scalar) -> AbstractEnergy:
-        return self.energy.foreseen(tension)
 
     def beyond(self, displacement: Displacement) -> Bool[Array, ""]:
         """Whether the turn or the force is larger than those of the range."""

@@ -144,7 +144,8 @@ class Couplings(eqx.Module):
         more = () if borne is None else (tuple(borne),)
         local, pairs, work = self._local(_elastic(pull.tangent), displacements, *more)
         forces = self._gathered(local)
-        return forces, self._assembled(pairs, rows, columns), jnp.sum(work)
+        matrix = jnp.stack([jnp.stack(line) for line in pairs])
+        return forces, self._assembled(matrix, rows, columns), jnp.sum(work)
 
     def forces_in_motion(
         self,
@@ -190,12 +191,15 @@ class Couplings(eqx.Module):
         size = (len(free), 2 * len(self.ends))
 
         def lined(lines) -> Float[Array, "free stretches"]:
-            entries = jnp.stack([jnp.stack(line) for line in lines]).reshape(-1)
+            entries = jnp.moveaxis(lines, 0, -1).reshape(-1)
             return _summed(entries, source, target, size[0] * size[1]).reshape(size)
 
+        def assembled(pairs) -> Float[Array, "free free"]:
+            return self._assembled(jnp.moveaxis(pairs, 0, -1), free, free)
+
         return Tangent(
-            stiffness=self._assembled(local.stiffness, free, free),
-            damping=self._assembled(local.damping, free, free),
+            stiffness=assembled(local.stiffness),
+            damping=assembled(local.damping),
             stretching=lined(local.stretching),
             bearing=lined(local.bearing),
         )
@@ -225,9 +229,9 @@ class Couplings(eqx.Module):
         return _summed(entries, np.arange(target.size), target, 3 * self.bodies)
 
     def _assembled(
-        self, pairs, rows: tuple[int, ...], columns: tuple[int, ...]
+        self, pairs: Array, rows: tuple[int, ...], columns: tuple[int, ...]
     ) -> Float[Array, "rows columns"]:
-        entries = jnp.stack([jnp.stack(line) for line in pairs]).reshape(-1)
+        entries = pairs.reshape(-1)
         source, target = _places(self.ends, self._order(), rows, columns)
         size = (len(rows), len(columns))
         return _summed(entries, source, target, size[0] * size[1]).reshape(size)

@@ -150,7 +150,7 @@ class AbstractEnergy(eqx.Module):
         return Sum((self, other))
 
     def __rmul__(self, factor: ArrayLike) -> "Scaled":
-        return Scaled(jnp.asarray(factor, float), self)
+        return Scaled(factor=jnp.asarray(factor, float), energy=self)
 
 
 class Quadratic(AbstractEnergy):
@@ -203,6 +203,10 @@ class Quadratic(AbstractEnergy):
     def stretch(self, displacement: Displacement) -> Scalar:
         return stretch(displacement, self.coordinates)
 
+    def damped(self, time: Scalar) -> Viscous:
+        # its stiffness at rest, which by derivatives is a third of a motion to compile
+        return Viscous(time * self.stiffness)
+
 
 class Sum(AbstractEnergy):
     """Couplings side by side, between the same two frames: their energies add up.
@@ -238,7 +242,42 @@ class Sum(AbstractEnergy):
         return super().place_in_range(displacement)
 
 
-class Scaled(AbstractEnergy):
+class Wrapped(AbstractEnergy):
+    """What is another energy but for something of its own: for the rest it asks that."""
+
+    energy: eqx.AbstractVar[AbstractEnergy]
+
+    def fault(self) -> str | None:
+        """What is wrong with the energy, in words, or nothing."""
+        return self.energy.fault()
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        return self.energy.stored(displacement)
+
+    def stretch(self, displacement: Displacement) -> Scalar:
+        return self.energy.stretch(displacement)
+
+    def foreseen(self, tension: Scalar) -> AbstractEnergy:
+        return self.energy.foreseen(tension)
+
+    def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
+        """Whether the energy is not known there."""
+        return self.energy.beyond(displacement)
+
+    def place_in_range(self, displacement: Displacement) -> str:
+        """How far it is displaced, and how far the energy is known, in words."""
+        return self.energy.place_in_range(displacement)
+
+    def damped(self, time: Scalar) -> Viscous:
+        return self.energy.damped(time)
+
+    def resisted(
+        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        return self.energy.resisted(displacement, rates)
+
+
+class Scaled(Wrapped):
     """An energy times a factor: the same coupling, wider or of a stiffer material."""
 
     factor: Scalar
@@ -249,31 +288,15 @@ class Scaled(AbstractEnergy):
         factor = known(self.factor)
         if factor is not None and not np.all((factor >= 0) & np.isfinite(factor)):
             return f"its factor must be finite and not negative, but is {factor}."
-        return self.energy.fault()
+        return super().fault()
 
     def stored(self, displacement: Displacement) -> Scalar:
-        return self.factor * self.energy.stored(displacement)
-
-    def stretch(self, displacement: Displacement) -> Scalar:
-        return self.energy.stretch(displacement)
+        return self.factor * super().stored(displacement)
 
     def foreseen(self, tension: Scalar) -> "Scaled":
         some = self.factor > 0
         share = jnp.where(some, tension / jnp.where(some, self.factor, 1.0), 0.0)
-        return Scaled(self.factor, self.energy.foreseen(share))
+        return Scaled(factor=self.factor, energy=super().foreseen(share))
 
-    def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
-        """Whether the energy is not known there."""
-        return self.energy.beyond(displacement)
-
-    def place_in_range(self, displacement: Displacement) -> str:
-        """How far it is displaced, and how far the energy is known, in words."""
-        return self.energy.place_in_range(displacement)
-
-    def damped(self, time: Scalar) -> "Viscous":
-        return self.energy.damped(self.factor * time)
-
-    def resisted(
-        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        return self.energy.resisted(displacement, rates)
+    def damped(self, time: Scalar) -> Viscous:
+        return super().damped(self.factor * time)

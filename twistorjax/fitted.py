@@ -101,6 +101,15 @@ def variables_of(energy: Polynomial | Slender) -> Coordinates | Literal["tension
     return "tension" if isinstance(energy, Slender) else energy.coordinates
 
 
+def interpolation(terms: int, equations: int) -> str:
+    """What to beware of where there are coefficients for all numbers."""
+    return (
+        f"the fit interpolates: {terms} coefficients for {equations} numbers. That it "
+        "meets the trials says nothing of others. Take a lower order, more symmetry, or "
+        "more trials."
+    )
+
+
 def in_words(direction: np.ndarray, powers: Powers, names: Sequence[str]) -> str:
     """A combination of terms, the largest three."""
     share = direction / np.abs(direction).max()

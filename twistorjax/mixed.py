@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from . import se2
 from ._types import Matrix, Pose, Scalar, Twist
-from .monomials import Powers
+from .monomials import Powers, raised
 
 
 class Terms(NamedTuple):
@@ -57,7 +57,7 @@ def terms(
     turns, _, across = twists.T
     exponents = np.array(powers)
     (t, dt, _), (y, dy, _), (n, dn, ddn) = (
-        _raised(values, exponents[:, k])
+        raised(values, exponents[:, k])
         for k, values in enumerate((turns, across / length, tensions / force))
     )
     return Terms(
@@ -80,16 +80,3 @@ def by_twist(pose: Pose) -> tuple[Twist, Matrix]:
     by_pose = jax.jacfwd(se2.exp)(twist)
     in_b = jnp.concatenate([by_pose[:1], turned(by_pose[1:].T).T])
     return twist, in_b.T
-
-
-def _raised(values: Float[Array, " trials"], exponents: np.ndarray) -> list[Array]:
-    """Powers of the values, and their first two derivatives."""
-    rows = [jnp.ones_like(values)]
-    for _ in range(exponents.max()):
-        rows.append(rows[-1] * values)
-    table = jnp.stack(rows, axis=1)
-    factors = np.ones(exponents.shape), exponents * 1.0, exponents * (exponents - 1.0)
-    return [
-        jnp.asarray(factor)[None] * table[:, np.maximum(exponents - times, 0)]
-        for times, factor in enumerate(factors)
-    ]

@@ -274,17 +274,12 @@ def columns(
         return jnp.stack(variables(Displacement.of(pose), coordinates, scale))
 
     at, slopes = jax.vmap(lambda pose: (values(pose), jax.jacfwd(values)(pose)))(poses)
-    tables = [jnp.ones_like(at)]
-    for _ in range(exponents.max(initial=0)):
-        tables.append(tables[-1] * at)
-    table = jnp.stack(tables)
-    parts = [table[exponents[:, k], :, k].T for k in range(exponents.shape[1])]
+    tables = [raised(at[:, k], exponents[:, k]) for k in range(exponents.shape[1])]
+    parts = [table for table, *_ in tables]
     energies = reduce(mul, parts)
     by_pose = jnp.zeros((len(poses), 3, len(powers)))
-    for k in range(exponents.shape[1]):
-        lower = table[np.maximum(exponents[:, k] - 1, 0), :, k].T
-        factors = exponents[:, k].astype(float)
-        grown = reduce(mul, [*parts[:k], lower * factors[None], *parts[k + 1 :]])
+    for k, (_, once, _) in enumerate(tables):
+        grown = reduce(mul, [*parts[:k], once, *parts[k + 1 :]])
         by_pose = by_pose + slopes[:, k, :, None] * grown[:, None]
     turned = jax.vmap(jax.vmap(se2._turn, (None, 1), 1))(-poses[:, 0], by_pose[:, 1:])
     return jnp.concatenate([by_pose[:, :1], turned], axis=1), energies
@@ -293,3 +288,16 @@ def columns(
 def resting(powers: Powers) -> np.ndarray:
     """The value of each monomial at rest, where sigma is one, and all else is zero."""
     return np.array([not any(row[-3:]) for row in powers], float)
+
+
+def raised(values: Float[Array, " trials"], exponents: np.ndarray) -> list[Array]:
+    """Powers of the values, and their first two derivatives."""
+    rows = [jnp.ones_like(values)]
+    for _ in range(exponents.max(initial=0)):
+        rows.append(rows[-1] * values)
+    table = jnp.stack(rows, axis=1)
+    factors = np.ones(exponents.shape), exponents * 1.0, exponents * (exponents - 1.0)
+    return [
+        jnp.asarray(factor)[None] * table[:, np.maximum(exponents - times, 0)]
+        for times, factor in enumerate(factors)
+    ]

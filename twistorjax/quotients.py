@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import need_float64, one_of
+from .fitted import interpolation
 from .leastsquares import least
 from .monomials import columns, monomials, Powers, Symmetry, VARIABLES
 from .polynomial import Polynomial, Rational
@@ -62,11 +63,7 @@ class RationalFit(eqx.Module):
         """What to beware of, or nothing."""
         cautions = []
         if self.ridge == 0 and self.rank >= self.equations:
-            cautions.append(
-                f"the fit interpolates: {self.terms} coefficients for {self.equations} "
-                "numbers. That it meets the trials says nothing of others. Take a lower "
-                "order, more symmetry, or more trials."
-            )
+            cautions.append(interpolation(self.terms, self.equations))
         if self.has_poles:
             cautions.append(
                 "the denominator changes sign: there are poles between the trials. Take "
@@ -319,9 +316,8 @@ def _base(
 ) -> Polynomial:
     """The base of the denominator, of translations in parts of the scale."""
     if given is None:
-        farthest = np.linalg.norm(np.asarray(trials.poses[:, 1:]), axis=1).max()
         one = (0,) * len(VARIABLES[coordinates])
-        return Polynomial([1.0], [one], coordinates, scale or float(farthest) or 1.0)
+        return Polynomial([1.0], [one], coordinates, scale or trials.reach)
     if given.coordinates != coordinates:
         raise ValueError(
             f"`base` is a polynomial of the {given.coordinates}, but must be one of the "

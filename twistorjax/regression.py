@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import mixed, se2
+from . import mixed
 from ._checks import need_float64, one_of
-from .fitted import Fit, in_words, variables_of
+from .fitted import Fit, in_words, interpolation, variables_of
 from .leastsquares import solve, Solved
 from .monomials import columns, monomials, Powers, resting, Symmetry, VARIABLES
 from .polynomial import Polynomial
@@ -138,11 +138,7 @@ class _Candidate(NamedTuple):
         variance = np.sum(solved.residual**2) / over
         warning = None
         if self.interpolates:
-            warning = (
-                f"the fit interpolates: {solved.free} coefficients for {equations} "
-                "numbers. That it meets the trials says nothing of others. Take a lower "
-                "order, more symmetry, or more trials."
-            )
+            warning = interpolation(solved.free, equations)
         names = VARIABLES[variables_of(self.energy)]
         forces = np.full((1, 2), np.nan)
         if trials.wrenches is not None:
@@ -181,8 +177,8 @@ def _best(trials: Trials, orders: Sequence[int], settings: _Settings) -> _Candid
             )
             if any(row)
         )
-        measured = 3 * (trials.wrenches is not None) + (trials.energies is not None)
-        equations = measured * len(trials)
+        each = 3 * (trials.wrenches is not None) + (trials.energies is not None)
+        equations = each * len(trials)
         if len(orders) > 1 and candidates:
             if len(powers) > 0.8 * equations:
                 break
@@ -196,13 +192,9 @@ def _best(trials: Trials, orders: Sequence[int], settings: _Settings) -> _Candid
 def _candidate(
     trials: Trials, order: int, powers: Powers, settings: _Settings
 ) -> _Candidate:
-    far = trials.poses[:, 1:]
     if settings.coordinates == "tension":
-        far = jax.vmap(se2.twist)(trials.poses)[:, 2:]
-    lengths = np.linalg.norm(np.asarray(far), axis=1)
-    scale = settings.scale or float(lengths.max()) or 1.0
-    if settings.coordinates == "tension":
-        return _by_tension(trials, order, powers, settings, scale)
+        return _by_tension(trials, order, powers, settings)
+    scale = settings.scale or trials.reach
     rows, right = _equations(trials, powers, settings.coordinates, scale)
     conditions, slopes = np.zeros((0, len(powers))), np.zeros((3, 3, len(powers)))
     if settings.rest != "free":
@@ -213,7 +205,7 @@ def _candidate(
 
 
 def _by_tension(
-    trials: Trials, order: int, powers: Powers, settings: _Settings, length: float
+    trials: Trials, order: int, powers: Powers, settings: _Settings
 ) -> _Candidate:
     """By turn, translation across and tension.
 
@@ -231,6 +223,7 @@ def _by_tension(
     wrenches = np.asarray(trials.wrenches)
     pulls = np.einsum("sij,sj->si", turning, wrenches)
     tensions = pulls[:, 1]
+    length = settings.scale or float(np.abs(twists[:, 2]).max()) or 1.0
     force = float(np.abs(tensions).max()) or 1.0
     adds = mixed.terms(powers, jnp.asarray(twists), jnp.asarray(tensions), length, force)
     adds = jax.tree.map(np.asarray, adds)

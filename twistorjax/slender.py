@@ -19,12 +19,13 @@ from ._types import Scalar
 from .clifford import Displacement
 from .damping import Viscous
 from .energy import AbstractEnergy
-from .monomials import Powers, summed
+from .monomials import Powers, summed, VARIABLES
 from .polynomial import fault_of_coefficients, need_fitting, rows_of_powers
 from .strains import strain, stretch
 
 
 Parts = tuple[Scalar, ...]  # what the powers of the tension from 0 on are multiplied by
+_GIVE = (0, 0, 2)  # the powers of the term that gives along the axis at rest
 
 
 class Slender(AbstractEnergy):
@@ -76,7 +77,7 @@ class Slender(AbstractEnergy):
         length: ArrayLike,
         force: ArrayLike,
     ):
-        self.powers = rows_of_powers(powers, ("tau", "t2", "n"))
+        self.powers = rows_of_powers(powers, VARIABLES["tension"])
         self.coefficients = jnp.asarray(coefficients, float)
         self.length = positive("`length`", length)
         self.force = positive("`force`", force)
@@ -91,10 +92,9 @@ class Slender(AbstractEnergy):
         """Which coefficient is not finite, or that there is no give along the axis."""
         if fault := fault_of_coefficients(self.coefficients, self.powers):
             return fault
-        give = (0, 0, 2)
         seen = known(self.coefficients)
-        if give not in self.powers or (
-            seen is not None and seen[self.powers.index(give)] >= 0
+        if _GIVE not in self.powers or (
+            seen is not None and seen[self.powers.index(_GIVE)] >= 0
         ):
             return (
                 "the term of powers (0, 0, 2), which says how much it gives along its "
@@ -124,9 +124,8 @@ class Slender(AbstractEnergy):
         """
         turn, along, across = strain(displacement, "twist")
         tension = _tension(self.parts(turn, across), self.force * along)
-        still = jnp.zeros_like(turn)
         (_, lean), bend = _leaning(self, tension, turn, across)
-        _, at_rest = _leaning(self, still, still, still)
+        at_rest = 2 * self.coefficients[self.powers.index(_GIVE)]
         rate = rates[1] + (lean[0] * rates[0] + lean[1] * rates[2]) / self.force
         return rates[0], rate * jnp.sqrt(at_rest / bend), rates[2]
 

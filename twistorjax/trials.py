@@ -79,6 +79,12 @@ class Trials(eqx.Module):
     def __len__(self) -> int:
         return len(self.poses)
 
+    @property
+    def reach(self) -> float:
+        """The largest translation; one, where there is none; m."""
+        far = np.linalg.norm(np.asarray(self.poses[:, 1:]), axis=1)
+        return float(far.max()) or 1.0
+
     def __getitem__(self, rows: np.ndarray) -> "Trials":
         """Some of the trials."""
 
@@ -176,12 +182,7 @@ def read_trials(path: str | Path) -> Trials:
         OSError: the file cannot be read.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is not a text of comma-separated values.") from error
-    rows = list(csv.reader(lines))
-    head = [name.strip() for name in rows[0]] if rows else []
+    head, rows = rows_of(path)
     has_wrench = any(name in head for name in _WRENCH)
     wanted = [*_POSE, *(_WRENCH if has_wrench else ())]
     if not has_wrench or _ENERGY in head:
@@ -198,16 +199,9 @@ def read_trials(path: str | Path) -> Trials:
         raise ValueError(f"{path} has the column {twice[0]} more than once.")
     columns = {name: head.index(name) for name in wanted}
     table: dict[str, list[float]] = {name: [] for name in wanted}
-    for number, row in enumerate(rows[1:], start=1):
-        if not any(entry.strip() for entry in row):
-            continue
-        if len(row) != len(head):
-            raise ValueError(
-                f"{path}, row {number}: it has {len(row)} entries, but the first row "
-                f"names {len(head)} columns. Is the file whole?"
-            )
+    for number, row in rows:
         for name, place in columns.items():
-            table[name].append(_number(path, number, name, row[place]))
+            table[name].append(number_in(path, number, name, row[place]))
 
     if not table[_POSE[0]]:
         raise ValueError(f"{path} has no trials: only the row of names.")
@@ -231,7 +225,37 @@ def read_trials(path: str | Path) -> Trials:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _number(path: Path, row: int, name: str, entry: str) -> float:
+def rows_of(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The names and the numbered rows of a file of comma-separated values.
+
+    Raises:
+        ValueError: it is no text, or a row is too short or too long.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not a text of comma-separated values.") from error
+    rows = list(csv.reader(lines))
+    head = [name.strip() for name in rows[0]] if rows else []
+    kept = []
+    for number, row in enumerate(rows[1:], start=1):
+        if not any(entry.strip() for entry in row):
+            continue
+        if len(row) != len(head):
+            raise ValueError(
+                f"{path}, row {number}: it has {len(row)} entries, but the first row "
+                f"names {len(head)} columns. Is the file whole?"
+            )
+        kept.append((number, row))
+    return head, kept
+
+
+def number_in(path: Path, row: int, name: str, entry: str) -> float:
+    """A finite number, as a file has it.
+
+    Raises:
+        ValueError: it is none.
+    """
     try:
         value = float(entry)
     except ValueError:

@@ -2,6 +2,7 @@
 
 from . import (
     four_bar as four_bar,
+    identification as identification,
     random_data as random_data,
     stage as stage,
     transient as transient,

@@ -11,17 +11,19 @@ matrix, would freeze everything; one that is in proportion to the stiffness is t
 instead. The listing also holds the driven link's x, which the text does not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from .._checks import find
 from .._types import Scalar
 from ..body import Body, plate
 from ..boundary import Drive
 from ..damping import Viscous
+from ..energy import AbstractEnergy
 from ..flexure import leaf, leaf_outline, Material, notch, notch_outline
 from ..hinge import Hinge
 from ..mechanism import Mechanism
@@ -55,6 +57,7 @@ def four_bar(
     damping: Viscous | ArrayLike | None = DRIVEN_DAMPING,
     length: ArrayLike = 10e-3,
     thickness: ArrayLike = 1e-3,
+    energies: Mapping[str, AbstractEnergy] | None = None,
 ) -> Mechanism:
     """A four-bar linkage with elastic hinges.
 
@@ -65,13 +68,15 @@ def four_bar(
             multiplied; s.
         length: of the leaves; of the mixed linkage, of the short one; m.
         thickness: of the leaves; m.
+        energies: of some hinges, by their names, instead of those of leaves and notches.
 
     Returns:
         Bodies "1" to "4" and hinges "A" to "D", as the dissertation calls them; "1" is
         held.
 
     Raises:
-        ValueError: a dimension is not positive; `hinges` or `coordinates` is unknown.
+        ValueError: a dimension is not positive; `hinges`, `coordinates` or the name of a
+            hinge is unknown.
 
     Source:
         Sections 5.2 and 5.3 of the dissertation, and its listing `fourbar`.
@@ -80,6 +85,9 @@ def four_bar(
         >>> four_bar("mixed")
         Mechanism of 4 bodies (1, 2, 3, 4), 4 hinges (A, B, C, D); held: 1
     """
+    energies = {} if energies is None else energies
+    for name in energies:
+        find("`energies`", "hinge", name, tuple("ABCD"))
     if hinges not in ("identical", "mixed"):
         raise ValueError(f"`hinges` is {hinges!r}, but must be 'identical' or 'mixed'.")
     links = Material(modulus=69e9, poisson=0.3, density=2.7e3)
@@ -121,7 +129,7 @@ def four_bar(
             Hinge(
                 name,
                 *((other, below) if name in "CD" else (below, other)),
-                kinds[name][1],
+                energies.get(name, kinds[name][1]),
                 at=(jnp.pi / 2, x, y),
                 damping=damping,
                 outline=kinds[name][2],

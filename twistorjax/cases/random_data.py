@@ -147,11 +147,11 @@ def study(of: Trials | None = None, order: int = 4) -> Study:
         True
     """
     some = trials() if of is None else of
-    farthest = np.linalg.norm(np.asarray(some.poses[:, 1:]), axis=1).max()
+    reach = some.reach
 
     def fitted(some: Trials) -> Fit:
         return fit_energy(
-            some, order, redundant=True, rest="free", ridge=0.0, scale=float(farthest)
+            some, order, redundant=True, rest="free", ridge=0.0, scale=reach
         )
 
     rows = np.arange(len(some))

@@ -3,8 +3,9 @@
 import math
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 
 class Refused(Exception):
@@ -34,11 +35,17 @@ def need(option: str, value: float, unit: str) -> None:
         raise Refused(f"{option} is {value:g}, but must be positive and finite; {unit}.")
 
 
-def need_energy(energy: str, option: str = "--energy") -> Literal["twistor", "twist"]:
+def need_choice(option: str, value: str, choices: Sequence[str]) -> Any:
+    """The value, if it is one of the choices."""
+    if value not in choices:
+        *most, last = map(repr, choices)
+        raise Refused(f"{option} is {value!r}, but must be {', '.join(most)} or {last}.")
+    return value
+
+
+def need_energy(energy: str) -> Literal["twistor", "twist"]:
     """The coordinates of that name."""
-    if energy == "twistor" or energy == "twist":
-        return energy
-    raise Refused(f"{option} is {energy!r}, but must be 'twistor' or 'twist'.")
+    return need_choice("--energy", energy, ("twistor", "twist"))
 
 
 def need_folder(option: str, path: Path | None) -> None:

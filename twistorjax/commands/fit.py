@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import need_folder, prepare_jax, Refused
+from .common import need_choice, need_folder, prepare_jax, Refused
 
 
 def fit(
@@ -43,13 +43,7 @@ def fit(
 
     Example: twistorjax fit trials.csv --coordinates tension --symmetry leaf
     """
-    kinds_of_fit = ("twistor", "twist", "tension")
-    if coordinates not in kinds_of_fit:
-        raise Refused(
-            f"--coordinates is {coordinates!r}, but must be one of "
-            f"{', '.join(kinds_of_fit)}."
-        )
-    kind: Any = coordinates
+    kind = need_choice("--coordinates", coordinates, ("twistor", "twist", "tension"))
     if order is not None and not 1 <= order <= 20:
         raise Refused(f"--order is {order}, but must lie between 1 and 20.")
     if not (math.isfinite(hold_out) and 0 <= hold_out < 1):

@@ -12,6 +12,7 @@ from .common import (
     finished,
     matplotlib_for,
     meter,
+    need_choice,
     need_energy,
     need_folder,
     prepare_jax,
@@ -55,8 +56,7 @@ def four_bar(
 
     twistorjax four-bar --release 10 --times 0.05,0.1 --json
     """
-    if hinges not in ("identical", "mixed"):
-        raise Refused(f"--hinges is {hinges!r}, but must be 'identical' or 'mixed'.")
+    kind = need_choice("--hinges", hinges, ("identical", "mixed"))
     coordinates = need_energy(energy)
     if damping_time is not None and not (
         math.isfinite(damping_time) and damping_time >= 0
@@ -85,7 +85,7 @@ def four_bar(
         damping = case.DRIVEN_DAMPING if release is None else case.RELEASED_DAMPING
     # as one program, not as a hundred small ones to compile
     linkage = eqx.filter_jit(case.four_bar)(
-        hinges, coordinates=coordinates, damping=damping
+        kind, coordinates=coordinates, damping=damping
     )
 
     def move(instants: list[float]):

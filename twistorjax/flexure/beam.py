@@ -206,6 +206,11 @@ def last_of(states: State) -> State:
     return jax.tree.map(lambda values: values[-1], states)
 
 
+def last_section(beam: Beam, load: Wrench) -> State:
+    """Where a load, in units of the beam, brings its last section."""
+    return last_of(integrated(beam, load, dfx.SaveAt(t1=True)))
+
+
 def units_of(beam: Beam) -> Float[Array, "3"]:
     """E I / L and E I / L^2 of the middle section."""
     moment = beam.bending

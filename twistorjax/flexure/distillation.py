@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,12 +17,11 @@ from .._types import Matrix, Pose, Scalar, Wrench
 from ..certified import Certified
 from ..monomials import monomials, Powers, Symmetry
 from ..slender import Slender
-from .beam import Beam, end_of, integrated, last_of, State, uniform, units_of
+from .beam import Beam, end_of, last_section, uniform, units_of
 
 
 _ORDERS = (4, 6, 8, 10)
 _SAMPLES = 800  # to fit, and half as many to certify
-_NEAR_REST = (2, 0, 0), (1, 1, 0), (0, 2, 0), (0, 0, 2)
 
 
 def distilled(
@@ -135,18 +133,18 @@ def _sampled(beam: Beam, turn: Scalar, force: Scalar | None) -> _Samples:
     units = units_of(beam)
 
     def sample(load: Wrench) -> tuple[Pose, Wrench]:
-        return end_of(beam, load * units, _end(beam, load))
+        return end_of(beam, load * units, last_section(beam, load))
 
     stiffness = jnp.linalg.inv(
         jax.jacfwd(lambda load: sample(load)[0])(jnp.zeros(3)) / units[None]
     )
     limit = 5 * stiffness[0, 0] / beam.length if force is None else force
-    still, largest, slack = lax.stop_gradient((beam, turn, limit / units[1]))
-
-    softest = lax.stop_gradient(units[0] / stiffness[0, 0])
+    still, largest, slack, softest = lax.stop_gradient(
+        (beam, turn, limit / units[1], units[0] / stiffness[0, 0])
+    )
 
     def turned(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
-        return _end(still, jnp.concatenate([moment[None], force])).angle
+        return last_section(still, jnp.concatenate([moment[None], force])).angle
 
     def load(spread: Float[Array, "3"]) -> tuple[Wrench, Scalar]:
         wanted = largest * (2 * spread[0] - 1)
@@ -183,10 +181,6 @@ def _spread() -> Float[Array, "samples 3"]:
     to_fit = np.arange(1, _SAMPLES + 1)[:, None] * steps
     to_certify = 0.5 + np.arange(1, _SAMPLES // 2 + 1)[:, None] * steps
     return jnp.asarray(np.concatenate([to_fit, to_certify]) % 1)
-
-
-def _end(beam: Beam, load: Wrench) -> State:
-    return last_of(integrated(beam, load, dfx.SaveAt(t1=True)))
 
 
 def _alike(beam: Beam) -> bool:
@@ -227,10 +221,12 @@ def _coefficients(
     twists, turning = jax.vmap(mixed.by_twist)(samples.poses[:_SAMPLES])
     pulls = jnp.einsum("sij,sj->si", turning, samples.wrenches[:_SAMPLES])
     adds = mixed.terms(powers, twists, pulls[:, 1], length, samples.force)
-    known = _known_at_rest(powers, length, samples)
+    at_rest = _at_rest(length, samples)
+    none = jnp.zeros(())
+    start = jnp.stack([at_rest.get(row, none) for row in powers])
     rows = jnp.stack([adds.moment, adds.shear, adds.length])
-    right = jnp.stack([pulls[:, 0], pulls[:, 2], twists[:, 1]]) - rows @ known
-    free = np.array([k for k, row in enumerate(powers) if row not in _NEAR_REST])
+    right = jnp.stack([pulls[:, 0], pulls[:, 2], twists[:, 1]]) - rows @ start
+    free = np.array([k for k, row in enumerate(powers) if row not in at_rest])
     rows, gives = rows[..., free], adds.give[:, free]
 
     moment, tension, shear = jnp.sqrt(jnp.mean(pulls**2, axis=0))
@@ -239,25 +235,23 @@ def _coefficients(
     found = jnp.zeros(len(free))
     for _ in range(4):
         each = 1 / (give * tension)
-        weights = jnp.stack([0 * each + 1 / moment, 0 * each + 1 / shear, each])
+        alike = [jnp.full_like(each, 1 / size) for size in (moment, shear)]
+        weights = jnp.stack([*alike, each])
         weighted = (weights[..., None] * rows).reshape(-1, len(free))
         found = _least_squares(weighted, (weights * right).reshape(-1))
         give = jnp.maximum(gives @ found + 1 / stiffest, 1e-3 / stiffest)
-    return known.at[free].set(found)
+    return start.at[free].set(found)
 
 
-def _known_at_rest(
-    powers: Powers, length: Scalar, samples: _Samples
-) -> Float[Array, " terms"]:
+def _at_rest(length: Scalar, samples: _Samples) -> dict[tuple[int, ...], Scalar]:
     """The coefficients that the stiffness at rest tells, which are not fitted."""
     stiffness = samples.stiffness
-    told: dict[tuple[int, ...], Scalar] = {
+    return {
         (2, 0, 0): stiffness[0, 0] / 2,
         (1, 1, 0): stiffness[0, 2] * length,
         (0, 2, 0): stiffness[2, 2] * length**2 / 2,
         (0, 0, 2): -(samples.force**2) / (2 * stiffness[1, 1]),
     }
-    return jnp.stack([told.get(row, jnp.zeros(())) for row in powers])
 
 
 def _least_squares(

@@ -3,7 +3,6 @@
 from functools import partial
 from typing import Any
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ from .. import se2
 from .._types import Pose, Scalar
 from ..clifford import Displacement
 from ..energy import AbstractEnergy
-from .beam import Beam, bend, Bent, end_of, integrated, last_of, State, units_of
+from .beam import Beam, bend, Bent, end_of, last_section, units_of
 
 
 class Exact(AbstractEnergy):
@@ -74,7 +73,7 @@ def _stored(beam: Beam, pose: Pose) -> Scalar:
 
 
 def _through_load(beam: Beam, pose: Pose) -> Scalar:
-    return units_of(beam)[0] * _end_state(beam, _load(beam, pose)).energy
+    return units_of(beam)[0] * last_section(beam, _load(beam, pose)).energy
 
 
 @partial(_stored.defjvp, symbolic_zeros=True)
@@ -158,12 +157,8 @@ _PARTS = 8
 
 def _reached(beam: Beam, load: Array) -> Float[Array, "3"]:
     """The pose that a load leads to, translations in parts of the length."""
-    pose, _ = end_of(beam, load * units_of(beam), _end_state(beam, load))
+    pose, _ = end_of(beam, load * units_of(beam), last_section(beam, load))
     return pose / _sizes(beam)
-
-
-def _end_state(beam: Beam, load: Array) -> State:
-    return last_of(integrated(beam, load, dfx.SaveAt(t1=True)))
 
 
 def _sizes(beam: Beam) -> Float[Array, "3"]:

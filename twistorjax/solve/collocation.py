@@ -25,9 +25,10 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from .._types import Scalar
+from ..pull import product
 from .elimination import inverse
 from .schemes import Scheme, scheme
-from .system import Slopes, State, System
+from .system import constant, Slopes, State, System
 
 
 class Memory(NamedTuple):
@@ -212,41 +213,40 @@ def _step(
     # The stages, foreseen
     part = 1 + jnp.asarray(kind.nodes) * step / memory.step
     ahead = part[:, None] ** np.arange(len(kind.through), dtype=float)[None]
-    accelerations = _mix(ahead, memory.accelerations)
-    stretches = _mix(ahead, memory.stretching)
-    pushes = _mix(ahead[:, : kind.stages], memory.pushes)
+    accelerations = product(ahead, memory.accelerations)
+    stretches = product(ahead, memory.stretching)
+    pushes = product(ahead[:, : kind.stages], memory.pushes)
 
     def moved(accelerations: Array) -> tuple[Array, Array]:
-        rates = state.rate[None] + _mix(matrix, accelerations)
-        return state.place[None] + _mix(matrix, rates), rates
+        rates = state.rate[None] + product(matrix, accelerations)
+        return state.place[None] + product(matrix, rates), rates
 
     # One tangent, at the middle one of them. How it depends on parameters is left to the
     # residual: it changes the way to an answer, not the answer.
     places, rates = moved(accelerations)
     middle = kind.stages // 2
-    tangent = system.slopes(
-        times[middle], places[middle], rates[middle], stretches[middle], pushes[middle]
-    )
+    still, *there = constant((system, times, places, rates, stretches, pushes))
+    tangent = still.slopes(*(row[middle] for row in there))
     into, out_of = jnp.asarray(kind.into), jnp.asarray(kind.out_of)
-    reach = step.astype(into.dtype) * jnp.asarray(kind.reaches)[:, None, None]
-    tangent, reach, held_mass = jax.lax.stop_gradient((tangent, reach, mass))
-    backwards = _backwards(tangent, reach, held_mass)
+    reach = jax.lax.stop_gradient(step).astype(into.dtype)
+    reach = reach * jnp.asarray(kind.reaches)[:, None, None]
+    backwards = _backwards(tangent, reach, still.mass)
 
     def solve(_, found):
         accelerations, stretches, pushes, _ = found
         places, rates = moved(accelerations)
         forces = jax.vmap(system.forces)(times, places, rates, stretches, pushes)
         lacking = forces.net - mass[None] * accelerations
-        lacking = lacking - _mix(forces.excess, tangent.bearing.T)
-        right = _mix(into, lacking.astype(into.dtype))
+        lacking = lacking - product(forces.excess, tangent.bearing.T)
+        right = product(into, lacking.astype(into.dtype))
         if pushes.size:
-            gap = _mix(into, forces.violation.astype(into.dtype))
+            gap = product(into, forces.violation.astype(into.dtype))
             gap = -gap / reach[:, 0] ** 2
             right = jnp.concatenate([right, gap], axis=1)
         solved = jnp.sum(backwards * right[:, None], axis=-1)
-        solved = jnp.real(_mix(out_of, solved))
+        solved = jnp.real(product(out_of, solved))
         change, more = solved[:, :size], solved[:, size:]
-        followed = _mix(_mix(twice, change), tangent.stretching)
+        followed = product(product(twice, change), tangent.stretching)
         stretches = stretches + forces.excess + followed
         return accelerations + change, stretches, pushes + more, change
 
@@ -289,7 +289,9 @@ def _step(
     lost = ~jnp.all(jnp.isfinite(memory.acceleration))
     broken = ~jnp.all(jnp.isfinite(place)) | ~jnp.all(jnp.isfinite(rate))
     lost |= broken & (step < 1e-9 * system.period)
-    left = system.size(State(_mix(twice, change)[-1], _mix(matrix, change)[-1], end.work))
+    left = system.size(
+        State(product(twice, change)[-1], product(matrix, change)[-1], end.work)
+    )
     result = _results.where(
         left > _UNSETTLED, _results.nonlinear_divergence, _results.successful
     )
@@ -297,20 +299,12 @@ def _step(
     error = None
     if kind.ends:
         error = _error(
-            kind, step, state, system, memory, rates, accelerations, change, backwards,
-            tangent,
+            kind, backwards, tangent,
+            *constant((step, state, system, memory, rates, accelerations, change)),
         )  # fmt: skip
         # kept, so that diffrax sees the result
         error = jax.tree.map(lambda part: jnp.where(lost, 0.0, part), error)
     return end, error, dense, kept, result
-
-
-def _mix(matrix: Array, rows: Array) -> Array:
-    """Their product, as a sum that is fused with what is around it.
-
-    For a few rows a product of matrices costs more by its call than by its work.
-    """
-    return jnp.sum(matrix[:, :, None] * rows[None], axis=1)
 
 
 def _backwards(
@@ -335,6 +329,8 @@ def _backwards(
 
 def _error(
     kind: Scheme,
+    backwards: Array,
+    tangent: Slopes,
     step: Scalar,
     state: State,
     system: System,
@@ -342,8 +338,6 @@ def _error(
     rates: Array,
     accelerations: Array,
     change: Array,
-    backwards: Array,
-    tangent: Slopes,
 ) -> State:
     """The error of a step: of its collocation, and of solves that were too few.
 
@@ -363,7 +357,7 @@ def _error(
     size = place.size
     smooth = jnp.real(backwards[kind.real, :size, :size]) @ right
     estimate = State(smooth, (smooth - place) / reach, state.work * 0)
-    estimate = jax.tree.map(jnp.abs, jax.lax.stop_gradient(estimate))
+    estimate = jax.tree.map(jnp.abs, estimate)
     grown = 10**1.5 * jnp.sqrt(system.size(estimate))
     weights = step * jnp.asarray(kind.weights)
     late = weights @ change

@@ -93,7 +93,8 @@ def simulate(
             twice, or driven and held; a body that moves has no mass; times do not
             increase; a drive or a constraint does not fit the start; a shape is wrong or
             a value not finite.
-        RuntimeError: the motion did not reach its end; the text says why and when.
+        RuntimeError: the motion did not reach its end; the text says why and when. That
+            no hinge is beyond the range of its energy is seen at the times that are kept.
 
     Source:
         Equations 5.24, 5.25 and 6.4 of the dissertation.

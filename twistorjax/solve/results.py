@@ -17,7 +17,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     For equilibria one of `successful`, `not_finite`, `loose`, `no_equilibrium`,
     `steps_used_up` and `out_of_range`; for motions `successful`, `event_occurred`,
     `max_steps_reached`, `not_finite`, `out_of_range`, `step_too_long`, and what is wrong
-    with their start. `RESULTS[item]` is its text. Extends the results of diffrax, so
+    with their start; for fits `successful`, `unsettled` and
+    `no_answer_at_start`. `RESULTS[item]` is its text. Extends the results of diffrax, so
     that one enumeration serves both.
     """
 
@@ -66,6 +67,16 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     )
     constraints_at_odds = (
         "The constraints repeat or contradict one another, or the start violates them."
+    )
+
+    unsettled = (
+        "The estimates have not settled within the evaluations allowed. Raise "
+        "`max_steps`, start nearer, try `restarts`, or leave out what the readings do "
+        "not determine."
+    )
+    no_answer_at_start = (
+        "At the values from which the fit starts a test has no answer. Start from values "
+        "at which every solve succeeds."
     )
 
 

@@ -19,7 +19,7 @@ from .elimination import inverse
 from .newton import Places
 from .results import meaning, RESULTS
 from .statics import free_coordinates
-from .system import State, System
+from .system import constant, State, System
 
 
 if TYPE_CHECKING:
@@ -184,9 +184,14 @@ def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array
 
     By the sums of the squares of all periods, and of all frequencies, which they lead.
     """
-    couplings = system.mechanism.couplings
-    _, stiffness, _ = couplings.tangent(moved, system.places.free, system.places.free)
-    stiffness, mass = jax.lax.stop_gradient((stiffness, system.mass))
+    system, moved, longest = constant((system, moved, longest))
+    # the function of a step's tangent, so that it is traced once
+    couplings, mass = system.mechanism.couplings, system.mass
+    stretches = couplings.stretches(moved)
+    still = jnp.zeros_like(moved)
+    stiffness = couplings.tangent_in_motion(
+        moved, still, system.places.free, stretches
+    ).stiffness
     slowest = jnp.sum(jnp.diagonal(inverse(stiffness)) * mass)
     fastest = jnp.sum(jnp.diagonal(stiffness) / mass)
     # where nothing holds a body, no period but that of the motion itself

@@ -210,6 +210,7 @@ class System(eqx.Module):
             stiffness = stiffness - jax.jacfwd(pushed)(place)
         return Slopes(stiffness, *tangent[1:], normals)
 
+    @eqx.filter_jit  # traced once for the start, the steps, and what is told
     def instant(self, time: Scalar, place: Array, rate: Array) -> "Instant":
         """What happens at an instant: equation 5.25, and what follows from it."""
         displacements, rates = self.spread(time, place, rate)
@@ -312,3 +313,12 @@ def _rates(time: Any, state: State, system: System) -> State:
 
 
 equation = dfx.ODETerm(_rates)
+
+
+def constant(tree: Any) -> Any:
+    """The same, with no derivative: what changes the way to an answer, and not it.
+
+    Stopped on the way in: tangents that are dropped in the end are traced nevertheless.
+    """
+    arrays, rest = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(jax.lax.stop_gradient(arrays), rest)

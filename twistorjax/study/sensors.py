@@ -1,0 +1,281 @@
+"""What an experiment reads off a mechanism: sensors on its bodies and hinges."""
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from .. import se2
+from .._checks import find, known, one_of, positive, row
+from ..mechanism import Mechanism
+
+
+Quantity = Literal[
+    "angle",
+    "x",
+    "y",
+    "angular_velocity",
+    "velocity_x",
+    "velocity_y",
+    "moment",
+    "force_x",
+    "force_y",
+]
+Strained = Literal["angle", "x", "y", "moment", "force_1", "force_2"]
+
+UNITS = {
+    "angle": "rad",
+    "x": "m",
+    "y": "m",
+    "angular_velocity": "rad/s",
+    "velocity_x": "m/s",
+    "velocity_y": "m/s",
+    "moment": "N m",
+    "force_x": "N",
+    "force_y": "N",
+    "force_1": "N",
+    "force_2": "N",
+}
+
+
+class AbstractSensor(eqx.Module):
+    """One number read off a mechanism, with the standard deviation of its error."""
+
+    deviation: eqx.AbstractVar[Float[Array, ""]]
+
+    @abstractmethod
+    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
+        """What it reads in an equilibrium, or at each time of a motion."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """In which it reads."""
+
+    @property
+    def energies(self) -> bool:
+        """Whether it may read what work was done in a motion."""
+        return False
+
+
+class Sensor(AbstractSensor):
+    """Reads how a body has moved from rest, how it moves, or what it is held by.
+
+    Args:
+        body: its name.
+        quantity: "angle", "x", "y": how far it has moved from rest; rad, m, m.
+            "angular_velocity", "velocity_x", "velocity_y": how fast, in a motion; rad/s,
+            m/s, m/s. "moment", "force_x", "force_y": what its held and driven coordinates
+            receive from outside; N m, N, N.
+        deviation: standard deviation of a reading, in the unit of the quantity.
+        at: the point on the body that it looks at, in the body's frame, for "x" and "y"
+            and their velocities, by default the body's origin; m.
+        absolute: whether it reads where the body is in the world, and not how far it has
+            moved.
+
+    Raises:
+        ValueError: the quantity is unknown, the deviation not positive, or a point given
+            for what does not depend on it.
+
+    Example:
+        >>> Sensor("table", "x", 1e-6)
+        Sensor(table.x, to 1e-06 m)
+    """
+
+    body: str = eqx.field(static=True)
+    quantity: Quantity = eqx.field(static=True)
+    deviation: Float[Array, ""]
+    at: Float[Array, "2"] | None
+    absolute: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        body: str,
+        quantity: Quantity,
+        deviation: ArrayLike,
+        *,
+        at: Float[ArrayLike, "2"] | Sequence[ArrayLike] | None = None,
+        absolute: bool = False,
+    ):
+        self.body = body
+        quantities = tuple(UNITS)[:9]
+        self.quantity = one_of("`quantity`", quantity, quantities)
+        self.deviation = positive(f"`deviation` of the sensor {self.name!r}", deviation)
+        self.at = None if at is None else row("`at`", at, "a point (x, y)", 2)
+        self.absolute = absolute
+        if at is not None and quantity not in ("x", "y", "velocity_x", "velocity_y"):
+            raise ValueError(
+                f"`at` is given, but the {quantity} of a body is one for all its points."
+            )
+        if absolute and quantity not in ("angle", "x", "y"):
+            raise ValueError(f"`absolute` is given, but the {quantity} has no place.")
+
+    @property
+    def name(self) -> str:
+        """The body and the quantity."""
+        return f"{self.body}.{self.quantity}"
+
+    @property
+    def unit(self) -> str:
+        """Of the quantity."""
+        return UNITS[self.quantity]
+
+    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
+        place = tuple(UNITS).index(self.quantity)
+        if place >= 6:
+            return answer.reaction(self.body)[..., place - 6]
+        moved = answer.displacement(self.body)
+        rest = mechanism.rest[mechanism.index(self.body)]
+        if place < 3:
+            value = moved[..., place]
+            if self.absolute:
+                value = value + rest[place]
+            if self.at is not None:
+                before = se2._turn(rest[0], self.at)
+                value = value + _turned(before, moved[..., 0])[place - 1]
+                if self.absolute:
+                    value = value + before[place - 1]
+            return value
+        if not hasattr(answer, "velocity"):
+            raise ValueError(f"{self!r} reads a velocity, but only a motion has any.")
+        speed = answer.velocity(self.body)
+        value = speed[..., place - 3]
+        if self.at is not None:
+            before = se2._turn(rest[0], self.at)
+            ahead = before[:, None] + jnp.stack(_turned(before, moved[..., 0].ravel()))
+            across = (-ahead[1], ahead[0])[place - 4].reshape(value.shape)
+            value = value + speed[..., 0] * across
+        return value
+
+    def __repr__(self) -> str:
+        return _told(self)
+
+
+class Gauge(AbstractSensor):
+    """Reads how a hinge is strained, or what it bears.
+
+    Args:
+        hinge: its name.
+        quantity: "angle", "x", "y": of its frame b seen from its frame a; rad, m, m.
+            "moment", "force_1", "force_2": what it bears, in the axes of frame b;
+            N m, N, N.
+        deviation: standard deviation of a reading, in the unit of the quantity.
+
+    Raises:
+        ValueError: the quantity is unknown, or the deviation not positive.
+
+    Example:
+        >>> Gauge("a", "x", 10e-9)
+        Gauge(a.x, to 1e-08 m)
+    """
+
+    hinge: str = eqx.field(static=True)
+    quantity: Strained = eqx.field(static=True)
+    deviation: Float[Array, ""]
+
+    def __init__(self, hinge: str, quantity: Strained, deviation: ArrayLike):
+        self.hinge = hinge
+        quantities = ("angle", "x", "y", "moment", "force_1", "force_2")
+        self.quantity = one_of("`quantity`", quantity, quantities)
+        self.deviation = positive(f"`deviation` of the gauge {self.name!r}", deviation)
+
+    @property
+    def name(self) -> str:
+        """The hinge and the quantity."""
+        return f"{self.hinge}.{self.quantity}"
+
+    @property
+    def unit(self) -> str:
+        """Of the quantity."""
+        return UNITS[self.quantity]
+
+    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
+        find("A gauge", "hinge", self.hinge, mechanism.hinge_names)
+        quantities = ("angle", "x", "y", "moment", "force_1", "force_2")
+        place = quantities.index(self.quantity)
+        tell = mechanism.displacement_of if place < 3 else mechanism.wrench_of
+        poses = answer.poses
+        flat = poses.reshape(-1, *poses.shape[-2:])
+        values = jax.vmap(lambda poses: tell(self.hinge, poses)[place % 3])(flat)
+        return values.reshape(poses.shape[:-2])
+
+    def __repr__(self) -> str:
+        return _told(self)
+
+
+class Reading(AbstractSensor):
+    """Reads anything: a function of the mechanism and of the equilibrium or motion.
+
+    Args:
+        function: called with the mechanism and the answer; gives a number, or one for
+            each time of a motion. Define it once: another function is compiled anew.
+        name: what it is called.
+        unit: for printing.
+        deviation: standard deviation of a reading.
+
+    Example:
+        >>> def stored(mechanism, answer):
+        ...     return answer.energy
+        >>> Reading(stored, "energy", "J", 1e-3)
+        Reading(energy, to 0.001 J)
+    """
+
+    function: Callable[[Mechanism, Any], Array] = eqx.field(static=True)
+    called: str = eqx.field(static=True)
+    measured_in: str = eqx.field(static=True)
+    deviation: Float[Array, ""]
+
+    def __init__(
+        self,
+        function: Callable[[Mechanism, Any], Array],
+        name: str,
+        unit: str,
+        deviation: ArrayLike,
+    ):
+        self.function = function
+        self.called = name
+        self.measured_in = unit
+        self.deviation = positive(f"`deviation` of the reading {name!r}", deviation)
+
+    @property
+    def name(self) -> str:
+        """As it was given."""
+        return self.called
+
+    @property
+    def unit(self) -> str:
+        """As it was given."""
+        return self.measured_in
+
+    @property
+    def energies(self) -> bool:
+        """It may read anything."""
+        return True
+
+    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
+        return self.function(mechanism, answer)
+
+    def __repr__(self) -> str:
+        return _told(self)
+
+
+def _turned(arm: Float[Array, "2"], angle: Array) -> tuple[Array, Array]:
+    """What turning adds to the place of a point, without loss of digits: (R - 1) arm."""
+    half = angle / 2
+    versine, sine = 2 * jnp.sin(half) ** 2, jnp.sin(angle)
+    return -versine * arm[0] - sine * arm[1], sine * arm[0] - versine * arm[1]
+
+
+def _told(sensor: AbstractSensor) -> str:
+    seen = known(sensor.deviation)
+    told = "" if seen is None or seen.shape else f", to {seen:g} {sensor.unit}"
+    return f"{type(sensor).__name__}({sensor.name}{told})"

@@ -199,7 +199,7 @@ def test_a_motion_of_the_library_is_read_back(linkage):
         ("time_s,load_3.force_x_N,3.x_m,sd_3.x_m\n0,1,1,1\n", "only trials at rest"),
         ("time_s,3.x_m,3.x_mm,sd_3.x_m\n0,1,1,1\n", "tells 3.x twice"),
         ("time_s,3.x_m,sd_3.x_m,sd_4.x_m\n0,1,1,1\n", "deviation of '4.x', but"),
-        ("time_s,3.x_m\n", "only the row of names"),
+        ("time_s,3.x_m\n", "only the line of names"),
         ("load_3.x_m,3.x_m\n1,1\n", "has the column 'load_3.x_m'"),
     ],
 )
@@ -263,8 +263,19 @@ def test_advice_is_that_of_the_determinant():
     assert advice.candidates[0].name == "all"
     assert advice.picked[0] == "all"
     assert "best, one after another: all, " in repr(advice)
+    both = now + np.array(more["all"]) + np.array(more[advice.picked[1]])
+    np.testing.assert_allclose(advice.after[order], both**-0.5, rtol=1e-3)
     with pytest.raises(ValueError, match="There are 0 candidates"):
         tj.advise(found, {})
+
+
+def test_a_test_of_another_mechanism_is_named():
+    start = {"turn": 1.0, "along": 1.0, "across": 1.0}
+    strange = tj.StaticTest([[tj.Load("arm", (0, 1, 0))]], [tj.Sensor("block", "x", 1)])
+    with pytest.raises(
+        ValueError, match=r"StaticTest of 1 trial, .*: .* body 'arm', but"
+    ):
+        tj.fit(spring, start, [strange.measured([[0.0]])])
 
 
 @pytest.mark.slow

@@ -9,11 +9,11 @@ import pytest
 
 
 LAYERS = [
-    "_types", "_checks", "se2", "clifford", "lines", "strains", "damping", "energy",
-    "coulomb", "monomials", "polynomial", "slender", "mixed", "certified", "storage",
-    "trials", "leastsquares", "fitted", "regression", "quotients", "flexure", "body",
-    "hinge", "grip", "pull", "couplings", "mechanism", "boundary", "joints", "solve",
-    "study", "show", "cases", "commands", "__main__",
+    "_types", "_checks", "_trees", "se2", "clifford", "lines", "strains", "damping",
+    "energy", "coulomb", "monomials", "polynomial", "slender", "mixed", "certified",
+    "storage", "tables", "trials", "leastsquares", "fitted", "regression", "quotients",
+    "flexure", "body", "hinge", "grip", "pull", "couplings", "mechanism", "boundary",
+    "joints", "solve", "study", "show", "cases", "commands", "__main__",
 ]  # fmt: skip
 PACKAGE = pathlib.Path(__file__).parents[1] / "twistorjax"
 FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]

@@ -215,20 +215,30 @@ def test_columns_are_found_by_their_names(tmp_path):
     assert trials.energies is None
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_other_separators_are_known_by_the_first_line(tmp_path, separator):
+    text = f"{HEAD}\n1,2,3,4,5,6\n".replace(",", separator)
+    trials = tj.read_trials(write(tmp_path / "t.csv", text))
+    assert_close(trials.wrenches, np.array([[4.0, 5.0, 6.0]]))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "lacks the column angle_rad"),
         ("angle_rad,px_m\n1,2\n", "lacks the column py_m"),
-        (f"{HEAD}\n1,2,3,4,5,6\n1,2,3\n", "row 2: it has 3 entries"),
-        (f"{HEAD}\n1,2,3,4,5,nan\n", "row 1: fy_N is nan"),
-        (f"{HEAD}\n1,2,3,4,five,6\n", "row 1: fx_N is five"),
+        (f"{HEAD}\n1,2,3,4,5,6\n1,2,3\n", "line 3: it has 3 entries"),
+        (f"{HEAD}\n1,2,3,4,5,nan\n", "line 2: fy_N is nan"),
+        (f"{HEAD}\n1,2,3,4,five,6\n", "line 2: fx_N is five"),
         (f"{HEAD}\n", "has no trials"),
         (f"{HEAD},fx_N\n1,2,3,4,5,6,7\n", "has the column fx_N more than once"),
+        (f"{HEAD},sd_fx_N\n1,2,3,4,5,6,7\n", "lacks the column sd_moment_Nm, sd_fy_N"),
+        ("angle_rad;px_m;py_m;energy_J\n1;2;3;1,5\n", "is 1,5, but must be a finite"),
+        (f'"a\nnote",{HEAD}\n1,2,3,4,5,6,x\n', "line 3: fy_N is x"),
         (f"{HEAD},sd_fx_N,sd_fy_N,sd_moment_Nm\n1,2,3,4,5,6,0,1,1\n", "must be positive"),
     ],
 )
-def test_a_broken_file_is_told_by_its_row(tmp_path, text, message):
+def test_a_broken_file_is_told_by_its_line(tmp_path, text, message):
     with pytest.raises(ValueError) as error:
         tj.read_trials(write(tmp_path / "trials.csv", text))
     assert "trials.csv" in str(error.value)
@@ -238,7 +248,7 @@ def test_a_broken_file_is_told_by_its_row(tmp_path, text, message):
 def test_a_file_that_is_no_text_is_told(tmp_path):
     path = tmp_path / "trials.csv"
     path.write_bytes(bytes(range(256)))
-    with pytest.raises(ValueError, match="is not a text of comma-separated values"):
+    with pytest.raises(ValueError, match="is not a text of separated values"):
         tj.read_trials(path)
 
 

@@ -62,6 +62,15 @@ def need_float64(array: Array) -> None:
         )
 
 
+def uncompilable(name: str, about: str, error: Exception) -> ValueError:
+    """What is said of a user's function that JAX could not trace."""
+    return ValueError(
+        f"`{name}` is a function that cannot be compiled. Write it with jax.numpy "
+        "instead of numpy or math, and with `jax.numpy.where` instead of `if` "
+        f"{about}. JAX says: {str(error).splitlines()[0]}"
+    )
+
+
 def kinds(name: str, values: Sequence[Any], kind: type) -> None:
     """Refuses anything but a sequence of things of one kind."""
     if isinstance(values, kind):

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from . import pull
 from ._checks import all_known
+from ._trees import alike
 from ._types import Poses, Scalar, Wrenches
 from .damping import Viscous
 from .energy import AbstractEnergy
@@ -282,13 +283,9 @@ class Couplings(eqx.Module):
 def stack_hinges(hinges: Sequence[Hinge]) -> tuple[Stack, ...]:
     """Sorts hinges by the kind of their energy and damping, and stacks the like ones."""
     couples = [(hinge.energy, hinge.damping) for hinge in hinges]
-    kinds: dict[Any, list[int]] = {}
-    for place, couple in enumerate(couples):
-        leaves, tree = jax.tree.flatten(couple)
-        kind = (tree, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves))
-        kinds.setdefault(kind, []).append(place)
     stacks = []
-    for (tree, _), members in kinds.items():
+    for members in alike(couples):
+        tree = jax.tree.structure(couples[members[0]])
         rows = zip(*(jax.tree.leaves(couples[place]) for place in members), strict=True)
         leaves, axes = [], []
         for row in rows:

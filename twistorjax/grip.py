@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from . import se2
 from ._types import Scalar
 from .clifford import Displacement
 
@@ -32,11 +33,7 @@ class End(NamedTuple):
 
     def turn(self) -> tuple[Scalar, Scalar]:
         """What the body's turning adds to the place of the hinge: (R - 1) arm."""
-        versine, sine = 2 * self.sin * self.sin, 2 * self.sin * self.cos
-        return (
-            -versine * self.arm_x - sine * self.arm_y,
-            sine * self.arm_x - versine * self.arm_y,
-        )
+        return se2._swing((self.arm_x, self.arm_y), self.cos, self.sin)
 
 
 class Halfway(NamedTuple):

@@ -6,6 +6,7 @@ unit time. Sections 2.3 to 2.6 of the dissertation.
 """
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from ._types import Matrix, Point, Pose, Scalar, Twist, Wrench
 
@@ -228,6 +229,20 @@ def _turn(angle: Scalar, vector: Point) -> Point:
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y = vector[0], vector[1]
     return jnp.stack([cos * x - sin * y, sin * x + cos * y])
+
+
+def _swing(
+    arm: Point | tuple[Scalar, Scalar], cos: Array, sin: Array
+) -> tuple[Array, Array]:
+    """What turning adds to the place of a point, without loss of digits: (R - 1) arm.
+
+    Args:
+        arm: from the centre to the point, before; m.
+        cos: of half the angle.
+        sin: likewise.
+    """
+    versine, sine = 2 * sin * sin, 2 * sin * cos
+    return -versine * arm[0] - sine * arm[1], sine * arm[0] - versine * arm[1]
 
 
 def _cross(first: Point, second: Point) -> Scalar:

@@ -1,6 +1,5 @@
 """What was measured of a hinge: displacements, what they took, and errors against it."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +7,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+
+from .tables import Table
 
 
 _POSE = ("angle_rad", "px_m", "py_m")
@@ -168,104 +169,53 @@ def measured(trials: Trials, residual: Float[np.ndarray, "trials numbers"]) -> E
 
 
 def read_trials(path: str | Path) -> Trials:
-    """Reads trials from a file of comma-separated values, a trial a row.
+    """Reads trials from a file of separated values, a trial a line.
 
     Args:
-        path: of the file. Its first row names the columns: angle_rad, px_m, py_m for the
+        path: of the file. Its first line names the columns: angle_rad, px_m, py_m for the
             pose; moment_Nm, fx_N, fy_N for the wrench, energy_J for the energy, one of
             these or both; and their standard deviations where they are known, as
             sd_moment_Nm, sd_fx_N, sd_fy_N, sd_energy_J. Others are left aside.
 
     Raises:
         ValueError: a column is missing or named twice, a row is too short or too long, an
-            entry is no finite number; the text names the row, the first being 1.
+            entry is no finite number; the text names the line, the first being 1.
         OSError: the file cannot be read.
     """
-    path = Path(path)
-    head, rows = rows_of(path)
-    has_wrench = any(name in head for name in _WRENCH)
+    table = Table(path)
+    has_wrench = any(name in table.names for name in _WRENCH)
     wanted = [*_POSE, *(_WRENCH if has_wrench else ())]
-    if not has_wrench or _ENERGY in head:
+    if not has_wrench or _ENERGY in table.names:
         wanted.append(_ENERGY)
-    if missing := [name for name in wanted if name not in head]:
+    spreads = [f"sd_{name}" for name in _WRENCH]
+    has_spreads = any(name in table.names for name in spreads)
+    wanted += spreads if has_spreads else ()
+    if missing := [name for name in wanted if name not in table.names]:
         raise ValueError(
-            f"{path} lacks the column {', '.join(missing)}: its first row is "
-            f"{', '.join(head) or 'empty'}, but must name {', '.join(_POSE)}, and "
-            f"{', '.join(_WRENCH)} or {_ENERGY} or all of them."
+            f"{path} lacks the column {', '.join(missing)}: its first line is "
+            f"{', '.join(table.names) or 'empty'}, but must name {', '.join(_POSE)}, and "
+            f"{', '.join(_WRENCH)} or {_ENERGY} or all of them; standard deviations of "
+            "the wrench for all three components, or for none."
         )
-    deviations = [f"sd_{name}" for name in wanted[3:] if f"sd_{name}" in head]
-    wanted += deviations
-    if twice := [name for name in wanted if head.count(name) > 1]:
-        raise ValueError(f"{path} has the column {twice[0]} more than once.")
-    columns = {name: head.index(name) for name in wanted}
-    table: dict[str, list[float]] = {name: [] for name in wanted}
-    for number, row in rows:
-        for name, place in columns.items():
-            table[name].append(number_in(path, number, name, row[place]))
-
-    if not table[_POSE[0]]:
-        raise ValueError(f"{path} has no trials: only the row of names.")
+    if f"sd_{_ENERGY}" in table.names:
+        wanted.append(f"sd_{_ENERGY}")
+    if not len(table):
+        raise ValueError(f"{path} has no trials: only the line of names.")
+    columns = {name: table.numbers(name) for name in wanted}
 
     def block(names: Sequence[str]) -> np.ndarray:
-        return np.stack([np.array(table[name]) for name in names], axis=1)
+        return np.stack([columns[name] for name in names], axis=1)
 
-    def column(name: str) -> np.ndarray | None:
-        return np.array(table[name]) if name in table else None
-
-    spreads = [f"sd_{name}" for name in _WRENCH]
     try:
         return Trials(
             block(_POSE),
             block(_WRENCH) if has_wrench else None,
-            column(_ENERGY),
-            wrench_deviations=block(spreads) if set(spreads) <= set(table) else None,
-            energy_deviations=column(f"sd_{_ENERGY}"),
+            columns.get(_ENERGY),
+            wrench_deviations=block(spreads) if has_spreads else None,
+            energy_deviations=columns.get(f"sd_{_ENERGY}"),
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-
-
-def rows_of(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The names and the numbered rows of a file of comma-separated values.
-
-    Raises:
-        ValueError: it is no text, or a row is too short or too long.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is not a text of comma-separated values.") from error
-    rows = list(csv.reader(lines))
-    head = [name.strip() for name in rows[0]] if rows else []
-    kept = []
-    for number, row in enumerate(rows[1:], start=1):
-        if not any(entry.strip() for entry in row):
-            continue
-        if len(row) != len(head):
-            raise ValueError(
-                f"{path}, row {number}: it has {len(row)} entries, but the first row "
-                f"names {len(head)} columns. Is the file whole?"
-            )
-        kept.append((number, row))
-    return head, kept
-
-
-def number_in(path: Path, row: int, name: str, entry: str) -> float:
-    """A finite number, as a file has it.
-
-    Raises:
-        ValueError: it is none.
-    """
-    try:
-        value = float(entry)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ValueError(
-            f"{path}, row {row}: {name} is {entry.strip() or 'empty'}, but must be a "
-            "finite number."
-        )
-    return value
 
 
 def _finite(name: str, given, shape: tuple[int, ...] | None) -> Array:

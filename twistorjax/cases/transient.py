@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .. import se2
 from ..boundary import Drive
 from ..mechanism import Mechanism
 from ..show.canvas import subplots
@@ -149,6 +150,5 @@ def _ports(stage: Mechanism, motion: Motion) -> list[Array]:
     travels = []
     for body, arm in zip(stage.couplings.ends[row], arms, strict=True):
         angle, x, _ = motion.displacements[:, body].T
-        versine = 2 * jnp.sin(angle / 2) ** 2
-        travels.append(x - versine * arm[0] - jnp.sin(angle) * arm[1])
+        travels.append(x + se2._swing(arm, jnp.cos(angle / 2), jnp.sin(angle / 2))[0])
     return travels

@@ -12,7 +12,7 @@ from .common import need_choice, need_folder, prepare_jax, Refused
 
 
 def fit(
-    trials: Annotated[Path, typer.Argument(help="A file of comma-separated values.")],
+    trials: Annotated[Path, typer.Argument(help="A file of separated values.")],
     order: Annotated[
         int | None,
         typer.Option(help="Of the polynomial. [default: that of the least error]"),
@@ -38,7 +38,7 @@ def fit(
 ) -> None:
     """A polynomial energy from displacements of a hinge and the wrenches they took.
 
-    The first row of the file names its columns: angle_rad, px_m, py_m, moment_Nm, fx_N,
+    The first line of the file names its columns: angle_rad, px_m, py_m, moment_Nm, fx_N,
     fy_N; energy_J and standard deviations (sd_fx_N) where there are any.
 
     Example: twistorjax fit trials.csv --coordinates tension --symmetry leaf

@@ -24,11 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from .._trees import undifferentiated
 from .._types import Scalar
 from ..pull import product
 from .elimination import inverse
 from .schemes import Scheme, scheme
-from .system import constant, Slopes, State, System
+from .system import Slopes, State, System
 
 
 class Memory(NamedTuple):
@@ -225,7 +226,7 @@ def _step(
     # residual: it changes the way to an answer, not the answer.
     places, rates = moved(accelerations)
     middle = kind.stages // 2
-    still, *there = constant((system, times, places, rates, stretches, pushes))
+    still, *there = undifferentiated((system, times, places, rates, stretches, pushes))
     tangent = still.slopes(*(row[middle] for row in there))
     into, out_of = jnp.asarray(kind.into), jnp.asarray(kind.out_of)
     reach = jax.lax.stop_gradient(step).astype(into.dtype)
@@ -300,7 +301,9 @@ def _step(
     if kind.ends:
         error = _error(
             kind, backwards, tangent,
-            *constant((step, state, system, memory, rates, accelerations, change)),
+            *undifferentiated(
+                (step, state, system, memory, rates, accelerations, change)
+            ),
         )  # fmt: skip
         # kept, so that diffrax sees the result
         error = jax.tree.map(lambda part: jnp.where(lost, 0.0, part), error)

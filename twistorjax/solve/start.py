@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import all_known, find, known, row
+from .._checks import all_known, find, known, row, uncompilable
+from .._trees import undifferentiated
 from .._types import Poses
 from ..boundary import Drive, driven
 from ..joints import Joined
@@ -19,7 +20,7 @@ from .elimination import inverse
 from .newton import Places
 from .results import meaning, RESULTS
 from .statics import free_coordinates
-from .system import constant, State, System
+from .system import State, System
 
 
 if TYPE_CHECKING:
@@ -73,11 +74,7 @@ def _compilable(name: str, function: Callable, now: Array) -> None:
     try:
         eqx.filter_eval_shape(function, now)
     except jax.errors.JAXTypeError as error:
-        raise ValueError(
-            f"`{name}` is a function that cannot be compiled. Write it with jax.numpy "
-            "instead of numpy or math, and with `jax.numpy.where` instead of `if` about "
-            f"the time. JAX says: {str(error).splitlines()[0]}"
-        ) from error
+        raise uncompilable(name, "about the time", error) from error
 
 
 def limits(tolerance: ArrayLike, max_steps: int, step: ArrayLike | None) -> None:
@@ -184,7 +181,7 @@ def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array
 
     By the sums of the squares of all periods, and of all frequencies, which they lead.
     """
-    system, moved, longest = constant((system, moved, longest))
+    system, moved, longest = undifferentiated((system, moved, longest))
     # the function of a step's tangent, so that it is traced once
     couplings, mass = system.mechanism.couplings, system.mass
     stretches = couplings.stretches(moved)

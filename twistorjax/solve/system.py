@@ -313,12 +313,3 @@ def _rates(time: Any, state: State, system: System) -> State:
 
 
 equation = dfx.ODETerm(_rates)
-
-
-def constant(tree: Any) -> Any:
-    """The same, with no derivative: what changes the way to an answer, and not it.
-
-    Stopped on the way in: tangents that are dropped in the end are traced nevertheless.
-    """
-    arrays, rest = eqx.partition(tree, eqx.is_array)
-    return eqx.combine(jax.lax.stop_gradient(arrays), rest)

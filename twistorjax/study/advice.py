@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import kinds
+from .compiled import quickly
 from .identified import Identification
 from .measured import AbstractTest, mapped
 
@@ -36,12 +37,14 @@ class Advice(eqx.Module):
         picked: names of whole tests, each chosen for what it adds to those before it.
         names: of the unknowns.
         before: standard errors of the unknowns without any, as relative changes.
+        after: with all that are picked.
     """
 
     candidates: tuple[Candidate, ...]
     picked: tuple[str, ...]
     names: tuple[str, ...]
     before: Float[np.ndarray, " unknowns"]
+    after: Float[np.ndarray, " unknowns"]
 
     def __repr__(self) -> str:
         def cells(values: np.ndarray) -> str:
@@ -49,12 +52,14 @@ class Advice(eqx.Module):
 
         wide = max(10, *map(len, self.names))
         first = max(map(len, (candidate.name for candidate in self.candidates)))
+        best = "the best" if len(self.picked) == 1 else f"the {len(self.picked)} best"
         first = max(first, len("standard error with"))
         head = "  ".join(f"{name:>{wide}}" for name in self.names)
         lines = [f"{'standard error with':<{first}}  {'gain (nats)':>11}  {head}"]
         lines.append(f"{'what there is':<{first}}  {'':>11}  {cells(self.before)}")
         for name, gain, errors in self.candidates:
             lines.append(f"{name:<{first}}  {gain:>11.3g}  {cells(errors)}")
+        lines.append(f"{best:<{first}}  {'':>11}  {cells(self.after)}")
         lines.append(f"best, one after another: {', '.join(self.picked)}")
         return "\n".join(lines)
 
@@ -131,7 +136,7 @@ def advise(
         )(jnp.eye(place.size))
         return jnp.einsum("rcu,rcv->cuv", slopes, slopes)
 
-    told = [np.asarray(each) for each in eqx.filter_jit(mapped)(sensed, tests)]
+    told = [np.asarray(each) for each in quickly(mapped)(sensed, tests)]
     known = np.asarray(found.sensitivity)
     known = known.T @ known + np.eye(place.size) / prior**2
     listed = []
@@ -142,11 +147,14 @@ def advise(
                 _judged(f"{name}, {sensor} alone", known, information)
                 for sensor, information in zip(test.columns, columns, strict=True)
             ]
+    picked = _picked(dict(zip(candidates, told, strict=True)), known, picks)
+    chosen = [list(candidates).index(name) for name in picked]
     return Advice(
         candidates=tuple(sorted(listed, key=lambda candidate: -candidate.gain)),
-        picked=_picked(dict(zip(candidates, told, strict=True)), known, picks),
+        picked=picked,
         names=found.names,
         before=_errors(known),
+        after=_errors(known + sum(told[place].sum(axis=0) for place in chosen)),
     )
 
 

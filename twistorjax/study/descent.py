@@ -112,7 +112,7 @@ class Marquardt(AbstractDescent):
     bounded: Float[Array, " unknowns"]
 
     def begin(self, place: Float[Array, " unknowns"], found: Found) -> _Model:
-        least, zero = min(found.slopes.shape), constant(0.0)
+        least = min(found.slopes.shape)
         return _Model(
             place=place,
             loss=constant(np.inf),
@@ -122,7 +122,7 @@ class Marquardt(AbstractDescent):
             damping=constant(1e-2),
             ease=constant(0.1),
             edge=constant(False),
-            predicted=zero,
+            predicted=constant(0.0),
         )
 
     def step(

@@ -11,7 +11,7 @@ import optax
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import all_known, kinds, need_float64
+from .._checks import all_known, kinds, need_float64, uncompilable
 from ..mechanism import Mechanism
 from ..solve.results import meaning, raise_failed, RESULTS
 from .compiled import quickly
@@ -130,11 +130,7 @@ def fit(
             problem, descent, most, forward, restarts, spread, key, progress
         )
     except jax.errors.JAXTypeError as error:
-        raise ValueError(
-            "`design` is a function that cannot be compiled. Write it with jax.numpy "
-            "instead of numpy or math, without `if` or `float` of what is unknown. JAX "
-            f"says: {str(error).splitlines()[0]}"
-        ) from error
+        raise uncompilable("design", "about what is unknown", error) from error
     answer = _answer(problem, searched)
     return _raised(answer) if throw else answer
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import all_known, known
+from .._trees import alike
 from ..mechanism import Mechanism
 from .compiled import quickly
 
@@ -133,13 +134,13 @@ class Measured(eqx.Module):
     deviations: Float[Array, "rows columns"]
 
     def residuals(
-        self, mechanism: Mechanism, *, forward: bool = True, throw: bool = False
+        self, mechanism: Mechanism, *, forward: bool = True
     ) -> Float[Array, "rows columns"]:
         """What a mechanism would read less what was read, in standard deviations.
 
-        Zero where nothing was read.
+        Zero where nothing was read, NaN where the mechanism has no answer.
         """
-        model = self.test.read(mechanism, forward=forward, throw=throw)
+        model = self.test.read(mechanism, forward=forward, throw=False)
         there = jnp.isfinite(self.values)
         apart = model - jnp.where(there, self.values, 0.0)
         return jnp.where(there, apart / self.deviations, 0.0)
@@ -180,13 +181,8 @@ def mapped(function: Callable[[Any], Array], things: Sequence[Any]) -> list[Arra
     Returns:
         What it gives for each thing, in their order.
     """
-    alike: dict[Any, list[int]] = {}
-    for place, thing in enumerate(things):
-        leaves, tree = jax.tree.flatten(thing)
-        kind = tree, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-        alike.setdefault(kind, []).append(place)
     given: dict[int, Array] = {}
-    for places in alike.values():
+    for places in alike(things):
         if len(places) == 1:
             given[places[0]] = function(things[places[0]])
             continue

@@ -42,7 +42,13 @@ class Problem(eqx.Module):
                 f"`design` gave a {type(mechanism).__name__}, but must build a "
                 "`Mechanism` from the unknowns."
             )
-        return [part.residuals(mechanism, forward=forward) for part in self.data]
+        tables = []
+        for part in self.data:
+            try:
+                tables.append(part.residuals(mechanism, forward=forward))
+            except ValueError as error:
+                raise ValueError(f"{part.test!r}: {error}") from error
+        return tables
 
     def residual(
         self, place: Float[Array, " unknowns"], *, forward: bool = True

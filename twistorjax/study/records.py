@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 
 from ..boundary import Drive, Load
-from ..trials import number_in, rows_of
+from ..tables import Table
 from .at_rest import StaticTest
 from .in_motion import MotionTest
 from .measured import Measured
@@ -58,7 +58,7 @@ def read_measured(
     deviations: Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Measured:
-    """Measurements from a file of comma-separated values, or from an xarray dataset.
+    """Measurements from a file of separated values, or from an xarray dataset.
 
     Each column tells what it is and in which unit: `3.x_um` is how far body 3 has moved
     along x, in micrometres; `hinge_a.force_1_N` what hinge a bears. Beside readings there
@@ -68,9 +68,10 @@ def read_measured(
     reading.
 
     Args:
-        source: the file; or a dataset over `time` or `trial`, and `body`, with `units` in
-            the attributes of each variable, as `motion.to_xarray()` makes it. There
-            "angle", "x" and "y" tell where a body is; `displacement_x` and its like would
+        source: the file, separated by commas, semicolons or tabs; or a dataset over
+            `time` or `trial`, and `body`, with `units` in the attributes of each
+            variable, as `motion.to_xarray()` makes it. There "angle", "x" and "y" tell
+            where a body is; `displacement_x` and its like would
             how far it has moved. Loads and drives are `load_force_x`, `drive_x` and their
             like, standard deviations `sd_x`.
         deviations: standard deviations of readings without a column for them, by name:
@@ -188,26 +189,17 @@ def _trial(given: list[_Column], row: int) -> list[Load | Drive]:
 
 
 def _from_file(path: Path) -> tuple[list[_Column], _Spreads]:
-    head, rows = rows_of(path)
-    if not rows:
-        raise ValueError(f"{path} has no readings: only the row of names.")
+    table = Table(path)
+    if not len(table):
+        raise ValueError(f"{path} has no readings: only the line of names.")
     columns, spreads = [], {}
-    for place, title in enumerate(head):
-        if head.count(title) > 1:
-            raise ValueError(f"{path} has the column {title} more than once.")
+    for title in table.names:
         spread, role, subject, quantity, unit = _parsed(str(path), title)
         blank = role in ("read", "hinge") and not spread
-        values = np.array(
-            [
-                np.nan
-                if blank and not row[place].strip()
-                else number_in(path, number, title, row[place])
-                for number, row in rows
-            ]
-        )
-        column = _Column(role, subject, quantity, unit * values)
+        values = unit * table.numbers(title, blank=blank)
+        column = _Column(role, subject, quantity, values)
         if spread:
-            spreads[column.role, column.name] = column.values
+            spreads[column.role, column.name] = values
         else:
             columns.append(column)
     return columns, spreads

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .compiled import quickly
 from .identified import Identification
 from .measured import a_key
 
@@ -103,7 +104,7 @@ def posterior(
     key = a_key(key)
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         # on which blackjax relies
-        places = jax.jit(jax.vmap(one))(jax.random.split(key, chains))
+        places = quickly(jax.vmap(one))(jax.random.split(key, chains))
     values = np.asarray(jax.vmap(jax.vmap(problem.unknowns.flat))(places))
     named = {name: values[..., k] for k, name in enumerate(found.names)}
     return arviz.from_dict(posterior=named)

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, get_args, Literal
 
 import equinox as eqx
 import jax
@@ -107,8 +107,7 @@ class Sensor(AbstractSensor):
         absolute: bool = False,
     ):
         self.body = body
-        quantities = tuple(UNITS)[:9]
-        self.quantity = one_of("`quantity`", quantity, quantities)
+        self.quantity = one_of("`quantity`", quantity, get_args(Quantity))
         self.deviation = positive(f"`deviation` of the sensor {self.name!r}", deviation)
         self.at = None if at is None else row("`at`", at, "a point (x, y)", 2)
         self.absolute = absolute
@@ -130,7 +129,7 @@ class Sensor(AbstractSensor):
         return UNITS[self.quantity]
 
     def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
-        place = tuple(UNITS).index(self.quantity)
+        place = get_args(Quantity).index(self.quantity)
         if place >= 6:
             return answer.reaction(self.body)[..., place - 6]
         moved = answer.displacement(self.body)
@@ -141,7 +140,7 @@ class Sensor(AbstractSensor):
                 value = value + rest[place]
             if self.at is not None:
                 before = se2._turn(rest[0], self.at)
-                value = value + _turned(before, moved[..., 0])[place - 1]
+                value = value + _swung(before, moved[..., 0])[place - 1]
                 if self.absolute:
                     value = value + before[place - 1]
             return value
@@ -151,7 +150,7 @@ class Sensor(AbstractSensor):
         value = speed[..., place - 3]
         if self.at is not None:
             before = se2._turn(rest[0], self.at)
-            ahead = before[:, None] + jnp.stack(_turned(before, moved[..., 0].ravel()))
+            ahead = before[:, None] + jnp.stack(_swung(before, moved[..., 0].ravel()))
             across = (-ahead[1], ahead[0])[place - 4].reshape(value.shape)
             value = value + speed[..., 0] * across
         return value
@@ -184,8 +183,7 @@ class Gauge(AbstractSensor):
 
     def __init__(self, hinge: str, quantity: Strained, deviation: ArrayLike):
         self.hinge = hinge
-        quantities = ("angle", "x", "y", "moment", "force_1", "force_2")
-        self.quantity = one_of("`quantity`", quantity, quantities)
+        self.quantity = one_of("`quantity`", quantity, get_args(Strained))
         self.deviation = positive(f"`deviation` of the gauge {self.name!r}", deviation)
 
     @property
@@ -200,8 +198,7 @@ class Gauge(AbstractSensor):
 
     def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
         find("A gauge", "hinge", self.hinge, mechanism.hinge_names)
-        quantities = ("angle", "x", "y", "moment", "force_1", "force_2")
-        place = quantities.index(self.quantity)
+        place = get_args(Strained).index(self.quantity)
         tell = mechanism.displacement_of if place < 3 else mechanism.wrench_of
         poses = answer.poses
         flat = poses.reshape(-1, *poses.shape[-2:])
@@ -268,11 +265,8 @@ class Reading(AbstractSensor):
         return _told(self)
 
 
-def _turned(arm: Float[Array, "2"], angle: Array) -> tuple[Array, Array]:
-    """What turning adds to the place of a point, without loss of digits: (R - 1) arm."""
-    half = angle / 2
-    versine, sine = 2 * jnp.sin(half) ** 2, jnp.sin(angle)
-    return -versine * arm[0] - sine * arm[1], sine * arm[0] - versine * arm[1]
+def _swung(arm: Float[Array, "2"], angle: Array) -> tuple[Array, Array]:
+    return se2._swing(arm, jnp.cos(angle / 2), jnp.sin(angle / 2))
 
 
 def _told(sensor: AbstractSensor) -> str:

@@ -11,7 +11,7 @@ import pytest
 LAYERS = [
     "_types", "_checks", "_trees", "se2", "clifford", "lines", "strains", "damping",
     "energy", "coulomb", "monomials", "polynomial", "slender", "mixed", "certified",
-    "storage", "tables", "trials", "leastsquares", "fitted", "regression", "quotients",
+    "storage", "columns", "trials", "leastsquares", "fitted", "regression", "quotients",
     "flexure", "body", "hinge", "grip", "pull", "couplings", "mechanism", "boundary",
     "joints", "solve", "study", "show", "cases", "commands", "__main__",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .tables import Table
+from .columns import Columns
 
 
 _POSE = ("angle_rad", "px_m", "py_m")
@@ -182,26 +182,26 @@ def read_trials(path: str | Path) -> Trials:
             entry is no finite number; the text names the line, the first being 1.
         OSError: the file cannot be read.
     """
-    table = Table(path)
-    has_wrench = any(name in table.names for name in _WRENCH)
+    file = Columns(path)
+    has_wrench = any(name in file.names for name in _WRENCH)
     wanted = [*_POSE, *(_WRENCH if has_wrench else ())]
-    if not has_wrench or _ENERGY in table.names:
+    if not has_wrench or _ENERGY in file.names:
         wanted.append(_ENERGY)
     spreads = [f"sd_{name}" for name in _WRENCH]
-    has_spreads = any(name in table.names for name in spreads)
+    has_spreads = any(name in file.names for name in spreads)
     wanted += spreads if has_spreads else ()
-    if missing := [name for name in wanted if name not in table.names]:
+    if missing := [name for name in wanted if name not in file.names]:
         raise ValueError(
             f"{path} lacks the column {', '.join(missing)}: its first line is "
-            f"{', '.join(table.names) or 'empty'}, but must name {', '.join(_POSE)}, and "
+            f"{', '.join(file.names) or 'empty'}, but must name {', '.join(_POSE)}, and "
             f"{', '.join(_WRENCH)} or {_ENERGY} or all of them; standard deviations of "
             "the wrench for all three components, or for none."
         )
-    if f"sd_{_ENERGY}" in table.names:
+    if f"sd_{_ENERGY}" in file.names:
         wanted.append(f"sd_{_ENERGY}")
-    if not len(table):
+    if not len(file):
         raise ValueError(f"{path} has no trials: only the line of names.")
-    columns = {name: table.numbers(name) for name in wanted}
+    columns = {name: file.numbers(name) for name in wanted}
 
     def block(names: Sequence[str]) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=1)

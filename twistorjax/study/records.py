@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 
 from ..boundary import Drive, Load
-from ..tables import Table
+from ..columns import Columns
 from .at_rest import StaticTest
 from .in_motion import MotionTest
 from .measured import Measured
@@ -189,14 +189,14 @@ def _trial(given: list[_Column], row: int) -> list[Load | Drive]:
 
 
 def _from_file(path: Path) -> tuple[list[_Column], _Spreads]:
-    table = Table(path)
-    if not len(table):
+    file = Columns(path)
+    if not len(file):
         raise ValueError(f"{path} has no readings: only the line of names.")
     columns, spreads = [], {}
-    for title in table.names:
+    for title in file.names:
         spread, role, subject, quantity, unit = _parsed(str(path), title)
         blank = role in ("read", "hinge") and not spread
-        values = unit * table.numbers(title, blank=blank)
+        values = unit * file.numbers(title, blank=blank)
         column = _Column(role, subject, quantity, values)
         if spread:
             spreads[column.role, column.name] = values

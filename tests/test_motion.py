@@ -374,6 +374,7 @@ def test_a_motion_prints_and_becomes_a_table():
     table = moved.to_xarray()
     assert table.x.attrs["units"] == "m" and table.moment.attrs["units"] == "N m"
     assert float(table.angle.sel(body="2", time=0.09)) == float(moved.pose("2")[1, 0])
+    assert int(table.steps) == int(moved.steps)
 
 
 def test_a_motion_may_begin_at_an_equilibrium():

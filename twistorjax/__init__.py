@@ -7,6 +7,7 @@ from . import (
     se2 as se2,
     solve as solve,
     study as study,
+    sweeps as sweeps,
 )
 from .body import Body as Body, plate as plate
 from .boundary import Drive as Drive, Load as Load
@@ -52,6 +53,7 @@ from .solve.linear import linearise as linearise, Linearised as Linearised
 from .solve.motion import Motion as Motion
 from .solve.results import outcomes as outcomes, RESULTS as RESULTS
 from .solve.statics import Equilibrium as Equilibrium, equilibrium as equilibrium
+from .solve.tables import Column as Column
 from .solve.vibrations import (
     frequency_response as frequency_response,
     Response as Response,
@@ -75,5 +77,14 @@ from .study import (
     StaticTest as StaticTest,
     Unknown as Unknown,
     VibrationTest as VibrationTest,
+)
+from .sweeps import (
+    Grid as Grid,
+    Normal as Normal,
+    open_sweep as open_sweep,
+    sampled as sampled,
+    sweep as sweep,
+    tolerances as tolerances,
+    Uniform as Uniform,
 )
 from .trials import read_trials as read_trials, Trials as Trials

@@ -11,6 +11,7 @@ from .commands.four_bar import four_bar
 from .commands.identify import identify
 from .commands.random_data import random_data
 from .commands.stage import stage
+from .commands.sweep import sweep
 from .commands.water import water
 
 
@@ -26,6 +27,7 @@ app.command()(fit)
 app.command()(identify)
 app.command("random-data")(random_data)
 app.command()(water)
+app.add_typer(sweep, name="sweep")
 
 
 @app.callback(invoke_without_command=True)

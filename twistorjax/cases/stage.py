@@ -14,22 +14,24 @@ the target of the input, and section 6.2.3 has mm for um.
 from functools import partial
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from .._types import Scalar
+from .._types import Corners, Scalar
 from ..body import Body
 from ..boundary import Drive
 from ..damping import Viscous
+from ..energy import Quadratic
 from ..flexure import Material, notch, notch_outline
 from ..flexure.notch import Formula
 from ..hinge import Hinge
 from ..mechanism import Mechanism
 from ..show.drawing import draw
+from ..solve.results import RESULTS
 from ..solve.statics import Equilibrium, equilibrium
+from ..solve.tables import Column, Columns, Tabled
 from ..strains import Coordinates
 
 
@@ -87,7 +89,8 @@ def microstage(
     """The micropositioning stage.
 
     Args:
-        web: thickness of the necks of all its hinges; m.
+        web: thickness of the necks of its hinges, one for all, or one for each from a to
+            g; m.
         hole: diameter of the holes that leave them; m.
         width: thickness of the plate; m.
         material: of the plate, by default `aluminium`.
@@ -101,7 +104,8 @@ def microstage(
         held, and "6" but for its x, along which it is to be driven.
 
     Raises:
-        ValueError: a dimension is not positive or outside the range of the formula.
+        ValueError: a dimension is not positive or outside the range of the formula;
+            there are neither one nor seven webs.
 
     Source:
         Section 6.2 of the dissertation and its listing `microstage`.
@@ -112,14 +116,27 @@ def microstage(
         held: 1, angle and y of 6
     """
     material = aluminium() if material is None else material
-    neck = notch(
-        material,
-        hole=hole,
-        web=web,
-        width=width,
-        formula=formula,
-        coordinates=coordinates,
-    )
+
+    def neck(web: ArrayLike) -> tuple[Quadratic, Corners]:
+        energy = notch(
+            material,
+            hole=hole,
+            web=web,
+            width=width,
+            formula=formula,
+            coordinates=coordinates,
+        )
+        return energy, notch_outline(hole=hole, web=web)
+
+    if np.shape(web) not in ((), (len(_HINGES),)):
+        raise ValueError(
+            f"`web` has shape {np.shape(web)}, but must be one thickness, or one for "
+            f"each of the hinges {', '.join(_HINGES)}."
+        )
+    if np.shape(web):
+        necks = [neck(each) for each in jnp.asarray(web, float)]
+    else:
+        necks = [neck(web)] * len(_HINGES)
     bodies = []
     for name, centre in _CENTRES.items():
         outline = _OUTLINES[name] * _MM - np.array(centre)
@@ -138,18 +155,19 @@ def microstage(
                 outline=outline,
             )
         )
-    outline = notch_outline(hole=hole, web=web)
     hinges = [
         Hinge(
-            name, first, second, neck, at=(0.0, *place), damping=damping, outline=outline
+            name, first, second, energy, at=(0.0, *at), damping=damping, outline=outline
         )
-        for name, (first, second, place) in _HINGES.items()
+        for (name, (first, second, at)), (energy, outline) in zip(
+            _HINGES.items(), necks, strict=True
+        )
     ]
     held = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
     return Mechanism(bodies, hinges, held=held)
 
 
-class Amplification(eqx.Module):
+class Amplification(Tabled):
     """What a stage makes of a motion of its input.
 
     Args:
@@ -168,6 +186,20 @@ class Amplification(eqx.Module):
     input_force: Scalar
     compression: Scalar
     equilibrium: Equilibrium
+
+    @property
+    def result(self) -> RESULTS:
+        """How it ended."""
+        return self.equilibrium.result
+
+    def columns(self) -> Columns:
+        return {
+            "gain": Column(self.gain, (), "1"),
+            "output": Column(self.output, (), "m"),
+            "input_force": Column(self.input_force, (), "N"),
+            "compression": Column(self.compression, (), "m"),
+            **self.equilibrium.columns(),
+        }
 
 
 def amplify(

@@ -1,7 +1,5 @@
 """How a mechanism moved, as an answer."""
 
-from typing import TYPE_CHECKING
-
 import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,11 +9,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from .._checks import all_known
 from .results import outcomes, Placed, RESULTS
 from .system import System
-from .tables import motion_table
-
-
-if TYPE_CHECKING:
-    import xarray
+from .tables import Column, Columns, columns
 
 
 class Energies(eqx.Module):
@@ -118,14 +112,29 @@ class Motion(Placed):
             )
         return self.pushes[..., np.array(rows)]
 
-    def to_xarray(self) -> "xarray.Dataset":
-        """The motion as a dataset, with names and units.
-
-        Raises:
-            ImportError: xarray is not installed.
-            ValueError: the motion is one of a batch of them.
-        """
-        return motion_table(self)
+    def columns(self) -> Columns:
+        rows = ("time", "body")
+        told = {
+            "time": Column(self.times, ("time",), "s"),
+            **self._by_body(self.poses, "time"),
+            **columns(
+                self.velocities,
+                rows,
+                ("angular_velocity", "rad/s"),
+                ("velocity_x", "m/s"),
+                ("velocity_y", "m/s"),
+                body=self.names,
+            ),
+        }
+        if self.joints:
+            entries = (("entry", self.joints),)
+            told["push"] = Column(self.pushes, ("time", "entry"), labels=entries)
+        for name in ("elastic", "kinetic", "dissipated", "by_loads", "by_drives"):
+            energy = getattr(self.energies, name)
+            told[f"energy_{name}"] = Column(energy, ("time",), "J")
+        told["steps"] = Column(self.steps)
+        told["rejected"] = Column(self.rejected)
+        return told
 
     def __repr__(self) -> str:
         ended = outcomes(self.result)

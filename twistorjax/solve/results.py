@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from .._checks import known
+from .tables import Columns, columns, Tabled
 
 
 class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
@@ -83,7 +84,7 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
 def outcomes(result: RESULTS) -> np.ndarray | None:
     """The names of results, in the shape of their batch, or nothing while traced."""
     index = known(result._value)
-    return None if index is None else np.array(_NAMES[index], object)
+    return None if index is None else np.array(NAMES, object)[index]
 
 
 @runtime_checkable
@@ -124,12 +125,13 @@ def meaning(item: str) -> str:
     return RESULTS[getattr(RESULTS, item)]
 
 
-_NAMES = np.empty(len(RESULTS), object)
-for _name, _item in RESULTS._name_to_item.items():
-    _NAMES[int(_item._value)] = _name
+# of the outcomes, by their numbers
+NAMES = tuple(
+    sorted(RESULTS._name_to_item, key=lambda name: int(getattr(RESULTS, name)._value))
+)
 
 
-class ByBody(eqx.Module):
+class ByBody(Tabled):
     """What an answer tells of each body, called by its name."""
 
     displacements: eqx.AbstractVar[Inexact[Array, "..."]]
@@ -153,6 +155,16 @@ class ByBody(eqx.Module):
         About the body's origin, in world axes.
         """
         return self.reactions[..., self._row(body), :]
+
+    def _by_body(self, poses: Inexact[Array, "*batch bodies 3"], *before: str) -> Columns:
+        """Columns of where the bodies are, and of what holds them."""
+        rows, names = (*before, "body"), {"body": self.names}
+        places = ("angle", "rad"), ("x", "m"), ("y", "m")
+        wrenches = ("moment", "N m"), ("force_x", "N"), ("force_y", "N")
+        return {
+            **columns(poses, rows, *places, **names),
+            **columns(self.reactions, rows, *wrenches, **names),
+        }
 
     def _row(self, body: str) -> int:
         if body not in self.names:

@@ -16,6 +16,7 @@ from ..couplings import Couplings
 from ..mechanism import Mechanism
 from . import newton
 from .results import meaning, outcomes, Placed, raise_failed, RESULTS
+from .tables import Column, Columns
 
 
 class Equilibrium(Placed):
@@ -48,6 +49,10 @@ class Equilibrium(Placed):
     steps: Int[Array, ""]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+
+    def columns(self) -> Columns:
+        told = self._by_body(self.poses)
+        return {**told, "energy": Column(self.energy, (), "J")}
 
     def __repr__(self) -> str:
         ended = outcomes(self.result)

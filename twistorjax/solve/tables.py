@@ -1,35 +1,113 @@
 """Answers as labelled tables, with their units."""
 
-from typing import TYPE_CHECKING
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, TYPE_CHECKING
 
+import equinox as eqx
 import numpy as np
+from jaxtyping import Array, Shaped
 
 
 if TYPE_CHECKING:
     import xarray
 
-    from .motion import Motion
 
-
-def motion_table(motion: "Motion") -> "xarray.Dataset":
-    """A motion as a dataset of its bodies' motions, reactions and energies.
+class Column(eqx.Module):
+    """One quantity of an answer, with its unit and what its axes are.
 
     Args:
-        motion: one, not a batch of them.
+        values: an axis for each name; more come before them in a batch.
+        axes: what they are: "body", "time". A column that is named as its axis holds the
+            places along it.
+        unit: "1" where there is none; nothing where it is not known.
+        labels: what the entries of an axis are called, in pairs of the axis and these.
+    """
 
-    Returns:
-        `angle`, `x`, `y` of each body, their rates, what holds or drives it, what each
-        constraint exerts, and the energies, over time; each with its `units`.
+    values: Shaped[Any, "..."]
+    axes: tuple[str, ...] = eqx.field(static=True, default=())
+    unit: str = eqx.field(static=True, default="")
+    labels: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True, default=())
+
+
+Columns = dict[str, Column]
+
+
+def columns(
+    values: Shaped[Array, "..."],
+    axes: Sequence[str],
+    *names_and_units: tuple[str, str],
+    **labels: Sequence[str],
+) -> Columns:
+    """The entries of the last axis, each as a column.
+
+    Args:
+        values: with the axes, and one more for the entries.
+        axes: what the others are.
+        names_and_units: of each entry.
+        labels: what the entries of an axis are called.
+    """
+    kept = tuple((axis, tuple(names)) for axis, names in labels.items())
+    return {
+        name: Column(values[..., place], tuple(axes), unit, kept)
+        for place, (name, unit) in enumerate(names_and_units)
+    }
+
+
+class Tabled(eqx.Module):
+    """An answer that can be told as a table."""
+
+    @abstractmethod
+    def columns(self) -> Columns:
+        """Its quantities, by name."""
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """The answer as a dataset, with names and units.
+
+        Raises:
+            ImportError: xarray is not installed.
+            ValueError: this is a batch of answers.
+        """
+        told = self.columns()
+        for column in told.values():
+            shape = np.shape(column.values)
+            if batch := shape[: len(shape) - len(column.axes)]:
+                raise ValueError(
+                    f"This is a batch of answers, of shape {batch}: make a table of one, "
+                    "`jax.tree.map(lambda array: array[0], answer)`."
+                )
+        return dataset(told)
+
+
+def dataset(
+    told: Columns, attributes: Mapping[str, Mapping[str, Any]] | None = None
+) -> "xarray.Dataset":
+    """Columns as a dataset; those that are named as their axis as its coordinates.
+
+    Args:
+        told: the columns.
+        attributes: more of them, beside their units, by name.
 
     Raises:
         ImportError: xarray is not installed.
-        ValueError: the motion is a batch of them.
+    """
+    xarray = need_xarray()
+    variables, coordinates = {}, {}
+    for name, column in told.items():
+        more = dict((attributes or {}).get(name, {}))
+        if column.unit:
+            more["units"] = column.unit
+        variable = (column.axes, np.asarray(column.values), more)
+        (coordinates if column.axes == (name,) else variables)[name] = variable
+        coordinates.update({axis: list(labels) for axis, labels in column.labels})
+    return xarray.Dataset(variables, coordinates)
 
-    Example:
-        >>> from twistorjax.cases import four_bar
-        >>> table = motion_table(four_bar.drive(four_bar.four_bar()))
-        >>> float(table.x.sel(body="3").sel(time=0.09, method="nearest"))
-        -0.01486...
+
+def need_xarray():
+    """xarray, where it is installed.
+
+    Raises:
+        ImportError: it is not.
     """
     try:
         import xarray
@@ -37,37 +115,4 @@ def motion_table(motion: "Motion") -> "xarray.Dataset":
         raise ImportError(
             'Tables need xarray: install it with `pip install "twistorjax[data]"`.'
         ) from error
-
-    if np.ndim(motion.times) != 1:
-        raise ValueError(
-            f"This is a batch of motions, of shape {np.shape(motion.times)[:-1]}: make a "
-            "table of one, `jax.tree.map(lambda array: array[0], motion)`."
-        )
-    columns = {}
-
-    def put(dimensions, values, *names_and_units):
-        for k, (name, unit) in enumerate(names_and_units):
-            column = np.asarray(values) if len(names_and_units) == 1 else values[..., k]
-            columns[name] = (dimensions, np.asarray(column), {"units": unit})
-
-    rows = ("time", "body")
-    put(rows, motion.poses, ("angle", "rad"), ("x", "m"), ("y", "m"))
-    velocities = (
-        ("angular_velocity", "rad/s"),
-        ("velocity_x", "m/s"),
-        ("velocity_y", "m/s"),
-    )
-    put(rows, motion.velocities, *velocities)
-    put(rows, motion.reactions, ("moment", "N m"), ("force_x", "N"), ("force_y", "N"))
-    if motion.joints:
-        columns["push"] = (("time", "entry"), np.asarray(motion.pushes))
-    for name in ("elastic", "kinetic", "dissipated", "by_loads", "by_drives"):
-        put(("time",), getattr(motion.energies, name), (f"energy_{name}", "J"))
-    coordinates = {
-        "time": ("time", np.asarray(motion.times), {"units": "s"}),
-        "body": list(motion.names),
-    }
-    if motion.joints:
-        coordinates["entry"] = list(motion.joints)
-    steps = {"steps": int(motion.steps), "rejected": int(motion.rejected)}
-    return xarray.Dataset(columns, coordinates, attrs=steps)
+    return xarray

@@ -15,9 +15,10 @@ from ..mechanism import Mechanism
 from . import newton
 from .results import ByBody, meaning, outcomes, raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates, within_range
+from .tables import Column, Columns, columns, Tabled
 
 
-class Vibrations(eqx.Module):
+class Vibrations(Tabled):
     """The natural vibrations of a mechanism, the slowest first.
 
     Where the equilibrium is unstable its frequency is NaN.
@@ -34,6 +35,14 @@ class Vibrations(eqx.Module):
     shapes: Float[Array, "*batch modes bodies 3"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+
+    def columns(self) -> Columns:
+        rows = ("mode", "body")
+        moved = ("shape_angle", ""), ("shape_x", ""), ("shape_y", "")
+        return {
+            "frequency": Column(self.frequencies, ("mode",), "Hz"),
+            **columns(self.shapes, rows, *moved, body=self.names),
+        }
 
     @property
     def succeeded(self) -> Bool[Array, "*batch"]:
@@ -155,6 +164,10 @@ class Response(ByBody):
     reactions: Complex[Array, "frequencies bodies 3"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+
+    def columns(self) -> Columns:
+        told = self._by_body(self.displacements, "frequency")
+        return {"frequency": Column(self.frequencies, ("frequency",), "Hz"), **told}
 
 
 def frequency_response(

@@ -1,0 +1,113 @@
+"""The designs of a sweep, a lane each."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+
+class Grid:
+    """Every combination of some values of each parameter.
+
+    Args:
+        values: of each parameter, by its name: a row of numbers. The last changes
+            fastest.
+
+    Raises:
+        ValueError: there is no parameter, or one has no row of numbers.
+
+    Example:
+        >>> Grid({"length": [5e-3, 10e-3], "thickness": [0.2e-3, 0.4e-3, 0.6e-3]})
+        Grid of 6 designs: 2 of length, 3 of thickness
+    """
+
+    values: dict[str, np.ndarray]
+
+    def __init__(
+        self, values: Mapping[str, Float[ArrayLike, " values"] | Sequence[float]]
+    ):
+        self.values = {name: np.asarray(row) for name, row in values.items()}
+        if not self.values:
+            raise ValueError("`values` is empty, but a grid needs a parameter.")
+        for name, row in self.values.items():
+            if row.ndim != 1 or not row.size or not np.issubdtype(row.dtype, np.number):
+                raise ValueError(
+                    f"`values[{name!r}]` has shape {row.shape} and type {row.dtype}, but "
+                    "must be a row of numbers."
+                )
+
+    def __repr__(self) -> str:
+        parts = (f"{row.size} of {name}" for name, row in self.values.items())
+        total = math.prod(row.size for row in self.values.values())
+        return f"Grid of {total:,} designs: {', '.join(parts)}"
+
+
+class Lanes:
+    """Designs in a row, whatever they were given as.
+
+    Args:
+        designs: a `Grid`; or a tree of arrays, such as a mapping from names, each with an
+            entry for each design along its first axis.
+
+    Raises:
+        ValueError: there is no array, or they are of different lengths.
+    """
+
+    names: tuple[str, ...]
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    arrays: list[np.ndarray]
+
+    def __init__(self, designs: Any):
+        self._grid = isinstance(designs, Grid)
+        if isinstance(designs, Grid):
+            self.names = self.dims = tuple(designs.values)
+            self.arrays = list(designs.values.values())
+            self.shape = tuple(row.size for row in self.arrays)
+            self._tree = jax.tree.structure(designs.values)
+            # of a mapping, whose leaves JAX puts in the order of their names
+            self._order = [self.names.index(name) for name in sorted(self.names)]
+            return
+        paths, self._tree = jax.tree_util.tree_flatten_with_path(designs)
+        names, self.arrays = [], []
+        for path, leaf in paths:
+            name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
+            array = np.asarray(leaf)
+            if array.ndim < 1 or not np.issubdtype(array.dtype, np.number):
+                raise ValueError(
+                    f"`designs` has {name} of shape {array.shape} and type "
+                    f"{array.dtype}, but it must have a number, or an array of them, for "
+                    "each design along the first axis. What is the same for all belongs "
+                    "in the study."
+                )
+            names.append(name)
+            self.arrays.append(array)
+        lengths = dict(zip(names, map(len, self.arrays), strict=True))
+        if len(set(lengths.values())) != 1 or 0 in lengths.values():
+            told = ", ".join(f"{count} of {name}" for name, count in lengths.items())
+            raise ValueError(
+                f"`designs` has {told or 'no array'}, but must have as many of each, and "
+                "at least one. For all combinations take a `Grid`."
+            )
+        self.names, self.dims = tuple(names), ("design",)
+        self.shape = (len(self.arrays[0]),)
+        self._order = list(range(len(names)))
+
+    def __len__(self) -> int:
+        return math.prod(self.shape)
+
+    def take(self, rows: np.ndarray) -> list[np.ndarray]:
+        """The parameters of some designs, in the order of the names."""
+        if not self._grid:
+            return [array[rows] for array in self.arrays]
+        places = np.unravel_index(rows, self.shape)
+        return [row[place] for row, place in zip(self.arrays, places, strict=True)]
+
+    def design(self, leaves: Sequence[Array]) -> Any:
+        """One design, as the study takes it."""
+        sorted_out = [jnp.asarray(leaves[place]) for place in self._order]
+        return jax.tree.unflatten(self._tree, sorted_out)

@@ -1,0 +1,155 @@
+"""How a sweep's numbers become one dataset."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TYPE_CHECKING
+
+import jax
+import numpy as np
+
+from ..solve.results import NAMES
+from ..solve.tables import Column, Columns
+from .lanes import Lanes
+from .telling import Told
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+# of a column that holds the places along its own axis, as long as it is told by design
+_PLACES = "_places"
+
+# what the numbers of `result` mean, as the CF conventions have it
+OUTCOMES = {
+    "result": {"flag_values": list(range(len(NAMES))), "flag_meanings": " ".join(NAMES)}
+}
+
+
+class Layout:
+    """Names, axes and units of all that a sweep keeps.
+
+    Args:
+        lanes: the designs.
+        told: of one chunk of them, as shapes.
+        units: of what does not tell its own, by name.
+
+    Raises:
+        ValueError: a name is used twice, or not known; an axis has two lengths.
+    """
+
+    def __init__(self, lanes: Lanes, told: Told, units: Mapping[str, str]):
+        self.lanes = lanes
+        own = {
+            f"{n}{_PLACES}" if c.axes == (n,) else n: c for n, c in told.columns.items()
+        }
+        self._names = tuple(own)
+        own |= {"succeeded": Column(told.succeeded), "result": Column(told.result)}
+        if twice := sorted({*own} & {*lanes.names, *lanes.dims, "design"}):
+            raise ValueError(
+                f"{twice[0]!r} is both what the study answers and what the designs have, "
+                "or a name that the table needs. Call it something else."
+            )
+        units = {**{name: column.unit for name, column in own.items()}, **units}
+        if strange := [name for name in units if name not in (*own, *lanes.names)]:
+            there = ", ".join((*lanes.names, *self._names))
+            raise ValueError(f"`units` names {strange[0]!r}, but there are {there}.")
+        for whole in self._names:
+            for parameter in lanes.names:
+                if (slope := f"{whole}_by_{parameter}") in own and not units[slope]:
+                    units[slope] = _ratio(units.get(whole, ""), units.get(parameter, ""))
+        self.fixed = self._parameters(units)
+        self.by_design = {
+            name: Column(
+                jax.ShapeDtypeStruct(
+                    (len(lanes), *column.values.shape[1:]), column.values.dtype
+                ),
+                ("design", *column.axes),
+                units[name],
+                column.labels,
+            )
+            for name, column in own.items()
+        }
+        self._check_axes()
+
+    def values(self, told: Told) -> dict[str, np.ndarray]:
+        """The numbers of one chunk, by name."""
+        columns = zip(self._names, told.columns.values(), strict=True)
+        values = {name: np.asarray(column.values) for name, column in columns}
+        return values | {
+            "succeeded": np.asarray(told.succeeded),
+            "result": np.asarray(told.result),
+        }
+
+    def empty(self) -> dict[str, np.ndarray]:
+        """Room for the numbers of all designs."""
+        return {
+            name: np.empty(column.values.shape, column.values.dtype)
+            for name, column in self.by_design.items()
+        }
+
+    @property
+    def grid(self) -> tuple[str, ...]:
+        """The parameters whose combinations the designs are, if they are those."""
+        return () if self.lanes.dims == ("design",) else self.lanes.dims
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What the parameters are: coordinates."""
+        return {"coordinates": " ".join(self.lanes.names)} if not self.grid else {}
+
+    def _parameters(self, units: Mapping[str, str]) -> Columns:
+        lanes, told = self.lanes, {}
+        for name, array in zip(lanes.names, lanes.arrays, strict=True):
+            axes = ("design", *(f"{name}_{k}" for k in range(array.ndim - 1)))
+            if self.grid:
+                axes = (name,)
+            told[name] = Column(array, axes, units.get(name, ""))
+        return told
+
+    def _check_axes(self) -> None:
+        lengths: dict[str, int] = {}
+        for name, column in (self.by_design | self.fixed).items():
+            for axis, length in zip(column.axes, column.values.shape, strict=True):
+                if lengths.setdefault(axis, length) != length:
+                    raise ValueError(
+                        f"{name!r} has {length} entries along {axis!r}, where another "
+                        f"has {lengths[axis]}: give one of them axes of other names."
+                    )
+
+
+def finished(table: "xarray.Dataset", grid: Sequence[str]) -> "xarray.Dataset":
+    """The table of a sweep, from one that has all designs in a row.
+
+    Args:
+        table: over `design`.
+        grid: parameters of which the designs are all combinations; none where they are
+            no grid.
+    """
+    for name in map(str, table.data_vars):
+        if not name.endswith(_PLACES):
+            continue
+        places = table[name]
+        one = places[0].drop_vars(places.coords)
+        if np.array_equal(places, np.broadcast_to(one, places.shape), equal_nan=True):
+            plain = name.removesuffix(_PLACES)
+            table = table.drop_vars(name).assign_coords({plain: one})
+    if grid:
+        shape = [table.sizes[name] for name in grid]
+
+        def unrolled(variable: "xarray.DataArray") -> Any:
+            axes = (*grid, *map(str, variable.dims[1:]))
+            values = variable.values.reshape(*shape, *variable.shape[1:])
+            return axes, values, variable.attrs
+
+        rows = [name for name in table.data_vars if "design" in table[name].dims]
+        table = table.assign({name: unrolled(table[name]) for name in rows})
+    return table
+
+
+def _ratio(above: str, below: str) -> str:
+    """The unit of a slope; nothing where one is not known."""
+    if not above or not below:
+        return ""
+    if below == "1":
+        return above
+    return f"{above}/({below})" if " " in below or "/" in below else f"{above}/{below}"

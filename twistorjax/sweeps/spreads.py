@@ -1,0 +1,296 @@
+"""What is not known exactly: how parameters spread, and designs drawn from them."""
+
+from abc import abstractmethod
+from typing import Any, get_args, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .._checks import known, one_of
+
+
+Method = Literal["sobol", "latin", "random"]
+
+
+class AbstractSpread(eqx.Module):
+    """How a parameter, or each of several, is distributed.
+
+    Args:
+        mean: of it.
+        deviation: its standard deviation.
+    """
+
+    mean: eqx.AbstractVar[Float[Array, "..."]]
+    deviation: eqx.AbstractVar[Float[Array, "..."]]
+
+    @abstractmethod
+    def quantile(self, part: Float[np.ndarray, "*designs"]) -> Float[np.ndarray, "..."]:
+        """What is not exceeded by that part of all, between 0 and 1."""
+
+
+class Normal(AbstractSpread):
+    """A parameter that is normally distributed; or several, each for itself.
+
+    Args:
+        mean: of it.
+        deviation: standard deviation.
+
+    Raises:
+        ValueError: a deviation is negative, a number not finite, or their shapes differ.
+
+    Example:
+        >>> Normal(250e-6, 10e-6)
+        Normal(mean=0.00025, deviation=1e-05)
+    """
+
+    mean: Float[Array, "..."]
+    deviation: Float[Array, "..."]
+
+    def __init__(self, mean: ArrayLike, deviation: ArrayLike):
+        self.mean, self.deviation = _together("mean", mean, "deviation", deviation)
+        sizes = known(self.deviation)
+        if sizes is not None and np.any(sizes < 0):
+            raise ValueError(f"`deviation` is {deviation}, but must not be negative.")
+
+    def quantile(self, part: Float[np.ndarray, "*designs"]) -> Float[np.ndarray, "..."]:
+        from scipy.special import ndtri
+
+        return np.asarray(self.mean) + np.asarray(self.deviation) * ndtri(part)
+
+    def __repr__(self) -> str:
+        return _told(self, mean=self.mean, deviation=self.deviation)
+
+
+class Uniform(AbstractSpread):
+    """A parameter that is as likely anywhere between two bounds; or several.
+
+    Args:
+        low: the lower bound.
+        high: the upper one.
+
+    Raises:
+        ValueError: a bound is not finite, the lower is above the upper, or their shapes
+            differ.
+
+    Example:
+        >>> Uniform(0.2e-3, 0.3e-3)
+        Uniform(low=0.0002, high=0.0003)
+    """
+
+    low: Float[Array, "..."]
+    high: Float[Array, "..."]
+
+    def __init__(self, low: ArrayLike, high: ArrayLike):
+        self.low, self.high = _together("low", low, "high", high)
+        seen = known(self.high - self.low)
+        if seen is not None and np.any(seen < 0):
+            raise ValueError(f"`low` is {low} and `high` {high}, but low is the lower.")
+
+    @property
+    def mean(self) -> Float[Array, "..."]:
+        """Half way."""
+        return (self.low + self.high) / 2
+
+    @property
+    def deviation(self) -> Float[Array, "..."]:
+        """The range by the root of twelve."""
+        return (self.high - self.low) / np.sqrt(12)
+
+    def quantile(self, part: Float[np.ndarray, "*designs"]) -> Float[np.ndarray, "..."]:
+        return np.asarray(self.low) + np.asarray(self.high - self.low) * part
+
+    def __repr__(self) -> str:
+        return _told(self, low=self.low, high=self.high)
+
+
+class Spreads:
+    """The parameters of a design that spread, among those that are known.
+
+    Args:
+        designs: what the study takes, a tree, with a `Normal` or a `Uniform` for each
+            parameter that is not known exactly.
+        correlation: of all numbers that spread, in the order of `names`; by default they
+            are independent. Of uniform ones, that of the normal numbers they are made of.
+
+    Raises:
+        ValueError: nothing spreads; the correlation is no matrix of that kind.
+    """
+
+    def __init__(self, designs: Any, correlation: ArrayLike | None = None):
+        paths, self._tree = jax.tree_util.tree_flatten_with_path(
+            designs, is_leaf=_is_spread
+        )
+        self._leaves = [leaf for _, leaf in paths]
+        names: list[str] = []
+        self.spreads: list[AbstractSpread] = []
+        for path, leaf in paths:
+            if not _is_spread(leaf):
+                continue
+            name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
+            for place in np.ndindex(leaf.mean.shape):
+                index = f"[{', '.join(map(str, place))}]" if place else ""
+                names.append(name + index)
+            self.spreads.append(leaf)
+        self.names = tuple(names)
+        if not names:
+            raise ValueError(
+                "Nothing spreads: give a `Normal` or a `Uniform` for at least one "
+                "parameter."
+            )
+        self.correlation = np.eye(len(names))
+        if correlation is not None:
+            self.correlation = self._checked(np.asarray(correlation, float))
+
+    def _checked(self, matrix: np.ndarray) -> np.ndarray:
+        count = len(self.names)
+        ones = matrix.shape == (count, count) and np.allclose(np.diagonal(matrix), 1)
+        if not ones or not np.allclose(matrix, matrix.T):
+            raise ValueError(
+                f"`correlation` has shape {matrix.shape}, but must be a symmetric matrix "
+                f"with ones on its diagonal for {', '.join(self.names)}."
+            )
+        if np.linalg.eigvalsh(matrix)[0] < -1e-9:
+            raise ValueError(
+                "`correlation` has a negative eigenvalue: no numbers are correlated so."
+            )
+        return matrix
+
+    @property
+    def means(self) -> Float[np.ndarray, " numbers"]:
+        """Of all that spread."""
+        return np.concatenate([np.ravel(spread.mean) for spread in self.spreads])
+
+    @property
+    def deviations(self) -> Float[np.ndarray, " numbers"]:
+        """Of all that spread."""
+        return np.concatenate([np.ravel(spread.deviation) for spread in self.spreads])
+
+    def design(self, row: Float[Array, " numbers"]) -> Any:
+        """The design with such numbers for what spreads."""
+        cuts = np.cumsum([spread.mean.size for spread in self.spreads])[:-1]
+        parts = iter(jnp.split(row, cuts))
+        leaves = [
+            next(parts).reshape(leaf.mean.shape) if _is_spread(leaf) else leaf
+            for leaf in self._leaves
+        ]
+        return jax.tree.unflatten(self._tree, leaves)
+
+    def drawn(
+        self, count: int, method: Method, key: int
+    ) -> Float[np.ndarray, "count numbers"]:
+        """So many designs, of each the numbers that spread."""
+        one_of("`method`", method, get_args(Method))
+        if count < 1:
+            raise ValueError(f"`count` is {count}, but must be at least 1.")
+        from scipy.special import ndtr, ndtri
+        from scipy.stats import qmc
+
+        size = len(self.names)
+        if method == "sobol":
+            whole = qmc.Sobol(size, rng=key).random_base2(max(0, count - 1).bit_length())
+            parts = whole[:count]
+        elif method == "latin":
+            parts = qmc.LatinHypercube(size, rng=key).random(count)
+        else:
+            parts = np.random.default_rng(key).random((count, size))
+        if not np.array_equal(self.correlation, np.eye(size)):
+            # of a matrix that may be singular, where Cholesky's factor is not to be had
+            sizes, directions = np.linalg.eigh(self.correlation)
+            root = directions * np.sqrt(np.maximum(sizes, 0.0))
+            tiny = np.finfo(float).tiny
+            parts = ndtr(ndtri(np.clip(parts, tiny, 1 - 1e-16)) @ root.T)
+        cuts = np.cumsum([spread.mean.size for spread in self.spreads])[:-1]
+        columns = [
+            spread.quantile(part.reshape(count, *spread.mean.shape)).reshape(count, -1)
+            for spread, part in zip(
+                self.spreads, np.split(parts, cuts, axis=1), strict=True
+            )
+        ]
+        return np.concatenate(columns, axis=1)
+
+
+def sampled(
+    designs: Any,
+    count: int,
+    *,
+    method: Method = "sobol",
+    key: int = 0,
+    correlation: ArrayLike | None = None,
+) -> Any:
+    """Designs drawn from how their parameters spread, for `sweep`.
+
+    Args:
+        designs: what the study takes, a tree, with a `Normal` or a `Uniform` for each
+            parameter that is not known exactly; the others are the same for all.
+        count: how many.
+        method: "sobol" and "latin" fill the space evenly, so that means need fewer
+            designs; "random" draws each for itself.
+        key: a whole number; another one draws others.
+        correlation: of all numbers that spread, in their order in the tree (mappings
+            by the order of their names); by default they are independent.
+
+    Returns:
+        The same tree, with an entry for each design along the first axis of each array.
+
+    Raises:
+        ValueError: nothing spreads, there is no design, the method is unknown, or the
+            correlation is none.
+
+    Source:
+        Sobol, USSR Comput. Math. Math. Phys. 7, 1967; McKay, Beckman and Conover,
+        Technometrics 21, 1979.
+
+    Example:
+        >>> webs = sampled({"web": Normal(250e-6, 10e-6), "travel": 1e-6}, 1024)
+        >>> webs["web"].shape, round(float(webs["web"].mean()), 9), webs["travel"].shape
+        ((1024,), 0.00025, (1024,))
+    """
+    spreads = Spreads(designs, correlation)
+    drawn = spreads.drawn(count, method, key)
+    leaves: list[np.ndarray] = []
+    place = 0
+    for leaf in spreads._leaves:
+        if _is_spread(leaf):
+            size = leaf.mean.size
+            part = drawn[:, place : place + size]
+            leaves.append(part.reshape(count, *leaf.mean.shape))
+            place += size
+        else:
+            leaves.append(np.broadcast_to(leaf, (count, *np.shape(leaf))))
+    return jax.tree.unflatten(spreads._tree, leaves)
+
+
+def _is_spread(leaf: Any) -> bool:
+    return isinstance(leaf, AbstractSpread)
+
+
+def _together(
+    first: str, one: ArrayLike, second: str, other: ArrayLike
+) -> tuple[Array, Array]:
+    """Two arrays of one shape, finite as far as can be seen."""
+    arrays = jnp.asarray(one, float), jnp.asarray(other, float)
+    try:
+        arrays = jnp.broadcast_arrays(*arrays)
+    except ValueError:
+        raise ValueError(
+            f"`{first}` has shape {arrays[0].shape} and `{second}` {arrays[1].shape}, "
+            "but they must be of one shape."
+        ) from None
+    for name, array in zip((first, second), arrays, strict=True):
+        seen = known(array)
+        if seen is not None and not np.all(np.isfinite(seen)):
+            raise ValueError(f"`{name}` is {seen.tolist()}, but must be finite.")
+    return arrays[0], arrays[1]
+
+
+def _told(spread: AbstractSpread, **numbers: Array) -> str:
+    parts = []
+    for name, array in numbers.items():
+        seen = known(array)
+        if seen is None:
+            return eqx.tree_pformat(spread)
+        parts.append(f"{name}={np.array2string(seen, precision=6)}")
+    return f"{type(spread).__name__}({', '.join(parts)})"

@@ -1,0 +1,269 @@
+"""Many designs at once: what a study says of each, as one table."""
+
+import hashlib
+import importlib.metadata
+import json
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import jax
+import numpy as np
+
+from ..solve.results import meaning, NAMES
+from ..solve.tables import Column, dataset, need_xarray
+from .engine import Program
+from .lanes import Lanes
+from .layout import finished, Layout, OUTCOMES
+from .store import Store
+from .telling import telling, Told
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+CHUNK = 4096
+
+
+def sweep(
+    study: Callable[[Any], Any],
+    designs: Any,
+    *,
+    derivatives: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
+    chunk: int | None = None,
+    memory: float = 2**30,
+    mesh: jax.sharding.Mesh | None = None,
+    store: str | Path | None = None,
+    resume: bool = False,
+    settings: Mapping[str, Any] | None = None,
+    progress: bool = False,
+) -> "xarray.Dataset":
+    """What a study says of each of many designs.
+
+    They are taken in chunks, each side by side in one program. A design that has no
+    answer harms no other: its numbers are NaN, `succeeded` is false and `result` tells
+    why; a warning counts such designs.
+
+    Args:
+        study: of one design, as `designs` has them: builds a mechanism, solves it, and
+            answers with an equilibrium, vibrations, a motion, a number, an array, or a
+            mapping of these by names. Where solves may fail, with `throw=False`.
+        designs: a mapping from names to arrays, or another tree of them, each with an
+            entry for each design along its first axis; `sampled` makes such ones. Or a
+            `Grid`, for all combinations.
+        derivatives: names of answers that are differentiated by each parameter, in the
+            same pass: `gain_by_web`.
+        units: of parameters and answers that do not tell their own, by name.
+        chunk: how many designs a device takes at once, by default 4096, or as few as
+            `memory` allows.
+        memory: that a chunk may take on each device; bytes.
+        mesh: of devices, of this process or of all that `jax.distributed` has joined.
+            Each takes chunks of its own.
+        store: a folder, in zarr's format, in which chunks are kept as they are found, so
+            that nothing of them is lost when the sweep is ended, however it is. Several
+            processes need one that they share.
+        resume: whether to go on with a store, from what it has: chunks that are whole
+            are not computed again, and those which are not are.
+        settings: more to be kept with the table, and, in a store, to know it by.
+        progress: whether a bar is shown.
+
+    Returns:
+        A dataset over `design`, or over the parameters of a grid; of a store as
+        `open_sweep` reads it.
+
+    Raises:
+        ImportError: xarray is not installed, or zarr, for a store.
+        ValueError: the designs are of different lengths; a name is not known, or used
+            twice; the store is another sweep's, or is there and not to be resumed; the
+            chunk does not fit the memory.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from twistorjax import Body, equilibrium, Hinge, leaf, Load, Material
+        >>> from twistorjax import Mechanism
+        >>> steel = Material(modulus=210e9)
+        >>> def sag(design):
+        ...     spring = leaf(steel, length=0.05, width=0.01, **design)
+        ...     hinge = Hinge("leaf", "wall", "tip", spring, at=(0.0, 0.025, 0.0))
+        ...     bodies = [Body("wall"), Body("tip", (0.0, 0.05, 0.0))]
+        ...     beam = Mechanism(bodies, [hinge], held=["wall"])
+        ...     push = Load("tip", (0.0, 0.0, -1.0))
+        ...     bent = equilibrium(beam, loads=[push], throw=False)
+        ...     return {"sag": -bent.displacement("tip")[2], "result": bent.result}
+        >>> thicknesses = jnp.array([0.5e-3, 1e-3])
+        >>> table = sweep(sag, {"thickness": thicknesses}, units={"sag": "m"})
+        >>> table.sag.values
+        array([0.00190..., 0.00023...])
+    """
+    need_xarray()
+    lanes = Lanes(designs)
+    if isinstance(derivatives, str):
+        derivatives = (derivatives,)
+    if (chunk is not None and chunk < 1) or not memory > 0:
+        raise ValueError(
+            f"`chunk` is {chunk} and `memory` {memory}, but they must be at least 1, and "
+            "positive."
+        )
+    if resume and store is None:
+        raise ValueError("`resume` is given, but no `store` to go on with.")
+    there = store is not None and Path(store).exists()
+    if there and not resume:
+        raise ValueError(
+            f"`store` is {str(store)!r}, which is there already: go on with it by "
+            "`resume=True`, or give another path."
+        )
+    if store is not None and there and chunk is None:
+        chunk = Store(store).made_by["chunk"]
+    most = -(-len(lanes) // (1 if mesh is None else mesh.size))
+    program = Program(
+        telling(study, lanes, derivatives),
+        lanes,
+        min(CHUNK, most) if chunk is None else chunk,
+        memory,
+        mesh,
+        fixed=chunk is not None,
+    )
+    layout = Layout(lanes, program.told, dict(units or {}))
+    chunks = range(-(-len(lanes) // program.chunk))
+    if store is None:
+        kept = layout.empty()
+        for number, told in _shown(program, chunks, progress):
+            first = number * program.chunk
+            for name, values in layout.values(told).items():
+                rows = kept[name][first : first + program.chunk]
+                rows[:] = values[: len(rows)]
+        attributes = _identity(study, program, settings)
+        table = _in_memory(layout, _gathered(kept, program), attributes)
+    else:
+        keeper = _opened(store, layout, program, _identity(study, program, settings))
+        left = np.flatnonzero(~keeper.finished())
+        _together("begun")
+        for number, told in _shown(program, left.tolist(), progress):
+            keeper.write(number, layout.values(told))
+        _together("ended")
+        table = open_sweep(store)
+    _warn(table)
+    return table
+
+
+def open_sweep(store: str | Path) -> "xarray.Dataset":
+    """What a store has of a sweep; of one that is not at its end, what is there so far.
+
+    Designs that have not been looked at are NaN, and not `succeeded`. Numbers are read
+    as they are used, unless the designs are a grid.
+
+    Args:
+        store: the folder.
+
+    Raises:
+        ImportError: xarray or zarr is not installed.
+        OSError: it is not there.
+    """
+    xarray, kept = need_xarray(), Store(store)
+    table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
+    table = finished(table, kept.grid)
+    missing = int(np.sum(~kept.written()))
+    if missing:
+        table = table.assign_attrs(chunks_missing=missing)
+    return table
+
+
+def _opened(
+    path: str | Path, layout: Layout, program: Program, made_by: Mapping[str, Any]
+) -> Store:
+    """The store of a sweep, found or made."""
+    if jax.process_index() == 0:
+        if Path(path).exists():
+            kept = Store(path)
+            kept.check(made_by)
+            kept.clear()
+        else:
+            Store.create(path, made_by, layout, program.chunk)
+    _together("opened")
+    return Store(path)
+
+
+def _identity(
+    study: Callable[[Any], Any], program: Program, settings: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """What another sweep is told apart by."""
+    digest = hashlib.sha256()
+    for name, array in zip(program.lanes.names, program.lanes.arrays, strict=True):
+        digest.update(f"{name} {array.dtype} {array.shape};".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return {
+        "study": getattr(study, "__qualname__", type(study).__qualname__),
+        "settings": json.dumps(dict(settings or {}), sort_keys=True),
+        "chunk": program.chunk,
+        "program": program.fingerprint,
+        "designs": digest.hexdigest(),
+        "twistorjax": importlib.metadata.version("twistorjax"),
+        "jax": jax.__version__,
+        "backend": jax.default_backend(),
+    }
+
+
+def _in_memory(
+    layout: Layout, values: Mapping[str, np.ndarray], attributes: Mapping[str, Any]
+) -> "xarray.Dataset":
+    told = {
+        name: Column(values[name], column.axes, column.unit, column.labels)
+        for name, column in layout.by_design.items()
+    }
+    table = dataset({**layout.fixed, **told}, OUTCOMES)
+    table = table.set_coords(layout.lanes.names).assign_attrs(attributes)
+    return finished(table, layout.grid)
+
+
+def _shown(
+    program: Program, chunks: Sequence[int], progress: bool
+) -> Iterator[tuple[int, Told]]:
+    """The chunks as they are found, with a bar that counts designs."""
+    from tqdm import tqdm
+
+    count, size = len(program.lanes), program.chunk
+    total = sum(min(size, count - number * size) for number in chunks)
+    with tqdm(total=total, unit="design", unit_scale=True, disable=not progress) as bar:
+        for number, told in program.run(chunks):
+            yield number, told
+            bar.update(min(size, count - number * size))
+
+
+def _together(step: str) -> None:
+    """Waits until all processes are there."""
+    if jax.process_count() > 1:
+        from jax.experimental import multihost_utils
+
+        multihost_utils.sync_global_devices(step)
+
+
+def _gathered(kept: dict[str, np.ndarray], program: Program) -> dict[str, np.ndarray]:
+    """The numbers of all processes, of which each has those of its own chunks."""
+    if jax.process_count() == 1:
+        return kept
+    from jax.experimental import multihost_utils
+
+    owner = np.repeat(program.owners, program.chunk)[: len(program.lanes)]
+    designs = np.arange(len(owner))
+    return {
+        name: np.asarray(multihost_utils.process_allgather(values))[owner, designs]
+        for name, values in kept.items()
+    }
+
+
+def _warn(table: "xarray.Dataset") -> None:
+    """Counts the designs that have no answer, and says why."""
+    codes = np.asarray(table["result"])[~np.asarray(table["succeeded"])]
+    if not codes.size:
+        return
+    counts = Counter(NAMES[code] for code in codes.ravel())
+    why = " ".join(f"{count:,} {name}: {meaning(name)}" for name, count in counts.items())
+    warnings.warn(
+        f"{codes.size:,} of {table['succeeded'].size:,} designs have no answer: their "
+        f"numbers are NaN. {why}",
+        stacklevel=3,
+    )

@@ -1,6 +1,7 @@
 """A sweep's program, chunk after chunk, on one device or on many."""
 
 import hashlib
+import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -9,16 +10,22 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from .lanes import Lanes
-from .telling import Told
+from .lanes import Kind, Lanes
+from .telling import telling, Told
+
+
+# side by side on a processor: so few that what they are about stays in its cache, and
+# that a batch's slowest design holds up few others
+_SIDE = 128
 
 
 class Program:
     """What is done to one chunk of designs, compiled; on each device of a mesh at once.
 
     Args:
-        tell: what is told of one design.
-        lanes: the designs.
+        study: of one design.
+        kind: of what designs consist.
+        derivatives: names of answers that are differentiated.
         chunk: how many a device takes at once.
         memory: that a chunk may take on a device; bytes. Where it would take more the
             chunk is made smaller.
@@ -31,20 +38,25 @@ class Program:
 
     def __init__(
         self,
-        tell: Callable[[list[jax.Array]], Told],
-        lanes: Lanes,
+        study: Callable[[Any], Any],
+        kind: Kind,
+        derivatives: tuple[str, ...],
         chunk: int,
         memory: float,
         mesh: Mesh | None,
         fixed: bool,
     ):
-        self.lanes, self.mesh = lanes, mesh
-        self._one = jax.vmap(tell)
+        self.kind, self.mesh = kind, mesh
+        self._tell, self._side = telling(study, kind, derivatives), _SIDE
         while True:
             self.chunk = chunk
-            lowered = jax.jit(self._one).lower(self._arguments(chunk))
+            lowered = jax.jit(self._all).lower(self._arguments(chunk))
+            text = lowered.as_text()
+            if (side := _unshared(text)) < self._side:
+                self._side = side
+                continue
             self.told: Told = jax.tree.map(_shape, lowered.out_info)
-            self.fingerprint = hashlib.sha256(lowered.as_text().encode()).hexdigest()
+            self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
             self._compiled = lowered.compile() if mesh is None else self._spread(mesh)
             needed = _bytes(self._compiled) / self.devices
             if needed <= memory or (chunk == 1 and not fixed):
@@ -62,7 +74,18 @@ class Program:
         """How many there are."""
         return 1 if self.mesh is None else self.mesh.size
 
-    def run(self, chunks: Sequence[int]) -> Iterator[tuple[int, Told]]:
+    @property
+    def platform(self) -> str:
+        """Of the devices: "cpu", "gpu"."""
+        if self.mesh is None:
+            return jax.default_backend()
+        return self.mesh.devices.flat[0].platform
+
+    def count(self, lanes: Lanes) -> int:
+        """How many chunks some designs are."""
+        return -(-len(lanes) // self.chunk)
+
+    def run(self, lanes: Lanes, chunks: Sequence[int]) -> Iterator[tuple[int, Told]]:
         """What is told of some chunks, by their numbers: of those on this process.
 
         The next chunks are under way while one is read.
@@ -70,33 +93,32 @@ class Program:
         waiting: deque[tuple[tuple[int, ...], Told]] = deque()
         for first in range(0, len(chunks), self.devices):
             group = tuple(chunks[first : first + self.devices])
-            waiting.append((group, self._start(group)))
+            waiting.append((group, self._start(lanes, group)))
             if len(waiting) > 1:
                 yield from self._read(*waiting.popleft())
         while waiting:
             yield from self._read(*waiting.popleft())
 
-    @property
-    def owners(self) -> np.ndarray:
+    def owners(self, lanes: Lanes) -> np.ndarray:
         """The number of the process that has each chunk, if all are to be done."""
-        chunks = np.arange(-(-len(self.lanes) // self.chunk))
+        chunks = np.arange(self.count(lanes))
         if self.mesh is None:
             return np.full(len(chunks), jax.process_index())
         each = np.array([device.process_index for device in self.mesh.devices.flat])
         return each[chunks % self.devices]
 
-    def rows(self, chunk: int) -> np.ndarray:
-        """The designs of a chunk; the last is repeated to fill it."""
-        first = chunk * self.chunk
-        return np.minimum(np.arange(first, first + self.chunk), len(self.lanes) - 1)
-
-    def _start(self, group: tuple[int, ...]) -> Told:
+    def _start(self, lanes: Lanes, group: tuple[int, ...]) -> Told:
         group += (group[-1],) * (self.devices - len(group))
-        rows = [self.rows(chunk) for chunk in group]
+        firsts = [chunk * self.chunk for chunk in group]
+        # the last design is repeated where there are no more
+        rows = [
+            np.minimum(np.arange(first, first + self.chunk), len(lanes) - 1)
+            for first in firsts
+        ]
         if self.mesh is None:
-            return self._compiled(self.lanes.take(rows[0]))
+            return self._compiled(lanes.take(rows[0]))
         sharding = NamedSharding(self.mesh, self._split)
-        leaves = self.lanes.take(np.concatenate(rows))
+        leaves = lanes.take(np.concatenate(rows))
         return self._compiled(
             [
                 jax.make_array_from_callback(
@@ -120,6 +142,13 @@ class Program:
                 ]
                 yield group[which], jax.tree.unflatten(tree, parts)
 
+    def _all(self, leaves: list[jax.Array]) -> Told:
+        """What is told of a whole chunk."""
+        count = len(leaves[0])
+        if self.platform != "cpu" or count <= self._side:
+            return jax.vmap(self._tell)(leaves)
+        return jax.lax.map(self._tell, leaves, batch_size=self._side)
+
     @property
     def _split(self) -> PartitionSpec:
         """Over all axes of the mesh, whatever they are called."""
@@ -127,24 +156,40 @@ class Program:
         return PartitionSpec(tuple(self.mesh.axis_names))
 
     def _arguments(self, count: int) -> list[jax.ShapeDtypeStruct]:
-        one = self.lanes.take(np.zeros(1, int))
-        kinds = [jax.dtypes.canonicalize_dtype(leaf.dtype) for leaf in one]
         return [
-            jax.ShapeDtypeStruct((count, *leaf.shape[1:]), kind)
-            for leaf, kind in zip(one, kinds, strict=True)
+            jax.ShapeDtypeStruct((count, *shape), dtype)
+            for shape, dtype in self.kind.shapes
         ]
 
     def _spread(self, mesh: Mesh) -> Any:
         """The program on all devices, each with a chunk of its own to the end."""
         split, sharding = self._split, NamedSharding(mesh, self._split)
         alone = jax.shard_map(
-            self._one, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
+            self._all, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
         )
         arguments = [
             jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
             for leaf in self._arguments(self.chunk * self.devices)
         ]
         return jax.jit(alone).lower(arguments).compile()
+
+
+def _unshared(text: str) -> int:
+    """How many designs side by side keep LAPACK from sharing its work among threads.
+
+    Batches of matrices that it would share wait for one another in XLA's threads: of two
+    devices of one processor, for ever (jaxlib 0.10). It shares what takes more than 2e5
+    operations.
+    """
+    most = 0.0
+    for line in text.splitlines():
+        if not (call := re.search(r"@lapack_.(\w+?)_ffi", line)):
+            continue
+        part = {"potrf": 1 / 3, "trsm": 1 / 3, "getrf": 2 / 3}.get(call[1], 25.0)
+        for shape in re.findall(r"tensor<([\dx]+)x[cf]\d+>", line):
+            rows, columns = [1, 1, *map(int, shape.split("x"))][-2:]
+            most = max(most, part * rows * columns * max(rows, columns))
+    return max(1, min(_SIDE, int(2e5 / most))) if most else _SIDE
 
 
 def _shape(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +46,27 @@ class Grid:
         return f"Grid of {total:,} designs: {', '.join(parts)}"
 
 
+class Kind(NamedTuple):
+    """Of what designs consist: alike for those that one program serves.
+
+    Args:
+        tree: what a study takes.
+        order: of its leaves, the place of each among the names.
+        names: of the parameters.
+        shapes: of each for one design, and the type of its numbers.
+    """
+
+    tree: Any
+    order: tuple[int, ...]
+    names: tuple[str, ...]
+    shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]
+
+    def design(self, leaves: Sequence[Array]) -> Any:
+        """One design, as the study takes it, of its parameters by their names."""
+        sorted_out = [jnp.asarray(leaves[place]) for place in self.order]
+        return jax.tree.unflatten(self.tree, sorted_out)
+
+
 class Lanes:
     """Designs in a row, whatever they were given as.
 
@@ -57,7 +78,7 @@ class Lanes:
         ValueError: there is no array, or they are of different lengths.
     """
 
-    names: tuple[str, ...]
+    kind: Kind
     dims: tuple[str, ...]
     shape: tuple[int, ...]
     arrays: list[np.ndarray]
@@ -65,15 +86,17 @@ class Lanes:
     def __init__(self, designs: Any):
         self._grid = isinstance(designs, Grid)
         if isinstance(designs, Grid):
-            self.names = self.dims = tuple(designs.values)
+            self.dims = tuple(designs.values)
             self.arrays = list(designs.values.values())
             self.shape = tuple(row.size for row in self.arrays)
-            self._tree = jax.tree.structure(designs.values)
             # of a mapping, whose leaves JAX puts in the order of their names
-            self._order = [self.names.index(name) for name in sorted(self.names)]
+            order = tuple(self.dims.index(name) for name in sorted(self.dims))
+            tree = jax.tree.structure(designs.values)
+            self.kind = Kind(tree, order, self.dims, self._shapes())
             return
-        paths, self._tree = jax.tree_util.tree_flatten_with_path(designs)
-        names, self.arrays = [], []
+        paths, tree = jax.tree_util.tree_flatten_with_path(designs)
+        names: list[str] = []
+        self.arrays = []
         for path, leaf in paths:
             name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
             array = np.asarray(leaf)
@@ -93,9 +116,13 @@ class Lanes:
                 f"`designs` has {told or 'no array'}, but must have as many of each, and "
                 "at least one. For all combinations take a `Grid`."
             )
-        self.names, self.dims = tuple(names), ("design",)
-        self.shape = (len(self.arrays[0]),)
-        self._order = list(range(len(names)))
+        self.dims, self.shape = ("design",), (len(self.arrays[0]),)
+        self.kind = Kind(tree, tuple(range(len(names))), tuple(names), self._shapes())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters."""
+        return self.kind.names
 
     def __len__(self) -> int:
         return math.prod(self.shape)
@@ -107,7 +134,8 @@ class Lanes:
         places = np.unravel_index(rows, self.shape)
         return [row[place] for row, place in zip(self.arrays, places, strict=True)]
 
-    def design(self, leaves: Sequence[Array]) -> Any:
-        """One design, as the study takes it."""
-        sorted_out = [jnp.asarray(leaves[place]) for place in self._order]
-        return jax.tree.unflatten(self._tree, sorted_out)
+    def _shapes(self) -> tuple[tuple[tuple[int, ...], np.dtype], ...]:
+        one = self.take(np.zeros(1, int))
+        return tuple(
+            (leaf.shape[1:], jax.dtypes.canonicalize_dtype(leaf.dtype)) for leaf in one
+        )

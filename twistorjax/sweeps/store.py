@@ -39,9 +39,8 @@ class Store:
         self.made_by: dict[str, Any] = told["made_by"]
         self.grid = tuple(told["grid"])
         self._sums: Any = self._group[f"{_SUMS}/sums"]
-        self._arrays: dict[str, Any] = {
-            name: self._group[name] for name in told["by_design"]
-        }
+        self.names = tuple(told["by_design"])
+        self._arrays: dict[str, Any] = {name: self._group[name] for name in self.names}
 
     @classmethod
     def create(

@@ -6,19 +6,21 @@ import json
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import jax
 import numpy as np
 
+from .._checks import uncompilable
 from ..solve.results import meaning, NAMES
 from ..solve.tables import Column, dataset, need_xarray
 from .engine import Program
 from .lanes import Lanes
 from .layout import finished, Layout, OUTCOMES
 from .store import Store
-from .telling import telling, Told
+from .telling import Told
 
 
 if TYPE_CHECKING:
@@ -119,35 +121,46 @@ def sweep(
     if store is not None and there and chunk is None:
         chunk = Store(store).made_by["chunk"]
     most = -(-len(lanes) // (1 if mesh is None else mesh.size))
-    program = Program(
-        telling(study, lanes, derivatives),
-        lanes,
-        min(CHUNK, most) if chunk is None else chunk,
-        memory,
-        mesh,
-        fixed=chunk is not None,
-    )
+    size = min(CHUNK, most) if chunk is None else chunk
+    try:
+        program = _program(
+            study, lanes.kind, tuple(derivatives), size, memory, mesh, chunk is not None
+        )
+    except jax.errors.JAXTypeError as error:
+        raise uncompilable("study", "about the design", error) from error
     layout = Layout(lanes, program.told, dict(units or {}))
-    chunks = range(-(-len(lanes) // program.chunk))
     if store is None:
         kept = layout.empty()
-        for number, told in _shown(program, chunks, progress):
+        for number, told in _shown(program, lanes, range(program.count(lanes)), progress):
             first = number * program.chunk
             for name, values in layout.values(told).items():
                 rows = kept[name][first : first + program.chunk]
                 rows[:] = values[: len(rows)]
-        attributes = _identity(study, program, settings)
-        table = _in_memory(layout, _gathered(kept, program), attributes)
+        attributes = _identity(study, lanes, program, settings)
+        table = _in_memory(layout, _gathered(kept, lanes, program), attributes)
     else:
-        keeper = _opened(store, layout, program, _identity(study, program, settings))
+        made_by = _identity(study, lanes, program, settings)
+        keeper = _opened(store, layout, program, made_by)
         left = np.flatnonzero(~keeper.finished())
         _together("begun")
-        for number, told in _shown(program, left.tolist(), progress):
+        for number, told in _shown(program, lanes, left.tolist(), progress):
             keeper.write(number, layout.values(told))
         _together("ended")
         table = open_sweep(store)
     _warn(table)
     return table
+
+
+def _program(*arguments: Any) -> Program:
+    """The program of a study, compiled once for all designs of one kind."""
+    try:
+        hash(arguments)
+    except TypeError:  # as a study that has arrays
+        return Program(*arguments)
+    return _kept(*arguments)
+
+
+_kept = lru_cache(maxsize=32)(Program)
 
 
 def open_sweep(store: str | Path) -> "xarray.Dataset":
@@ -165,7 +178,8 @@ def open_sweep(store: str | Path) -> "xarray.Dataset":
     """
     xarray, kept = need_xarray(), Store(store)
     table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
-    table = finished(table, kept.grid)
+    del table.attrs["sweep"]
+    table = finished(table[[name for name in kept.names]], kept.grid)
     missing = int(np.sum(~kept.written()))
     if missing:
         table = table.assign_attrs(chunks_missing=missing)
@@ -188,11 +202,14 @@ def _opened(
 
 
 def _identity(
-    study: Callable[[Any], Any], program: Program, settings: Mapping[str, Any] | None
+    study: Callable[[Any], Any],
+    lanes: Lanes,
+    program: Program,
+    settings: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """What another sweep is told apart by."""
     digest = hashlib.sha256()
-    for name, array in zip(program.lanes.names, program.lanes.arrays, strict=True):
+    for name, array in zip(lanes.names, lanes.arrays, strict=True):
         digest.update(f"{name} {array.dtype} {array.shape};".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     return {
@@ -220,15 +237,15 @@ def _in_memory(
 
 
 def _shown(
-    program: Program, chunks: Sequence[int], progress: bool
+    program: Program, lanes: Lanes, chunks: Sequence[int], progress: bool
 ) -> Iterator[tuple[int, Told]]:
     """The chunks as they are found, with a bar that counts designs."""
     from tqdm import tqdm
 
-    count, size = len(program.lanes), program.chunk
+    count, size = len(lanes), program.chunk
     total = sum(min(size, count - number * size) for number in chunks)
     with tqdm(total=total, unit="design", unit_scale=True, disable=not progress) as bar:
-        for number, told in program.run(chunks):
+        for number, told in program.run(lanes, chunks):
             yield number, told
             bar.update(min(size, count - number * size))
 
@@ -241,13 +258,15 @@ def _together(step: str) -> None:
         multihost_utils.sync_global_devices(step)
 
 
-def _gathered(kept: dict[str, np.ndarray], program: Program) -> dict[str, np.ndarray]:
+def _gathered(
+    kept: dict[str, np.ndarray], lanes: Lanes, program: Program
+) -> dict[str, np.ndarray]:
     """The numbers of all processes, of which each has those of its own chunks."""
     if jax.process_count() == 1:
         return kept
     from jax.experimental import multihost_utils
 
-    owner = np.repeat(program.owners, program.chunk)[: len(program.lanes)]
+    owner = np.repeat(program.owners(lanes), program.chunk)[: len(lanes)]
     designs = np.arange(len(owner))
     return {
         name: np.asarray(multihost_utils.process_allgather(values))[owner, designs]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Int
 
 from ..solve.results import RESULTS
 from ..solve.tables import Column, Columns
-from .lanes import Lanes
+from .lanes import Kind
 
 
 # more numbers of a design than these are differentiated in reverse
@@ -35,18 +35,18 @@ class Told(eqx.Module):
 
 
 def telling(
-    study: Callable[[Any], Any], lanes: Lanes, derivatives: Sequence[str]
+    study: Callable[[Any], Any], kind: Kind, derivatives: Sequence[str]
 ) -> Callable[[list[Array]], Told]:
     """The study, as a function of the parameters that tells what is to be kept.
 
     Args:
         study: of one design.
-        lanes: the designs.
+        kind: of what the designs consist.
         derivatives: names of the columns that are to be differentiated by all of them.
     """
 
     def plain(leaves: list[Array]) -> tuple[Columns, list[RESULTS]]:
-        answer = study(lanes.design(leaves))
+        answer = study(kind.design(leaves))
         told = dict(_columns(answer, ""))
         if not told:
             raise ValueError(
@@ -57,7 +57,7 @@ def telling(
 
     def tell(leaves: list[Array]) -> Told:
         told, results = (
-            _differentiated(plain, leaves, lanes.names, derivatives)
+            _differentiated(plain, leaves, kind.names, derivatives)
             if derivatives
             else plain(leaves)
         )

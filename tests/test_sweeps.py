@@ -1,0 +1,610 @@
+"""Many designs at once: as one by one, whatever chunks, devices and ends there are."""
+
+import itertools
+import json
+import os
+import pathlib
+import random
+import socket
+import subprocess
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import twistorjax as tj
+from twistorjax.cases import stage
+from twistorjax.cases.designs import stage_gain
+
+
+xarray = pytest.importorskip("xarray")
+pytest.importorskip("zarr")
+
+
+def spring(design):
+    """A block on a spring that is pulled: its travel is force over stiffness."""
+    stiffness = jnp.diag(jnp.stack([jnp.ones(()), design["k"], jnp.ones(())]))
+    hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(stiffness), at=(0, 0, 0))
+    return tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], held=["wall"])
+
+
+def pulled(design):
+    load = tj.Load("block", (0.0, design["force"], 0.0))
+    rest = tj.equilibrium(spring(design), loads=[load], throw=False)
+    return {"travel": rest.displacement("block")[1], "result": rest.result}
+
+
+def area(design):
+    """So cheap that a store's own ways are what takes the time."""
+    return {"area": jnp.sin(design["a"]) * design["b"], "twice": 2.0 * design["a"]}
+
+
+SIDES = {"a": np.linspace(0.0, 1.0, 1000), "b": np.linspace(1.0, 2.0, 1000)}
+
+
+def test_each_design_is_as_if_it_were_alone():
+    designs = {"k": np.linspace(50.0, 150.0, 7), "force": np.linspace(-2.0, 3.0, 7)}
+    table = tj.sweep(pulled, designs, chunk=3)
+    np.testing.assert_allclose(table.travel, designs["force"] / designs["k"], rtol=1e-9)
+    assert table.travel.dims == ("design",)
+    np.testing.assert_array_equal(table.k, designs["k"])
+    assert bool(table.succeeded.all()) and not table.result.any()
+
+
+def test_a_grid_has_all_combinations():
+    grid = tj.Grid({"k": [50.0, 100.0, 200.0], "force": [1.0, 2.0]})
+    table = tj.sweep(pulled, grid, chunk=4, units={"k": "N/m", "travel": "m"})
+    assert table.travel.dims == ("k", "force")
+    force, k = np.array([1.0, 2.0]), np.array([50.0, 100.0, 200.0])
+    np.testing.assert_allclose(table.travel, force / k[:, None], rtol=1e-9)
+    assert table.k.attrs["units"] == "N/m" and table.travel.attrs["units"] == "m"
+
+
+def test_derivatives_come_with_the_answers():
+    designs = {"k": np.array([50.0, 100.0]), "force": np.array([1.0, 3.0])}
+    units = {"k": "N/m", "force": "N", "travel": "m"}
+    table = tj.sweep(pulled, designs, derivatives=("travel",), units=units)
+    np.testing.assert_allclose(table.travel_by_force, 1 / designs["k"], rtol=1e-9)
+    slopes = -designs["force"] / designs["k"] ** 2
+    np.testing.assert_allclose(table.travel_by_k, slopes, rtol=1e-9)
+    assert table.travel_by_k.attrs["units"] == "m/(N/m)"
+    assert table.travel_by_force.attrs["units"] == "m/N"
+
+
+def test_many_parameters_are_differentiated_in_reverse():
+    def study(design):
+        return {"sum": jnp.sum(design["x"] ** 3), "pair": design["x"][:2] ** 2}
+
+    x = np.arange(80.0).reshape(2, 40)
+    table = tj.sweep(study, {"x": x}, derivatives=("sum", "pair"))
+    np.testing.assert_allclose(table.sum_by_x, 3 * x**2)
+    assert table.pair_by_x.dims == ("design", "pair_0", "x_0")
+    np.testing.assert_allclose(table.pair_by_x[1, 1, 1], 2 * x[1, 1])
+
+
+def test_a_design_without_an_answer_harms_no_other():
+    """A spring that pushes has no equilibrium; NaN comes in with one load."""
+    designs = {"k": np.array([100.0, -50.0, 100.0, 100.0]), "force": np.ones(4)}
+    designs["force"][2] = np.nan
+    with pytest.warns(UserWarning, match="2 of 4 designs have no answer"):
+        table = tj.sweep(pulled, designs, derivatives=("travel",))
+    assert table.succeeded.values.tolist() == [True, False, False, True]
+    assert np.isnan(table.travel[1:3]).all() and np.isnan(table.travel_by_k[1:3]).all()
+    np.testing.assert_array_equal(table.travel[[0, 3]], 0.01)
+    names = table.result.attrs["flag_meanings"].split()
+    told = [names[code] for code in table.result.values]
+    assert told == ["successful", "loose", "not_finite", "successful"]
+
+
+def test_answers_of_the_library_tell_their_names_and_units():
+    def study(design):
+        rest = tj.equilibrium(
+            spring(design), loads=[tj.Load("block", (0, 1, 0))], throw=False
+        )
+        return {"rest": rest, "stiff": tj.Column(design["k"], unit="N/m")}
+
+    table = tj.sweep(study, {"k": np.array([50.0, 100.0])})
+    assert table["rest.x"].attrs["units"] == "m"
+    np.testing.assert_allclose(table["rest.x"].sel(body="block"), [0.02, 0.01])
+    assert table["stiff"].attrs["units"] == "N/m"
+
+
+def test_times_of_motions_are_a_coordinate():
+    def study(design):
+        block = tj.Body("block", mass=1.0, inertia=1.0)
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), design["k"], jnp.ones(())]))
+        hinge = tj.Hinge("s", "wall", "block", tj.Quadratic(stiffness), at=(0, 0, 0))
+        swing = tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])
+        let_go = {"block": (0.0, 0.01, 0.0)}
+        times = [0.0, 0.05, 0.1]
+        return tj.simulate(swing, times, velocities=let_go, tolerance=1e-9, throw=False)
+
+    k = np.array([100.0, 400.0])
+    table = tj.sweep(study, {"k": k})
+    np.testing.assert_array_equal(table.time, [0.0, 0.05, 0.1])
+    assert table.x.dims == ("design", "time", "body")
+    swings = 0.01 / np.sqrt(k) * np.sin(np.sqrt(k) * 0.1)
+    np.testing.assert_allclose(table.x.sel(body="block")[:, -1], swings, rtol=1e-6)
+
+
+def test_a_chunk_is_as_small_as_the_memory_asks():
+    def wide(design):
+        return {"sum": jnp.sum(jnp.sort(jnp.sin(design["a"] * jnp.arange(1000.0))))}
+
+    table = tj.sweep(wide, {"a": np.linspace(0, 1, 600)}, memory=1e6)
+    assert table.attrs["chunk"] < 600
+    whole = tj.sweep(wide, {"a": np.linspace(0, 1, 600)})
+    np.testing.assert_allclose(table["sum"], whole["sum"], rtol=1e-12)
+    with pytest.raises(ValueError, match="`chunk` is 600, which takes"):
+        tj.sweep(wide, {"a": np.linspace(0, 1, 600)}, memory=1e6, chunk=600)
+
+
+def test_a_study_is_compiled_once():
+    calls = []
+
+    def study(design):
+        calls.append(1)
+        return design["a"]
+
+    for start in (0.0, 1.0, 2.0):
+        table = tj.sweep(study, {"a": np.linspace(start, 5, 10)})
+        np.testing.assert_array_equal(table.answer, table.a)
+    assert len(calls) == 1
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (dict(designs={"a": np.ones(3), "b": np.ones(2)}), "3 of a, 2 of b, but must"),
+        (dict(designs={"a": 1.0, "b": np.ones(2)}), "has a of shape ()"),
+        (dict(designs={}), "has no array"),
+        (dict(derivatives=["areas"]), "'areas', but the study answers 'area', 'twice'"),
+        (dict(units={"c": "m"}), "`units` names 'c', but there are a, b, area, twice"),
+        (dict(chunk=0), "`chunk` is 0"),
+        (dict(resume=True), "`resume` is given, but no `store`"),
+        (dict(study=lambda design: None), "but must answer an array"),
+        (dict(study=lambda design: {"a": design["b"]}), "'a' is both what the study"),
+        (dict(study=lambda design: float(design["a"])), "`study` is a function that"),
+        (
+            dict(study=lambda d: {"x": tj.Column(jnp.ones(2), ("n",)),
+                                  "y": tj.Column(jnp.ones(3), ("n",))}),
+            "'y' has 3 entries along 'n', where another has 2",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_swept_is_refused(arguments, message):
+    with pytest.raises(ValueError) as error:
+        tj.sweep(**{"study": area, "designs": SIDES, **arguments})
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [({}, "`values` is empty"), ({"a": 1.0}, "must be a row of numbers")],
+)
+def test_what_is_no_grid_is_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        tj.Grid(values)
+
+
+def same(one, other):
+    xarray.testing.assert_identical(one.drop_attrs(), other.drop_attrs())
+
+
+def files(path):
+    """When each file of numbers was written."""
+    return {
+        file: file.stat().st_mtime_ns
+        for file in sorted(path.rglob("*"))
+        if file.is_file() and "/c/" in str(file)
+    }
+
+
+def test_a_store_has_the_same_bits_and_is_not_computed_again(tmp_path):
+    plain = tj.sweep(area, SIDES, chunk=128, units={"a": "m"})
+    kept = tj.sweep(area, SIDES, chunk=128, units={"a": "m"}, store=tmp_path / "s.zarr")
+    same(kept, plain)
+    before = files(tmp_path / "s.zarr")
+    again = tj.sweep(
+        area, SIDES, units={"a": "m"}, store=tmp_path / "s.zarr", resume=True
+    )
+    same(again, plain)
+    assert files(tmp_path / "s.zarr") == before
+
+
+def test_a_store_is_read_by_xarray_itself(tmp_path):
+    tj.sweep(area, SIDES, chunk=128, units={"a": "m"}, store=tmp_path / "s.zarr")
+    table = xarray.open_zarr(tmp_path / "s.zarr", consolidated=False)
+    np.testing.assert_array_equal(table.twice, 2 * SIDES["a"])
+    assert "a" in table.coords and table.a.attrs["units"] == "m"
+
+
+def test_a_grid_in_a_store_is_opened_as_one(tmp_path):
+    grid = tj.Grid({"b": [1.0, 2.0, 3.0], "a": [0.5, 0.25]})
+    kept = tj.sweep(area, grid, chunk=4, store=tmp_path / "s.zarr")
+    assert kept.area.dims == ("b", "a")
+    same(tj.open_sweep(tmp_path / "s.zarr"), tj.sweep(area, grid))
+
+
+@pytest.mark.parametrize("harm", ["torn", "gone", "other"])
+def test_a_torn_chunk_is_computed_again(tmp_path, harm):
+    path = tmp_path / "s.zarr"
+    kept = tj.sweep(area, SIDES, chunk=128, store=path).load()
+    chunk = path / "area" / "c" / "3"
+    whole = chunk.read_bytes()
+    if harm == "torn":
+        chunk.write_bytes(whole[: len(whole) // 2])
+    elif harm == "gone":
+        chunk.unlink()
+    else:
+        chunk.write_bytes((path / "area" / "c" / "4").read_bytes())
+    before = files(path)
+    same(tj.sweep(area, SIDES, store=path, resume=True), kept)
+    after = files(path)
+    changed = {file.name for file in after if after[file] != before.get(file)}
+    assert changed == {"3"}
+    assert chunk.read_bytes() == whole
+
+
+def another(design):
+    return {"area": jnp.cos(design["a"]) * design["b"], "twice": 2.0 * design["a"]}
+
+
+@pytest.mark.parametrize(
+    ("study", "designs", "settings", "message"),
+    [
+        (another, SIDES, {}, "differs in study (area then, another now), the program"),
+        (area, {**SIDES, "b": SIDES["b"] + 1}, {}, "differs in the designs"),
+        (area, SIDES, dict(chunk=64), "chunk (128 then, 64 now)"),
+        (
+            area,
+            SIDES,
+            dict(settings={"by": "me"}),
+            'settings ({} then, {"by": "me"} now)',
+        ),
+    ],
+)
+def test_a_store_of_another_sweep_is_refused(tmp_path, study, designs, settings, message):
+    path = tmp_path / "s.zarr"
+    tj.sweep(area, SIDES, chunk=128, store=path)
+    before = files(path)
+    with pytest.raises(ValueError) as error:
+        tj.sweep(study, designs, store=path, resume=True, **settings)
+    assert message in str(error.value)
+    assert files(path) == before
+
+
+def test_a_constant_of_the_study_tells_stores_apart(tmp_path):
+    def scaled(by):
+        return lambda design: design["a"] * by
+
+    path = tmp_path / "s.zarr"
+    tj.sweep(scaled(jnp.arange(2000.0)), SIDES, chunk=128, store=path)
+    changed = jnp.arange(2000.0).at[1234].set(0.0)
+    with pytest.raises(ValueError, match="differs in the program"):
+        tj.sweep(scaled(changed), SIDES, store=path, resume=True)
+
+
+def test_a_store_that_is_there_is_not_written_over(tmp_path):
+    tj.sweep(area, SIDES, store=tmp_path / "s.zarr")
+    with pytest.raises(ValueError, match="which is there already"):
+        tj.sweep(area, SIDES, store=tmp_path / "s.zarr")
+    (tmp_path / "other").mkdir()
+    with pytest.raises((ValueError, OSError)):
+        tj.sweep(area, SIDES, store=tmp_path / "other", resume=True)
+
+
+def test_what_is_not_there_yet_is_told(tmp_path):
+    path = tmp_path / "s.zarr"
+    tj.sweep(area, SIDES, chunk=128, store=path)
+    (path / "finished" / "sums" / "c" / "2").unlink()
+    assert tj.open_sweep(path).attrs["chunks_missing"] == 1
+
+
+HEAD = """
+import sys, time, jax
+jax.config.update("jax_enable_x64", True)
+"""
+KILLED = (
+    HEAD
+    + """
+import numpy as np
+from test_sweeps import area
+import twistorjax as tj
+designs = {"a": np.linspace(0, 1, 4000), "b": np.linspace(1, 2, 4000)}
+print("ready", flush=True)
+tj.sweep(area, designs, chunk=16, store=sys.argv[1], resume=True)
+print("done", flush=True)
+"""
+)
+
+
+def python(code, *arguments, **settings):
+    """A process of its own, which finds the tests."""
+    here = str(pathlib.Path(__file__).parent)
+    environment = {**os.environ, "PYTHONPATH": here}
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        **settings,
+    )
+
+
+def test_a_process_may_be_killed_at_any_moment(tmp_path):
+    """250 chunks, and a process that is killed some times while it writes them."""
+    path, chances = tmp_path / "s.zarr", random.Random(7)
+    kills = 0
+    for _ in range(12):
+        process = python(KILLED, path)
+        assert process.stdout.readline() == "ready\n", process.stderr.read()
+        deadline = time.monotonic() + chances.uniform(0.3, 1.2)
+        while time.monotonic() < deadline and process.poll() is None:
+            time.sleep(0.01)
+        if process.poll() is not None:
+            break
+        process.kill()
+        process.communicate()
+        kills += 1
+    output, errors = process.communicate()
+    assert kills >= 3
+    if "done" not in output:
+        output, errors = python(KILLED, path).communicate()
+        assert "done" in output, errors
+    sides = {"a": np.linspace(0, 1, 4000), "b": np.linspace(1, 2, 4000)}
+    same(tj.open_sweep(path), tj.sweep(area, sides, chunk=16))
+    assert not list(path.rglob("*.partial"))
+
+
+DEVICES = (
+    HEAD
+    + """
+jax.config.update("jax_num_cpu_devices", 8)
+import numpy as np
+from test_sweeps import pulled
+import twistorjax as tj
+designs = {"k": np.linspace(50, 150, 1001), "force": np.linspace(-2, 3, 1001)}
+mesh = jax.make_mesh((4, 2), ("rows", "columns"))
+table = tj.sweep(pulled, designs, chunk=32, mesh=mesh, derivatives=("travel",))
+table.to_netcdf(sys.argv[1])
+tj.sweep(pulled, designs, chunk=32, derivatives=("travel",), store=sys.argv[2])
+again = tj.sweep(pulled, designs, mesh=mesh, derivatives=("travel",), store=sys.argv[2],
+                 resume=True)
+print("done", flush=True)
+"""
+)
+
+
+def test_eight_devices_answer_as_one(tmp_path):
+    process = python(DEVICES, tmp_path / "many.nc", tmp_path / "one.zarr")
+    output, errors = process.communicate(timeout=300)
+    assert "done" in output, errors
+    many = xarray.load_dataset(tmp_path / "many.nc")
+    one = tj.open_sweep(tmp_path / "one.zarr").load()
+    for name in ("travel", "travel_by_k", "travel_by_force"):
+        np.testing.assert_allclose(many[name], one[name], rtol=1e-12, atol=0)
+    np.testing.assert_array_equal(many.succeeded, one.succeeded)
+
+
+PROCESSES = (
+    HEAD
+    + """
+jax.config.update("jax_num_cpu_devices", 2)
+address, number, path, out = sys.argv[1:]
+jax.distributed.initialize(address, num_processes=2, process_id=int(number))
+import numpy as np
+from test_sweeps import pulled
+import twistorjax as tj
+designs = {"k": np.linspace(50, 150, 333), "force": np.linspace(-2, 3, 333)}
+mesh = jax.make_mesh((jax.device_count(),), ("designs",))
+assert jax.device_count() == 4
+kept = tj.sweep(pulled, designs, chunk=32, mesh=mesh, store=path)
+table = tj.sweep(pulled, designs, chunk=32, mesh=mesh)
+np.testing.assert_array_equal(table.travel, kept.travel)
+table.to_netcdf(out)
+print("done", flush=True)
+"""
+)
+
+
+def test_two_processes_answer_as_one(tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    store = tmp_path / "s.zarr"
+    pair = [
+        python(PROCESSES, address, number, store, tmp_path / f"{number}.nc")
+        for number in range(2)
+    ]
+    for process in pair:
+        output, errors = process.communicate(timeout=300)
+        assert "done" in output, errors
+    designs = {"k": np.linspace(50, 150, 333), "force": np.linspace(-2, 3, 333)}
+    alone = tj.sweep(pulled, designs, chunk=32)
+    for told in (
+        tj.open_sweep(store),
+        *(xarray.load_dataset(tmp_path / f"{number}.nc") for number in range(2)),
+    ):
+        np.testing.assert_allclose(told.travel, alone.travel, rtol=1e-12, atol=0)
+        assert bool(told.succeeded.all())
+
+
+@pytest.mark.parametrize("method", ["sobol", "latin", "random"])
+def test_designs_are_drawn_as_told(method):
+    spreads = {
+        "a": tj.Normal(2.0, 0.1),
+        "b": tj.Uniform([0.0, 1.0], [1.0, 3.0]),
+        "c": 7.0,
+    }
+    drawn = tj.sampled(spreads, 4000, method=method, key=3)
+    assert drawn["a"].shape == (4000,) and drawn["b"].shape == (4000, 2)
+    np.testing.assert_array_equal(drawn["c"], 7.0)
+    assert abs(drawn["a"].mean() - 2.0) < 0.006 and abs(drawn["a"].std() - 0.1) < 0.005
+    for column, low, high in ((0, 0.0, 1.0), (1, 1.0, 3.0)):
+        part = np.sort((drawn["b"][:, column] - low) / (high - low))
+        assert np.abs(part - (np.arange(4000) + 0.5) / 4000).max() < 0.03
+    again = tj.sampled(spreads, 4000, method=method, key=3)
+    np.testing.assert_array_equal(again["a"], drawn["a"])
+    assert np.any(tj.sampled(spreads, 4000, method=method, key=4)["a"] != drawn["a"])
+
+
+def test_correlations_are_kept():
+    """Of normal numbers exactly; of ranks of others by Pearson's formula."""
+    wanted = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    spreads = {"a": tj.Normal([1.0, 2.0], [0.1, 0.5]), "b": tj.Uniform(0.0, 1.0)}
+    drawn = tj.sampled(spreads, 8192, correlation=wanted)
+    rows = np.column_stack([drawn["a"], drawn["b"]])
+    np.testing.assert_allclose(np.corrcoef(rows.T), wanted, atol=0.01)
+    both = tj.sampled(
+        {"b": tj.Uniform(np.zeros(2), 1.0)}, 8192, correlation=wanted[:2, :2]
+    )
+    ranks = 6 / np.pi * np.arcsin(0.8 / 2)
+    assert abs(np.corrcoef(both["b"].T)[0, 1] - ranks) < 0.01
+
+
+def test_perfectly_correlated_parameters_move_as_one():
+    drawn = tj.sampled(
+        {"a": tj.Normal(np.zeros(2), 1.0)}, 64, correlation=np.ones((2, 2))
+    )
+    np.testing.assert_allclose(drawn["a"][:, 0], drawn["a"][:, 1], atol=1e-9)
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: tj.Normal(1.0, -0.1), "must not be negative"),
+        (lambda: tj.Normal([1.0, 2.0], [1.0, 2.0, 3.0]), "must be of one shape"),
+        (lambda: tj.Uniform(2.0, 1.0), "low is the lower"),
+        (lambda: tj.Uniform(0.0, np.inf), "must be finite"),
+        (lambda: tj.sampled({"a": 1.0}, 8), "Nothing spreads"),
+        (lambda: tj.sampled({"a": tj.Normal(0, 1)}, 0), "`count` is 0"),
+        (lambda: tj.sampled({"a": tj.Normal(0, 1)}, 8, method="halton"), "'sobol'"),
+        (
+            lambda: tj.sampled({"a": tj.Normal([0, 0], 1)}, 8, correlation=np.eye(3)),
+            "must be a symmetric matrix with ones on its diagonal for a[0], a[1]",
+        ),
+        (
+            lambda: tj.sampled(
+                {"a": tj.Normal(np.zeros(3), 1)},
+                8,
+                correlation=1.9 * np.eye(3) - 0.9 * np.ones((3, 3)),
+            ),
+            "negative eigenvalue",
+        ),
+    ],
+)
+def test_spreads_that_make_no_sense_are_refused(call, message):
+    with pytest.raises(ValueError) as error:
+        call()
+    assert message in str(error.value)
+
+
+def test_tolerances_of_a_linear_answer_are_in_closed_form():
+    """c . x of correlated normal numbers: variance c^T S c, and no disagreement."""
+    slopes = jnp.array([3.0, -2.0, 0.5])
+
+    def study(design):
+        return {"sum": slopes @ design["x"], "more": design["x"]}
+
+    sizes, correlation = np.array([0.1, 0.2, 0.3]), np.eye(3)
+    correlation[0, 1] = correlation[1, 0] = 0.5
+    spreads = {"x": tj.Normal([1.0, 2.0, 3.0], sizes)}
+    seen = tj.tolerances(study, spreads, "sum", correlation=correlation)
+    covariance = np.outer(sizes, sizes) * correlation
+    exact = np.sqrt(slopes @ covariance @ slopes)
+    np.testing.assert_allclose(seen.deviation, exact, rtol=1e-12)
+    np.testing.assert_allclose(seen.nominal, 0.5, rtol=1e-12)
+    assert abs(seen.disagreement) < 0.005 and abs(seen.mean - 0.5) < 1e-3 * exact
+    low, high = seen.interval
+    np.testing.assert_allclose(
+        [low, high], norm.ppf([0.025, 0.975], 0.5, exact), atol=0.01
+    )
+    shares = {share.name: share for share in seen.shares}
+    moved = np.asarray(slopes) * sizes
+    for name, part in zip(
+        ("x[0]", "x[1]", "x[2]"), moved * (correlation @ moved), strict=True
+    ):
+        np.testing.assert_allclose(shares[name].first_order, part / exact**2, rtol=1e-9)
+        np.testing.assert_allclose(shares[name].sampled, part / exact**2, rtol=1e-6)
+    assert "x[1]" in repr(seen)
+
+
+def test_tolerances_show_what_first_order_misses():
+    """The square of a normal number about zero: no slope, but a mean and a spread."""
+    seen = tj.tolerances(lambda design: design["x"] ** 2, {"x": tj.Normal(0.0, 0.1)})
+    assert seen.deviation == 0.0
+    np.testing.assert_allclose(seen.mean, 0.01, rtol=5e-3)
+    np.testing.assert_allclose(seen.shift, 0.01, rtol=5e-3)
+    np.testing.assert_allclose(seen.spread, np.sqrt(2) * 0.01, rtol=2e-2)
+
+
+def test_designs_that_fail_take_no_part_in_tolerances():
+    def study(design):
+        return jnp.sqrt(design["x"])
+
+    with pytest.warns(UserWarning, match="designs have no answer"):
+        seen = tj.tolerances(study, {"x": tj.Normal(1.0, 0.5)}, count=1000)
+    assert 10 < seen.failed < 50
+    assert np.isfinite(seen.spread)
+    assert "designs have no answer" in repr(seen)
+    with pytest.raises(ValueError, match="at the means"), pytest.warns(UserWarning):
+        tj.tolerances(study, {"x": tj.Normal(-1.0, 0.1)}, count=8)
+
+
+def test_a_vector_has_no_tolerance():
+    with pytest.raises(ValueError, match="must be a number"):
+        tj.tolerances(lambda design: jnp.ones(2) * design["x"], {"x": tj.Normal(0, 1.0)})
+
+
+def test_the_stage_is_swept_with_its_exact_derivative():
+    webs = np.array([0.2e-3, 0.25e-3, 0.4e-3])
+    table = tj.sweep(stage_gain, {"web": webs}, derivatives=("gain",))
+    for web, gain, slope in zip(webs, table.gain, table.gain_by_web, strict=True):
+        answer, exact = stage.amplify_by_web(web, stage.TRAVEL)
+        np.testing.assert_allclose(gain, answer.gain, rtol=1e-11)
+        np.testing.assert_allclose(slope, exact, rtol=1e-9)
+    assert table.output.attrs["units"] == "m"
+
+
+def test_webs_of_the_stage_may_differ():
+    """Seven webs of one thickness are one; the slope by one is the sum of theirs."""
+    alike = jax.jit(stage.microstage)(jnp.full(7, 0.25e-3))
+    np.testing.assert_allclose(stage.amplify(alike).gain, 27.628043685, rtol=1e-10)
+    with pytest.raises(ValueError, match="one for each of the hinges a, b"):
+        stage.microstage(np.full(3, 0.25e-3))
+
+
+@pytest.mark.slow
+def test_tolerances_of_the_webs_spread_the_gain():
+    """The slopes by each web sum to that by all; their squares are the variance."""
+    webs = {"web": tj.Normal(np.full(7, 0.25e-3), 10e-6)}
+    seen = tj.tolerances(stage_gain, webs, "gain", count=512)
+    slopes = [share.slope for share in seen.shares]
+    np.testing.assert_allclose(sum(slopes), -50661.2107, rtol=1e-6)
+    np.testing.assert_allclose(seen.deviation, 10e-6 * np.hypot.reduce(slopes), rtol=1e-9)
+    assert abs(seen.disagreement) < 0.02
+
+
+def test_json_of_settings_is_kept(tmp_path):
+    settings = {"material": "6061", "temperature": 20.0}
+    table = tj.sweep(area, SIDES, settings=settings, store=tmp_path / "s.zarr")
+    assert json.loads(table.attrs["settings"]) == settings
+
+
+def test_a_tree_of_parameters_is_called_by_its_paths():
+    designs = {
+        "leaf": {"length": np.ones(4), "sides": np.ones((4, 2))},
+        "k": np.arange(4),
+    }
+    table = tj.sweep(lambda design: design["leaf"]["length"] + design["k"], designs)
+    np.testing.assert_array_equal(table.answer, [1.0, 2.0, 3.0, 4.0])
+    assert table["leaf.sides"].dims == ("design", "leaf.sides_0")
+    assert set(itertools.chain(table.coords)) == {"leaf.length", "leaf.sides", "k"}

@@ -179,7 +179,8 @@ def open_sweep(store: str | Path) -> "xarray.Dataset":
     xarray, kept = need_xarray(), Store(store)
     table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
     del table.attrs["sweep"]
-    table = finished(table[[name for name in kept.names]], kept.grid)
+    in_order = table[list(kept.names)].assign_coords(table.coords)
+    table = finished(in_order, kept.grid)
     missing = int(np.sum(~kept.written()))
     if missing:
         table = table.assign_attrs(chunks_missing=missing)

@@ -23,6 +23,7 @@ from . import (
     peers_identification,
     peers_motion,
     statics,
+    sweeps,
 )
 from .measure import Row
 
@@ -48,7 +49,7 @@ def main(
 
     parts = (
         statics, peers, leaves, motion, peers_motion, identification,
-        peers_identification, command,
+        peers_identification, sweeps, command,
     )  # fmt: skip
     for part in parts:
         for row in part.run():

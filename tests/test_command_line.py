@@ -276,3 +276,38 @@ def test_identify_refuses_what_makes_no_sense(told, arguments, message):
     done = told("identify", *arguments)
     assert done.returncode == 2
     assert message in done.stderr
+
+
+def test_sweep_goes_on_where_it_was(run):
+    ask = ("sweep", "stage", "--web", "0.1e-3:0.4e-3:31", "--chunk", "8", "--json")
+    done = run(*ask, "--out", "stage.zarr", "--plot", "gains.png")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    # the fitted stiffness of a notch is negative below a web of 0.0157 holes of 3 mm
+    assert answer["designs"] == 31 and 0 < answer["failed"] < 10
+    np.testing.assert_allclose(answer["answers"]["gain"]["lowest"], 20.5625079, rtol=1e-7)
+    assert answer["answers"]["gain_by_web"]["unit"] == "1/m"
+    assert (run.folder / "gains.png").stat().st_size > 10_000
+    again = run(*ask, "--out", "stage.zarr", "--resume")
+    assert json.loads(again.stdout)["answers"] == answer["answers"]
+    is_one_clear_line(run(*ask, "--out", "stage.zarr"), "go on with it by --resume")
+    other = ("sweep", "stage", "--web", "0.2e-3", "--out", "stage.zarr", "--resume")
+    is_one_clear_line(run(*other), "which another sweep made")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["stage", "--web", "1:2"],
+            "--web is 1:2, but must be a positive number, or two",
+        ),
+        (["stage", "--web", "1:2:x"], "--web is 1:2:x, but must be"),
+        (["stage", "--web", "-1:2:5"], "--web is -1:2:5, but must be"),
+        (["four-bar", "--length", "nan"], "--length is nan, but must be"),
+        (["stage", "--resume"], "--resume goes on with the folder of --out"),
+        (["stage", "--devices", "0"], "--devices and --chunk must be at least 1"),
+    ],
+)
+def test_sweep_refuses_in_one_line(told, arguments, message):
+    is_one_clear_line(told("sweep", *arguments), message)

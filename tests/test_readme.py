@@ -29,6 +29,7 @@ def test_its_code_runs_and_its_table_is_a_parallelogram(capsys, tmp_path, monkey
     assert jnp.all(jnp.diff(sweep) < 0)  # thicker is stiffer
     printed = capsys.readouterr().out.splitlines()
     assert "[ True False] ['successful' 'not_finite']" in printed
+    assert "m/m 10000" in printed
     _, travel, sinking = scope["sinking"].displacement("table")
     np.testing.assert_allclose(sinking, -3 / 5 * travel**2 / 50e-3, rtol=0.01)
 

@@ -73,3 +73,25 @@ def test_bodies_and_hinges_without_outlines_are_drawn_too():
 
 def test_names_can_be_left_out():
     assert not tj.draw(stage.microstage(), names=False).texts
+
+
+def test_answers_of_a_sweep_are_drawn_over_their_parameters():
+    """A line over one parameter, colours over two; what cannot be drawn is refused."""
+    from twistorjax.show.charts import chart
+
+    def study(design):
+        energy = tj.Column(design["a"] * design["b"], unit="J")
+        return {"energy": energy, "whole": jnp.ones(3) * design["a"]}
+
+    grid = tj.Grid({"a": np.linspace(1e-3, 2e-3, 5), "b": np.linspace(1.0, 3.0, 4)})
+    table = tj.sweep(study, grid, units={"a": "m"})
+    (panel, bar) = chart(table, ["energy"]).axes
+    assert panel.get_ylabel() == "a (mm)" and bar.get_ylabel() == "energy (mJ)"
+    line = chart(table.isel(b=0), ["energy"]).axes[0].lines[0]
+    np.testing.assert_allclose(line.get_xdata(), np.linspace(1.0, 2.0, 5))
+    np.testing.assert_allclose(line.get_ydata(), np.linspace(1.0, 2.0, 5))
+    rows = tj.sweep(study, {"a": np.linspace(1, 2, 6), "b": np.ones(6)})
+    with pytest.raises(ValueError, match="differ in 2 parameters"):
+        chart(rows, ["energy"])
+    with pytest.raises(ValueError, match="'whole' cannot be drawn"):
+        chart(table, ["whole"])

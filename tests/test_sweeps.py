@@ -183,6 +183,7 @@ def test_what_cannot_be_swept_is_refused(arguments, message):
     assert message in str(error.value)
 
 
+@pytest.mark.untyped
 @pytest.mark.parametrize(
     ("values", "message"),
     [({}, "`values` is empty"), ({"a": 1.0}, "must be a row of numbers")],
@@ -338,6 +339,7 @@ def python(code, *arguments, **settings):
     )
 
 
+@pytest.mark.slow
 def test_a_process_may_be_killed_at_any_moment(tmp_path):
     """250 chunks, and a process that is killed some times while it writes them."""
     path, chances = tmp_path / "s.zarr", random.Random(7)
@@ -382,6 +384,7 @@ print("done", flush=True)
 )
 
 
+@pytest.mark.slow
 def test_eight_devices_answer_as_one(tmp_path):
     process = python(DEVICES, tmp_path / "many.nc", tmp_path / "one.zarr")
     output, errors = process.communicate(timeout=300)
@@ -414,6 +417,7 @@ print("done", flush=True)
 )
 
 
+@pytest.mark.slow
 def test_two_processes_answer_as_one(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -16,13 +16,19 @@ class Failed(Exception):
     """A solve that found no answer, told in one line."""
 
 
-def prepare_jax() -> None:
-    """Double precision, and compiled programs kept for the next call."""
+def prepare_jax(devices: int = 1) -> None:
+    """Double precision, and compiled programs kept for the next call.
+
+    Args:
+        devices: as how many the processor is to count.
+    """
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     import jax
     import platformdirs
 
     jax.config.update("jax_enable_x64", True)
+    if devices > 1:
+        jax.config.update("jax_num_cpu_devices", devices)
     cache = platformdirs.user_cache_path("twistorjax")
     jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -25,6 +25,9 @@ _Out = Annotated[
 _Resume = Annotated[
     bool, typer.Option("--resume", help="Go on with that folder, from what it has.")
 ]
+_Devices = Annotated[
+    int, typer.Option(help="Share the designs among so many cores of this machine.")
+]
 _Chunk = Annotated[int | None, typer.Option(help="Designs that are taken at once.")]
 _Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object instead of a table.")
@@ -42,6 +45,7 @@ def stage(
     ] = "3e-3",
     out: _Out = None,
     resume: _Resume = False,
+    devices: _Devices = 1,
     chunk: _Chunk = None,
     as_json: _Json = False,
     plot: _Plot = None,
@@ -51,7 +55,18 @@ def stage(
     Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:10000 --out stage.zarr
     """
     ranges = {"web": _range("--web", web), "hole": _range("--hole", hole)}
-    _run("stage_gain", ranges, ("gain",), ("gain",), out, resume, chunk, as_json, plot)
+    _run(
+        "stage_gain",
+        ranges,
+        ("gain",),
+        ("gain",),
+        out,
+        resume,
+        devices,
+        chunk,
+        as_json,
+        plot,
+    )
 
 
 @sweep.command("four-bar")
@@ -64,6 +79,7 @@ def four_bar(
     ] = "0.8e-3:1.2e-3:20",
     out: _Out = None,
     resume: _Resume = False,
+    devices: _Devices = 1,
     chunk: _Chunk = None,
     as_json: _Json = False,
     plot: _Plot = None,
@@ -77,7 +93,9 @@ def four_bar(
         "thickness": _range("--thickness", thickness),
     }
     answers = ("travel", "moment", "frequency")
-    _run("driven_linkage", ranges, answers, (), out, resume, chunk, as_json, plot)
+    _run(
+        "driven_linkage", ranges, answers, (), out, resume, devices, chunk, as_json, plot
+    )
 
 
 def _run(
@@ -87,6 +105,7 @@ def _run(
     derivatives: Sequence[str],
     out: Path | None,
     resume: bool,
+    devices: int,
     chunk: int | None,
     as_json: bool,
     plot: Path | None,
@@ -95,7 +114,11 @@ def _run(
     need_folder("--plot", plot)
     if resume and out is None:
         raise Refused("--resume goes on with the folder of --out: give that, too.")
-    prepare_jax()
+    if devices < 1 or (chunk is not None and chunk < 1):
+        raise Refused("--devices and --chunk must be at least 1.")
+    prepare_jax(devices)
+    import jax
+
     try:
         import xarray
         import zarr
@@ -119,6 +142,7 @@ def _run(
                 derivatives=derivatives,
                 units=dict.fromkeys(ranges, "m"),
                 chunk=chunk,
+                mesh=jax.make_mesh((devices,), ("designs",)) if devices > 1 else None,
                 store=out,
                 resume=resume,
                 progress=sys.stderr.isatty(),

@@ -84,7 +84,7 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
 def outcomes(result: RESULTS) -> np.ndarray | None:
     """The names of results, in the shape of their batch, or nothing while traced."""
     index = known(result._value)
-    return None if index is None else np.array(NAMES, object)[index]
+    return None if index is None else np.array(np.array(NAMES, object)[index], object)
 
 
 @runtime_checkable

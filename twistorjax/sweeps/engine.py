@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -14,9 +15,19 @@ from .lanes import Kind, Lanes
 from .telling import telling, Told
 
 
+# designs that a device takes at once by default: on a processor, on an accelerator
+_CHUNK, _WIDE = 4096, 2**17
 # side by side on a processor: so few that what they are about stays in its cache, and
 # that a batch's slowest design holds up few others
 _SIDE = 128
+
+
+def chunk_of(count: int, mesh: Mesh | None) -> int:
+    """How many of so many designs a device takes at once, if nothing else is asked."""
+    devices = jax.devices()[:1] if mesh is None else list(mesh.devices.flat)
+    most = -(-count // len(devices))
+    rounds = -(-most // (_CHUNK if devices[0].platform == "cpu" else _WIDE))
+    return -(-most // rounds)
 
 
 class Program:
@@ -42,7 +53,7 @@ class Program:
         kind: Kind,
         derivatives: tuple[str, ...],
         chunk: int,
-        memory: float,
+        memory: float | int,
         mesh: Mesh | None,
         fixed: bool,
     ):
@@ -147,7 +158,11 @@ class Program:
         count = len(leaves[0])
         if self.platform != "cpu" or count <= self._side:
             return jax.vmap(self._tell)(leaves)
-        return jax.lax.map(self._tell, leaves, batch_size=self._side)
+        # filled up with the last, so that no shorter batch is compiled besides
+        more = -count % self._side
+        full = [jnp.concatenate([leaf, leaf[-1:].repeat(more, 0)]) for leaf in leaves]
+        told = jax.lax.map(self._tell, full, batch_size=self._side)
+        return jax.tree.map(lambda leaf: leaf[:count], told)
 
     @property
     def _split(self) -> PartitionSpec:

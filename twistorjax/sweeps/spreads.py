@@ -1,6 +1,7 @@
 """What is not known exactly: how parameters spread, and designs drawn from them."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, get_args, Literal
 
 import equinox as eqx
@@ -49,7 +50,11 @@ class Normal(AbstractSpread):
     mean: Float[Array, "..."]
     deviation: Float[Array, "..."]
 
-    def __init__(self, mean: ArrayLike, deviation: ArrayLike):
+    def __init__(
+        self,
+        mean: ArrayLike | Sequence[ArrayLike],
+        deviation: ArrayLike | Sequence[ArrayLike],
+    ):
         self.mean, self.deviation = _together("mean", mean, "deviation", deviation)
         sizes = known(self.deviation)
         if sizes is not None and np.any(sizes < 0):
@@ -83,7 +88,11 @@ class Uniform(AbstractSpread):
     low: Float[Array, "..."]
     high: Float[Array, "..."]
 
-    def __init__(self, low: ArrayLike, high: ArrayLike):
+    def __init__(
+        self,
+        low: ArrayLike | Sequence[ArrayLike],
+        high: ArrayLike | Sequence[ArrayLike],
+    ):
         self.low, self.high = _together("low", low, "high", high)
         seen = known(self.high - self.low)
         if seen is not None and np.any(seen < 0):
@@ -268,7 +277,10 @@ def _is_spread(leaf: Any) -> bool:
 
 
 def _together(
-    first: str, one: ArrayLike, second: str, other: ArrayLike
+    first: str,
+    one: ArrayLike | Sequence[ArrayLike],
+    second: str,
+    other: ArrayLike | Sequence[ArrayLike],
 ) -> tuple[Array, Array]:
     """Two arrays of one shape, finite as far as can be seen."""
     arrays = jnp.asarray(one, float), jnp.asarray(other, float)

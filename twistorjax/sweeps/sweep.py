@@ -16,7 +16,7 @@ import numpy as np
 from .._checks import uncompilable
 from ..solve.results import meaning, NAMES
 from ..solve.tables import Column, dataset, need_xarray
-from .engine import Program
+from .engine import chunk_of, Program
 from .lanes import Lanes
 from .layout import finished, Layout, OUTCOMES
 from .store import Store
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     import xarray
 
 
-CHUNK = 4096
-
-
 def sweep(
     study: Callable[[Any], Any],
     designs: Any,
@@ -37,7 +34,7 @@ def sweep(
     derivatives: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
     chunk: int | None = None,
-    memory: float = 2**30,
+    memory: float | int = 2**30,
     mesh: jax.sharding.Mesh | None = None,
     store: str | Path | None = None,
     resume: bool = False,
@@ -60,8 +57,8 @@ def sweep(
         derivatives: names of answers that are differentiated by each parameter, in the
             same pass: `gain_by_web`.
         units: of parameters and answers that do not tell their own, by name.
-        chunk: how many designs a device takes at once, by default 4096, or as few as
-            `memory` allows.
+        chunk: how many designs a device takes at once, by default up to 4096, on
+            accelerators 131,072, or as few as `memory` allows.
         memory: that a chunk may take on each device; bytes.
         mesh: of devices, of this process or of all that `jax.distributed` has joined.
             Each takes chunks of its own.
@@ -87,7 +84,7 @@ def sweep(
         >>> import jax.numpy as jnp
         >>> from twistorjax import Body, equilibrium, Hinge, leaf, Load, Material
         >>> from twistorjax import Mechanism
-        >>> steel = Material(modulus=210e9)
+        >>> steel = Material(modulus=210e9, poisson=0.3)
         >>> def sag(design):
         ...     spring = leaf(steel, length=0.05, width=0.01, **design)
         ...     hinge = Hinge("leaf", "wall", "tip", spring, at=(0.0, 0.025, 0.0))
@@ -120,8 +117,7 @@ def sweep(
         )
     if store is not None and there and chunk is None:
         chunk = Store(store).made_by["chunk"]
-    most = -(-len(lanes) // (1 if mesh is None else mesh.size))
-    size = min(CHUNK, most) if chunk is None else chunk
+    size = chunk_of(len(lanes), mesh) if chunk is None else chunk
     try:
         program = _program(
             study, lanes.kind, tuple(derivatives), size, memory, mesh, chunk is not None

@@ -168,7 +168,10 @@ def test_a_study_is_compiled_once():
         (dict(chunk=0), "`chunk` is 0"),
         (dict(resume=True), "`resume` is given, but no `store`"),
         (dict(study=lambda design: None), "but must answer an array"),
-        (dict(study=lambda design: {"a": design["b"]}), "'a' is both what the study"),
+        (dict(study=lambda design: {"a": design["b"]}), "'a' is what the study answers"),
+        (dict(study=lambda d: {"result": d["a"]}), "'result' is what the study answers"),
+        (dict(settings={"f": np.sin}), "`settings` must be numbers, texts"),
+        (dict(memory=8.0), "`chunk` is 1, which takes"),
         (dict(study=lambda design: float(design["a"])), "`study` is a function that"),
         (
             dict(study=lambda d: {"x": tj.Column(jnp.ones(2), ("n",)),

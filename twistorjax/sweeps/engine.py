@@ -69,14 +69,14 @@ class Program:
             self.told: Told = jax.tree.map(_shape, lowered.out_info)
             self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
             self._compiled = lowered.compile() if mesh is None else self._spread(mesh)
-            needed = _bytes(self._compiled) / self.devices
-            if needed <= memory or (chunk == 1 and not fixed):
+            needed = _bytes(self._compiled)
+            if needed <= memory:
                 break
             if fixed or chunk == 1:
+                least = "Give more." if chunk == 1 else "Make the chunk smaller."
                 raise ValueError(
-                    f"`chunk` is {chunk:,}, which takes {needed / 2**20:,.0f} MiB on a "
-                    f"device, but `memory` is {memory / 2**20:,.0f} MiB. Make the chunk "
-                    "smaller, or leave it out."
+                    f"`chunk` is {chunk:,}, which takes {needed / 2**20:,.3g} MiB on a "
+                    f"device, but `memory` is {memory / 2**20:,.3g} MiB. {least}"
                 )
             chunk = max(1, int(0.9 * chunk * memory / needed))
 
@@ -212,7 +212,7 @@ def _shape(leaf: Any) -> jax.ShapeDtypeStruct:
 
 
 def _bytes(compiled: Any) -> int:
-    """What a program takes while it runs, as far as its backend tells."""
+    """What a program takes on a device while it runs, as far as its backend tells."""
     told = compiled.memory_analysis()
     names = ("temp_size_in_bytes", "output_size_in_bytes", "argument_size_in_bytes")
     return sum(int(getattr(told, name, 0)) for name in names)

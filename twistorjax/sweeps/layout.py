@@ -43,12 +43,13 @@ class Layout:
             f"{n}{_PLACES}" if c.axes == (n,) else n: c for n, c in told.columns.items()
         }
         self._names = tuple(own)
-        own |= {"succeeded": Column(told.succeeded), "result": Column(told.result)}
-        if twice := sorted({*own} & {*lanes.names, *lanes.dims, "design"}):
+        taken = {"succeeded", "result", "design", *lanes.names, *lanes.dims}
+        if twice := sorted(taken & {*own}):
             raise ValueError(
-                f"{twice[0]!r} is both what the study answers and what the designs have, "
-                "or a name that the table needs. Call it something else."
+                f"{twice[0]!r} is what the study answers, but that name is taken: by a "
+                "parameter, or by what a table always has. Call it something else."
             )
+        own |= {"succeeded": Column(told.succeeded), "result": Column(told.result)}
         units = {**{name: column.unit for name, column in own.items()}, **units}
         if strange := [name for name in units if name not in (*own, *lanes.names)]:
             there = ", ".join((*lanes.names, *self._names))

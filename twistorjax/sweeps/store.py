@@ -5,7 +5,7 @@ import os
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,22 +25,22 @@ class Store:
 
     Args:
         path: of the folder.
+        mode: whether it is only read, or written to as well.
     """
 
-    def __init__(self, path: str | Path):
+    def __init__(self, path: str | Path, mode: Literal["r", "r+"] = "r+"):
         self.path = Path(path)
-        self._zarr = _zarr()
-        self._group = self._zarr.open_group(self.path, mode="r+")
-        told: Any = self._group.attrs.get("sweep")
+        group: Any = _zarr().open_group(self.path, mode=mode)
+        told: Any = group.attrs.get("sweep")
         if told is None or told["format"] != _FORMAT:
             raise ValueError(
                 f"{str(path)!r} is no store of a sweep, or of another version of them."
             )
         self.made_by: dict[str, Any] = told["made_by"]
         self.grid = tuple(told["grid"])
-        self._sums: Any = self._group[f"{_SUMS}/sums"]
+        self._sums = group[f"{_SUMS}/sums"]
         self.names = tuple(told["by_design"])
-        self._arrays: dict[str, Any] = {name: self._group[name] for name in self.names}
+        self._arrays: dict[str, Any] = {name: group[name] for name in self.names}
 
     @classmethod
     def create(

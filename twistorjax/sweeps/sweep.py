@@ -110,13 +110,14 @@ def sweep(
     if resume and store is None:
         raise ValueError("`resume` is given, but no `store` to go on with.")
     there = store is not None and Path(store).exists()
+    _together("looked")  # before the first of them makes it
     if there and not resume:
         raise ValueError(
             f"`store` is {str(store)!r}, which is there already: go on with it by "
             "`resume=True`, or give another path."
         )
     if store is not None and there and chunk is None:
-        chunk = Store(store).made_by["chunk"]
+        chunk = Store(store, mode="r").made_by["chunk"]
     size = chunk_of(len(lanes), mesh) if chunk is None else chunk
     try:
         program = _program(
@@ -172,7 +173,7 @@ def open_sweep(store: str | Path) -> "xarray.Dataset":
         ImportError: xarray or zarr is not installed.
         OSError: it is not there.
     """
-    xarray, kept = need_xarray(), Store(store)
+    xarray, kept = need_xarray(), Store(store, mode="r")
     table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
     del table.attrs["sweep"]
     in_order = table[list(kept.names)].assign_coords(table.coords)
@@ -209,9 +210,15 @@ def _identity(
     for name, array in zip(lanes.names, lanes.arrays, strict=True):
         digest.update(f"{name} {array.dtype} {array.shape};".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
+    try:
+        told = json.dumps(dict(settings or {}), sort_keys=True)
+    except TypeError as error:
+        raise ValueError(
+            f"`settings` must be numbers, texts, and lists of them: {error}."
+        ) from None
     return {
         "study": getattr(study, "__qualname__", type(study).__qualname__),
-        "settings": json.dumps(dict(settings or {}), sort_keys=True),
+        "settings": told,
         "chunk": program.chunk,
         "program": program.fingerprint,
         "designs": digest.hexdigest(),

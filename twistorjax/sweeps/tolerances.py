@@ -71,7 +71,7 @@ class Tolerances(NamedTuple):
         What of it is beyond `spread_error` shows that the answer is not linear over the
         tolerances.
         """
-        return self.deviation / self.spread - 1
+        return self.deviation / self.spread - 1 if self.spread else 0.0
 
     @property
     def shift(self) -> float:

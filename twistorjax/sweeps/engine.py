@@ -42,9 +42,6 @@ class Program:
             chunk is made smaller.
         mesh: of devices, or nothing for the default one.
         fixed: whether the chunk must stay as it is.
-
-    Raises:
-        ValueError: not even one design fits, or a fixed chunk does not.
     """
 
     def __init__(
@@ -57,8 +54,9 @@ class Program:
         mesh: Mesh | None,
         fixed: bool,
     ):
-        self.kind, self.mesh = kind, mesh
+        self.kind, self.mesh, self.memory = kind, mesh, memory
         self._tell, self._side = telling(study, kind, derivatives), _SIDE
+        self._compiled: Any = None
         while True:
             self.chunk = chunk
             lowered = jax.jit(self._all).lower(self._arguments(chunk))
@@ -68,16 +66,10 @@ class Program:
                 continue
             self.told: Told = jax.tree.map(_shape, lowered.out_info)
             self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
-            self._compiled = lowered.compile() if mesh is None else self._spread(mesh)
-            needed = _bytes(self._compiled)
-            if needed <= memory:
+            self._lowered = lowered
+            # of a fixed one only where there is something to do
+            if fixed or (needed := self._compile()) <= memory or chunk == 1:
                 break
-            if fixed or chunk == 1:
-                least = "Give more." if chunk == 1 else "Make the chunk smaller."
-                raise ValueError(
-                    f"`chunk` is {chunk:,}, which takes {needed / 2**20:,.3g} MiB on a "
-                    f"device, but `memory` is {memory / 2**20:,.3g} MiB. {least}"
-                )
             chunk = max(1, int(0.9 * chunk * memory / needed))
 
     @property
@@ -96,11 +88,29 @@ class Program:
         """How many chunks some designs are."""
         return -(-len(lanes) // self.chunk)
 
+    def _compile(self) -> int:
+        """Makes the program ready, and tells what it takes on a device; bytes."""
+        mesh = self.mesh
+        self._compiled = self._lowered.compile() if mesh is None else self._spread(mesh)
+        return _bytes(self._compiled)
+
     def run(self, lanes: Lanes, chunks: Sequence[int]) -> Iterator[tuple[int, Told]]:
         """What is told of some chunks, by their numbers: of those on this process.
 
         The next chunks are under way while one is read.
+
+        Raises:
+            ValueError: a chunk takes more memory than there is to be.
         """
+        if not chunks:
+            return
+        needed = self._compile() if self._compiled is None else _bytes(self._compiled)
+        if needed > self.memory:
+            least = "Give more." if self.chunk == 1 else "Make the chunk smaller."
+            raise ValueError(
+                f"`chunk` is {self.chunk:,}, which takes {needed / 2**20:,.3g} MiB on a "
+                f"device, but `memory` is {self.memory / 2**20:,.3g} MiB. {least}"
+            )
         waiting: deque[tuple[tuple[int, ...], Told]] = deque()
         for first in range(0, len(chunks), self.devices):
             group = tuple(chunks[first : first + self.devices])

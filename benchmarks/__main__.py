@@ -7,7 +7,7 @@ import os
 import platform
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import jax
 import typer
@@ -33,7 +33,8 @@ PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
 
 def main(
     out: Annotated[
-        Path | None, typer.Option(help="Keep the rows here: as .json, or as .md a table.")
+        Path | None,
+        typer.Option(help="Keep the table here, by kinds of machines: .md, and .json."),
     ] = None,
 ) -> None:
     """Times twistorjax beside its peers, in one run."""
@@ -72,17 +73,30 @@ def main(
         f"{', '.join(f'{name} {version}' for name, version in versions.items())}"
     )
     Console(width=110).print(table)
-    if out is not None and out.suffix == ".md":
+    if out is not None:
         lines = ["| what | measured | | asked | met |", "|---|---:|---|---|---|"]
         cells = zip(*(column.cells for column in table.columns), strict=True)
         lines += [f"| {' | '.join(map(str, row))} |" for row in cells]
-        out.write_text(
-            "\n".join(["# Benchmarks", "", str(table.caption), "", *lines, ""])
-        )
-    elif out is not None:
-        kept = [asdict(row) for row in rows]
-        record = {"machine": machine, "versions": versions, "rows": kept}
-        out.write_text(json.dumps(record, indent=1))
+        record = {
+            "caption": str(table.caption),
+            "date": str(datetime.date.today()),
+            "versions": versions,
+            "rows": [asdict(row) for row in rows],
+            "table": lines,
+        }
+        keep_for(machine, record, out)
+
+
+def keep_for(machine: str, record: dict[str, Any], out: Path) -> None:
+    """Puts what one kind of machine gave in the place of what it gave before."""
+    beside = out.with_suffix(".json")
+    told = json.loads(beside.read_text()) if beside.exists() else {}
+    told[machine] = record
+    beside.write_text(json.dumps(told, indent=1) + "\n")
+    parts = ["# Benchmarks"]
+    for name, each in told.items():
+        parts += [f"## {name}", each["caption"], "\n".join(each["table"])]
+    out.with_suffix(".md").write_text("\n\n".join(parts) + "\n")
 
 
 if __name__ == "__main__":

@@ -3,11 +3,10 @@
 import json
 import math
 import sys
-import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -54,19 +53,10 @@ def stage(
 
     Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:10000 --out stage.zarr
     """
+    need_folder("--plot", plot)
     ranges = {"web": _range("--web", web), "hole": _range("--hole", hole)}
-    _run(
-        "stage_gain",
-        ranges,
-        ("gain",),
-        ("gain",),
-        out,
-        resume,
-        devices,
-        chunk,
-        as_json,
-        plot,
-    )
+    asked = _Asked(ranges, out, resume, devices, chunk)
+    _tell(asked, _swept(asked, "stage_gain", ("gain",)), ("gain",), as_json, plot)
 
 
 @sweep.command("four-bar")
@@ -88,101 +78,97 @@ def four_bar(
 
     Example: twistorjax sweep four-bar --length 8e-3:12e-3:50 --thickness 1e-3
     """
+    need_folder("--plot", plot)
     ranges = {
         "length": _range("--length", length),
         "thickness": _range("--thickness", thickness),
     }
+    asked = _Asked(ranges, out, resume, devices, chunk)
     answers = ("travel", "moment", "frequency")
-    _run(
-        "driven_linkage", ranges, answers, (), out, resume, devices, chunk, as_json, plot
-    )
+    _tell(asked, _swept(asked, "driven_linkage", ()), answers, as_json, plot)
 
 
-def _run(
-    name: str,
-    ranges: Mapping[str, list[float]],
-    answers: Sequence[str],
-    derivatives: Sequence[str],
-    out: Path | None,
-    resume: bool,
-    devices: int,
-    chunk: int | None,
-    as_json: bool,
-    plot: Path | None,
-) -> None:
-    need_folder("--out", out)
-    need_folder("--plot", plot)
-    if resume and out is None:
+class _Asked(NamedTuple):
+    """What both commands are asked for."""
+
+    ranges: Mapping[str, list[float]]
+    out: Path | None
+    resume: bool
+    devices: int
+    chunk: int | None
+
+
+def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
+    """The table of a study, called by its name, and the seconds it took."""
+    need_folder("--out", asked.out)
+    if asked.resume and asked.out is None:
         raise Refused("--resume goes on with the folder of --out: give that, too.")
-    if devices < 1 or (chunk is not None and chunk < 1):
+    if asked.devices < 1 or (asked.chunk is not None and asked.chunk < 1):
         raise Refused("--devices and --chunk must be at least 1.")
-    prepare_jax(devices)
+    prepare_jax(asked.devices)
     import jax
 
-    try:
-        import xarray
-        import zarr
-    except ImportError:
-        raise Refused(
-            'sweeps need zarr and xarray: pip install "twistorjax[data]".'
-        ) from None
-    del xarray, zarr
     from ..cases import designs
     from ..sweeps import Grid, sweep as over
 
-    study: Callable[[Any], Any] = getattr(designs, name)
-    grid = Grid(ranges)
-    start = time.perf_counter()
+    mesh = None
+    if asked.devices > 1:
+        mesh = jax.make_mesh((asked.devices,), ("designs",))
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # counted below
-            table = over(
-                study,
-                grid,
+            warnings.simplefilter("ignore")  # counted in what is told
+            return over(
+                getattr(designs, study),
+                Grid(asked.ranges),
                 derivatives=derivatives,
-                units=dict.fromkeys(ranges, "m"),
-                chunk=chunk,
-                mesh=jax.make_mesh((devices,), ("designs",)) if devices > 1 else None,
-                store=out,
-                resume=resume,
+                units=dict.fromkeys(asked.ranges, "m"),
+                chunk=asked.chunk,
+                mesh=mesh,
+                store=asked.out,
+                resume=asked.resume,
                 progress=sys.stderr.isatty(),
             )
+    except ImportError as error:
+        raise Refused(str(error)) from None
     except ValueError as error:
         text = str(error).replace("`store`", "--out").replace("`resume=True`", "--resume")
         raise Refused(text) from None
-    seconds = time.perf_counter() - start
+
+
+def _tell(
+    asked: _Asked, table: Any, answers: Sequence[str], as_json: bool, plot: Path | None
+) -> None:
+    """Prints what is lowest, mean and highest, and draws it."""
     if plot is not None:
         from ..show.charts import chart
 
-        flat = table.squeeze([axis for axis, row in ranges.items() if len(row) == 1])
-        save(plot, lambda: chart(flat, answers))
-    count, fine = table["succeeded"].size, int(table["succeeded"].sum())
+        alone = [axis for axis, row in asked.ranges.items() if len(row) == 1]
+        save(plot, lambda: chart(table.squeeze(alone), answers))
     told = {}
-    slopes = [f"{answer}_by_{axis}" for answer in derivatives for axis in ranges]
-    for answer in (*answers, *slopes):
-        values = table[answer]
-        told[answer] = {
+    slopes = [f"{answer}_by_{axis}" for answer in answers for axis in asked.ranges]
+    for name in (*answers, *(slope for slope in slopes if slope in table)):
+        values = table[name]
+        told[name] = {
             "lowest": _number(values.min()),
             "mean": _number(values.mean()),
             "highest": _number(values.max()),
             "unit": values.attrs.get("units", ""),
         }
+    count, fine = table["succeeded"].size, int(table["succeeded"].sum())
     if as_json:
-        summary = {"designs": count, "failed": count - fine, "seconds": seconds}
-        print(json.dumps({**summary, "answers": told}))
+        print(json.dumps({"designs": count, "failed": count - fine, "answers": told}))
         return
     failed = f", {count - fine:,} without an answer" if fine < count else ""
-    print(f"{count:,} designs in {seconds:.1f} s{failed}")
+    print(f"{count:,} designs{failed}")
     print(f"{'':<22}{'lowest':>12}  {'mean':>12}  {'highest':>12}")
-    for answer, row in told.items():
+    for name, row in told.items():
         cells = (row["lowest"], row["mean"], row["highest"])
-        numbers = "  ".join(
-            "none".rjust(12) if c is None else f"{c:>12.6g}" for c in cells
-        )
+        texts = ("none" if cell is None else f"{cell:.6g}" for cell in cells)
+        numbers = "  ".join(f"{text:>12}" for text in texts)
         unit = "" if row["unit"] == "1" else f" {row['unit']}"
-        print(f"{answer:<22}{numbers}{unit}")
-    if out is not None:
-        print(f"kept in {out}")
+        print(f"{name:<22}{numbers}{unit}")
+    if asked.out is not None:
+        print(f"kept in {asked.out}")
     if plot is not None:
         print(f"drawn to {plot}")
 

@@ -291,8 +291,6 @@ def test_sweep_goes_on_where_it_was(run):
     again = run(*ask, "--out", "stage.zarr", "--resume")
     assert json.loads(again.stdout)["answers"] == answer["answers"]
     is_one_clear_line(run(*ask, "--out", "stage.zarr"), "go on with it by --resume")
-    other = ("sweep", "stage", "--web", "0.2e-3", "--out", "stage.zarr", "--resume")
-    is_one_clear_line(run(*other), "which another sweep made")
 
 
 @pytest.mark.parametrize(

@@ -46,9 +46,9 @@ def seconds(function: Callable, *arguments: Any, repeats: int = 11) -> float:
 
 def at_most(what: str, value: float, unit: str, bound: float) -> Row:
     """A row that is met by a value up to the bound."""
-    return Row(what, value, unit, f"at most {bound:g}", value <= bound)
+    return Row(what, value, unit, f"at most {bound:g}", bool(value <= bound))
 
 
 def at_least(what: str, value: float, unit: str, bound: float) -> Row:
     """A row that is met by a value from the bound on."""
-    return Row(what, value, unit, f"at least {bound:,g}", value >= bound)
+    return Row(what, value, unit, f"at least {bound:,g}", bool(value >= bound))

@@ -44,9 +44,7 @@ def main(
 
     def keep(row: Row) -> None:
         rows.append(row)
-        value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.4g}"
-        met = {None: "", True: "yes", False: "NO"}[row.met]
-        table.add_row(row.what, value, row.unit, row.asked, met)
+        table.add_row(*cells(row))
 
     parts = (
         statics, peers, leaves, motion, peers_motion, identification,
@@ -74,17 +72,20 @@ def main(
     )
     Console(width=110).print(table)
     if out is not None:
-        lines = ["| what | measured | | asked | met |", "|---|---:|---|---|---|"]
-        cells = zip(*(column.cells for column in table.columns), strict=True)
-        lines += [f"| {' | '.join(map(str, row))} |" for row in cells]
         record = {
             "caption": str(table.caption),
             "date": str(datetime.date.today()),
             "versions": versions,
             "rows": [asdict(row) for row in rows],
-            "table": lines,
         }
         keep_for(machine, record, out)
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """A row as it is printed."""
+    value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.4g}"
+    met = {None: "", True: "yes", False: "NO"}[row.met]
+    return row.what, value, row.unit, row.asked, met
 
 
 def keep_for(machine: str, record: dict[str, Any], out: Path) -> None:
@@ -95,7 +96,9 @@ def keep_for(machine: str, record: dict[str, Any], out: Path) -> None:
     beside.write_text(json.dumps(told, indent=1) + "\n")
     parts = ["# Benchmarks"]
     for name, each in told.items():
-        parts += [f"## {name}", each["caption"], "\n".join(each["table"])]
+        lines = ["| what | measured | | asked | met |", "|---|---:|---|---|---|"]
+        lines += [f"| {' | '.join(cells(Row(**row)))} |" for row in each["rows"]]
+        parts += [f"## {name}", each["caption"], "\n".join(lines)]
     out.with_suffix(".md").write_text("\n\n".join(parts) + "\n")
 
 

@@ -19,6 +19,17 @@ def alike(trees: Sequence[Any]) -> list[list[int]]:
     return list(kinds.values())
 
 
+def path_name(path: Sequence[Any]) -> str:
+    """What a leaf is called, by its path: "leaf.length"; "value" where it is all."""
+    return jax.tree_util.keystr(tuple(path), simple=True, separator=".") or "value"
+
+
+def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
+    """What the entries of an array of that name are called: "web[0]", "web[1]"."""
+    places = (", ".join(map(str, place)) for place in np.ndindex(shape))
+    return [f"{name}[{place}]" if place else name for place in places]
+
+
 def undifferentiated(tree: Any) -> Any:
     """The same, with no derivative: what changes the way to an answer, and not it.
 

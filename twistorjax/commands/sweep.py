@@ -99,7 +99,7 @@ class _Asked(NamedTuple):
 
 
 def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
-    """The table of a study, called by its name, and the seconds it took."""
+    """The table of a study, called by its name."""
     need_folder("--out", asked.out)
     if asked.resume and asked.out is None:
         raise Refused("--resume goes on with the folder of --out: give that, too.")

@@ -57,10 +57,8 @@ def chart(table: "xarray.Dataset", answers: Sequence[str]) -> "Figure":
             axes.grid(alpha=0.3)
             continue
         below, left = (table[str(dim)] for dim in reversed(values.dims))
-        (x, along), (y, up) = (
-            _scaled(str(below.name), below),
-            _scaled(str(left.name), left),
-        )
+        x, along = _scaled(str(below.name), below)
+        y, up = _scaled(str(left.name), left)
         colours = axes.pcolormesh(
             along * below, up * left, factor * values, cmap="cividis", shading="nearest"
         )

@@ -84,7 +84,7 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
 def outcomes(result: RESULTS) -> np.ndarray | None:
     """The names of results, in the shape of their batch, or nothing while traced."""
     index = known(result._value)
-    return None if index is None else np.array(np.array(NAMES, object)[index], object)
+    return None if index is None else np.array(_NAMED[index], object)
 
 
 @runtime_checkable
@@ -129,6 +129,7 @@ def meaning(item: str) -> str:
 NAMES = tuple(
     sorted(RESULTS._name_to_item, key=lambda name: int(getattr(RESULTS, name)._value))
 )
+_NAMED = np.array(NAMES, object)
 
 
 class ByBody(Tabled):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import known
+from .._trees import entry_names, path_name
 
 
 class Unknown(eqx.Module):
@@ -177,10 +178,8 @@ class Unknowns(eqx.Module):
             unknown = leaf if _is_unknown(leaf) else Unknown(leaf)
             rest.append(None)
             leaves.append(unknown)
-            name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
+            names += entry_names(path_name(path), unknown.value.shape)
             for place in np.ndindex(unknown.value.shape):
-                index = f"[{', '.join(map(str, place))}]" if place else ""
-                names.append(name + index)
                 unit = unknown.unit
                 units.append(unit if isinstance(unit, str) else unit[place[-1]])
         if not leaves:

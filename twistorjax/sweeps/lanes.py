@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .._trees import path_name
+
 
 class Grid:
     """Every combination of some values of each parameter.
@@ -98,7 +100,7 @@ class Lanes:
         names: list[str] = []
         self.arrays = []
         for path, leaf in paths:
-            name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
+            name = path_name(path)
             array = np.asarray(leaf)
             if array.ndim < 1 or not np.issubdtype(array.dtype, np.number):
                 raise ValueError(

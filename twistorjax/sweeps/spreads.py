@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import known, one_of
+from .._trees import entry_names, path_name
 
 
 Method = Literal["sobol", "latin", "random"]
@@ -138,10 +139,7 @@ class Spreads:
         for path, leaf in paths:
             if not _is_spread(leaf):
                 continue
-            name = jax.tree_util.keystr(path, simple=True, separator=".") or "value"
-            for place in np.ndindex(leaf.mean.shape):
-                index = f"[{', '.join(map(str, place))}]" if place else ""
-                names.append(name + index)
+            names += entry_names(path_name(path), leaf.mean.shape)
             self.spreads.append(leaf)
         self.names = tuple(names)
         if not names:
@@ -168,6 +166,11 @@ class Spreads:
         return matrix
 
     @property
+    def _cuts(self) -> np.ndarray:
+        """Where in a row of all numbers those of the next parameter begin."""
+        return np.cumsum([spread.mean.size for spread in self.spreads])[:-1]
+
+    @property
     def means(self) -> Float[np.ndarray, " numbers"]:
         """Of all that spread."""
         return np.concatenate([np.ravel(spread.mean) for spread in self.spreads])
@@ -177,10 +180,20 @@ class Spreads:
         """Of all that spread."""
         return np.concatenate([np.ravel(spread.deviation) for spread in self.spreads])
 
+    def rows(self, drawn: Float[np.ndarray, "count numbers"]) -> Any:
+        """Designs, an entry for each along the first axis of every array."""
+        count, parts = len(drawn), iter(np.split(drawn, self._cuts, axis=1))
+        leaves = [
+            next(parts).reshape(count, *leaf.mean.shape)
+            if _is_spread(leaf)
+            else np.broadcast_to(leaf, (count, *np.shape(leaf)))
+            for leaf in self._leaves
+        ]
+        return jax.tree.unflatten(self._tree, leaves)
+
     def design(self, row: Float[Array, " numbers"]) -> Any:
         """The design with such numbers for what spreads."""
-        cuts = np.cumsum([spread.mean.size for spread in self.spreads])[:-1]
-        parts = iter(jnp.split(row, cuts))
+        parts = iter(jnp.split(row, self._cuts))
         leaves = [
             next(parts).reshape(leaf.mean.shape) if _is_spread(leaf) else leaf
             for leaf in self._leaves
@@ -211,11 +224,10 @@ class Spreads:
             root = directions * np.sqrt(np.maximum(sizes, 0.0))
             tiny = np.finfo(float).tiny
             parts = ndtr(ndtri(np.clip(parts, tiny, 1 - 1e-16)) @ root.T)
-        cuts = np.cumsum([spread.mean.size for spread in self.spreads])[:-1]
         columns = [
             spread.quantile(part.reshape(count, *spread.mean.shape)).reshape(count, -1)
             for spread, part in zip(
-                self.spreads, np.split(parts, cuts, axis=1), strict=True
+                self.spreads, np.split(parts, self._cuts, axis=1), strict=True
             )
         ]
         return np.concatenate(columns, axis=1)
@@ -258,18 +270,7 @@ def sampled(
         ((1024,), 0.00025, (1024,))
     """
     spreads = Spreads(designs, correlation)
-    drawn = spreads.drawn(count, method, key)
-    leaves: list[np.ndarray] = []
-    place = 0
-    for leaf in spreads._leaves:
-        if _is_spread(leaf):
-            size = leaf.mean.size
-            part = drawn[:, place : place + size]
-            leaves.append(part.reshape(count, *leaf.mean.shape))
-            place += size
-        else:
-            leaves.append(np.broadcast_to(leaf, (count, *np.shape(leaf))))
-    return jax.tree.unflatten(spreads._tree, leaves)
+    return spreads.rows(spreads.drawn(count, method, key))
 
 
 def _is_spread(leaf: Any) -> bool:

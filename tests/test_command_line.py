@@ -90,18 +90,9 @@ def is_one_clear_line(done, message):
     assert done.stdout == ""
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["--web", "1e-6"],
-            "cannot be used, holes being 3 mm: `web / hole` is 0.000333333",
-        ),
-        (["--plot", "stage.poem"], "--plot cannot be written: Format 'poem'"),
-    ],
-)
-def test_input_that_fails_as_it_is_used_is_one_clear_line(run, arguments, message):
-    is_one_clear_line(run("stage", *arguments), message)
+def test_input_that_fails_as_it_is_used_is_one_clear_line(run):
+    told = "cannot be used, holes being 3 mm: `web / hole` is 0.000333333"
+    is_one_clear_line(run("stage", "--web", "1e-6"), told)
 
 
 @pytest.mark.parametrize(
@@ -114,6 +105,7 @@ def test_input_that_fails_as_it_is_used_is_one_clear_line(run, arguments, messag
         (["--input", "far"], "Invalid value for '--input'"),
         (["--energy", "heat"], "--energy is 'heat', but must be 'twistor' or 'twist'"),
         (["--plot", "nowhere/stage.png"], "there is no folder nowhere"),
+        (["--plot", "stage.poem"], "--plot is stage.poem, but its name must end with"),
         (["--gian"], "No such option: --gian"),
     ],
 )
@@ -182,7 +174,7 @@ def test_the_stage_settles_to_its_static_gain(run):
         (["--times", "0.2,0.1"], "must increase"),
         (["--times", "0.1,x"], "must be numbers between commas"),
         (["--damping-time", "-1"], "must be zero or positive"),
-        (["--animate", "film.avi"], "must end in .gif, .mp4 or .html"),
+        (["--animate", "film.avi"], "its name must end with one of .gif, .mp4"),
     ],
 )
 def test_the_four_bar_refuses_in_one_line(told, arguments, message):
@@ -303,6 +295,10 @@ def test_sweep_goes_on_where_it_was(run):
         (["stage", "--web", "1:2:x"], "--web is 1:2:x, but must be"),
         (["stage", "--web", "-1:2:5"], "--web is -1:2:5, but must be"),
         (["four-bar", "--length", "nan"], "--length is nan, but must be"),
+        (
+            ["stage", "--web", "2e-4", "--plot", "gain.png"],
+            "--plot draws answers over a range: give one to --web or --hole",
+        ),
         (["stage", "--resume"], "--resume goes on with the folder of --out"),
         (["stage", "--devices", "0"], "--devices and --chunk must be at least 1"),
     ],

@@ -1,6 +1,8 @@
 """Looking at values while they can be seen, and saying what is wrong with them."""
 
+import importlib
 from collections.abc import Iterable, Sequence
+from types import ModuleType
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -49,6 +51,25 @@ def text(what: str, value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise ValueError(f"{what} is {value!r}, but must be some text.")
     return value
+
+
+def package(name: str, what: str, extra: str) -> ModuleType:
+    """A package that need not be installed.
+
+    Args:
+        name: of the package.
+        what: needs it.
+        extra: of this library's extras, the one that installs it.
+
+    Raises:
+        ImportError: it is not installed; the text says how to.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ImportError(
+            f'{what} need {name}: install it with `pip install "twistorjax[{extra}]"`.'
+        ) from error
 
 
 def need_float64(array: Array) -> None:

@@ -78,8 +78,17 @@ def finished(motion):
     return motion
 
 
-def matplotlib_for(option: str) -> None:
-    """Matplotlib, drawing into files alone."""
+def need_picture(option: str, path: Path | None, *, film: bool = False) -> None:
+    """Refuses, before anything is solved, a picture that could not be written.
+
+    Args:
+        option: that asks for it.
+        path: of its file.
+        film: whether it moves.
+    """
+    if path is None:
+        return
+    need_folder(option, path)
     try:
         import matplotlib
     except ImportError:
@@ -87,11 +96,26 @@ def matplotlib_for(option: str) -> None:
             f'{option} needs matplotlib: pip install "twistorjax[show]".'
         ) from None
     matplotlib.use("agg")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    kinds = list(_FILMS if film else FigureCanvasAgg.get_supported_filetypes())
+    if path.suffix[1:].lower() not in kinds:
+        raise Refused(
+            f"{option} is {path}, but its name must end with one of "
+            f"{', '.join(f'.{kind}' for kind in kinds)}."
+        )
+    if path.suffix == ".mp4":
+        from matplotlib.animation import writers
+
+        if not writers.is_available("ffmpeg"):
+            raise Refused(f"{option} {path} needs ffmpeg: install it, or write a .gif.")
+
+
+_FILMS = ("gif", "mp4", "html")
 
 
 def save(path: Path, picture) -> None:
     """Draws a picture, axes or a figure, into a file."""
-    matplotlib_for("--plot")
     drawn = picture()
     try:
         getattr(drawn, "figure", drawn).savefig(path, dpi=160)

@@ -10,11 +10,10 @@ import typer
 
 from .common import (
     finished,
-    matplotlib_for,
     meter,
     need_choice,
     need_energy,
-    need_folder,
+    need_picture,
     prepare_jax,
     Refused,
     save,
@@ -66,10 +65,8 @@ def four_bar(
         )
     if release is not None and not math.isfinite(release):
         raise Refused(f"--release is {release:g}, but must be finite; m/s.")
-    for option, path in (("--plot", plot), ("--animate", animate)):
-        need_folder(option, path)
-    if animate is not None and animate.suffix not in (".gif", ".mp4", ".html"):
-        raise Refused(f"--animate is {animate}, but must end in .gif, .mp4 or .html.")
+    need_picture("--plot", plot)
+    need_picture("--animate", animate, film=True)
     asked = _times(times)
     prepare_jax()
     import equinox as eqx
@@ -158,13 +155,8 @@ def _motion_table(motion, rows: slice) -> str:
 
 
 def _film(path: Path, mechanism, motion) -> None:
-    matplotlib_for("--animate")
-    from matplotlib.animation import writers
-
     from ..show.animation import animate
 
-    if path.suffix == ".mp4" and not writers.is_available("ffmpeg"):
-        raise Refused(f"--animate {path} needs ffmpeg: install it, or write a .gif.")
     film = animate(mechanism, motion, slower=10)
     try:
         if path.suffix == ".html":

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .common import need_folder, prepare_jax, save
+from .common import need_picture, prepare_jax, save
 
 
 def random_data(
@@ -23,7 +23,7 @@ def random_data(
 
     Example: twistorjax random-data --plot random.png
     """
-    need_folder("--plot", plot)
+    need_picture("--plot", plot)
     prepare_jax()
     from ..cases import random_data as case
 

@@ -12,7 +12,7 @@ from .common import (
     meter,
     need,
     need_energy,
-    need_folder,
+    need_picture,
     prepare_jax,
     Refused,
     save,
@@ -59,7 +59,7 @@ def stage(
     need("--web", web, "m")
     need("--damping-time", damping_time, "s")
     coordinates = need_energy(energy)
-    need_folder("--plot", plot)
+    need_picture("--plot", plot)
     if step and not transient:
         raise Refused("--step tells how the input moves in time: give --transient, too.")
     if transient:

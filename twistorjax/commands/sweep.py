@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from .common import need_folder, prepare_jax, Refused, save
+from .common import need_folder, need_picture, prepare_jax, Refused, save
 
 
 sweep = typer.Typer(
@@ -53,10 +53,9 @@ def stage(
 
     Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:10000 --out stage.zarr
     """
-    need_folder("--plot", plot)
     ranges = {"web": _range("--web", web), "hole": _range("--hole", hole)}
-    asked = _Asked(ranges, out, resume, devices, chunk)
-    _tell(asked, _swept(asked, "stage_gain", ("gain",)), ("gain",), as_json, plot)
+    asked = _Asked(ranges, out, resume, devices, chunk, as_json, plot)
+    _tell(asked, _swept(asked, "stage_gain", ("gain",)), ("gain",))
 
 
 @sweep.command("four-bar")
@@ -78,14 +77,13 @@ def four_bar(
 
     Example: twistorjax sweep four-bar --length 8e-3:12e-3:50 --thickness 1e-3
     """
-    need_folder("--plot", plot)
     ranges = {
         "length": _range("--length", length),
         "thickness": _range("--thickness", thickness),
     }
-    asked = _Asked(ranges, out, resume, devices, chunk)
+    asked = _Asked(ranges, out, resume, devices, chunk, as_json, plot)
     answers = ("travel", "moment", "frequency")
-    _tell(asked, _swept(asked, "driven_linkage", ()), answers, as_json, plot)
+    _tell(asked, _swept(asked, "driven_linkage", ()), answers)
 
 
 class _Asked(NamedTuple):
@@ -96,11 +94,22 @@ class _Asked(NamedTuple):
     resume: bool
     devices: int
     chunk: int | None
+    as_json: bool
+    plot: Path | None
+
+    @property
+    def alone(self) -> list[str]:
+        """What has one value alone."""
+        return [axis for axis, row in self.ranges.items() if len(row) == 1]
 
 
 def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
     """The table of a study, called by its name."""
     need_folder("--out", asked.out)
+    need_picture("--plot", asked.plot)
+    if asked.plot is not None and len(asked.alone) == len(asked.ranges):
+        options = " or ".join(f"--{axis}" for axis in asked.ranges)
+        raise Refused(f"--plot draws answers over a range: give one to {options}.")
     if asked.resume and asked.out is None:
         raise Refused("--resume goes on with the folder of --out: give that, too.")
     if asked.devices < 1 or (asked.chunk is not None and asked.chunk < 1):
@@ -135,15 +144,12 @@ def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
         raise Refused(text) from None
 
 
-def _tell(
-    asked: _Asked, table: Any, answers: Sequence[str], as_json: bool, plot: Path | None
-) -> None:
+def _tell(asked: _Asked, table: Any, answers: Sequence[str]) -> None:
     """Prints what is lowest, mean and highest, and draws it."""
-    if plot is not None:
+    if asked.plot is not None:
         from ..show.charts import chart
 
-        alone = [axis for axis, row in asked.ranges.items() if len(row) == 1]
-        save(plot, lambda: chart(table.squeeze(alone), answers))
+        save(asked.plot, lambda: chart(table.squeeze(asked.alone), answers))
     told = {}
     slopes = [f"{answer}_by_{axis}" for answer in answers for axis in asked.ranges]
     for name in (*answers, *(slope for slope in slopes if slope in table)):
@@ -155,7 +161,7 @@ def _tell(
             "unit": values.attrs.get("units", ""),
         }
     count, fine = table["succeeded"].size, int(table["succeeded"].sum())
-    if as_json:
+    if asked.as_json:
         print(json.dumps({"designs": count, "failed": count - fine, "answers": told}))
         return
     failed = f", {count - fine:,} without an answer" if fine < count else ""
@@ -169,8 +175,8 @@ def _tell(
         print(f"{name:<22}{numbers}{unit}")
     if asked.out is not None:
         print(f"kept in {asked.out}")
-    if plot is not None:
-        print(f"drawn to {plot}")
+    if asked.plot is not None:
+        print(f"drawn to {asked.plot}")
 
 
 def _number(value: Any) -> float | None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .common import need_folder, prepare_jax, Refused, save
+from .common import need_picture, prepare_jax, Refused, save
 
 
 def water(
@@ -45,7 +45,7 @@ def water(
         raise Refused(f"--points is {points}, but must lie between 2 and 20000.")
     if seed < 0:
         raise Refused(f"--seed is {seed}, but must be a whole number from 0 on.")
-    need_folder("--plot", plot)
+    need_picture("--plot", plot)
     prepare_jax()
     from ..cases import water as case
 

@@ -2,6 +2,8 @@
 
 from typing import Any, TYPE_CHECKING
 
+from .._checks import package
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,12 +27,7 @@ def subplots(
     Example:
         >>> figure, axes = subplots(size=(5, 5))
     """
-    try:
-        from matplotlib import pyplot as plt
-    except ImportError as error:
-        raise ImportError(
-            'Pictures need matplotlib: install it with `pip install "twistorjax[show]"`.'
-        ) from error
+    plt = package("matplotlib.pyplot", "Pictures", "show")
     return plt.subplots(rows, columns, figsize=size, layout="constrained", **settings)
 
 

@@ -8,6 +8,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Shaped
 
+from .._checks import package
+
 
 if TYPE_CHECKING:
     import xarray
@@ -109,10 +111,4 @@ def need_xarray():
     Raises:
         ImportError: it is not.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise ImportError(
-            'Tables need xarray: install it with `pip install "twistorjax[data]"`.'
-        ) from error
-    return xarray
+    return package("xarray", "Tables", "data")

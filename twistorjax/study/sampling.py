@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._checks import package
 from .compiled import quickly
 from .identified import Identification
 from .measured import a_key
@@ -50,14 +51,9 @@ def posterior(
     Source:
         Hoffman and Gelman, Journal of Machine Learning Research 15, 2014.
     """
-    try:
-        import arviz
-        import blackjax
-    except ImportError as error:
-        raise ImportError(
-            "Sampling needs blackjax and arviz: install them with "
-            '`pip install "twistorjax[posterior]"`.'
-        ) from error
+    arviz, blackjax = (
+        package(name, "Samples", "posterior") for name in ("arviz", "blackjax")
+    )
     problem = found.problem
     if problem.robust is not None:
         raise ValueError(

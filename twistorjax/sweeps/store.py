@@ -1,7 +1,9 @@
 """What a sweep has found so far, in files that survive its end at any moment."""
 
+import glob
 import hashlib
 import os
+import shutil
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from .._checks import package
 from .layout import Layout, OUTCOMES
 
 
@@ -56,6 +59,8 @@ class Store:
         """
         path, zarr = Path(path), _zarr()
         path.parent.mkdir(parents=True, exist_ok=True)
+        for left in path.parent.glob(f".{glob.escape(path.name)}.{8 * '[0-9a-f]'}"):
+            shutil.rmtree(left)  # by a process that was killed here
         made = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
         group = zarr.open_group(made, mode="w")
         labels = {}
@@ -159,11 +164,5 @@ def _is_sum(value: Any) -> bool:
     return isinstance(value, str) and len(value) == 64
 
 
-def _zarr():
-    try:
-        import zarr
-    except ImportError as error:
-        raise ImportError(
-            'Stores need zarr: install it with `pip install "twistorjax[data]"`.'
-        ) from error
-    return zarr
+def _zarr() -> Any:
+    return package("zarr", "Stores", "data")

@@ -45,6 +45,7 @@ from .quotients import fit_rational as fit_rational, RationalFit as RationalFit
 from .regression import fit_energy as fit_energy
 from .show.animation import animate as animate
 from .show.drawing import draw as draw
+from .show.landscapes import draw_energy as draw_energy
 from .show.progress import ProgressBar as ProgressBar
 from .slender import Slender as Slender
 from .solve.collocation import Gauss as Gauss, Radau as Radau

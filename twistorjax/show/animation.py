@@ -1,13 +1,17 @@
-"""A mechanism in motion, on matplotlib axes."""
+"""A mechanism as it moves, on matplotlib axes."""
 
-from typing import cast, TYPE_CHECKING
+from typing import cast, NamedTuple, TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import ArrayLike, Float
 
 from ..mechanism import Mechanism
 from ..solve.motion import Motion
-from .canvas import new_axes
-from .drawing import draw, draw_ghost, shapes
+from ..solve.statics import Equilibrium
+from ..solve.vibrations import Vibrations
+from .canvas import lengths, new_axes
+from .drawing import draw, draw_ghost
+from .shapes import shapes, size_of
 
 
 if TYPE_CHECKING:
@@ -17,31 +21,49 @@ if TYPE_CHECKING:
     from matplotlib.patches import Polygon
 
 
+_SWING = 0.08  # of a vibration, as a part of the mechanism's size
+_PERIOD = 30  # frames of one
+
+
+class _Film(NamedTuple):
+    """Poses one after another, what is said of each, and how long they are shown."""
+
+    poses: np.ndarray
+    titles: list[str]
+    interval: float  # ms
+
+
 def animate(
     mechanism: Mechanism,
-    motion: Motion,
+    moving: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
     *,
+    mode: int = 0,
     magnify: float | int = 1.0,
     slower: float | int = 1.0,
     frames: int = 120,
     axes: "Axes | None" = None,
 ) -> "FuncAnimation":
-    """Draws a mechanism at each time of a motion, one after another.
+    """Draws a mechanism as it moves: a motion, a vibration, a path of equilibria.
 
     Args:
-        mechanism: what moved.
-        motion: of it, told at times evenly apart, so that it runs evenly.
+        mechanism: what moves.
+        moving: a motion, told at times evenly apart, so that it runs evenly; vibrations,
+            of which one is shown, as large as can be seen; or equilibria one after
+            another, as a batch of answers or of poses; rad, m, m.
+        mode: which vibration, the slowest being 0.
         magnify: a factor on displacements, angles included; stated on the axes.
-        slower: than it was, by this factor.
+        slower: than a motion was, by this factor.
         frames: how many to draw at most, evenly chosen; each takes a tenth of a second.
         axes: on which to draw, by default new ones.
 
     Returns:
-        The animation: save it by its `save("motion.gif")` or `save("motion.mp4")`; in a
-        notebook show `IPython.display.HTML(animation.to_jshtml())`.
+        The animation. A notebook shows it; `save("motion.gif")` and `save("motion.mp4")`
+        keep it.
 
     Raises:
         ImportError: matplotlib is not installed.
+        ValueError: a batch of motions or of vibrations; there is no such mode; a single
+            equilibrium.
 
     Example:
         >>> from twistorjax.cases import four_bar
@@ -50,49 +72,104 @@ def animate(
         >>> "<script" in film.to_jshtml()
         True
     """
-    times = np.asarray(motion.times)
-    poses = np.asarray(motion.poses)
-    if poses.ndim != 3:
-        raise ValueError(
-            f"`motion` is a batch of motions, of shape {poses.shape[:-3]}: animate one."
-        )
-    kept = np.flatnonzero(np.isfinite(times))
-    chosen = np.linspace(0, len(kept) - 1, min(frames, len(kept))).round().astype(int)
-    kept = kept[chosen]
+    film = _film(mechanism, moving, mode, magnify, slower, frames)
     if axes is None:
         axes = new_axes((5, 5))
     from matplotlib.animation import FuncAnimation
 
-    rest = np.asarray(mechanism.rest)
-    placed = rest + magnify * (poses - rest)
+    unit, _ = lengths(size_of(mechanism))
     already = len(axes.patches)
-    first = motion.poses[kept[0]]
-    draw(mechanism, first, magnify=magnify, ghost=False, names=False, axes=axes)
-    moving = cast("list[Polygon]", list(axes.patches)[already:])
+    draw(mechanism, film.poses[0], ghost=False, names=False, axes=axes)
+    parts = cast("list[Polygon]", list(axes.patches)[already:])
     draw_ghost(mechanism, axes)
-    every = [corners for k in kept for corners, _ in shapes(mechanism, placed[k])]
-    axes.set(**_limits(np.concatenate(every)))
-    stated = axes.get_title()
+    every = [part.corners for poses in film.poses for part in shapes(mechanism, poses)]
+    axes.set(**_limits(unit * np.concatenate(every)))
 
     def frame(k: int) -> list["Polygon"]:
-        for patch, (corners, _) in zip(moving, shapes(mechanism, placed[k]), strict=True):
-            patch.set_xy(1e3 * corners)
-        title = f"{times[k]:.4g} s" + (f"; {stated}" if stated else "")
-        axes.set_title(title, fontsize="medium")
-        return moving
+        for patch, part in zip(parts, shapes(mechanism, film.poses[k]), strict=True):
+            patch.set_xy(unit * part.corners)
+        axes.set_title(film.titles[k], fontsize="medium")
+        return parts
 
-    length = 1e3 * slower * (times[kept[-1]] - times[kept[0]])
-    return FuncAnimation(
-        cast("Figure", axes.get_figure(root=True)),
-        frame,
-        frames=[int(k) for k in kept],
-        interval=max(20.0, length / max(1, len(kept) - 1)),
+    figure = cast("Figure", axes.get_figure(root=True))
+    shown = FuncAnimation(
+        figure, frame, frames=len(film.poses), interval=max(20.0, film.interval)
     )
+    shown._repr_html_ = lambda: _html(shown, figure)
+    return shown
+
+
+def _html(shown: "FuncAnimation", figure: "Figure") -> str:
+    """For a notebook, which would show the figure once more, and still."""
+    from matplotlib import pyplot as plt
+
+    plt.close(figure)
+    with plt.rc_context({"savefig.dpi": 72}):  # a notebook keeps every frame
+        return shown.to_jshtml()
+
+
+def _film(
+    mechanism: Mechanism,
+    moving: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
+    mode: int,
+    magnify: float,
+    slower: float,
+    frames: int,
+) -> _Film:
+    rest = np.asarray(mechanism.rest)
+    told = "" if magnify == 1 else f"displacements magnified {magnify:g} times"
+    if isinstance(moving, Vibrations):
+        frequencies, moved = np.asarray(moving.frequencies), np.asarray(moving.shapes)
+        if frequencies.ndim != 1 or not -len(frequencies) <= mode < len(frequencies):
+            raise ValueError(
+                f"`mode` is {mode} of vibrations of shape {frequencies.shape}: animate "
+                "those of one mechanism, and a mode that there is."
+            )
+        shape = moved[mode]
+        largest = max(
+            np.abs(after.corners - before.corners).max()
+            for before, after in zip(
+                shapes(mechanism, rest), shapes(mechanism, rest + 1e-6 * shape),
+                strict=True,
+            )
+        )  # fmt: skip
+        swing = magnify * _SWING * size_of(mechanism) / (1e6 * largest or 1.0)
+        count = min(_PERIOD, frames)
+        turns = np.sin(2 * np.pi * np.arange(count) / count)
+        title = f"vibration {mode % len(frequencies) + 1}: {frequencies[mode]:.5g} Hz"
+        return _Film(
+            rest + swing * turns[:, None, None] * shape, count * [title], 2000 / count
+        )
+    times, joined = np.zeros(0), "; " * bool(told)
+    if isinstance(moving, Motion):
+        times, poses = np.asarray(moving.times), np.asarray(moving.poses)
+    else:
+        poses = moving.poses if isinstance(moving, Equilibrium) else moving
+        poses = np.asarray(poses)
+    if poses.ndim != 3:
+        what = (
+            f"a batch of motions, of shape {poses.shape[:-3]}: animate one"
+            if poses.ndim > 3
+            else "one equilibrium: animate several one after another, or `draw` it"
+        )
+        raise ValueError(f"`moving` is {what}.")
+    kept = np.flatnonzero(np.all(np.isfinite(poses), axis=(1, 2)))
+    if not len(kept):
+        raise ValueError("`moving` is nowhere finite: no solve of it succeeded.")
+    chosen = np.linspace(0, len(kept) - 1, min(frames, len(kept))).round().astype(int)
+    kept = kept[chosen]
+    poses = rest + magnify * (poses - rest)
+    if len(times):
+        titles = [f"{times[k]:.4g} s{joined}{told}" for k in kept]
+        length = 1e3 * slower * float(times[kept[-1]] - times[kept[0]])
+        return _Film(poses[kept], titles, length / max(1, len(kept) - 1))
+    titles = [f"{k + 1} of {len(poses)}{joined}{told}" for k in kept]
+    return _Film(poses[kept], titles, 3000 / len(kept))
 
 
 def _limits(corners: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Limits of the axes, with some room around the corners; mm."""
-    low, high = 1e3 * corners.min(axis=0), 1e3 * corners.max(axis=0)
+    """Limits of the axes, with some room around the corners."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
     margin = 0.05 * np.max(high - low)
     low, high = low - margin, high + margin
     return {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}

@@ -5,16 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import subplots
+from .canvas import INK, readable, subplots
 
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
-
-
-# units of a picture: at which size, and how many of the SI unit they are
-_PREFIXES = ((1e9, "n"), (1e6, "\N{MICRO SIGN}"), (1e3, "m"), (1.0, ""), (1e-3, "k"))
 
 
 def chart(table: "xarray.Dataset", answers: Sequence[str]) -> "Figure":
@@ -51,7 +47,7 @@ def chart(table: "xarray.Dataset", answers: Sequence[str]) -> "Figure":
         if values.ndim == 1:
             places = _places(table, str(values.dims[0]))
             x, along = _scaled(str(places.name), places)
-            axes.plot(along * places, factor * values, color="#1b4965")
+            axes.plot(along * places, factor * values, color=INK)
             axes.set_xlabel(x)
             axes.set_ylabel(told)
             axes.grid(alpha=0.3)
@@ -92,9 +88,6 @@ def _scaled(name: str, values: "xarray.DataArray") -> tuple[str, float]:
     unit = values.attrs.get("units", "")
     if unit in ("", "1"):
         return name, 1.0
-    if unit not in ("m", "N", "N m", "J", "s", "Hz"):
-        return f"{name} ({unit})", 1.0
     size = np.nanmax(np.abs(values)) if np.any(np.isfinite(values)) else 1.0
-    fitting = [(f, p) for f, p in _PREFIXES if 1 <= size * f < 1000]
-    factor, prefix = fitting[0] if fitting else (1.0, "")
-    return f"{name} ({prefix}{unit})", factor
+    factor, unit = readable(unit, float(size))
+    return f"{name} ({unit})", factor

@@ -1,22 +1,30 @@
 """A mechanism at given poses, drawn on matplotlib axes."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Literal, TYPE_CHECKING
 
+import jax
 import numpy as np
+from jaxtyping import ArrayLike
 
-from .._types import Corners, PosesLike
+from .._checks import find
+from .._types import PosesLike
+from ..boundary import Load
+from ..joints import AbstractConstraint
 from ..mechanism import Mechanism
 from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
-from .canvas import new_axes
+from .canvas import GREY, lengths, new_axes, ORANGE, readable
+from .marks import mark_frames, mark_joints, mark_loads, mark_reactions
+from .shapes import placed, ports, Shape, shapes, size_of
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-BODY, HELD, HINGE, GHOST = "#b8cfe3", "#d5d5d5", "#e08214", "#8a8a8a"
-_DOT = 0.012  # radius of a hinge without an outline, as a part of the mechanism's size
+Colour = tuple[float, ...]  # red, green, blue, opacity
+_FILLS = {"body": "#b8cfe3", "held": "#d5d5d5", "neck": ORANGE}
 
 
 def draw(
@@ -26,12 +34,19 @@ def draw(
     magnify: float | int = 1.0,
     ghost: bool = True,
     names: bool = True,
+    frames: bool = False,
+    loads: Sequence[Load] = (),
+    reactions: bool = False,
+    constraints: Sequence[AbstractConstraint] = (),
+    colour: Literal["energy"] | Mapping[str, ArrayLike] | None = None,
+    label: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
     """Draws a mechanism: bodies by their outlines, hinges between them, as they bend.
 
-    A body without an outline is drawn as lines from its origin to its hinges; a hinge
-    without one as a dot.
+    A body without an outline is drawn as arms from its origin to its hinges; a hinge
+    without one as a spiral spring. Outlines of leaves and notches: `leaf_outline` and
+    `notch_outline`, handed to `Hinge`.
 
     Args:
         mechanism: what to draw.
@@ -40,13 +55,23 @@ def draw(
         magnify: a factor on displacements, angles included; stated on the axes.
         ghost: whether the shape at rest is shown too, where it differs.
         names: whether bodies and hinges are labelled.
+        frames: whether the frames of bodies and hinges are shown; axis 1 is the thicker.
+        loads: to be shown as arrows with their sizes, but for those below a thousandth
+            of the largest.
+        reactions: whether those of the answer handed as `poses` are shown likewise.
+        constraints: pins and sliders to be shown.
+        colour: of the hinges: by the "energy" that each stores, or by a number for each,
+            by its name, as the stress that `leaf_stress` gives.
+        label: what the numbers are, with their unit, for the bar of colours.
         axes: on which to draw, by default new ones.
 
     Returns:
-        The axes, with millimetres on them.
+        The axes, in millimetres, unless the mechanism is very large or small.
 
     Raises:
         ImportError: matplotlib is not installed.
+        ValueError: reactions are asked for without an answer that has them; the poses
+            are a batch, or not finite; a name is unknown.
 
     Example:
         >>> from twistorjax.cases import stage
@@ -55,28 +80,30 @@ def draw(
         'x (mm)'
     """
     rest = np.asarray(mechanism.rest)
-    displacements = np.zeros_like(rest)
-    if isinstance(poses, Equilibrium | Motion):
-        poses = poses.poses if isinstance(poses, Equilibrium) else poses.poses[-1]
-    if poses is not None:
-        displacements = np.asarray(mechanism._displacements(poses))
+    displacements = _displacements(mechanism, poses)
     moved = rest + magnify * displacements
+    unit, word = lengths(size_of(mechanism))
+    values, label = _coloured(mechanism, rest + displacements, colour, label)
     if axes is None:
         axes = new_axes((7, 6))
     if ghost and np.any(displacements):
         draw_ghost(mechanism, axes)
-    for shape, colour in shapes(mechanism, moved):
-        closed = colour != HINGE
-        _polygon(
-            axes, shape, facecolor=colour, edgecolor="#404040" if closed else colour,
-            linewidth=0.8, zorder=1 if closed else 2,
-        )  # fmt: skip
+    fills = _bar(axes, values, label) if values else {}
+    for shape in shapes(mechanism, moved):
+        hinge = shape.kind in ("neck", "spring")
+        add(axes, shape, unit, fills.get(shape.row) if hinge else None)
+    if frames:
+        mark_frames(axes, mechanism, moved, unit)
+    mark_joints(axes, mechanism, moved, constraints, unit)
+    mark_loads(axes, mechanism, moved, loads, unit)
+    if reactions:
+        mark_reactions(axes, mechanism, moved, _reactions(poses), unit)
     if names:
-        _label(axes, mechanism, moved)
+        _label(axes, mechanism, moved, unit)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
+    axes.set_xlabel(f"x ({word})")
+    axes.set_ylabel(f"y ({word})")
     if magnify != 1:
         title = f"displacements magnified {magnify:g} times"
         if ghost and np.any(displacements):
@@ -87,102 +114,130 @@ def draw(
 
 def draw_ghost(mechanism: Mechanism, axes: "Axes") -> None:
     """Dots the bodies at rest."""
-    for shape, colour in shapes(mechanism, np.asarray(mechanism.rest)):
-        if colour != HINGE:
-            _polygon(axes, shape, fill=False, edgecolor=GHOST, linestyle=":", zorder=3)
-
-
-def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[np.ndarray, str]]:
-    """Polygons in the world, in metres, and their colours.
-
-    By NumPy: as operations of JAX, one by one, a frame of a film would take ten times as
-    long.
-    """
-    size = np.ptp(np.concatenate([mechanism.rest, mechanism.at])[:, 1:], axis=0).max()
-    held = set(mechanism.held)
-    drawn = []
-    for body, outline in enumerate(mechanism.outlines):
-        colour = HELD if {3 * body, 3 * body + 1, 3 * body + 2} <= held else BODY
-        if outline is not None:
-            drawn.append((_placed(poses[body], outline), colour))
-    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    dot = _DOT * (size or 1.0) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    for hinge, (ends, outline) in enumerate(
-        zip(mechanism.couplings.ends, mechanism.hinge_outlines, strict=True)
-    ):
-        ports = _ports(mechanism, poses, hinge)
-        corners = np.zeros((1, 2)) if outline is None else np.asarray(outline)
-        reach = np.array([corners[:, 0].min(), corners[:, 0].max()])
-        for body, port, along in zip(ends, ports, reach, strict=True):
-            if mechanism.outlines[body] is None:
-                (grip,) = _placed(port, np.array([[along, 0.0]]))
-                drawn.append((np.stack([poses[body][1:], grip]), BODY))
-        if outline is None:
-            middle = (ports[0][1:] + ports[1][1:]) / 2
-            drawn.append((middle + dot, HINGE))
-        else:
-            drawn.append((_bent(*ports, reach, corners), HINGE))
-    return drawn
-
-
-def _placed(pose: np.ndarray, corners: np.ndarray | Corners) -> np.ndarray:
-    cos, sin = np.cos(pose[0]), np.sin(pose[0])
-    return pose[1:] + np.asarray(corners) @ np.array([[cos, sin], [-sin, cos]])
-
-
-def _ports(
-    mechanism: Mechanism, poses: np.ndarray, hinge: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """The frames in which a hinge grips its bodies, in the world."""
-    ends, arms = mechanism.couplings.ends[hinge], mechanism.couplings.arms[hinge]
-    angle = float(mechanism.at[hinge, 0])
-    ports = []
-    for body, arm in zip(ends, arms, strict=True):
-        turned = poses[body] - np.array([float(mechanism.rest[body, 0]), 0.0, 0.0])
-        place = _placed(turned, arm[None])[0]
-        ports.append(np.array([angle + turned[0], *place]))
-    return ports[0], ports[1]
-
-
-def _bent(
-    first: np.ndarray, second: np.ndarray, reach: np.ndarray, outline: np.ndarray
-) -> np.ndarray:
-    """An outline whose ends are clamped to the two ports, bent as a beam between."""
-    length = reach[1] - reach[0]
-    ends = np.stack([reach, np.zeros(2)], axis=1)
-    start, end = _placed(first, ends), _placed(second, ends)
-    # Hermite's cubic: where the first end is and the last, and how they point
-    a, b = start[0], end[1]
-    da, db = start[1] - start[0], end[1] - end[0]
-    u = (outline[:, :1] - reach[0]) / length
-    middle = (
-        (1 + 2 * u) * (1 - u) ** 2 * a
-        + u * (1 - u) ** 2 * da
-        + u**2 * (3 - 2 * u) * b
-        - u**2 * (1 - u) * db
-    )
-    slope = 6 * u * (1 - u) * (b - a) + (1 - u) * (1 - 3 * u) * da - u * (2 - 3 * u) * db
-    normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return middle + outline[:, 1:] * normal
-
-
-def _polygon(axes: "Axes", corners: np.ndarray, **style) -> None:
     from matplotlib.patches import Polygon
 
-    axes.add_patch(Polygon(1e3 * corners, closed=True, **style))
+    unit, _ = lengths(size_of(mechanism))
+    for shape in shapes(mechanism, np.asarray(mechanism.rest)):
+        if shape.kind in ("body", "held", "arm"):
+            axes.add_patch(
+                Polygon(
+                    unit * shape.corners, closed=shape.kind != "arm", fill=False,
+                    edgecolor=GREY, linestyle=":", zorder=3,
+                )
+            )  # fmt: skip
 
 
-def _label(axes: "Axes", mechanism: Mechanism, poses: np.ndarray) -> None:
+def add(axes: "Axes", shape: Shape, unit: float, fill: Colour | None = None) -> None:
+    """Draws one part of a mechanism."""
+    from matplotlib.patches import Polygon
+
+    if shape.kind in ("arm", "spring"):
+        spring = shape.kind == "spring"
+        style = {
+            "closed": False, "fill": False, "linewidth": 1.4 if spring else 3.0,
+            "edgecolor": fill or ORANGE if spring else "#7f9fba",
+            "zorder": 2.5 if spring else 1, "capstyle": "round",
+        }  # fmt: skip
+    else:
+        neck = shape.kind == "neck"
+        colour = fill or _FILLS[shape.kind]
+        style = {
+            "closed": True, "facecolor": colour, "linewidth": 0.8,
+            "edgecolor": colour if neck and fill is None else "#404040",
+            "zorder": 2 if neck else 1,
+        }  # fmt: skip
+    axes.add_patch(Polygon(unit * shape.corners, **style))
+
+
+def _displacements(
+    mechanism: Mechanism, poses: PosesLike | Equilibrium | Motion | None
+) -> np.ndarray:
+    if poses is None:
+        return np.zeros(mechanism.rest.shape)
+    if isinstance(poses, Equilibrium | Motion):
+        rows = poses.poses
+        if (batch := rows.ndim - 2 - isinstance(poses, Motion)) > 0:
+            raise ValueError(
+                f"`poses` is a batch of answers, of shape {rows.shape[:batch]}: draw one,"
+                " as by `jax.tree.map(lambda leaf: leaf[0], answers)`."
+            )
+        poses = rows if isinstance(poses, Equilibrium) else rows[-1]
+    found = np.asarray(mechanism._displacements(poses))
+    if not np.all(np.isfinite(found)):
+        raise ValueError(
+            "`poses` are not finite: the solve that gave them did not succeed, as its "
+            "`result` tells."
+        )
+    return found
+
+
+def _reactions(poses: PosesLike | Equilibrium | Motion | None) -> np.ndarray:
+    if isinstance(poses, Equilibrium):
+        return np.asarray(poses.reactions)
+    if isinstance(poses, Motion):
+        return np.asarray(poses.reactions[-1])
+    raise ValueError(
+        "`reactions` are told by an equilibrium or a motion: hand that as `poses`."
+    )
+
+
+def _coloured(
+    mechanism: Mechanism,
+    poses: np.ndarray,
+    colour: Literal["energy"] | Mapping[str, ArrayLike] | None,
+    label: str,
+) -> tuple[dict[int, float], str]:
+    """The number by which each hinge is coloured, and what it is."""
+    if colour is None:
+        return {}, ""
+    if isinstance(colour, str):
+        if colour != "energy":
+            raise ValueError(
+                f"`colour` is {colour!r}, but must be 'energy', or a number for each "
+                "hinge by its name."
+            )
+        stored = {
+            row: float(_stored(mechanism, name, poses))
+            for row, name in enumerate(mechanism.hinge_names)
+        }
+        factor, unit = readable("J", max(map(abs, stored.values())))
+        return {row: factor * value for row, value in stored.items()}, f"energy ({unit})"
+    told = {
+        find("`colour`", "hinge", name, mechanism.hinge_names): float(np.asarray(value))
+        for name, value in colour.items()
+    }
+    return told, label
+
+
+def _stored(mechanism: Mechanism, hinge: str, poses: np.ndarray) -> jax.Array:
+    row = mechanism.hinge_names.index(hinge)
+    energy = mechanism.couplings.energy_of(row)
+    return energy(mechanism.displacement_of(hinge, jax.numpy.asarray(poses)))
+
+
+def _bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Colour]:
+    """A bar of colours beside the axes, and the colour of each hinge."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    low = min(0.0, *values.values())
+    scale = ScalarMappable(Normalize(low, max(values.values())), colormaps["plasma"])
+    axes.figure.colorbar(scale, ax=axes, label=label, shrink=0.8)
+    rows, colours = list(values), scale.to_rgba(np.array(list(values.values())))
+    return {row: tuple(map(float, rgba)) for row, rgba in zip(rows, colours, strict=True)}
+
+
+def _label(axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float) -> None:
     for name, pose, outline in zip(
         mechanism.names, poses, mechanism.outlines, strict=True
     ):
-        x, y = 1e3 * (pose[1:] if outline is None else _inside(_placed(pose, outline)))
-        axes.annotate(name, (x, y), ha="center", va="center", zorder=5)
+        place = pose[1:] if outline is None else _inside(placed(pose, outline))
+        axes.annotate(name, tuple(unit * place), ha="center", va="center", zorder=5)
     for hinge, name in enumerate(mechanism.hinge_names):
-        _, x, y = 1e3 * _ports(mechanism, poses, hinge)[0]
+        _, x, y = ports(mechanism, poses, hinge)[0]
         axes.annotate(
-            name, (x, y), xytext=(0, 7), ha="center", zorder=5,
+            name, (unit * x, unit * y), xytext=(0, 7), ha="center", zorder=5,
             textcoords="offset points", color="#8c3b00", fontstyle="italic",
         )  # fmt: skip
 

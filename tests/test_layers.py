@@ -13,7 +13,8 @@ LAYERS = [
     "energy", "coulomb", "monomials", "polynomial", "slender", "mixed", "certified",
     "storage", "columns", "trials", "leastsquares", "fitted", "regression", "quotients",
     "flexure", "body", "hinge", "grip", "pull", "couplings", "mechanism", "boundary",
-    "joints", "solve", "study", "sweeps", "show", "cases", "commands", "__main__",
+    "joints", "solve", "study", "sweeps", "show", "exchange", "cases", "commands",
+    "__main__",
 ]  # fmt: skip
 PACKAGE = pathlib.Path(__file__).parents[1] / "twistorjax"
 FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]

@@ -15,6 +15,12 @@ from .certified import Certified as Certified
 from .coulomb import Coulomb as Coulomb
 from .damping import Viscous as Viscous
 from .energy import AbstractEnergy as AbstractEnergy, Quadratic as Quadratic
+from .exchange import (
+    exudyn_script as exudyn_script,
+    load_mechanism as load_mechanism,
+    save_mechanism as save_mechanism,
+    save_outline as save_outline,
+)
 from .fitted import Fit as Fit
 from .flexure import (
     Beam as Beam,
@@ -26,10 +32,12 @@ from .flexure import (
     largest_turn as largest_turn,
     leaf as leaf,
     leaf_outline as leaf_outline,
+    leaf_stress as leaf_stress,
     Material as Material,
     notch as notch,
     notch_outline as notch_outline,
     notch_profile as notch_profile,
+    notch_stress as notch_stress,
     quartic_leaf as quartic_leaf,
 )
 from .hinge import Hinge as Hinge

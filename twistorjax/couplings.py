@@ -71,6 +71,10 @@ class Couplings(eqx.Module):
 
     def energy_of(self, row: int) -> AbstractEnergy:
         """The energy of one hinge, by its place in the mechanism's list."""
+        return self.energy_and_damping_of(row)[0]
+
+    def energy_and_damping_of(self, row: int) -> tuple[AbstractEnergy, Viscous | None]:
+        """The energy of one hinge and what it dissipates, if anything."""
         stack = next(stack for stack in self.stacks if row in stack.members)
         place = stack.members.index(row)
         leaves, tree = jax.tree.flatten((stack.energy, stack.damping))
@@ -78,8 +82,7 @@ class Couplings(eqx.Module):
             leaf if axis is None else leaf[place]
             for leaf, axis in zip(leaves, stack.axes, strict=True)
         ]
-        energy, _ = jax.tree.unflatten(tree, own)
-        return energy
+        return jax.tree.unflatten(tree, own)
 
     def energy(self, displacements: Poses) -> Scalar:
         """What all hinges store; J."""

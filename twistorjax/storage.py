@@ -52,8 +52,7 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
         ...     load_energy(f"{folder}/hinge.json").coefficients
         Array([0.1], dtype=float64)
     """
-    record = {"twistorjax": VERSION, "energy": _told(energy)}
-    Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_record(path, "energy", energy_told(energy))
 
 
 def load_energy(path: str | Path) -> AbstractEnergy:
@@ -63,30 +62,48 @@ def load_energy(path: str | Path) -> AbstractEnergy:
         ValueError: the file is not whole, of another version, or names what is unknown.
         OSError: the file cannot be read.
     """
+    told = read_record(path, "energy")
     try:
-        record = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"{path} is not whole, or no JSON: {error}. Save the energy again."
-        ) from error
-    if not isinstance(record, dict) or record.get("twistorjax") != VERSION:
-        came = record.get("twistorjax") if isinstance(record, dict) else type(record)
-        raise ValueError(
-            f"{path} was not written by this version's `save_energy`: its field "
-            f"`twistorjax` is {came}, but must be {VERSION}."
-        )
-    if set(record) != {"twistorjax", "energy"}:
-        raise ValueError(
-            f"{path} has the fields {', '.join(record)}, but must have `twistorjax` and "
-            "`energy` alone."
-        )
-    try:
-        return _made(record["energy"])
+        return energy_from(told)
     except (ValueError, TypeError) as error:
         raise ValueError(f"{path} holds no energy: {error}") from error
 
 
-def _told(energy: AbstractEnergy) -> dict[str, Any]:
+def write_record(path: str | Path, kind: str, told: Any) -> None:
+    """Writes what is told of a thing of some kind."""
+    text = json.dumps({"twistorjax": VERSION, kind: told}, indent=1)
+    Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def read_record(path: str | Path, kind: str) -> Any:
+    """Reads what was told of a thing of that kind.
+
+    Raises:
+        ValueError: the file is not whole, of another version, or of another kind.
+        OSError: the file cannot be read.
+    """
+    try:
+        record = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(
+            f"{path} is not whole, or no JSON: {error}. Save the {kind} again."
+        ) from error
+    if not isinstance(record, dict) or record.get("twistorjax") != VERSION:
+        came = record.get("twistorjax") if isinstance(record, dict) else type(record)
+        raise ValueError(
+            f"{path} was not written by this version's `save_{kind}`: its field "
+            f"`twistorjax` is {came}, but must be {VERSION}."
+        )
+    if set(record) != {"twistorjax", kind}:
+        raise ValueError(
+            f"{path} has the fields {', '.join(record)}, but must have `twistorjax` and "
+            f"`{kind}` alone."
+        )
+    return record[kind]
+
+
+def energy_told(energy: AbstractEnergy) -> dict[str, Any]:
+    """What an energy is, as plain values."""
     if type(energy).__name__ not in _KINDS:
         raise ValueError(
             f"An energy of the kind {type(energy).__name__} cannot be saved, but only "
@@ -95,7 +112,7 @@ def _told(energy: AbstractEnergy) -> dict[str, Any]:
 
     def plain(value: Any) -> Any:
         if isinstance(value, AbstractEnergy):
-            return _told(value)
+            return energy_told(value)
         if isinstance(value, tuple):
             return [plain(part) for part in value]
         if isinstance(value, str | int):
@@ -107,7 +124,8 @@ def _told(energy: AbstractEnergy) -> dict[str, Any]:
     return {"kind": type(energy).__name__, **told}
 
 
-def _made(record: Any) -> AbstractEnergy:
+def energy_from(record: Any) -> AbstractEnergy:
+    """The energy of which that was told."""
     if not isinstance(record, dict) or record.get("kind") not in _KINDS:
         raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}.")
     kind = _KINDS[record["kind"]]
@@ -121,9 +139,9 @@ def _made(record: Any) -> AbstractEnergy:
 
     def whole(value: Any) -> Any:
         if isinstance(value, dict):
-            return _made(value)
+            return energy_from(value)
         if isinstance(value, list) and value and isinstance(value[0], dict):
-            return tuple(_made(part) for part in value)
+            return tuple(energy_from(part) for part in value)
         return jnp.asarray(value, float) if isinstance(value, list | float) else value
 
     values = {

@@ -19,3 +19,4 @@ from .notch import (
     notch_outline as notch_outline,
     notch_profile as notch_profile,
 )
+from .stress import leaf_stress as leaf_stress, notch_stress as notch_stress

@@ -61,7 +61,7 @@ def draw_energy(
         >>> blade = leaf(Material(69e9, 0.33), length=0.01, thickness=1e-3, width=5e-3)
         >>> figure = draw_energy(blade)
         >>> [panel.get_title() for panel in figure.axes[:4]]
-        ['energy (J)', 'moment (N m)', 'transverse force (kN)', 'travel along (µm)']
+        ['energy (mJ)', 'moment (N m)', 'transverse force (N)', 'travel along (µm)']
     """
     energy = energy.energy if isinstance(energy, Hinge) else energy
     kinds("energy", [energy], AbstractEnergy)

@@ -1,0 +1,116 @@
+"""The outline of a mechanism, for machines that cut and programs that draw."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from .._checks import package
+from .._types import PosesLike
+from ..mechanism import Mechanism
+from ..show.shapes import Shape, shapes
+
+
+_MM = 1e3
+_GAP = 1e-4  # closed between body and hinge; mm
+_STYLES = {
+    "cut": {"stroke": "#d55e00", "stroke-width": "0.1", "fill": "none"},
+    "body": {"fill": "#b8cfe3"},
+    "held": {"fill": "#d5d5d5"},
+    "neck": {"fill": "#e08214"},
+}
+
+
+def save_outline(
+    mechanism: Mechanism, path: str | Path, poses: PosesLike | None = None
+) -> None:
+    """Writes the outline of a mechanism as DXF or SVG, in millimetres.
+
+    What is cut is the outline of all bodies and hinges together, so that what touches is
+    one piece; in a DXF it lies on the layer `cut`, and each part by itself on `body`,
+    `held` and `neck`.
+
+    Args:
+        mechanism: whose bodies and hinges have outlines; those without are left out.
+        path: of the file, which ends with .dxf or .svg; one that is there is replaced.
+        poses: of the bodies, by default at rest; rad, m, m.
+
+    Raises:
+        ImportError: ezdxf or shapely is not installed.
+        ValueError: the name ends otherwise, or nothing has an outline.
+        OSError: the file cannot be written.
+
+    Example:
+        >>> from tempfile import TemporaryDirectory
+        >>> from twistorjax.cases import stage
+        >>> with TemporaryDirectory() as folder:
+        ...     save_outline(stage.microstage(), f"{folder}/stage.svg")
+    """
+    path = Path(path)
+    if path.suffix not in (".dxf", ".svg"):
+        raise ValueError(f"`path` is {str(path)!r}, but must end with .dxf or .svg.")
+    rest = np.asarray(mechanism.rest)
+    if poses is not None:
+        rest = rest + np.asarray(mechanism._displacements(poses))
+    parts = [part for part in shapes(mechanism, rest) if part.kind in _STYLES]
+    if not parts:
+        raise ValueError(
+            "No body and no hinge has an outline: give them one by `outline=`, or make "
+            "bodies by `plate`."
+        )
+    rings = _together(parts)
+    (_write_dxf if path.suffix == ".dxf" else _write_svg)(path, parts, rings)
+
+
+def _together(parts: list[Shape]) -> list[np.ndarray]:
+    """The closed lines around all parts, and around the holes in them; mm."""
+    geometry = package("shapely", "Outlines", "export")
+    joined = geometry.union_all(
+        [geometry.Polygon(_MM * part.corners).buffer(_GAP) for part in parts]
+    ).buffer(-_GAP, join_style="mitre")
+    rings = []
+    for piece in getattr(joined, "geoms", [joined]):
+        for ring in (piece.exterior, *piece.interiors):
+            rings.append(np.asarray(ring.simplify(_GAP / 10).coords)[:-1])
+    return rings
+
+
+def _write_dxf(path: Path, parts: list[Shape], rings: list[np.ndarray]) -> None:
+    ezdxf = package("ezdxf", "DXF files", "export")
+    drawing = ezdxf.new("R2010", units=4)  # millimetres
+    space = drawing.modelspace()
+    for name, colour in (("cut", 1), ("body", 5), ("held", 8), ("neck", 30)):
+        drawing.layers.add(name, color=colour)
+    for ring in rings:
+        space.add_lwpolyline(ring.tolist(), close=True, dxfattribs={"layer": "cut"})
+    for part in parts:
+        corners = (_MM * part.corners).tolist()
+        space.add_lwpolyline(corners, close=True, dxfattribs={"layer": part.kind})
+    drawing.saveas(path)
+
+
+def _write_svg(path: Path, parts: list[Shape], rings: list[np.ndarray]) -> None:
+    places = np.concatenate(rings)
+    low, high = places.min(axis=0), places.max(axis=0)
+    (left, bottom), (wide, high_) = low - 1, high - low + 2
+    root = ElementTree.Element(
+        "svg",
+        xmlns="http://www.w3.org/2000/svg",
+        width=f"{wide:.9g}mm",
+        height=f"{high_:.9g}mm",
+        viewBox=f"{left:.9g} {-bottom - high_:.9g} {wide:.9g} {high_:.9g}",
+    )
+    for part in parts:
+        _path(root, [_MM * part.corners], _STYLES[part.kind])
+    _path(root, rings, _STYLES["cut"])
+    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _path(
+    root: ElementTree.Element, rings: list[np.ndarray], style: dict[str, str]
+) -> None:
+    """Closed lines; y points down in an SVG."""
+    told = " ".join(
+        "M " + " L ".join(f"{x:.9g},{-y:.9g}" for x, y in ring) + " Z" for ring in rings
+    )
+    ElementTree.SubElement(root, "path", {"d": told, **style})

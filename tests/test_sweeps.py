@@ -545,8 +545,136 @@ def test_tolerances_of_a_linear_answer_are_in_closed_form():
         ("x[0]", "x[1]", "x[2]"), moved * (correlation @ moved), strict=True
     ):
         np.testing.assert_allclose(shares[name].first_order, part / exact**2, rtol=1e-9)
-        np.testing.assert_allclose(shares[name].sampled, part / exact**2, rtol=1e-6)
+        np.testing.assert_allclose(shares[name].sampled, part / exact**2, atol=5e-3)
     assert "x[1]" in repr(seen)
+
+
+def product(design):
+    return design["modulus"] * design["web"]
+
+
+def test_shares_do_not_depend_on_units():
+    """A web in metres beside a modulus in pascals: variances of sums of small parts."""
+    sizes = {"modulus": (70e9, 1e9), "web": (0.25e-3, 10e-6)}
+    seen = tj.tolerances(product, {name: tj.Normal(*two) for name, two in sizes.items()})
+    parts = {name: (deviation / mean) ** 2 for name, (mean, deviation) in sizes.items()}
+    for share in seen.shares:
+        exact = parts[share.name] / sum(parts.values())
+        np.testing.assert_allclose(share.first_order, exact, rtol=1e-9)
+        np.testing.assert_allclose(share.sampled, exact, atol=5e-3)
+    assert seen.nonlinear < 1e-3
+
+
+@pytest.mark.parametrize("kinds", ["uu", "un", "nn"])
+def test_uniform_numbers_are_correlated_less_than_those_they_are_made_of(kinds):
+    """The difference of two, linear: both ways find the deviation by quadrature."""
+    made, deviation = 0.9, 12**-0.5
+    matrix = np.array([[1.0, made], [made, 1.0]])
+    spread = {"u": tj.Uniform(0.0, 1.0), "n": tj.Normal(0.5, deviation)}
+    sides = {name: spread[kind] for name, kind in zip("ab", kinds, strict=True)}
+    seen = tj.tolerances(lambda d: d["a"] - d["b"], sides, correlation=matrix)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    z, w = np.meshgrid(nodes, nodes)
+    both = np.outer(weights, weights) / (2 * np.pi)
+    shape = {"u": lambda x: norm.cdf(x) - 0.5, "n": lambda x: deviation * x}
+    apart = shape[kinds[0]](z) - shape[kinds[1]](made * z + np.sqrt(1 - made**2) * w)
+    exact = np.sqrt(np.sum(both * apart**2))
+    np.testing.assert_allclose(seen.deviation, exact, rtol=1e-4)
+    np.testing.assert_allclose(seen.spread, exact, rtol=2e-3)
+    assert seen.nonlinear < 1e-12
+
+
+def test_what_is_not_linear_is_told():
+    """a + 5 b^2 of standard normal numbers: a brings 1 of 51, and b nothing linear."""
+    sides = {name: tj.Normal(0.0, 1.0) for name in "ab"}
+    seen = tj.tolerances(lambda d: d["a"] + 5 * d["b"] ** 2, sides)
+    shares = {share.name: share.sampled for share in seen.shares}
+    np.testing.assert_allclose(shares["a"], 1 / 51, atol=5e-3)
+    np.testing.assert_allclose(shares["b"], 0.0, atol=5e-3)
+    np.testing.assert_allclose(seen.nonlinear, 50 / 51, atol=5e-3)
+    assert "not linear" in repr(seen)
+
+
+@pytest.mark.parametrize("method", ["sobol", "latin", "random"])
+def test_standard_errors_are_those_that_are_met(method):
+    """Against the scatter of the means over forty keys; of Sobol's, a hundredth."""
+    side = {"x": tj.Normal(1.0, 0.1)}
+    found = [
+        tj.tolerances(cube, side, count=1024, method=method, key=key) for key in range(40)
+    ]
+    told = np.median([seen.mean_error for seen in found])
+    met = np.std([seen.mean for seen in found], ddof=1)
+    assert 0.6 < told / met < 1.6
+    assert (met < 1e-3) == (method != "random")
+
+
+def cube(design):
+    return design["x"] ** 3
+
+
+def test_no_number_is_infinitely_far_off():
+    """Sobol's points have thirty bits, and one may be zero."""
+    far = tj.sampled({"x": tj.Normal(np.zeros(100), 1.0)}, 2**17, key=40)["x"]
+    assert np.all(np.abs(far) < 8.3)
+
+
+def test_single_precision_has_no_tolerances():
+    with jax.enable_x64(False), pytest.raises(ValueError, match="double precision"):
+        tj.tolerances(cube, {"x": tj.Normal(1.0, 0.1)})
+
+
+def test_a_program_of_tolerances_is_compiled_once():
+    """Of one study, wherever the means are."""
+    calls = []
+
+    def study(design):
+        calls.append(design)
+        return design["x"] * design["y"]
+
+    for mean in (1.0, 2.0):
+        tj.tolerances(study, {"x": tj.Normal(mean, 0.1), "y": 3.0})
+        if mean == 1.0:
+            first = len(calls)
+    assert len(calls) == first
+
+
+@pytest.mark.parametrize("size", [3, 40])
+def test_complex_answers_are_differentiated_both_ways(size):
+    """Forward for few numbers, in reverse for many."""
+    x = np.linspace(0.1, 1.0, 2 * size).reshape(2, size)
+
+    def study(design):
+        return {"h": (jnp.sum(design["x"]).astype(complex) * (1 + 2j)) ** 2}
+
+    table = tj.sweep(study, {"x": x}, derivatives=["h"])
+    exact = 2 * (1 + 2j) ** 2 * x.sum(axis=1)
+    np.testing.assert_allclose(table.h_by_x, np.tile(exact, (size, 1)).T, rtol=1e-12)
+
+
+def test_an_answer_whose_derivative_is_not_finite_is_one():
+    """A root at zero, whether it is differentiated or not."""
+    for derivatives in ((), ("root",)):
+        table = tj.sweep(
+            lambda d: {"root": jnp.sqrt(d["x"])},
+            {"x": np.array([0.0, 4.0])},
+            derivatives=derivatives,
+        )
+        assert table.succeeded.all()
+        np.testing.assert_array_equal(table.root, [0.0, 2.0])
+
+
+def test_what_can_only_be_differentiated_in_reverse_is():
+    """As motions, by default."""
+
+    @jax.custom_vjp
+    def square(x):
+        return x**2
+
+    square.defvjp(lambda x: (x**2, x), lambda x, slope: (2 * x * slope,))
+    table = tj.sweep(
+        lambda d: {"y": square(d["x"])}, {"x": np.arange(1.0, 4.0)}, derivatives=["y"]
+    )
+    np.testing.assert_allclose(table.y_by_x, [2.0, 4.0, 6.0])
 
 
 def test_tolerances_show_what_first_order_misses():
@@ -598,11 +726,11 @@ def test_webs_of_the_stage_may_differ():
 def test_tolerances_of_the_webs_spread_the_gain():
     """The slopes by each web sum to that by all; their squares are the variance."""
     webs = {"web": tj.Normal(np.full(7, 0.25e-3), 10e-6)}
-    seen = tj.tolerances(stage_gain, webs, "gain", count=512)
+    seen = tj.tolerances(stage_gain, webs, "gain", count=4096)
     slopes = [share.slope for share in seen.shares]
     np.testing.assert_allclose(sum(slopes), -50661.2107, rtol=1e-6)
     np.testing.assert_allclose(seen.deviation, 10e-6 * np.hypot.reduce(slopes), rtol=1e-9)
-    assert abs(seen.disagreement) < 0.02
+    assert abs(seen.disagreement) < 0.005
 
 
 def test_json_of_settings_is_kept(tmp_path):

@@ -163,7 +163,10 @@ for name, (moment, *force), place, follows in LOADS:
 system.Assemble()
 
 settings = exu.SimulationSettings()
-settings.solutionSettings.writeSolutionToFile = False
+if hasattr(settings, "solution"):  # since EXUDYN 1.11
+    settings.solution.file.write = False
+else:
+    settings.solutionSettings.writeSolutionToFile = False
 settings.staticSolver.verboseMode = 0
 settings.staticSolver.newton.relativeTolerance = 1e-8
 settings.staticSolver.newton.absoluteTolerance = 1e-9

@@ -1,5 +1,6 @@
 """Mechanisms as JSON, written and read to the last bit."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ def load_mechanism(path: str | Path) -> Mechanism:
             Body(**_need(f"bodies[{k}]", body, _BODY))
             for k, body in enumerate(model["bodies"])
         ]
-        hinges = []
+        hinges, kinds = [], {}
         for k, hinge in enumerate(model["hinges"]):
             told = dict(_need(f"hinges[{k}]", hinge, _HINGE))
             damping = told["damping"]
@@ -97,7 +98,11 @@ def load_mechanism(path: str | Path) -> Mechanism:
                     np.array(damping["damping"], float), damping["coordinates"],
                     resisted=damping["resisted"],
                 )  # fmt: skip
-            told |= {"energy": energy_from(told["energy"]), "damping": damping}
+            # hinges of one kind share their energy, as those that were written did
+            kind = json.dumps(told["energy"])
+            if kind not in kinds:
+                kinds[kind] = energy_from(told["energy"])
+            told |= {"energy": kinds[kind], "damping": damping}
             hinges.append(Hinge(**told))
         return Mechanism(bodies, hinges, held=model["held"])
     except (ValueError, TypeError) as error:

@@ -66,7 +66,10 @@ def _together(parts: list[Shape]) -> list[np.ndarray]:
     """The closed lines around all parts, and around the holes in them; mm."""
     geometry = package("shapely", "Outlines", "export")
     joined = geometry.union_all(
-        [geometry.Polygon(_MM * part.corners).buffer(_GAP) for part in parts]
+        [
+            geometry.Polygon(_MM * part.corners).buffer(_GAP, join_style="mitre")
+            for part in parts
+        ]
     ).buffer(-_GAP, join_style="mitre")
     rings = []
     for piece in getattr(joined, "geoms", [joined]):

@@ -73,7 +73,7 @@ def notch_stress(
 
     Example:
         >>> notch_stress((0.01, 0.0, 0.0), hole=3e-3, web=0.25e-3, width=0.02)
-        Array(49506..., dtype=float64)
+        Array(49568906.12688149, dtype=float64)
     """
     moment, axial, _ = jnp.abs(row("`wrench`", wrench, "(moment, force 1, force 2)"))
     web, width = positive("`web`", web), positive("`width`", width)

@@ -14,6 +14,7 @@ from .._checks import known, one_of
 from .._trees import entry_names, path_name
 
 
+_RARE = 2.0**-53
 Method = Literal["sobol", "latin", "random"]
 
 
@@ -123,7 +124,8 @@ class Spreads:
         designs: what the study takes, a tree, with a `Normal` or a `Uniform` for each
             parameter that is not known exactly.
         correlation: of all numbers that spread, in the order of `names`; by default they
-            are independent. Of uniform ones, that of the normal numbers they are made of.
+            are independent. Of uniform ones, that of the normal numbers they are made
+            of: the property of the same name is that of the numbers themselves.
 
     Raises:
         ValueError: nothing spreads; the correlation is no matrix of that kind.
@@ -147,9 +149,9 @@ class Spreads:
                 "Nothing spreads: give a `Normal` or a `Uniform` for at least one "
                 "parameter."
             )
-        self.correlation = np.eye(len(names))
+        self._underlying = np.eye(len(names))
         if correlation is not None:
-            self.correlation = self._checked(np.asarray(correlation, float))
+            self._underlying = self._checked(np.asarray(correlation, float))
 
     def _checked(self, matrix: np.ndarray) -> np.ndarray:
         count = len(self.names)
@@ -164,6 +166,34 @@ class Spreads:
                 "`correlation` has a negative eigenvalue: no numbers are correlated so."
             )
         return matrix
+
+    @property
+    def correlation(self) -> Float[np.ndarray, "numbers numbers"]:
+        """Of the numbers that spread.
+
+        Where normal numbers z, w are correlated by r, their parts P(z), P(w) between 0
+        and 1 are by 6/pi asin(r/2), and P(z) and w by r sqrt(3/pi).
+        """
+        even = np.concatenate(
+            [np.full(s.mean.size, isinstance(s, Uniform)) for s in self.spreads]
+        )
+        both, one = even[:, None] & even[None], even[:, None] ^ even[None]
+        made = self._underlying
+        mixed = np.where(one, made * np.sqrt(3 / np.pi), made)
+        found = np.where(both, 6 / np.pi * np.arcsin(np.clip(made, -1, 1) / 2), mixed)
+        np.fill_diagonal(found, 1.0)
+        return found
+
+    @property
+    def known(self) -> tuple[Any, ...]:
+        """What tells one kind of design from another: all but the numbers that spread."""
+        told = [
+            leaf.mean.shape
+            if _is_spread(leaf)
+            else (np.shape(leaf), np.asarray(leaf).dtype.str, np.asarray(leaf).tobytes())
+            for leaf in self._leaves
+        ]
+        return self._tree, *told
 
     @property
     def _cuts(self) -> np.ndarray:
@@ -213,17 +243,18 @@ class Spreads:
         size = len(self.names)
         if method == "sobol":
             whole = qmc.Sobol(size, rng=key).random_base2(max(0, count - 1).bit_length())
-            parts = whole[:count]
+            parts = whole[:count] + 2.0**-31  # the middle of its steps
         elif method == "latin":
             parts = qmc.LatinHypercube(size, rng=key).random(count)
         else:
             parts = np.random.default_rng(key).random((count, size))
-        if not np.array_equal(self.correlation, np.eye(size)):
+        # no number is infinitely far off
+        parts = np.clip(parts, _RARE, 1 - _RARE)
+        if not np.array_equal(self._underlying, np.eye(size)):
             # of a matrix that may be singular, where Cholesky's factor is not to be had
-            sizes, directions = np.linalg.eigh(self.correlation)
+            sizes, directions = np.linalg.eigh(self._underlying)
             root = directions * np.sqrt(np.maximum(sizes, 0.0))
-            tiny = np.finfo(float).tiny
-            parts = ndtr(ndtri(np.clip(parts, tiny, 1 - 1e-16)) @ root.T)
+            parts = np.clip(ndtr(ndtri(parts) @ root.T), _RARE, 1 - _RARE)
         columns = [
             spread.quantile(part.reshape(count, *spread.mean.shape)).reshape(count, -1)
             for spread, part in zip(
@@ -247,11 +278,12 @@ def sampled(
         designs: what the study takes, a tree, with a `Normal` or a `Uniform` for each
             parameter that is not known exactly; the others are the same for all.
         count: how many.
-        method: "sobol" and "latin" fill the space evenly, so that means need fewer
-            designs; "random" draws each for itself.
+        method: "sobol", of which powers of two are best, and "latin" fill the space
+            evenly, so that means need fewer designs; "random" draws each for itself.
         key: a whole number; another one draws others.
         correlation: of all numbers that spread, in their order in the tree (mappings
-            by the order of their names); by default they are independent.
+            by the order of their names); by default they are independent. Of uniform
+            ones, that of the normal numbers they are made of.
 
     Returns:
         The same tree, with an entry for each design along the first axis of each array.

@@ -44,8 +44,8 @@ def sweep(
     """What a study says of each of many designs.
 
     They are taken in chunks, each side by side in one program. A design that has no
-    answer harms no other: its numbers are NaN, `succeeded` is false and `result` tells
-    why; a warning counts such designs.
+    answer harms no other: its numbers are NaN, but for whole ones, `succeeded` is false
+    and `result` tells why; a warning counts such designs.
 
     Args:
         study: of one design, as `designs` has them: builds a mechanism, solves it, and

@@ -61,7 +61,12 @@ def telling(
             if derivatives
             else plain(leaves)
         )
-        floats = [c.values for c in told.values() if eqx.is_inexact_array(c.values)]
+        slopes = {f"{name}_by_{by}" for name in derivatives for by in kind.names}
+        floats = [
+            column.values
+            for name, column in told.items()
+            if name not in slopes and eqx.is_inexact_array(column.values)
+        ]
         if results:
             result = results[0]
             for other in results[1:]:
@@ -162,19 +167,7 @@ def _differentiated(
                 )
         return [told[name].values for name in derivatives], (told, results)
 
-    if row.size <= _MANY:
-
-        def along(direction: Array) -> Any:
-            return jax.jvp(chosen, (row,), (direction,), has_aux=True)
-
-        _, slopes, (told, results) = jax.vmap(along, out_axes=(None, -1, None))(
-            jnp.eye(row.size)
-        )
-    else:
-        values, back, (told, results) = jax.vjp(chosen, row, has_aux=True)
-        flat, shaped = ravel_pytree(values)
-        rows = jax.vmap(lambda cotangent: back(shaped(cotangent))[0])(jnp.eye(flat.size))
-        slopes = jax.vmap(shaped, in_axes=1, out_axes=-1)(rows)
+    slopes, (told, results) = _slopes(chosen, row)
     ends = np.cumsum([leaves[place].size for place in moving])[:-1]
     told = dict(told)
     for name, slope in zip(derivatives, slopes, strict=True):
@@ -186,3 +179,39 @@ def _differentiated(
             column = Column(values, (*whole.axes, *own), "", whole.labels)
             told[f"{name}_by_{names[place]}"] = column
     return told, results
+
+
+def _slopes(function: Callable[[Array], Any], row: Array) -> tuple[list[Array], Any]:
+    """The derivatives of some arrays by a row of numbers, and what is told beside."""
+    if row.size <= _MANY:
+        try:
+            return _forwards(function, row)
+        except TypeError as error:  # of a motion, by default
+            if "custom_vjp" not in str(error):
+                raise
+    return _in_reverse(function, row)
+
+
+def _forwards(function: Callable[[Array], Any], row: Array) -> tuple[list[Array], Any]:
+    """By one pass for each number."""
+
+    def along(direction: Array) -> Any:
+        return jax.jvp(function, (row,), (direction,), has_aux=True)
+
+    _, slopes, beside = jax.vmap(along, out_axes=(None, -1, None))(jnp.eye(row.size))
+    return slopes, beside
+
+
+def _in_reverse(function: Callable[[Array], Any], row: Array) -> tuple[list[Array], Any]:
+    """By one pass for each entry of the arrays."""
+
+    def real(row: Array) -> tuple[list[tuple[Array, ...]], Any]:
+        values, beside = function(row)
+        parts = [(v.real, v.imag) if jnp.iscomplexobj(v) else (v,) for v in values]
+        return jax.tree.map(lambda part: part.astype(row.dtype), parts), beside
+
+    values, back, beside = jax.vjp(real, row, has_aux=True)
+    flat, shaped = ravel_pytree(values)
+    rows = jax.vmap(lambda cotangent: back(shaped(cotangent))[0])(jnp.eye(flat.size))
+    slopes = jax.vmap(shaped, in_axes=1, out_axes=-1)(rows)
+    return [s[0] if len(s) == 1 else jax.lax.complex(*s) for s in slopes], beside

@@ -1,8 +1,9 @@
 """What tolerances of the parameters make of an answer."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TYPE_CHECKING
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
@@ -15,16 +16,21 @@ if TYPE_CHECKING:
     import xarray
 
 
+_GROUPS = 8  # samples, each for itself
+
+
 class Share(NamedTuple):
     """How much of the spread of an answer one parameter brings.
+
+    Of correlated parameters each has what it brings together with the others, which may
+    be negative, or more than the whole; those that are but one are given equal parts.
 
     Args:
         name: of the parameter.
         slope: of the answer by it, at the means.
-        first_order: its part of the variance, by the slopes; of correlated parameters
-            the part that its correlations bring is shared with the others.
-        sampled: the same of the designs that were drawn: of the variance of the best
-            linear function of the parameters. What is left of one is not linear.
+        first_order: its part of the variance, by the slopes.
+        sampled: its part of the variance of the designs that were drawn, by the linear
+            function of the parameters that fits them best.
     """
 
     name: str
@@ -42,11 +48,13 @@ class Tolerances(NamedTuple):
         nominal: the answer at the means of the parameters.
         deviation: its standard deviation to first order, by the exact slopes.
         mean: of the designs that were drawn.
-        mean_error: standard error of that, as if each had been drawn for itself.
+        mean_error: standard error of that.
         spread: standard deviation of the designs that were drawn.
-        spread_error: standard error of that, likewise.
+        spread_error: standard error of that.
         interval: in which 95 % of them lie.
         shares: what each parameter brings, the largest first.
+        nonlinear: the part of the variance of the designs that were drawn that no linear
+            function of the parameters brings.
         failed: how many of them have no answer; they take no part.
         table: all of them.
     """
@@ -61,6 +69,7 @@ class Tolerances(NamedTuple):
     spread_error: float
     interval: tuple[float, float]
     shares: tuple[Share, ...]
+    nonlinear: float
     failed: int
     table: "xarray.Dataset"
 
@@ -68,8 +77,8 @@ class Tolerances(NamedTuple):
     def disagreement(self) -> float:
         """Of the two standard deviations, relative to the one of the drawn designs.
 
-        What of it is beyond `spread_error` shows that the answer is not linear over the
-        tolerances.
+        What of it is beyond `spread_error / spread` shows that the answer is not linear
+        over the tolerances.
         """
         return self.deviation / self.spread - 1 if self.spread else 0.0
 
@@ -93,7 +102,7 @@ class Tolerances(NamedTuple):
             f"{'':<14}  {'mean':>12}  {'deviation':>12}",
             row("first order", self.nominal, self.deviation, 4),
             row("drawn", self.mean, self.spread, 4),
-            row("± (drawn)", self.mean_error, self.spread_error, 2),
+            row("± of drawn", self.mean_error, self.spread_error, 2),
             f"95 % between {low:.6g} and {high:.6g}{unit}; the deviations differ by "
             f"{apart:.2g} %, the means by {self.shift:.2g}{unit}",
         ]
@@ -109,6 +118,9 @@ class Tolerances(NamedTuple):
             )
         if len(self.shares) > 20:
             lines.append(f"... {len(self.shares) - 20} more")
+        lines.append(
+            f"{'not linear':<{wide}}  {'':>12}  {'':>11}  {100 * self.nonlinear:>6.2f} %"
+        )
         return "\n".join(lines)
 
 
@@ -131,16 +143,20 @@ def tolerances(
             not known exactly.
         answer: the name of the number that is looked at; "answer" of a study that gives
             just a number.
-        count: how many designs are drawn.
-        method: how: see `sampled`.
+        count: how many designs are drawn, best a power of two.
+        method: how: see `sampled`. Of what fills the space evenly eight samples are
+            drawn, each for itself, whose differences give the standard errors; fewer
+            than 128 designs are one sample, whose errors are told as if each had been
+            drawn for itself, which is too large.
         key: likewise.
         correlation: likewise.
         settings: more for `sweep`: units, a store, a bar.
 
     Raises:
         ImportError: xarray is not installed.
-        ValueError: nothing spreads; the study does not answer a number of that name; the
-            design of the means, or every design, has no answer; or what `sweep` refuses.
+        ValueError: double precision is off; nothing spreads; the study does not answer a
+            number of that name; the design of the means, or every design, has no answer;
+            or what `sweep` refuses.
 
     Source:
         JCGM 100:2008, Guide to the expression of uncertainty in measurement, section 5;
@@ -156,15 +172,27 @@ def tolerances(
         (0.02236, ['height', 'width'])
     """
     need_xarray()
+    if jnp.result_type(float) != jnp.float64:
+        raise ValueError(
+            "Small differences need double precision, which JAX has off. Before any "
+            'array is made, write `jax.config.update("jax_enable_x64", True)`.'
+        )
     spreads = Spreads(designs, correlation)
-    drawn = spreads.drawn(count, method, key)
-
-    def one(row: dict[str, Array]) -> Any:
-        return study(spreads.design(row["numbers"]))
+    groups = _GROUPS if method != "random" and count >= 16 * _GROUPS else 1
+    sizes = [count // groups + (k < count % groups) for k in range(groups)]
+    keys = np.random.SeedSequence(key).generate_state(groups) if groups > 1 else [key]
+    drawn = np.concatenate(
+        [
+            spreads.drawn(size, method, int(own))
+            for size, own in zip(sizes, keys, strict=True)
+        ]
+    )
 
     # the means are the first design, so that one program serves for all
     rows = np.concatenate([spreads.means[None], drawn])
-    whole = sweep(one, {"numbers": rows}, derivatives=(answer,), **settings)
+    whole = sweep(
+        _OfNumbers(study, spreads), {"numbers": rows}, derivatives=(answer,), **settings
+    )
     if whole[answer].ndim != 1:
         raise ValueError(
             f"{answer!r} has shape {whole[answer].shape[1:]} for each design, but must "
@@ -178,45 +206,82 @@ def tolerances(
         raise ValueError("The design at the means of the parameters has no answer.")
     slopes = np.asarray(center[f"{answer}_by_parameters"])
     moved = slopes * spreads.deviations
-    variance = float(moved @ spreads.correlation @ moved)
+    brought = moved * (spreads.correlation @ moved)
+    variance = float(brought.sum())
     fine = np.asarray(table["succeeded"])
     values = np.asarray(table[answer])[fine]
     if len(values) < 2:
         raise ValueError(f"Only {len(values)} of {count:,} drawn designs have an answer.")
-    apart = drawn[fine] - drawn[fine].mean(axis=0)
-    fitted = np.linalg.lstsq(apart, values - values.mean(), rcond=None)[0]
-    parts = _parts(fitted * spreads.deviations, spreads.correlation)
-    first = _parts(moved, spreads.correlation)
+    spread = float(values.std(ddof=1))
+    seen = _brought(drawn[fine], values, spreads.deviations)
     shares = [
-        Share(name, float(slope), float(one), float(other))
-        for name, slope, one, other in zip(
-            spreads.names, slopes, first, parts, strict=True
+        Share(name, float(slope), float(first), float(other))
+        for name, slope, first, other in zip(
+            spreads.names, slopes, brought / (variance or 1.0), seen, strict=True
         )
     ]
-    spread = float(values.std(ddof=1))
-    fourth = float(np.mean((values - values.mean()) ** 4))
+    samples = np.split(np.asarray(table[answer]), np.cumsum(sizes)[:-1])
+    mean_error, spread_error = _errors([s[np.isfinite(s)] for s in samples])
     return Tolerances(
         answer=answer,
         unit=table[answer].attrs.get("units", ""),
         nominal=float(center[answer]),
         deviation=float(np.sqrt(variance)),
         mean=float(values.mean()),
-        mean_error=spread / float(np.sqrt(len(values))),
+        mean_error=mean_error,
         spread=spread,
-        spread_error=float(np.sqrt(max(fourth - spread**4, 0.0) / len(values)))
-        / (2 * spread or 1.0),
+        spread_error=spread_error,
         interval=(float(np.quantile(values, 0.025)), float(np.quantile(values, 0.975))),
-        shares=tuple(sorted(shares, key=lambda share: -share.first_order)),
+        shares=tuple(sorted(shares, key=lambda share: -abs(share.first_order))),
+        nonlinear=float(max(0.0, 1 - seen.sum())) if spread else 0.0,
         failed=int(np.sum(~fine)),
         table=table,
     )
 
 
-def _parts(
-    moved: Float[np.ndarray, " numbers"],
-    correlation: Float[np.ndarray, "numbers numbers"],
+class _OfNumbers:
+    """A study as a function of the numbers that spread; equal if it does the same.
+
+    So that what was compiled of it is found again.
+    """
+
+    def __init__(self, study: Callable[[Any], Any], spreads: Spreads):
+        self._study, self._spreads = study, spreads
+        self._known = (study, *spreads.known)
+        self.__qualname__ = getattr(study, "__qualname__", type(study).__qualname__)
+
+    def __call__(self, row: Mapping[str, Array]) -> Any:
+        return self._study(self._spreads.design(row["numbers"]))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OfNumbers) and self._known == other._known
+
+    def __hash__(self) -> int:
+        return hash(self._known)
+
+
+def _brought(
+    drawn: Float[np.ndarray, "designs numbers"],
+    values: Float[np.ndarray, " designs"],
+    deviations: Float[np.ndarray, " numbers"],
 ) -> Float[np.ndarray, " numbers"]:
-    """What each number brings of the variance."""
-    parts = moved * (correlation @ moved)
-    total = parts.sum()
-    return parts / total if total > 0 else np.zeros_like(parts)
+    """What each number brings of the variance, by the linear function that fits best."""
+    # by their deviations, lest one that is small in its unit be taken for nothing
+    apart = (drawn - drawn.mean(axis=0)) / np.where(deviations > 0, deviations, 1.0)
+    moved = values - values.mean()
+    slopes = np.linalg.lstsq(apart, moved, rcond=None)[0]
+    whole = moved @ moved
+    return slopes * (apart.T @ moved) / (whole or 1.0)
+
+
+def _errors(samples: list[np.ndarray]) -> tuple[float, float]:
+    """Standard errors of the mean and of the deviation: of one sample, or of several."""
+    if len(samples) == 1:
+        (values,) = samples
+        spread = values.std(ddof=1)
+        fourth = np.mean((values - values.mean()) ** 4)
+        error = np.sqrt(max(fourth - spread**4, 0.0) / len(values)) / (2 * spread or 1.0)
+        return float(spread / np.sqrt(len(values))), float(error)
+    told = np.array([(v.mean(), v.std(ddof=1)) for v in samples if len(v) > 1])
+    mean, spread = told.std(axis=0, ddof=1) / np.sqrt(len(told))
+    return float(mean), float(spread)

@@ -283,6 +283,15 @@ def test_sweep_goes_on_where_it_was(run):
     again = run(*ask, "--out", "stage.zarr", "--resume")
     assert json.loads(again.stdout)["answers"] == answer["answers"]
     is_one_clear_line(run(*ask, "--out", "stage.zarr"), "go on with it by --resume")
+    (run.folder / "empty").mkdir()
+    is_one_clear_line(run(*ask, "--out", "empty"), "'empty' is no store of a sweep")
+
+
+def test_a_sweep_without_any_answer_fails_and_says_why(told):
+    done = told("sweep", "stage", "--web", "2e-3:3e-3:5")
+    assert done.returncode == 1
+    assert "5 without an answer, not_finite: A value of the mechanism" in done.stdout
+    assert done.stderr.startswith("twistorjax: No design has an answer.")
 
 
 @pytest.mark.parametrize(
@@ -300,6 +309,12 @@ def test_sweep_goes_on_where_it_was(run):
             "--plot draws answers over a range: give one to --web or --hole",
         ),
         (["stage", "--resume"], "--resume goes on with the folder of --out"),
+        (["stage", "--devices", "999"], "--devices is 999, but this machine has"),
+        (["stage", "--web", "1:2:99999999999"], "may have at most 10,000,000 values"),
+        (
+            ["four-bar", "--length", "1:2:5000", "--thickness", "1:2:5000"],
+            "These are 25,000,000 designs",
+        ),
         (["stage", "--devices", "0"], "--devices and --chunk must be at least 1"),
     ],
 )

@@ -122,7 +122,7 @@ def test_an_svg_shows_the_same_upright_and_moved(tmp_path):
     root = ElementTree.parse(tmp_path / "linkage.svg").getroot()
     height = float(root.attrib["height"].removesuffix("mm"))
     assert_close(height, 76.0, digits=6)  # 70 and 4, and a margin of 1
-    top = 1e3 * (linkage.outlines[2] + poses[2, 1:])
+    top = 1e3 * (np.asarray(linkage.outlines[2]) + np.asarray(poses[2, 1:]))
     told = [path.attrib["d"] for path in root][2]
     corners = [pair.split(",") for pair in told.strip("MZ ").split(" L ")]
     assert_close(np.array(corners, float), np.asarray(top) * [1, -1], digits=8)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
@@ -10,13 +11,23 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from .common import need_folder, need_picture, prepare_jax, Refused, save
+from .common import Failed, need_folder, need_picture, prepare_jax, Refused, save
 
 
-sweep = typer.Typer(
-    help="Answers over ranges of dimensions, such as 0.2e-3:0.4e-3:1000.",
-    no_args_is_help=True,
-)
+sweep = typer.Typer()
+
+
+@sweep.callback(invoke_without_command=True)
+def overview(context: typer.Context) -> None:
+    """Answers over ranges of dimensions, such as 0.2e-3:0.4e-3:1000.
+
+    Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:1000 --plot gain.png
+    """
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+_MOST = 10_000_000
 
 _Out = Annotated[
     Path | None, typer.Option(help="Keep them in this folder, chunk by chunk (zarr).")
@@ -62,7 +73,7 @@ def stage(
 def four_bar(
     length: Annotated[
         str, typer.Option(help="Length of the leaves: lowest:highest:count; m.")
-    ] = "8e-3:12e-3:20",
+    ] = "12e-3:16e-3:20",
     thickness: Annotated[
         str, typer.Option(help="Thickness of the leaves, likewise; m.")
     ] = "0.8e-3:1.2e-3:20",
@@ -75,7 +86,7 @@ def four_bar(
 ) -> None:
     """The driven four-bar linkage of like leaves: its travel, moment and frequency.
 
-    Example: twistorjax sweep four-bar --length 8e-3:12e-3:50 --thickness 1e-3
+    Example: twistorjax sweep four-bar --length 12e-3:16e-3:50 --thickness 1e-3
     """
     ranges = {
         "length": _range("--length", length),
@@ -106,6 +117,8 @@ class _Asked(NamedTuple):
 def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
     """The table of a study, called by its name."""
     need_folder("--out", asked.out)
+    if (count := math.prod(map(len, asked.ranges.values()))) > _MOST:
+        raise Refused(f"These are {count:,} designs, but may be at most {_MOST:,}.")
     need_picture("--plot", asked.plot)
     if asked.plot is not None and len(asked.alone) == len(asked.ranges):
         options = " or ".join(f"--{axis}" for axis in asked.ranges)
@@ -114,6 +127,10 @@ def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
         raise Refused("--resume goes on with the folder of --out: give that, too.")
     if asked.devices < 1 or (asked.chunk is not None and asked.chunk < 1):
         raise Refused("--devices and --chunk must be at least 1.")
+    if asked.devices > (there := len(os.sched_getaffinity(0))):
+        raise Refused(
+            f"--devices is {asked.devices}, but this machine has {there} cores."
+        )
     prepare_jax(asked.devices)
     import jax
 
@@ -160,12 +177,29 @@ def _tell(asked: _Asked, table: Any, answers: Sequence[str]) -> None:
             "highest": _number(values.max()),
             "unit": values.attrs.get("units", ""),
         }
-    count, fine = table["succeeded"].size, int(table["succeeded"].sum())
+    from ..solve.results import meaning
+    from ..sweeps.sweep import failures
+
+    count, failed = table["succeeded"].size, failures(table)
     if asked.as_json:
-        print(json.dumps({"designs": count, "failed": count - fine, "answers": told}))
-        return
-    failed = f", {count - fine:,} without an answer" if fine < count else ""
-    print(f"{count:,} designs{failed}")
+        none = sum(failed.values())
+        record = {"designs": count, "failed": none, "why": failed, "answers": told}
+        print(json.dumps(record))
+    else:
+        _print(asked, count, failed, told)
+    if sum(failed.values()) == count:
+        raise Failed(f"No design has an answer. {meaning(next(iter(failed)))}")
+
+
+def _print(
+    asked: _Asked, count: int, failed: Mapping[str, int], told: Mapping[str, Any]
+) -> None:
+    """A table, and how many designs have no answer, and why."""
+    from ..solve.results import meaning
+
+    print(f"{count:,} designs")
+    for name, number in failed.items():
+        print(f"{number:,} without an answer, {name}: {meaning(name)}")
     print(f"{'':<22}{'lowest':>12}  {'mean':>12}  {'highest':>12}")
     for name, row in told.items():
         cells = (row["lowest"], row["mean"], row["highest"])
@@ -200,5 +234,7 @@ def _range(option: str, given: str) -> list[float]:
         )
     if len(parts) == 1:
         return numbers
+    if count > _MOST:
+        raise Refused(f"{option} is {given}, but may have at most {_MOST:,} values.")
     low, high = numbers
     return [low + (high - low) * k / (count - 1) for k in range(count)]

@@ -101,6 +101,7 @@ class Program:
 
         Raises:
             ValueError: a chunk takes more memory than there is to be.
+            RuntimeError: the study raised.
         """
         if not chunks:
             return
@@ -112,13 +113,22 @@ class Program:
                 f"device, but `memory` is {self.memory / 2**20:,.3g} MiB. {least}"
             )
         waiting: deque[tuple[tuple[int, ...], Told]] = deque()
-        for first in range(0, len(chunks), self.devices):
-            group = tuple(chunks[first : first + self.devices])
-            waiting.append((group, self._start(lanes, group)))
-            if len(waiting) > 1:
+        try:
+            for first in range(0, len(chunks), self.devices):
+                group = tuple(chunks[first : first + self.devices])
+                waiting.append((group, self._start(lanes, group)))
+                if len(waiting) > 1:
+                    yield from self._read(*waiting.popleft())
+            while waiting:
                 yield from self._read(*waiting.popleft())
-        while waiting:
-            yield from self._read(*waiting.popleft())
+        except jax.errors.JaxRuntimeError as error:
+            if "callback" not in str(error).lower():
+                raise
+            raise RuntimeError(
+                "A solve of some design failed within the study and raised, which ends "
+                "the whole sweep. Call it with `throw=False`, and answer its `result` "
+                "too: then that design is marked, and harms no other."
+            ) from error
 
     def owners(self, lanes: Lanes) -> np.ndarray:
         """The number of the process that has each chunk, if all are to be done."""

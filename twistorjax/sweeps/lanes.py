@@ -32,7 +32,7 @@ class Grid:
     def __init__(
         self, values: Mapping[str, Float[ArrayLike, " values"] | Sequence[float]]
     ):
-        self.values = {name: np.asarray(row) for name, row in values.items()}
+        self.values = {name: _floats(np.asarray(row)) for name, row in values.items()}
         if not self.values:
             raise ValueError("`values` is empty, but a grid needs a parameter.")
         for name, row in self.values.items():
@@ -46,6 +46,11 @@ class Grid:
         parts = (f"{row.size} of {name}" for name, row in self.values.items())
         total = math.prod(row.size for row in self.values.values())
         return f"Grid of {total:,} designs: {', '.join(parts)}"
+
+
+def _floats(row: np.ndarray) -> np.ndarray:
+    """Whole numbers as others, so that answers can be differentiated by them."""
+    return row.astype(float) if np.issubdtype(row.dtype, np.integer) else row
 
 
 class Kind(NamedTuple):
@@ -96,6 +101,8 @@ class Lanes:
             tree = jax.tree.structure(designs.values)
             self.kind = Kind(tree, order, self.dims, self._shapes())
             return
+        if isinstance(designs, Mapping):
+            designs = {name: _array(part) for name, part in designs.items()}
         paths, tree = jax.tree_util.tree_flatten_with_path(designs)
         names: list[str] = []
         self.arrays = []
@@ -141,3 +148,9 @@ class Lanes:
         return tuple(
             (leaf.shape[1:], jax.dtypes.canonicalize_dtype(leaf.dtype)) for leaf in one
         )
+
+
+def _array(part: Any) -> Any:
+    """A list of numbers as an array; what else there is as it is."""
+    listed = isinstance(part, list | tuple) and part and all(map(np.isscalar, part))
+    return np.asarray(part) if listed else part

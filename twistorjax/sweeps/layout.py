@@ -19,9 +19,14 @@ if TYPE_CHECKING:
 # of a column that holds the places along its own axis, as long as it is told by design
 _PLACES = "_places"
 
+# of a design that nothing is known of yet
+UNKNOWN = -1
 # what the numbers of `result` mean, as the CF conventions have it
 OUTCOMES = {
-    "result": {"flag_values": list(range(len(NAMES))), "flag_meanings": " ".join(NAMES)}
+    "result": {
+        "flag_values": [*range(len(NAMES)), UNKNOWN],
+        "flag_meanings": " ".join([*NAMES, "not_computed"]),
+    }
 }
 
 
@@ -34,7 +39,8 @@ class Layout:
         units: of what does not tell its own, by name.
 
     Raises:
-        ValueError: a name is used twice, or not known; an axis has two lengths.
+        ValueError: a name is used twice, or not known; an answer tells another unit than
+            it is given; an axis has two lengths.
     """
 
     def __init__(self, lanes: Lanes, told: Told, units: Mapping[str, str]):
@@ -50,6 +56,12 @@ class Layout:
                 "parameter, or by what a table always has. Call it something else."
             )
         own |= {"succeeded": Column(told.succeeded), "result": Column(told.result)}
+        for name, unit in units.items():
+            if name in own and own[name].unit not in ("", unit):
+                raise ValueError(
+                    f"`units` gives {name!r} the unit {unit!r}, but the study tells it "
+                    f"in {own[name].unit!r}: leave it out."
+                )
         units = {**{name: column.unit for name, column in own.items()}, **units}
         if strange := [name for name in units if name not in (*own, *lanes.names)]:
             there = ", ".join((*lanes.names, *self._names))

@@ -1,7 +1,7 @@
 """What is not known exactly: how parameters spread, and designs drawn from them."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, get_args, Literal
 
 import equinox as eqx
@@ -136,13 +136,11 @@ class Spreads:
             designs, is_leaf=_is_spread
         )
         self._leaves = [leaf for _, leaf in paths]
+        self._spread = {path_name(path): leaf for path, leaf in paths if _is_spread(leaf)}
+        self.spreads: list[AbstractSpread] = list(self._spread.values())
         names: list[str] = []
-        self.spreads: list[AbstractSpread] = []
-        for path, leaf in paths:
-            if not _is_spread(leaf):
-                continue
-            names += entry_names(path_name(path), leaf.mean.shape)
-            self.spreads.append(leaf)
+        for name, spread in self._spread.items():
+            names += entry_names(name, spread.mean.shape)
         self.names = tuple(names)
         if not names:
             raise ValueError(
@@ -212,31 +210,43 @@ class Spreads:
 
     def rows(self, drawn: Float[np.ndarray, "count numbers"]) -> Any:
         """Designs, an entry for each along the first axis of every array."""
-        count, parts = len(drawn), iter(np.split(drawn, self._cuts, axis=1))
+        parts = iter(self.columns(drawn).values())
         leaves = [
-            next(parts).reshape(count, *leaf.mean.shape)
+            next(parts)
             if _is_spread(leaf)
-            else np.broadcast_to(leaf, (count, *np.shape(leaf)))
+            else np.broadcast_to(leaf, (len(drawn), *np.shape(leaf)))
             for leaf in self._leaves
         ]
         return jax.tree.unflatten(self._tree, leaves)
 
-    def design(self, row: Float[Array, " numbers"]) -> Any:
-        """The design with such numbers for what spreads."""
-        parts = iter(jnp.split(row, self._cuts))
-        leaves = [
-            next(parts).reshape(leaf.mean.shape) if _is_spread(leaf) else leaf
-            for leaf in self._leaves
-        ]
+    def columns(
+        self, drawn: Float[np.ndarray, "count numbers"]
+    ) -> dict[str, Float[np.ndarray, "count ..."]]:
+        """The parameters that spread, by name, an entry for each design."""
+        parts = np.split(drawn, self._cuts, axis=1)
+        return {
+            name: part.reshape(len(drawn), *spread.mean.shape)
+            for (name, spread), part in zip(self._spread.items(), parts, strict=True)
+        }
+
+    def design(self, columns: Mapping[str, Array]) -> Any:
+        """The design with such parameters for those that spread."""
+        parts = iter(columns[name] for name in self._spread)
+        leaves = [next(parts) if _is_spread(leaf) else leaf for leaf in self._leaves]
         return jax.tree.unflatten(self._tree, leaves)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of those that spread."""
+        return tuple(self._spread)
 
     def drawn(
         self, count: int, method: Method, key: int
     ) -> Float[np.ndarray, "count numbers"]:
         """So many designs, of each the numbers that spread."""
         one_of("`method`", method, get_args(Method))
-        if count < 1:
-            raise ValueError(f"`count` is {count}, but must be at least 1.")
+        if not isinstance(count, int | np.integer) or count < 1:
+            raise ValueError(f"`count` is {count!r}, but must be a whole number from 1.")
         from scipy.special import ndtr, ndtri
         from scipy.stats import qmc
 

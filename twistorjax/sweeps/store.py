@@ -1,5 +1,6 @@
 """What a sweep has found so far, in files that survive its end at any moment."""
 
+import contextlib
 import glob
 import hashlib
 import os
@@ -10,9 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Bool
 
 from .._checks import package
-from .layout import Layout, OUTCOMES
+from .layout import Layout, OUTCOMES, UNKNOWN
 
 
 # of a chunk: of what its files hold
@@ -32,12 +34,18 @@ class Store:
     """
 
     def __init__(self, path: str | Path, mode: Literal["r", "r+"] = "r+"):
-        self.path = Path(path)
-        group: Any = _zarr().open_group(self.path, mode=mode)
-        told: Any = group.attrs.get("sweep")
+        self.path, zarr = Path(path), _zarr()
+        if not self.path.exists():
+            raise FileNotFoundError(f"There is no store {str(path)!r}.")
+        told: Any = None
+        group: Any = None
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            group = zarr.open_group(self.path, mode=mode)
+            told = group.attrs.get("sweep")
         if told is None or told["format"] != _FORMAT:
             raise ValueError(
-                f"{str(path)!r} is no store of a sweep, or of another version of them."
+                f"{str(path)!r} is no store of a sweep, or of another version of them. "
+                "Give another path."
             )
         self.made_by: dict[str, Any] = told["made_by"]
         self.grid = tuple(told["grid"])
@@ -78,7 +86,7 @@ class Store:
                 shape=shape,
                 chunks=(min(chunk, shape[0]), *(max(1, size) for size in shape[1:])),
                 dtype=kind,
-                fill_value=np.nan if kind.kind in "fc" else 0,
+                fill_value=_nothing(name, kind),
                 **known,
             )
         for axis, names in labels.items():
@@ -117,6 +125,16 @@ class Store:
         for path in self.path.rglob("*.partial"):
             path.unlink()
 
+    def known(self, name: str, chunks: Bool[np.ndarray, " chunks"]) -> np.ndarray:
+        """The numbers of some name, with nothing in the chunks that are not known."""
+        array, parts = self._arrays[name], []
+        for chunk, known in enumerate(chunks):
+            rows = self._rows(chunk)
+            shape = (rows.stop - rows.start, *array.shape[1:])
+            nothing = np.full(shape, _nothing(name, array.dtype), array.dtype)
+            parts.append(np.asarray(array[rows]) if known else nothing)
+        return np.concatenate(parts)
+
     def written(self) -> np.ndarray:
         """Whether each chunk has been written, whole or not."""
         return np.asarray(self._sums[:]) != 0
@@ -150,6 +168,11 @@ class Store:
         except Exception:  # of a kind that depends on what is broken, and how
             return 0
         return _sum(kept)
+
+
+def _nothing(name: str, kind: np.dtype) -> Any:
+    """What stands where nothing has been computed."""
+    return np.nan if kind.kind in "fc" else UNKNOWN if name == "result" else 0
 
 
 def _sum(values: Mapping[str, np.ndarray]) -> int:

@@ -18,7 +18,7 @@ from ..solve.results import meaning, NAMES
 from ..solve.tables import Column, dataset, need_xarray
 from .engine import chunk_of, Program
 from .lanes import Lanes
-from .layout import finished, Layout, OUTCOMES
+from .layout import finished, Layout, OUTCOMES, UNKNOWN
 from .store import Store
 from .telling import Told
 
@@ -48,9 +48,12 @@ def sweep(
     and `result` tells why; a warning counts such designs.
 
     Args:
-        study: of one design, as `designs` has them: builds a mechanism, solves it, and
-            answers with an equilibrium, vibrations, a motion, a number, an array, or a
-            mapping of these by names. Where solves may fail, with `throw=False`.
+        study: of one design, as `designs` has them: builds a mechanism, solves it with
+            `throw=False`, and answers with an equilibrium, vibrations, a motion, a
+            number, an array, or a mapping of these by names. What such a mapping has of
+            type `RESULTS`, as `rest.result`, tells of each design whether it succeeded;
+            otherwise those do whose numbers are finite. It is traced once for all
+            designs, so numbers of `np.random` are the same for all.
         designs: a mapping from names to arrays, or another tree of them, each with an
             entry for each design along its first axis; `sampled` makes such ones. Or a
             `Grid`, for all combinations.
@@ -77,8 +80,9 @@ def sweep(
     Raises:
         ImportError: xarray is not installed, or zarr, for a store.
         ValueError: the designs are of different lengths; a name is not known, or used
-            twice; the store is another sweep's, or is there and not to be resumed; the
-            chunk does not fit the memory.
+            twice; an answer is no number; the store is another sweep's, or is there and
+            not to be resumed; the chunk does not fit the memory.
+        RuntimeError: a solve within the study raised, for want of `throw=False`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -99,6 +103,8 @@ def sweep(
         array([0.00190..., 0.00023...])
     """
     need_xarray()
+    if not callable(study):
+        raise ValueError(f"`study` is {study!r}, but must be a function of one design.")
     lanes = Lanes(designs)
     if isinstance(derivatives, str):
         derivatives = (derivatives,)
@@ -111,6 +117,8 @@ def sweep(
         raise ValueError("`resume` is given, but no `store` to go on with.")
     there = store is not None and Path(store).exists()
     _together("looked")  # before the first of them makes it
+    if store is not None and there:
+        Store(store, mode="r")  # or it is refused
     if there and not resume:
         raise ValueError(
             f"`store` is {str(store)!r}, which is there already: go on with it by "
@@ -133,18 +141,18 @@ def sweep(
             for name, values in layout.values(told).items():
                 rows = kept[name][first : first + program.chunk]
                 rows[:] = values[: len(rows)]
-        attributes = _identity(study, lanes, program, settings)
+        attributes = _identity(study, lanes, program, units, settings)
         table = _in_memory(layout, _gathered(kept, lanes, program), attributes)
     else:
-        made_by = _identity(study, lanes, program, settings)
+        made_by = _identity(study, lanes, program, units, settings)
         keeper = _opened(store, layout, program, made_by)
         left = np.flatnonzero(~keeper.finished())
         _together("begun")
         for number, told in _shown(program, lanes, left.tolist(), progress):
             keeper.write(number, layout.values(told))
         _together("ended")
-        table = open_sweep(store)
-    _warn(table)
+        table = open_sweep(store, verify=False)
+    warn_of_failures(table)
     return table
 
 
@@ -160,28 +168,34 @@ def _program(*arguments: Any) -> Program:
 _kept = lru_cache(maxsize=32)(Program)
 
 
-def open_sweep(store: str | Path) -> "xarray.Dataset":
+def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
     """What a store has of a sweep; of one that is not at its end, what is there so far.
 
-    Designs that have not been looked at are NaN, and not `succeeded`. Numbers are read
-    as they are used, unless the designs are a grid.
+    Designs that have not been looked at are NaN, not `succeeded`, and their `result` is
+    -1; so are those whose files are not whole, which `sweep` computes again. How many
+    chunks are missing so is told by the attribute `chunks_missing`.
 
     Args:
         store: the folder.
+        verify: whether all numbers are read once, to see that they are those that were
+            written. Otherwise they are read as they are used, and a file that was
+            damaged is not seen.
 
     Raises:
         ImportError: xarray or zarr is not installed.
+        ValueError: it is no store of a sweep.
         OSError: it is not there.
     """
     xarray, kept = need_xarray(), Store(store, mode="r")
     table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
     del table.attrs["sweep"]
-    in_order = table[list(kept.names)].assign_coords(table.coords)
-    table = finished(in_order, kept.grid)
-    missing = int(np.sum(~kept.written()))
-    if missing:
-        table = table.assign_attrs(chunks_missing=missing)
-    return table
+    table = table[list(kept.names)].assign_coords(table.coords)
+    whole = kept.finished() if verify else kept.written()
+    if not whole.all():
+        known = {n: table[n].copy(data=kept.known(n, whole)) for n in kept.names}
+        table = table.assign(known)
+        table = table.assign_attrs(chunks_missing=int(np.sum(~whole)))
+    return finished(table, kept.grid)
 
 
 def _opened(
@@ -203,6 +217,7 @@ def _identity(
     study: Callable[[Any], Any],
     lanes: Lanes,
     program: Program,
+    units: Mapping[str, str] | None,
     settings: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """What another sweep is told apart by."""
@@ -219,6 +234,7 @@ def _identity(
     return {
         "study": getattr(study, "__qualname__", type(study).__qualname__),
         "settings": told,
+        "units": json.dumps(dict(units or {}), sort_keys=True),
         "chunk": program.chunk,
         "program": program.fingerprint,
         "designs": digest.hexdigest(),
@@ -278,15 +294,19 @@ def _gathered(
     }
 
 
-def _warn(table: "xarray.Dataset") -> None:
-    """Counts the designs that have no answer, and says why."""
+def failures(table: "xarray.Dataset") -> dict[str, int]:
+    """How many designs have no answer, by what became of them."""
     codes = np.asarray(table["result"])[~np.asarray(table["succeeded"])]
-    if not codes.size:
+    return dict(Counter(NAMES[code] for code in codes.ravel() if code != UNKNOWN))
+
+
+def warn_of_failures(table: "xarray.Dataset") -> None:
+    """Counts the designs that have no answer, and says why."""
+    if not (counts := failures(table)):
         return
-    counts = Counter(NAMES[code] for code in codes.ravel())
     why = " ".join(f"{count:,} {name}: {meaning(name)}" for name, count in counts.items())
     warnings.warn(
-        f"{codes.size:,} of {table['succeeded'].size:,} designs have no answer: their "
-        f"numbers are NaN. {why}",
+        f"{sum(counts.values()):,} of {table['succeeded'].size:,} designs have no "
+        f"answer: their numbers are NaN. {why}",
         stacklevel=3,
     )

@@ -117,7 +117,14 @@ def _columns(answer: Any, name: str):
         axes = tuple(f"{name}_{axis}" for axis in range(array.ndim))
         yield name, Column(array, axes)
     else:
-        for inner, part in _parts(answer):
+        parts = _parts(answer)
+        if not (parts or answer is None or isinstance(answer, dict | tuple | list)):
+            where = f" as {name!r}" if name else ""
+            raise ValueError(
+                f"The study answers {answer!r}{where}, but must answer numbers, arrays, "
+                "or trees of them."
+            )
+        for inner, part in parts:
             yield from _columns(part, f"{name}.{inner}" if name else inner)
 
 
@@ -162,8 +169,8 @@ def _differentiated(
             if name not in told or not eqx.is_inexact_array(told[name].values):
                 real = [n for n, c in told.items() if eqx.is_inexact_array(c.values)]
                 raise ValueError(
-                    f"`derivatives` names {name!r}, but the study answers "
-                    f"{', '.join(map(repr, real))}."
+                    f"`derivatives` names {name!r}, but what the study answers and can "
+                    f"be differentiated is {', '.join(map(repr, real)) or 'nothing'}."
                 )
         return [told[name].values for name in derivatives], (told, results)
 

@@ -1,5 +1,6 @@
 """What tolerances of the parameters make of an answer."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..solve.tables import need_xarray
 from .spreads import Method, Spreads
-from .sweep import sweep
+from .sweep import sweep, warn_of_failures
 
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class Tolerances(NamedTuple):
         nonlinear: the part of the variance of the designs that were drawn that no linear
             function of the parameters brings.
         failed: how many of them have no answer; they take no part.
-        table: all of them.
+        table: all of them, as `sweep` tells.
     """
 
     answer: str
@@ -150,7 +151,7 @@ def tolerances(
             drawn for itself, which is too large.
         key: likewise.
         correlation: likewise.
-        settings: more for `sweep`: units, a store, a bar.
+        settings: more for `sweep`: `units` of parameters and answers, a `store`, a bar.
 
     Raises:
         ImportError: xarray is not installed.
@@ -178,6 +179,8 @@ def tolerances(
             'array is made, write `jax.config.update("jax_enable_x64", True)`.'
         )
     spreads = Spreads(designs, correlation)
+    if not isinstance(count, int | np.integer) or count < 2:
+        raise ValueError(f"`count` is {count!r}, but must be a whole number from 2.")
     groups = _GROUPS if method != "random" and count >= 16 * _GROUPS else 1
     sizes = [count // groups + (k < count % groups) for k in range(groups)]
     keys = np.random.SeedSequence(key).generate_state(groups) if groups > 1 else [key]
@@ -190,21 +193,26 @@ def tolerances(
 
     # the means are the first design, so that one program serves for all
     rows = np.concatenate([spreads.means[None], drawn])
-    whole = sweep(
-        _OfNumbers(study, spreads), {"numbers": rows}, derivatives=(answer,), **settings
-    )
+    one = _OfSpread(study, spreads)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # told below, of those drawn
+            whole = sweep(one, spreads.columns(rows), derivatives=(answer,), **settings)
+    except ValueError as error:
+        text = str(error).replace("`derivatives` names", "`answer` is")
+        raise ValueError(text) from error
     if whole[answer].ndim != 1:
         raise ValueError(
             f"{answer!r} has shape {whole[answer].shape[1:]} for each design, but must "
             "be a number."
         )
-    whole = whole.rename(numbers_0="parameter", numbers="parameters")
-    whole = whole.rename({f"{answer}_by_numbers": f"{answer}_by_parameters"})
-    whole = whole.assign_coords(parameter=list(spreads.names))
     center, table = whole.isel(design=0), whole.isel(design=slice(1, None))
     if not bool(center["succeeded"]):
         raise ValueError("The design at the means of the parameters has no answer.")
-    slopes = np.asarray(center[f"{answer}_by_parameters"])
+    warn_of_failures(table)
+    slopes = np.concatenate(
+        [np.ravel(center[f"{answer}_by_{name}"]) for name in spreads.parameters]
+    )
     moved = slopes * spreads.deviations
     brought = moved * (spreads.correlation @ moved)
     variance = float(brought.sum())
@@ -239,8 +247,8 @@ def tolerances(
     )
 
 
-class _OfNumbers:
-    """A study as a function of the numbers that spread; equal if it does the same.
+class _OfSpread:
+    """A study as a function of what spreads; equal if it does the same.
 
     So that what was compiled of it is found again.
     """
@@ -250,11 +258,11 @@ class _OfNumbers:
         self._known = (study, *spreads.known)
         self.__qualname__ = getattr(study, "__qualname__", type(study).__qualname__)
 
-    def __call__(self, row: Mapping[str, Array]) -> Any:
-        return self._study(self._spreads.design(row["numbers"]))
+    def __call__(self, parameters: Mapping[str, Array]) -> Any:
+        return self._study(self._spreads.design(parameters))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OfNumbers) and self._known == other._known
+        return isinstance(other, _OfSpread) and self._known == other._known
 
     def __hash__(self) -> int:
         return hash(self._known)

@@ -309,7 +309,7 @@ def test_a_sweep_without_any_answer_fails_and_says_why(told):
             "--plot draws answers over a range: give one to --web or --hole",
         ),
         (["stage", "--resume"], "--resume goes on with the folder of --out"),
-        (["stage", "--devices", "999"], "--devices is 999, but this machine has"),
+        (["stage", "--devices", "999"], "--devices is 999, but there are"),
         (["stage", "--web", "1:2:99999999999"], "may have at most 10,000,000 values"),
         (
             ["four-bar", "--length", "1:2:5000", "--thickness", "1:2:5000"],

@@ -127,10 +127,8 @@ def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
         raise Refused("--resume goes on with the folder of --out: give that, too.")
     if asked.devices < 1 or (asked.chunk is not None and asked.chunk < 1):
         raise Refused("--devices and --chunk must be at least 1.")
-    if asked.devices > (there := len(os.sched_getaffinity(0))):
-        raise Refused(
-            f"--devices is {asked.devices}, but this machine has {there} cores."
-        )
+    if asked.devices > (cores := len(os.sched_getaffinity(0))):
+        raise Refused(f"--devices is {asked.devices}, but there are {cores} cores.")
     prepare_jax(asked.devices)
     import jax
 

@@ -212,3 +212,16 @@ def test_bad_input_is_told(make, message):
     with pytest.raises(ValueError) as error:
         make()
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize("thickness", [0.1, 0.01, 0.002])
+def test_a_pose_is_bent_to_however_thin_the_leaf(thickness):
+    """The loads that led there are found again, to turns of 100 degrees."""
+    leaf = tj.Beam(SOFT, length=1.0, thickness=thickness, width=0.1)
+    loads = jax.random.uniform(jax.random.key(0), (40, 3), minval=-1.0, maxval=1.0)
+    loads = loads * jnp.array([[1.5, 6.0, 6.0]]) * leaf.bending
+    bent = jax.vmap(lambda load: tj.bend(leaf, load))(loads)
+    assert jnp.abs(bent.pose[:, 0]).max() > 1.7
+    found = jax.jit(jax.vmap(lambda pose: tj.bend_to(leaf, pose)))(bent.pose)
+    apart = (found.wrench - bent.wrench) / leaf.bending
+    np.testing.assert_allclose(apart, 0.0, atol=1e-9)

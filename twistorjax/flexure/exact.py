@@ -118,18 +118,25 @@ def _whole(tangents: Any, primals: Any) -> Any:
 def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
     """The load, in its units, that brings a beam to a pose: by Newton's method.
 
-    From rest along the twist that leads there; NaN where it is not found.
+    From rest along the twist that leads there, with a soft spring behind it along the
+    axis, which is then stiffened: a thin beam by itself would be stretched or pressed on
+    its way by far more than it bears, as bending draws its ends together. NaN where no
+    load is found.
     """
     sizes = _sizes(beam)
     twist = se2.twist(pose)
 
     def nearer(k: Array, load: Array) -> Array:
         part = jnp.minimum(k // 2 + 1, _PARTS) / _PARTS
+        stiffening = jnp.maximum(k // 2 + 1 - _PARTS, 0)
+        soft = jnp.where(stiffening > _PARTS, 0.0, _SOFT * 0.2**stiffening)
+        half = part * pose[0] / 2
+        axis = jnp.stack([jnp.zeros(()), jnp.cos(half), jnp.sin(half)])
         reached, slope = _reached_and_slope(beam, load)
-        gap = se2.exp(twist * part) / sizes - reached
-        return load + jnp.linalg.solve(slope, gap)
+        gap = se2.exp(twist * part) / sizes - reached - soft * axis * (axis @ load)
+        return load + jnp.linalg.solve(slope + soft * jnp.outer(axis, axis), gap)
 
-    load = jax.lax.fori_loop(0, 2 * _PARTS + 4, nearer, jnp.zeros(3))
+    load = jax.lax.fori_loop(0, 4 * _PARTS + 4, nearer, jnp.zeros(3))
     gap = jnp.max(jnp.abs(_reached(beam, load) - pose / sizes))
     return jnp.where(gap < 1e-9, load, jnp.nan)
 
@@ -151,8 +158,9 @@ def _(primals, tangents):
     return load, jnp.linalg.solve(slope, rate)
 
 
-# on the way from rest to a displacement
+# on the way from rest to a displacement, and as many while the spring is stiffened
 _PARTS = 8
+_SOFT = 0.05  # lengths by E I / L^2
 
 
 def _reached(beam: Beam, load: Array) -> Float[Array, "3"]:

@@ -99,7 +99,8 @@ def draw(
     if reactions:
         mark_reactions(axes, mechanism, moved, _reactions(poses), unit)
     if names:
-        _label(axes, mechanism, moved, unit)
+        marked = bool(frames or reactions or len(loads))
+        _label(axes, mechanism, moved, unit, marked)
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.set_xlabel(f"x ({word})")
@@ -228,17 +229,25 @@ def _bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Col
     return {row: tuple(map(float, rgba)) for row, rgba in zip(rows, colours, strict=True)}
 
 
-def _label(axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float) -> None:
+def _label(
+    axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float, marked: bool
+) -> None:
+    """Names of bodies, below what is marked at their origins; of hinges beside them."""
     for name, pose, outline in zip(
         mechanism.names, poses, mechanism.outlines, strict=True
     ):
         place = pose[1:] if outline is None else _inside(placed(pose, outline))
-        axes.annotate(name, tuple(unit * place), ha="center", va="center", zorder=5)
-    for hinge, name in enumerate(mechanism.hinge_names):
-        _, x, y = ports(mechanism, poses, hinge)[0]
         axes.annotate(
-            name, (unit * x, unit * y), xytext=(0, 7), ha="center", zorder=5,
-            textcoords="offset points", color="#8c3b00", fontstyle="italic",
+            name, tuple(unit * place), xytext=(0, -10 if marked else 0), ha="center",
+            textcoords="offset points", va="center", zorder=5,
+        )  # fmt: skip
+    for hinge, name in enumerate(mechanism.hinge_names):
+        angle, x, y = ports(mechanism, poses, hinge)[0]
+        dx, dy = 11 * abs(np.sin(angle)), 11 * abs(np.cos(angle))
+        axes.annotate(
+            name, (unit * x, unit * y), xytext=(dx, dy), va="center", zorder=5,
+            ha="center" if dy > dx else "left", textcoords="offset points",
+            color="#8c3b00", fontstyle="italic",
         )  # fmt: skip
 
 

@@ -1,5 +1,9 @@
-"""Tests run in double precision, with nothing promoted silently, and compile fast."""
+"""Tests run in double precision, with nothing promoted silently, and compile fast.
 
+What they find can be kept for the manual's report.
+"""
+
+import json
 import os
 
 
@@ -10,8 +14,23 @@ os.environ.setdefault(
 )
 
 import jax
+import numpy as np
+import pytest
 
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture
+def validated(record_property):
+    """Keeps what was found beside what it should be, for `notebooks/validation.py`."""
+
+    def keep(part, what, found, exact, oracle):
+        found, exact = np.asarray(found, float), np.asarray(exact, float)
+        error = np.max(np.abs(found - exact)) / np.max(np.abs(exact))
+        row = {"part": part, "what": what, "error": float(error), "oracle": oracle}
+        record_property("validated", json.dumps(row))
+
+    return keep

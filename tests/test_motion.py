@@ -43,7 +43,7 @@ PANELS = {
 
 
 @pytest.mark.parametrize("hinges", ["identical", "mixed"])
-def test_the_driven_linkage_moves_as_the_dissertation_tells(hinges):
+def test_the_driven_linkage_moves_as_the_dissertation_tells(hinges, validated):
     table = PANELS[hinges]
     motion = four_bar.drive(
         four_bar.four_bar(hinges), [0.0, *table[:, 0]], tolerance=1e-8
@@ -53,6 +53,9 @@ def test_the_driven_linkage_moves_as_the_dissertation_tells(hinges):
         moved = motion.pose(name)[1:].T
         np.testing.assert_allclose(moved[1:], [x, y], rtol=0, atol=1e-7)
         np.testing.assert_allclose(moved[0], angle, rtol=0, atol=1e-6)
+    links = motion.displacement("3")[1:, 1], table[:, 4]
+    what = f"driven, {hinges} hinges: travel of link 3"
+    validated("Four-bar linkages", what, *links, "a derivation of its own, by SciPy")
 
 
 def swinging(damping=None, coordinates="twistor", inertia=2e-3):
@@ -66,7 +69,7 @@ def swinging(damping=None, coordinates="twistor", inertia=2e-3):
 
 
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
-def test_one_body_moves_as_by_scipy(coordinates):
+def test_one_body_moves_as_by_scipy(coordinates, validated):
     """Forces from differences of the energy, drag from the closed form of the wrench."""
     energy = tj.Quadratic(some_stiffness(3), coordinates)
     damping = tj.Viscous(0.02 * some_stiffness(4), coordinates)
@@ -99,6 +102,9 @@ def test_one_body_moves_as_by_scipy(coordinates):
     moved = tj.simulate(mechanism, times, velocities={"arm": start[3:]}, tolerance=1e-9)
     np.testing.assert_allclose(moved.displacement("arm"), exact[:, :3], atol=1e-6)
     np.testing.assert_allclose(moved.velocity("arm"), exact[:, 3:], atol=2e-5)
+    what = f"a body on a damped {coordinates} hinge of all couplings"
+    found = moved.displacement("arm")
+    validated("Motion", what, found, exact[:, :3], "DOP853 of SciPy, to 1e-11")
 
 
 def oscillator(damping=None, mass=2.0):
@@ -168,7 +174,7 @@ def test_energy_is_accounted_for(energies):
     assert_close(told.by_loads, -way[0] + 1e-3 * way[1], digits=9)
 
 
-def test_drives_and_constraints_do_the_same():
+def test_drives_and_constraints_do_the_same(validated):
     times = np.linspace(0, 0.1, 4)
     linkage = four_bar.four_bar()
     crank = tj.Constraint(
@@ -179,6 +185,8 @@ def test_drives_and_constraints_do_the_same():
     assert_close(bound.displacements, driven.displacements, digits=8)
     assert_close(bound.push("crank")[:, 0], driven.reaction("2")[:, 0], digits=6)
     assert_close(bound.energies.by_drives, driven.energies.by_drives, digits=8)
+    both = bound.displacements, driven.displacements
+    validated("Motion", "a crank as a constraint", *both, "the same as a drive")
 
 
 def pendulum(**settings):
@@ -274,7 +282,7 @@ def test_a_pseudo_rigid_body_model_stands_beside_ours():
     assert abs(swing - float(elastic.displacement("2")[-1, 0])) < 0.05 * abs(swing)
 
 
-def test_undamped_motion_keeps_its_energy():
+def test_undamped_motion_keeps_its_energy(validated):
     """By Gauss's points, over a hundred thousand steps: no growth, no drift."""
     linkage = four_bar.four_bar(damping=None)
     times = np.linspace(0, 1.0, 101)
@@ -287,6 +295,8 @@ def test_undamped_motion_keeps_its_energy():
     drift = np.asarray(total / total[0] - 1)
     assert np.max(np.abs(drift)) < 1e-6
     assert abs(np.mean(drift[51:]) - np.mean(drift[1:51])) < 1e-8
+    what = "energy after 1e5 undamped steps (`Gauss`)"
+    validated("Motion", what, total, total[0] * np.ones(101), "its start")
 
 
 def test_derivatives_through_a_stiff_run_are_exact():

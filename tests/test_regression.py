@@ -143,7 +143,7 @@ def test_finite_elements_of_a_notch_are_met():
     ("name", "limit"),
     [("fe_leaf", 2e-4), pytest.param("fe_notch", 1e-5, marks=pytest.mark.long)],
 )
-def test_by_tension_finite_elements_are_met_to_their_own_error(name, limit):
+def test_by_tension_finite_elements_are_met_to_their_own_error(name, limit, validated):
     """Those held back, and about as well as the fit foretells."""
     trials = tj.read_trials(REFERENCE / f"{name}.csv")
     fit = tj.fit_energy(
@@ -152,6 +152,9 @@ def test_by_tension_finite_elements_are_met_to_their_own_error(name, limit):
     np.testing.assert_array_less(fit.held_out.relative, limit)
     np.testing.assert_array_less(fit.expected.relative, limit)
     assert np.all(fit.held_out.relative > fit.expected.relative / 10)
+    what = f"{name}.csv by tension, trials held out (rms, worst component)"
+    oracle = "plane finite elements"
+    validated("Fits", what, 1 + np.max(fit.held_out.relative), 1.0, oracle)
     sure, furthest = fit.certified, trials.poses[np.argmax(np.abs(trials.poses[:, 0]))]
     np.testing.assert_array_equal(sure.wrench(furthest), fit.energy.wrench(furthest))
     with pytest.raises(ValueError, match="Beyond the range of the energy"):

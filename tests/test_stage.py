@@ -28,8 +28,10 @@ def moved():
     return stage.amplify(stage.microstage())
 
 
-def test_the_gain(moved):
+def test_the_gain(moved, validated):
     np.testing.assert_allclose(moved.gain, REFERENCE["gain"], rtol=1e-10)
+    oracle = "a derivation of its own, minimised by Newton's method in NumPy"
+    validated("The stage", "gain", moved.gain, REFERENCE["gain"], oracle)
 
 
 def test_both_energies_give_the_same_gain_to_seven_digits(moved):

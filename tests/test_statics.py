@@ -66,7 +66,7 @@ def test_a_moment_winds_a_block_up(coordinates):
 
 
 @pytest.mark.parametrize(("load", "down", "back", "turn"), MATTIASSON)
-def test_a_cantilever_bends_as_the_elastica(load, down, back, turn):
+def test_a_cantilever_bends_as_the_elastica(load, down, back, turn, validated):
     """Converges at second order: 20 and 40 leaves tell what infinitely many do."""
     tips = []
     for elements in (20, 40):
@@ -78,23 +78,29 @@ def test_a_cantilever_bends_as_the_elastica(load, down, back, turn):
         tips.append(np.array([y, -x, angle]))
     limit = tips[1] + (tips[1] - tips[0]) / 3
     np.testing.assert_allclose(limit, [down, back, turn], rtol=3e-5)
+    what = f"40 leaves in a row under P L²/E I = {load:g}, extrapolated"
+    validated("Statics", what, limit, [down, back, turn], "Mattiasson, 1981")
 
 
-def test_a_cantilever_driven_through_a_full_turn_is_a_circle():
+def test_a_cantilever_driven_through_a_full_turn_is_a_circle(validated):
     mechanism = cantilever(12, axial=1e8)  # stiffness costs no steps
     rest = tj.equilibrium(mechanism, drives=[tj.Drive("12", angle=2 * np.pi)])
     assert_close(rest.pose("12"), [2 * np.pi, 0.0, 0.0], digits=10)
     assert_close(rest.reaction("12")[0], 2 * np.pi, digits=9)
+    found = rest.reaction("12")[0], 2 * np.pi
+    validated("Statics", "moment that winds a leaf into a circle", *found, "2 π E I/L")
     assert rest.steps < 60
 
 
-def test_a_column_stands_up_to_the_load_of_euler_and_no_more():
+def test_a_column_stands_up_to_the_load_of_euler_and_no_more(validated):
     """Pushed along its axis it is straight in theory; the straight one is unstable."""
     answer = tj.equilibrium(
         cantilever(20), loads=[tj.Load("20", (0.0, -4.0, 0.0))], throw=False
     )
     assert tj.solve.results.outcomes(answer.result) == "no_equilibrium"
     assert_close(4.0 * answer.fraction, np.pi**2 / 4, digits=3)
+    found = 4.0 * answer.fraction, np.pi**2 / 4
+    validated("Statics", "load at which 20 leaves buckle", *found, "Euler's, π²/4")
     assert_close(answer.reached[20, 2], 0.0)
     assert not answer.succeeded
 

@@ -595,7 +595,7 @@ def test_spreads_that_make_no_sense_are_refused(call, message):
     assert message in str(error.value)
 
 
-def test_tolerances_of_a_linear_answer_are_in_closed_form():
+def test_tolerances_of_a_linear_answer_are_in_closed_form(validated):
     """c . x of correlated normal numbers: variance c^T S c, and no disagreement."""
     slopes = jnp.array([3.0, -2.0, 0.5])
 
@@ -610,6 +610,9 @@ def test_tolerances_of_a_linear_answer_are_in_closed_form():
     exact = np.sqrt(slopes @ covariance @ slopes)
     np.testing.assert_allclose(seen.deviation, exact, rtol=1e-12)
     np.testing.assert_allclose(seen.nominal, 0.5, rtol=1e-12)
+    what = "deviation of a sum of three, first order"
+    validated("Tolerances", what, seen.deviation, exact, "closed form")
+    validated("Tolerances", "the same, 8,192 drawn", seen.spread, exact, "closed form")
     assert abs(seen.disagreement) < 0.005 and abs(seen.mean - 0.5) < 1e-3 * exact
     low, high = seen.interval
     np.testing.assert_allclose(

@@ -20,11 +20,15 @@ FOUR_BAR = [
 ]  # fmt: skip
 
 
-def test_the_dissertations_mechanisms_vibrate_as_the_reference_does():
+def test_the_dissertations_mechanisms_vibrate_as_the_reference_does(validated):
     held = tj.vibrations(stage.microstage(), {"6": ["x"]})
     np.testing.assert_allclose(held.frequencies[:6], STAGE, rtol=1e-7)
     found = tj.vibrations(four_bar.four_bar())
     np.testing.assert_allclose(found.frequencies, FOUR_BAR, rtol=1e-7)
+    oracle = "a derivation of its own, by LAPACK"
+    validated("The stage", "six frequencies", held.frequencies[:6], STAGE, oracle)
+    told = "nine frequencies", found.frequencies, FOUR_BAR, oracle
+    validated("Four-bar linkages", *told)
     assert repr(found).startswith("successful: 9 vibrations")
 
 

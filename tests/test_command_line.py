@@ -188,7 +188,7 @@ def test_fit_foretells_its_error_and_keeps_the_hinge(run):
     trials = str(REFERENCE / "fe_notch.csv")
     done = run(
         "fit", trials, "--order", "4", "--symmetry", "leaf", "--hold-out", "0.2",
-        "--save", "notch.json", "--json",
+        "--out", "notch.json", "--json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
@@ -320,3 +320,35 @@ def test_a_sweep_without_any_answer_fails_and_says_why(told):
 )
 def test_sweep_refuses_in_one_line(told, arguments, message):
     is_one_clear_line(told("sweep", *arguments), message)
+
+
+@pytest.mark.parametrize("kind", ["json", "dxf", "svg", "py"])
+def test_a_mechanism_is_exported_and_read_again(told, tmp_path, kind):
+    model, out = tmp_path / "linkage.json", tmp_path / f"again.{kind}"
+    done = told("export", "mixed-four-bar", "--out", str(model), "--json")
+    assert json.loads(done.stdout)["hinges"] == ["A", "B", "C", "D"]
+    done = told("export", str(model), "--out", str(out))
+    assert done.returncode == 0 and "Mechanism of 4 bodies" in done.stdout
+    assert out.stat().st_size > 3000
+    if kind == "json":
+        assert out.read_bytes() == model.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["stage", "--out", "stage.pdf"], "--out is stage.pdf, but must end with .json"),
+        (["bridge", "--out", "a.svg"], "The mechanism is 'bridge', but must be stage"),
+        (["none.json", "--out", "a.svg"], "No such file or directory: 'none.json'"),
+        (["stage", "--out", "nowhere/a.svg"], "there is no folder nowhere"),
+    ],
+)
+def test_export_refuses_in_one_line(told, arguments, message):
+    is_one_clear_line(told("export", *arguments), message)
+
+
+def test_help_has_a_line_for_each_command_and_an_example_in_each(told):
+    overview = told("--help").stdout
+    assert "..." not in overview.split("Commands:")[1]
+    for line in overview.split("Commands:")[1].strip().splitlines():
+        assert "Example" in told(line.split()[0], "--help").stdout

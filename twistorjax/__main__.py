@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from .commands.common import Failed, Refused
+from .commands.export import export
 from .commands.fit import fit
 from .commands.four_bar import four_bar
 from .commands.identify import identify
@@ -21,13 +22,18 @@ app = typer.Typer(
 )
 
 
-app.command()(stage)
-app.command("four-bar")(four_bar)
-app.command()(fit)
-app.command()(identify)
-app.command("random-data")(random_data)
-app.command()(water)
-app.add_typer(sweep, name="sweep")
+_ABOUT = {
+    stage: "The gain of the micropositioning stage.",
+    four_bar: "The four-bar linkages, driven or let go.",
+    fit: "An energy of a hinge, from measurements.",
+    identify: "Three stiffnesses, from a motion.",
+    random_data: "Random wrenches, and what fits to them foretell.",
+    water: "The energy of two water molecules.",
+    export: "A mechanism in files for other programs.",
+}
+for command, about in _ABOUT.items():
+    app.command(command.__name__.replace("_", "-"), short_help=about)(command)
+app.add_typer(sweep, name="sweep", short_help="Answers over ranges of dimensions.")
 
 
 @app.callback(invoke_without_command=True)

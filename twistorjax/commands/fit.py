@@ -29,7 +29,7 @@ def fit(
         float, typer.Option(help="The part of the trials held back, to check the fit.")
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Of the choice of these.")] = 0,
-    save: Annotated[
+    out: Annotated[
         Path | None, typer.Option(help="Keep the energy in this file, as JSON.")
     ] = None,
     as_json: Annotated[
@@ -48,7 +48,7 @@ def fit(
         raise Refused(f"--order is {order}, but must lie between 1 and 20.")
     if not (math.isfinite(hold_out) and 0 <= hold_out < 1):
         raise Refused(f"--hold-out is {hold_out:g}, but must be from 0 to below 1.")
-    need_folder("--save", save)
+    need_folder("--out", out)
     prepare_jax()
     from ..regression import fit_energy
     from ..storage import save_energy
@@ -70,15 +70,15 @@ def fit(
             )
     except (ValueError, OSError) as error:
         raise Refused(str(error)) from None
-    if save is not None:
+    if out is not None:
         try:
-            save_energy(answer.energy, save)
+            save_energy(answer.energy, out)
         except OSError as error:
-            raise Refused(f"--save cannot be written: {error}") from None
+            raise Refused(f"--out cannot be written: {error}") from None
     if not as_json:
         print(answer)
-        if save is not None:
-            print(f"saved to {save}")
+        if out is not None:
+            print(f"kept in {out}")
         return
     kinds_of_error = (
         ("training", answer.training),

@@ -85,12 +85,12 @@ def load_mechanism(path: str | Path) -> Mechanism:
     try:
         _need("the mechanism", model, _MODEL)
         bodies = [
-            Body(**_need(f"bodies[{k}]", body, _BODY))
+            Body(**_outlined(_need(f"bodies[{k}]", body, _BODY)))
             for k, body in enumerate(model["bodies"])
         ]
         hinges, kinds = [], {}
         for k, hinge in enumerate(model["hinges"]):
-            told = dict(_need(f"hinges[{k}]", hinge, _HINGE))
+            told = _outlined(_need(f"hinges[{k}]", hinge, _HINGE))
             damping = told["damping"]
             if isinstance(damping, dict):
                 _need(f"the damping of hinges[{k}]", damping, _DAMPING)
@@ -107,6 +107,12 @@ def load_mechanism(path: str | Path) -> Mechanism:
         return Mechanism(bodies, hinges, held=model["held"])
     except (ValueError, TypeError) as error:
         raise ValueError(f"{path} holds no mechanism: {error}") from error
+
+
+def _outlined(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with its outline as an array."""
+    outline = record["outline"]
+    return {**record, "outline": None if outline is None else np.array(outline, float)}
 
 
 def _numbers(value: Any) -> Any:

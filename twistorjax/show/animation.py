@@ -112,8 +112,8 @@ def _film(
     mechanism: Mechanism,
     moving: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
     mode: int,
-    magnify: float,
-    slower: float,
+    magnify: float | int,
+    slower: float | int,
     frames: int,
 ) -> _Film:
     rest = np.asarray(mechanism.rest)

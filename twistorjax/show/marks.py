@@ -174,7 +174,7 @@ def _arrow(
     end: np.ndarray,
     colour: str,
     wide: float,
-    head: float,
+    head: int,
     bend: str = "arc3",
 ) -> None:
     from matplotlib.patches import FancyArrowPatch

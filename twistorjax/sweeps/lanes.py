@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Num
 
 from .._trees import path_name
 
@@ -30,7 +30,8 @@ class Grid:
     values: dict[str, np.ndarray]
 
     def __init__(
-        self, values: Mapping[str, Float[ArrayLike, " values"] | Sequence[float]]
+        self,
+        values: Mapping[str, Num[ArrayLike, " values"] | Sequence[float | int]],
     ):
         self.values = {name: _floats(np.asarray(row)) for name, row in values.items()}
         if not self.values:

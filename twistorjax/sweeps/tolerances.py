@@ -196,7 +196,8 @@ def tolerances(
     one = _OfSpread(study, spreads)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # told below, of those drawn
+            # told below, of those drawn
+            warnings.filterwarnings("ignore", ".* designs have no answer")
             whole = sweep(one, spreads.columns(rows), derivatives=(answer,), **settings)
     except ValueError as error:
         text = str(error).replace("`derivatives` names", "`answer` is")

@@ -241,12 +241,15 @@ def _label(
             name, tuple(unit * place), xytext=(0, -10 if marked else 0), ha="center",
             textcoords="offset points", va="center", zorder=5,
         )  # fmt: skip
+    middle = np.mean(axes.dataLim.intervalx) / unit
     for hinge, name in enumerate(mechanism.hinge_names):
         angle, x, y = ports(mechanism, poses, hinge)[0]
-        dx, dy = 11 * abs(np.sin(angle)), 11 * abs(np.cos(angle))
+        upright = abs(np.sin(angle)) > abs(np.cos(angle))
+        inwards = -1 if x > middle else 1
         axes.annotate(
-            name, (unit * x, unit * y), xytext=(dx, dy), va="center", zorder=5,
-            ha="center" if dy > dx else "left", textcoords="offset points",
+            name, (unit * x, unit * y), xytext=(11 * inwards, 0) if upright else (0, 11),
+            ha="center" if not upright else "left" if inwards > 0 else "right",
+            va="center", zorder=5, textcoords="offset points",
             color="#8c3b00", fontstyle="italic",
         )  # fmt: skip
 

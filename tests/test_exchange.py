@@ -65,7 +65,15 @@ def test_a_mechanism_may_have_little(tmp_path):
             "hinges[0] has the unknown 'stiff'",
         ),
         (lambda m: m["hinges"][2].update(first="7"), "names the body '7'"),
-        (lambda m: m["hinges"][2]["energy"].update(kind="Rubber"), "`kind` must be one"),
+        (
+            lambda m: m["hinges"][2]["energy"].update(kind="Rubber"),
+            "the energy of hinges[2], 'c': `kind` is 'Rubber', but must be one",
+        ),
+        (
+            lambda m: m["bodies"][1].update(outline=[[0, 1], [1]]),
+            "`outline` of '2' must be rows (x, y)",
+        ),
+        (lambda m: m["bodies"][1].update(outline=[[0, 1]]), "has 1 corners"),
         (lambda m: m.update(bodies=[]), "names the body"),
         (lambda m: m["bodies"].append(3), "bodies[6] is a int"),
         (lambda m: m["bodies"][1].update(mass=-1), "`mass` of the body '2' is -1"),
@@ -86,6 +94,9 @@ def test_a_file_of_another_kind_or_version_is_refused(tmp_path):
     path = tmp_path / "energy.json"
     tj.save_energy(tj.Quadratic(np.eye(3)), path)
     with pytest.raises(ValueError, match="must have `twistorjax` and `mechanism` alone"):
+        tj.load_mechanism(path)
+    path.write_text("[]")
+    with pytest.raises(ValueError, match="is a list, but must be an object"):
         tj.load_mechanism(path)
     path.write_text('{"twistorjax": 99, "mechanism": {}}')
     with pytest.raises(ValueError, match="`twistorjax` is 99, but must be 1"):
@@ -123,7 +134,9 @@ def test_an_svg_shows_the_same_upright_and_moved(tmp_path):
     height = float(root.attrib["height"].removesuffix("mm"))
     assert_close(height, 76.0, digits=6)  # 70 and 4, and a margin of 1
     top = 1e3 * (np.asarray(linkage.outlines[2]) + np.asarray(poses[2, 1:]))
-    told = [path.attrib["d"] for path in root][2]
+    parts, cut = root
+    assert (parts.attrib["id"], cut.attrib["id"], len(cut)) == ("parts", "cut", 1)
+    told = parts[2].attrib["d"]
     corners = [pair.split(",") for pair in told.strip("MZ ").split(" L ")]
     assert_close(np.array(corners, float), np.asarray(top) * [1, -1], digits=8)
 
@@ -172,7 +185,7 @@ def test_exudyn_finds_the_same_small_displacements(tmp_path):
     path.write_text(tj.exudyn_script(linkage, **given))
     done = subprocess.run([sys.executable, path], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    rows = [line.split()[1:] for line in done.stdout.splitlines()]
+    rows = [line.split()[1:] for line in done.stdout.splitlines()[1:]]
     found = np.array(rows, float)
     moved = np.asarray(tj.equilibrium(linkage, **given).displacements)
     np.testing.assert_allclose(found, moved, rtol=1e-5, atol=1e-5 * np.abs(moved).max())

@@ -304,7 +304,7 @@ def test_a_broken_energy_is_refused(tmp_path):
         (text.replace('"twistorjax": 1', '"twistorjax": 99'), "is 99, but must be 1"),
         (text.replace('"scale"', '"size"'), "has the fields"),
         (text.replace('"Polynomial"', '"Spline"'), "must be one of Quadratic"),
-        ("[1]", "was not written"),
+        ("[1]", "is a list, but must be an object"),
     ):
         with pytest.raises(ValueError, match=message) as error:
             tj.load_energy(write(path, broken))

@@ -259,3 +259,13 @@ def test_answers_of_a_sweep_are_drawn_over_their_parameters():
         chart(rows, ["energy"])
     with pytest.raises(ValueError, match="'whole' cannot be drawn"):
         chart(table, ["whole"])
+
+
+def test_a_neck_is_no_higher_than_its_bodies():
+    """It ends as wide as its holes, flat where these reach beyond the bodies."""
+    plain = tj.notch_outline(hole=8e-3, web=0.5e-3)
+    cut = tj.notch_outline(hole=8e-3, web=0.5e-3, height=5e-3)
+    assert_close(jnp.abs(cut[:, 1]).max(), 2.5e-3)
+    assert_close(jnp.abs(cut[:, 0]).max(), 4e-3)
+    inside = np.abs(plain[:, 1]) < 2.5e-3
+    np.testing.assert_array_equal(cut[inside], plain[inside])

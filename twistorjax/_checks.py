@@ -118,7 +118,7 @@ def within(
         return jnp.where((traced > low) & (traced <= high), traced, jnp.nan)
     if not np.issubdtype(seen.dtype, np.number) or seen.shape != ():
         raise ValueError(f"{name} is {value!r}, but must be a number.")
-    if not low < seen <= high:  # NaN fails too
+    if not low < float(seen) <= high:  # NaN fails too
         raise ValueError(f"{name} is {seen:g}, but {needed}.")
     return jnp.asarray(value, float)
 

@@ -88,11 +88,13 @@ def read_record(path: str | Path, kind: str) -> Any:
         raise ValueError(
             f"{path} is not whole, or no JSON: {error}. Save the {kind} again."
         ) from error
-    if not isinstance(record, dict) or record.get("twistorjax") != VERSION:
-        came = record.get("twistorjax") if isinstance(record, dict) else type(record)
+    if not isinstance(record, dict):
+        raise ValueError(f"{path} is a {type(record).__name__}, but must be an object.")
+    version = record.get("twistorjax")
+    if version is True or version != VERSION:
         raise ValueError(
-            f"{path} was not written by this version's `save_{kind}`: its field "
-            f"`twistorjax` is {came}, but must be {VERSION}."
+            f"{path} has another layout than `save_{kind}` of this version writes: its "
+            f"field `twistorjax` is {version!r}, but must be {VERSION}."
         )
     if set(record) != {"twistorjax", kind}:
         raise ValueError(
@@ -127,7 +129,8 @@ def energy_told(energy: AbstractEnergy) -> dict[str, Any]:
 def energy_from(record: Any) -> AbstractEnergy:
     """The energy of which that was told."""
     if not isinstance(record, dict) or record.get("kind") not in _KINDS:
-        raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}.")
+        came = record.get("kind") if isinstance(record, dict) else record
+        raise ValueError(f"`kind` is {came!r}, but must be one of {', '.join(_KINDS)}.")
     kind = _KINDS[record["kind"]]
     fields = dataclasses.fields(kind)
     names = {field.name for field in fields}

@@ -106,7 +106,7 @@ def four_bar(
     if hinges == "mixed":
         hole, web = 8e-3, 0.5e-3
         neck = notch(soft, hole=hole, web=web, width=_WIDTH, coordinates=coordinates)
-        waist = hole, neck, notch_outline(hole=hole, web=web)
+        waist = hole, neck, notch_outline(hole=hole, web=web, height=_WIDTH)
         kinds = {"A": blade(2 * length), "B": waist, "C": waist, "D": short}
         heights = {"2": 30e-3, "4": _LENGTH}
 

@@ -33,12 +33,16 @@ def export(
 ) -> None:
     """A mechanism as a model, as an outline, or as a script of another program.
 
+    A model may be edited and exported again. Outlines need the extra "export"; a script
+    has no loads and drives: write them into its GIVEN and LOADS.
+
     Examples: twistorjax export stage --out stage.dxf
 
     twistorjax export my.json --out my.svg
     """
     need_folder("--out", out)
-    if out.suffix not in _KINDS:
+    kind = out.suffix.lower()
+    if kind not in _KINDS:
         raise Refused(f"--out is {out}, but must end with {', '.join(_KINDS)}.")
     if mechanism not in _CASES and not mechanism.endswith(".json"):
         raise Refused(
@@ -50,9 +54,9 @@ def export(
 
     made = _made(mechanism)
     try:
-        if out.suffix == ".json":
+        if kind == ".json":
             save_mechanism(made, out)
-        elif out.suffix == ".py":
+        elif kind == ".py":
             out.write_text(exudyn_script(made), encoding="utf-8")
         else:
             with warnings.catch_warnings():

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .._checks import need_float64
 from ..boundary import Drive, driven, Load, loaded
 from ..mechanism import Mechanism
 
@@ -32,7 +33,8 @@ def exudyn_script(
         angle, x, y; rad, m, m.
 
     Raises:
-        ValueError: a name is unknown; a coordinate is driven twice, or driven and held.
+        ValueError: double precision is off; a name is unknown; a coordinate is driven
+            twice, or driven and held.
 
     Source:
         EXUDYN's `ObjectConnectorRigidBodySpringDamper`: github.com/jgerstmayr/EXUDYN.
@@ -40,9 +42,10 @@ def exudyn_script(
     Example:
         >>> from twistorjax.cases import stage
         >>> script = exudyn_script(stage.microstage(), drives=[Drive("6", x=1e-6)])
-        >>> script.splitlines()[2]
+        >>> script.splitlines()[6]
         'import exudyn as exu'
     """
+    need_float64(mechanism.rest)
     places, targets = driven(mechanism, drives)
     given = dict.fromkeys(mechanism.held, 0.0)
     given |= {place: float(to) for place, to in zip(places, targets, strict=True)}
@@ -90,7 +93,11 @@ def _rows(rows) -> str:
 
 
 _SCRIPT = '''\
-"""{title} at rest under loads, by EXUDYN (pip install exudyn)."""
+"""{title} at rest under loads, by EXUDYN (pip install exudyn).
+
+Hinges are linear springs with their stiffness at rest: what they do beyond it, as leaves
+that shorten where they bend, is not in here.
+"""
 
 import exudyn as exu
 import numpy as np
@@ -180,6 +187,7 @@ for step in range(1, {steps} + 1):
     found = system.systemData.GetODE2Coordinates(exu.ConfigurationType.Current)
     system.systemData.SetODE2Coordinates(found, exu.ConfigurationType.Initial)
 
+print("body, angle (rad), x (m), y (m)")
 for name, node in nodes.items():
     x, y, angle = system.GetNodeOutput(node, exu.OutputVariableType.Coordinates)
     print(f"{{name}} {{angle:.12g}} {{x:.12g}} {{y:.12g}}")

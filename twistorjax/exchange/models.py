@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from .._checks import need_float64
 from ..body import Body
 from ..damping import Viscous
 from ..hinge import Hinge
@@ -27,7 +28,7 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
         path: of the file; one that is there is replaced.
 
     Raises:
-        ValueError: a hinge has an energy of another kind, or values are being traced.
+        ValueError: double precision is off; a hinge has an energy of another kind.
         OSError: the file cannot be written.
 
     Example:
@@ -39,6 +40,7 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
         Mechanism of 6 bodies (1, 2, 3, 4, 5, 6), 7 hinges (a, b, c, d, e, f, g);
         held: 1, angle and y of 6
     """
+    need_float64(mechanism.rest)
     bodies = [
         {
             "name": name,
@@ -101,7 +103,11 @@ def load_mechanism(path: str | Path) -> Mechanism:
             # hinges of one kind share their energy, as those that were written did
             kind = json.dumps(told["energy"])
             if kind not in kinds:
-                kinds[kind] = energy_from(told["energy"])
+                try:
+                    kinds[kind] = energy_from(told["energy"])
+                except (ValueError, TypeError) as error:
+                    where = f"the energy of hinges[{k}], {told['name']!r}"
+                    raise ValueError(f"{where}: {error}") from error
             told |= {"energy": kinds[kind], "damping": damping}
             hinges.append(Hinge(**told))
         return Mechanism(bodies, hinges, held=model["held"])
@@ -111,8 +117,19 @@ def load_mechanism(path: str | Path) -> Mechanism:
 
 def _outlined(record: dict[str, Any]) -> dict[str, Any]:
     """The record with its outline as an array."""
-    outline = record["outline"]
-    return {**record, "outline": None if outline is None else np.array(outline, float)}
+    if (outline := record["outline"]) is None:
+        return record
+    try:
+        corners = np.array(outline, float).reshape(-1, 2)
+    except ValueError:
+        raise ValueError(
+            f"`outline` of {record['name']!r} must be rows (x, y), three or more."
+        ) from None
+    if len(corners) < 3:
+        raise ValueError(
+            f"`outline` of {record['name']!r} has {len(corners)} corners, not three."
+        )
+    return {**record, "outline": corners}
 
 
 def _numbers(value: Any) -> Any:

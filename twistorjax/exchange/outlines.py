@@ -28,7 +28,7 @@ def save_outline(
 
     What is cut is the outline of all bodies and hinges together, so that what touches is
     one piece; in a DXF it lies on the layer `cut`, and each part by itself on `body`,
-    `held` and `neck`.
+    `held` and `neck`; in an SVG the groups are `cut` and `parts`.
 
     Args:
         mechanism: whose bodies and hinges have outlines; those without are left out.
@@ -47,7 +47,8 @@ def save_outline(
         ...     save_outline(stage.microstage(), f"{folder}/stage.svg")
     """
     path = Path(path)
-    if path.suffix not in (".dxf", ".svg"):
+    kind = path.suffix.lower()
+    if kind not in (".dxf", ".svg"):
         raise ValueError(f"`path` is {str(path)!r}, but must end with .dxf or .svg.")
     rest = np.asarray(mechanism.rest)
     if poses is not None:
@@ -59,7 +60,7 @@ def save_outline(
             "bodies by `plate`."
         )
     rings = _together(parts)
-    (_write_dxf if path.suffix == ".dxf" else _write_svg)(path, parts, rings)
+    (_write_dxf if kind == ".dxf" else _write_svg)(path, parts, rings)
 
 
 def _together(parts: list[Shape]) -> list[np.ndarray]:
@@ -103,9 +104,10 @@ def _write_svg(path: Path, parts: list[Shape], rings: list[np.ndarray]) -> None:
         height=f"{high_:.9g}mm",
         viewBox=f"{left:.9g} {-bottom - high_:.9g} {wide:.9g} {high_:.9g}",
     )
+    drawn = ElementTree.SubElement(root, "g", id="parts")
     for part in parts:
-        _path(root, [_MM * part.corners], _STYLES[part.kind])
-    _path(root, rings, _STYLES["cut"])
+        _path(drawn, [_MM * part.corners], _STYLES[part.kind])
+    _path(ElementTree.SubElement(root, "g", id="cut"), rings, _STYLES["cut"])
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
 

@@ -120,11 +120,23 @@ def _between_holes(hole: Scalar, web: Scalar, place: Scalar) -> Scalar:
     return web + hole - jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
 
 
-def notch_outline(*, hole: ArrayLike, web: ArrayLike, points: int = 24) -> Corners:
-    """The outline of a notch's neck in its own frame, for drawing; m."""
+def notch_outline(
+    *, hole: ArrayLike, web: ArrayLike, height: ArrayLike | None = None, points: int = 24
+) -> Corners:
+    """The outline of a notch's neck in its own frame, for drawing; m.
+
+    Args:
+        hole: diameter of the two round holes; m.
+        web: thickness of the neck where it is thinnest; m.
+        height: of the bodies beside it, across, which it does not exceed; by default as
+            far as the holes reach; m.
+        points: along each side.
+    """
     angle = jnp.linspace(-jnp.pi / 2, jnp.pi / 2, points)
     x = jnp.sin(angle) * hole / 2
     y = (1 - jnp.cos(angle)) * hole / 2 + jnp.ones_like(angle) * web / 2
+    if height is not None:
+        y = jnp.minimum(y, jnp.asarray(height, float) / 2)
     return jnp.concatenate([jnp.stack([x, y], 1), jnp.stack([x, -y], 1)[::-1]])
 
 

@@ -1,5 +1,6 @@
 """A mechanism as it moves, on matplotlib axes."""
 
+import math
 from typing import cast, NamedTuple, TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,7 @@ from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
 from ..solve.vibrations import Vibrations
 from .canvas import lengths, new_axes
-from .drawing import draw, draw_ghost
+from .drawing import draw, draw_ghost, figure_size
 from .shapes import shapes, size_of
 
 
@@ -57,8 +58,8 @@ def animate(
         axes: on which to draw, by default new ones.
 
     Returns:
-        The animation. A notebook shows it; `save("motion.gif")` and `save("motion.mp4")`
-        keep it.
+        The animation. A notebook shows it; `save("motion.gif", writer="pillow")` and
+        `save("motion.mp4")` keep it.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -74,7 +75,8 @@ def animate(
     """
     film = _film(mechanism, moving, mode, magnify, slower, frames)
     if axes is None:
-        axes = new_axes((5, 5))
+        wide, high = figure_size(mechanism, film.poses[0])
+        axes = new_axes((5.0, 5.0 * high / wide))
     from matplotlib.animation import FuncAnimation
 
     unit, _ = lengths(size_of(mechanism))
@@ -136,7 +138,8 @@ def _film(
         swing = magnify * _SWING * size_of(mechanism) / (1e6 * largest or 1.0)
         count = min(_PERIOD, frames)
         turns = np.sin(2 * np.pi * np.arange(count) / count)
-        title = f"vibration {mode % len(frequencies) + 1}: {frequencies[mode]:.5g} Hz"
+        which = mode % len(frequencies) + 1
+        title = f"vibration {which}: {frequencies[mode]:.5g} Hz, of any size"
         return _Film(
             rest + swing * turns[:, None, None] * shape, count * [title], 2000 / count
         )
@@ -160,7 +163,9 @@ def _film(
     kept = kept[chosen]
     poses = rest + magnify * (poses - rest)
     if len(times):
-        titles = [f"{times[k]:.4g} s{joined}{told}" for k in kept]
+        apart = max(float(np.ptp(times[kept])), 1e-12) / max(1, len(kept) - 1)
+        digits = max(0, math.ceil(-math.log10(apart)))
+        titles = [f"{times[k]:.{digits}f} s{joined}{told}" for k in kept]
         length = 1e3 * slower * float(times[kept[-1]] - times[kept[0]])
         return _Film(poses[kept], titles, length / max(1, len(kept) - 1))
     titles = [f"{k + 1} of {len(poses)}{joined}{told}" for k in kept]

@@ -85,7 +85,7 @@ def draw(
     unit, word = lengths(size_of(mechanism))
     values, label = _coloured(mechanism, rest + displacements, colour, label)
     if axes is None:
-        axes = new_axes((7, 6))
+        axes = new_axes(figure_size(mechanism, moved, bool(values)))
     if ghost and np.any(displacements):
         draw_ghost(mechanism, axes)
     fills = _bar(axes, values, label) if values else {}
@@ -111,6 +111,16 @@ def draw(
             title += "; dotted: at rest"
         axes.set_title(title, fontsize="medium")
     return axes
+
+
+def figure_size(
+    mechanism: Mechanism, poses: np.ndarray, bar: bool = False
+) -> tuple[float, float]:
+    """Of a figure that a mechanism fills, with room for a bar of colours; inches."""
+    corners = np.concatenate([part.corners for part in shapes(mechanism, poses)])
+    wide, high = np.ptp(corners, axis=0)
+    part = np.clip(high / wide if wide else 2.0, 0.25, 1.2)
+    return 7.0 + 0.8 * bar, float(6.0 * part + 1.0)
 
 
 def draw_ghost(mechanism: Mechanism, axes: "Axes") -> None:
@@ -144,7 +154,7 @@ def add(axes: "Axes", shape: Shape, unit: float, fill: Colour | None = None) -> 
         colour = fill or _FILLS[shape.kind]
         style = {
             "closed": True, "facecolor": colour, "linewidth": 0.8,
-            "edgecolor": colour if neck and fill is None else "#404040",
+            "edgecolor": colour if neck else "#404040",
             "zorder": 2 if neck else 1,
         }  # fmt: skip
     axes.add_patch(Polygon(unit * shape.corners, **style))
@@ -220,10 +230,12 @@ def _bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Col
     """A bar of colours beside the axes, and the colour of each hinge."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
+    from matplotlib.colors import ListedColormap, Normalize
 
     low = min(0.0, *values.values())
-    scale = ScalarMappable(Normalize(low, max(values.values())), colormaps["plasma"])
+    # without its lightest, which would be lost on white
+    dark = ListedColormap(colormaps["plasma"](np.linspace(0, 0.88, 256)))
+    scale = ScalarMappable(Normalize(low, max(values.values())), dark)
     axes.figure.colorbar(scale, ax=axes, label=label, shrink=0.8)
     rows, colours = list(values), scale.to_rgba(np.array(list(values.values())))
     return {row: tuple(map(float, rgba)) for row, rgba in zip(rows, colours, strict=True)}

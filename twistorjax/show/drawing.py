@@ -255,7 +255,7 @@ def _label(
         )  # fmt: skip
     middle = np.mean(axes.dataLim.intervalx) / unit
     for hinge, name in enumerate(mechanism.hinge_names):
-        angle, x, y = ports(mechanism, poses, hinge)[0]
+        angle, x, y = np.mean(ports(mechanism, poses, hinge), axis=0)
         upright = abs(np.sin(angle)) > abs(np.cos(angle))
         inwards = -1 if x > middle else 1
         axes.annotate(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from .._checks import all_known
-from .results import outcomes, Placed, RESULTS
+from .results import counted, outcomes, Placed, RESULTS
 from .system import System
 from .tables import Column, Columns, columns
 
@@ -139,8 +139,10 @@ class Motion(Placed):
     def __repr__(self) -> str:
         ended = outcomes(self.result)
         seen = all_known([self.times, self.displacements, self.energies.dissipated])
-        if ended is None or seen is None or ended.shape:
+        if ended is None or seen is None:
             return eqx.tree_pformat(self)
+        if ended.shape:
+            return counted("motions", ended)
         times, moved, _ = seen
         title = (
             f"{ended}: {float(times[0]):g} to {float(self.reached):.6g} s in "

@@ -1,5 +1,6 @@
 """How a solve ended, and what all answers share."""
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable, TypeVar
 
@@ -85,6 +86,13 @@ def outcomes(result: RESULTS) -> np.ndarray | None:
     """The names of results, in the shape of their batch, or nothing while traced."""
     index = known(result._value)
     return None if index is None else np.array(_NAMED[index], object)
+
+
+def counted(noun: str, ended: np.ndarray) -> str:
+    """How many answers of a batch ended how, in a line."""
+    counts = Counter(map(str, ended.ravel()))
+    told = ", ".join(f"{count:,} {name}" for name, count in counts.items())
+    return f"{ended.size:,} {noun}, of shape {ended.shape}: {told}"
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
 from . import newton
-from .results import meaning, outcomes, Placed, raise_failed, RESULTS
+from .results import counted, meaning, outcomes, Placed, raise_failed, RESULTS
 from .tables import Column, Columns
 
 
@@ -57,8 +57,10 @@ class Equilibrium(Placed):
     def __repr__(self) -> str:
         ended = outcomes(self.result)
         seen = all_known([self.reached, self.energy, self.fraction])
-        if ended is None or seen is None or ended.shape:
+        if ended is None or seen is None:
             return eqx.tree_pformat(self)
+        if ended.shape:
+            return counted("equilibria", ended)
         moved, energy, fraction = seen
         title = (
             f"{ended}: {100 * float(fraction):.4g} % of loads and drives, "

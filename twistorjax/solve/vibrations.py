@@ -13,7 +13,7 @@ from .._types import Poses, PosesLike
 from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
 from ..mechanism import Mechanism
 from . import newton
-from .results import ByBody, meaning, outcomes, raise_failed, RESULTS
+from .results import ByBody, counted, meaning, outcomes, raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates, within_range
 from .tables import Column, Columns, columns, Tabled
 
@@ -51,8 +51,10 @@ class Vibrations(Tabled):
 
     def __repr__(self) -> str:
         ended = outcomes(self.result)
-        if ended is None or ended.shape:
+        if ended is None:
             return eqx.tree_pformat(self)
+        if ended.shape:
+            return counted("sets of vibrations", ended)
         lines = [f"{ended}: {self.frequencies.size} vibrations", "frequency (Hz)  moves"]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
             travels = np.linalg.norm(np.asarray(shape)[:, 1:], axis=1)

@@ -37,6 +37,7 @@ def main(
 def run(path: Path, keep: bool) -> str:
     """Runs one, and tells how long it took."""
     notebook = nbformat.read(path, as_version=4)
+    metadata = dict(notebook.metadata)
     begun = time.perf_counter()
     NotebookClient(notebook, timeout=LONGEST, record_timing=False).execute()
     taken = time.perf_counter() - begun
@@ -47,6 +48,7 @@ def run(path: Path, keep: bool) -> str:
         for cell in notebook.cells:  # warnings name paths of this machine
             if "outputs" in cell:
                 cell.outputs = [o for o in cell.outputs if o.get("name") != "stderr"]
+        notebook.metadata = nbformat.from_dict(metadata)  # not this machine's Python
         nbformat.write(notebook, path)
     return f"{taken:.0f} s, largest output {max(sizes, default=0) / 1e3:.0f} kB"
 

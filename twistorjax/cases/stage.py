@@ -28,6 +28,7 @@ from ..flexure import Material, notch, notch_outline
 from ..flexure.notch import Formula
 from ..hinge import Hinge
 from ..mechanism import Mechanism
+from ..show.canvas import INK
 from ..show.drawing import draw
 from ..solve.results import RESULTS
 from ..solve.statics import Equilibrium, equilibrium
@@ -47,7 +48,6 @@ DISSERTATION_GAIN = 27.8  # section 6.4, read off its figure 6.3
 RIGID_GAIN = 328 / 9  # levers on pins: 36.44
 
 _MM = 1e-3
-_ARROW = "#1b4965"
 
 # name: centre of mass; m
 _CENTRES = {
@@ -272,8 +272,8 @@ def plot(stage: Mechanism, answer: Amplification, *, magnify: float | int = 50) 
         x, y = 1e3 * np.asarray(moved.rest)[row, 1:] + np.array([dx, dy])
         travel = 1e6 * float(moved.displacements[row, 1])
         label = f"{word} {travel:.4g} \N{MICRO SIGN}m"
-        axes.annotate(label, (x, y - 0.8), color=_ARROW, ha="center", va="top")
-        style = {"arrowstyle": "->", "color": _ARROW}
+        axes.annotate(label, (x, y - 0.8), color=INK, ha="center", va="top")
+        style = {"arrowstyle": "->", "color": INK}
         axes.annotate("", (x + 3.5, y), (x - 3.5, y), arrowprops=style)
     axes.set_title(
         f"gain {float(answer.gain):.3f}, {axes.get_title()}", fontsize="medium"

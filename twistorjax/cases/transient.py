@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 from .. import se2
 from ..boundary import Drive
 from ..mechanism import Mechanism
-from ..show.canvas import subplots
+from ..show.canvas import INK, ORANGE, subplots
 from ..solve.dynamics import simulate
 from ..solve.motion import Motion
 from .stage import amplify, TRAVEL
@@ -123,14 +123,14 @@ def plot(transient: Transient) -> "Figure":
     """
     times = 1e3 * np.asarray(transient.motion.times)
     figure, (above, below) = subplots(2, size=(6.5, 6.5), sharex=True)
-    above.plot(times, 1e6 * np.asarray(transient.output), color="#1b4965")
+    above.plot(times, 1e6 * np.asarray(transient.output), color=INK)
     above.set_ylabel("output, body 4 (\N{MICRO SIGN}m)")
     above.set_title(
         f"gain {float(transient.gain):.4f} at the end, "
         f"{float(transient.static_gain):.4f} at rest",
         fontsize="medium",
     )
-    styles = (("body 2", "#e08214", "--"), ("body 6, the input", "#1b4965", "-"))
+    styles = (("body 2", ORANGE, "--"), ("body 6, the input", INK, "-"))
     for travel, (label, colour, style) in zip(transient.joint, styles, strict=True):
         below.plot(
             times, 1e6 * np.asarray(travel), color=colour, linestyle=style, label=label

@@ -99,12 +99,13 @@ def need_picture(option: str, path: Path | None, *, film: bool = False) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     kinds = list(_FILMS if film else FigureCanvasAgg.get_supported_filetypes())
-    if path.suffix[1:].lower() not in kinds:
+    kind = path.suffix[1:].lower()
+    if kind not in kinds:
         raise Refused(
             f"{option} is {path}, but its name must end with one of "
-            f"{', '.join(f'.{kind}' for kind in kinds)}."
+            f"{', '.join(f'.{name}' for name in kinds)}."
         )
-    if path.suffix == ".mp4":
+    if kind == "mp4":
         from matplotlib.animation import writers
 
         if not writers.is_available("ffmpeg"):

@@ -10,6 +10,7 @@ import typer
 from .common import need_folder, prepare_jax, Refused
 
 
+_CASES = ("stage", "four-bar", "mixed-four-bar")
 _KINDS = (".json", ".dxf", ".svg", ".py")
 
 
@@ -69,9 +70,6 @@ def export(
         print(json.dumps(record))
     else:
         print(f"{made!r}\nkept in {out}")
-
-
-_CASES = ("stage", "four-bar", "mixed-four-bar")
 
 
 def _made(name: str) -> Any:

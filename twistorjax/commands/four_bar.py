@@ -159,10 +159,11 @@ def _film(path: Path, mechanism, motion) -> None:
 
     film = animate(mechanism, motion, slower=10)
     try:
-        if path.suffix == ".html":
+        kind = path.suffix.lower()
+        if kind == ".html":
             path.write_text(film.to_jshtml(), encoding="utf-8")
         else:
-            writer = "pillow" if path.suffix == ".gif" else "ffmpeg"
+            writer = "pillow" if kind == ".gif" else "ffmpeg"
             film.save(path, writer=writer, dpi=100)
     except (OSError, ValueError) as error:
         raise Refused(f"--animate cannot be written: {error}") from None

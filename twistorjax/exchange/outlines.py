@@ -8,16 +8,15 @@ import numpy as np
 from .._checks import package
 from .._types import PosesLike
 from ..mechanism import Mechanism
+from ..show.canvas import FILLS, RED
 from ..show.shapes import Shape, shapes
 
 
 _MM = 1e3
 _GAP = 1e-4  # closed between body and hinge; mm
 _STYLES = {
-    "cut": {"stroke": "#d55e00", "stroke-width": "0.1", "fill": "none"},
-    "body": {"fill": "#b8cfe3"},
-    "held": {"fill": "#d5d5d5"},
-    "neck": {"fill": "#e08214"},
+    "cut": {"stroke": RED, "stroke-width": "0.1", "fill": "none"},
+    **{kind: {"fill": colour} for kind, colour in FILLS.items()},
 }
 
 

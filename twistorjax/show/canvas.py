@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 # safe for colour-blind eyes: Okabe and Ito, Color Universal Design, 2008
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e08214", "#009e73", "#d55e00"
 INK, GREY = "#1b4965", "#8a8a8a"
+# of the parts of a mechanism
+FILLS = {"body": "#b8cfe3", "held": "#d5d5d5", "neck": ORANGE}
 
 _PREFIXES = (
     (1e12, "p"), (1e9, "n"), (1e6, "\N{MICRO SIGN}"), (1e3, "m"), (1.0, ""), (1e-3, "k"),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Literal, TYPE_CHECKING
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -14,7 +14,7 @@ from ..joints import AbstractConstraint
 from ..mechanism import Mechanism
 from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
-from .canvas import GREY, lengths, new_axes, ORANGE, readable
+from .canvas import FILLS, GREY, lengths, new_axes, ORANGE, readable
 from .marks import mark_frames, mark_joints, mark_loads, mark_reactions
 from .shapes import placed, ports, Shape, shapes, size_of
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 
 Colour = tuple[float, ...]  # red, green, blue, opacity
-_FILLS = {"body": "#b8cfe3", "held": "#d5d5d5", "neck": ORANGE}
 
 
 def draw(
@@ -91,7 +90,7 @@ def draw(
     fills = _bar(axes, values, label) if values else {}
     for shape in shapes(mechanism, moved):
         hinge = shape.kind in ("neck", "spring")
-        add(axes, shape, unit, fills.get(shape.row) if hinge else None)
+        _draw_part(axes, shape, unit, fills.get(shape.row) if hinge else None)
     if frames:
         mark_frames(axes, mechanism, moved, unit)
     mark_joints(axes, mechanism, moved, constraints, unit)
@@ -138,7 +137,9 @@ def draw_ghost(mechanism: Mechanism, axes: "Axes") -> None:
             )  # fmt: skip
 
 
-def add(axes: "Axes", shape: Shape, unit: float, fill: Colour | None = None) -> None:
+def _draw_part(
+    axes: "Axes", shape: Shape, unit: float, fill: Colour | None = None
+) -> None:
     """Draws one part of a mechanism."""
     from matplotlib.patches import Polygon
 
@@ -151,7 +152,7 @@ def add(axes: "Axes", shape: Shape, unit: float, fill: Colour | None = None) -> 
         }  # fmt: skip
     else:
         neck = shape.kind == "neck"
-        colour = fill or _FILLS[shape.kind]
+        colour = fill or FILLS[shape.kind]
         style = {
             "closed": True, "facecolor": colour, "linewidth": 0.8,
             "edgecolor": colour if neck else "#404040",
@@ -207,10 +208,10 @@ def _coloured(
                 f"`colour` is {colour!r}, but must be 'energy', or a number for each "
                 "hinge by its name."
             )
-        stored = {
-            row: float(_stored(mechanism, name, poses))
-            for row, name in enumerate(mechanism.hinge_names)
-        }
+        there, stored = jnp.asarray(poses), {}
+        for row, name in enumerate(mechanism.hinge_names):
+            displaced = mechanism.displacement_of(name, there)
+            stored[row] = float(mechanism.couplings.energy_of(row)(displaced))
         factor, unit = readable("J", max(map(abs, stored.values())))
         return {row: factor * value for row, value in stored.items()}, f"energy ({unit})"
     told = {
@@ -218,12 +219,6 @@ def _coloured(
         for name, value in colour.items()
     }
     return told, label
-
-
-def _stored(mechanism: Mechanism, hinge: str, poses: np.ndarray) -> jax.Array:
-    row = mechanism.hinge_names.index(hinge)
-    energy = mechanism.couplings.energy_of(row)
-    return energy(mechanism.displacement_of(hinge, jax.numpy.asarray(poses)))
 
 
 def _bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Colour]:

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from .canvas import GREY, INK, ORANGE
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-GIVEN, GOOD, POOR = "#202020", "#1b4965", "#e08214"
-COLOURS = (GOOD, POOR, "#8a8a8a")
+GIVEN = "#202020"
+COLOURS = (INK, ORANGE, GREY)
 
 
 def draw_ranked(

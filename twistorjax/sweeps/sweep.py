@@ -115,17 +115,17 @@ def sweep(
         )
     if resume and store is None:
         raise ValueError("`resume` is given, but no `store` to go on with.")
-    there = store is not None and Path(store).exists()
+    there = None
+    if store is not None and Path(store).exists():
+        there = Store(store, mode="r")  # refused where it is none
     _together("looked")  # before the first of them makes it
-    if store is not None and there:
-        Store(store, mode="r")  # or it is refused
-    if there and not resume:
+    if there is not None and not resume:
         raise ValueError(
             f"`store` is {str(store)!r}, which is there already: go on with it by "
             "`resume=True`, or give another path."
         )
-    if store is not None and there and chunk is None:
-        chunk = Store(store, mode="r").made_by["chunk"]
+    if there is not None and chunk is None:
+        chunk = there.made_by["chunk"]
     size = chunk_of(len(lanes), mesh) if chunk is None else chunk
     try:
         program = _program(

@@ -69,6 +69,12 @@ class Couplings(eqx.Module):
     axes: Float[Array, "hinges 2"]
     stacks: tuple[Stack, ...]
 
+    @property
+    def lever(self) -> Scalar:
+        """Root mean square of the distances from the bodies' origins to the hinges; m."""
+        arms = jax.lax.stop_gradient(self.arms)
+        return jnp.sqrt(jnp.mean(jnp.sum(arms**2, axis=-1)))
+
     def energy_of(self, row: int) -> AbstractEnergy:
         """The energy of one hinge, by its place in the mechanism's list."""
         return self.energy_and_damping_of(row)[0]

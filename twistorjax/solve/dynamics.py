@@ -18,10 +18,14 @@ from . import start as begin
 from .collocation import Gauss, Radau
 from .motion import Energies, Motion
 from .newton import Places
+from .projected import Projected
 from .results import raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates
 from .system import equation, State, System
 
+
+# Other solvers than those of this library give up below this share of the slowest period.
+_LEAST_STEP = 1e-12
 
 Loading = Sequence[Load] | Callable[[Scalar], Sequence[Load]]
 Driving = Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
@@ -183,23 +187,37 @@ def _solve(
     energies: bool,
     places: Places,
 ) -> Motion:
-    system, state, first, result = begin.begin(
-        mechanism, times, loads, drives, joints, moved, given, energies, places
-    )
-    if controller is None and step is None:
+    collocated = isinstance(solver, Radau | Gauss)
+    start = begin.begin(
+        mechanism, times, loads, drives, joints, moved, given, energies, places,
+        tolerance, step, needs_rates=not collocated,
+    )  # fmt: skip
+    system = start.system
+    if controller is None and step is not None:
+        controller = dfx.ConstantStepSize()
+    elif controller is None:
         controller = dfx.PIDController(
-            rtol=0.0, atol=tolerance, norm=system.size, pcoeff=0.3, icoeff=0.4
+            rtol=0.0,
+            atol=start.tolerance,
+            norm=system.size,
+            pcoeff=0.3,
+            icoeff=0.4,
+            # other solvers would shorten steps for ever where a value is not finite
+            dtmin=None if collocated else _LEAST_STEP * system.period,
+            force_dtmin=False,
         )
+    if joints.size and not collocated:
+        solver = Projected(solver)
     solution = dfx.diffeqsolve(
         equation,
         solver,
-        times[0],
-        times[-1],
-        first if step is None else step,
-        state,
+        start.times[0],
+        start.times[-1],
+        start.step,
+        start.state,
         args=system,
-        saveat=_kept(dfx.SaveAt() if saveat is None else saveat, times),
-        stepsize_controller=dfx.ConstantStepSize() if controller is None else controller,
+        saveat=_kept(dfx.SaveAt() if saveat is None else saveat, start),
+        stepsize_controller=controller,
         event=None if event is None else _seen(event),
         progress_meter=progress_meter,
         adjoint=adjoint,
@@ -214,10 +232,18 @@ def _solve(
     ended = RESULTS.where(lost | ~there, RESULTS.not_finite, ended)
     unsettled = ended == RESULTS.nonlinear_divergence
     ended = RESULTS.where(unsettled, RESULTS.step_too_long, ended)
-    result = RESULTS.where(result == RESULTS.successful, ended, result)
+    began = start.result == RESULTS.successful
+    result = RESULTS.where(began, ended, start.result)
+    solution = eqx.tree_at(
+        lambda solution: (solution.ts, solution.ys),
+        solution,
+        jax.tree.map(
+            lambda value: jnp.where(began, value, jnp.nan), (solution.ts, solution.ys)
+        ),
+    )
     at, kept = solution.ts[0], solution.ys[0]
     there = jnp.isfinite(at)
-    tell = jax.vmap(partial(_told, system))(jnp.where(there, at, times[0]), kept)
+    tell = jax.vmap(partial(_told, system))(jnp.where(there, at, start.times[0]), kept)
     beyond = jax.vmap(mechanism.couplings.beyond)(tell[0])
     out = jnp.cumsum(there & jnp.any(beyond, axis=1)) > 0
     ended_well = (result == RESULTS.successful) | (result == RESULTS.event_occurred)
@@ -240,7 +266,7 @@ def _solve(
         reactions=reactions,
         pushes=pushes,
         energies=energy,
-        reached=jnp.where(left, last, solution.ts[1][-1]),
+        reached=jnp.where(left | ~began, last, solution.ts[1][-1]),
         steps=solution.stats["num_steps"],
         rejected=solution.stats["num_rejected_steps"],
         result=result,
@@ -267,14 +293,19 @@ def _told(system: System, time: Scalar, state: State):
     return displacements, velocities, now.reactions, now.push, energy
 
 
-def _kept(saveat: dfx.SaveAt, times: Float[Array, " times"]) -> dfx.SaveAt:
+def _kept(saveat: dfx.SaveAt, start: begin.Beginning) -> dfx.SaveAt:
     """What is to be kept, and where it ended."""
-    own = dfx.SubSaveAt(ts=times) if saveat.subs is None else saveat.subs
+    own = dfx.SubSaveAt(ts=start.times) if saveat.subs is None else saveat.subs
     if not isinstance(own, dfx.SubSaveAt) or own.fn is not dfx.SubSaveAt(t1=True).fn:
         raise ValueError(
             "`saveat` has several `subs` or a `fn` of its own, but a motion tells all "
             "that there is at the times that it keeps: give `ts`, `steps` or `dense`."
         )
+    if saveat.subs is not None and own.ts is not None:
+        # a motion that cannot begin has no times between which its own could lie
+        began = start.result == RESULTS.successful
+        ts = jnp.where(began, jnp.asarray(own.ts, float), start.times[0])
+        own = eqx.tree_at(lambda own: own.ts, own, ts)
     return dfx.SaveAt(
         subs=[own, dfx.SubSaveAt(t1=True)],
         dense=saveat.dense,

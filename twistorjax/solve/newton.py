@@ -161,29 +161,48 @@ class Settled(NamedTuple):
     status: Int[Array, ""]
 
 
-# A load step is cut when it turns a body further, lest Newton end on another branch of
-# equilibria; when it has not converged in so many steps; and not below the least.
-_LARGEST_TURN = 1.0
+# A load increment is rejected if Newton's corrections shrink by less than this factor: a
+# fold may then lie between its two ends. The theorem of Newton and Kantorovich excludes
+# one if h, the first correction times the relative curvature of the equations, is at most
+# 1/2; the second correction is then at most h / (2 (1 - h)) of the first (Deuflhard,
+# Newton Methods for Nonlinear Problems, 2011, sections 2.1 and 5.1). The factor stands
+# for an h of 0.41.
+_LARGEST_CONTRACTION = 0.35
+# The ratio at which the length of the next increment aims.
+_GOOD_CONTRACTION = 0.2
+# Corrections below this share of the first one are too small to lead to another branch,
+# and may consist of rounding errors.
+_SMALL_CORRECTION = 1e-3
+_LARGEST_TURN = 1.0  # of a body in one increment; rad
 _STEPS_EACH = 12
-_LEAST_STEP = 1e-5
+_LEAST_STEP = 1e-7  # of the whole load
+_LEAST_SHARE = 1e-5  # of the fraction that has been reached
 
 
 def settle(
     problem: Problem, start: Poses, tolerance: ScalarLike, max_steps: ScalarLike
 ) -> Settled:
-    """Follows the equilibrium from `start` to the full loads and drives.
+    """Follow the equilibrium from `start` to the full loads and drives.
 
-    Newton's method on a growing fraction of them, at first all. What holds the mechanism
-    at `start` fades as they grow: at rest nothing, at another equilibrium its loads.
-    Driven coordinates are moved within the first step of each fraction, together with
-    the first answer of the free ones. Errors are measured by the energy that a step
-    changes, against the energy at work in the hinges; near the answer each step's share
-    of the last one tells what the next would be, and saves it.
+    Newton's method is applied to a growing fraction of them. The first increment is the
+    whole. An increment is accepted only if Newton's corrections contract quickly, which
+    excludes a fold between its two ends; otherwise it is shortened. The forces that hold
+    the mechanism at `start` fade as the fraction grows: none in the reference
+    configuration, the loads of another equilibrium otherwise. Driven coordinates move in
+    the first Newton step of each increment, together with the first answer of the free
+    ones.
+
+    Convergence is measured by the energy that a Newton step changes, relative to the
+    energy at work in the hinges. The observed convergence rate predicts the next error,
+    which saves the last step. Contraction is measured in displacements: angles, and
+    translations divided by the length of a lever of the mechanism. In the energy a stiff
+    hinge that is stretched for one step would outweigh all others.
     """
     rows = problem.free
     begin = start.reshape(-1)[problem.driven]
     count = len(problem.free)
     holding = problem.couplings.forces(start).reshape(-1)[rows]
+    unit = _units(problem.couplings)
 
     class State(NamedTuple):
         now: Poses
@@ -195,6 +214,9 @@ def settle(
         tries: Int[Array, ""]  # Newton steps in this stride
         changes: Float[Array, " free"]  # energy of the last step, by coordinate
         scale: Scalar  # energy of the first step of this stride
+        first: Scalar  # length of the first correction of this stride
+        last: Scalar  # length of the last correction
+        contraction: Scalar  # of the second correction against the first
         steps: Int[Array, ""]
         status: Int[Array, ""]
 
@@ -230,22 +252,36 @@ def settle(
         expected = jnp.sqrt(left / jnp.where(measure > 0, measure, 1.0))
         turned = jnp.max(jnp.abs(now - state.done)[:, 0], initial=0.0)
         resists = factors.resists()
-        sane = resists & jnp.isfinite(change) & (turned <= _LARGEST_TURN)
+        length = jnp.sqrt(jnp.sum(((now - state.now) / unit[None]) ** 2))
+        longest = jnp.where(first, length, state.first)
+        ratio = jnp.where(first, 0.0, length / state.last)
+        small = length <= _SMALL_CORRECTION * longest
+        contraction = jnp.where(state.tries == 1, ratio, state.contraction)
+        contracts = small | (ratio <= _LARGEST_CONTRACTION)
+        sane = resists & jnp.isfinite(change) & (turned <= _LARGEST_TURN) & contracts
         # a step that drives saw only the slope of the way they take
         seen = ~first | jnp.all(move == 0)
-        converged = sane & seen & (expected <= tolerance)
+        # increments on the way are followed less closely than the last one
+        enough = jnp.where(goal < 1, jnp.sqrt(tolerance), tolerance)
+        converged = sane & seen & (expected <= enough)
 
         finite = jnp.all(jnp.isfinite(slope)) & jnp.all(jnp.isfinite(right))
         cut = ~converged & (~sane | (state.tries + 1 >= _STEPS_EACH))
-        stride = jnp.where(cut, state.stride / 4, state.stride)
+        # the contraction is proportional to the increment
+        change_of_stride = _GOOD_CONTRACTION / jnp.where(
+            contraction > 0, contraction, 1.0
+        )
+        shorter = jnp.where(contracts, 0.25, jnp.clip(change_of_stride, 0.1, 0.5))
+        stride = jnp.where(cut, shorter * state.stride, state.stride)
+        least = jnp.maximum(_LEAST_STEP, _LEAST_SHARE * state.fraction)
         steps = state.steps + 1
         status = jnp.select(
             [
                 (state.steps == 0) & ~finite,
                 converged & (goal >= 1),
                 # hardly loaded, it is the mechanism itself that does not resist
-                (stride < _LEAST_STEP) & (state.fraction == 0) & first & ~resists,
-                stride < _LEAST_STEP,
+                (stride < least) & (state.fraction == 0) & first & ~resists,
+                stride < least,
                 steps >= max_steps,
             ],
             [NOT_FINITE, CONVERGED, LOOSE, STUCK, USED_UP],
@@ -253,8 +289,9 @@ def settle(
         )
         fraction = jnp.where(converged, goal, state.fraction)
         left = 1 - fraction
+        longer = jnp.where(contraction > 0, jnp.clip(change_of_stride, 0.5, 4.0), 4.0)
         # no last stride so short that only rounding is left of it
-        grown = jnp.where(2.1 * stride > left, left, 2 * stride)
+        grown = jnp.where(1.05 * longer * stride > left, left, longer * stride)
         return State(
             now=jnp.where(cut, state.done, now),
             borne=jnp.where(cut, state.done_borne, foreseen),
@@ -265,6 +302,9 @@ def settle(
             tries=jnp.where(converged | cut, 0, state.tries + 1),
             changes=changes,
             scale=scale,
+            first=longest,
+            last=length,
+            contraction=jnp.where(converged | cut, 0.0, contraction),
             steps=steps,
             status=status,
         )
@@ -273,10 +313,29 @@ def settle(
     nothing = jnp.zeros(count)
     borne = problem.couplings.tension(start)
     state = State(
-        start, borne, start, borne, zero, zero + 1, none, nothing, zero, none, none
+        now=start,
+        borne=borne,
+        done=start,
+        done_borne=borne,
+        fraction=zero,
+        stride=zero + 1,
+        tries=none,
+        changes=nothing,
+        scale=zero,
+        first=zero,
+        last=zero,
+        contraction=zero,
+        steps=none,
+        status=none,
     )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
     return Settled(state.done, state.fraction, state.steps, state.status)
+
+
+def _units(couplings: Couplings) -> Float[Array, "3"]:
+    """The units of a body's displacement: 1 rad, and the length of a lever; rad, m, m."""
+    lever = jnp.where(couplings.lever > 0, couplings.lever, 1.0)
+    return jnp.stack([jnp.ones_like(lever), lever, lever])
 
 
 @jax.custom_jvp

@@ -2,17 +2,17 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, cast, TYPE_CHECKING
+from typing import Any, cast, NamedTuple, TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._checks import all_known, find, known, row, uncompilable
 from .._trees import undifferentiated
-from .._types import Poses
+from .._types import Poses, Scalar
 from ..boundary import Drive, driven
 from ..joints import Joined
 from ..mechanism import Mechanism
@@ -26,8 +26,10 @@ from .system import State, System
 if TYPE_CHECKING:
     from .motion import Motion
 
-# In parts of the mechanism's length, and of its speed
+# Violations of the constraints that are taken for rounding errors: of displacements, in
+# rad and in lengths of the mechanism, and of velocities, as a share of the velocities.
 _EXACT = 1e-9
+_ALONG = 1e-6
 
 
 def times(given: ArrayLike | Sequence[ArrayLike]) -> Float[Array, " times"]:
@@ -116,6 +118,29 @@ def velocities(
     return jnp.stack(rows)
 
 
+class Beginning(NamedTuple):
+    """The initial value problem of a motion.
+
+    Of a motion that cannot begin, the state is zero and the times are equal: no solver
+    takes a step, so that it delays no other motion of its batch.
+
+    Args:
+        system: equations of motion.
+        state: at the first time.
+        times: at which the motion is reported; s.
+        step: length of the first step; s.
+        tolerance: of a step's error.
+        result: `successful`, or why the motion cannot begin.
+    """
+
+    system: System
+    state: State
+    times: Float[Array, " times"]
+    step: Scalar
+    tolerance: Scalar
+    result: RESULTS
+
+
 def begin(
     mechanism: Mechanism,
     times: Float[Array, " times"],
@@ -126,13 +151,27 @@ def begin(
     given: Poses | None,
     energies: bool,
     places: Places,
-) -> tuple[System, State, Array, RESULTS]:
-    """The equations of a motion, its first state and step, and whether it can begin.
+    tolerance: Scalar,
+    step: Scalar | None,
+    needs_rates: bool,
+) -> Beginning:
+    """Set up the equations of a motion and check that it can begin.
 
-    A state that cannot begin is NaN, at which every solver stops.
+    Args:
+        mechanism: its bodies and hinges.
+        times: at which the motion is reported; s.
+        loads: on its bodies, or a function of time.
+        drives: of its coordinates, or a function of time.
+        joints: its constraints.
+        moved: displacements at the start; rad, m, m.
+        given: velocities at the start, if any; rad/s, m/s, m/s.
+        energies: whether work and dissipation are integrated too.
+        places: of the free and of the driven coordinates.
+        tolerance: of a step's error.
+        step: length of all steps, if it is constant; s.
+        needs_rates: whether accelerations at the start are checked here, because the
+            solver does not do it.
     """
-    arms = jax.lax.stop_gradient(mechanism.couplings.arms)
-    length = jnp.sqrt(jnp.mean(jnp.sum(arms**2, axis=-1)))
     inertia = mechanism.inertia().reshape(-1)
     system = System(
         mechanism=mechanism,
@@ -140,46 +179,71 @@ def begin(
         drives=drives,
         joined=joints,
         inertia=jnp.where(jnp.isinf(inertia), 0.0, inertia),
-        length=_finite(length),
+        length=jnp.ones(()),
         period=jnp.ones(()),
         still=moved.reshape(-1),
         places=places,
     )
     place = moved.reshape(-1)[system.free]
-    period, first = _periods(system, moved, times[-1] - times[0])
-    system = eqx.tree_at(lambda system: system.period, system, period)
+    length, period, first = _scales(system, moved, times[-1] - times[0])
+    system = eqx.tree_at(
+        lambda system: (system.length, system.period), system, (length, period)
+    )
     rate = jnp.zeros_like(place)
     if given is not None:
         rate = given.reshape(-1)[system.free]
 
-    result = RESULTS.successful
-    checks = [(jnp.all(jnp.diff(times) > 0), RESULTS.times_not_increasing)]
+    settings = [tolerance] if step is None else [tolerance, step]
+    positive = jnp.all(jnp.stack([setting > 0 for setting in settings]))
+    checks = [
+        (_all_finite(times, place, rate, *settings) & positive, RESULTS.not_finite),
+        (~jnp.any(jnp.diff(times) <= 0), RESULTS.times_not_increasing),
+    ]
     where, _, _ = system.driving(times[0])
     apart = jnp.abs(where - moved.reshape(-1)[np.array(places.driven, int)])
     unit = jnp.where(np.array(places.driven, int) % 3 == 0, 1.0, system.length)
-    # NaN is told as not finite
     checks.append((~jnp.any(apart > _EXACT * unit), RESULTS.drive_jumps))
     checks.append((~_gives_energy(mechanism), RESULTS.damping_gives_energy))
     if joints.size:
-        consistent, rate = _consistent(system, times[0], place, rate, given is not None)
+        consistent, place, rate = _consistent(
+            system, times[0], place, rate, given is not None
+        )
         checks.append((consistent, RESULTS.constraints_at_odds))
+    values = [where, place, rate]
+    if needs_rates:
+        values.append(system.instant(times[0], place, rate).acceleration)
+    # what a drive or a constraint has brought in
+    checks.append((_all_finite(*values), RESULTS.not_finite))
+    result = RESULTS.successful
     for fine, item in reversed(checks):
         result = RESULTS.where(fine, result, item)
+    can = result == RESULTS.successful
     works = jnp.zeros(3 if energies else 0)
-    state = State(place, rate, works)
-    fine = result == RESULTS.successful
-    return (
-        system,
-        jax.tree.map(lambda x: jnp.where(fine, x, jnp.nan), state),
-        first,
-        result,
+    return Beginning(
+        system=system,
+        state=State(jnp.where(can, place, 0.0), jnp.where(can, rate, 0.0), works),
+        times=jnp.where(can, times, 0.0),
+        step=jnp.where(can, first if step is None else step, 1.0),
+        tolerance=jnp.where(can, tolerance, 1.0),
+        result=result,
     )
 
 
-def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array]:
-    """Those of the slowest vibration and of the fastest, over two pi, or nearly; s.
+def _scales(
+    system: System, moved: Poses, longest: Array
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Scales of a motion, by which errors and the first step are measured.
 
-    By the sums of the squares of all periods, and of all frequencies, which they lead.
+    Args:
+        system: equations of motion.
+        moved: displacements at the start; rad, m, m.
+        longest: how long the motion lasts; s.
+
+    Returns:
+        The length of a lever: of the hinges' distances from the bodies' origins, or,
+        where these are zero, of the rotational against the translational stiffness; m.
+        Nearly the periods of the slowest and of the fastest vibration, over two pi, by
+        the sums of the squares of all periods and frequencies; s.
     """
     system, moved, longest = undifferentiated((system, moved, longest))
     # the function of a step's tangent, so that it is traced once
@@ -189,12 +253,22 @@ def _periods(system: System, moved: Poses, longest: Array) -> tuple[Array, Array
     stiffness = couplings.tangent_in_motion(
         moved, still, system.places.free, stretches
     ).stiffness
+    diagonal = jnp.diagonal(stiffness)
+    turns = system.free % 3 == 0
+    turning, shifting = (jnp.sum(jnp.where(k, diagonal, 0.0)) for k in (turns, ~turns))
+    lever = couplings.lever
+    length = jnp.where(lever > 0, lever, jnp.sqrt(turning / shifting))
     slowest = jnp.sum(jnp.diagonal(inverse(stiffness)) * mass)
-    fastest = jnp.sum(jnp.diagonal(stiffness) / mass)
+    fastest = jnp.sum(diagonal / mass)
     # where nothing holds a body, no period but that of the motion itself
     slowest = jnp.where((slowest > 0) & (slowest < longest**2), slowest, longest**2)
     fastest = jnp.where(fastest > 1 / longest**2, fastest, 1 / longest**2)
-    return _finite(jnp.sqrt(slowest)), _finite(1 / jnp.sqrt(fastest))
+    periods = jnp.sqrt(slowest), 1 / jnp.sqrt(fastest)
+    return _finite(length), _finite(periods[0]), _finite(periods[1])
+
+
+def _all_finite(*values: Array) -> Bool[Array, ""]:
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(value)) for value in values]))
 
 
 def _finite(value: Array) -> Array:
@@ -220,26 +294,45 @@ def _gives_energy(mechanism: Mechanism) -> Array:
 
 
 def _consistent(
-    system: System, time: Array, place: Array, rate: Array, told: bool
-) -> tuple[Array, Array]:
-    """Whether the constraints allow the start, and a rate that they allow.
+    system: System, time: Array, place: Array, rate: Array, given: bool
+) -> tuple[Array, Array, Array]:
+    """Check the start against the constraints, and project it onto them.
 
-    A rate that was told must be allowed itself; that which was not is the least.
+    Each entry of the violation is divided by its largest change when the mechanism moves
+    by one of its own lengths or turns by 1 rad, so that no unit matters. Velocities that
+    are given must be allowed themselves; others are projected.
+
+    Args:
+        system: equations of motion.
+        time: s.
+        place: displacements of the free coordinates; rad, m.
+        rate: of the displacements; rad/s, m/s.
+        given: whether the velocities were given.
+
+    Returns:
+        Whether the start is allowed; the nearest allowed displacements; and the nearest
+        allowed velocities.
     """
     normals = system.normals(time, place)
     violation = system.violation(time, place)
-    allowed = system.project(time, place, rate)[1]
-    scaled = normals * jnp.where(system.free % 3 == 0, 1.0, system.length)[None]
-    scaled = scaled / jnp.linalg.norm(scaled, axis=1, keepdims=True)
-    largest = jnp.max(jnp.abs(inverse(scaled @ scaled.T)))
+    nearest, allowed = system.project(time, place, rate)
+    unit = jnp.where(system.free % 3 == 0, 1.0, system.length)
+    scaled = normals * unit[None]
+    size = jnp.linalg.norm(scaled, axis=1, keepdims=True)
+    largest = jnp.max(jnp.abs(inverse((scaled / size) @ (scaled / size).T)))
     apart = (largest < 1e12) & (normals.shape[0] <= normals.shape[1])
-    met = jnp.max(jnp.abs(violation)) <= _EXACT * (1 + system.length)
-    if told:
-        speed = 1 + jnp.max(jnp.abs(rate))
-        met &= jnp.max(jnp.abs(allowed - rate)) <= 1e-6 * speed
-    # what is not finite is told as such
+    met = jnp.max(jnp.abs(violation) / size[:, 0]) <= _EXACT
+    if given:
+        across = jnp.linalg.norm((allowed - rate) / unit)
+        met &= across <= _ALONG * jnp.linalg.norm(rate / unit)
+    # what is not finite is reported as such
     seen = jnp.all(jnp.isfinite(normals)) & jnp.all(jnp.isfinite(violation))
-    return (met & apart) | ~seen, allowed
+    return (met & apart) | ~seen, nearest, allowed
+
+
+def _length(mechanism: Mechanism) -> float:
+    """The length of a lever, where values can be seen; see `_scales`."""
+    return float(mechanism.couplings.lever) or 1.0
 
 
 def _given(drives: Any, now: Array) -> Sequence[Drive]:
@@ -256,10 +349,10 @@ def refuse(
     places, targets = driven(mechanism, given)
     if all_known(targets) is None:
         return
-    unit = np.sqrt(np.mean(np.sum(np.square(mechanism.couplings.arms), axis=-1)))
+    unit = _length(mechanism)
     for place, target in zip(places, targets, strict=True):
         apart = abs(float(target) - float(moved.reshape(-1)[place]))
-        if apart > _EXACT * (1.0 if place % 3 == 0 else unit or 1.0):
+        if apart > _EXACT * (1.0 if place % 3 == 0 else unit):
             words = _jumps(mechanism, drives, moved, now)
             raise ValueError(f"{meaning('drive_jumps')} {words}")
     seen = np.isfinite(np.asarray(joints.violation(moved, now))) if joints.size else ()
@@ -317,8 +410,10 @@ def _at_odds(
     normals = np.asarray(
         jax.jacrev(lambda moved: joints.violation(moved, now))(moved)
     ).reshape(violation.size, -1)[:, list(free)]
-    size = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(size > 0, size, 1.0)
+    normals = normals * np.where(np.array(free) % 3 == 0, 1.0, _length(mechanism))
+    size = np.linalg.norm(normals, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    normals, share = normals / size[:, None], np.abs(violation) / size
     owners = joints.owners()
     words = []
     for name in dict.fromkeys(owners):
@@ -326,8 +421,8 @@ def _at_odds(
         before = own[0]
         rank = np.linalg.matrix_rank(normals[:before], 1e-9) if before else 0
         gained = np.linalg.matrix_rank(normals[: own[-1] + 1], 1e-9) - rank
-        worst = np.abs(violation[own]).max()
-        if gained < len(own) and worst > _EXACT:
+        worst, violated = np.abs(violation[own]).max(), share[own].max() > _EXACT
+        if gained < len(own) and violated:
             words.append(
                 f"{name!r} contradicts those before it: it leaves {worst:.3g} that "
                 "nothing can mend."
@@ -338,7 +433,7 @@ def _at_odds(
                 "follow from those before it and from what is held or driven. Leave it "
                 "out."
             )
-        elif worst > _EXACT:
+        elif violated:
             words.append(f"{name!r} is violated by {worst:.3g} at the start.")
     return " ".join(words) or "The velocities at the start are against them."
 

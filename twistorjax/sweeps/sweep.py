@@ -134,6 +134,7 @@ def sweep(
     except jax.errors.JAXTypeError as error:
         raise uncompilable("study", "about the design", error) from error
     layout = Layout(lanes, program.told, dict(units or {}))
+    program.fit()
     if store is None:
         kept = layout.empty()
         for number, told in _shown(program, lanes, range(program.count(lanes)), progress):

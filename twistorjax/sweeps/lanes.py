@@ -1,6 +1,7 @@
 """The designs of a sweep, a lane each."""
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -83,7 +84,8 @@ class Lanes:
             entry for each design along its first axis.
 
     Raises:
-        ValueError: there is no array, or they are of different lengths.
+        ValueError: there is no array; they are of different lengths, or too many to be
+            numbered.
     """
 
     kind: Kind
@@ -97,6 +99,12 @@ class Lanes:
             self.dims = tuple(designs.values)
             self.arrays = list(designs.values.values())
             self.shape = tuple(row.size for row in self.arrays)
+            if (count := math.prod(self.shape)) > sys.maxsize:
+                raise ValueError(
+                    f"`designs` is a grid of {count:.3g} designs, but at most "
+                    f"{sys.maxsize:.3g} can be numbered. Use fewer values, or split "
+                    "them into several sweeps."
+                )
             # of a mapping, whose leaves JAX puts in the order of their names
             order = tuple(self.dims.index(name) for name in sorted(self.dims))
             tree = jax.tree.structure(designs.values)

@@ -1,5 +1,6 @@
 """How a sweep's numbers become one dataset."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
@@ -99,6 +100,18 @@ class Layout:
             name: np.empty(column.values.shape, column.values.dtype)
             for name, column in self.by_design.items()
         }
+
+    def size(self, answers: bool) -> int:
+        """Size of the arrays of the table; bytes.
+
+        Args:
+            answers: Whether answers are counted, or parameters alone.
+        """
+        columns = self.fixed | (self.by_design if answers else {})
+        return sum(
+            math.prod(column.values.shape) * np.dtype(column.values.dtype).itemsize
+            for column in columns.values()
+        )
 
     @property
     def grid(self) -> tuple[str, ...]:

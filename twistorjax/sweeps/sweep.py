@@ -19,6 +19,7 @@ from ..solve.tables import Column, dataset, need_xarray
 from .engine import chunk_of, Program
 from .lanes import Lanes
 from .layout import finished, Layout, OUTCOMES, UNKNOWN
+from .machine import LEAST, need_memory, too_large
 from .store import Store
 from .telling import Told
 
@@ -81,7 +82,8 @@ def sweep(
         ImportError: xarray is not installed, or zarr, for a store.
         ValueError: the designs are of different lengths; a name is not known, or used
             twice; an answer is no number; the store is another sweep's, or is there and
-            not to be resumed; the chunk does not fit the memory.
+            not to be resumed; the chunk does not fit the memory; the table does not fit
+            the memory of the machine.
         RuntimeError: a solve within the study raised, for want of `throw=False`.
 
     Example:
@@ -118,6 +120,10 @@ def sweep(
     there = None
     if store is not None and Path(store).exists():
         there = Store(store, mode="r")  # refused where it is none
+    # the answers in a store are read as they are used, unless they become a grid
+    held = store is None or lanes.dims != ("design",)
+    parameters = sum(array.nbytes for array in lanes.arrays)
+    need_memory(len(lanes), parameters + (LEAST * len(lanes) if held else 0))
     _together("looked")  # before the first of them makes it
     if there is not None and not resume:
         raise ValueError(
@@ -134,9 +140,14 @@ def sweep(
     except jax.errors.JAXTypeError as error:
         raise uncompilable("study", "about the design", error) from error
     layout = Layout(lanes, program.told, dict(units or {}))
+    needed = layout.size(answers=held)
+    need_memory(len(lanes), needed)
     program.fit()
     if store is None:
-        kept = layout.empty()
+        try:
+            kept = layout.empty()
+        except MemoryError:
+            raise too_large(len(lanes), needed) from None
         for number, told in _shown(program, lanes, range(program.count(lanes)), progress):
             first = number * program.chunk
             for name, values in layout.values(told).items():

@@ -287,6 +287,33 @@ def test_sweep_goes_on_where_it_was(run):
     is_one_clear_line(run(*ask, "--out", "empty"), "'empty' is no store of a sweep")
 
 
+def test_a_store_that_cannot_be_used_is_one_line(run):
+    """A damaged one, and a place that takes no files, whoever asks."""
+    sums = run.folder / "damaged" / "finished" / "sums"
+    sums.mkdir(parents=True)
+    (sums / "manifest.json").write_text("{}")
+    for place, message in (
+        ("damaged", "The store 'damaged' is damaged: its file 'finished/sums/manifest"),
+        ("/proc/s.zarr", "The store '/proc/s.zarr' cannot be written: "),
+    ):
+        done = run("sweep", "stage", "--web", "0.3e-3", "--out", place)
+        assert done.returncode == 1 and done.stdout == ""
+        assert done.stderr.startswith(f"twistorjax: {message}")
+        assert done.stderr.count("\n") == 1
+
+
+def test_a_damaged_store_is_swept_again_where_it_must(run):
+    ask = ("sweep", "stage", "--web", "0.3e-3:0.4e-3:6", "--chunk", "3", "--json")
+    first = run(*ask, "--out", "torn.zarr")
+    for damaged in ("finished/sums/c/1", "web/c/0"):
+        file = run.folder / "torn.zarr" / damaged
+        file.write_bytes(bytes(3))
+        again = run(*ask, "--out", "torn.zarr", "--resume")
+        assert (again.returncode, again.stderr) == (0, "")
+        assert again.stdout == first.stdout
+        assert len(file.read_bytes()) > 3
+
+
 def test_a_sweep_without_any_answer_fails_and_says_why(told):
     done = told("sweep", "stage", "--web", "2e-3:3e-3:5")
     assert done.returncode == 1

@@ -155,8 +155,15 @@ def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
     except ImportError as error:
         raise Refused(str(error)) from None
     except ValueError as error:
-        text = str(error).replace("`store`", "--out").replace("`resume=True`", "--resume")
-        raise Refused(text) from None
+        raise Refused(_as_options(str(error))) from None
+    except OSError as error:
+        text = str(error) if error.filename else error.strerror or str(error)
+        raise Failed(_as_options(text)) from None
+
+
+def _as_options(message: str) -> str:
+    """A message of the library, with options in place of arguments."""
+    return message.replace("`store`", "--out").replace("`resume=True`", "--resume")
 
 
 def _tell(asked: _Asked, table: Any, answers: Sequence[str]) -> None:

@@ -57,20 +57,21 @@ class Program:
         self.kind, self.mesh, self.memory = kind, mesh, memory
         self._tell, self._side = telling(study, kind, derivatives), _SIDE
         self._compiled: Any = None
-        while True:
-            self.chunk = chunk
-            lowered = jax.jit(self._all).lower(self._arguments(chunk))
-            text = lowered.as_text()
-            if (side := _unshared(text)) < self._side:
-                self._side = side
-                continue
-            self.told: Told = jax.tree.map(_shape, lowered.out_info)
-            self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
-            self._lowered = lowered
-            # of a fixed one only where there is something to do
-            if fixed or (needed := self._compile()) <= memory or chunk == 1:
-                break
-            chunk = max(1, int(0.9 * chunk * memory / needed))
+        self._fixed, self.chunk = fixed, chunk
+        self._lower()
+
+    def fit(self) -> None:
+        """Make the chunk as small as the memory asks, unless it must stay as it is.
+
+        This compiles the program. A program with a fixed chunk is compiled when it is
+        run, if there is something to do.
+        """
+        while not self._fixed:
+            needed = self._compile()
+            self._fixed = needed <= self.memory or self.chunk == 1
+            if not self._fixed:
+                self.chunk = max(1, int(0.9 * self.chunk * self.memory / needed))
+                self._lower()
 
     @property
     def devices(self) -> int:
@@ -87,6 +88,18 @@ class Program:
     def count(self, lanes: Lanes) -> int:
         """How many chunks some designs are."""
         return -(-len(lanes) // self.chunk)
+
+    def _lower(self) -> None:
+        """Trace the program for the chunk as it is, which tells what it returns."""
+        while True:
+            lowered = jax.jit(self._all).lower(self._arguments(self.chunk))
+            text = lowered.as_text()
+            if (side := _unshared(text)) >= self._side:
+                break
+            self._side = side
+        self.told: Told = jax.tree.map(_shape, lowered.out_info)
+        self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
+        self._lowered = lowered
 
     def _compile(self) -> int:
         """Makes the program ready, and tells what it takes on a device; bytes."""

@@ -1,6 +1,7 @@
 """The designs of a sweep, a lane each."""
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Num
 
 from .._trees import path_name
+from .names import check_parameters
 
 
 class Grid:
@@ -20,7 +22,8 @@ class Grid:
             fastest.
 
     Raises:
-        ValueError: there is no parameter, or one has no row of numbers.
+        ValueError: there is no parameter, or one has no row of numbers, or its name
+            cannot be that of a parameter.
 
     Example:
         >>> Grid({"length": [5e-3, 10e-3], "thickness": [0.2e-3, 0.4e-3, 0.6e-3]})
@@ -36,6 +39,7 @@ class Grid:
         self.values = {name: _floats(np.asarray(row)) for name, row in values.items()}
         if not self.values:
             raise ValueError("`values` is empty, but a grid needs a parameter.")
+        check_parameters(tuple(self.values))
         for name, row in self.values.items():
             if row.ndim != 1 or not row.size or not np.issubdtype(row.dtype, np.number):
                 raise ValueError(
@@ -83,7 +87,8 @@ class Lanes:
             entry for each design along its first axis.
 
     Raises:
-        ValueError: there is no array, or they are of different lengths.
+        ValueError: there is no array; they are of different lengths, or too many to be
+            numbered; a name cannot be that of a parameter.
     """
 
     kind: Kind
@@ -97,6 +102,12 @@ class Lanes:
             self.dims = tuple(designs.values)
             self.arrays = list(designs.values.values())
             self.shape = tuple(row.size for row in self.arrays)
+            if (count := math.prod(self.shape)) > sys.maxsize:
+                raise ValueError(
+                    f"`designs` is a grid of {count:.3g} designs, but at most "
+                    f"{sys.maxsize:.3g} can be numbered. Use fewer values, or split "
+                    "them into several sweeps."
+                )
             # of a mapping, whose leaves JAX puts in the order of their names
             order = tuple(self.dims.index(name) for name in sorted(self.dims))
             tree = jax.tree.structure(designs.values)
@@ -119,6 +130,7 @@ class Lanes:
                 )
             names.append(name)
             self.arrays.append(array)
+        check_parameters(names)
         lengths = dict(zip(names, map(len, self.arrays), strict=True))
         if len(set(lengths.values())) != 1 or 0 in lengths.values():
             told = ", ".join(f"{count} of {name}" for name, count in lengths.items())

@@ -1,5 +1,6 @@
 """How a sweep's numbers become one dataset."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
@@ -9,15 +10,13 @@ import numpy as np
 from ..solve.results import NAMES
 from ..solve.tables import Column, Columns
 from .lanes import Lanes
+from .names import check_columns, check_storable, places_of
 from .telling import Told
 
 
 if TYPE_CHECKING:
     import xarray
 
-
-# of a column that holds the places along its own axis, as long as it is told by design
-_PLACES = "_places"
 
 # of a design that nothing is known of yet
 UNKNOWN = -1
@@ -45,16 +44,11 @@ class Layout:
 
     def __init__(self, lanes: Lanes, told: Told, units: Mapping[str, str]):
         self.lanes = lanes
-        own = {
-            f"{n}{_PLACES}" if c.axes == (n,) else n: c for n, c in told.columns.items()
-        }
+        self.places = places_of(lanes.names, told.columns)
+        kept = {axis: name for name, axis in self.places.items()}
+        own = {kept.get(name, name): column for name, column in told.columns.items()}
         self._names = tuple(own)
-        taken = {"succeeded", "result", "design", *lanes.names, *lanes.dims}
-        if twice := sorted(taken & {*own}):
-            raise ValueError(
-                f"{twice[0]!r} is what the study answers, but that name is taken: by a "
-                "parameter, or by what a table always has. Call it something else."
-            )
+        check_columns(lanes.names, self.grid, told.columns)
         own |= {"succeeded": Column(told.succeeded), "result": Column(told.result)}
         for name, unit in units.items():
             if name in own and own[name].unit not in ("", unit):
@@ -84,6 +78,16 @@ class Layout:
         }
         self._check_axes()
 
+    def check_storable(self) -> None:
+        """Refuse names that a store cannot keep.
+
+        Raises:
+            ValueError: There is one; the message names it.
+        """
+        columns = (self.fixed | self.by_design).values()
+        labelled = [axis for column in columns for axis, _ in column.labels]
+        check_storable((*self.fixed, *self.by_design, *self.places.values(), *labelled))
+
     def values(self, told: Told) -> dict[str, np.ndarray]:
         """The numbers of one chunk, by name."""
         columns = zip(self._names, told.columns.values(), strict=True)
@@ -99,6 +103,18 @@ class Layout:
             name: np.empty(column.values.shape, column.values.dtype)
             for name, column in self.by_design.items()
         }
+
+    def size(self, answers: bool) -> int:
+        """Size of the arrays of the table; bytes.
+
+        Args:
+            answers: Whether answers are counted, or parameters alone.
+        """
+        columns = self.fixed | (self.by_design if answers else {})
+        return sum(
+            math.prod(column.values.shape) * np.dtype(column.values.dtype).itemsize
+            for column in columns.values()
+        )
 
     @property
     def grid(self) -> tuple[str, ...]:
@@ -130,21 +146,24 @@ class Layout:
                     )
 
 
-def finished(table: "xarray.Dataset", grid: Sequence[str]) -> "xarray.Dataset":
+def finished(
+    table: "xarray.Dataset", grid: Sequence[str], named_places: Mapping[str, str]
+) -> "xarray.Dataset":
     """The table of a sweep, from one that has all designs in a row.
 
     Args:
         table: over `design`.
         grid: parameters of which the designs are all combinations; none where they are
             no grid.
+        named_places: The names of axes, by the names of their values for each design.
     """
-    for name in map(str, table.data_vars):
-        if not name.endswith(_PLACES):
+    for name, plain in named_places.items():
+        known = np.asarray(table["result"]) != UNKNOWN
+        places = table[name] if known.all() else table[name][known]
+        if not known.any():
             continue
-        places = table[name]
         one = places[0].drop_vars(places.coords)
         if np.array_equal(places, np.broadcast_to(one, places.shape), equal_nan=True):
-            plain = name.removesuffix(_PLACES)
             table = table.drop_vars(name).assign_coords({plain: one})
     if grid:
         shape = [table.sizes[name] for name in grid]

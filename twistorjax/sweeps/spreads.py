@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import known, one_of
 from .._trees import entry_names, path_name
+from .machine import need_memory
 
 
 _RARE = 2.0**-53
@@ -247,6 +248,7 @@ class Spreads:
         one_of("`method`", method, get_args(Method))
         if not isinstance(count, int | np.integer) or count < 1:
             raise ValueError(f"`count` is {count!r}, but must be a whole number from 1.")
+        need_memory(count, 8 * count * len(self.names))
         from scipy.special import ndtr, ndtri
         from scipy.stats import qmc
 

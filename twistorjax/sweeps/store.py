@@ -1,11 +1,8 @@
-"""What a sweep has found so far, in files that survive its end at any moment."""
+"""Stores: what a sweep has found so far, in files that survive its end at any moment."""
 
 import contextlib
-import glob
 import hashlib
-import os
-import shutil
-import uuid
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -14,102 +11,99 @@ import numpy as np
 from jaxtyping import Bool
 
 from .._checks import package
-from .layout import Layout, OUTCOMES, UNKNOWN
+from .store_creation import FORMAT, nothing
+from .store_files import clear_errors, damage, damaged_files, MANIFEST, read_manifest
 
 
-# of a chunk: of what its files hold
-_SUMS = "finished"
-_FORMAT = 1
+# a file is written within seconds, so an older part of one is of a killed process; s
+_ABANDONED_AFTER = 3600.0
 
 
 class Store:
     """A folder of compressed arrays, in zarr's format, written chunk by chunk.
 
-    A chunk counts as finished once the sum of its arrays is written, after all of these;
-    each file is replaced as a whole. So a process may be killed anywhere.
+    A chunk counts as finished once the checksum of its numbers has been written, after
+    all of these; each file is replaced as a whole. So a process may be killed at any
+    moment, and several processes may write the same chunks.
 
     Args:
-        path: of the folder.
-        mode: whether it is only read, or written to as well.
+        path: Folder of the store. Only its manifest is read, until `open` is called.
+
+    Raises:
+        ImportError: zarr is not installed.
+        FileNotFoundError: The folder does not exist.
+        ValueError: The folder is not a store of a sweep.
+        OSError: The manifest cannot be read, or is damaged.
     """
 
-    def __init__(self, path: str | Path, mode: Literal["r", "r+"] = "r+"):
-        self.path, zarr = Path(path), _zarr()
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        package("zarr", "Stores", "data")
         if not self.path.exists():
             raise FileNotFoundError(f"There is no store {str(path)!r}.")
-        told: Any = None
-        group: Any = None
-        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-            group = zarr.open_group(self.path, mode=mode)
-            told = group.attrs.get("sweep")
-        if told is None or told["format"] != _FORMAT:
+        manifest = read_manifest(self.path)
+        if manifest is None or manifest.get("format") != FORMAT:
+            lacks = (
+                f"it has no file {MANIFEST.as_posix()!r}"
+                if manifest is None
+                else "another version of this library wrote it"
+            )
             raise ValueError(
-                f"{str(path)!r} is no store of a sweep, or of another version of them. "
-                "Give another path."
+                f"{str(path)!r} is no store of a sweep: {lacks}. Give another path."
             )
-        self.made_by: dict[str, Any] = told["made_by"]
-        self.grid = tuple(told["grid"])
-        self._sums = group[f"{_SUMS}/sums"]
-        self.names = tuple(told["by_design"])
-        self._arrays: dict[str, Any] = {name: group[name] for name in self.names}
+        self.made_by: dict[str, Any] = manifest["made_by"]
+        self.grid = tuple(manifest["grid"])
+        self.names = tuple(manifest["answers"])
+        self.places: dict[str, str] = manifest["places"]
+        self._digests: dict[str, str] = manifest["files"]
+        self._arrays: dict[str, Any] = {}
+        self._sums: Any = None
 
-    @classmethod
-    def create(
-        cls, path: str | Path, made_by: Mapping[str, Any], layout: Layout, chunk: int
-    ) -> None:
-        """Makes a new one, which is there as a whole or not at all.
-
-        Args:
-            path: of the folder, which must not be there.
-            made_by: what another sweep is told apart by.
-            layout: what will be in it.
-            chunk: how many designs a chunk has.
-        """
-        path, zarr = Path(path), _zarr()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        for left in path.parent.glob(f".{glob.escape(path.name)}.{8 * '[0-9a-f]'}"):
-            shutil.rmtree(left)  # by a process that was killed here
-        made = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
-        group = zarr.open_group(made, mode="w")
-        labels = {}
-        for name, column in (layout.fixed | layout.by_design).items():
-            labels.update(column.labels)
-            told = {"units": column.unit} if column.unit else {}
-            attributes = told | OUTCOMES.get(name, {})
-            known = {"dimension_names": column.axes, "attributes": attributes}
-            if name in layout.fixed:
-                group.create_array(name, data=np.asarray(column.values), **known)
-                continue
-            shape, kind = column.values.shape, np.dtype(column.values.dtype)
-            group.create_array(
-                name,
-                shape=shape,
-                chunks=(min(chunk, shape[0]), *(max(1, size) for size in shape[1:])),
-                dtype=kind,
-                fill_value=_nothing(name, kind),
-                **known,
-            )
-        for axis, names in labels.items():
-            words = np.array(names, dtype=np.dtypes.StringDType())
-            group.create_array(axis, data=words, dimension_names=(axis,))
-        count = len(layout.lanes)
-        group.create_group(_SUMS).create_array(
-            "sums", shape=(-(-count // chunk),), chunks=(1,), dtype="uint64", fill_value=0
-        )
-        told = {"made_by": dict(made_by), "grid": list(layout.grid), "format": _FORMAT}
-        told["by_design"] = list(layout.by_design)
-        group.attrs.update({**made_by, **layout.attributes, "sweep": told})
-        os.rename(made, path)
-
-    def check(self, made_by: Mapping[str, Any]) -> None:
-        """Refuses to be continued by another sweep.
+    def damaged_files(self) -> list[str]:
+        """List the damaged files of coordinates, labels and metadata.
 
         Raises:
-            ValueError: it was made by one; the text says what differs.
+            OSError: A file cannot be read.
+        """
+        return damaged_files(self.path, self._digests)
+
+    def open(self, mode: Literal["r", "r+"] = "r+") -> "Store":
+        """Verify coordinates, labels and metadata, and open the arrays of the answers.
+
+        Args:
+            mode: "r" to read only, "r+" to write as well.
+
+        Returns:
+            This store.
+
+        Raises:
+            OSError: A file is damaged or cannot be read.
+        """
+        if damaged := self.damaged_files():
+            remedy = (
+                "Repeat the sweep with `resume=True`, which writes it again, or delete "
+                "the store."
+            )
+            raise damage(self.path, f"its file {damaged[0]!r}", remedy)
+        with clear_errors(self.path, "read"):
+            zarr = package("zarr", "Stores", "data")
+            group = zarr.open_group(self.path, mode=mode)
+            self._sums = group["finished/sums"]
+            self._arrays = {name: group[name] for name in self.names}
+        return self
+
+    def check(self, made_by: Mapping[str, Any]) -> None:
+        """Refuse to be continued by another sweep.
+
+        Args:
+            made_by: What identifies the sweep that is to continue this one.
+
+        Raises:
+            ValueError: Another sweep made the store; the message says what differs.
         """
         words = [
             f"{name} ({was} then, {made_by.get(name)} now)"
-            if not _is_sum(was)
+            if not _is_digest(was)
             else f"the {name}"
             for name, was in self.made_by.items()
             if made_by.get(name) != was
@@ -121,71 +115,97 @@ class Store:
             )
 
     def clear(self) -> None:
-        """Removes files that were not written to their end."""
+        """Remove parts of files of processes that were killed while they wrote them.
+
+        A recent part may belong to a process that is writing it now, and stays.
+        """
         for path in self.path.rglob("*.partial"):
-            path.unlink()
+            with contextlib.suppress(OSError):
+                if path.is_file() and (
+                    time.time() - path.stat().st_mtime > _ABANDONED_AFTER
+                ):
+                    path.unlink()
 
     def known(self, name: str, chunks: Bool[np.ndarray, " chunks"]) -> np.ndarray:
-        """The numbers of some name, with nothing in the chunks that are not known."""
+        """Read an answer of all designs.
+
+        Args:
+            name: Name of the answer.
+            chunks: Whether each chunk is read; the others are filled with the value of
+                what has not been computed.
+        """
         array, parts = self._arrays[name], []
         for chunk, known in enumerate(chunks):
             rows = self._rows(chunk)
             shape = (rows.stop - rows.start, *array.shape[1:])
-            nothing = np.full(shape, _nothing(name, array.dtype), array.dtype)
-            parts.append(np.asarray(array[rows]) if known else nothing)
+            empty = np.full(shape, nothing(name, array.dtype), array.dtype)
+            with clear_errors(self.path, "read"):
+                parts.append(np.asarray(array[rows]) if known else empty)
         return np.concatenate(parts)
 
     def written(self) -> np.ndarray:
-        """Whether each chunk has been written, whole or not."""
-        return np.asarray(self._sums[:]) != 0
+        """Whether each chunk has been written, damaged or not."""
+        return self._read_sums() != 0
 
     def finished(self) -> np.ndarray:
-        """Whether each chunk is there and whole."""
-        sums = np.asarray(self._sums[:])
+        """Whether each chunk has been written and holds what was computed."""
+        sums = self._read_sums()
         return np.array(
-            [told != 0 and told == self._seen(k) for k, told in enumerate(sums)]
+            [kept != 0 and kept == self._seen(k) for k, kept in enumerate(sums)]
         )
 
     def write(self, chunk: int, values: Mapping[str, np.ndarray]) -> None:
-        """Keeps a chunk, and then that it is there."""
+        """Write a chunk, and then its checksum.
+
+        Args:
+            chunk: Number of the chunk.
+            values: The answers of its designs, by name.
+
+        Raises:
+            OSError: The store cannot be written.
+        """
         rows = self._rows(chunk)
         count = rows.stop - rows.start
         kept = {name: np.ascontiguousarray(part[:count]) for name, part in values.items()}
-        for name, array in self._arrays.items():
-            array[rows] = kept[name]
-        self._sums[chunk] = _sum(kept)
+        remedy = "Finished chunks are kept; repeat the sweep with `resume=True`."
+        with clear_errors(self.path, "written", remedy):
+            for name, array in self._arrays.items():
+                array[rows] = kept[name]
+            self._sums[chunk] = _checksum(chunk, kept)
 
     def _rows(self, chunk: int) -> slice:
         count = next(iter(self._arrays.values())).shape[0]
         size = self.made_by["chunk"]
         return slice(chunk * size, min((chunk + 1) * size, count))
 
+    def _read_sums(self) -> np.ndarray:
+        """Checksums of the chunks; zero for a chunk whose checksum cannot be read."""
+        # a damaged file raises an error whose type depends on the kind of damage
+        with contextlib.suppress(Exception):
+            return np.asarray(self._sums[:])
+        sums = np.zeros(self._sums.shape, self._sums.dtype)
+        for chunk in range(len(sums)):
+            with contextlib.suppress(Exception):
+                sums[chunk] = self._sums[chunk]
+        return sums
+
     def _seen(self, chunk: int) -> int:
-        """The sum of what the files of a chunk hold; zero where one cannot be read."""
+        """Checksum of what the files of a chunk hold; zero if one cannot be read."""
         rows = self._rows(chunk)
         try:
             kept = {name: np.asarray(a[rows]) for name, a in self._arrays.items()}
-        except Exception:  # of a kind that depends on what is broken, and how
+        except Exception:  # its type depends on the kind of damage
             return 0
-        return _sum(kept)
+        return _checksum(chunk, kept)
 
 
-def _nothing(name: str, kind: np.dtype) -> Any:
-    """What stands where nothing has been computed."""
-    return np.nan if kind.kind in "fc" else UNKNOWN if name == "result" else 0
-
-
-def _sum(values: Mapping[str, np.ndarray]) -> int:
-    digest = hashlib.blake2b(digest_size=8)
+def _checksum(chunk: int, values: Mapping[str, np.ndarray]) -> int:
+    digest = hashlib.blake2b(f"{chunk};".encode(), digest_size=8)
     for name in sorted(values):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(values[name]).tobytes())
-    return int.from_bytes(digest.digest()) | 1
+    return int.from_bytes(digest.digest()) | 1  # zero means not written
 
 
-def _is_sum(value: Any) -> bool:
+def _is_digest(value: Any) -> bool:
     return isinstance(value, str) and len(value) == 64
-
-
-def _zarr() -> Any:
-    return package("zarr", "Stores", "data")

@@ -19,7 +19,11 @@ from ..solve.tables import Column, dataset, need_xarray
 from .engine import chunk_of, Program
 from .lanes import Lanes
 from .layout import finished, Layout, OUTCOMES, UNKNOWN
+from .machine import LEAST, need_memory, too_large
+from .names import check_storable
 from .store import Store
+from .store_creation import create_store, need_writable, rewrite_fixed_files
+from .store_files import clear_errors, damage
 from .telling import Told
 
 
@@ -67,9 +71,11 @@ def sweep(
             Each takes chunks of its own.
         store: a folder, in zarr's format, in which chunks are kept as they are found, so
             that nothing of them is lost when the sweep is ended, however it is. Several
-            processes need one that they share.
+            processes need one that they share. Names in it must be without spaces and
+            slashes.
         resume: whether to go on with a store, from what it has: chunks that are whole
-            are not computed again, and those which are not are.
+            are not computed again. Chunks, coordinates and labels whose files are
+            damaged or missing are written again.
         settings: more to be kept with the table, and, in a store, to know it by.
         progress: whether a bar is shown.
 
@@ -81,7 +87,9 @@ def sweep(
         ImportError: xarray is not installed, or zarr, for a store.
         ValueError: the designs are of different lengths; a name is not known, or used
             twice; an answer is no number; the store is another sweep's, or is there and
-            not to be resumed; the chunk does not fit the memory.
+            not to be resumed; the chunk does not fit the memory; the table does not fit
+            the memory of the machine; a name cannot be kept.
+        OSError: The store cannot be read or written, or its manifest is damaged.
         RuntimeError: a solve within the study raised, for want of `throw=False`.
 
     Example:
@@ -116,8 +124,16 @@ def sweep(
     if resume and store is None:
         raise ValueError("`resume` is given, but no `store` to go on with.")
     there = None
-    if store is not None and Path(store).exists():
-        there = Store(store, mode="r")  # refused where it is none
+    if store is not None:
+        check_storable(lanes.names)
+        if Path(store).exists():
+            there = Store(store)  # refused where it is none
+        else:
+            need_writable(Path(store))
+    # the answers in a store are read as they are used, unless they become a grid
+    held = store is None or lanes.dims != ("design",)
+    parameters = sum(array.nbytes for array in lanes.arrays)
+    need_memory(len(lanes), parameters + (LEAST * len(lanes) if held else 0))
     _together("looked")  # before the first of them makes it
     if there is not None and not resume:
         raise ValueError(
@@ -134,8 +150,16 @@ def sweep(
     except jax.errors.JAXTypeError as error:
         raise uncompilable("study", "about the design", error) from error
     layout = Layout(lanes, program.told, dict(units or {}))
+    if store is not None:
+        layout.check_storable()
+    needed = layout.size(answers=held)
+    need_memory(len(lanes), needed)
+    program.fit()
     if store is None:
-        kept = layout.empty()
+        try:
+            kept = layout.empty()
+        except MemoryError:
+            raise too_large(len(lanes), needed) from None
         for number, told in _shown(program, lanes, range(program.count(lanes)), progress):
             first = number * program.chunk
             for name, values in layout.values(told).items():
@@ -145,7 +169,7 @@ def sweep(
         table = _in_memory(layout, _gathered(kept, lanes, program), attributes)
     else:
         made_by = _identity(study, lanes, program, units, settings)
-        keeper = _opened(store, layout, program, made_by)
+        keeper = _opened(store, layout, program, made_by, resume)
         left = np.flatnonzero(~keeper.finished())
         _together("begun")
         for number, told in _shown(program, lanes, left.tolist(), progress):
@@ -173,7 +197,8 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
 
     Designs that have not been looked at are NaN, not `succeeded`, and their `result` is
     -1; so are those whose files are not whole, which `sweep` computes again. How many
-    chunks are missing so is told by the attribute `chunks_missing`.
+    chunks are missing so is told by the attribute `chunks_missing`. Coordinates, labels
+    and metadata are verified in any case.
 
     Args:
         store: the folder.
@@ -184,33 +209,50 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
     Raises:
         ImportError: xarray or zarr is not installed.
         ValueError: it is no store of a sweep.
-        OSError: it is not there.
+        OSError: it is not there, cannot be read, or its coordinates, labels or metadata
+            are damaged.
     """
-    xarray, kept = need_xarray(), Store(store, mode="r")
-    table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
-    del table.attrs["sweep"]
+    xarray, kept = need_xarray(), Store(store).open("r")
+    with clear_errors(kept.path, "read"):
+        table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
     table = table[list(kept.names)].assign_coords(table.coords)
     whole = kept.finished() if verify else kept.written()
     if not whole.all():
         known = {n: table[n].copy(data=kept.known(n, whole)) for n in kept.names}
         table = table.assign(known)
         table = table.assign_attrs(chunks_missing=int(np.sum(~whole)))
-    return finished(table, kept.grid)
+    try:
+        return finished(table, kept.grid, kept.places)
+    except Exception:  # what is read here may be damaged, unless it has been verified
+        if verify:
+            raise
+        raise damage(kept.path, "an answer", "Open it with `verify=True`.") from None
 
 
 def _opened(
-    path: str | Path, layout: Layout, program: Program, made_by: Mapping[str, Any]
+    store: str | Path,
+    layout: Layout,
+    program: Program,
+    made_by: Mapping[str, Any],
+    resume: bool,
 ) -> Store:
     """The store of a sweep, found or made."""
-    if jax.process_index() == 0:
-        if Path(path).exists():
-            kept = Store(path)
-            kept.check(made_by)
-            kept.clear()
-        else:
-            Store.create(path, made_by, layout, program.chunk)
+    path = Path(store)
+    if jax.process_index() == 0 and (
+        path.exists() or not create_store(path, made_by, layout, program.chunk)
+    ):
+        if not resume:
+            raise ValueError(
+                f"`store` is {str(path)!r}, which another process has created since this "
+                "sweep began: go on with it by `resume=True`, or give another path."
+            )
+        kept = Store(path)
+        kept.check(made_by)
+        if kept.damaged_files():
+            rewrite_fixed_files(path, made_by, layout, program.chunk)
+        kept.clear()
     _together("opened")
-    return Store(path)
+    return Store(path).open()
 
 
 def _identity(
@@ -253,7 +295,7 @@ def _in_memory(
     }
     table = dataset({**layout.fixed, **told}, OUTCOMES)
     table = table.set_coords(layout.lanes.names).assign_attrs(attributes)
-    return finished(table, layout.grid)
+    return finished(table, layout.grid, layout.places)
 
 
 def _shown(

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..solve.tables import need_xarray
+from .machine import need_memory
 from .spreads import Method, Spreads
 from .sweep import sweep, warn_of_failures
 
@@ -181,6 +182,7 @@ def tolerances(
     spreads = Spreads(designs, correlation)
     if not isinstance(count, int | np.integer) or count < 2:
         raise ValueError(f"`count` is {count!r}, but must be a whole number from 2.")
+    need_memory(count, 8 * count * len(spreads.names))
     groups = _GROUPS if method != "random" and count >= 16 * _GROUPS else 1
     sizes = [count // groups + (k < count % groups) for k in range(groups)]
     keys = np.random.SeedSequence(key).generate_state(groups) if groups > 1 else [key]

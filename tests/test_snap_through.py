@@ -170,9 +170,9 @@ def compared(seed, count, coordinates, frame, designs):
 
 
 def test_random_arches_do_not_jump():
-    jumped, refused, found = compared(0, 3, "twistor", False, 40)
+    jumped, refused, found = compared(1, 2, "twistor", False, 40)
     assert (jumped, refused) == (0, 0)
-    assert 5 < found < 35  # so that there was something to find and something to refuse
+    assert 20 < found < 35  # so that there was something to find and something to refuse
 
 
 @pytest.mark.release

@@ -1,19 +1,20 @@
 """All hinges of a mechanism together: what they store, and how they pull."""
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from . import pull
 from ._checks import all_known
 from ._trees import alike
 from ._types import Poses, Scalar, Wrenches
+from .assembly import coordinates_of, places_of_lines, places_of_pairs, summed
 from .damping import Viscous
 from .energy import AbstractEnergy
 from .grip import End, halfway
@@ -151,11 +152,45 @@ class Couplings(eqx.Module):
             The forces on all coordinates; the derivatives; and a measure of the energy
             at work in the hinges, never negative; J.
         """
+        forces, pairs, work = self.pairs(displacements, borne)
+        return forces, self._assembled(pairs, rows, columns), work
+
+    def pairs(
+        self, displacements: Poses, borne: Float[Array, "3 hinges"] | None = None
+    ) -> tuple[Float[Array, " coordinates"], Float[Array, "6 6 hinges"], Scalar]:
+        """The forces, and each hinge's derivatives among the coordinates of its bodies.
+
+        Args:
+            displacements: of each body from rest; rad, m, m.
+            borne: as for the `tangent`.
+
+        Returns:
+            The forces on all coordinates; the derivatives, in the order of the stacks;
+            and a measure of the energy at work in the hinges, never negative; J.
+        """
         more = () if borne is None else (tuple(borne),)
         local, pairs, work = self._local(_elastic(pull.tangent), displacements, *more)
-        forces = self._gathered(local)
         matrix = jnp.stack([jnp.stack(line) for line in pairs])
-        return forces, self._assembled(matrix, rows, columns), jnp.sum(work)
+        return self._gathered(local), matrix, jnp.sum(work)
+
+    def applied(
+        self,
+        pairs: Float[Array, "6 6 hinges"],
+        vector: Float[Array, " coordinates"],
+    ) -> Float[Array, " coordinates"]:
+        """The product of the stiffness of all hinges, as `pairs`, with a displacement."""
+        own = vector[self._coordinates()]
+        return self._gathered(jnp.sum(pairs * own[None], axis=1))
+
+    def pair_coordinates(self) -> Int[np.ndarray, "2 entries"]:
+        """The row and the column of each entry of `pairs`, flattened."""
+        own = self._coordinates()
+        return np.stack(
+            [
+                np.broadcast_to(own[:, None], (6, *own.shape)).reshape(-1),
+                np.broadcast_to(own[None], (6, *own.shape)).reshape(-1),
+            ]
+        )
 
     def forces_in_motion(
         self,
@@ -197,12 +232,12 @@ class Couplings(eqx.Module):
         """
         more = self._moving(rates, stretches)
         local = self._local(pull.tangent_in_motion, displacements, *more)
-        source, target = _lines(self.ends, self._order(), free)
+        source, target = places_of_lines(self.ends, self._order(), free)
         size = (len(free), 2 * len(self.ends))
 
         def lined(lines) -> Float[Array, "free stretches"]:
             entries = jnp.moveaxis(lines, 0, -1).reshape(-1)
-            return _summed(entries, source, target, size[0] * size[1]).reshape(size)
+            return summed(entries, source, target, size[0] * size[1]).reshape(size)
 
         def assembled(pairs) -> Float[Array, "free free"]:
             return self._assembled(jnp.moveaxis(pairs, 0, -1), free, free)
@@ -235,22 +270,22 @@ class Couplings(eqx.Module):
 
     def _gathered(self, local) -> Float[Array, " coordinates"]:
         target = self._coordinates().reshape(-1)
-        entries = jnp.stack(local).reshape(-1)
-        return _summed(entries, np.arange(target.size), target, 3 * self.bodies)
+        entries = jnp.stack([*local]).reshape(-1)
+        return summed(entries, np.arange(target.size), target, 3 * self.bodies)
 
     def _assembled(
         self, pairs: Array, rows: tuple[int, ...], columns: tuple[int, ...]
     ) -> Float[Array, "rows columns"]:
         entries = pairs.reshape(-1)
-        source, target = _places(self.ends, self._order(), rows, columns)
+        source, target = places_of_pairs(self.ends, self._order(), rows, columns)
         size = (len(rows), len(columns))
-        return _summed(entries, source, target, size[0] * size[1]).reshape(size)
+        return summed(entries, source, target, size[0] * size[1]).reshape(size)
 
     def _order(self) -> tuple[int, ...]:
         return tuple(member for stack in self.stacks for member in stack.members)
 
     def _coordinates(self) -> np.ndarray:
-        return _coordinates(self.ends, self._order())
+        return coordinates_of(self.ends, self._order())
 
     def _local(self, function, displacements: Poses, *more):
         """A function of each hinge: trees of scalars, a row for each in `_order`."""
@@ -325,26 +360,6 @@ def _proportional(
     return one(leaves, time)
 
 
-def _summed(
-    entries: Float[Array, " entries"], source: np.ndarray, target: np.ndarray, size: int
-) -> Float[Array, " size"]:
-    """The sums of those entries of a row that have one target.
-
-    Where the targets are few each gathers its own, which a processor does side by side;
-    it would add them one after another.
-    """
-    counts = np.bincount(target, minlength=size)
-    most = counts.max(initial=0)
-    if size * most > 8 * entries.size + 1024:
-        return jnp.zeros(size).at[target].add(entries[source])
-    order = np.argsort(target, kind="stable")
-    place = np.arange(target.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    gathered = np.full((size, most), entries.size)
-    gathered[target[order], place] = source[order]
-    padded = jnp.concatenate([entries, jnp.zeros(1)])
-    return jnp.sum(padded[gathered], axis=1)
-
-
 def _elastic(function):
     """A function of energies alone, where dampings are handed over as well."""
     return lambda energy, _, *hinge: function(energy, *hinge)
@@ -354,46 +369,3 @@ def _stacked(row: Sequence[Array]) -> Array:
     # a thousand traced rows would be a thousand operations to compile
     values = all_known(row)
     return jnp.stack(row) if values is None else jnp.asarray(np.stack(values))
-
-
-@lru_cache(maxsize=256)
-def _coordinates(ends: tuple[tuple[int, int], ...], order: tuple[int, ...]) -> np.ndarray:
-    """The six coordinates of each hinge's two bodies, a column for each hinge."""
-    bodies = np.array(ends).reshape(-1, 2)[list(order)]
-    return (3 * bodies[:, :, None] + np.arange(3)).reshape(-1, 6).T
-
-
-@lru_cache(maxsize=256)
-def _places(
-    ends: tuple[tuple[int, int], ...],
-    order: tuple[int, ...],
-    rows: tuple[int, ...],
-    columns: tuple[int, ...],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which entries of all hinges' matrices go where in the matrix of a mechanism."""
-    coordinates = _coordinates(ends, order)
-    size = 1 + max(coordinates.max(initial=0), *rows, *columns, 0)
-    row_of, column_of = np.full(size, -1), np.full(size, -1)
-    row_of[list(rows)] = np.arange(len(rows))
-    column_of[list(columns)] = np.arange(len(columns))
-    row = np.broadcast_to(row_of[coordinates][:, None], (6, *coordinates.shape))
-    column = np.broadcast_to(column_of[coordinates][None], (6, *coordinates.shape))
-    source = np.flatnonzero((row >= 0) & (column >= 0))
-    target = row.reshape(-1)[source] * len(columns) + column.reshape(-1)[source]
-    return source, target
-
-
-@lru_cache(maxsize=256)
-def _lines(
-    ends: tuple[tuple[int, int], ...], order: tuple[int, ...], rows: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which entries of all hinges' two lines go where in a mechanism's matrix."""
-    coordinates = _coordinates(ends, order)
-    row_of = np.full(1 + max(coordinates.max(initial=0), *rows, 0), -1)
-    row_of[list(rows)] = np.arange(len(rows))
-    hinges = coordinates.shape[1]
-    row = np.broadcast_to(row_of[coordinates][None], (2, 6, hinges))
-    column = 2 * np.arange(hinges) + np.arange(2)[:, None, None]
-    source = np.flatnonzero(row >= 0)
-    target = (row * 2 * hinges + np.broadcast_to(column, row.shape)).reshape(-1)[source]
-    return source, target

@@ -14,10 +14,10 @@ from .._types import Poses, PosesLike, Scalar
 from ..boundary import Drive, driven, Load, loaded
 from ..joints import AbstractConstraint, Joined, joined
 from ..mechanism import Mechanism
-from . import start as begin
+from . import motion_errors, start as begin
 from .collocation import Gauss, Radau
 from .motion import Energies, Motion
-from .newton import Places
+from .problem import Places
 from .projected import Projected
 from .results import raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates
@@ -138,7 +138,9 @@ def simulate(
     rates = begin.velocities(mechanism, velocities, free)
     joints = joined(mechanism, constraints)
     if throw:
-        begin.refuse(mechanism, drives, joints, moved, first, velocities is not None)
+        motion_errors.refuse(
+            mechanism, drives, joints, moved, first, velocities is not None
+        )
     with begin.compiling(first, drives=drives, loads=loads):
         answer = _solve(
             mechanism,
@@ -162,7 +164,7 @@ def simulate(
         )
     if not throw:
         return answer
-    why = partial(begin.failure, answer, mechanism, drives, joints, moved, first)
+    why = partial(motion_errors.failure, answer, mechanism, drives, joints, moved, first)
     return raise_failed(answer, why)
 
 

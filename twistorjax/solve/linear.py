@@ -11,7 +11,8 @@ from .._checks import need_float64
 from .._types import Poses, PosesLike
 from ..boundary import Drive, driven, Load, loaded, Loads
 from ..mechanism import Mechanism
-from . import newton
+from .factors import Factors
+from .problem import Places, Problem
 from .results import RESULTS
 from .statics import Equilibrium, free_coordinates, raised, within_range
 
@@ -28,8 +29,8 @@ class Linearised(eqx.Module):
     mechanism: Mechanism
     about: Poses
     matrix: Float[Array, "coordinates coordinates"]
-    factors: newton.Factors
-    places: newton.Places = eqx.field(static=True)
+    factors: Factors
+    places: Places = eqx.field(static=True)
     finite: Bool[Array, ""]
 
     def __call__(
@@ -128,20 +129,20 @@ def linearise(
             f"`driven` has the {_listed(mechanism, both)}, but that is held already."
         )
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
-    every = newton.Places(tuple(range(3 * len(mechanism.names))), ())
+    every = Places(tuple(range(3 * len(mechanism.names))), ())
     moved = jnp.zeros_like(mechanism.rest)
     if about is not None:
         moved = within_range(mechanism, "about", about)
     acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
-    whole = newton.Problem(mechanism.couplings, acting, jnp.zeros(0), every)
-    _, matrix, _ = whole.tangent(moved)
+    whole = Problem(mechanism.couplings, acting, jnp.zeros(0), every)
+    _, matrix, _ = whole.matrix(moved)
     rows = np.array(free, int)
     return Linearised(
         mechanism=mechanism,
         about=mechanism.rest + moved,
         matrix=matrix,
-        factors=newton.Factors.of(matrix[rows[:, None], rows], whole.symmetric),
-        places=newton.Places(free, places),
+        factors=Factors.of(matrix[rows[:, None], rows], whole.symmetric),
+        places=Places(free, places),
         finite=jnp.all(jnp.isfinite(matrix)),
     )
 

@@ -5,151 +5,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
 from .._types import Poses, Scalar
-from ..boundary import Loads
 from ..couplings import Couplings
+from .problem import Problem
 
 
 RUNNING, CONVERGED, NOT_FINITE, LOOSE, STUCK, USED_UP = range(6)
-
-
-class Places(NamedTuple):
-    """Which coordinates are free and which are driven; the others are held."""
-
-    free: tuple[int, ...]
-    driven: tuple[int, ...]
-
-
-class Problem(eqx.Module):
-    """The equilibrium of couplings under loads, with some coordinates given.
-
-    Coordinates are the bodies' displacements from rest, three a body. Those neither free
-    nor driven are held where they start.
-
-    Args:
-        couplings: the hinges.
-        loads: at their full size.
-        targets: what the driven coordinates come to.
-        places: of the free and of the driven coordinates.
-    """
-
-    couplings: Couplings
-    loads: Loads
-    targets: Float[Array, " driven"]
-    places: Places = eqx.field(static=True)
-
-    @property
-    def free(self) -> np.ndarray:
-        """Places of the free coordinates."""
-        return np.array(self.places.free, int)
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether the loads have a potential, as all do that keep their direction."""
-        return not any(self.loads.follows)
-
-    @property
-    def driven(self) -> np.ndarray:
-        """Places of the driven coordinates."""
-        return np.array(self.places.driven, int)
-
-    def residual(self, displacements: Poses) -> Float[Array, " coordinates"]:
-        """What hinges and loads leave unbalanced: the reactions where it is held."""
-        applied, _ = self.loads.apply(displacements)
-        return (self.couplings.forces(displacements) - applied).reshape(-1)
-
-    def tangent(
-        self,
-        displacements: Poses,
-        fraction: Scalar | float = 1.0,
-        borne: Float[Array, "3 hinges"] | None = None,
-    ) -> tuple[
-        Float[Array, " coordinates"], Float[Array, "free free_and_driven"], Scalar
-    ]:
-        """The residual under a fraction of the loads, its slope, and the work in hinges.
-
-        `borne` is the tension with which the hinges stiffen as they turn.
-        """
-        free, driven = self.places
-        columns = free + driven
-        forces, slope, work = self.couplings.tangent(displacements, free, columns, borne)
-        if not self.loads.bodies:
-            return forces, slope, work
-        applied, by_angle = self.loads.apply(displacements)
-        applied, by_angle = fraction * applied.reshape(-1), fraction * by_angle
-        # a load's wrench depends on the angle of its own body alone
-        place = {coordinate: column for column, coordinate in enumerate(columns)}
-        pairs = [
-            (row, place[3 * (coordinate // 3)], coordinate)
-            for row, coordinate in enumerate(free)
-            if coordinate // 3 in self.loads.bodies and 3 * (coordinate // 3) in place
-        ]
-        if pairs:
-            rows, where, which = np.array(pairs).T
-            slope = slope.at[rows, where].add(-by_angle.reshape(-1)[which])
-        return forces - applied, slope, work
-
-    def place(
-        self,
-        displacements: Poses,
-        free: Array | None = None,
-        driven: Array | None = None,
-    ) -> Poses:
-        """The displacements with new values of the free or the driven coordinates."""
-        flat = displacements.reshape(-1)
-        if free is not None:
-            flat = flat.at[self.free].set(free)
-        if driven is not None:
-            flat = flat.at[self.driven].set(driven)
-        return flat.reshape(displacements.shape)
-
-
-class Factors(NamedTuple):
-    """A tangent scaled by its diagonal, so that units do not matter, and factored.
-
-    A symmetric one by Cholesky's method, which fails where the equilibrium is unstable:
-    then all that follows from it is NaN.
-    """
-
-    scale: Float[Array, " free"]
-    triangle: Float[Array, "free free"]
-    pivots: Int[Array, " free"] | None
-
-    @classmethod
-    def of(cls, matrix: Float[Array, "free free"], symmetric: bool) -> "Factors":
-        """Factors a tangent."""
-        diagonal = jnp.abs(jnp.diagonal(matrix))
-        scale = jnp.where(diagonal > 0, diagonal, 1.0) ** -0.5
-        scaled = scale[:, None] * matrix * scale[None]
-        if symmetric:
-            return cls(scale, jnp.linalg.cholesky(scaled, symmetrize_input=False), None)
-        return cls(scale, *jax.scipy.linalg.lu_factor(scaled))
-
-    def solve(self, right: Float[Array, " free"]) -> Float[Array, " free"]:
-        """The displacements that balance some forces."""
-        right = self.scale * right
-        if self.pivots is None:
-            answer = jax.scipy.linalg.cho_solve((self.triangle, True), right)
-        else:
-            answer = jax.scipy.linalg.lu_solve((self.triangle, self.pivots), right)
-        return self.scale * answer
-
-    def resists(self) -> Bool[Array, ""]:
-        """Whether every displacement meets resistance, beyond rounding.
-
-        With followers the determinant's sign is all that is seen: it changes where a
-        first displacement meets none.
-        """
-        diagonal = jnp.diagonal(self.triangle)
-        if self.pivots is None:
-            return jnp.all(diagonal > 1e-7)  # Cholesky's are the roots of pivots
-        swaps = jnp.sum(self.pivots != jnp.arange(self.pivots.size, dtype=jnp.int32))
-        negative = jnp.sum(diagonal < 0)
-        upright = (swaps + negative) % 2 == 0
-        return upright & jnp.all(jnp.abs(diagonal) > 1e-14)
 
 
 class Settled(NamedTuple):
@@ -200,7 +63,6 @@ def settle(
     """
     rows = problem.free
     begin = start.reshape(-1)[problem.driven]
-    count = len(problem.free)
     holding = problem.couplings.forces(start).reshape(-1)[rows]
     unit = _units(problem.couplings)
 
@@ -227,8 +89,8 @@ def settle(
         given = begin + goal * (problem.targets - begin)
         move = given - flat[problem.driven]
         residual = residual[rows] - (1 - goal) * holding
-        right = -(residual + slope[:, count:] @ move)
-        factors = Factors.of(slope[:, :count], problem.symmetric)
+        right = -(residual + slope.push(move))
+        factors = slope.factors(problem.symmetric)
         step = factors.solve(right)
         now = problem.place(
             problem.place(state.now, free=flat[rows] + step), driven=given
@@ -265,7 +127,7 @@ def settle(
         enough = jnp.where(goal < 1, jnp.sqrt(tolerance), tolerance)
         converged = sane & seen & (expected <= enough)
 
-        finite = jnp.all(jnp.isfinite(slope)) & jnp.all(jnp.isfinite(right))
+        finite = slope.finite() & jnp.all(jnp.isfinite(right))
         cut = ~converged & (~sane | (state.tries + 1 >= _STEPS_EACH))
         # the contraction is proportional to the increment
         change_of_stride = _GOOD_CONTRACTION / jnp.where(
@@ -310,7 +172,7 @@ def settle(
         )
 
     zero, none = jnp.zeros(()), jnp.zeros((), int)
-    nothing = jnp.zeros(count)
+    nothing = jnp.zeros(len(problem.free))
     borne = problem.couplings.tension(start)
     state = State(
         now=start,
@@ -373,7 +235,5 @@ def _(primals, tangents):
     )
     displacements = problem.place(rest, free=free, driven=problem.targets)
     _, slope, _ = problem.tangent(displacements)
-    count = len(problem.free)
-    slope = jnp.where(found, slope[:, :count], jnp.eye(count))
     pull = jnp.where(found, pull, 0.0)
-    return free, -Factors.of(slope, problem.symmetric).solve(pull)
+    return free, -slope.where(found).factors(problem.symmetric).solve(pull)

@@ -15,6 +15,7 @@ from ..boundary import Drive, driven, Load, loaded, Loads
 from ..couplings import Couplings
 from ..mechanism import Mechanism
 from . import newton
+from .problem import Places, Problem
 from .results import counted, meaning, outcomes, Placed, raise_failed, RESULTS
 from .tables import Column, Columns
 
@@ -141,7 +142,7 @@ def equilibrium(
         tolerance,
         max_steps,
         bodies=bodies,
-        places=newton.Places(
+        places=Places(
             free_coordinates(len(mechanism.names), mechanism.held, places), places
         ),
         names=mechanism.names,
@@ -183,10 +184,10 @@ def _solve(
     max_steps: ScalarLike,
     *,
     bodies: tuple[int, ...],
-    places: newton.Places,
+    places: Places,
     names: tuple[str, ...],
 ) -> Equilibrium:
-    problem = newton.Problem(
+    problem = Problem(
         couplings, Loads.of(loads, bodies, rest), jnp.array(targets, float), places
     )
     begin = jnp.zeros_like(rest) if begin is None else begin

@@ -15,7 +15,7 @@ from ..boundary import Drive, driven, Load, loaded, Loads
 from ..joints import Joined
 from ..mechanism import Mechanism
 from .elimination import inverse
-from .newton import Places
+from .problem import Places
 
 
 class State(NamedTuple):

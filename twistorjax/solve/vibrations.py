@@ -12,7 +12,7 @@ from .._checks import need_float64
 from .._types import Poses, PosesLike
 from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
 from ..mechanism import Mechanism
-from . import newton
+from .problem import Places, Problem
 from .results import ByBody, counted, meaning, outcomes, raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates, within_range
 from .tables import Column, Columns, columns, Tabled
@@ -227,7 +227,7 @@ def frequency_response(
         targets,
         _state(mechanism, about),
         tuple(bears),
-        newton.Places(free, places),
+        Places(free, places),
     )
     return raise_failed(answer, _resonant) if throw else answer
 
@@ -249,7 +249,7 @@ def _response(
     targets: tuple[Array, ...],
     moved: Poses,
     bears: tuple[Load, ...],
-    places: newton.Places,
+    places: Places,
 ) -> Response:
     every = tuple(range(mechanism.rest.size))
     still = jnp.zeros_like(mechanism.rest)
@@ -301,10 +301,10 @@ def _response(
 def _stiffness(
     mechanism: Mechanism, moved: Poses, loads: tuple[Load, ...]
 ) -> Float[Array, "coordinates coordinates"]:
-    every = newton.Places(tuple(range(mechanism.rest.size)), ())
+    every = Places(tuple(range(mechanism.rest.size)), ())
     acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
-    problem = newton.Problem(mechanism.couplings, acting, jnp.zeros(0), every)
-    return problem.tangent(moved)[1]
+    problem = Problem(mechanism.couplings, acting, jnp.zeros(0), every)
+    return problem.matrix(moved)[1]
 
 
 def _state(mechanism: Mechanism, about: PosesLike | Equilibrium | None) -> Poses:

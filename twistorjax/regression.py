@@ -30,7 +30,7 @@ def fit_energy(
     order: int | None = None,
     *,
     coordinates: Coordinates | Literal["tension"] = "twistor",
-    symmetry: Literal["leaf"] | Sequence[Symmetry] = (),
+    symmetry: Symmetry | Sequence[Symmetry] = (),
     redundant: bool = False,
     rest: Literal["stable", "unstressed", "free"] = "stable",
     ridge: float | None = None,
@@ -116,7 +116,7 @@ class _Settings(NamedTuple):
     coordinates: Coordinates | Literal["tension"]
     rest: str
     redundant: bool
-    symmetry: Literal["leaf"] | Sequence[Symmetry]
+    symmetry: Symmetry | Sequence[Symmetry]
     ridge: float | None
     scale: float | None
 

@@ -223,8 +223,8 @@ def _by_tension(
     wrenches = np.asarray(trials.wrenches)
     pulls = np.einsum("sij,sj->si", turning, wrenches)
     tensions = pulls[:, 1]
-    length = settings.scale or float(np.abs(twists[:, 2]).max()) or 1.0
-    force = float(np.abs(tensions).max()) or 1.0
+    length = settings.scale or _largest(twists[:, 2])
+    force = _largest(tensions)
     adds = mixed.terms(powers, jnp.asarray(twists), jnp.asarray(tensions), length, force)
     adds = jax.tree.map(np.asarray, adds)
     back = np.linalg.inv(turning) / np.asarray(trials.wrench_deviations)[:, :, None]
@@ -255,6 +255,12 @@ def _by_tension(
         solved = fitted(give, [lean @ solved.coefficients for lean in adds.leaning])
     energy = Slender(solved.coefficients, powers, length=length, force=force)
     return _Candidate(order, energy, solved)
+
+
+def _largest(values: np.ndarray) -> float:
+    """The largest absolute value; one, where its square is too small for a number."""
+    largest = float(np.abs(values).max())
+    return largest if largest > 1e-150 else 1.0
 
 
 def _curvature_at_rest(powers: Powers, length: float, force: float) -> np.ndarray:

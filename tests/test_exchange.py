@@ -156,7 +156,8 @@ def test_a_damaged_entry_is_named(tmp_path, old, new, message):
     energy = tj.Quadratic(np.diag([5.0, 6.0, 7.0])) + tj.Polynomial(
         [1.0], [(2, 0, 0)], "twist"
     )
-    body = tj.Body("b", mass=1.0, inertia=1.0, outline=[[0, 0], [2, 0], [0, 3.0]])
+    corners = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]])
+    body = tj.Body("b", mass=1.0, inertia=1.0, outline=corners)
     hinge = tj.Hinge("h", "b", "c", energy, at=(0, 0, 0))
     mechanism = tj.Mechanism([body, tj.Body("c")], [hinge], held={"b": ["x"]})
     path = tmp_path / "model.json"

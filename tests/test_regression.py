@@ -272,6 +272,10 @@ def test_a_file_that_is_no_text_is_told(tmp_path):
             "`hold_out` is 1.5",
         ),
         (lambda: tj.fit_energy(some_trials(truth(), 5), 2, ridge=-1.0), "`ridge` is -1"),
+        (
+            lambda: tj.fit_energy(tj.Trials([[0, 0, 1e160]], [[1.0, 0, 0]]), 2),
+            "`trials` have a value of 1e+160, but a fit needs values of at most 1e100",
+        ),
         (lambda: tj.fit_energy(some_trials(truth(), 5), 2, rest="calm"), "'stable'"),
     ],
 )

@@ -1,5 +1,6 @@
 """JSON files that are checked entry by entry, and replaced as a whole."""
 
+import contextlib
 import json
 import os
 import secrets
@@ -85,7 +86,8 @@ def write_json(path: str | Path, tree: Any) -> None:
         # the name that the user gave, not that of the temporary file
         raise type(error)(error.errno, error.strerror, str(path)) from None
     finally:
-        beside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            beside.unlink()
 
 
 def fault_of(tree: Any) -> str | None:

@@ -78,6 +78,12 @@ def fit_energy(
         Array([ 2., 30.,  9.], dtype=float64)
     """
     need_float64(trials.poses)
+    for values in jax.tree.leaves(trials):
+        if np.max(np.abs(values)) > 1e100:  # its powers would not be numbers
+            raise ValueError(
+                f"`trials` have a value of {np.max(np.abs(values)):g}, but a fit needs "
+                "values of at most 1e100."
+            )
     one_of("`rest`", rest, ("stable", "unstressed", "free"))
     if not 0 <= hold_out < 1:
         raise ValueError(

@@ -203,10 +203,35 @@ def test_fit_foretells_its_error_and_keeps_the_hinge(run):
         (["nowhere.csv"], "No such file"),
         ([str(REFERENCE / "stage.json")], "lacks the column angle_rad"),
         ([str(REFERENCE / "fe_notch.csv"), "--symmetry", "round"], "'mirror', 'ends'"),
+        ([str(REFERENCE / "fe_notch.csv"), "--symmetry", ","], "'mirror', 'ends'"),
+        ([str(REFERENCE / "fe_notch.csv"), "--seed", "-1"], "--seed is -1, but must be"),
+        ([str(REFERENCE)], "Is a directory"),
     ],
 )
 def test_fit_refuses_in_one_line(run, arguments, message):
     is_one_clear_line(run("fit", *arguments), message)
+
+
+def test_fit_takes_a_leaf_and_more(told):
+    arguments = (str(REFERENCE / "fe_notch.csv"), "--order", "2", "--json")
+    terms = [
+        json.loads(told("fit", *arguments, "--symmetry", symmetry).stdout)["terms"]
+        for symmetry in ("leaf", "leaf,mirror")
+    ]
+    assert terms[0] == terms[1] > 0
+
+
+def test_trials_that_leave_nothing_to_fit_are_no_failure(told, tmp_path):
+    """One trial, of which the stiffness is no stable one; JSON has no infinity."""
+    path = tmp_path / "trial.csv"
+    path.write_text("angle_rad,px_m,py_m,moment_Nm,fx_N,fy_N\n1,2,3,4,5,6\n")
+    done = told("fit", str(path), "--order", "2", "--coordinates", "twist", "--json")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert (answer["rank"], answer["condition"]) == (0, None)
+    path.write_text("angle_rad,px_m,py_m,moment_Nm,fx_N,fy_N\n0,1,0,0,1e-320,0\n")
+    done = told("fit", str(path), "--order", "2", "--coordinates", "tension")
+    assert done.returncode == 2 and "are not those of a flexure" in done.stderr
 
 
 def test_random_data_says_that_it_interpolates(run):
@@ -240,6 +265,7 @@ def test_water_compares_its_fits(run):
         (["--range", "nan"], "--range is nan, but must be above 0"),
         (["--points", "1"], "--points is 1, but must lie between 2 and 20000"),
         (["--seed", "-1"], "--seed is -1, but must be a whole number"),
+        (["--seed", "9" * 20], f"--seed is {'9' * 20}, but must be a whole number"),
         (["--plot", "nowhere/water.png"], "there is no folder nowhere"),
     ],
 )
@@ -262,6 +288,7 @@ def test_identify_finds_what_was_put_in(run):
     [
         (("--travel", "0"), "--travel is 0, but must be positive and finite"),
         (("--seed", "-2"), "--seed is -2, but must be 0 or larger"),
+        (("--seed", "9" * 20), f"--seed is {'9' * 20}, but must be a whole number from"),
     ],
 )
 def test_identify_refuses_what_makes_no_sense(told, arguments, message):
@@ -368,10 +395,85 @@ def test_a_mechanism_is_exported_and_read_again(told, tmp_path, kind):
         (["bridge", "--out", "a.svg"], "The mechanism is 'bridge', but must be stage"),
         (["none.json", "--out", "a.svg"], "No such file or directory: 'none.json'"),
         (["stage", "--out", "nowhere/a.svg"], "there is no folder nowhere"),
+        (["stage", "--out", f"{'a' * 5000}/a.svg"], "there is no folder aaa"),
+        (["stage", "--out", f"{'a' * 300}.json"], "File name too long"),
     ],
 )
 def test_export_refuses_in_one_line(told, arguments, message):
     is_one_clear_line(told("export", *arguments), message)
+
+
+SHELL = f"{sys.executable} -m twistorjax"
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "out", "complaint"),
+    [
+        (f"{SHELL} --help | true; exit ${{PIPESTATUS[0]}}", None, "", ""),
+        (f"{SHELL} --help | head -n 1", 0, "Usage:", ""),
+        (f"{SHELL} --version > /dev/full", 1, "", "twistorjax: [Errno 28] No space left"),
+        (f"{SHELL} --version >&-", 0, "", ""),
+        (f"{SHELL} stage --web -1 2>&-", 2, "", ""),
+        (f"{SHELL} export stage --out $'\\xff.json'", 0, "kept in \\udcff.json", ""),
+    ],
+)
+def test_output_that_nobody_reads_or_that_cannot_be_written(
+    tmp_path, line, code, out, complaint
+):
+    """Neither a broken pipe, nor a full disk, nor a strange name ends in a traceback."""
+    done = subprocess.run(
+        ["bash", "-c", line], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert done.returncode in ((0, 1) if code is None else (code,))
+    assert out in done.stdout
+    assert done.stderr.startswith(complaint)
+    assert done.stderr.count("\n") == bool(complaint)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "complaint"),
+    [
+        (KeyboardInterrupt(), 130, ""),
+        (MemoryError(), 1, "twistorjax: There is not enough memory"),
+        (RuntimeError("RESOURCE_EXHAUSTED: 9 GB"), 1, "twistorjax: There is not enough"),
+        (OSError(5, "Input/output error"), 1, "twistorjax: [Errno 5] Input/output"),
+        (BrokenPipeError(), 1, ""),
+    ],
+)
+def test_what_the_machine_lacks_is_one_clear_line(
+    told, monkeypatch, error, code, complaint
+):
+    def fails():
+        raise error
+
+    monkeypatch.setattr("twistorjax.commands.random_data.prepare_jax", fails)
+    done = told("random-data")
+    assert done.returncode == code
+    assert done.stderr.startswith(complaint)
+    assert done.stderr.count("\n") == bool(complaint)
+
+
+def test_an_error_of_the_program_is_not_hidden(told, monkeypatch):
+    def fails():
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("twistorjax.commands.random_data.prepare_jax", fails)
+    with pytest.raises(ZeroDivisionError):
+        told("random-data")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("identify", "--angle", "1e-300"), "--angle or --travel cannot be used"),
+        (("stage", "--transient", "--input", "1e300"), "--input 1e+300: No equilibrium"),
+    ],
+)
+def test_numbers_near_the_ends_of_their_range_are_no_traceback(run, arguments, message):
+    done = run(*arguments)
+    assert done.returncode in (1, 2)
+    assert done.stderr.startswith("twistorjax: ") and done.stderr.count("\n") == 1
+    assert message in done.stderr
 
 
 def test_help_has_a_line_for_each_command_and_an_example_in_each(told):

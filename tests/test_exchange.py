@@ -1,10 +1,13 @@
 """Mechanisms in files, read by others."""
 
+import errno
 import json
+import pathlib
 import subprocess
 import sys
 from xml.etree import ElementTree
 
+import equinox as eqx
 import ezdxf
 import jax
 import jax.numpy as jnp
@@ -58,24 +61,33 @@ def test_a_mechanism_may_have_little(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: m.update(colour="red"), "the mechanism has the unknown 'colour'"),
-        (lambda m: m["bodies"][1].pop("mass"), "bodies[1] lacks 'mass'"),
+        (lambda m: m.update(colour="red"), "`mechanism` has the unknown field `colour`"),
         (
-            lambda m: m["hinges"][0].update(stiff=1, at=None),
-            "hinges[0] has the unknown 'stiff'",
+            lambda m: m["bodies"][1].pop("mass"),
+            "`mechanism.bodies[1]` lacks the field `mass`",
+        ),
+        (
+            lambda m: m["hinges"][0].update(stiff=1),
+            "`mechanism.hinges[0]` has the unknown field `stiff`",
         ),
         (lambda m: m["hinges"][2].update(first="7"), "names the body '7'"),
         (
             lambda m: m["hinges"][2]["energy"].update(kind="Rubber"),
-            "the energy of hinges[2], 'c': `kind` is 'Rubber', but must be one",
+            '`mechanism.hinges[2].energy.kind` is "Rubber", but must be one of Quadratic',
         ),
         (
-            lambda m: m["bodies"][1].update(outline=[[0, 1], [1]]),
-            "`outline` of '2' must be rows (x, y)",
+            lambda m: m["bodies"][1].update(outline=[[0, 1], [1], [2, 3]]),
+            "bodies[1].outline[1]` is a list of 1 entry, but must be a list of 2 entries",
         ),
-        (lambda m: m["bodies"][1].update(outline=[[0, 1]]), "has 1 corners"),
+        (
+            lambda m: m["bodies"][1].update(outline=[[0, 1]]),
+            "outline` is a list of 1 entry, but must be a list of at least 3",
+        ),
         (lambda m: m.update(bodies=[]), "names the body"),
-        (lambda m: m["bodies"].append(3), "bodies[6] is a int"),
+        (
+            lambda m: m["bodies"].append(3),
+            "`mechanism.bodies[6]` is 3, but must be an object",
+        ),
         (lambda m: m["bodies"][1].update(mass=-1), "`mass` of the body '2' is -1"),
     ],
 )
@@ -90,13 +102,159 @@ def test_a_file_that_is_no_mechanism_is_refused(tmp_path, change, message):
     assert message in str(error.value) and str(path) in str(error.value)
 
 
+BROKEN = "a\\ud800"  # half of a surrogate pair, as JSON writes it
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"mass": 1.0', '"mass": NaN', "bodies[0].mass` is NaN, but must be finite"),
+        ('"mass": 1.0', f'"mass": {10**400}', "bodies[0].mass` is Infinity"),
+        ('"mass": 1.0', '"mass": 1, "mass": 2', 'has the field "mass" more than'),
+        (
+            '"rest": [',
+            '"rest": [true, ',
+            "bodies[0].rest` is a list of 4 entries, but must",
+        ),
+        (
+            '"rest": [0.0',
+            '"rest": ["0"',
+            'bodies[0].rest[0]` is "0", but must be a number',
+        ),
+        ('"name": "b"', f'"name": "{BROKEN}"', "bodies[0].name` has the text"),
+        ('"held": {', f'"held": {{"{BROKEN}": ["x"], ', "`mechanism.held` has the text"),
+        ('"held": {', '"held": {"c": 5, ', "`held.c` has 5, but must be a list"),
+        ('"mass": 1.0', f'"mass": {"[" * 100_000}', "is nested too deeply"),
+        ('"mass": 1.0', f'"mass": {"[" * 300 + "]" * 300}', "is nested too deeply"),
+        ("[0.0, 3.0]", "[0.0, NaN]", "bodies[0].outline[2][1]` is NaN"),
+        (
+            '"Quadratic"',
+            '["Quadratic"]',
+            "kind` is a list of 1 entry, but must be one of",
+        ),
+        ("[2, 0, 0]", "[2.5, 0, 0]", "powers[0][0]` is 2.5, but must be a whole number"),
+        ("[2, 0, 0]", "[Infinity, 0, 0]", "powers[0][0]` is Infinity"),
+        ("[2, 0, 0]", f"[{10**400}, 0, 0]", "powers[0][0]` is Infinity"),
+        (
+            "[2, 0, 0]",
+            "[-2, 0, 0]",
+            "powers[0][0]` is -2, but must be a whole number, at",
+        ),
+        (
+            "[2, 0, 0]",
+            "[2000, 0, 0]",
+            "powers[0][0]` is 2000, but must be a whole number",
+        ),
+        ("[2, 0, 0]", "[2, 0]", "hinges[0].energy.parts[1]`: `powers[0]` is [2, 0]"),
+        ('"parts": [', '"parts": [3, ', "energy.parts[0]` is 3, but must be an object"),
+        ('"parts": [', '"parts": [[], ', "energy.parts[0]` is a list of 0 entries, but"),
+        ("[5.0, 0.0, 0.0]", "[-5.0, 0.0, 0.0]", "energy.parts[0]`: A `Quadratic` energy"),
+        ("[5.0, 0.0, 0.0]", "[5.0, 0.0]", "stiffness[0]` is a list of 2 entries, but"),
+    ],
+)
+def test_a_damaged_entry_is_named(tmp_path, old, new, message):
+    energy = tj.Quadratic(np.diag([5.0, 6.0, 7.0])) + tj.Polynomial(
+        [1.0], [(2, 0, 0)], "twist"
+    )
+    corners = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]])
+    body = tj.Body("b", mass=1.0, inertia=1.0, outline=corners)
+    hinge = tj.Hinge("h", "b", "c", energy, at=(0, 0, 0))
+    mechanism = tj.Mechanism([body, tj.Body("c")], [hinge], held={"b": ["x"]})
+    path = tmp_path / "model.json"
+    tj.save_mechanism(mechanism, path)
+    text = json.dumps(json.loads(path.read_text()))
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError) as error:
+        tj.load_mechanism(path)
+    assert message in str(error.value) and str(path) in str(error.value)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 500
+
+
+def test_a_file_that_cannot_be_text_is_refused(tmp_path):
+    path = tmp_path / "model.json"
+    for content, message in (
+        (b"", "is empty"),
+        (b"\xff\xfe", "is damaged or not a JSON file"),
+        (b"{", "is damaged or not a JSON file"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=message):
+            tj.load_energy(path)
+    with pytest.raises(OSError):
+        tj.load_mechanism(tmp_path)
+
+
+def small(name="b", **settings):
+    """A body on a spring."""
+    hinge = tj.Hinge("h", "a", name, tj.Quadratic(np.eye(3)), at=(0, 0, 0))
+    bodies = [tj.Body("a"), tj.Body(name, **settings)]
+    return tj.Mechanism(bodies, [hinge], held=["a"])
+
+
+def test_what_could_not_be_read_again_is_not_written(tmp_path):
+    """The older file stays as it was, and nothing lies beside it."""
+    path = tmp_path / "model.json"
+    tj.save_mechanism(small(), path)
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match=r"bodies\[1\]\.name` has the text"):
+        tj.save_mechanism(small("b\ud800"), path)
+    infinite = eqx.tree_at(lambda m: m.rest, small(), jnp.full((2, 3), jnp.inf))
+    with pytest.raises(ValueError, match=r"bodies\[0\]\.rest\[0\]` is Infinity"):
+        tj.save_mechanism(infinite, path)
+    energy = eqx.tree_at(lambda e: e.stiffness, tj.Quadratic(np.eye(3)), jnp.ones(3))
+    with pytest.raises(ValueError, match=r"`energy\.stiffness"):
+        tj.save_energy(energy, path)
+    deep = spring = tj.Quadratic(np.eye(3))
+    for _ in range(150):
+        deep = deep + spring
+    with pytest.raises(ValueError, match="nested"):
+        tj.save_energy(deep, path)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_is_replaced_as_a_whole(tmp_path, monkeypatch):
+    """Also where the disk is full; links and the mode of the file are kept."""
+    path, link = tmp_path / "model.json", tmp_path / "link.json"
+    tj.save_mechanism(small(), path)
+    path.chmod(0o640)
+    link.symlink_to(path)
+    tj.save_mechanism(small("c"), link)
+    assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
+    assert tj.load_mechanism(path).names == ("a", "c")
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space left on device") as error:
+        tj.save_mechanism(small("d"), path)
+    assert error.value.filename == str(path)
+    assert path.read_bytes() == before and set(tmp_path.iterdir()) == {path, link}
+    tj.save_mechanism(small(), "/dev/null")
+    assert pathlib.Path("/dev/null").is_char_device()
+
+
+@pytest.mark.untyped
+def test_outlines_and_powers_are_not_rounded():
+    with pytest.raises(ValueError, match=r"`outline` of the body 'b' has \[.*nan"):
+        tj.Body("b", outline=[[0, 0], [1, 0], [0, np.nan]])
+    spring = tj.Quadratic(np.eye(3))
+    with pytest.raises(ValueError, match="`outline` of the hinge 'h' has shape"):
+        tj.Hinge("h", "a", "b", spring, at=(0, 0, 0), outline=[[0, 0], [1, 0]])
+    for power in (2.5, np.inf, 10**400, -1):
+        with pytest.raises(ValueError, match=r"`powers\[0\]` is .* whole numbers from 0"):
+            tj.Polynomial([1.0], [(power, 0, 0)], "twist")
+
+
 def test_a_file_of_another_kind_or_version_is_refused(tmp_path):
     path = tmp_path / "energy.json"
     tj.save_energy(tj.Quadratic(np.eye(3)), path)
     with pytest.raises(ValueError, match="must have `twistorjax` and `mechanism` alone"):
         tj.load_mechanism(path)
     path.write_text("[]")
-    with pytest.raises(ValueError, match="is a list, but must be an object"):
+    with pytest.raises(ValueError, match="is a list of 0 entries, but must be"):
         tj.load_mechanism(path)
     path.write_text('{"twistorjax": 99, "mechanism": {}}')
     with pytest.raises(ValueError, match="`twistorjax` is 99, but must be 1"):

@@ -172,6 +172,24 @@ def test_a_motion_and_frequencies_are_read_from_files(tmp_path):
     assert_close(data.deviations, np.array([[2.0], [3.0]]))
 
 
+@pytest.mark.parametrize("micro", ["u", "\u00b5", "\u03bc"])
+def test_micro_may_be_written_in_three_ways(tmp_path, micro):
+    """As a u, as the sign for micro, and as the Greek letter, which looks the same."""
+    head = f"load_b.force_x_{micro}N,b.x_{micro}m,sd_b.x_{micro}m,b.angle_{micro}rad"
+    path = write(tmp_path / "trials.csv", f"{head},sd_b.angle_{micro}rad\n1,2,3,4,5\n")
+    data = tj.read_measured(path)
+    assert_close(data.values, np.array([[2e-6, 4e-6]]))
+
+
+def test_measured_frequencies_are_positive_and_ascend():
+    test = tj.VibrationTest(3, 1.0)
+    test.measured([[1.0], [np.nan], [1.0]])
+    with pytest.raises(ValueError, match=r"`values\[2\]`: the frequency is 1 Hz and fol"):
+        test.measured([[2.0], [np.nan], [1.0]])
+    with pytest.raises(ValueError, match=r"`values\[0\]`: the frequency is -1 Hz"):
+        test.measured([[-1.0], [2.0], [3.0]])
+
+
 def test_a_motion_of_the_library_is_read_back(linkage):
     """What `to_xarray` tells are places in the world; displacements are the same data."""
     times = jnp.linspace(0.0, 0.02, 5)
@@ -201,6 +219,10 @@ def test_a_motion_of_the_library_is_read_back(linkage):
         ("time_s,3.x_m,sd_3.x_m,sd_4.x_m\n0,1,1,1\n", "deviation of '4.x', but"),
         ("time_s,3.x_m\n", "only the line of names"),
         ("load_3.x_m,3.x_m\n1,1\n", "has the column 'load_3.x_m'"),
+        ("frequency_Hz,sd_frequency_Hz\n2,1\n1,1\n", "line 3: the frequency is 1 Hz and"),
+        ("frequency_kHz,sd_frequency_Hz\n-2,1\n", "line 2: the frequency is -2000 Hz"),
+        ("frequency_Hz,3.x_m,sd_3.x_m\n2,1,1\n", r"has the column of 3\.x beside that"),
+        ("load_3.force_x_kN,3.x_m,sd_3.x_m\n1e308,1,1\n", "line 2: .* It is too large"),
     ],
 )
 def test_a_file_that_cannot_be_read_says_where(tmp_path, text, message):

@@ -368,6 +368,7 @@ def test_not_settling_is_told():
         ({"robust": 0.0}, "`robust` is 0.0, but must be a positive number"),
         ({"robust": True}, "`robust` is True, but must be a positive number"),
         ({"restarts": 2, "key": "a"}, "`key` is 'a', but must be a whole number"),
+        ({"restarts": 2, "key": 10**20}, "`key` is 100000000000000000000, but must be"),
         ({"restarts": -1}, "`restarts` is -1"),
         ({"max_steps": 0}, "`max_steps` is 0, but must be at least 1"),
     ],

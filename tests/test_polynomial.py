@@ -200,3 +200,9 @@ def test_bad_input_is_told(make, message):
     with pytest.raises(ValueError) as error:
         make()
     assert message in str(error.value)
+
+
+def test_the_symmetry_of_a_leaf_may_stand_in_a_list():
+    assert tj.monomials(4, symmetry=["leaf"]) == tj.monomials(4, symmetry="leaf")
+    both = tj.monomials(4, "tension", symmetry=["leaf", "exchange"])
+    assert both == tj.monomials(4, "tension", symmetry=["mirror", "ends", "exchange"])

@@ -238,6 +238,10 @@ def test_other_separators_are_known_by_the_first_line(tmp_path, separator):
         (f"{HEAD},sd_fx_N\n1,2,3,4,5,6,7\n", "lacks the column sd_moment_Nm, sd_fy_N"),
         ("angle_rad;px_m;py_m;energy_J\n1;2;3;1,5\n", "is 1,5, but must be a finite"),
         (f'"a\nnote",{HEAD}\n1,2,3,4,5,6,x\n', "line 3: fy_N is x"),
+        (f"{HEAD}\n1,2,3,4,1_0,6\n", "line 2: fx_N is 1_0, but must be a finite"),
+        (f"{HEAD}\n1,2,3,4,\u0661,6\n", "line 2: fx_N is \u0661, but must be a finite"),
+        (f"{HEAD},note\n1,2,3,4,5,6,{'x' * 200_000}\n", "line 2: an entry cannot be"),
+        (f'{HEAD},note\n1,2,3,4,5,6,"x\n1,2,3,4,5,6,x\n', "a quotation mark missing"),
         (f"{HEAD},sd_fx_N,sd_fy_N,sd_moment_Nm\n1,2,3,4,5,6,0,1,1\n", "must be positive"),
     ],
 )
@@ -268,6 +272,10 @@ def test_a_file_that_is_no_text_is_told(tmp_path):
             "`hold_out` is 1.5",
         ),
         (lambda: tj.fit_energy(some_trials(truth(), 5), 2, ridge=-1.0), "`ridge` is -1"),
+        (
+            lambda: tj.fit_energy(tj.Trials([[0, 0, 1e160]], [[1.0, 0, 0]]), 2),
+            "`trials` have a value of 1e+160, but a fit needs values of at most 1e100",
+        ),
         (lambda: tj.fit_energy(some_trials(truth(), 5), 2, rest="calm"), "'stable'"),
     ],
 )
@@ -300,11 +308,11 @@ def test_a_broken_energy_is_refused(tmp_path):
     tj.save_energy(energies()[0], path)
     text = path.read_text()
     for broken, message in (
-        (text[: len(text) // 2], "is not whole"),
+        (text[: len(text) // 2], "is damaged or not a JSON file"),
         (text.replace('"twistorjax": 1', '"twistorjax": 99'), "is 99, but must be 1"),
-        (text.replace('"scale"', '"size"'), "has the fields"),
+        (text.replace('"scale"', '"size"'), "`energy` has the unknown field `size`"),
         (text.replace('"Polynomial"', '"Spline"'), "must be one of Quadratic"),
-        ("[1]", "is a list, but must be an object"),
+        ("[1]", "is a list of 1 entry, but must be an object"),
     ):
         with pytest.raises(ValueError, match=message) as error:
             tj.load_energy(write(path, broken))

@@ -1,10 +1,14 @@
 """The command line: `twistorjax --help`."""
 
+import contextlib
+import io
+import os
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from ._checks import shortened
 from .commands.common import Failed, Refused
 from .commands.export import export
 from .commands.fit import fit
@@ -55,26 +59,84 @@ def overview(
         print(context.get_help())
 
 
+_INTERRUPTED = 130  # as shells report a process that was interrupted from the keyboard
+_LONGEST = 1000  # characters of a message
+
+
 def main() -> None:
-    """Runs the command line; exits with 0, with 1 on failure, with 2 on bad input."""
-    command = typer.main.get_command(app)
+    """Run the command line.
+
+    The exit code is 0 on success, 1 on failure, 2 on wrong input and 130 if interrupted.
+    A failure or wrong input is reported as one line on stderr.
+    """
+    _prepare_streams()
+    code = _run()
     try:
-        code = command.main(standalone_mode=False)
+        sys.stdout.flush()
+    except OSError as error:
+        code = _failed_write(error)
+    sys.exit(code)
+
+
+def _run() -> int:
+    """Run the command of `sys.argv`; its exit code."""
+    try:
+        return typer.main.get_command(app).main(standalone_mode=False) or 0
     except Refused as error:
-        code = _complain(str(error), 2)
+        return _complain(str(error), 2)
     except Failed as error:
-        code = _complain(str(error), 1)
-    except Exception as error:
-        # typer carries its own copy of click, so its errors are known by what they can do
-        message = getattr(error, "format_message", None)
-        if message is None:
+        return _complain(str(error), 1)
+    except _UsageError as error:
+        return _complain(error.format_message(), 2)
+    except (KeyboardInterrupt, typer.Abort):
+        return _INTERRUPTED
+    except MemoryError:
+        return _complain(_NO_MEMORY, 1)
+    except OSError as error:
+        return _failed_write(error)
+    except RuntimeError as error:
+        # JAX reports by its own type that an array does not fit into the memory
+        if "RESOURCE_EXHAUSTED" not in str(error):
             raise
-        code = _complain(message(), 2)
-    sys.exit(code or 0)
+        return _complain(_NO_MEMORY, 1)
+
+
+_NO_MEMORY = "There is not enough memory: ask for fewer designs, points or times."
+# typer has its own copy of click, or imports click, depending on its version
+_UsageError: Any = next(
+    kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException"
+)
+
+
+def _prepare_streams() -> None:
+    """Let output be written whatever characters it has, also where a stream is closed."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _failed_write(error: OSError) -> int:
+    """The exit code after a file or the output could not be read or written.
+
+    A reader that stops early, such as `head`, is not reported.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError:  # what is still in the buffer would fail again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):
+        return 1
+    return _complain(str(error), 1)
 
 
 def _complain(message: str, code: int) -> int:
-    sys.stderr.write(f"twistorjax: {' '.join(message.split())}\n")
+    """Write a message as one line on stderr; the exit code."""
+    words = shortened(" ".join(message.split()), _LONGEST)
+    with contextlib.suppress(OSError):
+        sys.stderr.write(f"twistorjax: {words}\n")
     return code
 
 

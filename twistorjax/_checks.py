@@ -46,6 +46,13 @@ def find(where: str, noun: str, name: str, names: Sequence[str]) -> int:
     return names.index(name)
 
 
+def shortened(words: str, most: int = 60) -> str:
+    """The words, with the middle left out if they are longer than so many characters."""
+    if len(words) <= most:
+        return words
+    return f"{words[: most * 2 // 3]}...{words[-(most // 4) :]}"
+
+
 def text(what: str, value: Any) -> str:
     """The value, if it is some text."""
     if not isinstance(value, str) or not value:
@@ -127,6 +134,21 @@ def positive(name: str, value: ArrayLike) -> Float[Array, "..."]:
     """The value, if it is positive and finite; see `within`."""
     largest = float(np.finfo(float).max)
     return within(name, value, 0.0, largest, "must be positive and finite")
+
+
+def corners(name: str, value: ArrayLike | Sequence[Any]) -> Float[Array, "corners 2"]:
+    """The corners of an outline, finite as far as can be seen."""
+    array = jnp.asarray(value, float)
+    if array.ndim != 2 or array.shape[0] < 3 or array.shape[1] != 2:
+        raise ValueError(
+            f"{name} has shape {array.shape}, but must have a row (x, y) for each of "
+            "three corners or more."
+        )
+    seen = known(array)
+    if seen is not None and not np.all(np.isfinite(seen)):
+        place = int(np.argwhere(~np.isfinite(seen))[0][0])
+        raise ValueError(f"{name} has {seen[place].tolist()}, but must be finite.")
+    return array
 
 
 def row(

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, Float
 
-from ._checks import kinds, known, positive, row, text
+from ._checks import corners as need_corners, kinds, known, positive, row, text
 from ._types import Corners, Pose, Scalar
 from .flexure.material import Material
 
@@ -47,7 +47,9 @@ class Body(eqx.Module):
             None if value is None else positive(f"`{what}` of the body {name!r}", value)
             for what, value in (("mass", mass), ("inertia", inertia))
         )
-        self.outline = None if outline is None else jnp.asarray(outline, float)
+        self.outline = None
+        if outline is not None:
+            self.outline = need_corners(f"`outline` of the body {name!r}", outline)
 
 
 def plate(

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from ._checks import row, text, within
+from ._checks import corners, row, text, within
 from ._types import Corners, Pose, Scalar
 from .damping import Viscous
 from .energy import AbstractEnergy
@@ -87,7 +86,7 @@ class Hinge(eqx.Module):
             )
             self.ports = in_first, in_second
         self.damping = _damping(f"`damping` {place}", damping)
-        self.outline = None if outline is None else jnp.asarray(outline, float)
+        self.outline = None if outline is None else corners(f"`outline` {place}", outline)
 
 
 def _damping(name: str, given: Viscous | ArrayLike | None) -> Viscous | Scalar | None:

@@ -53,15 +53,16 @@ def solve(
         free = v[kept:].T
     target = target - matrix @ start
     u, s, v = np.linalg.svd(matrix @ free, full_matrices=False)
-    seen = s > _BEYOND * s[0] if s.size else np.zeros(0, bool)
+    largest = s[0] if s.size else 1.0  # none, where the conditions leave nothing free
+    seen = s > _BEYOND * largest
     rank = int(np.sum(seen))
     within = u.T @ target
 
     def filtered(ridge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         squares = np.where(seen, s, 1.0) ** 2
-        gains = np.where(seen, squares / (squares + ridge * s[0] ** 2), 0.0)
+        gains = np.where(seen, squares / (squares + ridge * largest**2), 0.0)
         residual = target - u @ (gains * within)
-        blocks = u.reshape(trials, each, -1)
+        blocks = u.reshape(trials, each, u.shape[1])
         hat = (blocks * gains) @ np.swapaxes(blocks, 1, 2)
         with np.errstate(all="ignore"):
             gap = np.eye(each) - hat
@@ -85,7 +86,7 @@ def solve(
         left_out=left_out,
         rank=rank,
         free=free.shape[1],
-        condition=float(s[0] / s[seen][-1]) if rank else np.inf,
+        condition=float(largest / s[seen][-1]) if rank else np.inf,
         ridge=float(choices[best]),
         spread=shape @ shape.T,
         unseen=_unseen(free, v, seen) / size[:, None],

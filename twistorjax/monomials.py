@@ -21,7 +21,7 @@ from .strains import Coordinates, stretch
 
 
 Powers = tuple[tuple[int, ...], ...]
-Symmetry = Literal["mirror", "ends", "exchange", "sign"]
+Symmetry = Literal["leaf", "mirror", "ends", "exchange", "sign"]
 
 VARIABLES = {
     "twist": ("tau", "t1", "t2"),
@@ -43,7 +43,7 @@ def monomials(
     order: int,
     coordinates: Coordinates | Literal["tension"] = "twistor",
     *,
-    symmetry: Literal["leaf"] | Sequence[Symmetry] = (),
+    symmetry: Symmetry | Sequence[Symmetry] = (),
     redundant: bool = False,
 ) -> Powers:
     """The powers of all monomials up to an order, in the dissertation's sequence.
@@ -53,7 +53,7 @@ def monomials(
         coordinates: "twist" for powers of (tau, t1, t2), "twistor" for those of
             (sigma, xi, x1, x2); "tension" for those of a `Slender` energy, (tau, t2, n):
             the order is that in the first two, and n goes to half of it and one more.
-        symmetry: keeps only what is the same for a hinge
+        symmetry: one or several; keeps only what is the same for a hinge
 
             * "mirror": and its mirror image across axis 1;
             * "ends": seen from either end, turned by half a turn;
@@ -81,14 +81,14 @@ def monomials(
     names = VARIABLES[coordinates]
     if not isinstance(order, int) or order < 0:
         raise ValueError(f"`order` is {order!r}, but must be a whole number from 0 on.")
-    if symmetry == "leaf":
-        symmetry = (*LEAF, "sign") if coordinates == "twistor" else LEAF
-    kinds: Sequence[str] = (symmetry,) if isinstance(symmetry, str) else symmetry
-    for kind in kinds:
-        if kind not in _PARITY:
-            one_of("`symmetry`", kind, ("leaf", *_PARITY))
+    given: Sequence[str] = (symmetry,) if isinstance(symmetry, str) else symmetry
+    leaf = (*LEAF, "sign") if coordinates == "twistor" else LEAF
+    kinds: list[str] = []
+    for kind in given:
+        one_of("`symmetry`", kind, ("leaf", *_PARITY))
         if kind == "sign" and coordinates != "twistor":
             raise ValueError("`symmetry` has 'sign', which is one of the twistor alone.")
+        kinds.extend(leaf if kind == "leaf" else (kind,))
     odd = [[name in _PARITY[kind] for name in names] for kind in kinds]
     tops = [order] * len(names)
     if coordinates == "twistor" and not redundant:

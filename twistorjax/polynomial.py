@@ -4,6 +4,7 @@ Sections 3.6 and 4.7 of the dissertation. A polynomial of the twistor is one fro
 frame, for twistors seen from other frames are linear in one another.
 """
 
+import operator
 from collections.abc import Sequence
 from functools import partial
 from typing import get_args
@@ -15,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from . import clifford, se2
-from ._checks import known, one_of, positive
+from ._checks import known, one_of, positive, shortened
 from ._types import Pose, Scalar
 from .clifford import Displacement
 from .energy import AbstractEnergy
@@ -29,6 +30,9 @@ from .monomials import (
     variables,
 )
 from .strains import Coordinates, stretch
+
+
+LARGEST_POWER = 1000  # far above those of any fit
 
 
 class _OfMonomials(AbstractEnergy):
@@ -222,18 +226,40 @@ class Squares(_OfMonomials):
 
 
 def rows_of_powers(powers: Sequence[Sequence[int]], names: Sequence[str]) -> Powers:
-    """The powers of variables of some names, if they are such."""
-    rows = tuple(tuple(int(power) for power in row) for row in powers)
-    for place, row in enumerate(rows):
-        if len(row) != len(names) or min(row) < 0:
-            raise ValueError(
-                f"`powers[{place}]` is {row}, but must be {len(names)} whole numbers "
-                f"from 0 on, the powers of ({', '.join(names)})."
-            )
+    """Check the powers of each term.
+
+    Args:
+        powers: A row for each term.
+        names: Names of the variables, of which a row has the powers.
+
+    Returns:
+        The rows, as tuples of whole numbers.
+
+    Raises:
+        ValueError: A row has another length, a power is no whole number or lies outside
+            of 0 to 1000, or a row is there twice.
+    """
+    rows = tuple(_row_of_powers(place, row, names) for place, row in enumerate(powers))
     if len(set(rows)) < len(rows):
         twice = next(row for row in rows if rows.count(row) > 1)
         raise ValueError(f"`powers` has {twice} more than once.")
     return rows
+
+
+def _row_of_powers(
+    place: int, row: Sequence[int], names: Sequence[str]
+) -> tuple[int, ...]:
+    try:
+        whole = tuple(operator.index(power) for power in row)
+    except TypeError:
+        whole = ()  # a number that is not whole is not rounded
+    fine = all(0 <= power <= LARGEST_POWER for power in whole)
+    if len(whole) != len(names) or not fine:
+        raise ValueError(
+            f"`powers[{place}]` is {shortened(str(row))}, but must be {len(names)} whole "
+            f"numbers from 0 to {LARGEST_POWER}, the powers of ({', '.join(names)})."
+        )
+    return whole
 
 
 def fault_of_coefficients(

@@ -99,7 +99,7 @@ def fit_rational(
     order: int,
     *,
     coordinates: Coordinates = "twistor",
-    symmetry: Literal["leaf"] | Sequence[Symmetry] = (),
+    symmetry: Symmetry | Sequence[Symmetry] = (),
     denominator: Literal["free", "base"] = "free",
     base: Polynomial | None = None,
     scale: float | None = None,

@@ -30,7 +30,7 @@ def fit_energy(
     order: int | None = None,
     *,
     coordinates: Coordinates | Literal["tension"] = "twistor",
-    symmetry: Literal["leaf"] | Sequence[Symmetry] = (),
+    symmetry: Symmetry | Sequence[Symmetry] = (),
     redundant: bool = False,
     rest: Literal["stable", "unstressed", "free"] = "stable",
     ridge: float | None = None,
@@ -78,6 +78,12 @@ def fit_energy(
         Array([ 2., 30.,  9.], dtype=float64)
     """
     need_float64(trials.poses)
+    for values in jax.tree.leaves(trials):
+        if np.max(np.abs(values)) > 1e100:  # its powers would not be numbers
+            raise ValueError(
+                f"`trials` have a value of {np.max(np.abs(values)):g}, but a fit needs "
+                "values of at most 1e100."
+            )
     one_of("`rest`", rest, ("stable", "unstressed", "free"))
     if not 0 <= hold_out < 1:
         raise ValueError(
@@ -116,7 +122,7 @@ class _Settings(NamedTuple):
     coordinates: Coordinates | Literal["tension"]
     rest: str
     redundant: bool
-    symmetry: Literal["leaf"] | Sequence[Symmetry]
+    symmetry: Symmetry | Sequence[Symmetry]
     ridge: float | None
     scale: float | None
 
@@ -223,8 +229,8 @@ def _by_tension(
     wrenches = np.asarray(trials.wrenches)
     pulls = np.einsum("sij,sj->si", turning, wrenches)
     tensions = pulls[:, 1]
-    length = settings.scale or float(np.abs(twists[:, 2]).max()) or 1.0
-    force = float(np.abs(tensions).max()) or 1.0
+    length = settings.scale or _largest(twists[:, 2])
+    force = _largest(tensions)
     adds = mixed.terms(powers, jnp.asarray(twists), jnp.asarray(tensions), length, force)
     adds = jax.tree.map(np.asarray, adds)
     back = np.linalg.inv(turning) / np.asarray(trials.wrench_deviations)[:, :, None]
@@ -255,6 +261,12 @@ def _by_tension(
         solved = fitted(give, [lean @ solved.coefficients for lean in adds.leaning])
     energy = Slender(solved.coefficients, powers, length=length, force=force)
     return _Candidate(order, energy, solved)
+
+
+def _largest(values: np.ndarray) -> float:
+    """The largest absolute value; one, where its square is too small for a number."""
+    largest = float(np.abs(values).max())
+    return largest if largest > 1e-150 else 1.0
 
 
 def _curvature_at_rest(powers: Powers, length: float, force: float) -> np.ndarray:

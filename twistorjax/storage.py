@@ -1,18 +1,23 @@
 """Energies in files, so that a hinge once fitted can be used again."""
 
 import dataclasses
-import json
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 
+from ._checks import shortened
 from .certified import Certified
 from .coulomb import Coulomb
 from .energy import AbstractEnergy, Quadratic, Scaled, Sum
+from .files import EntryError, fault_of, read_json, shown, write_json
 from .polynomial import Polynomial, Rational, Squares
 from .slender import Slender
+
+
+if TYPE_CHECKING:
+    from . import schemas
 
 
 VERSION = 1
@@ -33,16 +38,18 @@ _KINDS = {
 
 
 def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
-    """Writes an energy as JSON, to the last bit.
+    """Write an energy as JSON, to the last bit.
 
     Args:
         energy: quadratic, polynomial, rational, slender or of charges; certified ones,
             their sums and multiples.
-        path: of the file; one that is there is replaced.
+        path: Path of the file. A file that exists is replaced once the new one is
+            complete.
 
     Raises:
-        ValueError: the energy is of another kind.
-        OSError: the file cannot be written.
+        ValueError: The energy is of another kind, or has a value that is not finite.
+            Nothing is written.
+        OSError: The file cannot be written.
 
     Example:
         >>> from tempfile import TemporaryDirectory
@@ -56,60 +63,91 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
 
 
 def load_energy(path: str | Path) -> AbstractEnergy:
-    """Reads an energy that `save_energy` wrote.
+    """Read an energy that `save_energy` wrote.
 
     Raises:
-        ValueError: the file is not whole, of another version, or names what is unknown.
-        OSError: the file cannot be read.
+        ValueError: The file is damaged or of another version, or an entry is unknown,
+            missing or out of range. The message names the file and the entry.
+        OSError: The file cannot be read.
     """
-    told = read_record(path, "energy")
+    record = read_record(path, "energy")
     try:
-        return energy_from(told)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{path} holds no energy: {error}") from error
+        return energy_from(record, "energy")
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def write_record(path: str | Path, kind: str, told: Any) -> None:
-    """Writes what is told of a thing of some kind."""
-    text = json.dumps({"twistorjax": VERSION, kind: told}, indent=1)
-    Path(path).write_text(text + "\n", encoding="utf-8")
+    """Write a record, if it can be read again.
+
+    Args:
+        path: Path of the file.
+        kind: "energy" or "mechanism".
+        told: The record, of plain objects, lists and values.
+
+    Raises:
+        ValueError: The record cannot be read again: a value is not finite, a text cannot
+            be encoded, or it does not fit its schema. Nothing is written.
+        OSError: The file cannot be written.
+    """
+    from .schemas import converted
+
+    try:
+        if fault := fault_of({kind: told}):
+            raise ValueError(fault)
+        converted(told, kind)
+    except ValueError as error:
+        raise ValueError(f"{path} is not written: {error}") from None
+    write_json(path, {"twistorjax": VERSION, kind: told})
 
 
 def read_record(path: str | Path, kind: str) -> Any:
-    """Reads what was told of a thing of that kind.
+    """Read a record.
+
+    Args:
+        path: Path of the file.
+        kind: "energy" or "mechanism".
+
+    Returns:
+        The record, as its class in `schemas`.
 
     Raises:
-        ValueError: the file is not whole, of another version, or of another kind.
-        OSError: the file cannot be read.
+        ValueError: The file is damaged, of another version or of another kind, or does
+            not fit the schema.
+        OSError: The file cannot be read.
     """
-    try:
-        record = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"{path} is not whole, or no JSON: {error}. Save the {kind} again."
-        ) from error
+    from .schemas import converted
+
+    record = read_json(path)
     if not isinstance(record, dict):
-        raise ValueError(f"{path} is a {type(record).__name__}, but must be an object.")
+        raise ValueError(f"{path} is {shown(record)}, but must be an object.")
     version = record.get("twistorjax")
-    if version is True or version != VERSION:
+    if type(version) is not int or version != VERSION:
         raise ValueError(
             f"{path} has another layout than `save_{kind}` of this version writes: its "
-            f"field `twistorjax` is {version!r}, but must be {VERSION}."
+            f"field `twistorjax` is {shown(version)}, but must be {VERSION}."
         )
     if set(record) != {"twistorjax", kind}:
         raise ValueError(
-            f"{path} has the fields {', '.join(record)}, but must have `twistorjax` and "
-            f"`{kind}` alone."
+            f"{path} has the fields {shortened(', '.join(record))}, but must have "
+            f"`twistorjax` and `{kind}` alone."
         )
-    return record[kind]
+    try:
+        return converted(record[kind], kind)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def energy_told(energy: AbstractEnergy) -> dict[str, Any]:
-    """What an energy is, as plain values."""
-    if type(energy).__name__ not in _KINDS:
+    """The record of an energy, of plain objects, lists and values.
+
+    Raises:
+        ValueError: The energy cannot be saved.
+    """
+    name = type(energy).__name__
+    if _KINDS.get(name) is not type(energy):
         raise ValueError(
-            f"An energy of the kind {type(energy).__name__} cannot be saved, but only "
-            f"{', '.join(_KINDS)}."
+            f"An energy of the kind {name} cannot be saved, but only {', '.join(_KINDS)}."
         )
 
     def plain(value: Any) -> Any:
@@ -121,36 +159,42 @@ def energy_told(energy: AbstractEnergy) -> dict[str, Any]:
             return value
         return np.asarray(value).tolist()
 
-    fields = dataclasses.fields(energy)
-    told = {field.name: plain(getattr(energy, field.name)) for field in fields}
-    return {"kind": type(energy).__name__, **told}
+    told: dict[str, Any] = {"kind": name}
+    try:
+        for field in dataclasses.fields(energy):
+            told[field.name] = plain(getattr(energy, field.name))
+    except RecursionError:
+        raise ValueError("An energy of so many nested sums cannot be saved.") from None
+    return told
 
 
-def energy_from(record: Any) -> AbstractEnergy:
-    """The energy of which that was told."""
-    if not isinstance(record, dict) or record.get("kind") not in _KINDS:
-        came = record.get("kind") if isinstance(record, dict) else record
-        raise ValueError(f"`kind` is {came!r}, but must be one of {', '.join(_KINDS)}.")
-    kind = _KINDS[record["kind"]]
-    fields = dataclasses.fields(kind)
-    names = {field.name for field in fields}
-    if set(record) - {"kind"} != names:
-        raise ValueError(
-            f"a {record['kind']} has the fields {', '.join(sorted(names))}, but "
-            f"{', '.join(sorted(set(record) - {'kind'})) or 'none'} are there."
-        )
+def energy_from(record: "schemas.Energy", where: str) -> AbstractEnergy:
+    """Make an energy of its record.
 
-    def whole(value: Any) -> Any:
-        if isinstance(value, dict):
-            return energy_from(value)
-        if isinstance(value, list) and value and isinstance(value[0], dict):
-            return tuple(energy_from(part) for part in value)
-        return jnp.asarray(value, float) if isinstance(value, list | float) else value
+    Args:
+        record: The record, which fits its schema.
+        where: Name of its entry in the file, for messages.
 
-    values = {
-        field.name: record[field.name]
-        if field.metadata.get("static")
-        else whole(record[field.name])
-        for field in fields
-    }
-    return kind(**values)
+    Raises:
+        EntryError: Its values do not make an energy.
+    """
+    from .schemas import is_energy
+
+    def whole(name: str, value: Any) -> Any:
+        if is_energy(value):
+            return energy_from(value, f"{where}.{name}")
+        if name == "parts":
+            return tuple(whole(f"parts[{k}]", part) for k, part in enumerate(value))
+        if name in ("powers", "coordinates"):
+            return value
+        return jnp.asarray(value, float)
+
+    fields = record.__struct_fields__
+    values = {name: whole(name, getattr(record, name)) for name in fields}
+    try:
+        energy = _KINDS[type(record).__name__](**values)
+        if fault := energy.fault():
+            raise ValueError(fault)
+        return energy
+    except ValueError as error:
+        raise EntryError(f"the entry `{where}`: {error}") from error

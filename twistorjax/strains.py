@@ -58,13 +58,18 @@ def fault_of_matrix(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
     # rotation and translation differ in unit, so by their size too: compare without it
     size = np.sqrt(np.abs(np.diagonal(values, axis1=-2, axis2=-1)))
     size = np.where(size > 0, size, 1.0)
-    scaled = values / (size[..., :, None] * size[..., None, :])
-    if np.max(np.abs(scaled - np.swapaxes(scaled, -1, -2))) > 1e-9:
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = values / size[..., :, None] / size[..., None, :]
+        asymmetry = np.max(np.abs(scaled - np.swapaxes(scaled, -1, -2)))
+    if asymmetry > 1e-9:
         return (
             f"`{name}` is not symmetric: {values.tolist()}. Use its symmetric part, "
             "`(matrix + matrix.T) / 2`; an antisymmetric part stores no energy."
         )
-    lowest = np.linalg.eigvalsh((scaled + np.swapaxes(scaled, -1, -2)) / 2).min()
+    # an entry off the diagonal that overflows here is larger than the diagonal allows
+    lowest = -np.inf
+    if np.all(np.isfinite(scaled)):
+        lowest = np.linalg.eigvalsh(scaled / 2 + np.swapaxes(scaled, -1, -2) / 2).min()
     if lowest < -1e-9:
         return (
             f"`{name}` has a negative eigenvalue: {values.tolist()}. It would give "

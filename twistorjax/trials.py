@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from ._checks import shortened
 from .columns import Columns
 
 
@@ -193,7 +194,8 @@ def read_trials(path: str | Path) -> Trials:
     if missing := [name for name in wanted if name not in file.names]:
         raise ValueError(
             f"{path} lacks the column {', '.join(missing)}: its first line is "
-            f"{', '.join(file.names) or 'empty'}, but must name {', '.join(_POSE)}, and "
+            f"{shortened(', '.join(file.names), 300) or 'empty'}, but must name "
+            f"{', '.join(_POSE)}, and "
             f"{', '.join(_WRENCH)} or {_ENERGY} or all of them; standard deviations of "
             "the wrench for all three components, or for none."
         )

@@ -1,11 +1,14 @@
 """What the commands share: how they refuse, prepare, and draw."""
 
+import json
 import math
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
+
+from .._checks import shortened
 
 
 class Refused(Exception):
@@ -56,8 +59,36 @@ def need_energy(energy: str) -> Literal["twistor", "twist"]:
 
 def need_folder(option: str, path: Path | None) -> None:
     """Refuses a file in a folder that is not there."""
-    if path is not None and not path.resolve().parent.is_dir():
-        raise Refused(f"{option} is {path}, but there is no folder {path.parent}.")
+    # unlike those of pathlib, this is no error for a name that is too long or a loop
+    if path is not None and not os.path.isdir(os.path.dirname(os.path.abspath(path))):
+        raise Refused(
+            f"{option} is {shortened(str(path), 200)}, but there is no folder "
+            f"{shortened(str(path.parent), 200)}."
+        )
+
+
+def need_seed(option: str, seed: int, lowest: int = 0) -> None:
+    """Refuses a seed of random numbers that is negative or has more than 63 bits."""
+    highest = 2**63 - 1
+    if not lowest <= seed <= highest:
+        raise Refused(
+            f"{option} is {seed}, but must be a whole number from {lowest} to {highest}."
+        )
+
+
+def in_json(record: Any) -> str:
+    """A record as JSON; numbers that are not finite, which JSON lacks, are null."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(part) for key, part in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(part) for part in value]
+        if isinstance(value, float) and not math.isfinite(value):
+            return None
+        return value
+
+    return json.dumps(plain(record), allow_nan=False)
 
 
 def meter():

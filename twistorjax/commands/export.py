@@ -1,13 +1,12 @@
 """`twistorjax export`: a mechanism in files for other programs."""
 
-import json
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from .common import need_folder, prepare_jax, Refused
+from .common import in_json, need_folder, prepare_jax, Refused
 
 
 _CASES = ("stage", "four-bar", "mixed-four-bar")
@@ -67,7 +66,7 @@ def export(
         raise Refused(f"--out cannot be written: {error}") from None
     if as_json:
         record = {"out": str(out), "bodies": made.names, "hinges": made.hinge_names}
-        print(json.dumps(record))
+        print(in_json(record))
     else:
         print(f"{made!r}\nkept in {out}")
 

@@ -1,6 +1,5 @@
 """`twistorjax fit`: an energy from measurements."""
 
-import json
 import math
 import warnings
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import need_choice, need_folder, prepare_jax, Refused
+from .common import in_json, need_choice, need_folder, need_seed, prepare_jax, Refused
 
 
 def fit(
@@ -48,6 +47,7 @@ def fit(
         raise Refused(f"--order is {order}, but must lie between 1 and 20.")
     if not (math.isfinite(hold_out) and 0 <= hold_out < 1):
         raise Refused(f"--hold-out is {hold_out:g}, but must be from 0 to below 1.")
+    need_seed("--seed", seed)
     need_folder("--out", out)
     prepare_jax()
     from ..regression import fit_energy
@@ -73,7 +73,7 @@ def fit(
     if out is not None:
         try:
             save_energy(answer.energy, out)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise Refused(f"--out cannot be written: {error}") from None
     if not as_json:
         print(answer)
@@ -86,11 +86,11 @@ def fit(
         ("held_out", answer.held_out),
     )
     told = {
-        name: None if errors is None else _finite(errors.relative.tolist())
+        name: None if errors is None else errors.relative.tolist()
         for name, errors in kinds_of_error
     }
     print(
-        json.dumps(
+        in_json(
             {
                 "order": answer.energy.order,
                 "terms": answer.terms,
@@ -103,8 +103,3 @@ def fit(
             }
         )
     )
-
-
-def _finite(values: list[float]) -> list[float | None]:
-    """JSON has no infinity."""
-    return [value if math.isfinite(value) else None for value in values]

@@ -1,6 +1,5 @@
 """`twistorjax four-bar`: the linkages of chapter 5 in motion."""
 
-import json
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +9,7 @@ import typer
 
 from .common import (
     finished,
+    in_json,
     meter,
     need_choice,
     need_energy,
@@ -127,7 +127,7 @@ def _motion_json(motion, rows: slice) -> str:
     def by_link(values) -> dict[str, list]:
         return {name: values[rows, row].tolist() for row, name in enumerate(motion.names)}
 
-    return json.dumps(
+    return in_json(
         {
             "times": motion.times[rows].tolist(),
             "poses": by_link(motion.poses),

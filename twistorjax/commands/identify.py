@@ -1,12 +1,11 @@
 """`twistorjax identify`: stiffnesses found from a motion."""
 
-import json
 import sys
 from typing import Annotated
 
 import typer
 
-from .common import Failed, need, prepare_jax, Refused
+from .common import Failed, in_json, need, need_seed, prepare_jax, Refused
 
 
 def identify(
@@ -34,6 +33,7 @@ def identify(
     need("--travel", travel, "m")
     if seed < -1:
         raise Refused(f"--seed is {seed}, but must be 0 or larger, or -1 for no errors.")
+    need_seed("--seed", seed, lowest=-1)
     prepare_jax()
     import jax
 
@@ -46,12 +46,14 @@ def identify(
         )
     except RuntimeError as error:
         raise Failed(str(error)) from None
+    except ValueError as error:  # deviations whose squares are no numbers
+        raise Refused(f"--angle or --travel cannot be used: {error}") from None
     if not as_json:
         print(found)
         print("true: " + ", ".join(f"{name} {case.LEAF[name]:g}" for name in found.names))
         return
     print(
-        json.dumps(
+        in_json(
             {
                 "estimates": {k: float(v) for k, v in found.estimates.items()},
                 "standard_errors": {

@@ -1,12 +1,11 @@
 """`twistorjax random-data`: random wrenches met by a polynomial, of section 7.1."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .common import need_picture, prepare_jax, save
+from .common import in_json, need_picture, prepare_jax, save
 
 
 def random_data(
@@ -37,7 +36,7 @@ def random_data(
         return
     fit = study.fit
     print(
-        json.dumps(
+        in_json(
             {
                 "order": fit.energy.order,
                 "trials": len(study.trials),

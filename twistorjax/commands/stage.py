@@ -1,6 +1,5 @@
 """`twistorjax stage`: the gain of the micropositioning stage, and how it is reached."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,6 +8,7 @@ import typer
 from .common import (
     Failed,
     finished,
+    in_json,
     meter,
     need,
     need_energy,
@@ -95,7 +95,7 @@ def stage(
     if as_json:
         poses = np.asarray(moved.rest) + np.asarray(moved.displacements)
         named = dict(zip(moved.names, poses.tolist(), strict=True))
-        print(json.dumps({**values, "poses": named, "result": ended}))
+        print(in_json({**values, "poses": named, "result": ended}))
     else:
         print(_table(values, web, travel))
         if plot is not None:
@@ -151,13 +151,16 @@ def _transient(
         design = stage.microstage(web, coordinates=coordinates, damping=damping_time)
     except ValueError as error:
         raise Refused(f"--web cannot be used, holes being 3 mm: {error}") from None
-    settled = case.settle(
-        design,
-        travel=travel,
-        rise=None if step else case.RISE,
-        throw=False,
-        progress_meter=meter(),
-    )
+    try:
+        settled = case.settle(
+            design,
+            travel=travel,
+            rise=None if step else case.RISE,
+            throw=False,
+            progress_meter=meter(),
+        )
+    except RuntimeError as error:  # of the equilibrium with which its end is compared
+        raise Failed(f"--input {travel:g}: {error}") from None
     motion = finished(settled.motion)
     if plot is not None:
         save(plot, lambda: case.plot(settled))
@@ -165,7 +168,7 @@ def _transient(
     apart = float(settled.joint[1, -1] - settled.joint[0, -1])
     if as_json:
         print(
-            json.dumps(
+            in_json(
                 {
                     "gain": gain,
                     "static_gain": static,

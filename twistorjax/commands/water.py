@@ -1,13 +1,12 @@
 """`twistorjax water`: the energy of two water molecules, of sections 7.2 to 7.4."""
 
-import json
 import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .common import need_picture, prepare_jax, Refused, save
+from .common import in_json, need_picture, need_seed, prepare_jax, Refused, save
 
 
 def water(
@@ -43,8 +42,7 @@ def water(
         )
     if not 2 <= points <= 20000:
         raise Refused(f"--points is {points}, but must lie between 2 and 20000.")
-    if seed < 0:
-        raise Refused(f"--seed is {seed}, but must be a whole number from 0 on.")
+    need_seed("--seed", seed)
     need_picture("--plot", plot)
     prepare_jax()
     from ..cases import water as case
@@ -71,7 +69,7 @@ def _json(study) -> str:
             "has_poles": fit.has_poles,
         }
 
-    return json.dumps(
+    return in_json(
         {
             "order": study.order,
             "range_rad": study.span,

@@ -1,6 +1,5 @@
 """Mechanisms as JSON, written and read to the last bit."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,27 +8,25 @@ import numpy as np
 from .._checks import need_float64
 from ..body import Body
 from ..damping import Viscous
+from ..files import EntryError
 from ..hinge import Hinge
 from ..mechanism import COORDINATES, Mechanism
 from ..storage import energy_from, energy_told, read_record, write_record
 
 
-_BODY = ("name", "rest", "mass", "inertia", "outline")
-_HINGE = ("name", "first", "second", "at", "energy", "damping", "outline")
-_DAMPING = ("damping", "coordinates", "resisted")
-_MODEL = ("bodies", "hinges", "held")
-
-
 def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
-    """Writes a mechanism as JSON, to the last bit.
+    """Write a mechanism as JSON, to the last bit.
 
     Args:
-        mechanism: whose hinges have energies that `save_energy` can write.
-        path: of the file; one that is there is replaced.
+        mechanism: The mechanism. The energies of its hinges must be of the kinds that
+            `save_energy` can write.
+        path: Path of the file. A file that exists is replaced once the new one is
+            complete.
 
     Raises:
-        ValueError: double precision is off; a hinge has an energy of another kind.
-        OSError: the file cannot be written.
+        ValueError: Double precision is off; a hinge has an energy of another kind; a
+            name cannot be written as UTF-8; a value is not finite. Nothing is written.
+        OSError: The file cannot be written.
 
     Example:
         >>> from tempfile import TemporaryDirectory
@@ -76,60 +73,61 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
 
 
 def load_mechanism(path: str | Path) -> Mechanism:
-    """Reads a mechanism that `save_mechanism` wrote, or that was written by hand.
+    """Read a mechanism that `save_mechanism` wrote, or that was written by hand.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        The mechanism. Hinges whose energies are equal share one.
 
     Raises:
-        ValueError: the file is not whole, of another version, lacks a field or has one
-            that is unknown, or makes no mechanism.
-        OSError: the file cannot be read.
+        ValueError: The file is damaged or of another version; an entry is unknown,
+            missing, of a wrong type or out of range; or the entries do not make a
+            mechanism. The message names the file and the entry.
+        OSError: The file cannot be read.
     """
+    from msgspec.json import encode
+
     model = read_record(path, "mechanism")
+    where = "mechanism"
     try:
-        _need("the mechanism", model, _MODEL)
-        bodies = [
-            Body(**_outlined(_need(f"bodies[{k}]", body, _BODY)))
-            for k, body in enumerate(model["bodies"])
-        ]
-        hinges, kinds = [], {}
-        for k, hinge in enumerate(model["hinges"]):
-            told = _outlined(_need(f"hinges[{k}]", hinge, _HINGE))
-            damping = told["damping"]
-            if isinstance(damping, dict):
-                _need(f"the damping of hinges[{k}]", damping, _DAMPING)
-                damping = Viscous(
-                    np.array(damping["damping"], float), damping["coordinates"],
-                    resisted=damping["resisted"],
-                )  # fmt: skip
-            # hinges of one kind share their energy, as those that were written did
-            kind = json.dumps(told["energy"])
-            if kind not in kinds:
-                try:
-                    kinds[kind] = energy_from(told["energy"])
-                except (ValueError, TypeError) as error:
-                    where = f"the energy of hinges[{k}], {told['name']!r}"
-                    raise ValueError(f"{where}: {error}") from error
-            told |= {"energy": kinds[kind], "damping": damping}
-            hinges.append(Hinge(**told))
-        return Mechanism(bodies, hinges, held=model["held"])
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{path} holds no mechanism: {error}") from error
+        bodies = []
+        for k, told in enumerate(model.bodies):
+            where = f"mechanism.bodies[{k}]"
+            bodies.append(
+                Body(told.name, told.rest, told.mass, told.inertia, _array(told.outline))
+            )
+        hinges, energies = [], {}
+        for k, told in enumerate(model.hinges):
+            where = f"mechanism.hinges[{k}]"
+            content = encode(told.energy)
+            if content not in energies:
+                energies[content] = energy_from(told.energy, f"{where}.energy")
+            hinges.append(
+                Hinge(
+                    *(told.name, told.first, told.second, energies[content], told.at),
+                    damping=_damping_of(told.damping),
+                    outline=_array(told.outline),
+                )
+            )
+        where = "mechanism"
+        return Mechanism(bodies, hinges, held=model.held)
+    except EntryError as error:
+        raise ValueError(f"{path}: {error}") from error
+    except ValueError as error:
+        raise ValueError(f"{path}: the entry `{where}`: {error}") from error
 
 
-def _outlined(record: dict[str, Any]) -> dict[str, Any]:
-    """The record with its outline as an array."""
-    if (outline := record["outline"]) is None:
+def _damping_of(record: Any) -> Viscous | float | None:
+    """The damping of a record; a number is a time, in s."""
+    if record is None or isinstance(record, float):
         return record
-    try:
-        corners = np.array(outline, float).reshape(-1, 2)
-    except ValueError:
-        raise ValueError(
-            f"`outline` of {record['name']!r} must be rows (x, y), three or more."
-        ) from None
-    if len(corners) < 3:
-        raise ValueError(
-            f"`outline` of {record['name']!r} has {len(corners)} corners, not three."
-        )
-    return {**record, "outline": corners}
+    return Viscous(np.array(record.damping), record.coordinates, resisted=record.resisted)
+
+
+def _array(rows: Any) -> np.ndarray | None:
+    return None if rows is None else np.array(rows, float)
 
 
 def _numbers(value: Any) -> Any:
@@ -142,19 +140,3 @@ def _damping_told(damping: Viscous) -> dict[str, Any]:
         "coordinates": damping.coordinates,
         "resisted": damping.resisted,
     }
-
-
-def _need(where: str, record: Any, fields: tuple[str, ...]) -> dict[str, Any]:
-    """The record, if it has these fields and no other."""
-    if not isinstance(record, dict):
-        raise ValueError(f"{where} is a {type(record).__name__}, but must be an object.")
-    missing = [name for name in fields if name not in record]
-    unknown = [name for name in record if name not in fields]
-    if missing or unknown:
-        words = [
-            f"{word} {', '.join(map(repr, names))}"
-            for word, names in (("lacks", missing), ("has the unknown", unknown))
-            if names
-        ]
-        raise ValueError(f"{where} {' and '.join(words)}.")
-    return record

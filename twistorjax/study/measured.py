@@ -164,9 +164,11 @@ def a_key(key: Array | int) -> Array:
     Raises:
         ValueError: it is neither.
     """
-    if isinstance(key, bool) or not isinstance(key, int | Array):
+    small = not isinstance(key, int) or -(2**63) <= key < 2**63
+    if isinstance(key, bool) or not isinstance(key, int | Array) or not small:
         raise ValueError(
-            f"`key` is {key!r}, but must be a whole number or a key: jax.random.key(0)."
+            f"`key` is {key!r}, but must be a whole number of at most 63 bits, or a key: "
+            "jax.random.key(0)."
         )
     return jax.random.key(key) if isinstance(key, int) else key
 

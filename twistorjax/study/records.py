@@ -7,13 +7,14 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
+from .._checks import shortened
 from ..boundary import Drive, Load
 from ..columns import Columns
 from .at_rest import StaticTest
 from .in_motion import MotionTest
 from .measured import Measured
 from .sensors import Gauge, Sensor, UNITS
-from .vibrating import VibrationTest
+from .vibrating import need_ascending, VibrationTest
 
 
 if TYPE_CHECKING:
@@ -21,15 +22,16 @@ if TYPE_CHECKING:
 
 
 _FACTORS = {
-    "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "µrad": 1e-6, "deg": np.pi / 180},
+    "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": np.pi / 180},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
     "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180},
     "N m": {"N m": 1.0, "Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "uNm": 1e-6},
-    "N": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "µN": 1e-6, "kN": 1e3},
+    "N": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "Hz": {"Hz": 1.0, "kHz": 1e3},
 }
+_MICRO = str.maketrans("\u00b5\u03bc", "uu")  # the sign for micro, and the Greek letter
 _LOADS = ("moment", "force_x", "force_y")
 _DRIVES = ("angle", "x", "y")
 _LONE = {"time": "s", "frequency": "Hz"}
@@ -114,8 +116,8 @@ def read_measured(
     for name in (*strange, *(deviations or {})):
         if name in strange or name not in known:
             raise ValueError(
-                f"There is a standard deviation of {name!r}, but {where} has no such "
-                f"readings: it has {', '.join(names)}."
+                f"There is a standard deviation of {shortened(name)!r}, but {where} has "
+                f"no such readings: it has {shortened(', '.join(names), 300)}."
             )
 
     def deviation(column: _Column) -> np.ndarray:
@@ -138,6 +140,12 @@ def read_measured(
         )
     if "frequency" in by_role:
         (column,) = by_role["frequency"]
+        if readings or "time" in by_role:
+            other = (readings or by_role["time"])[0].name
+            raise ValueError(
+                f"{where} has the column of {other} beside that of frequencies, but "
+                "natural frequencies stand alone."
+            )
         sizes = deviation(column)
         test = VibrationTest(len(column.values), sizes, **settings)
         return test.measured(column.values[:, None])
@@ -196,7 +204,9 @@ def _from_file(path: Path) -> tuple[list[_Column], _Spreads]:
     for title in file.names:
         spread, role, subject, quantity, unit = _parsed(str(path), title)
         blank = role in ("read", "hinge") and not spread
-        values = unit * file.numbers(title, blank=blank)
+        values = file.numbers(title, unit=unit, blank=blank)
+        if role == "frequency" and not spread:
+            need_ascending(values, file.place)
         column = _Column(role, subject, quantity, values)
         if spread:
             spreads[column.role, column.name] = values
@@ -221,21 +231,22 @@ def _parsed(where: str, title: str) -> tuple[bool, str, str, str, float]:
         if quantity in _LONE:
             return spread, quantity, "", quantity, _factor(where, title, quantity, unit)
     raise ValueError(
-        f"{where} has the column {title!r}, but a column is `<body>.<quantity>_<unit>` "
-        f"with one of {', '.join(UNITS)}; or begins with `hinge_`, `load_`, `drive_` or "
-        "`sd_`; or is `time_s` or `frequency_Hz`."
+        f"{where} has the column {shortened(title)!r}, but a column is "
+        f"`<body>.<quantity>_<unit>` with one of {', '.join(UNITS)}; or "
+        "begins with `hinge_`, `load_`, `drive_` or `sd_`; or is `time_s` or "
+        "`frequency_Hz`."
     )
 
 
 def _factor(where: str, title: str, quantity: str, unit: str) -> float:
     """How many SI units a unit is."""
     factors = _FACTORS[UNITS.get(quantity) or _LONE[quantity]]
-    if unit not in factors:
+    if unit.translate(_MICRO) not in factors:
         raise ValueError(
-            f"{where} has the column {title!r} in {unit!r}, but {quantity} is told in "
-            f"{', '.join(factors)}."
+            f"{where} has the column {shortened(title)!r} in {shortened(unit)!r}, but "
+            f"{quantity} is told in {', '.join(factors)}; a letter µ is read as u."
         )
-    return factors[unit]
+    return factors[unit.translate(_MICRO)]
 
 
 def _from_dataset(table: Any) -> tuple[list[_Column], _Spreads]:

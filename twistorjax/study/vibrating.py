@@ -1,18 +1,20 @@
 """Mechanisms that vibrate, and what is read: their frequencies."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .._checks import known
 from .._types import Poses, PosesLike
 from ..boundary import Load
 from ..mechanism import Mechanism
 from ..solve.statics import Equilibrium
 from ..solve.vibrations import vibrations
-from .measured import AbstractTest, so_many_deviations
+from .measured import AbstractTest, Measured, so_many_deviations
 
 
 class VibrationTest(AbstractTest):
@@ -59,6 +61,29 @@ class VibrationTest(AbstractTest):
         self.about = None if about is None else jnp.asarray(about, float)
         self.loads = tuple(loads)
 
+    def measured(
+        self,
+        values: Float[ArrayLike, "rows columns"] | Sequence[Sequence[ArrayLike]],
+        deviations: Float[ArrayLike, "*rows columns"] | None = None,
+    ) -> Measured:
+        """The test with the frequencies that were measured.
+
+        Args:
+            values: A row of one frequency for each vibration, the slowest first; NaN
+                where nothing was read; Hz.
+            deviations: Standard deviations of the frequencies, by default those of the
+                test; Hz.
+
+        Raises:
+            ValueError: As for any test; or a frequency is negative, or lower than one
+                before it.
+        """
+        data = super().measured(values, deviations)
+        seen = known(data.values)
+        if seen is not None:
+            need_ascending(seen[:, 0], lambda row: f"`values[{row}]`")
+        return data
+
     @property
     def columns(self) -> tuple[str, ...]:
         """The one column."""
@@ -93,3 +118,28 @@ class VibrationTest(AbstractTest):
 
     def __repr__(self) -> str:
         return f"VibrationTest of {self.count} frequencies"
+
+
+def need_ascending(frequencies: np.ndarray, place: Callable[[int], str]) -> None:
+    """Refuse measured frequencies that are negative or not in order, the slowest first.
+
+    Args:
+        frequencies: Frequencies; NaN where nothing was read; Hz.
+        place: Name of a row, for messages.
+
+    Raises:
+        ValueError: A frequency is negative, or lower than one before it.
+    """
+    last = 0.0
+    for row, frequency in enumerate(np.asarray(frequencies).tolist()):
+        if frequency < 0:
+            raise ValueError(
+                f"{place(row)}: the frequency is {frequency:g} Hz, but must not be "
+                "negative."
+            )
+        if frequency < last:
+            raise ValueError(
+                f"{place(row)}: the frequency is {frequency:g} Hz and follows one of "
+                f"{last:g} Hz, but frequencies must ascend, the slowest first."
+            )
+        last = last if np.isnan(frequency) else frequency

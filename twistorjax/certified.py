@@ -67,6 +67,10 @@ class Certified(Wrapped):
         most = (slack + 3 * jnp.max(self.error)) * self.force
         return ~(sure & (self._borne(displacement) <= most))
 
+    def parallel(self) -> tuple[AbstractEnergy, ...]:
+        terms = self.energy.parallel()
+        return (self,) if len(terms) == 1 else (*terms, _Range(self))
+
     def _borne(self, at: Displacement) -> Scalar:
         """The size of the force; N."""
 
@@ -102,3 +106,15 @@ class Certified(Wrapped):
             f"rad and {float(force):.4g} N; rms error {100 * moment:.2g} % in moment, "
             f"{100 * axial:.2g} % in axial, {100 * transverse:.2g} % in transverse force"
         )
+
+
+class _Range(AbstractEnergy):
+    """The range of an energy that is a sum, beside its terms: it stores nothing."""
+
+    energy: Certified
+
+    def stored(self, displacement: Displacement) -> Scalar:
+        return jnp.zeros_like(displacement.angle)
+
+    def beyond(self, displacement: Displacement) -> Bool[Array, ""]:
+        return self.energy.beyond(displacement)

@@ -40,6 +40,8 @@ class Tangent(NamedTuple):
 class Stack(eqx.Module):
     """Hinges of one kind of energy and damping, evaluated as one array operation.
 
+    A hinge whose energy is a sum has a place for each term.
+
     Args:
         members: their places in the mechanism's list of hinges.
         energy: their energies, stacked; what all of them share stands once.
@@ -62,6 +64,8 @@ class Couplings(eqx.Module):
         arms: from each body's origin to the hinge at rest, in world axes; m.
         axes: cosine and sine of each hinge's angle at rest.
         stacks: the energies, the like of them together.
+        sums: for each hinge whose energy is a sum that energy and its damping, as they
+            were given.
     """
 
     bodies: int = eqx.field(static=True)
@@ -69,6 +73,7 @@ class Couplings(eqx.Module):
     arms: Float[Array, "hinges 2 2"]
     axes: Float[Array, "hinges 2"]
     stacks: tuple[Stack, ...]
+    sums: tuple[tuple[AbstractEnergy, Viscous | Scalar | None] | None, ...]
 
     @property
     def lever(self) -> Scalar:
@@ -80,8 +85,15 @@ class Couplings(eqx.Module):
         """The energy of one hinge, by its place in the mechanism's list."""
         return self.energy_and_damping_of(row)[0]
 
-    def energy_and_damping_of(self, row: int) -> tuple[AbstractEnergy, Viscous | None]:
-        """The energy of one hinge and what it dissipates, if anything."""
+    def energy_and_damping_of(
+        self, row: int
+    ) -> tuple[AbstractEnergy, Viscous | Scalar | None]:
+        """The energy of one hinge and what it dissipates, if anything.
+
+        The damping of a sum is as it was given: a time, if it is one; s.
+        """
+        if (given := self.sums[row]) is not None:
+            return given
         stack = next(stack for stack in self.stacks if row in stack.members)
         place = stack.members.index(row)
         leaves, tree = jax.tree.flatten((stack.energy, stack.damping))
@@ -129,7 +141,7 @@ class Couplings(eqx.Module):
         for stack in self.stacks:
             mine = self._map(beyond, stack, displacements)
             if mine is not None:
-                answer = answer.at[np.array(stack.members)].set(mine)
+                answer = answer.at[np.array(stack.members)].max(mine)
         return answer
 
     def tangent(
@@ -233,7 +245,7 @@ class Couplings(eqx.Module):
         more = self._moving(rates, stretches)
         local = self._local(pull.tangent_in_motion, displacements, *more)
         source, target = places_of_lines(self.ends, self._order(), free)
-        size = (len(free), 2 * len(self.ends))
+        size = (len(free), 2 * len(self._order()))
 
         def lined(lines) -> Float[Array, "free stretches"]:
             entries = jnp.moveaxis(lines, 0, -1).reshape(-1)
@@ -325,23 +337,57 @@ class Couplings(eqx.Module):
 
 
 def stack_hinges(hinges: Sequence[Hinge]) -> tuple[Stack, ...]:
-    """Sorts hinges by the kind of their energy and damping, and stacks the like ones."""
-    couples = [(hinge.energy, hinge.damping) for hinge in hinges]
+    """Sort the energies of hinges by kind, and stack those of one kind.
+
+    The terms of a sum act side by side, each with its own damping, coordinates and
+    prediction for Newton's method.
+    """
+    rows, couples = [], []
+    for row, hinge in enumerate(hinges):
+        terms = hinge.energy.parallel()
+        for term, damping in zip(terms, _shared(hinge.damping, terms), strict=True):
+            rows.append(row)
+            couples.append((term, damping))
     stacks = []
-    for members in alike(couples):
-        tree = jax.tree.structure(couples[members[0]])
-        rows = zip(*(jax.tree.leaves(couples[place]) for place in members), strict=True)
+    for places in alike(couples):
+        tree = jax.tree.structure(couples[places[0]])
+        columns = zip(*(jax.tree.leaves(couples[k]) for k in places), strict=True)
         leaves, axes = [], []
-        for row in rows:
-            shared = all(leaf is row[0] for leaf in row)
+        for column in columns:
+            shared = all(leaf is column[0] for leaf in column)
             axes.append(None if shared else 0)
-            leaves.append(row[0] if shared else _stacked(row))
+            leaves.append(column[0] if shared else _stacked(column))
         energy, damping = jax.tree.unflatten(tree, leaves)
         if eqx.is_array(damping):  # a time
             damping = _proportional(energy, damping, tuple(axes))
             axes[-1] = None if damping.damping.ndim == 2 else 0
-        stacks.append(Stack(tuple(members), energy, damping, tuple(axes)))
+        members = tuple(rows[k] for k in places)
+        stacks.append(Stack(members, energy, damping, tuple(axes)))
     return tuple(stacks)
+
+
+def sums_of(
+    hinges: Sequence[Hinge],
+) -> tuple[tuple[AbstractEnergy, Viscous | Scalar | None] | None, ...]:
+    """The energies of hinges that are sums, and their dampings; see `Couplings`."""
+    return tuple(
+        (hinge.energy, hinge.damping) if len(hinge.energy.parallel()) > 1 else None
+        for hinge in hinges
+    )
+
+
+def _shared(
+    damping: Viscous | Scalar | None, terms: Sequence[AbstractEnergy]
+) -> list[Viscous | Scalar | None]:
+    """The damping of each term of a sum, from that of the hinge.
+
+    A time multiplies the stiffness of each term. A damping as such acts once, beside a
+    term that says which rates it resists, if there is one.
+    """
+    if not isinstance(damping, Viscous):
+        return [damping] * len(terms)
+    chosen = next((k for k, term in enumerate(terms) if term.has_resistance()), 0)
+    return [damping if k == chosen else None for k in range(len(terms))]
 
 
 @partial(jax.jit, static_argnames="axes")

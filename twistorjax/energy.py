@@ -75,6 +75,18 @@ class AbstractEnergy(eqx.Module):
         """What is wrong with the values it was given, in words, or nothing."""
         return None
 
+    def parallel(self) -> tuple["AbstractEnergy", ...]:
+        """The energies of which this one is the sum; itself, if it is no sum.
+
+        A mechanism treats them as hinges side by side, so that a sum is damped and solved
+        as its terms are.
+        """
+        return (self,)
+
+    def has_resistance(self) -> bool:
+        """Whether it has a rule of its own for the rates that it resists."""
+        return type(self).resisted is not AbstractEnergy.resisted
+
     def __call__(self, pose: Pose) -> Scalar:
         """The energy stored when frame b is seen at a pose from frame a; J.
 
@@ -223,6 +235,9 @@ class Sum(AbstractEnergy):
         """What is wrong with the first part at fault, or nothing."""
         return next((fault for part in self.parts if (fault := part.fault())), None)
 
+    def parallel(self) -> tuple[AbstractEnergy, ...]:
+        return tuple(term for part in self.parts for term in part.parallel())
+
     def stored(self, displacement: Displacement) -> Scalar:
         energies = [part.stored(displacement) for part in self.parts]
         return jnp.sum(jnp.stack(energies))
@@ -276,6 +291,9 @@ class Wrapped(AbstractEnergy):
     ) -> tuple[Scalar, Scalar, Scalar]:
         return self.energy.resisted(displacement, rates)
 
+    def has_resistance(self) -> bool:
+        return self.energy.has_resistance()
+
 
 class Scaled(Wrapped):
     """An energy times a factor: the same coupling, wider or of a stiffer material."""
@@ -297,6 +315,12 @@ class Scaled(Wrapped):
         some = self.factor > 0
         share = jnp.where(some, tension / jnp.where(some, self.factor, 1.0), 0.0)
         return Scaled(factor=self.factor, energy=super().foreseen(share))
+
+    def parallel(self) -> tuple[AbstractEnergy, ...]:
+        terms = self.energy.parallel()
+        if len(terms) == 1:
+            return (self,)
+        return tuple(Scaled(factor=self.factor, energy=term) for term in terms)
 
     def damped(self, time: Scalar) -> Viscous:
         return super().damped(self.factor * time)

@@ -13,7 +13,7 @@ from ._checks import all_known, find, kinds, known, PLURAL
 from ._types import Corners, Pose, Poses, PosesLike, Scalar, Wrench, Wrenches
 from .body import Body
 from .clifford import Displacement
-from .couplings import Couplings, stack_hinges
+from .couplings import Couplings, stack_hinges, sums_of
 from .hinge import Hinge
 
 
@@ -98,6 +98,7 @@ class Mechanism(eqx.Module):
             arms=self.at[:, None, 1:] - self.rest[pairs, 1:],
             axes=jnp.stack([jnp.cos(self.at[:, 0]), jnp.sin(self.at[:, 0])], axis=1),
             stacks=stack_hinges(hinges),
+            sums=sums_of(hinges),
         )
 
     def index(self, name: str) -> int:

@@ -60,7 +60,7 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
                 "second": mechanism.names[second],
                 "at": _numbers(mechanism.at[row]),
                 "energy": energy_told(energy),
-                "damping": None if damping is None else _damping_told(damping),
+                "damping": _damping_told(damping),
                 "outline": _numbers(mechanism.hinge_outlines[row]),
             }
         )
@@ -134,7 +134,10 @@ def _numbers(value: Any) -> Any:
     return None if value is None else np.asarray(value).tolist()
 
 
-def _damping_told(damping: Viscous) -> dict[str, Any]:
+def _damping_told(damping: Viscous | Any) -> Any:
+    """The record of a damping; that of a time is a number, in s."""
+    if not isinstance(damping, Viscous):
+        return _numbers(damping)
     return {
         "damping": _numbers(damping.damping),
         "coordinates": damping.coordinates,

@@ -12,9 +12,9 @@ LAYERS = [
     "_types", "_checks", "_trees", "se2", "clifford", "lines", "strains", "damping",
     "energy", "coulomb", "monomials", "polynomial", "slender", "mixed", "certified",
     "files", "schemas", "storage", "columns", "trials", "leastsquares", "fitted",
-    "regression", "quotients", "flexure", "body", "hinge", "grip", "pull", "assembly",
-    "couplings", "mechanism", "boundary", "joints", "solve", "study", "sweeps", "show",
-    "exchange", "cases", "commands", "__main__",
+    "regression", "quotients", "flexure", "body", "hinge", "grip", "pull", "stacks",
+    "assembly", "couplings", "mechanism", "boundary", "joints", "solve", "study",
+    "sweeps", "show", "exchange", "cases", "commands", "__main__",
 ]  # fmt: skip
 PACKAGE = pathlib.Path(__file__).parents[1] / "twistorjax"
 FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]

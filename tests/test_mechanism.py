@@ -117,6 +117,53 @@ def test_a_plate_does_not_feel_how_its_outline_is_told():
     assert_close(plate.inertia / mass, (base**2 + height**2) / 18)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-15, 1e-12])
+def test_wrenches_keep_the_digits_of_small_displacements(size):
+    """A block 40 mm away that moves by less than its position has digits for."""
+    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
+    hinge = tj.Hinge("h", "wall", "block", energy, at=(0.3, 40e-3, 30e-3))
+    bodies = [tj.Body("wall"), tj.Body("block", (0.0, 40e-3, 30e-3))]
+    mechanism = tj.Mechanism(bodies, [hinge], held=["wall"])
+    force = size * jnp.array([0.0, 250.0, -170.0])
+    pushed = tj.equilibrium(mechanism, loads=[tj.Load("block", force)])
+    wrench = mechanism.wrench_of("h", pushed)
+    assert_close(wrench / size, [0.0, *(tj.se2._turn(-0.3, force[1:]) / size)], digits=11)
+    moved = pushed.displacement("block")
+    across = mechanism.displacement_of("h", pushed)
+    assert_close(across[1:] / size, tj.se2._turn(-0.3, moved[1:]) / size, digits=11)
+
+
+@pytest.mark.slow
+def test_a_motion_has_a_wrench_at_each_time():
+    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
+    hinge = tj.Hinge("h", "wall", "block", energy, at=(0.0, 0.0, 0.0))
+    bodies = [tj.Body("wall"), tj.Body("block", mass=1.0, inertia=1.0)]
+    mechanism = tj.Mechanism(bodies, [hinge], held=["wall"])
+    swing = tj.simulate(mechanism, [0.0, 0.1, 0.2], velocities={"block": (0, 1.0, 0)})
+    wrenches = mechanism.wrench_of("h", swing)
+    assert_close(wrenches[:, 1], 300.0 * swing.displacement("block")[:, 1])
+
+
+@pytest.mark.slow
+def test_an_equilibrium_is_a_state_wherever_poses_are():
+    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
+    hinge = tj.Hinge("h", "wall", "block", energy, at=(0.0, 0.1, 0.0))
+    mechanism = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], held=["wall"])
+    load = tj.Load("block", (0.1, 1.0, 2.0))
+    pushed = tj.equilibrium(mechanism, loads=[load])
+    again = tj.equilibrium(mechanism, loads=[load], start=pushed)
+    assert_close(again.displacements, pushed.displacements)
+    more = tj.Load("block", (0.0, 1.0, 0.0))
+    small = [
+        tj.linearise(mechanism, about=about, loads=[load])(loads=[more])
+        for about in (pushed, pushed.poses)
+    ]
+    assert_close(small[0].displacements, small[1].displacements)
+    # changes from a loaded state are displacements from rest as well
+    assert_close(mechanism.displacements(small[0]), small[0].poses - mechanism.rest)
+
+
 def test_the_wrench_of_a_hinge_is_what_balances_a_load():
     mechanism = tj.Mechanism(
         bodies("a", "b"), [hinge("h", "a", "b", at=(np.pi / 2, 0.0, 0.0))], held=["a"]

@@ -47,6 +47,17 @@ MATTIASSON = [
 ]
 
 
+def test_a_twist_beyond_a_full_turn_is_refused():
+    """The twist is not defined there; the twistor is."""
+    turned = [tj.Drive("block", angle=6.5)]
+    spring = np.diag([1.0, 100.0, 10.0])
+    with pytest.raises(RuntimeError, match=r"'spring': it is turned by 6\.5 rad"):
+        tj.equilibrium(block_on_spring(spring, "twist"), drives=turned)
+    assert tj.equilibrium(block_on_spring(spring, "twistor"), drives=turned).succeeded
+    below = [tj.Drive("block", angle=6.2)]
+    assert tj.equilibrium(block_on_spring(spring, "twist"), drives=below).succeeded
+
+
 def test_a_push_moves_a_block_by_its_compliance():
     mechanism = block_on_spring(np.diag([2.0, 8.0, 5.0]))
     rest = tj.equilibrium(mechanism, loads=[tj.Load("block", (0.0, 2.0, 0.0))])

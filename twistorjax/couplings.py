@@ -1,7 +1,5 @@
 """All hinges of a mechanism together: what they store, and how they pull."""
 
-from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,14 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from . import pull
-from ._checks import all_known
-from ._trees import alike
 from ._types import Poses, Scalar, Wrenches
 from .assembly import coordinates_of, places_of_lines, places_of_pairs, summed
+from .clifford import Displacement
 from .damping import Viscous
 from .energy import AbstractEnergy
 from .grip import End, halfway
-from .hinge import Hinge
+from .stacks import Stack
 
 
 class Tangent(NamedTuple):
@@ -35,24 +32,6 @@ class Tangent(NamedTuple):
     damping: Float[Array, "free free"]
     stretching: Float[Array, "free stretches"]
     bearing: Float[Array, "free stretches"]
-
-
-class Stack(eqx.Module):
-    """Hinges of one kind of energy and damping, evaluated as one array operation.
-
-    A hinge whose energy is a sum has a place for each term.
-
-    Args:
-        members: their places in the mechanism's list of hinges.
-        energy: their energies, stacked; what all of them share stands once.
-        damping: the same of what they dissipate, if anything.
-        axes: for each array of the two 0 where it is stacked, or nothing.
-    """
-
-    members: tuple[int, ...] = eqx.field(static=True)
-    energy: AbstractEnergy
-    damping: Viscous | None
-    axes: tuple[int | None, ...] = eqx.field(static=True)
 
 
 class Couplings(eqx.Module):
@@ -102,6 +81,21 @@ class Couplings(eqx.Module):
             for leaf, axis in zip(leaves, stack.axes, strict=True)
         ]
         return jax.tree.unflatten(tree, own)
+
+    def displacement_of(self, row: int, displacements: Poses) -> Displacement:
+        """How far one hinge is displaced, without loss of digits.
+
+        Args:
+            row: its place in the mechanism's list.
+            displacements: of each body from rest; rad, m, m.
+        """
+        angle, x, y = displacements.T
+        cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
+        first, second = (
+            End(*(values[body] for values in (angle, x, y, cos, sin)), *arm)
+            for body, arm in zip(self.ends[row], self.arms[row], strict=True)
+        )
+        return halfway(first, second, (self.axes[row, 0], self.axes[row, 1])).displacement
 
     def energy(self, displacements: Poses) -> Scalar:
         """What all hinges store; J."""
@@ -336,82 +330,6 @@ class Couplings(eqx.Module):
         )
 
 
-def stack_hinges(hinges: Sequence[Hinge]) -> tuple[Stack, ...]:
-    """Sort the energies of hinges by kind, and stack those of one kind.
-
-    The terms of a sum act side by side, each with its own damping, coordinates and
-    prediction for Newton's method.
-    """
-    rows, couples = [], []
-    for row, hinge in enumerate(hinges):
-        terms = hinge.energy.parallel()
-        for term, damping in zip(terms, _shared(hinge.damping, terms), strict=True):
-            rows.append(row)
-            couples.append((term, damping))
-    stacks = []
-    for places in alike(couples):
-        tree = jax.tree.structure(couples[places[0]])
-        columns = zip(*(jax.tree.leaves(couples[k]) for k in places), strict=True)
-        leaves, axes = [], []
-        for column in columns:
-            shared = all(leaf is column[0] for leaf in column)
-            axes.append(None if shared else 0)
-            leaves.append(column[0] if shared else _stacked(column))
-        energy, damping = jax.tree.unflatten(tree, leaves)
-        if eqx.is_array(damping):  # a time
-            damping = _proportional(energy, damping, tuple(axes))
-            axes[-1] = None if damping.damping.ndim == 2 else 0
-        members = tuple(rows[k] for k in places)
-        stacks.append(Stack(members, energy, damping, tuple(axes)))
-    return tuple(stacks)
-
-
-def sums_of(
-    hinges: Sequence[Hinge],
-) -> tuple[tuple[AbstractEnergy, Viscous | Scalar | None] | None, ...]:
-    """The energies of hinges that are sums, and their dampings; see `Couplings`."""
-    return tuple(
-        (hinge.energy, hinge.damping) if len(hinge.energy.parallel()) > 1 else None
-        for hinge in hinges
-    )
-
-
-def _shared(
-    damping: Viscous | Scalar | None, terms: Sequence[AbstractEnergy]
-) -> list[Viscous | Scalar | None]:
-    """The damping of each term of a sum, from that of the hinge.
-
-    A time multiplies the stiffness of each term. A damping as such acts once, beside a
-    term that says which rates it resists, if there is one.
-    """
-    if not isinstance(damping, Viscous):
-        return [damping] * len(terms)
-    chosen = next((k for k, term in enumerate(terms) if term.has_resistance()), 0)
-    return [damping if k == chosen else None for k in range(len(terms))]
-
-
-@partial(jax.jit, static_argnames="axes")
-def _proportional(
-    energy: AbstractEnergy, time: Array, axes: tuple[int | None, ...]
-) -> Viscous:
-    """The dampings that are the stiffness at rest times a time, of stacked energies."""
-    leaves, tree = jax.tree.flatten(energy)
-
-    def one(leaves, time):
-        return jax.tree.unflatten(tree, leaves).damped(time)
-
-    *of_energy, of_time = axes
-    if any(axis == 0 for axis in axes):
-        one = jax.vmap(one, in_axes=(of_energy, of_time))
-    return one(leaves, time)
-
-
 def _elastic(function):
     """A function of energies alone, where dampings are handed over as well."""
     return lambda energy, _, *hinge: function(energy, *hinge)
-
-
-def _stacked(row: Sequence[Array]) -> Array:
-    # a thousand traced rows would be a thousand operations to compile
-    values = all_known(row)
-    return jnp.stack(row) if values is None else jnp.asarray(np.stack(values))

@@ -6,6 +6,7 @@ and 4 of the dissertation.
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -165,13 +166,44 @@ class AbstractEnergy(eqx.Module):
         return Scaled(factor=jnp.asarray(factor, float), energy=self)
 
 
-class Quadratic(AbstractEnergy):
+class CoordinateEnergy(AbstractEnergy):
+    """An energy written in the coordinates of the twist, or of the twistor.
+
+    The twist is not defined at a full turn, and beyond one it repeats: an energy of the
+    twist holds below a full turn alone.
+    """
+
+    coordinates: eqx.AbstractVar[Coordinates]
+
+    def stretch(self, displacement: Displacement) -> Scalar:
+        return stretch(displacement, self.coordinates)
+
+    def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
+        """Whether the twist is undefined there."""
+        if self.coordinates == "twistor":
+            return None
+        return jnp.abs(displacement.angle) >= 2 * jnp.pi
+
+    def place_in_range(self, displacement: Displacement) -> str:
+        """How far it is turned, and how far the twist is defined, in words."""
+        if self.coordinates == "twistor":
+            return super().place_in_range(displacement)
+        angle = known(displacement.angle)
+        turned = "" if angle is None else f" by {float(angle):.4g} rad"
+        return (
+            f"it is turned{turned}, but its energy is one of the twist, which is defined "
+            "below a full turn, 6.283 rad; take coordinates='twistor'"
+        )
+
+
+class Quadratic(CoordinateEnergy):
     """Half the stiffness times the square of the twist, or of the twistor.
 
     Both have the stiffness that they were given at rest, and differ from the third order
     on. The energy of the twist grows without bound with the angle; that of the twistor is
     bounded in it, bears no moment at half a turn, and is the cheaper one: no sine, no
-    cosine. The twist is not defined beyond a full turn of one hinge.
+    cosine. The twist is not defined at a full turn of one hinge, and solves that end
+    beyond it are refused.
 
     Args:
         stiffness: symmetric, with no negative eigenvalue, for the frame of the hinge:
@@ -212,9 +244,6 @@ class Quadratic(AbstractEnergy):
     def stored(self, displacement: Displacement) -> Scalar:
         return half_square(self.stiffness, strain(displacement, self.coordinates))
 
-    def stretch(self, displacement: Displacement) -> Scalar:
-        return stretch(displacement, self.coordinates)
-
     def damped(self, time: Scalar) -> Viscous:
         # its stiffness at rest, which by derivatives is a third of a motion to compile
         return Viscous(time * self.stiffness)
@@ -244,17 +273,11 @@ class Sum(AbstractEnergy):
 
     def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
         """Whether one of the parts is not known there."""
-        seen = [part.beyond(displacement) for part in self.parts]
-        found = [beyond for beyond in seen if beyond is not None]
-        return jnp.any(jnp.stack(found)) if found else None
+        return any_beyond(self.parts, displacement)
 
     def place_in_range(self, displacement: Displacement) -> str:
         """How far it is displaced, and how far that part is known, in words."""
-        for part in self.parts:
-            beyond = part.beyond(displacement)
-            if beyond is not None and known(beyond) is not None and beyond:
-                return part.place_in_range(displacement)
-        return super().place_in_range(displacement)
+        return place_in_ranges(self.parts, displacement)
 
 
 class Wrapped(AbstractEnergy):
@@ -324,3 +347,23 @@ class Scaled(Wrapped):
 
     def damped(self, time: Scalar) -> Viscous:
         return super().damped(self.factor * time)
+
+
+def any_beyond(
+    energies: Sequence[AbstractEnergy], displacement: Displacement
+) -> Bool[Array, ""] | None:
+    """Whether a displacement is beyond the range of one of several energies."""
+    seen = [energy.beyond(displacement) for energy in energies]
+    found = [beyond for beyond in seen if beyond is not None]
+    return jnp.any(jnp.stack(found)) if found else None
+
+
+def place_in_ranges(
+    energies: Sequence[AbstractEnergy], displacement: Displacement
+) -> str:
+    """The place in the first range that a displacement is beyond, in words."""
+    for energy in energies:
+        beyond = energy.beyond(displacement)
+        if beyond is not None and known(beyond) is not None and beyond:
+            return energy.place_in_range(displacement)
+    return "it is known everywhere"

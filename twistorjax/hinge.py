@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from ._checks import corners, row, text, within
+from . import se2
+from ._checks import all_known, corners, known, row, text, within
 from ._types import Corners, Pose, Scalar
 from .damping import Viscous
 from .energy import AbstractEnergy
@@ -95,3 +97,55 @@ def _damping(name: str, given: Viscous | ArrayLike | None) -> Viscous | Scalar |
     needed = "must be a `Viscous`, or a time that is finite and not negative"
     # from zero on: a sweep over times starts there
     return within(name, given, -np.finfo(float).tiny, np.finfo(float).max, needed)
+
+
+def check_energy(hinge: Hinge) -> None:
+    """Refuse an energy whose values cannot be used.
+
+    Raises:
+        ValueError: A value is not finite, or the energy reports a fault.
+    """
+    if fault := hinge.energy.fault():
+        raise ValueError(
+            f"The energy of the hinge {hinge.name!r} cannot be used: {fault}"
+        )
+    for leaf in jax.tree.leaves(hinge.energy):
+        values = known(leaf)
+        if values is not None and not np.all(np.isfinite(values)):
+            raise ValueError(
+                f"The energy of the hinge {hinge.name!r} has a value that is not finite: "
+                f"{values.tolist()}."
+            )
+
+
+def frame_of(hinge: Hinge, first: Pose, second: Pose) -> Pose:
+    """Find the frame of a hinge at rest, in the world; rad, m, m.
+
+    Args:
+        hinge: The hinge.
+        first: Pose of body A at rest; rad, m, m.
+        second: Pose of body B at rest; rad, m, m.
+
+    Raises:
+        ValueError: Its two ports do not coincide.
+    """
+    if hinge.ports is None:
+        assert hinge.at is not None
+        return hinge.at
+    a, b = (
+        se2.compose(body, port)
+        for body, port in zip((first, second), hinge.ports, strict=True)
+    )
+    seen = all_known([se2.between(a, b), a, b, *hinge.ports])
+    if seen is not None:
+        gap, *places = seen
+        scale = 1e-12 + max(np.max(np.abs(place[1:])) for place in places)
+        apart = np.abs(gap) > 1e-9 * np.array([1.0, scale, scale])
+        if np.any(apart):
+            raise ValueError(
+                f"The ports of the hinge {hinge.name!r} do not coincide at rest: seen "
+                f"from port a on {hinge.first!r}, port b on {hinge.second!r} is turned "
+                f"by {gap[0]:.6g} rad and shifted by ({gap[1]:.6g}, {gap[2]:.6g}) m. A "
+                "hinge is unstressed at rest: move a port or a body, or give `at`."
+            )
+    return a

@@ -1,6 +1,7 @@
 """Bodies and hinges together."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -9,15 +10,30 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import se2
-from ._checks import all_known, find, kinds, known, PLURAL
+from ._checks import all_known, find, kinds, PLURAL
 from ._types import Corners, Pose, Poses, PosesLike, Scalar, Wrench, Wrenches
 from .body import Body
-from .clifford import Displacement
-from .couplings import Couplings, stack_hinges, sums_of
-from .hinge import Hinge
+from .couplings import Couplings
+from .hinge import check_energy, frame_of, Hinge
+from .stacks import stack_hinges, sums_of
 
 
 COORDINATES = ("angle", "x", "y")
+
+
+@runtime_checkable
+class Displaced(Protocol):
+    """An answer that says how far bodies have moved: an equilibrium or a motion."""
+
+    @property
+    def displacements(self) -> Float[Array, "*batch bodies 3"]:
+        """From the poses `rest`; rad, m, m."""
+        ...
+
+    @property
+    def rest(self) -> Poses:
+        """The poses from which displacements count; rad, m, m."""
+        ...
 
 
 class Mechanism(eqx.Module):
@@ -83,9 +99,9 @@ class Mechanism(eqx.Module):
             for hinge in hinges
         )
         for hinge in hinges:
-            _check_energy(hinge)
+            check_energy(hinge)
         at = [
-            _place(hinge, bodies[first].rest, bodies[second].rest)
+            frame_of(hinge, bodies[first].rest, bodies[second].rest)
             for hinge, (first, second) in zip(hinges, ends, strict=True)
         ]
         self.at = _rows(at)
@@ -115,7 +131,7 @@ class Mechanism(eqx.Module):
         Args:
             poses: of the bodies; rad, m, m.
         """
-        return self.couplings.energy(self._displacements(poses))
+        return self.couplings.energy(self.displacements(poses))
 
     def wrenches(self, poses: Poses) -> Wrenches:
         """What the hinges apply to each body, at its origin, in world axes; N m, N, N.
@@ -123,7 +139,7 @@ class Mechanism(eqx.Module):
         Args:
             poses: of the bodies; rad, m, m.
         """
-        return -self.couplings.forces(self._displacements(poses))
+        return -self.couplings.forces(self.displacements(poses))
 
     def stiffness(self, poses: Poses) -> Float[Array, "bodies 3 bodies 3"]:
         """Second derivative of the energy by the poses; N m/rad, N/rad, N/m.
@@ -132,7 +148,7 @@ class Mechanism(eqx.Module):
             poses: of the bodies; rad, m, m.
         """
         every = tuple(range(3 * len(self.names)))
-        _, matrix, _ = self.couplings.tangent(self._displacements(poses), every, every)
+        _, matrix, _ = self.couplings.tangent(self.displacements(poses), every, every)
         return matrix.reshape(2 * (len(self.names), 3))
 
     def inertia(self) -> Wrenches:
@@ -162,42 +178,74 @@ class Mechanism(eqx.Module):
         Args:
             poses: of the bodies; rad, m, m.
         """
-        beyond = np.asarray(self.couplings.beyond(self._displacements(poses)))
+        beyond = np.asarray(self.couplings.beyond(self.displacements(poses)))
         words = []
         for row in map(int, np.flatnonzero(beyond)):
             name, energy = self.hinge_names[row], self.couplings.energy_of(row)
-            at = Displacement.of(self.displacement_of(name, poses))
+            at = self.couplings.displacement_of(row, self.displacements(poses))
             words.append(f"The hinge {name!r}: {energy.place_in_range(at)}.")
         return " ".join(words)
 
-    def displacement_of(self, hinge: str, poses: Poses) -> Pose:
-        """How far a hinge is displaced: its frame b, seen from its frame a; rad, m, m.
+    def displacement_of(
+        self, hinge: str, at: Poses | Displaced
+    ) -> Float[Array, "*batch 3"]:
+        """The displacement of a hinge: its frame b, seen from its frame a; rad, m, m.
 
         Args:
-            hinge: its name.
-            poses: of the bodies; rad, m, m.
+            hinge: Name of the hinge.
+            at: Equilibrium or motion. Or poses of the bodies, which have lost the digits
+                of displacements that are small against positions; rad, m, m.
+
+        Returns:
+            Angle, and translation along axes 1 and 2 of frame a. Of a motion a row for
+            each time; rad, m, m.
 
         Raises:
-            ValueError: the mechanism has no hinge of that name.
+            ValueError: The mechanism has no hinge of that name, or the poses are not
+                those of its bodies.
         """
-        return se2.between(*self.ports(hinge, poses))
+        row = find("`hinge`", "hinge", hinge, self.hinge_names)
+        return self._of_hinge(at, lambda moved: self._displaced(row, moved))
 
-    def wrench_of(self, hinge: str, poses: Poses) -> Wrench:
-        """What a hinge bears: what body B exerts on it, about frame b, in its axes.
+    def wrench_of(self, hinge: str, at: Poses | Displaced) -> Float[Array, "*batch 3"]:
+        """The wrench that body B exerts on a hinge, about frame b, in its axes.
 
         Args:
-            hinge: its name.
-            poses: of the bodies; rad, m, m.
+            hinge: Name of the hinge.
+            at: Equilibrium or motion. Or poses of the bodies, which have lost the digits
+                of displacements that are small against positions; rad, m, m.
 
         Returns:
             Moment, and force along axes 1 and 2 of frame b: axial and transverse for a
-            leaf or a notch; N m, N, N.
+            leaf or a notch. Of a motion a row for each time; N m, N, N.
 
         Raises:
-            ValueError: the mechanism has no hinge of that name.
+            ValueError: The mechanism has no hinge of that name, the poses are not those
+                of its bodies, or the hinge is beyond the range of its energy.
         """
         row = find("`hinge`", "hinge", hinge, self.hinge_names)
-        return self.couplings.energy_of(row).wrench(self.displacement_of(hinge, poses))
+        energy = self.couplings.energy_of(row)
+
+        def wrench(moved: Poses) -> Wrench:
+            return energy.wrench(self._displaced(row, moved))
+
+        return self._of_hinge(at, wrench)
+
+    def _displaced(self, row: int, displacements: Poses) -> Pose:
+        """Frame b of a hinge, seen from its frame a; rad, m, m."""
+        at = self.couplings.displacement_of(row, displacements)
+        x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
+        return jnp.stack([at.angle, 2 * x, 2 * y])
+
+    def _of_hinge(
+        self, at: Poses | Displaced, function: Callable[[Poses], Float[Array, "3"]]
+    ) -> Float[Array, "*batch 3"]:
+        """A function of displacements, for each of a batch of them."""
+        moved = self.displacements(at, "at")
+        flat = moved.reshape(-1, *self.rest.shape)
+        if len(flat) == 1:  # so that a value out of range can be seen
+            return function(flat[0]).reshape(*moved.shape[:-2], 3)
+        return jax.vmap(function)(flat).reshape(*moved.shape[:-2], 3)
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
         """Where the two frames of a hinge stand, in the world; rad, m, m.
@@ -241,15 +289,37 @@ class Mechanism(eqx.Module):
     def _body(self, where: str, name: str) -> int:
         return find(where, "body", name, self.names)
 
-    def _displacements(self, poses: PosesLike, name: str = "poses") -> Poses:
-        array = jnp.asarray(poses, float)
-        if array.shape != self.rest.shape:
+    def displacements(
+        self, at: PosesLike | Displaced, name: str = "poses"
+    ) -> Float[Array, "*batch bodies 3"]:
+        """How far the bodies have moved from rest; rad, m, m.
+
+        Args:
+            at: Equilibrium or motion of this mechanism, or poses of its bodies; rad, m,
+                m.
+            name: What messages call it.
+
+        Raises:
+            ValueError: The shape does not fit the bodies.
+        """
+        if isinstance(at, Displaced):
+            array, rest = at.displacements, at.rest
+            fits = array.shape[-2:] == rest.shape[-2:] == self.rest.shape
+            if fits:  # no digit is lost where both count from the same poses
+                more = (array.ndim - rest.ndim) * (1,)
+                rest = rest.reshape(*rest.shape[:-2], *more, *self.rest.shape)
+                array = array + (rest - jnp.broadcast_to(self.rest, rest.shape))
+        else:
+            array = jnp.asarray(at, float)
+            fits = array.shape == self.rest.shape
+            array = array - self.rest if fits else array
+        if not fits:
             raise ValueError(
                 f"`{name}` has shape {array.shape}, but a mechanism with the bodies "
                 f"{', '.join(self.names)} has poses of shape {self.rest.shape}: a row "
                 "(angle, x, y) for each body, in that order."
             )
-        return array - self.rest
+        return array
 
     def coordinates(
         self, argument: str, chosen: Sequence[str] | Mapping[str, Sequence[str]]
@@ -323,41 +393,3 @@ def _rows(poses: Sequence[Pose]) -> Poses:
     if values is None:
         return jnp.stack(poses)
     return jnp.asarray(np.reshape(values, (-1, 3)), float)
-
-
-def _check_energy(hinge: Hinge) -> None:
-    if fault := hinge.energy.fault():
-        raise ValueError(
-            f"The energy of the hinge {hinge.name!r} cannot be used: {fault}"
-        )
-    for leaf in jax.tree.leaves(hinge.energy):
-        values = known(leaf)
-        if values is not None and not np.all(np.isfinite(values)):
-            raise ValueError(
-                f"The energy of the hinge {hinge.name!r} has a value that is not finite: "
-                f"{values.tolist()}."
-            )
-
-
-def _place(hinge: Hinge, first: Pose, second: Pose) -> Pose:
-    """Where the frames of a hinge stand at rest, in the world."""
-    if hinge.ports is None:
-        assert hinge.at is not None
-        return hinge.at
-    a, b = (
-        se2.compose(body, port)
-        for body, port in zip((first, second), hinge.ports, strict=True)
-    )
-    seen = all_known([se2.between(a, b), a, b, *hinge.ports])
-    if seen is not None:
-        gap, *places = seen
-        scale = 1e-12 + max(np.max(np.abs(place[1:])) for place in places)
-        apart = np.abs(gap) > 1e-9 * np.array([1.0, scale, scale])
-        if np.any(apart):
-            raise ValueError(
-                f"The ports of the hinge {hinge.name!r} do not coincide at rest: seen "
-                f"from port a on {hinge.first!r}, port b on {hinge.second!r} is turned "
-                f"by {gap[0]:.6g} rad and shifted by ({gap[1]:.6g}, {gap[2]:.6g}) m. A "
-                "hinge is unstressed at rest: move a port or a body, or give `at`."
-            )
-    return a

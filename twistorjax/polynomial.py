@@ -13,13 +13,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from . import clifford, se2
 from ._checks import known, one_of, positive, shortened
 from ._types import Pose, Scalar
 from .clifford import Displacement
-from .energy import AbstractEnergy
+from .energy import AbstractEnergy, any_beyond, CoordinateEnergy, place_in_ranges
 from .monomials import (
     expanded,
     monomials,
@@ -29,13 +29,13 @@ from .monomials import (
     VARIABLES,
     variables,
 )
-from .strains import Coordinates, stretch
+from .strains import Coordinates
 
 
 LARGEST_POWER = 1000  # far above those of any fit
 
 
-class _OfMonomials(AbstractEnergy):
+class _OfMonomials(CoordinateEnergy):
     """What is made of sums of monomials, by one row of coefficients or several."""
 
     coefficients: eqx.AbstractVar[Float[Array, "*sums terms"]]
@@ -103,9 +103,6 @@ class Polynomial(_OfMonomials):
 
     def stored(self, displacement: Displacement) -> Scalar:
         return self._sum(displacement, self.coefficients)
-
-    def stretch(self, displacement: Displacement) -> Scalar:
-        return stretch(displacement, self.coordinates)
 
     def seen_from(self, first: Pose, second: Pose | None = None) -> "Polynomial":
         """The same energy as a polynomial of the displacement between other frames.
@@ -187,6 +184,14 @@ class Rational(AbstractEnergy):
 
     def stretch(self, displacement: Displacement) -> Scalar:
         return self.numerator.stretch(displacement)
+
+    def beyond(self, displacement: Displacement) -> Bool[Array, ""] | None:
+        """Whether one of its parts is not known there."""
+        return any_beyond((self.numerator, self.denominator), displacement)
+
+    def place_in_range(self, displacement: Displacement) -> str:
+        """How far it is displaced, and how far that part is known, in words."""
+        return place_in_ranges((self.numerator, self.denominator), displacement)
 
 
 class Squares(_OfMonomials):

@@ -18,17 +18,17 @@ from ._checks import known, positive
 from ._types import Scalar
 from .clifford import Displacement
 from .damping import Viscous
-from .energy import AbstractEnergy
+from .energy import AbstractEnergy, CoordinateEnergy
 from .monomials import Powers, summed, VARIABLES
 from .polynomial import fault_of_coefficients, need_fitting, rows_of_powers
-from .strains import strain, stretch
+from .strains import Coordinates, strain
 
 
 Parts = tuple[Scalar, ...]  # what the powers of the tension from 0 on are multiplied by
 _GIVE = (0, 0, 2)  # the powers of the term that gives along the axis at rest
 
 
-class Slender(AbstractEnergy):
+class Slender(CoordinateEnergy):
     """The energy of a flexure, by a polynomial of turn, translation across, and tension.
 
     The tension `n` is the force along axis 1 that belongs to the twist `(tau, t1, t2)`:
@@ -106,8 +106,10 @@ class Slender(AbstractEnergy):
         turn, along, across = strain(displacement, "twist")
         return _largest(self.parts(turn, across), self.force * along)
 
-    def stretch(self, displacement: Displacement) -> Scalar:
-        return stretch(displacement, "twist")
+    @property
+    def coordinates(self) -> Coordinates:
+        """Turn and translation across are those of the twist."""
+        return "twist"
 
     def foreseen(self, tension: Scalar) -> "AbstractEnergy":
         return _Foreseen(self, tension / self.force)

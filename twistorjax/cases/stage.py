@@ -225,7 +225,7 @@ def amplify(
         gain=output / travel,
         output=output,
         input_force=moved.reaction("6")[1],
-        compression=stage.displacement_of("a", moved.poses)[1],
+        compression=stage.displacement_of("a", moved)[1],
         equilibrium=moved,
     )
 

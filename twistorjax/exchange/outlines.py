@@ -51,7 +51,7 @@ def save_outline(
         raise ValueError(f"`path` is {str(path)!r}, but must end with .dxf or .svg.")
     rest = np.asarray(mechanism.rest)
     if poses is not None:
-        rest = rest + np.asarray(mechanism._displacements(poses))
+        rest = rest + np.asarray(mechanism.displacements(poses))
     parts = [part for part in shapes(mechanism, rest) if part.kind in _STYLES]
     if not parts:
         raise ValueError(

@@ -174,7 +174,7 @@ def _displacements(
                 " as by `jax.tree.map(lambda leaf: leaf[0], answers)`."
             )
         poses = rows if isinstance(poses, Equilibrium) else rows[-1]
-    found = np.asarray(mechanism._displacements(poses))
+    found = np.asarray(mechanism.displacements(poses))
     if not np.all(np.isfinite(found)):
         raise ValueError(
             "`poses` are not finite: the solve that gave them did not succeed, as its "

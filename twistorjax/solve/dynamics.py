@@ -129,11 +129,9 @@ def simulate(
     loaded(mechanism, acting)
     places, _ = driven(mechanism, now)
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
-    if isinstance(start, Equilibrium):
-        start = start.poses
     moved = jnp.zeros_like(mechanism.rest)
     if start is not None:
-        moved = mechanism._displacements(start, "start")
+        moved = mechanism.displacements(start, "start")
         begin.finite("start", moved)
     rates = begin.velocities(mechanism, velocities, free)
     joints = joined(mechanism, constraints)

@@ -93,17 +93,17 @@ class Layout(NamedTuple):
     Args:
         order: for each free coordinate, its place in the new order.
         size: of a block.
-        count: of blocks on the diagonal.
+        blocks: number of blocks on the diagonal.
     """
 
     order: tuple[int, ...]
     size: int
-    count: int
+    blocks: int
 
     def places(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Find entries of the matrix in the array of blocks, flattened.
 
-        That array has the shape (3, count, size, size): blocks on the diagonal, below it
+        That array has the shape (3, blocks, size, size): blocks on the diagonal, below it
         and above it.
 
         Args:
@@ -116,7 +116,7 @@ class Layout(NamedTuple):
         which = (block - other) % 3  # 0 on the diagonal, 1 below, 2 above
         block = np.maximum(block, other)
         within = (row % self.size) * self.size + column % self.size
-        return (which * self.count + block) * self.size**2 + within
+        return (which * self.blocks + block) * self.size**2 + within
 
 
 @lru_cache(maxsize=256)
@@ -193,7 +193,7 @@ class BlockFactors(eqx.Module):
         cls, blocks: Float[Array, "3 blocks size size"], layout: Layout, symmetric: bool
     ) -> "BlockFactors":
         """Factor a matrix; unused rows at its end get a diagonal of ones."""
-        size, count = layout.size, layout.count
+        size, count = layout.size, layout.blocks
         used = np.arange(count * size).reshape(count, size) < len(layout.order)
         diagonal, below, above = blocks
         diagonal = diagonal + jnp.asarray(np.eye(size)[None] * ~used[:, None])
@@ -232,7 +232,7 @@ class BlockFactors(eqx.Module):
             found = found - ahead @ later
             return found, found
 
-        source = np.full(layout.count * layout.size, len(order))
+        source = np.full(layout.blocks * layout.size, len(order))
         source[order] = np.arange(len(order))
         rows = jnp.concatenate([right, jnp.zeros(1)])[source]
         rows = self.scale * rows.reshape(self.scale.shape)

@@ -93,7 +93,7 @@ def linearise(
     mechanism: Mechanism,
     driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
-    about: PosesLike | None = None,
+    about: PosesLike | Equilibrium | None = None,
     loads: Sequence[Load] = (),
 ) -> Linearised:
     """The answer of a mechanism to small loads and drives, as one factorisation.
@@ -102,7 +102,7 @@ def linearise(
         mechanism: at rest where nothing loads it.
         driven: which coordinates will be driven: names of bodies, for all three, or a
             mapping from names to some of "angle", "x" and "y".
-        about: poses of an equilibrium from which changes count, by default rest; rad,
+        about: Equilibrium from which changes count, or its poses, by default rest; rad,
             m, m.
         loads: that hold the mechanism there; they add to its stiffness as they turn.
 

@@ -163,7 +163,9 @@ class DenseTangent(eqx.Module):
 
     def where(self, found: Bool[Array, ""]) -> "DenseTangent":
         """The same, or a matrix of ones on the diagonal where nothing was found."""
-        return DenseTangent(jnp.where(found, self.matrix, jnp.eye(*self.matrix.shape)))
+        rows, columns = self.matrix.shape
+        one = jnp.eye(rows, columns)
+        return DenseTangent(jnp.where(found, self.matrix, one))
 
 
 class BlockTangent(eqx.Module):
@@ -193,11 +195,11 @@ class BlockTangent(eqx.Module):
 
     def factors(self, symmetric: bool) -> BlockFactors:
         """Factor the stiffness of the free coordinates."""
-        layout, count = self.layout, 3 * self.layout.count * self.layout.size**2
+        layout, count = self.layout, 3 * self.layout.blocks * self.layout.size**2
         source, target = _block_places(self.couplings, self.places.free, layout)
         entries = jnp.concatenate([self.pairs.reshape(-1), -self.by_angle])
         blocks = summed(entries, source, target, count)
-        shape = (3, layout.count, layout.size, layout.size)
+        shape = (3, layout.blocks, layout.size, layout.size)
         return BlockFactors.of(blocks.reshape(shape), layout, symmetric)
 
     def finite(self) -> Bool[Array, ""]:

@@ -4,6 +4,7 @@ from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
+import jax.numpy as jnp
 
 from .system import State, System
 
@@ -31,7 +32,7 @@ class Projected(dfx.AbstractWrappedSolver):
         return self.solver.term_structure
 
     @property
-    def interpolation_cls(self) -> Any:
+    def interpolation_cls(self) -> Any:  # pyright: ignore
         return self.solver.interpolation_cls
 
     @property
@@ -65,6 +66,7 @@ class Projected(dfx.AbstractWrappedSolver):
         end, error, dense, solver_state, result = self.solver.step(
             terms, t0, t1, y0, args, solver_state, True
         )
-        place, rate = args.project(t1, end.place, end.rate)
+        time = jnp.asarray(t1)
+        place, rate = args.project(time, end.place, end.rate)
         end = eqx.tree_at(lambda end: (end.place, end.rate), end, (place, rate))
         return end, error, dense, solver_state, result

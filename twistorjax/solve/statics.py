@@ -77,7 +77,7 @@ def equilibrium(
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
-    start: PosesLike | None = None,
+    start: PosesLike | Equilibrium | None = None,
     tolerance: float = 1e-10,
     max_steps: int = 400,
     throw: bool = True,
@@ -97,8 +97,8 @@ def equilibrium(
         mechanism: at rest where nothing loads it.
         loads: on its bodies.
         drives: of coordinates that are not held.
-        start: poses from which to begin, by default at rest: best another equilibrium,
-            from whose loads to the new ones the way is short; rad, m, m.
+        start: Equilibrium, or poses, from which to begin, by default at rest. Best is an
+            equilibrium whose loads are near the new ones; rad, m, m.
         tolerance: on the answer, relative: of the energy at work, its root.
         max_steps: of Newton's method, altogether.
         throw: whether a failure is raised, or only told by the answer. In a batch a
@@ -136,7 +136,7 @@ def equilibrium(
     answer = _solve(
         mechanism.couplings,
         mechanism.rest,
-        None if start is None else mechanism._displacements(start, "start"),
+        None if start is None else mechanism.displacements(start, "start"),
         tuple(loads),
         targets,
         tolerance,
@@ -150,9 +150,17 @@ def equilibrium(
     return raised(answer, mechanism) if throw else answer
 
 
-def within_range(mechanism: Mechanism, name: str, poses: PosesLike) -> Poses:
-    """Displacements from rest to poses, unless a hinge is beyond its range there."""
-    moved = mechanism._displacements(poses, name)
+def within_range(
+    mechanism: Mechanism, name: str, state: PosesLike | Equilibrium
+) -> Poses:
+    """The displacements of a state, unless a hinge is beyond its range there.
+
+    Args:
+        mechanism: whose bodies they are.
+        name: what messages call the state.
+        state: an equilibrium, or poses; rad, m, m.
+    """
+    moved = mechanism.displacements(state, name)
     beyond = jnp.any(mechanism.couplings.beyond(moved))
     if known(beyond) is None:
         return jnp.where(beyond, jnp.nan, moved)

@@ -310,5 +310,4 @@ def _stiffness(
 def _state(mechanism: Mechanism, about: PosesLike | Equilibrium | None) -> Poses:
     if about is None:
         return jnp.zeros_like(mechanism.rest)
-    poses = about.poses if isinstance(about, Equilibrium) else about
-    return within_range(mechanism, "about", poses)
+    return within_range(mechanism, "about", about)

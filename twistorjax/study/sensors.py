@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, get_args, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -200,10 +199,7 @@ class Gauge(AbstractSensor):
         find("A gauge", "hinge", self.hinge, mechanism.hinge_names)
         place = get_args(Strained).index(self.quantity)
         tell = mechanism.displacement_of if place < 3 else mechanism.wrench_of
-        poses = answer.poses
-        flat = poses.reshape(-1, *poses.shape[-2:])
-        values = jax.vmap(lambda poses: tell(self.hinge, poses)[place % 3])(flat)
-        return values.reshape(poses.shape[:-2])
+        return tell(self.hinge, answer)[..., place % 3]
 
     def __repr__(self) -> str:
         return _told(self)

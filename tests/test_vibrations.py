@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 from helpers import assert_close
@@ -121,3 +122,115 @@ def test_a_resonance_without_damping_has_no_answer():
 def test_frequencies_are_a_row():
     with pytest.raises(ValueError, match="must be a row of them"):
         tj.frequency_response(block(0.1), 3.0)
+
+
+def exact_frequencies(bodies, hinges, inertia, more=None):
+    """Frequencies in 60 digits, of bodies on hinges to the ground and to one another; Hz.
+
+    Args:
+        bodies: positions of the origins.
+        hinges: the two bodies of each, the ground being -1; stiffness; and frame.
+        inertia: of each coordinate.
+        more: stiffness beside that of the hinges, if any.
+    """
+    with mpmath.workdps(60):
+        size = 3 * len(bodies)
+        total = mpmath.zeros(size) if more is None else mpmath.matrix(more.tolist())
+        for ends, stiffness, (angle, x, y) in hinges:
+            cos, sin = mpmath.cos(angle), mpmath.sin(angle)
+            strain = mpmath.zeros(3, size)
+            for body, sign in zip(ends, (-1, 1), strict=True):
+                if body < 0:
+                    continue
+                arm = mpmath.mpf(x) - bodies[body][0], mpmath.mpf(y) - bodies[body][1]
+                shift = (-arm[1], arm[0]), (1, 0), (0, 1)  # of the hinge, by coordinate
+                for k, (dx, dy) in enumerate(shift):
+                    strain[0, 3 * body + k] += sign * (k == 0)
+                    strain[1, 3 * body + k] += sign * (cos * dx + sin * dy)
+                    strain[2, 3 * body + k] += sign * (cos * dy - sin * dx)
+            total += strain.T * mpmath.matrix(stiffness.tolist()) * strain
+        root = mpmath.diag([1 / mpmath.sqrt(value) for value in inertia])
+        squares = mpmath.eigsy(root * total * root, eigvals_only=True)
+        return np.array([float(mpmath.sqrt(s) / (2 * mpmath.pi)) for s in squares])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loaded", [False, True])
+def test_soft_vibrations_beside_stiff_ones_keep_their_digits(loaded):
+    """Stiffness entries 1e16 apart, at angles at which a sum of them loses the soft ones.
+
+    Loads without potential but for a moment that turns with its lever are the simplest
+    that stiffen a mechanism which has not moved.
+    """
+    bodies = [(0.3, -0.2), (1.1, 0.4)]
+    stiff = np.diag([1.0, 1e16, 0.5])
+    hinges = [
+        ((-1, 0), stiff, (0.3, -0.4, 0.7)),
+        ((0, 1), stiff, (-1.1, 0.6, 0.2)),
+    ]
+    inertia = np.array([0.5, 2.0, 2.0, 0.1, 1.0, 1.0])
+    mechanism = tj.Mechanism(
+        [tj.Body("wall")]
+        + [
+            tj.Body(str(k), (0.0, *place), mass=mass, inertia=inertia[3 * k])
+            for k, (place, mass) in enumerate(zip(bodies, inertia[1::3], strict=True))
+        ],
+        [
+            tj.Hinge(
+                str(k), *("wall" if end < 0 else str(end) for end in ends),
+                tj.Quadratic(energy), at,
+            )
+            for k, (ends, energy, at) in enumerate(hinges)
+        ],
+        held=["wall"],
+    )  # fmt: skip
+    pull, more = [], np.zeros((6, 6))
+    if loaded:
+        pull = [tj.Load("1", (0.0, 0.2, 0.0), at=(1.5, 0.0))]
+        more[3, 3] = 0.3  # moment over angle: force times lever
+    exact = exact_frequencies(bodies, hinges, inertia, more)
+    found = tj.vibrations(mechanism, loads=pull).frequencies
+    assert exact[0] < 1 < 1e6 < exact[-1]
+    np.testing.assert_allclose(found, exact, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_the_sum_of_equal_frequencies_has_second_derivatives():
+    """A block on a spring that is alike in both directions, and three changes of it."""
+
+    def both(change):
+        x, y, mixed = change
+        stiffness = jnp.array([[1e4, 0, 0], [0, 400 + x, mixed], [0, mixed, 400 + y]])
+        hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(stiffness), at=(0, 0, 0))
+        block = tj.Body("block", mass=1.0, inertia=0.1)
+        mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])
+        return jnp.sum(tj.vibrations(mechanism).frequencies[:2])
+
+    equal = jnp.zeros(3)
+    found = tj.vibrations(block_on(400.0, 400.0)).frequencies
+    assert_close(found[0], found[1])
+    step = 0.1 * np.eye(3)
+    ways = [(a, b) for a in range(3) for b in range(3)]
+    corners = jnp.array(
+        [
+            [s * step[a] + t * step[b] for s, t in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+            for a, b in ways
+        ]
+    )
+    at = jax.vmap(jax.vmap(both))(corners)
+    differences = (at[:, 0] - at[:, 1] - at[:, 2] + at[:, 3]) / (4 * 0.1**2)
+    for hessian in (jax.hessian(both), jax.jacrev(jax.jacrev(both))):
+        second = hessian(equal).reshape(-1)
+        np.testing.assert_allclose(second, differences, rtol=1e-5, atol=1e-9)
+
+
+def test_nothing_that_can_vibrate_is_refused():
+    with pytest.raises(ValueError, match="No coordinate can vibrate"):
+        tj.vibrations(block_on(400.0, 100.0), ["block"])
+
+
+def block_on(along, across):
+    spring = tj.Quadratic(jnp.diag(jnp.array([1e4, along, across])))
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+    block = tj.Body("block", mass=1.0, inertia=0.1)
+    return tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])

@@ -58,15 +58,18 @@ def places_of_pairs(
 
 @lru_cache(maxsize=256)
 def places_of_lines(
-    ends: tuple[tuple[int, int], ...], order: tuple[int, ...], rows: tuple[int, ...]
+    ends: tuple[tuple[int, int], ...],
+    order: tuple[int, ...],
+    rows: tuple[int, ...],
+    lines: int = 2,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which entries of all hinges' two lines go where in a mechanism's matrix."""
+    """Which entries of all hinges' lines go where in a mechanism's matrix."""
     coordinates = coordinates_of(ends, order)
     row_of = np.full(1 + max(coordinates.max(initial=0), *rows, 0), -1)
     row_of[list(rows)] = np.arange(len(rows))
     hinges = coordinates.shape[1]
-    row = np.broadcast_to(row_of[coordinates][None], (2, 6, hinges))
-    column = 2 * np.arange(hinges) + np.arange(2)[:, None, None]
+    row = np.broadcast_to(row_of[coordinates][None], (lines, 6, hinges))
+    column = lines * np.arange(hinges) + np.arange(lines)[:, None, None]
     source = np.flatnonzero(row >= 0)
-    target = (row * 2 * hinges + np.broadcast_to(column, row.shape)).reshape(-1)[source]
-    return source, target
+    target = row * lines * hinges + np.broadcast_to(column, row.shape)
+    return source, target.reshape(-1)[source]

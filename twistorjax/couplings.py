@@ -198,6 +198,30 @@ class Couplings(eqx.Module):
             ]
         )
 
+    def factored(
+        self, displacements: Poses, free: tuple[int, ...]
+    ) -> tuple[
+        Float[Array, "rows free"], Float[Array, " rows"], Float[Array, "free free"]
+    ]:
+        """The stiffness of the `tangent` among some coordinates, in factors.
+
+        Args:
+            displacements: of each body from rest; rad, m, m.
+            free: the coordinates, three a body, in order.
+
+        Returns:
+            Three rows for each term of each hinge; the stiffness against each row; and
+            what the forces that the hinges bear add as they turn. The stiffness is
+            `rows.T diag(stiffness) rows`, and that.
+        """
+        local = self._local(_elastic(pull.factored), displacements)
+        source, target = places_of_lines(self.ends, self._order(), free, 3)
+        size = (len(free), 3 * len(self._order()))
+        entries = jnp.moveaxis(local.rows, 0, -1).reshape(-1)
+        rows = summed(entries, source, target, size[0] * size[1]).reshape(size).T
+        rest = self._assembled(jnp.moveaxis(local.rest, 0, -1), free, free)
+        return rows, local.weights.reshape(-1), rest
+
     def forces_in_motion(
         self,
         displacements: Poses,

@@ -216,6 +216,49 @@ def tangent_in_motion(
     )
 
 
+class Factored(NamedTuple):
+    """The stiffness of a hinge, `rows.T diag(weights) rows + rest`.
+
+    Args:
+        rows: three combinations of its six displacements.
+        weights: stiffness against each of them; N m/rad, N/m.
+        rest: what the force that the hinge bears adds as it turns.
+    """
+
+    rows: Float[Array, "3 6"]
+    weights: Float[Array, "3"]
+    rest: Float[Array, "6 6"]
+
+
+@jax.jit
+def factored(
+    energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
+) -> Factored:
+    """The stiffness of the `tangent` in factors, from which small parts are not lost.
+
+    In a sum of stiffnesses that differ by 1e16 the smaller one is lost to rounding.
+    """
+    grip = Grip.of(first, second, axis)
+    slope, push = _slopes(energy, grip.half.displacement)
+    (a, b, c), (_, d, e), (_, _, f) = jnp.stack(jax.vmap(push)(*jnp.eye(3)), axis=1)
+    # Gauss's elimination; where nothing resists, nothing is eliminated
+    ba, ca = _over(b, a), _over(c, a)
+    second_weight, mixed = d - b * ba, e - c * ba
+    eb = _over(mixed, second_weight)
+    weights = jnp.stack([a, second_weight, f - c * ca - mixed * eb])
+    first, second, third = jnp.stack([jnp.stack(row) for row in grip.columns()]).T
+    rows = jnp.stack([first + ba * second + ca * third, second + eb * third, third])
+    motions = jnp.asarray(_MOTIONS)
+    bend = jnp.stack([jnp.stack(row) for row in grip.bend(slope)])
+    rest = product(product(motions, bend), motions.T)
+    return Factored(product(rows, motions.T), weights, rest)
+
+
+def _over(above: Scalar, below: Scalar) -> Scalar:
+    some = below != 0
+    return jnp.where(some, above / jnp.where(some, below, 1.0), 0.0)
+
+
 # The six displacements by the four motions
 _MOTIONS = np.array(
     [

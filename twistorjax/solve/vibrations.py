@@ -12,6 +12,7 @@ from .._checks import need_float64
 from .._types import Poses, PosesLike
 from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
 from ..mechanism import Mechanism
+from .modes import modes, Stiffness
 from .problem import Places, Problem
 from .results import ByBody, counted, meaning, outcomes, raise_failed, RESULTS
 from .statics import Equilibrium, free_coordinates, within_range
@@ -87,7 +88,8 @@ def vibrations(
 
     Raises:
         ValueError: double precision is off; a name is unknown; a body that moves has no
-            mass; a load follows its body, so that there is no potential.
+            mass; a load follows its body, so that there is no potential; no coordinate is
+            free.
         RuntimeError: the equilibrium is not stable.
 
     Source:
@@ -111,6 +113,11 @@ def vibrations(
         )
     given = mechanism.coordinates("driven", driven)
     free = free_coordinates(len(mechanism.names), mechanism.held, given)
+    if not free:
+        raise ValueError(
+            "No coordinate can vibrate: all bodies are held, or named in `driven`. Leave "
+            "one free."
+        )
     answer = _vibrations(mechanism, _state(mechanism, about), tuple(loads), free)
     return raise_failed(answer, _loose) if throw else answer
 
@@ -125,16 +132,18 @@ def _vibrations(
     mechanism: Mechanism, moved: Poses, loads: tuple[Load, ...], free: tuple[int, ...]
 ) -> Vibrations:
     rows = np.array(free, int)
-    stiffness = _stiffness(mechanism, moved, loads)[rows[:, None], rows]
     root = jnp.sqrt(mechanism.inertia().reshape(-1)[rows])
-    matrix = stiffness / (root[:, None] * root[None])
-    finite = jnp.all(jnp.isfinite(matrix))
-    squares, vectors = jnp.linalg.eigh(jnp.where(finite, matrix, jnp.eye(len(free))))
-    stable = squares[0] > -1e-14 * squares[-1] if free else jnp.ones((), bool)
-    positive = squares > 0
-    frequencies = jnp.sqrt(jnp.where(positive, squares, 1.0)) / (2 * jnp.pi)
-    none = jnp.where(stable, 0.0, jnp.nan)
-    frequencies = jnp.where(positive, frequencies, none)
+    lines, weights, rest = mechanism.couplings.factored(moved, free)
+    _, by_angle = Loads.of(loads, loaded(mechanism, loads), mechanism.rest).apply(moved)
+    # loads that keep their direction have moments alone that depend on angles
+    rest = rest - jnp.diag(by_angle.reshape(-1)[rows])
+    rest = rest / (root[:, None] * root[None])
+    angular, vectors = modes(Stiffness(lines / root[None], weights, rest))
+    angular = jnp.diagonal(angular)
+    finite = jnp.all(jnp.isfinite(angular))
+    stable = angular[0] > -1e-7 * angular[-1]
+    frequencies = jnp.maximum(angular, 0.0) / (2 * jnp.pi)
+    frequencies = jnp.where((angular > 0) | stable, frequencies, jnp.nan)
     shapes = jnp.zeros((len(free), mechanism.rest.size))
     shapes = shapes.at[:, rows].set((vectors / root[:, None]).T)
     result = RESULTS.where(stable, RESULTS.successful, RESULTS.loose)

@@ -17,16 +17,7 @@ from ._types import Scalar
 from .clifford import Displacement, half_turn
 from .damping import Viscous
 from .energy import AbstractEnergy
-from .grip import (
-    combined,
-    End,
-    Grip,
-    halfway,
-    Six,
-    SixBySix,
-    Three,
-    Two,
-)
+from .grip import combined, End, Grip, halfway, Six, SixBySix, Three, Two
 from .strains import half_square, strain
 
 

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from . import (
+    chains,
     command,
     identification,
     leaves,
@@ -47,7 +48,7 @@ def main(
         table.add_row(*cells(row))
 
     parts = (
-        statics, peers, leaves, motion, peers_motion, identification,
+        statics, peers, chains, leaves, motion, peers_motion, identification,
         peers_identification, sweeps, command,
     )  # fmt: skip
     for part in parts:

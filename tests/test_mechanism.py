@@ -1,5 +1,7 @@
 """What a mechanism is made of, and what it refuses."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -146,6 +148,7 @@ def test_a_motion_has_a_wrench_at_each_time():
 
 
 @pytest.mark.slow
+@pytest.mark.untyped
 def test_an_equilibrium_is_a_state_wherever_poses_are():
     energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
     hinge = tj.Hinge("h", "wall", "block", energy, at=(0.0, 0.1, 0.0))
@@ -160,6 +163,13 @@ def test_an_equilibrium_is_a_state_wherever_poses_are():
         for about in (pushed, pushed.poses)
     ]
     assert_close(small[0].displacements, small[1].displacements)
+    motion = {"displacements": pushed.displacements[None], "rest": mechanism.rest}
+    for wrong, words in (
+        ("poses", "`start` is 'poses', but must be an equilibrium, or poses"),
+        (SimpleNamespace(**motion), r"`start` has shape \(1, 2, 3\), but"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            tj.equilibrium(mechanism, start=wrong)
     # changes from a loaded state are displacements from rest as well
     assert_close(mechanism.displacements(small[0]), small[0].poses - mechanism.rest)
 

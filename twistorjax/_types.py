@@ -4,6 +4,7 @@ Rotation comes first everywhere, angles are real numbers and never wrapped.
 """
 
 from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Array, ArrayLike, Float
 
@@ -24,3 +25,18 @@ Poses = Float[Array, "bodies 3"]  # a row (angle, x, y) for each body
 PosesLike = Float[ArrayLike, "bodies 3"] | Sequence[Sequence[ArrayLike]]
 Wrenches = Float[Array, "bodies 3"]  # a row (moment, fx, fy) for each body
 Corners = Float[Array, "corners 2"]  # a closed polygon, in order; m
+
+
+@runtime_checkable
+class Displaced(Protocol):
+    """An answer that says how far bodies have moved: an equilibrium or a motion."""
+
+    @property
+    def displacements(self) -> Float[Array, "*batch bodies 3"]:
+        """From the poses `rest`; rad, m, m."""
+        ...
+
+    @property
+    def rest(self) -> Poses:
+        """The poses from which displacements count; rad, m, m."""
+        ...

@@ -1,7 +1,6 @@
 """Bodies and hinges together."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -10,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import se2
-from ._checks import all_known, find, kinds, PLURAL
-from ._types import Corners, Pose, Poses, PosesLike, Scalar, Wrench, Wrenches
+from ._checks import all_known, find, kinds, PLURAL, shortened
+from ._types import Corners, Displaced, Pose, Poses, PosesLike, Scalar, Wrench, Wrenches
 from .body import Body
 from .couplings import Couplings
 from .hinge import check_energy, frame_of, Hinge
@@ -19,21 +18,6 @@ from .stacks import stack_hinges, sums_of
 
 
 COORDINATES = ("angle", "x", "y")
-
-
-@runtime_checkable
-class Displaced(Protocol):
-    """An answer that says how far bodies have moved: an equilibrium or a motion."""
-
-    @property
-    def displacements(self) -> Float[Array, "*batch bodies 3"]:
-        """From the poses `rest`; rad, m, m."""
-        ...
-
-    @property
-    def rest(self) -> Poses:
-        """The poses from which displacements count; rad, m, m."""
-        ...
 
 
 class Mechanism(eqx.Module):
@@ -290,7 +274,7 @@ class Mechanism(eqx.Module):
         return find(where, "body", name, self.names)
 
     def displacements(
-        self, at: PosesLike | Displaced, name: str = "poses"
+        self, at: PosesLike | Displaced, name: str = "poses", *, one: bool = False
     ) -> Float[Array, "*batch bodies 3"]:
         """How far the bodies have moved from rest; rad, m, m.
 
@@ -298,9 +282,10 @@ class Mechanism(eqx.Module):
             at: Equilibrium or motion of this mechanism, or poses of its bodies; rad, m,
                 m.
             name: What messages call it.
+            one: Whether a motion or a batch is refused.
 
         Raises:
-            ValueError: The shape does not fit the bodies.
+            ValueError: It is no such thing, or its shape does not fit the bodies.
         """
         if isinstance(at, Displaced):
             array, rest = at.displacements, at.rest
@@ -310,10 +295,16 @@ class Mechanism(eqx.Module):
                 rest = rest.reshape(*rest.shape[:-2], *more, *self.rest.shape)
                 array = array + (rest - jnp.broadcast_to(self.rest, rest.shape))
         else:
-            array = jnp.asarray(at, float)
+            try:
+                array = jnp.asarray(at, float)
+            except (TypeError, ValueError):
+                raise ValueError(
+                    f"`{name}` is {shortened(repr(at))}, but must be an equilibrium, or "
+                    "poses: a row (angle, x, y) for each body."
+                ) from None
             fits = array.shape == self.rest.shape
             array = array - self.rest if fits else array
-        if not fits:
+        if not fits or (one and array.ndim > 2):
             raise ValueError(
                 f"`{name}` has shape {array.shape}, but a mechanism with the bodies "
                 f"{', '.join(self.names)} has poses of shape {self.rest.shape}: a row "

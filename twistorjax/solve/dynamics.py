@@ -131,7 +131,7 @@ def simulate(
     free = free_coordinates(len(mechanism.names), mechanism.held, places)
     moved = jnp.zeros_like(mechanism.rest)
     if start is not None:
-        moved = mechanism.displacements(start, "start")
+        moved = mechanism.displacements(start, "start", one=True)
         begin.finite("start", moved)
     rates = begin.velocities(mechanism, velocities, free)
     joints = joined(mechanism, constraints)

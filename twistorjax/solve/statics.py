@@ -136,7 +136,7 @@ def equilibrium(
     answer = _solve(
         mechanism.couplings,
         mechanism.rest,
-        None if start is None else mechanism.displacements(start, "start"),
+        None if start is None else mechanism.displacements(start, "start", one=True),
         tuple(loads),
         targets,
         tolerance,
@@ -160,7 +160,7 @@ def within_range(
         name: what messages call the state.
         state: an equilibrium, or poses; rad, m, m.
     """
-    moved = mechanism.displacements(state, name)
+    moved = mechanism.displacements(state, name, one=True)
     beyond = jnp.any(mechanism.couplings.beyond(moved))
     if known(beyond) is None:
         return jnp.where(beyond, jnp.nan, moved)

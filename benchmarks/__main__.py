@@ -21,6 +21,7 @@ from . import (
     leaves,
     motion,
     peers,
+    peers_chains,
     peers_identification,
     peers_motion,
     statics,
@@ -48,7 +49,7 @@ def main(
         table.add_row(*cells(row))
 
     parts = (
-        statics, peers, chains, leaves, motion, peers_motion, identification,
+        statics, peers, chains, peers_chains, leaves, motion, peers_motion, identification,
         peers_identification, sweeps, command,
     )  # fmt: skip
     for part in parts:

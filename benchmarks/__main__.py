@@ -49,8 +49,8 @@ def main(
         table.add_row(*cells(row))
 
     parts = (
-        statics, peers, chains, peers_chains, leaves, motion, peers_motion, identification,
-        peers_identification, sweeps, command,
+        statics, peers, chains, peers_chains, leaves, motion, peers_motion,
+        identification, peers_identification, sweeps, command,
     )  # fmt: skip
     for part in parts:
         for row in part.run():

@@ -191,7 +191,7 @@ def test_soft_vibrations_beside_stiff_ones_keep_their_digits(loaded):
     exact = exact_frequencies(bodies, hinges, inertia, more)
     found = tj.vibrations(mechanism, loads=pull).frequencies
     assert exact[0] < 1 < 1e6 < exact[-1]
-    np.testing.assert_allclose(found, exact, rtol=1e-7)
+    np.testing.assert_allclose(found, exact, rtol=1e-12)
 
 
 @pytest.mark.slow

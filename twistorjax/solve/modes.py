@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 # Frequencies that differ by less, relative to both, are taken for equal.
 _EQUAL = 1e-8
 # Jacobi's method ends where entries beside the diagonal are below this, relative to those
-# on it, or after so many sweeps; it takes six to ten.
-_ROUNDING = 1e-15
+# on it, for eigenvalues change by their squares; or after so many sweeps, of which it
+# takes six to ten.
+_SMALL = 1e-10
 _SWEEPS = 30
 
 
@@ -48,10 +49,9 @@ class Modes(NamedTuple):
 def modes(stiffness: Stiffness) -> Modes:
     """Compute angular frequencies and shapes.
 
-    The relative error of a frequency is that of rounding times its ratio to the largest
-    one, because the singular values of the factors are found first, and are the
-    frequencies where the `rest` is zero. The eigenvalues of the stiffness itself would
-    have the square of that ratio.
+    Small frequencies keep their digits beside large ones, because the factors are not
+    multiplied before the axes are known. The eigenvalues of the stiffness as one matrix
+    have errors in proportion to the largest of them.
 
     First derivatives of equal frequencies, and of their vectors, are those in one of the
     possible systems of axes; symmetric functions of them, such as their sum, have their
@@ -62,21 +62,18 @@ def modes(stiffness: Stiffness) -> Modes:
         Appl. 13, 1992.
     """
     rows, weights, rest = stiffness
-    size = rows.shape[1]
-    finite = jnp.all(jnp.isfinite(rows)) & jnp.all(jnp.isfinite(weights))
-    scale = jnp.sqrt(jnp.maximum(weights, 0.0))
-    graded = jnp.where(finite, scale[:, None] * rows, 0.0)
-    # rows of zeros, so that there are as many vectors as columns
-    graded = jnp.concatenate([graded, jnp.zeros((size, size))])
-    _, singular, across = jnp.linalg.svd(graded, full_matrices=False)
-    below = rows.T @ (jnp.minimum(weights, 0.0)[:, None] * rows)
-    left = across @ (rest + below) @ across.T
-    matrix = jnp.diag(singular**2) + (left + left.T) / 2
-    matrix = jnp.where(jnp.all(jnp.isfinite(matrix)), matrix, jnp.eye(size))
-    squares, vectors = _diagonalized(matrix)
+    whole = rows.T @ (weights[:, None] * rows) + (rest + rest.T) / 2
+    finite = jnp.all(jnp.isfinite(whole))
+    _, first = jnp.linalg.eigh(jnp.where(finite, whole, jnp.eye(len(whole))))
+    # The axes of the product are those of the stiffness up to rounding. Along them the
+    # factors are multiplied again, by which small entries beside large ones keep digits.
+    own = rows @ first
+    left = first.T @ rest @ first
+    matrix = own.T @ (weights[:, None] * own) + (left + left.T) / 2
+    squares, vectors = _diagonalized(jnp.where(finite, matrix, jnp.eye(len(whole))))
     root = jnp.sign(squares) * jnp.sqrt(jnp.abs(squares))
-    lost = jnp.where(finite & jnp.all(jnp.isfinite(rest)), 0.0, jnp.nan)
-    return Modes(jnp.diag(root + lost), across.T @ vectors + lost)
+    lost = jnp.where(finite, 0.0, jnp.nan)
+    return Modes(jnp.diag(root + lost), first @ vectors + lost)
 
 
 def _diagonalized(
@@ -87,7 +84,8 @@ def _diagonalized(
     By Jacobi's rotations, which keep the digits of small eigenvalues beside large ones
     where the matrix is nearly diagonal. They rotate all coordinates at once, in pairs:
     the first half with the second, after which the coordinates change places as the
-    players of a tournament do. A matrix that is diagonal takes no rotation.
+    players of a tournament do. Where entries beside the diagonal are so small that their
+    squares are lost in those on it, there is no rotation.
     """
     size = len(matrix)
     half = (size + 1) // 2
@@ -127,7 +125,7 @@ def _diagonalized(
         diagonal = jnp.abs(jnp.diagonal(matrix))
         unit = jnp.sqrt(diagonal[:, None]) * jnp.sqrt(diagonal[None])
         beside = jnp.abs(matrix - jnp.diag(jnp.diagonal(matrix)))
-        return jnp.any(beside > _ROUNDING * unit)
+        return jnp.any(beside > _SMALL * unit)
 
     def sweep(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         matrix, vectors, count = state

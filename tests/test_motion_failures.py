@@ -102,7 +102,9 @@ def test_every_solver_stops_where_a_load_is_not_finite(solver):
 
 
 @pytest.mark.parametrize(
-    "solver", [dfx.Tsit5(), dfx.Kvaerno5()], ids=["tsit5", "kvaerno5"]
+    "solver",
+    [dfx.Tsit5(), pytest.param(dfx.Kvaerno5(), marks=pytest.mark.long)],
+    ids=["tsit5", "kvaerno5"],
 )
 def test_a_pin_stays_where_it_is_with_solvers_of_diffrax(solver):
     """Twenty swings to and fro: the bob stays on its circle, and keeps its energy."""

@@ -244,3 +244,10 @@ def test_refuses_unknown_coordinates():
 def test_a_negative_factor_is_a_fault():
     assert "not negative" in ((-1.0) * twist).fault()
     assert (2.0 * twist).fault() is None
+
+
+def test_only_energies_are_added_and_only_numbers_multiply_them():
+    with pytest.raises(TypeError, match="unsupported operand"):
+        twist + 1.0
+    with pytest.raises(ValueError, match=r"an array of shape \(2,\), but the factor"):
+        jnp.ones(2) * twist

@@ -170,6 +170,11 @@ def test_an_equilibrium_is_a_state_wherever_poses_are():
     ):
         with pytest.raises(ValueError, match=words):
             tj.equilibrium(mechanism, start=wrong)
+    other = tj.Mechanism([tj.Body("block"), tj.Body("wall")], [hinge], held=["wall"])
+    with pytest.raises(
+        ValueError, match="`start` is of a mechanism with the bodies wall"
+    ):
+        tj.equilibrium(other, start=pushed)
     # changes from a loaded state are displacements from rest as well
     assert_close(mechanism.displacements(small[0]), small[0].poses - mechanism.rest)
 

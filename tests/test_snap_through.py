@@ -52,6 +52,36 @@ def test_no_load_beyond_its_limit_leads_through_the_snap_of_an_arch():
     np.testing.assert_allclose(pushed.fraction[2:] * loads[2:], limit, rtol=2e-3)
 
 
+def test_a_truss_is_not_thrown_over_by_any_load():
+    """Also by loads whose first Newton step happens to lead to the other side."""
+    soft = tj.Quadratic(jnp.diag(jnp.array([1e-3, 1e5, 1e5])))
+    foot, top = (0.2, 0.0), (0.0, 0.02)
+    hinges = [
+        tj.Hinge("1", "wall", "l", soft, (0, -foot[0], 0)),
+        tj.Hinge("2", "l", "apex", soft, (0, *top)),
+        tj.Hinge("3", "r", "apex", soft, (0, *top)),
+        tj.Hinge("4", "wall", "r", soft, (0, *foot)),
+    ]
+    bodies = [tj.Body("wall"), tj.Body("l", (0, -0.2, 0)), tj.Body("r", (0, 0.2, 0))]
+    truss = tj.Mechanism(
+        [*bodies, tj.Body("apex", (0, 0, 0.02))],
+        hinges,
+        held={"wall": ("angle", "x", "y"), "apex": ("angle",)},
+    )
+
+    def press(load):
+        return tj.equilibrium(
+            truss, loads=[tj.Load("apex", (0.0, 0.0, -load))], throw=False
+        )
+
+    limit = 3.8307
+    pressed = jax.vmap(press)(limit * jnp.geomspace(0.5, 1e3, 2000))
+    found = np.asarray(pressed.succeeded)
+    apex = np.asarray(pressed.displacement("apex"))[:, 2]
+    assert np.all(apex[found] > -0.02)
+    assert 150 < found.sum() < 200  # those below the limit
+
+
 def bars(count, coordinates, frame):
     """Bars in a row between two supports, as a function of points and stiffnesses.
 

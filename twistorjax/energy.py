@@ -160,10 +160,18 @@ class AbstractEnergy(eqx.Module):
         return jax.jacfwd(moved)(jnp.zeros(3)) + 0.0
 
     def __add__(self, other: "AbstractEnergy") -> "Sum":
+        if not isinstance(other, AbstractEnergy):
+            return NotImplemented
         return Sum((self, other))
 
     def __rmul__(self, factor: ArrayLike) -> "Scaled":
-        return Scaled(factor=jnp.asarray(factor, float), energy=self)
+        array = jnp.asarray(factor, float)
+        if array.shape:
+            raise ValueError(
+                f"An energy is multiplied by an array of shape {array.shape}, but the "
+                "factor must be one number; for many of them use `jax.vmap`."
+            )
+        return Scaled(factor=array, energy=self)
 
 
 class CoordinateEnergy(AbstractEnergy):

@@ -288,6 +288,12 @@ class Mechanism(eqx.Module):
             ValueError: It is no such thing, or its shape does not fit the bodies.
         """
         if isinstance(at, Displaced):
+            names = getattr(at, "names", self.names)
+            if names != self.names:
+                raise ValueError(
+                    f"`{name}` is of a mechanism with the bodies {', '.join(names)}, but "
+                    f"this one has {', '.join(self.names)}, in that order."
+                )
             array, rest = at.displacements, at.rest
             fits = array.shape[-2:] == rest.shape[-2:] == self.rest.shape
             if fits:  # no digit is lost where both count from the same poses

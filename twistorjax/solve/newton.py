@@ -31,8 +31,12 @@ class Settled(NamedTuple):
 # Newton Methods for Nonlinear Problems, 2011, sections 2.1 and 5.1). The factor stands
 # for an h of 0.41.
 _LARGEST_CONTRACTION = 0.35
-# The ratio at which the length of the next increment aims.
-_GOOD_CONTRACTION = 0.2
+# The same if the response to the increment, by the tangents at its two ends, differs by
+# more. This measures h as well, and excludes that a correction is small because it leads
+# to another branch by chance: there the stiffness is another one.
+_LARGEST_DIFFERENCE = 0.6
+# The share of both bounds at which the length of the next increment aims.
+_GOOD_SHARE = 0.6
 # Corrections below this share of the first one are too small to lead to another branch.
 _SMALL_CORRECTION = 1e-3
 # Corrections below this share of the displacements may consist of rounding errors alone.
@@ -66,6 +70,7 @@ def settle(
     begin = start.reshape(-1)[problem.driven]
     holding = problem.couplings.forces(start).reshape(-1)[rows]
     unit = _units(problem.couplings)
+    unit_of_free = unit[rows % 3]
 
     class State(NamedTuple):
         now: Poses
@@ -79,7 +84,8 @@ def settle(
         scale: Scalar  # energy of the first step of this stride
         first: Scalar  # length of the first correction of this stride
         last: Scalar  # length of the last correction
-        contraction: Scalar  # of the second correction against the first
+        response: Float[Array, " free"]  # to this stride, by the tangent at its start
+        curving: Scalar  # how much of the bounds for an increment it takes
         steps: Int[Array, ""]
         status: Int[Array, ""]
 
@@ -92,7 +98,10 @@ def settle(
         residual = residual[rows] - (1 - goal) * holding
         right = -(residual + slope.push(move))
         factors = slope.factors(problem.symmetric)
-        step = factors.solve(right)
+        applied = problem.loads.apply(state.now)[0].reshape(-1)[rows]
+        pushed = state.stride * (applied - holding)
+        pushed -= slope.push(state.stride * (problem.targets - begin))
+        step, response = jax.vmap(factors.solve)(jnp.stack([right, pushed]))
         now = problem.place(
             problem.place(state.now, free=flat[rows] + step), driven=given
         )
@@ -119,8 +128,13 @@ def settle(
         longest = jnp.where(first, length, state.first)
         ratio = jnp.where(first, 0.0, length / state.last)
         small = length <= _SMALL_CORRECTION * longest
-        contraction = jnp.where(state.tries == 1, ratio, state.contraction)
-        contracts = small | (ratio <= _LARGEST_CONTRACTION)
+        share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
+        before = jnp.where(first, response, state.response)
+        apart = jnp.sqrt(jnp.sum(((response - before) / unit_of_free) ** 2))
+        apart /= jnp.where(longest > 0, longest, 1.0)
+        share = jnp.maximum(share, apart / _LARGEST_DIFFERENCE)
+        curving = jnp.where(first, 0.0, jnp.maximum(share, state.curving))
+        contracts = share <= 1
         sane = resists & jnp.isfinite(change) & (turned <= _LARGEST_TURN) & contracts
         # a step that drives saw only the slope of the way they take
         seen = ~first | jnp.all(move == 0)
@@ -134,10 +148,8 @@ def settle(
 
         finite = slope.finite() & jnp.all(jnp.isfinite(right))
         cut = ~converged & (~sane | (state.tries + 1 >= _STEPS_EACH))
-        # the contraction is proportional to the increment
-        change_of_stride = _GOOD_CONTRACTION / jnp.where(
-            contraction > 0, contraction, 1.0
-        )
+        # both are proportional to the increment
+        change_of_stride = _GOOD_SHARE / jnp.where(curving > 0, curving, 1.0)
         shorter = jnp.where(contracts, 0.25, jnp.clip(change_of_stride, 0.1, 0.5))
         stride = jnp.where(cut, shorter * state.stride, state.stride)
         least = jnp.maximum(_LEAST_STEP, _LEAST_SHARE * state.fraction)
@@ -156,7 +168,7 @@ def settle(
         )
         fraction = jnp.where(converged, goal, state.fraction)
         left = 1 - fraction
-        longer = jnp.where(contraction > 0, jnp.clip(change_of_stride, 0.5, 4.0), 4.0)
+        longer = jnp.where(curving > 0, jnp.clip(change_of_stride, 0.5, 4.0), 4.0)
         # no last stride so short that only rounding is left of it
         grown = jnp.where(1.05 * longer * stride > left, left, longer * stride)
         return State(
@@ -171,7 +183,8 @@ def settle(
             scale=scale,
             first=longest,
             last=length,
-            contraction=jnp.where(converged | cut, 0.0, contraction),
+            response=before,
+            curving=jnp.where(converged | cut, 0.0, curving),
             steps=steps,
             status=status,
         )
@@ -191,7 +204,8 @@ def settle(
         scale=zero,
         first=zero,
         last=zero,
-        contraction=zero,
+        response=nothing,
+        curving=zero,
         steps=none,
         status=none,
     )

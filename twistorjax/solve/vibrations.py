@@ -76,7 +76,8 @@ def vibrations(
     """The natural frequencies of a mechanism about an equilibrium, and their shapes.
 
     Damping is left aside; `frequency_response` has it. The answer has derivatives by
-    everything that made the mechanism, those of shapes where no two frequencies are one.
+    everything that made the mechanism. Of equal frequencies only symmetric functions have
+    them, such as their sum: its first and second ones.
 
     Args:
         mechanism: its bodies that can move need mass and inertia.

@@ -155,3 +155,23 @@ def start_on_a_rail(size):
             move(across=share * size)
     with pytest.raises(ValueError, match="velocities at the start are against"):
         move(across=1e-5 * size, along=size)
+
+
+def test_errors_are_measured_by_bodies_that_move():
+    """The origin of a held body may be anywhere, and rounding errors are no lever."""
+    size = 1e-6
+    spring = tj.Quadratic(jnp.diag(jnp.array([size**2, 1.0, 1.0])))
+
+    def shifted(wall, arm):
+        hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.0, size, 0.0))
+        block = tj.Body("block", (0.0, size + arm, 0.0), mass=1.0, inertia=size**2)
+        bodies = [tj.Body("wall", (0.0, wall, 0.0)), block]
+        mechanism = tj.Mechanism(bodies, [hinge], held=["wall"])
+        start = mechanism.rest.at[1, 1].add(0.1 * size)
+        swing = tj.simulate(mechanism, [0.0, np.pi], start=start)  # half a period
+        return swing.displacement("block")[1, 1] / size, swing.steps
+
+    for wall, arm in ((0.0, 0.5 * size), (10.0, 0.5 * size), (0.0, 1e-22)):
+        end, steps = shifted(wall, arm)
+        assert abs(end + 0.1) < 1e-4
+        assert steps < 200

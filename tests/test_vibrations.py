@@ -223,6 +223,22 @@ def test_the_sum_of_equal_frequencies_has_second_derivatives():
     np.testing.assert_allclose(second, differences, rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.slow
+def test_terms_that_are_not_positive_by_themselves_are_counted():
+    """Couplings without stiffness of their own, and a spring that pushes away."""
+    soft = tj.Quadratic(jnp.diag(jnp.array([2.0, 50.0, 30.0])), "twist")
+    coupling = tj.Polynomial([5.0, 3.0, 1e-9], [(1, 0, 1), (0, 1, 1), (2, 0, 0)], "twist")
+    pushing = tj.Polynomial([-4.0, 1e-12], [(0, 0, 2), (0, 2, 0)], "twist")
+    hinge = tj.Hinge("h", "wall", "block", soft + coupling + pushing, at=(0.2, 0.1, 0.3))
+    block = tj.Body("block", mass=2.0, inertia=0.1)
+    mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])
+    stiffness = np.asarray(mechanism.stiffness(mechanism.rest))[1, :, 1]
+    root = np.sqrt([0.1, 2.0, 2.0])
+    squares = np.linalg.eigvalsh(stiffness / np.outer(root, root))
+    exact = np.sqrt(squares) / (2 * np.pi)
+    assert_close(tj.vibrations(mechanism).frequencies, exact)
+
+
 def test_nothing_that_can_vibrate_is_refused():
     with pytest.raises(ValueError, match="No coordinate can vibrate"):
         tj.vibrations(block_on(400.0, 100.0), ["block"])

@@ -54,11 +54,16 @@ class Couplings(eqx.Module):
     stacks: tuple[Stack, ...]
     sums: tuple[tuple[AbstractEnergy, Viscous | Scalar | None] | None, ...]
 
-    @property
-    def lever(self) -> Scalar:
-        """Root mean square of the distances from the bodies' origins to the hinges; m."""
-        arms = jax.lax.stop_gradient(self.arms)
-        return jnp.sqrt(jnp.mean(jnp.sum(arms**2, axis=-1)))
+    def lever(self, free: tuple[int, ...]) -> Scalar:
+        """Root mean square of the distances from origins of bodies to their hinges; m.
+
+        Args:
+            free: the free coordinates. Of bodies that cannot move the origin may be
+                anywhere.
+        """
+        moving = np.isin(np.array(self.ends), np.array(free, int) // 3)
+        arms = jax.lax.stop_gradient(self.arms)[moving]
+        return jnp.sqrt(jnp.sum(arms**2) / max(1, len(arms)))
 
     def energy_of(self, row: int) -> AbstractEnergy:
         """The energy of one hinge, by its place in the mechanism's list."""

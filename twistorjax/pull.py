@@ -11,7 +11,7 @@ from typing import Any, cast, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Inexact
+from jaxtyping import Array, Bool, Float, Inexact
 
 from ._types import Scalar
 from .clifford import Displacement, half_turn
@@ -213,7 +213,8 @@ class Factored(NamedTuple):
     Args:
         rows: three combinations of its six displacements.
         weights: stiffness against each of them; N m/rad, N/m.
-        rest: what the force that the hinge bears adds as it turns.
+        rest: what the force that the hinge bears adds as it turns, and what of the
+            stiffness is not positive.
     """
 
     rows: Float[Array, "3 6"]
@@ -225,28 +226,32 @@ class Factored(NamedTuple):
 def factored(
     energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
 ) -> Factored:
-    """The stiffness of the `tangent` in factors, from which small parts are not lost.
-
-    In a sum of stiffnesses that differ by 1e16 the smaller one is lost to rounding.
-    """
+    """The stiffness of the `tangent` in factors: in a sum, small parts would be lost."""
     grip = Grip.of(first, second, axis)
     slope, push = _slopes(energy, grip.half.displacement)
     (a, b, c), (_, d, e), (_, _, f) = jnp.stack(jax.vmap(push)(*jnp.eye(3)), axis=1)
-    # Gauss's elimination; where nothing resists, nothing is eliminated
-    ba, ca = _over(b, a), _over(c, a)
-    second_weight, mixed = d - b * ba, e - c * ba
-    eb = _over(mixed, second_weight)
-    weights = jnp.stack([a, second_weight, f - c * ca - mixed * eb])
+    # Gauss's elimination, as far as the stiffness is positive; it could lose what is not.
+    one = (a >= 0) & (b * b <= a * d) & (c * c <= a * f)
+    ba, ca = _over(b, a, one), _over(c, a, one)
+    d, e, f = d - b * ba, e - c * ba, f - c * ca
+    two = one & (d >= 0) & (e * e <= d * f)
+    eb = _over(e, d, two)
+    weights = [(one, a), (two, d), (two, f - e * eb)]
+    weights = jnp.stack([jnp.where(found, value, 0.0) for found, value in weights])
+    left = [(one, a), (one, b), (one, c), (two, d), (two, e), (two, f)]
+    a, b, c, d, e, f = (jnp.where(found, 0.0, value) for found, value in left)
+    left = jnp.stack([jnp.stack(row) for row in ((a, b, c), (b, d, e), (c, e, f))])
     first, second, third = jnp.stack([jnp.stack(row) for row in grip.columns()]).T
     rows = jnp.stack([first + ba * second + ca * third, second + eb * third, third])
-    motions = jnp.asarray(_MOTIONS)
     bend = jnp.stack([jnp.stack(row) for row in grip.bend(slope)])
-    rest = product(product(motions, bend), motions.T)
+    rest = product(product(rows.T, left), rows) + bend
+    motions = jnp.asarray(_MOTIONS)
+    rest = product(product(motions, rest), motions.T)
     return Factored(product(rows, motions.T), weights, rest)
 
 
-def _over(above: Scalar, below: Scalar) -> Scalar:
-    some = below != 0
+def _over(above: Scalar, below: Scalar, sound: Bool[Array, ""]) -> Scalar:
+    some = sound & (below != 0)
     return jnp.where(some, above / jnp.where(some, below, 1.0), 0.0)
 
 

@@ -54,8 +54,8 @@ def modes(stiffness: Stiffness) -> Modes:
     have errors in proportion to the largest of them.
 
     First derivatives of equal frequencies, and of their vectors, are those in one of the
-    possible systems of axes; symmetric functions of them, such as their sum, have their
-    first and second derivatives.
+    possible systems of axes. Symmetric functions of them have their first derivatives,
+    and their sum, the trace of the root, its second ones as well.
 
     Source:
         Demmel and Veselic, Jacobi's method is more accurate than QR, SIAM J. Matrix Anal.

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 def _length(mechanism: Mechanism) -> float:
     """The length of a lever, where values can be seen; see `_scales`."""
-    return float(mechanism.couplings.lever) or 1.0
+    free = free_coordinates(len(mechanism.names), mechanism.held, ())
+    return float(mechanism.couplings.lever(free)) or 1.0
 
 
 def _given(drives: Any, now: Array) -> Sequence[Drive]:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
 from .._types import Poses, Scalar
-from ..couplings import Couplings
 from .problem import Problem
 
 
@@ -38,7 +37,7 @@ _LARGEST_DIFFERENCE = 0.6
 # The share of both bounds at which the length of the next increment aims.
 _GOOD_SHARE = 0.6
 # Corrections below this share of the first one are too small to lead to another branch.
-_SMALL_CORRECTION = 1e-3
+_SMALL_CORRECTION = 1e-6
 # Corrections below this share of the displacements may consist of rounding errors alone.
 _ROUNDING = 1e-12
 _LARGEST_TURN = 1.0  # of a body in one increment; rad
@@ -69,7 +68,7 @@ def settle(
     rows = problem.free
     begin = start.reshape(-1)[problem.driven]
     holding = problem.couplings.forces(start).reshape(-1)[rows]
-    unit = _units(problem.couplings)
+    unit = _units(problem)
     unit_of_free = unit[rows % 3]
 
     class State(NamedTuple):
@@ -127,7 +126,9 @@ def settle(
         length = jnp.sqrt(jnp.sum(((now - state.now) / unit[None]) ** 2))
         longest = jnp.where(first, length, state.first)
         ratio = jnp.where(first, 0.0, length / state.last)
-        small = length <= _SMALL_CORRECTION * longest
+        size = jnp.sqrt(jnp.sum((now / unit[None]) ** 2))
+        rounded = length <= _ROUNDING * size
+        small = rounded | (length <= _SMALL_CORRECTION * longest)
         share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
         before = jnp.where(first, response, state.response)
         apart = jnp.sqrt(jnp.sum(((response - before) / unit_of_free) ** 2))
@@ -141,8 +142,7 @@ def settle(
         # increments on the way are followed less closely than the last one
         enough = jnp.where(goal < 1, jnp.sqrt(tolerance), tolerance)
         # rounding errors, which no longer contract, of a mechanism of many bodies
-        size = jnp.sqrt(jnp.sum((now / unit[None]) ** 2))
-        rounded = (ratio > _LARGEST_CONTRACTION) & (length <= _ROUNDING * size)
+        rounded &= ratio > _LARGEST_CONTRACTION
         rounded &= expected <= jnp.sqrt(jnp.finfo(float).eps)
         converged = sane & seen & ((expected <= enough) | rounded)
 
@@ -213,9 +213,10 @@ def settle(
     return Settled(state.done, state.fraction, state.steps, state.status)
 
 
-def _units(couplings: Couplings) -> Float[Array, "3"]:
+def _units(problem: Problem) -> Float[Array, "3"]:
     """The units of a body's displacement: 1 rad, and the length of a lever; rad, m, m."""
-    lever = jnp.where(couplings.lever > 0, couplings.lever, 1.0)
+    lever = problem.couplings.lever(problem.places.free)
+    lever = jnp.where(lever > 0, lever, 1.0)
     return jnp.stack([jnp.ones_like(lever), lever, lever])
 
 

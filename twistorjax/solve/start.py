@@ -235,8 +235,9 @@ def _scales(
         longest: how long the motion lasts; s.
 
     Returns:
-        The length of a lever: of the hinges' distances from the bodies' origins, or,
-        where these are zero, of the rotational against the translational stiffness; m.
+        The length of a lever: of the hinges' distances from the origins of bodies that
+        move, or, where these are zero, of the rotational against the translational
+        stiffness; m.
         Nearly the periods of the slowest and of the fastest vibration, over two pi, by
         the sums of the squares of all periods and frequencies; s.
     """
@@ -251,8 +252,9 @@ def _scales(
     diagonal = jnp.diagonal(stiffness)
     turns = system.free % 3 == 0
     turning, shifting = (jnp.sum(jnp.where(k, diagonal, 0.0)) for k in (turns, ~turns))
-    lever = couplings.lever
-    length = jnp.where(lever > 0, lever, jnp.sqrt(turning / shifting))
+    lever, stiff = couplings.lever(system.places.free), jnp.sqrt(turning / shifting)
+    # a lever of rounding errors is none
+    length = jnp.where(jnp.isfinite(stiff) & (lever <= 1e-9 * stiff), stiff, lever)
     slowest = jnp.sum(jnp.diagonal(inverse(stiffness)) * mass)
     fastest = jnp.sum(diagonal / mass)
     # where nothing holds a body, no period but that of the motion itself

@@ -77,7 +77,7 @@ def vibrations(
 
     Damping is left aside; `frequency_response` has it. The answer has derivatives by
     everything that made the mechanism. Of equal frequencies only symmetric functions have
-    them, such as their sum: its first and second ones.
+    first derivatives, and only the sum has second ones.
 
     Args:
         mechanism: its bodies that can move need mass and inertia.

@@ -52,8 +52,11 @@ def settle(
     """Follow the equilibrium from `start` to the full loads and drives.
 
     Newton's method is applied to a growing fraction of them. The first increment is the
-    whole. An increment is accepted only if Newton's corrections contract quickly, which
-    excludes a fold between its two ends; otherwise it is shortened. The forces that hold
+    whole. An increment is accepted only if Newton's corrections contract quickly and the
+    tangents at its two ends agree, so that there is no fold between them; otherwise it is
+    shortened. Both are measured over the whole mechanism: a part that hardly moves beside
+    the rest may pass a fold of its own, and so may a symmetric path a bifurcation. The
+    forces that hold
     the mechanism at `start` fade as the fraction grows: none in the reference
     configuration, the loads of another equilibrium otherwise. Driven coordinates move in
     the first Newton step of each increment, together with the first answer of the free

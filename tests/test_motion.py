@@ -160,7 +160,7 @@ def test_energy_is_accounted_for(energies):
 
     moved = tj.simulate(
         four_bar.four_bar(), np.linspace(0, 0.2, 9), drives=four_bar.turn, loads=pull,
-        tolerance=1e-8, energies=energies,
+        tolerance=1e-9, energies=energies,
     )  # fmt: skip
     told = moved.energies
     if not energies:

@@ -86,7 +86,10 @@ def settle(
         scale: Scalar  # energy of the first step of this stride
         first: Scalar  # length of the first correction of this stride
         last: Scalar  # length of the last correction
-        response: Float[Array, " free"]  # to this stride, by the tangent at its start
+        lacking: Float[Array, " free"]  # forces at the start of this stride
+        response: Float[
+            Array, " free"
+        ]  # to them and the drives, by the tangent at its start
         curving: Scalar  # how much of the bounds for an increment it takes
         steps: Int[Array, ""]
         status: Int[Array, ""]
@@ -100,9 +103,9 @@ def settle(
         residual = residual[rows] - (1 - goal) * holding
         right = -(residual + slope.push(move))
         factors = slope.factors(problem.symmetric)
-        applied = problem.loads.apply(state.now)[0].reshape(-1)[rows]
-        pushed = state.stride * (applied - holding)
-        pushed -= slope.push(state.stride * (problem.targets - begin))
+        first = state.tries == 0
+        lacking = jnp.where(first, -residual, state.lacking)
+        pushed = lacking - slope.push(state.stride * (problem.targets - begin))
         step, response = jax.vmap(factors.solve)(jnp.stack([right, pushed]))
         now = problem.place(
             problem.place(state.now, free=flat[rows] + step), driven=given
@@ -115,7 +118,6 @@ def settle(
 
         changes = jnp.abs(step * right)
         change = jnp.sum(changes)
-        first = state.tries == 0
         scale = jnp.where(first, change, state.scale)
         # each coordinate by itself: a soft one converges beside stiff ones that have
         shares = jnp.where(first, 1.0, changes / state.changes)
@@ -186,6 +188,7 @@ def settle(
             scale=scale,
             first=longest,
             last=length,
+            lacking=lacking,
             response=before,
             curving=jnp.where(converged | cut, 0.0, curving),
             steps=steps,
@@ -207,6 +210,7 @@ def settle(
         scale=zero,
         first=zero,
         last=zero,
+        lacking=nothing,
         response=nothing,
         curving=zero,
         steps=none,

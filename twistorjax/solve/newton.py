@@ -33,7 +33,7 @@ _LARGEST_CONTRACTION = 0.35
 # The same if the response to the increment, by the tangents at its two ends, differs by
 # more. This measures h as well, and excludes that a correction is small because it leads
 # to another branch by chance: there the stiffness is another one.
-_LARGEST_DIFFERENCE = 0.6
+_LARGEST_DIFFERENCE = 0.4
 # The share of both bounds at which the length of the next increment aims.
 _GOOD_SHARE = 0.6
 # Corrections below this share of the first one are too small to lead to another branch.

@@ -121,7 +121,7 @@ def _diagonalized(
         return matrix[seats][:, seats], turned(vectors)[seats]
 
     def apart(matrix: Array) -> Array:
-        """The largest entry beside the diagonal, in units of those on it."""
+        """Decide whether an entry beside the diagonal is still too large."""
         diagonal = jnp.abs(jnp.diagonal(matrix))
         unit = jnp.sqrt(diagonal[:, None]) * jnp.sqrt(diagonal[None])
         beside = jnp.abs(matrix - jnp.diag(jnp.diagonal(matrix)))

@@ -24,7 +24,7 @@ def slender(hinges: int) -> tj.Mechanism:
         tj.Hinge(str(k), str(k), str(k + 1), leaf, (0.0, (k + 0.5) * size, 0.0))
         for k in range(hinges)
     ]
-    return tj.Mechanism(bodies, joints, held=["0"])
+    return tj.Mechanism(bodies, joints, fixed=["0"])
 
 
 def stiffness(hinges: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 import optax
 
 import twistorjax as tj
-from twistorjax.cases import four_bar, identification
+from twistorjax.examples import four_bar, identification
 
 from .measure import at_most, compiled, Row, seconds
 
@@ -22,17 +22,17 @@ FITTED = "three stiffnesses from a motion: with compilation"
 def run() -> Iterator[Row]:
     """The rows of the table."""
     test = identification.let_go()
-    data = test.rehearsed(identification.linkage(identification.LEAF))
+    data = test.synthetic_data(identification.linkage(identification.LEAF))
     start = {
-        name: tj.Unknown(identification.GUESS[name] * value, above=0)
+        name: tj.Parameter(identification.GUESS[name] * value, above=0)
         for name, value in identification.LEAF.items()
     }
 
-    def fitted(**settings) -> tj.Identification:
-        found = tj.fit(identification.linkage, start, [data], **settings)
+    def fitted(**settings) -> tj.identification.Identification:
+        found = tj.identify(identification.linkage, start, [data], **settings)
         return jax.block_until_ready(found)
 
-    def error(found: tj.Identification) -> float:
+    def error(found: tj.identification.Identification) -> float:
         true = np.array([identification.LEAF[name] for name in found.names])
         return float(np.max(np.abs(np.asarray(found.values) / true - 1)))
 
@@ -62,16 +62,16 @@ def _coverage(test, data, start) -> Iterator[Row]:
     """How often 95 % intervals hold the truth, over noisy repetitions side by side."""
     true = identification.LEAF
 
-    def held(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def fixed(key: jax.Array) -> tuple[jax.Array, jax.Array]:
         noise = data.deviations * jax.random.normal(key, data.values.shape)
         noisy = test.measured(data.values + noise)
-        found = tj.fit(identification.linkage, start, [noisy], throw=False)
+        found = tj.identify(identification.linkage, start, [noisy], throw=False)
         low, high = found.interval()
         inside = [(low[name] < true[name]) & (true[name] < high[name]) for name in true]
         return jnp.stack(inside), found.succeeded
 
     keys = jax.random.split(jax.random.key(0), REPETITIONS)
-    program, compile_time = compiled(jax.vmap(held), keys)
+    program, compile_time = compiled(jax.vmap(fixed), keys)
     begun = time.perf_counter()
     inside, done = jax.block_until_ready(program(keys))
     taken = time.perf_counter() - begun
@@ -89,12 +89,12 @@ def _coverage(test, data, start) -> Iterator[Row]:
 def _reverse() -> Iterator[Row]:
     """A gradient by all that makes a mechanism, beside the simulation itself."""
     linkage = four_bar.four_bar(damping=four_bar.RELEASED_DAMPING)
-    numbers, rest = eqx.partition(linkage, eqx.is_inexact_array)
+    numbers, reference = eqx.partition(linkage, eqx.is_inexact_array)
     count = sum(leaf.size for leaf in jax.tree.leaves(numbers))
 
     def swept(numbers: tj.Mechanism) -> jax.Array:
         motion = four_bar.release(
-            eqx.combine(numbers, rest), identification.RELEASE, energies=False,
+            eqx.combine(numbers, reference), identification.RELEASE, energies=False,
             throw=False,
         )  # fmt: skip
         return jnp.sum(motion.displacements**2)

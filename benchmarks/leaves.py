@@ -17,10 +17,10 @@ DISPLACEMENTS = 100_000
 Energies = dict[str, tj.AbstractEnergy]
 
 
-def beam(thickness: float, shear_factor: float | None = None) -> tj.Beam:
+def beam(thickness: float, shear_factor: float | None = None) -> tj.flexures.Beam:
     """Of unit length and bending stiffness."""
     width = 12 / thickness**3
-    return tj.Beam(
+    return tj.flexures.Beam(
         UNIT, length=1.0, thickness=thickness, width=width, shear_factor=shear_factor
     )
 
@@ -30,13 +30,13 @@ def energies(thickness: float, turn: float, shear_factor: float | None) -> Energ
     size = {"length": 1.0, "thickness": thickness, "width": 12 / thickness**3}
     theory = "euler-bernoulli" if shear_factor is None else "timoshenko"
     return {
-        "leaf": tj.leaf(UNIT, theory=theory, coordinates="twist", **size),
-        "quartic_leaf": tj.quartic_leaf(UNIT, theory=theory, **size),
-        "distilled": tj.distilled(beam(thickness, shear_factor), turn=turn),
+        "leaf": tj.flexures.leaf(UNIT, theory=theory, coordinates="twist", **size),
+        "quartic_leaf": tj.flexures.quartic_leaf(UNIT, theory=theory, **size),
+        "distilled": tj.flexures.surrogate(beam(thickness, shear_factor), turn=turn),
     }
 
 
-def joined(
+def gather_constraints(
     energy: tj.AbstractEnergy, places: list[tuple[float, float, float]]
 ) -> tj.Mechanism:
     """A stage on leaves; a cantilever, where there is one."""
@@ -44,7 +44,7 @@ def joined(
         tj.Hinge(f"{k}", "ground", "stage", energy, at=place)
         for k, place in enumerate(places)
     ]
-    return tj.Mechanism([tj.Body("ground"), tj.Body("stage")], hinges, held=["ground"])
+    return tj.Mechanism([tj.Body("ground"), tj.Body("stage")], hinges, fixed=["ground"])
 
 
 def run() -> Iterator[Row]:
@@ -57,7 +57,9 @@ def run() -> Iterator[Row]:
 def _under_loads() -> Iterator[Row]:
     """Against the exact beam, t / L = 0.1, under fresh random loads."""
     thick = beam(0.1, 5 / 6)
-    bend = jax.jit(jax.vmap(lambda load: tj.bend(thick, load, places=2)))
+    bend = jax.jit(
+        jax.vmap(lambda load: tj.flexures.beam_under_load(thick, load, places=2))
+    )
     for degrees, asked in ((20, 0.1), (46, 0.5), (90, 3.0)):
         turn = np.radians(degrees)
         spread = np.array([turn + 2, 3.5, 3.5])
@@ -95,10 +97,10 @@ def _mechanisms() -> Iterator[Row]:
     )  # fmt: skip
     for case, thickness, places, (loads, drives), expected in cases:
         for name, energy in energies(thickness, 0.8, None).items():
-            mechanism = joined(energy, places)
-            rest = tj.equilibrium(mechanism, loads=loads, drives=drives)
-            turn, along, across = rest.displacement("stage")
-            moment, _, force = rest.reaction("stage")
+            mechanism = gather_constraints(energy, places)
+            solution = tj.equilibrium(mechanism, loads=loads, drives=drives)
+            turn, along, across = solution.displacement("stage")
+            moment, _, force = solution.reaction("stage")
             seen = {
                 "turn": turn, "tilt": turn, "travel along": along, "sinking": along,
                 "shift x": along, "travel across": across, "shift y": across,
@@ -117,18 +119,18 @@ def _mechanisms() -> Iterator[Row]:
 def _costs() -> Iterator[Row]:
     """What energies and distillation cost."""
     start = time.perf_counter()
-    distilled = jax.block_until_ready(tj.distilled(beam(0.09, 5 / 6), turn=0.8))
+    surrogate = jax.block_until_ready(tj.flexures.surrogate(beam(0.09, 5 / 6), turn=0.8))
     again = time.perf_counter() - start
     yield Row("a leaf distilled, its kind compiled before", again, "s")
-    powers = tj.monomials(8)
+    powers = tj.energies.monomials(8)
     numbers = jax.random.normal(jax.random.key(0), (len(powers),))
-    full = tj.Polynomial(numbers, powers)
+    full = tj.energies.Polynomial(numbers, powers)
     poses = jax.random.uniform(jax.random.key(1), (DISPLACEMENTS, 3), minval=-1.0)
     poses = poses * jnp.array([0.5, 1e-3, 0.1])
     count = f"{DISPLACEMENTS:,} displacements"
     for name, energy in (
         (f"polynomial of order 8, {len(powers)} terms", full),
-        (f"distilled leaf, {len(distilled.energy.powers)} terms", distilled.energy),
+        (f"distilled leaf, {len(surrogate.energy.powers)} terms", surrogate.energy),
     ):
         for what, function in (
             ("energies", energy),

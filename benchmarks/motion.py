@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistorjax as tj
-from twistorjax.cases import four_bar
+from twistorjax.examples import four_bar
 
 from .measure import at_least, at_most, compiled, Row, seconds
 

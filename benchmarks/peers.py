@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from twistorjax.cases.stage import microstage, TRAVEL
+from twistorjax.examples.stage import microstage, TRAVEL
 
 from .measure import Row, seconds
 
@@ -35,10 +35,10 @@ def exudyn_gain() -> Callable[[float], float]:
     from exudyn import itemInterface as items
 
     mechanism = microstage()
-    rest = np.asarray(mechanism.rest)[:, 1:]
+    reference = np.asarray(mechanism.reference)[:, 1:]
     system = exu.SystemContainer().AddSystem()
     bodies, nodes = [system.AddObject(items.ObjectGround())], [None]
-    for place in rest[1:]:
+    for place in reference[1:]:
         node = system.AddNode(
             items.NodeRigidBody2D(referenceCoordinates=[*place.tolist(), 0.0])
         )
@@ -47,13 +47,13 @@ def exudyn_gain() -> Callable[[float], float]:
         nodes.append(node)
     connectors = []
     for ends, at in zip(
-        mechanism.couplings.ends, np.asarray(mechanism.at)[:, 1:], strict=True
+        mechanism.hinge_assembly.ends, np.asarray(mechanism.at)[:, 1:], strict=True
     ):
         markers = [
             system.AddMarker(
                 items.MarkerBodyRigid(
                     bodyNumber=bodies[end],
-                    localPosition=[*(at - rest[end]).tolist(), 0.0],
+                    localPosition=[*(at - reference[end]).tolist(), 0.0],
                 )
             )
             for end in ends
@@ -103,8 +103,8 @@ def numpy_gain() -> Callable[[float], float]:
     that each step gains three digits.
     """
     mechanism = microstage()
-    first, second = np.array(mechanism.couplings.ends).T
-    arms = np.asarray(mechanism.couplings.arms)
+    first, second = np.array(mechanism.hinge_assembly.ends).T
+    arms = np.asarray(mechanism.hinge_assembly.arms)
     free = np.arange(3, 15)
     places = np.concatenate(
         [3 * first[:, None] + np.arange(3), 3 * second[:, None] + np.arange(3)], axis=1

@@ -49,13 +49,13 @@ def linkage(lag: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     pull = -np.vstack([angles, apart]).T / inertia[:, None]
     centres, hinges = CENTRES @ [1, 1j], HINGES @ [1, 1j]
     first, second = hinges - centres, hinges - centres[[1, 2, 3, 0]]
-    rest = np.concatenate([first, second])[:, None]
+    reference = np.concatenate([first, second])[:, None]
     gap = (first - second)[:, None]
 
     def accelerations(coordinates: np.ndarray, rates: np.ndarray) -> np.ndarray:
         place, motion = moving @ coordinates, moving @ rates
         turned = np.exp(place[:16])
-        half, mean, arms = turned[:4], turned[4:8], turned[8:] * rest
+        half, mean, arms = turned[:4], turned[4:8], turned[8:] * reference
         back, swing = mean.conj(), motion[8:16] * arms
         strain = back * (place[16:] + arms[4:] - arms[:4] + gap)
         rate = back * (motion[16:] + swing[4:] - swing[:4]) - motion[4:8] * strain

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistorjax as tj
-from twistorjax.cases import stage
+from twistorjax.examples import stage
 
 from .measure import at_least, at_most, compiled, Row, seconds
 
@@ -22,7 +22,7 @@ def gain(web: jax.Array) -> jax.Array:
 
 def small_gain(web: jax.Array) -> jax.Array:
     """Its gain for small travels."""
-    linear = tj.linearise(stage.microstage(web), {"6": ["x"]})
+    linear = tj.linearize(stage.microstage(web), {"6": ["x"]})
     moved = linear(drives=[tj.Drive("6", x=stage.TRAVEL)], throw=False)
     return moved.displacement("4")[1] / stage.TRAVEL
 
@@ -35,7 +35,7 @@ def chain(hinges: int) -> tj.Mechanism:
         tj.Hinge(str(k), str(k), str(k + 1), leaf, (0.0, k + 0.5, 0.0))
         for k in range(hinges)
     ]
-    return tj.Mechanism(bodies, joints, held=["0"])
+    return tj.Mechanism(bodies, joints, fixed=["0"])
 
 
 def run() -> Iterator[Row]:

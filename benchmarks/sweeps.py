@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistorjax as tj
-from twistorjax.cases import four_bar, stage
-from twistorjax.cases.designs import stage_gain
+from twistorjax.examples import four_bar, stage
+from twistorjax.examples.sweep_studies import stage_gain
 
 from .measure import at_least, at_most, Row
 from .statics import small_gain
@@ -56,10 +56,12 @@ def frequencies(design: dict[str, Any]) -> dict[str, Any]:
 
 
 @cache
-def leaf() -> tj.Certified:
+def leaf() -> tj.energies.WithValidityRange:
     """A leaf that is exact to 20 degrees."""
-    beam = tj.Beam(stage.aluminium(), length=SHORT, thickness=SHORT / 10, width=5e-3)
-    return tj.distilled(beam, turn=np.radians(20))
+    beam = tj.flexures.Beam(
+        stage.aluminium(), length=SHORT, thickness=SHORT / 10, width=5e-3
+    )
+    return tj.flexures.surrogate(beam, turn=np.radians(20))
 
 
 def parallelogram(design: dict[str, Any]) -> dict[str, Any]:
@@ -69,10 +71,10 @@ def parallelogram(design: dict[str, Any]) -> dict[str, Any]:
         for name, x in (("left", -SHORT), ("right", SHORT))
     ]
     bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, SHORT))]
-    table = tj.Mechanism(bodies, hinges, held=["base"])
+    table = tj.Mechanism(bodies, hinges, fixed=["base"])
     pushed = tj.Drive("table", x=design["travel"])
-    rest = tj.equilibrium(table, drives=[pushed], throw=False)
-    return {"sinking": rest.displacement("table")[2], "result": rest.result}
+    solution = tj.equilibrium(table, drives=[pushed], throw=False)
+    return {"sinking": solution.displacement("table")[2], "result": solution.result}
 
 
 def released(design: dict[str, Any]) -> dict[str, Any]:
@@ -131,8 +133,8 @@ def measured() -> Iterator[Row]:
     rate = count / taken
     yield Row(what, rate, "/s") if bound is None else at_least(what, rate, "/s", bound)
 
-    spread = {"web": tj.Normal(np.full(7, stage.WEB), 10e-6)}
-    seen = tj.tolerances(stage_gain, spread, "gain", mesh=mesh)
+    spread = {"web": tj.sweeps.Normal(np.full(7, stage.WEB), 10e-6)}
+    seen = tj.sweeps.tolerances(stage_gain, spread, "gain", mesh=mesh)
     yield Row("tolerances: gain, seven webs +- 10 um, drawn: mean", seen.mean, "")
     yield Row("tolerances: the same: deviation", seen.spread, "")
     yield Row("tolerances: the same, to first order: mean", seen.nominal, "")

@@ -24,7 +24,7 @@ LAWS = [
     "saint-venant-kirchhoff",  # the linear one is a part of it
 ]
 SOFT = tj.Material(modulus=3.45e9, poisson=0.3)
-bend = jax.jit(tj.bend)
+bend = jax.jit(tj.flexures.beam_under_load)
 
 
 def slender(thickness=1e-4, **settings):
@@ -32,12 +32,14 @@ def slender(thickness=1e-4, **settings):
     unit = tj.Material(modulus=1.0, poisson=0.3)
     settings = {"shear_factor": None, "steps": 12, **settings}
     width = 12 / thickness**3
-    return tj.Beam(unit, length=1.0, thickness=thickness, width=width, **settings)
+    return tj.flexures.Beam(
+        unit, length=1.0, thickness=thickness, width=width, **settings
+    )
 
 
 def leaf(law="linear", **settings):
     settings = {"length": 10e-3, "thickness": 1e-3, "width": 5e-3, **settings}
-    return tj.Beam(SOFT, law=law, steps=8, **settings)
+    return tj.flexures.Beam(SOFT, law=law, steps=8, **settings)
 
 
 def under_tip_force(beam, force):
@@ -66,7 +68,7 @@ def test_a_cantilever_is_the_elastica(row, validated):
 def test_a_cantilever_that_stretches_is_the_published_one(validated):
     given = REFERENCE["extensible_cantilever_SI"]
     metal = tj.Material(modulus=given["E"], poisson=0.3)
-    beam = tj.Beam(
+    beam = tj.flexures.Beam(
         *(metal,),
         length=given["L"], thickness=given["h"], width=given["b"],
         shear_factor=None,
@@ -98,7 +100,7 @@ def test_its_wrench_is_the_slope_of_its_energy(law):
     """Castigliano: two ways through the same beam, there by a load, back by a pose."""
     beam = leaf(law)
     bent = bend(beam, jnp.array([0.08, 12.0, -9.0]))
-    exact = tj.Exact(beam)
+    exact = tj.flexures.ExactBeam(beam)
     np.testing.assert_allclose(exact(bent.pose), bent.energy, rtol=1e-10)
     np.testing.assert_allclose(
         eqx.filter_jit(exact.wrench)(bent.pose), bent.wrench, rtol=1e-8
@@ -111,7 +113,7 @@ def test_derivatives_by_the_geometry_agree_with_differences():
     pose = bend(leaf(), jnp.array([0.08, 12.0, -9.0])).pose
 
     def answers(thickness):
-        exact = tj.Exact(leaf(thickness=thickness))
+        exact = tj.flexures.ExactBeam(leaf(thickness=thickness))
         return exact(pose), exact.wrench(pose)
 
     answers = jax.jit(answers)
@@ -125,11 +127,13 @@ def test_derivatives_by_the_geometry_agree_with_differences():
 def test_finite_elements_of_a_leaf_obey_the_same_material_law(validated):
     """St. Venant-Kirchhoff within some per cent; a linear section is six times worse."""
     folder = pathlib.Path(__file__).parent / "reference"
-    trials = tj.read_trials(folder / "fe_leaf.csv")[np.arange(0, 122, 3)]
+    trials = tj.energies.read_trials(folder / "fe_leaf.csv")[np.arange(0, 122, 3)]
     size = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
     errors = []
     for law in ("saint-venant-kirchhoff", "linear"):
-        wrenches = jax.jit(jax.vmap(tj.Exact(leaf(law)).wrench))(trials.poses)
+        wrenches = jax.jit(jax.vmap(tj.flexures.ExactBeam(leaf(law)).wrench))(
+            trials.poses
+        )
         gap = np.asarray(wrenches - trials.wrenches)
         errors.append(np.sqrt(np.mean(gap**2, axis=0)) / size)
     assert np.all(errors[0] < [0.015, 0.045, 0.02])
@@ -141,9 +145,9 @@ def test_finite_elements_of_a_leaf_obey_the_same_material_law(validated):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_it_is_at_rest_what_beam_theory_says(law):
-    exact = tj.Exact(leaf(law))
+    exact = tj.flexures.ExactBeam(leaf(law))
     stiffness = jnp.diag(eqx.filter_jit(exact.tangent_stiffness)(jnp.zeros(3)))
-    expected = tj.leaf(
+    expected = tj.flexures.leaf(
         *(SOFT,), length=10e-3, thickness=1e-3, width=5e-3, theory="timoshenko"
     ).stiffness
     np.testing.assert_allclose(stiffness, jnp.diag(expected), rtol=1e-9)
@@ -154,14 +158,16 @@ def test_a_notch_is_a_beam_of_its_own_outline():
     given = REFERENCE["notch_D3mm_h0.25mm_t20mm_E69GPa"]
     metal = tj.Material(modulus=69e9, poisson=0.33)
 
-    height = tj.notch_profile(hole=3e-3, web=0.25e-3)
+    height = tj.flexures.notch_profile(hole=3e-3, web=0.25e-3)
     for factor, shear in ((None, "k_shear_1D_EB"), (5 / 6, "k_shear_1D_Timoshenko")):
-        beam = tj.Beam(
+        beam = tj.flexures.Beam(
             *(metal,),
             length=3e-3, thickness=height, width=20e-3, shear_factor=factor, steps=48,
         )  # fmt: skip
         load = 1e-6 * jnp.diag(jnp.array([1.0, 1e3, 1e3]))
-        poses = jax.vmap(lambda load, beam=beam: tj.bend(beam, load).pose)(load)
+        poses = jax.vmap(
+            lambda load, beam=beam: tj.flexures.beam_under_load(beam, load).pose
+        )(load)
         stiffness = jnp.diag(load) / jnp.diag(poses)
         expected = [given[name] for name in ("k_rot_1D_beam", "k_ax_1D_beam", shear)]
         np.testing.assert_allclose(stiffness, expected, rtol=1e-5)
@@ -188,19 +194,21 @@ def test_stress_is_that_of_a_bent_and_pulled_bar():
     assert_close(bent.stress, np.full((21, 2), [-fibre, fibre]), digits=12)
     pulled = bend(beam, jnp.array([0.0, 20.0, 0.0])).stress
     assert_close(pulled, np.full((21, 2), 20.0 / 5e-6), digits=12)
-    assert_close(tj.largest_turn(beam, fibre), 0.05 / 0.14375, digits=12)
+    assert_close(tj.flexures.largest_rotation(beam, fibre), 0.05 / 0.14375, digits=12)
 
 
 @pytest.mark.long
 def test_it_is_a_hinge_of_a_mechanism():
     """A body on the end of a leaf, pushed: by statics as from end to end."""
     beam = leaf()
-    bodies = [tj.Body("wall"), tj.Body("tip", rest=(0.0, 5e-3, 0.0))]
-    hinge = tj.Hinge("leaf", "wall", "tip", tj.Exact(beam), at=(0.0, 0.0, 0.0))
-    mechanism = tj.Mechanism(bodies, [hinge], held=["wall"])
-    rest = tj.equilibrium(mechanism, loads=[tj.Load("tip", (0.0, 0.0, 8.0))])
+    bodies = [tj.Body("wall"), tj.Body("tip", pose=(0.0, 5e-3, 0.0))]
+    hinge = tj.Hinge(
+        "leaf", "wall", "tip", tj.flexures.ExactBeam(beam), at=(0.0, 0.0, 0.0)
+    )
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    solution = tj.equilibrium(mechanism, loads=[tj.Load("tip", (0.0, 0.0, 8.0))])
     tip = under_tip_force(beam, np.array([0.0, 8.0])).line[-1]
-    np.testing.assert_allclose(rest.pose("tip"), tip, rtol=1e-7)
+    np.testing.assert_allclose(solution.pose("tip"), tip, rtol=1e-7)
 
 
 @pytest.mark.untyped
@@ -214,7 +222,7 @@ def test_it_is_a_hinge_of_a_mechanism():
             lambda: leaf("saint-venant-kirchhoff", shear_factor=None),
             "`shear_factor` is None",
         ),
-        (lambda: tj.largest_turn(leaf(), -1.0), "`stress` is -1"),
+        (lambda: tj.flexures.largest_rotation(leaf(), -1.0), "`stress` is -1"),
     ],
 )
 def test_bad_input_is_told(make, message):
@@ -226,11 +234,13 @@ def test_bad_input_is_told(make, message):
 @pytest.mark.parametrize("thickness", [0.1, 0.01, 0.002])
 def test_a_pose_is_bent_to_however_thin_the_leaf(thickness):
     """The loads that led there are found again, to turns of 100 degrees."""
-    leaf = tj.Beam(SOFT, length=1.0, thickness=thickness, width=0.1)
+    leaf = tj.flexures.Beam(SOFT, length=1.0, thickness=thickness, width=0.1)
     loads = jax.random.uniform(jax.random.key(0), (40, 3), minval=-1.0, maxval=1.0)
     loads = loads * jnp.array([[1.5, 6.0, 6.0]]) * leaf.bending
-    bent = jax.vmap(lambda load: tj.bend(leaf, load))(loads)
+    bent = jax.vmap(lambda load: tj.flexures.beam_under_load(leaf, load))(loads)
     assert jnp.abs(bent.pose[:, 0]).max() > 1.7
-    found = jax.jit(jax.vmap(lambda pose: tj.bend_to(leaf, pose)))(bent.pose)
+    found = jax.jit(jax.vmap(lambda pose: tj.flexures.beam_at_pose(leaf, pose)))(
+        bent.pose
+    )
     apart = (found.wrench - bent.wrench) / leaf.bending
     np.testing.assert_allclose(apart, 0.0, atol=1e-9)

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from helpers import assert_close, some_poses
 
-from twistorjax import clifford as tc, se2
+from twistorjax.geometry import se2, twistors as tc
 
 
 LAYOUT, BLADES = clifford.Cl(3, 1)
 E1, E2, PLUS, MINUS = (BLADES[f"e{k}"] for k in (1, 2, 3, 4))
-INFINITY = -(PLUS + MINUS) / np.sqrt(2)  # e, with e . e* = -1: see `twistorjax.clifford`
-ORIGIN = (PLUS - MINUS) / np.sqrt(2)  # e*
+# The points at infinity and at the origin are e and e*, with e . e* = -1; see
+# `twistorjax.geometry.twistors`.
+INFINITY = -(PLUS + MINUS) / np.sqrt(2)
+ORIGIN = (PLUS - MINUS) / np.sqrt(2)
 
 
 def multivector(twistor):

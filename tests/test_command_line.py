@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from twistorjax.__main__ import main
+from twistorjax.cli.app import main
 
 
 pytestmark = pytest.mark.slow
@@ -446,7 +446,7 @@ def test_what_the_machine_lacks_is_one_clear_line(
     def fails():
         raise error
 
-    monkeypatch.setattr("twistorjax.commands.random_data.prepare_jax", fails)
+    monkeypatch.setattr("twistorjax.cli.random_data.prepare_jax", fails)
     done = told("random-data")
     assert done.returncode == code
     assert done.stderr.startswith(complaint)
@@ -457,7 +457,7 @@ def test_an_error_of_the_program_is_not_hidden(told, monkeypatch):
     def fails():
         raise ZeroDivisionError
 
-    monkeypatch.setattr("twistorjax.commands.random_data.prepare_jax", fails)
+    monkeypatch.setattr("twistorjax.cli.random_data.prepare_jax", fails)
     with pytest.raises(ZeroDivisionError):
         told("random-data")
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 import twistorjax as tj
-from twistorjax.__main__ import main
+from twistorjax.cli.app import main
 
 
 pytestmark = pytest.mark.untyped
@@ -59,15 +59,19 @@ def is_clear(error, path):
 
 def energies():
     quadratic = tj.Quadratic(np.diag([2.0, 300.0, 40.0]), "twist")
-    polynomial = tj.Polynomial([0.5, 0.1], [(0, 2, 0, 0), (0, 0, 0, 4)], scale=0.1)
-    squares = tj.Squares([[0.1, 0.7]], [(0, 1, 0, 0), (0, 0, 0, 1)])
-    slender = tj.Slender(
+    polynomial = tj.energies.Polynomial(
+        [0.5, 0.1], [(0, 2, 0, 0), (0, 0, 0, 4)], scale=0.1
+    )
+    squares = tj.energies.SumOfSquares([[0.1, 0.7]], [(0, 1, 0, 0), (0, 0, 0, 1)])
+    slender = tj.energies.MixedEnergy(
         [6.0, 0.6, -5e-4], [(0, 2, 0), (0, 2, 1), (0, 0, 2)], length=1.0, force=1.0
     )
     return [
-        tj.Certified(slender, turn=0.3, force=2.0, error=[1e-3, 1e-3, 1e-3]),
-        2.0 * tj.Rational(polynomial, squares) + quadratic,
-        tj.Coulomb([1.0, -1.0], [[0.0, 0.1], [0.3, 0.0]]),
+        tj.energies.WithValidityRange(
+            slender, turn=0.3, force=2.0, error=[1e-3, 1e-3, 1e-3]
+        ),
+        2.0 * tj.energies.Rational(polynomial, squares) + quadratic,
+        tj.energies.PointCharges([1.0, -1.0], [[0.0, 0.1], [0.3, 0.0]]),
     ]
 
 
@@ -77,7 +81,7 @@ def model():
         tj.Body("base", outline=corners),
         tj.Body("arm", (0.1, 0.2, 0.3), mass=1.0, inertia=2.0),
     ]
-    damping = tj.Viscous(np.eye(3), "twist", resisted=True)
+    damping = tj.energies.ViscousDamping(np.eye(3), "twist", resisted=True)
     hinges = [
         tj.Hinge(f"h{k}", "base", "arm", energy, at=(0.1, 0, 0), damping=given)
         for k, (energy, given) in enumerate(
@@ -85,7 +89,7 @@ def model():
         )
     ]
     hinges[0] = tj.Hinge("h0", "base", "arm", energies()[0], (0, 1, 0), outline=corners)
-    return tj.Mechanism(bodies, hinges, held={"base": ["angle", "x", "y"], "arm": ["y"]})
+    return tj.Mechanism(bodies, hinges, fixed={"base": ["angle", "x", "y"], "arm": ["y"]})
 
 
 class Fields(list):
@@ -205,14 +209,14 @@ def content_of(save, thing, folder):
 def test_a_damaged_model_or_energy(folder, damaged, examples):
     """It is refused by a `ValueError`, or it is read, and written as it was read."""
     path, again = folder / "damaged.json", folder / "again.json"
-    originals = [content_of(tj.save_mechanism, model(), folder)]
-    originals += [content_of(tj.save_energy, energy, folder) for energy in energies()]
+    originals = [content_of(tj.io.save_mechanism, model(), folder)]
+    originals += [content_of(tj.io.save_energy, energy, folder) for energy in energies()]
 
     def check(content):
         path.write_bytes(content)
         for load, save in (
-            (tj.load_mechanism, tj.save_mechanism),
-            (tj.load_energy, tj.save_energy),
+            (tj.io.load_mechanism, tj.io.save_mechanism),
+            (tj.io.load_energy, tj.io.save_energy),
         ):
             try:
                 thing = load(path)
@@ -293,7 +297,10 @@ def test_a_damaged_file_of_columns(folder, damaged, examples):
     def check(content):
         path.write_bytes(content)
         settings = given if b"time" in content else {}
-        for read in (tj.read_trials, lambda path: tj.read_measured(path, **settings)):
+        for read in (
+            tj.energies.read_trials,
+            lambda path: tj.identification.read_measurements(path, **settings),
+        ):
             try:
                 read(path)
             except ValueError as error:
@@ -414,7 +421,7 @@ def test_a_strange_command_line(folder, examples, monkeypatch):
 def test_a_damaged_file_on_the_command_line(folder, examples, monkeypatch):
     """Of one that can be read a model is exported, an energy is fitted."""
     monkeypatch.chdir(folder)
-    model_text = content_of(tj.save_mechanism, model(), folder)
+    model_text = content_of(tj.io.save_mechanism, model(), folder)
     trials = TRIALS.encode()
     lines = st.tuples(
         st.sampled_from(["a.json", "a.py", "a.svg", "a.dxf"]),

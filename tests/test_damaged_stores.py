@@ -32,9 +32,9 @@ def study(design):
     labels = (("side", ("left", "right")),)
     return {
         "sine": jnp.sin(design["a"]) + design["zero"],
-        "sides": tj.Column(design["pair"] * 3.0, ("side",), "m", labels),
-        "time": tj.Column(jnp.array([0.0, 0.5, 2.0]), ("time",), "s"),
-        "course": tj.Column(design["a"] * jnp.array([1.0, 2.0, 3.0]), ("time",)),
+        "sides": tj.solve.Column(design["pair"] * 3.0, ("side",), "m", labels),
+        "time": tj.solve.Column(jnp.array([0.0, 0.5, 2.0]), ("time",), "s"),
+        "course": tj.solve.Column(design["a"] * jnp.array([1.0, 2.0, 3.0]), ("time",)),
         "wave": jax.lax.complex(design["a"], design["pair"][1]),
     }
 
@@ -58,7 +58,7 @@ class Template:
     def __init__(self, folder, grid):
         self.path, self.grid = folder / "template.zarr", grid
         swept(self.path, grid=grid)
-        self.table = tj.open_sweep(self.path).load()
+        self.table = tj.sweeps.open_sweep(self.path).load()
         # what was computed, and not only what was written
         xarray.testing.assert_identical(
             self.table.drop_attrs(), swept(grid=grid).drop_attrs()
@@ -68,7 +68,7 @@ class Template:
 
     def check(self, path):
         """Compare what a damaged copy gives with what it should."""
-        check(path, lambda: self.check_masked(tj.open_sweep(path).load()))
+        check(path, lambda: self.check_masked(tj.sweeps.open_sweep(path).load()))
         check(path, lambda: self.check_whole(swept(path, grid=self.grid, resume=True)))
 
     def check_whole(self, table):
@@ -211,11 +211,11 @@ def test_damaged_coordinates_labels_and_metadata_are_reported_and_repaired(
             (path / file).write_bytes(flip(content, 2 * len(content) // 3, number))
         for verify in (True, False):
             with pytest.raises(OSError) as error:
-                tj.open_sweep(path, verify=verify)
+                tj.sweeps.open_sweep(path, verify=verify)
             assert f"'{path}' is damaged: its file '{file}'" in str(error.value)
         template.check_whole(swept(path, grid=template.grid, resume=True))
         assert (path / file).read_bytes() == content
-    template.check_whole(tj.open_sweep(path))
+    template.check_whole(tj.sweeps.open_sweep(path))
 
 
 def test_a_damaged_store_of_another_sweep_is_not_repaired(template, tmp_path):
@@ -232,7 +232,7 @@ def test_a_damaged_manifest_is_one_clear_error(template, tmp_path):
     shutil.copytree(template.path, path)
     manifest = path / "finished" / "sums" / "manifest.json"
     manifest.write_bytes(manifest.read_bytes().replace(b'"chunk": 4', b'"chunk": 5'))
-    for use in (tj.open_sweep, lambda path: swept(path, resume=True)):
+    for use in (tj.sweeps.open_sweep, lambda path: swept(path, resume=True)):
         with pytest.raises(OSError, match="Delete the store and sweep again"):
             use(path)
 
@@ -245,8 +245,8 @@ def test_damage_that_is_met_without_verification_is_one_clear_error(template, tm
     file = next(file for file in template.files if file.startswith(f"{name}/c/"))
     (path / file).write_bytes(b"")
     with pytest.raises(OSError, match="Open it with `verify=True`"):
-        tj.open_sweep(path, verify=False)
-    assert tj.open_sweep(path).attrs["chunks_missing"] == 1
+        tj.sweeps.open_sweep(path, verify=False)
+    assert tj.sweeps.open_sweep(path).attrs["chunks_missing"] == 1
 
 
 @pytest.mark.parametrize("harm", [b"", b"\x01", bytes(17), bytes(1000)])
@@ -255,7 +255,7 @@ def test_a_damaged_checksum_costs_one_chunk(template, tmp_path, harm):
     shutil.copytree(template.path, path)
     (path / "finished" / "sums" / "c" / "1").write_bytes(harm)
     for verify in (True, False):
-        table = tj.open_sweep(path, verify=verify)
+        table = tj.sweeps.open_sweep(path, verify=verify)
         assert table.attrs["chunks_missing"] == 1
         known = np.asarray(table.succeeded).ravel()
         np.testing.assert_array_equal(np.flatnonzero(~known), [4, 5, 6, 7])

@@ -8,7 +8,7 @@ import scipy.linalg
 from helpers import assert_close, some_poses, some_stiffness
 
 import twistorjax as tj
-from twistorjax import clifford, se2
+from twistorjax.geometry import se2, twistors
 
 
 pytestmark = pytest.mark.slow
@@ -28,7 +28,7 @@ every_coordinates = pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 
 def lambda_matrix(pose, sign=-1):
     """Equation 4.27; with the other sign, 4.42."""
-    sigma, xi, x1, x2 = np.asarray(clifford.twistor(pose))
+    sigma, xi, x1, x2 = np.asarray(twistors.twistor(pose))
     return np.array(
         [
             [sigma, -sign * x2, sign * x1],
@@ -66,13 +66,13 @@ def test_the_energy_of_the_twist_is_that_of_equation_3_4():
 
 def test_the_energy_of_the_twistor_is_that_of_equation_4_7():
     for pose in some_poses(0):
-        vector = np.asarray(clifford.twistor(pose))[1:]
+        vector = np.asarray(twistors.twistor(pose))[1:]
         assert_close(twistor(pose), 2 * vector @ STIFFNESS @ vector)
 
 
 def test_the_wrench_of_the_twistor_is_that_of_equation_4_35():
     for pose in some_poses(0):
-        vector = np.asarray(clifford.twistor(pose))[1:]
+        vector = np.asarray(twistors.twistor(pose))[1:]
         expected = 2 * lambda_matrix(pose) @ STIFFNESS @ vector
         assert_close(twistor.wrench(pose), expected)
 
@@ -100,7 +100,9 @@ def test_the_damping_wrench_is_that_of_equation_4_40():
         forward, backward = lambda_matrix(pose), lambda_matrix(pose, sign=1)
         rate = forward.T @ second / 2 - backward.T @ first / 2  # equation 4.41
         expected = 2 * forward @ DAMPING @ rate
-        assert_close(tj.Viscous(DAMPING).wrench(pose, first, second), expected)
+        assert_close(
+            tj.energies.ViscousDamping(DAMPING).wrench(pose, first, second), expected
+        )
 
 
 def test_the_damping_wrench_in_the_twist_is_gamma_to_gamma():
@@ -108,14 +110,14 @@ def test_the_damping_wrench_in_the_twist_is_gamma_to_gamma():
     for pose in ordinary_poses(1):
         gamma = gamma_matrix(pose)
         expected = gamma.T @ DAMPING @ gamma @ np.asarray(moving)
-        actual = tj.Viscous(DAMPING, "twist").wrench(pose, still, moving)
+        actual = tj.energies.ViscousDamping(DAMPING, "twist").wrench(pose, still, moving)
         assert_close(actual, expected, digits=10)
 
 
 @every_coordinates
 def test_damping_does_not_feel_a_common_motion(coordinates):
     """Both frames carried along by one velocity of the world."""
-    viscous = tj.Viscous(DAMPING, coordinates)
+    viscous = tj.energies.ViscousDamping(DAMPING, coordinates)
     for pose, velocity in zip(some_poses(1), some_poses(2), strict=True):
         of_b = se2.adjoint(se2.inverse(pose)) @ velocity
         assert_close(viscous.wrench(pose, velocity, of_b), np.zeros(3), digits=10)
@@ -123,7 +125,7 @@ def test_damping_does_not_feel_a_common_motion(coordinates):
 
 @every_coordinates
 def test_damping_always_takes_power(coordinates):
-    viscous = tj.Viscous(DAMPING, coordinates)
+    viscous = tj.energies.ViscousDamping(DAMPING, coordinates)
     still = jnp.zeros(3)
     for pose, velocity in zip(some_poses(1)[1:], some_poses(2)[1:], strict=True):
         assert viscous.wrench(pose, still, velocity) @ velocity > 0
@@ -215,7 +217,7 @@ def test_sums_and_multiples_add_up():
 
 
 @pytest.mark.untyped
-@pytest.mark.parametrize("kind", [tj.Quadratic, tj.Viscous])
+@pytest.mark.parametrize("kind", [tj.Quadratic, tj.energies.ViscousDamping])
 @pytest.mark.parametrize(
     ("matrix", "message"),
     [
@@ -242,8 +244,8 @@ def test_refuses_unknown_coordinates():
 
 
 def test_a_negative_factor_is_a_fault():
-    assert "not negative" in ((-1.0) * twist).fault()
-    assert (2.0 * twist).fault() is None
+    assert "not negative" in ((-1.0) * twist).validation_error()
+    assert (2.0 * twist).validation_error() is None
 
 
 def test_only_energies_are_added_and_only_numbers_multiply_them():

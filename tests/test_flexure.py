@@ -42,16 +42,16 @@ def beam_notch(web, hole=3e-3, width=0.02, modulus=69e9):
 
 
 def test_leaf_of_the_four_bar():
-    leaf = tj.leaf(SOFT, length=0.01, thickness=0.001, width=0.005)
+    leaf = tj.flexures.leaf(SOFT, length=0.01, thickness=0.001, width=0.005)
     assert_close(diagonal(leaf), [0.14375, 1.725e6, 17250.0])
 
 
 def test_leaf_has_the_compliance_of_a_cantilever_at_its_tip():
     """From the middle to the tip: L / EI, L^2 / 2 EI, L^3 / 3 EI."""
     length, bending = 0.03, 69e9 * 0.01 * 0.0005**3 / 12
-    leaf = tj.leaf(ALUMINIUM, length=length, thickness=0.0005, width=0.01)
+    leaf = tj.flexures.leaf(ALUMINIUM, length=length, thickness=0.0005, width=0.01)
     tip = jnp.array([0.0, -length / 2, 0.0])  # the middle, seen from the tip
-    compliance = np.linalg.inv(tj.se2.carry_stiffness(tip, leaf.stiffness))
+    compliance = np.linalg.inv(tj.geometry.se2.transform_stiffness(tip, leaf.stiffness))
     expected = [length / bending, length**2 / 2 / bending, length**3 / 3 / bending]
     np.testing.assert_allclose(
         [compliance[0, 0], compliance[0, 2], compliance[2, 2]], expected, rtol=1e-12
@@ -64,21 +64,24 @@ def test_leaf_that_shears_has_the_compliance_of_timoshenko():
     bending = 69e9 * 0.005 * 0.002**3 / 12
     expected = 1 / (0.01**3 / (12 * bending) + 0.01 / shear)
     assert_close(
-        diagonal(tj.leaf(ALUMINIUM, theory="timoshenko", **sizes))[2] / expected, 1.0
+        diagonal(tj.flexures.leaf(ALUMINIUM, theory="timoshenko", **sizes))[2] / expected,
+        1.0,
     )
 
 
 @pytest.mark.parametrize(("theory", "share"), [("euler-bernoulli", 0.1),
                                                ("timoshenko", 0.25)])  # fmt: skip
 def test_leaf_refuses_to_be_stout(theory, share):
-    tj.leaf(SOFT, length=3e-3, thickness=share * 3e-3, width=1e-3, theory=theory)
+    tj.flexures.leaf(SOFT, length=3e-3, thickness=share * 3e-3, width=1e-3, theory=theory)
     with pytest.raises(ValueError, match=f"holds to {share}: take a thinner or longer"):
-        tj.leaf(SOFT, length=1e-2, thickness=1.001 * share * 1e-2, width=1, theory=theory)
+        tj.flexures.leaf(
+            SOFT, length=1e-2, thickness=1.001 * share * 1e-2, width=1, theory=theory
+        )
 
 
 def test_notch_of_the_stage():
     """The values printed in section 6.2.2, and the listing's to all digits."""
-    notch = diagonal(tj.notch(ALUMINIUM, hole=3e-3, web=0.25e-3, width=0.02))
+    notch = diagonal(tj.flexures.notch(ALUMINIUM, hole=3e-3, web=0.25e-3, width=0.02))
     expected = [2.50965124679121, 158837017.472332, 16607476.7591281]
     np.testing.assert_allclose(notch, expected, rtol=1e-14)
     np.testing.assert_allclose(notch, [2.5096, 1.588e8, 1.661e7], rtol=3e-4)
@@ -87,7 +90,9 @@ def test_notch_of_the_stage():
 @pytest.mark.parametrize("share", [0.01, 0.0833, 0.2, 0.25])
 def test_paros_and_weisbord_integrate_the_beam_exactly(share):
     web = share * 3e-3
-    notch = tj.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord")
+    notch = tj.flexures.notch(
+        ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
+    )
     np.testing.assert_allclose(diagonal(notch), beam_notch(web), rtol=1e-9)
 
 
@@ -99,14 +104,18 @@ def test_paros_and_weisbord_full_rotation_is_their_published_formula():
     bracket = 1 / (1 + beta) + (3 + 2 * beta + beta**2) / ((1 + beta) * span)
     bracket += 6 * (1 + beta) / span**1.5 * np.arctan(np.sqrt((2 + beta) / beta))
     compliance = 3 / (2 * scale * radius**2) / span * bracket
-    notch = tj.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord")
+    notch = tj.flexures.notch(
+        ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
+    )
     assert_close(diagonal(notch)[0] * compliance, 1.0, digits=10)
 
 
 def test_paros_and_weisbord_simplified_is_equation_6_2():
     """Evaluated: 2.4907 N m/rad. The text prints 2.4919."""
     simplified = "paros-weisbord-simplified"
-    notch = tj.notch(ALUMINIUM, hole=3e-3, web=0.25e-3, width=0.02, formula=simplified)
+    notch = tj.flexures.notch(
+        ALUMINIUM, hole=3e-3, web=0.25e-3, width=0.02, formula=simplified
+    )
     expected = 2 * 69e9 * 0.02 * 0.25e-3**2.5 / (9 * np.pi * np.sqrt(1.5e-3))
     assert_close(diagonal(notch)[0], expected)
     assert abs(expected - 2.4907) < 5e-5
@@ -115,8 +124,10 @@ def test_paros_and_weisbord_simplified_is_equation_6_2():
 @pytest.mark.parametrize(("share", "within"), [(1e-4, 0.01), (0.1, 0.23)])
 def test_simplified_tends_to_full_for_thin_webs(share, within):
     sizes = {"hole": 3e-3, "web": share * 3e-3, "width": 0.02}
-    full = diagonal(tj.notch(ALUMINIUM, formula="paros-weisbord", **sizes))
-    thin = diagonal(tj.notch(ALUMINIUM, formula="paros-weisbord-simplified", **sizes))
+    full = diagonal(tj.flexures.notch(ALUMINIUM, formula="paros-weisbord", **sizes))
+    thin = diagonal(
+        tj.flexures.notch(ALUMINIUM, formula="paros-weisbord-simplified", **sizes)
+    )
     np.testing.assert_allclose(thin, full, rtol=within)
 
 
@@ -128,7 +139,7 @@ def test_simplified_tends_to_full_for_thin_webs(share, within):
 def test_notch_says_where_its_formula_ends(formula, low, high):
     def notch(share):
         sizes = {"hole": 3e-3, "web": share * 3e-3, "width": 0.02}
-        return tj.notch(ALUMINIUM, formula=formula, **sizes)
+        return tj.flexures.notch(ALUMINIUM, formula=formula, **sizes)
 
     for share in (low, high):
         if share is not None:
@@ -140,7 +151,7 @@ def test_notch_says_where_its_formula_ends(formula, low, high):
 
 def test_a_web_out_of_range_harms_its_own_lane_alone():
     def stiffness(web):
-        return tj.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02).stiffness
+        return tj.flexures.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02).stiffness
 
     lanes = jax.vmap(stiffness)(jnp.array([1e-6, 0.25e-3]))
     assert np.all(np.isnan(np.diagonal(lanes[0])))
@@ -167,11 +178,11 @@ def test_refuses_what_is_no_material(values, message):
 
 
 def test_outlines_have_the_size_of_the_hinge():
-    notch = tj.notch_outline(hole=3e-3, web=0.25e-3)
+    notch = tj.flexures.notch_outline(hole=3e-3, web=0.25e-3)
     assert_close(np.ptp(notch[:, 0]), 3e-3)
     middle = notch[np.abs(notch[:, 0]) < 2e-4]
     assert 0.125e-3 <= np.abs(middle[:, 1]).min() < 0.14e-3
-    leaf = tj.leaf_outline(length=0.01, thickness=0.001)
+    leaf = tj.flexures.leaf_outline(length=0.01, thickness=0.001)
     assert_close(np.ptp(leaf, axis=0), [0.01, 0.001])
 
 
@@ -184,7 +195,7 @@ def chain(count, energy):
         tj.Hinge(f"h{k}", f"{k}", f"{k + 1}", energy, at=(0.0, (k + 0.5) * part, 0.0))
         for k in range(count)
     ]
-    return tj.Mechanism(bodies, hinges, held=["0"])
+    return tj.Mechanism(bodies, hinges, fixed=["0"])
 
 
 def test_a_quartic_leaf_bends_as_the_elastica_and_a_chain_to_fourth_order():
@@ -193,7 +204,7 @@ def test_a_quartic_leaf_bends_as_the_elastica_and_a_chain_to_fourth_order():
     unit, thickness = tj.Material(modulus=1.0, poisson=0.3), 1e-2
     errors = []
     for count in (1, 2):
-        energy = tj.quartic_leaf(
+        energy = tj.flexures.quartic_leaf(
             unit, length=1 / count, thickness=thickness, width=12 / thickness**3
         )
         tip = f"{count}"
@@ -209,8 +220,8 @@ def test_a_quartic_leaf_is_at_rest_the_leaf():
     sizes = {"length": 10e-3, "thickness": 0.8e-3, "width": 5e-3}
     soft = tj.Material(modulus=3.45e9, poisson=0.3)
     for theory in ("euler-bernoulli", "timoshenko"):
-        curved = tj.quartic_leaf(soft, theory=theory, **sizes)
-        straight = tj.leaf(soft, theory=theory, **sizes).stiffness
+        curved = tj.flexures.quartic_leaf(soft, theory=theory, **sizes)
+        straight = tj.flexures.leaf(soft, theory=theory, **sizes).stiffness
         np.testing.assert_allclose(
             jnp.diag(curved.tangent_stiffness()), jnp.diag(straight), rtol=1e-12
         )
@@ -219,16 +230,16 @@ def test_a_quartic_leaf_is_at_rest_the_leaf():
 def test_the_stress_of_a_cantilever_is_that_of_its_clamp():
     """6 P L / w t^2 where the tip is pushed across, and P / w t where it is pulled."""
     size = {"length": 0.05, "thickness": 1e-3, "width": 0.01}
-    energy = tj.leaf(ALUMINIUM, **size)
+    energy = tj.flexures.leaf(ALUMINIUM, **size)
     bodies = [tj.Body("wall"), tj.Body("tip", (0.0, 0.05, 0.0))]
     hinge = tj.Hinge("leaf", "wall", "tip", energy, at=(0.0, 0.025, 0.0))
-    beam = tj.Mechanism(bodies, [hinge], held=["wall"])
+    beam = tj.Mechanism(bodies, [hinge], fixed=["wall"])
     for force, exact in (
         ((0.0, 0.0, 1e-3), 6 * 1e-3 * 0.05 / (0.01 * 1e-6)),
         ((0.0, 2.0, 0.0), 2.0 / (0.01 * 1e-3)),
     ):
-        rest = tj.equilibrium(beam, loads=[tj.Load("tip", force)])
-        stress = tj.leaf_stress(beam.wrench_of("leaf", rest.poses), **size)
+        solution = tj.equilibrium(beam, loads=[tj.Load("tip", force)])
+        stress = tj.flexures.leaf_stress(beam.wrench_of("leaf", solution.poses), **size)
         np.testing.assert_allclose(stress, exact, rtol=1e-5)
 
 
@@ -240,13 +251,15 @@ def test_the_stress_of_a_neck_is_that_of_a_beam_where_it_is_thin(web):
     the differences of a thin neck.
     """
     size = {"hole": 3e-3, "web": web, "width": 0.02}
-    bent = tj.notch_stress((0.01, 0.0, 0.0), **size) / (6 * 0.01 / (0.02 * web**2))
+    bent = tj.flexures.notch_stress((0.01, 0.0, 0.0), **size) / (
+        6 * 0.01 / (0.02 * web**2)
+    )
     np.testing.assert_allclose(bent, (1 + web / 3e-3) ** 0.45, rtol=0.02)
     with mpmath.workdps(40):
         ratio = mpmath.mpf(web) / mpmath.mpf(3e-3)
         root, turn = mpmath.sqrt(ratio), mpmath.atan(mpmath.sqrt(ratio))
         exact = 4 * ratio * root / (3 * (root + (ratio - 1) * turn))
         np.testing.assert_allclose(bent, float(exact), rtol=1e-9)
-        pulled = tj.notch_stress((0.0, 5.0, 0.0), **size) / (5.0 / (0.02 * web))
+        pulled = tj.flexures.notch_stress((0.0, 5.0, 0.0), **size) / (5.0 / (0.02 * web))
         exact = 2 * (ratio + 1) * root / ((ratio + 1) * turn + root)
         np.testing.assert_allclose(pulled, float(exact), rtol=1e-9)

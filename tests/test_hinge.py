@@ -7,7 +7,8 @@ import pytest
 from helpers import assert_close, some_poses, some_stiffness
 
 import twistorjax as tj
-from twistorjax import grip, se2
+from twistorjax.geometry import se2
+from twistorjax.mechanism import hinge_kinematics
 
 
 pytestmark = pytest.mark.slow
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.slow
 class Quartic(tj.AbstractEnergy):
     """An energy of no special form, with every coupling."""
 
-    def stored(self, displacement):
+    def stored_energy(self, displacement):
         turn, along, across = displacement.twist()
         return turn**2 + along**2 + across**2 + turn**2 * along + turn * across**3
 
@@ -30,9 +31,9 @@ REST = jnp.array([[0.4, 0.1, -0.2], [-0.7, 0.5, 0.3]])
 AT = jnp.array([0.9, 0.3, 0.2])
 
 
-def pair(energy, at=AT, rest=REST, first="a", second="b"):
-    bodies = [tj.Body("a", rest[0]), tj.Body("b", rest[1])]
-    return tj.Mechanism(bodies, [tj.Hinge("h", first, second, energy, at)], held=["a"])
+def pair(energy, at=AT, reference=REST, first="a", second="b"):
+    bodies = [tj.Body("a", reference[0]), tj.Body("b", reference[1])]
+    return tj.Mechanism(bodies, [tj.Hinge("h", first, second, energy, at)], fixed=["a"])
 
 
 def states(seed, count=24):
@@ -43,8 +44,8 @@ def states(seed, count=24):
 def frames(poses):
     """Both frames of the hinge in the world, carried along by their bodies."""
     return [
-        se2.compose(pose, se2.between(rest, AT))
-        for pose, rest in zip(poses, REST, strict=True)
+        se2.compose(pose, se2.between(reference, AT))
+        for pose, reference in zip(poses, REST, strict=True)
     ]
 
 
@@ -95,7 +96,7 @@ def test_wrenches_on_the_two_bodies_balance(energy):
     for poses in states(0):
         on_a, on_b = mechanism.wrenches(poses)
         at_origin = [
-            se2.carry_wrench(pose.at[0].set(0.0), wrench)
+            se2.transform_wrench(pose.at[0].set(0.0), wrench)
             for pose, wrench in zip(poses, (on_a, on_b), strict=True)
         ]
         scale = 1 + np.abs(on_b).max()
@@ -107,8 +108,8 @@ def test_the_wrench_on_b_is_that_of_the_energy_carried_to_the_body(energy):
     mechanism = pair(energy)
     for poses in states(0):
         a, b = frames(poses)
-        in_world = se2.carry_wrench(b, energy.wrench(se2.between(a, b)))  # by body B
-        at_body = se2.carry_wrench(se2.inverse(poses[1].at[0].set(0.0)), -in_world)
+        in_world = se2.transform_wrench(b, energy.wrench(se2.between(a, b)))  # by body B
+        at_body = se2.transform_wrench(se2.inverse(poses[1].at[0].set(0.0)), -in_world)
         assert_close(mechanism.wrenches(poses)[1], at_body, digits=9)
 
 
@@ -116,12 +117,12 @@ def test_tiny_displacements_lose_no_digits():
     """A picometre at a hinge that lies metres away; sums of poses would round it off."""
     far = jnp.array([0.0, 5.0, 7.0])
     mechanism = pair(tj.Quadratic(jnp.eye(3)), at=far)
-    couplings = mechanism.couplings
+    hinge_assembly = mechanism.hinge_assembly
     tiny = jnp.array([[0.0, 0.0, 0.0], [1e-13, 1e-12, -2e-12]])
     lever = far[1:] - REST[1, 1:]
     moved = [1e-12 - 1e-13 * lever[1], -2e-12 + 1e-13 * lever[0]]
     expected = (1e-13**2 + moved[0] ** 2 + moved[1] ** 2) / 2
-    np.testing.assert_allclose(couplings.energy(tiny), expected, rtol=1e-11)
+    np.testing.assert_allclose(hinge_assembly.energy(tiny), expected, rtol=1e-11)
 
 
 @every_energy
@@ -166,30 +167,32 @@ def test_the_frame_half_way_is_that_of_the_twistor():
     def end(pose):
         half = pose[0] / 2
         zero = jnp.zeros(())
-        return grip.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
+        return hinge_kinematics.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
 
-    half = grip.halfway(end(first), end(second), (jnp.ones(()), jnp.zeros(())))
+    half = hinge_kinematics.mid_frame(
+        end(first), end(second), (jnp.ones(()), jnp.zeros(()))
+    )
     seen = half.displacement
     actual = jnp.stack([seen.sigma, seen.xi, seen.x1, seen.x2])
-    assert_close(actual, tj.clifford.twistor(se2.between(first, second)))
+    assert_close(actual, tj.geometry.twistors.twistor(se2.between(first, second)))
 
 
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 @every_energy
 def test_the_tangent_of_a_moving_hinge_is_the_slope_of_its_forces(energy, coordinates):
     """With a damping of every coupling, by displacements and by their rates."""
-    damping = tj.Viscous(some_stiffness(5), coordinates)
+    damping = tj.energies.ViscousDamping(some_stiffness(5), coordinates)
     hinge = tj.Hinge("h", "a", "b", energy, AT, damping=damping)
     bodies = [tj.Body("a", REST[0]), tj.Body("b", REST[1])]
-    couplings = tj.Mechanism(bodies, [hinge], held=["a"]).couplings
+    hinge_assembly = tj.Mechanism(bodies, [hinge], fixed=["a"]).hinge_assembly
     every = tuple(range(6))
     for place, rate in zip(0.4 * states(0, 8), states(5, 8), strict=True):
         place = place - 0.4 * REST
 
         def forces(place, rate):
-            return couplings.forces_in_motion(place, rate)[0]
+            return hinge_assembly.forces_in_motion(place, rate)[0]
 
-        found = couplings.tangent_in_motion(place, rate, every)
+        found = hinge_assembly.tangent_in_motion(place, rate, every)
         slopes = jax.jacfwd(forces, argnums=(0, 1))(place, rate)
         for mine, slope in zip((found.stiffness, found.damping), slopes, strict=True):
             scale = jnp.max(jnp.abs(slope))
@@ -199,13 +202,13 @@ def test_the_tangent_of_a_moving_hinge_is_the_slope_of_its_forces(energy, coordi
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 def test_drag_is_the_viscous_wrench_and_takes_its_power(coordinates):
     """Equations 3.62 to 3.66, carried to the bodies; the power is that of the forces."""
-    damping = tj.Viscous(some_stiffness(5), coordinates)
+    damping = tj.energies.ViscousDamping(some_stiffness(5), coordinates)
     none = tj.Quadratic(jnp.zeros((3, 3)))
     hinge = tj.Hinge("h", "a", "b", none, AT, damping=damping)
     bodies = [tj.Body("a", REST[0]), tj.Body("b", REST[1])]
-    couplings = tj.Mechanism(bodies, [hinge], held=["a"]).couplings
+    hinge_assembly = tj.Mechanism(bodies, [hinge], fixed=["a"]).hinge_assembly
     for poses, rates in zip(states(0, 8), states(5, 8), strict=True):
-        drag, _, power = couplings.forces_in_motion(poses - REST, rates)
+        drag, _, power = hinge_assembly.forces_in_motion(poses - REST, rates)
         assert_close(power, jnp.sum(drag * rates), digits=10)
 
         def apart(poses):

@@ -13,7 +13,7 @@ import scipy.optimize
 from helpers import assert_close
 
 import twistorjax as tj
-from twistorjax.cases import identification, stage
+from twistorjax.examples import identification, stage
 
 
 def spring(k):
@@ -25,7 +25,7 @@ def spring(k):
     energy = tj.Quadratic(jnp.diag(jnp.stack([turn, along, across])))
     hinge = tj.Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
     block = tj.Body("block", mass=2.0, inertia=0.1)
-    return tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])
+    return tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
 
 
 def chain(k):
@@ -37,21 +37,23 @@ def chain(k):
         tj.Hinge("a", "wall", "middle", first, at=(0, 0, 0)),
         tj.Hinge("b", "middle", "end", second, at=(0, 0, 0)),
     ]
-    return tj.Mechanism(bodies, hinges, held=["wall"])
+    return tj.Mechanism(bodies, hinges, fixed=["wall"])
 
 
 def positive(value, unit=""):
-    return tj.Unknown(value, unit, above=0)
+    return tj.Parameter(value, unit, above=0)
 
 
 def push(fx, deviation=1e-4):
     load = tj.Load("block", (0.0, fx, 0.0))
-    return tj.StaticTest([[load]], [tj.Sensor("block", "x", deviation)])
+    return tj.identification.StaticTest(
+        [[load]], [tj.identification.BodySensor("block", "x", deviation)]
+    )
 
 
 def test_a_stiffness_and_its_error_are_those_of_hooke():
     """x = F / k, so that dk = k^2 dx / F."""
-    found = tj.fit(
+    found = tj.identify(
         spring, {"along": positive(30.0, "N/m")}, [push(5.0).measured([[0.04]])]
     )
     assert_close(found.estimates["along"], 125.0, digits=7)
@@ -68,7 +70,7 @@ def test_many_readings_are_weighed_by_their_deviations():
         push(force, size).measured([[reading]])
         for force, reading, size in zip(forces, readings, sizes, strict=True)
     ]
-    found = tj.fit(spring, {"along": positive(80.0)}, data)
+    found = tj.identify(spring, {"along": positive(80.0)}, data)
     weights = (forces / sizes) ** 2
     compliance = np.sum(weights * readings / forces) / np.sum(weights)
     assert_close(found.estimates["along"], 1 / compliance, digits=7)
@@ -79,14 +81,16 @@ def test_two_unknowns_agree_with_scipy():
     """At large turns, where the model is not linear, by another's method and slopes."""
     loads = [(0.3, 20.0, 5.0), (0.6, -10.0, 30.0), (-0.2, 5.0, -25.0)]
     sensors = [
-        tj.Sensor("block", "x", 1e-3, at=(0.3, 0.1)),
-        tj.Sensor("block", "y", 1e-3),
+        tj.identification.BodySensor("block", "x", 1e-3, at=(0.3, 0.1)),
+        tj.identification.BodySensor("block", "y", 1e-3),
     ]
-    test = tj.StaticTest([[tj.Load("block", load)] for load in loads], sensors)
+    test = tj.identification.StaticTest(
+        [[tj.Load("block", load)] for load in loads], sensors
+    )
     true = {"turn": 1.0, "along": 100.0, "across": 400.0}
-    data = test.rehearsed(spring(true), jax.random.key(0))
+    data = test.synthetic_data(spring(true), jax.random.key(0))
     start = {"turn": positive(1.5), "along": positive(60.0)}
-    found = tj.fit(spring, start, [data])
+    found = tj.identify(spring, start, [data])
 
     @jax.jit
     def read(k):
@@ -110,11 +114,12 @@ def test_two_unknowns_agree_with_scipy():
 
 def test_what_is_never_stretched_is_not_determined():
     """A fit that leaves a stretch stiffness at its start says so, and gives no error."""
-    test = tj.StaticTest(
-        [[tj.Load("block", (0.2, 0, 0))]], [tj.Sensor("block", "angle", 1e-3)]
+    test = tj.identification.StaticTest(
+        [[tj.Load("block", (0.2, 0, 0))]],
+        [tj.identification.BodySensor("block", "angle", 1e-3)],
     )
     start = {"turn": positive(0.5, "N m/rad"), "along": positive(77.0, "N/m")}
-    found = tj.fit(spring, start, [test.measured([[0.2]])])
+    found = tj.identify(spring, start, [test.measured([[0.2]])])
     assert_close(found.estimates["along"], 77.0)
     assert found.standard_errors["along"] == jnp.inf
     assert np.isfinite(found.standard_errors["turn"])
@@ -127,9 +132,11 @@ def test_what_is_never_stretched_is_not_determined():
 
 def test_springs_in_a_row_are_known_in_combination_alone():
     """The compliances add up: stiffening one and softening the other is not seen."""
-    test = tj.StaticTest([[tj.Load("end", (0, 1.0, 0))]], [tj.Sensor("end", "x", 1e-5)])
+    test = tj.identification.StaticTest(
+        [[tj.Load("end", (0, 1.0, 0))]], [tj.identification.BodySensor("end", "x", 1e-5)]
+    )
     start = {"a": positive(100.0), "b": positive(300.0)}
-    found = tj.fit(chain, start, [test.measured([[0.02]])])
+    found = tj.identify(chain, start, [test.measured([[0.02]])])
     a, b = found.estimates["a"], found.estimates["b"]
     assert_close(1 / a + 1 / b, 0.02, digits=7)
     (words,) = found.undetermined
@@ -140,10 +147,11 @@ def test_springs_in_a_row_are_known_in_combination_alone():
 
 
 def test_what_is_hardly_seen_is_not_determined_either():
-    weak = tj.StaticTest(
-        [[tj.Load("block", (0.0, 1e-3, 0.0))]], [tj.Sensor("block", "x", 1e-3)]
+    weak = tj.identification.StaticTest(
+        [[tj.Load("block", (0.0, 1e-3, 0.0))]],
+        [tj.identification.BodySensor("block", "x", 1e-3)],
     )
-    found = tj.fit(spring, {"along": positive(100.0)}, [weak.measured([[1e-5]])])
+    found = tj.identify(spring, {"along": positive(100.0)}, [weak.measured([[1e-5]])])
     (words,) = found.undetermined
     assert "along by +1 % changes the readings by 0.0001 standard" in words
     assert "not determined" in repr(found)
@@ -151,11 +159,11 @@ def test_what_is_hardly_seen_is_not_determined_either():
 
 def test_frequencies_tell_stiffnesses():
     """The square root of stiffness over mass, over two pi."""
-    test = tj.VibrationTest(3, [0.01, 0.02, 0.03])
+    test = tj.identification.VibrationTest(3, [0.01, 0.02, 0.03])
     true = {"turn": 1.0, "along": 100.0, "across": 400.0}
     exact = np.sqrt([1.0 / 0.1, 100 / 2.0, 400 / 2.0]) / (2 * np.pi)
     start = {name: positive(1.3 * value) for name, value in true.items()}
-    found = tj.fit(spring, start, [test.measured(exact[:, None])])
+    found = tj.identify(spring, start, [test.measured(exact[:, None])])
     for name, value in true.items():
         assert_close(found.estimates[name], value, digits=7)
     for (name, value), size, here in zip(
@@ -165,22 +173,22 @@ def test_frequencies_tell_stiffnesses():
 
 
 def test_wrenches_of_a_hinge_are_data_too():
-    trials = tj.Trials(
+    trials = tj.energies.Trials(
         [[0.0, 0.01, 0.0], [0.0, 0.02, 0.0]],
         [[0.0, 1.1, 0.0], [0.0, 2.0, 0.0]],
         wrench_deviations=[0.1, 0.1, 0.1],
     )
-    data = tj.HingeTest.of("spring", trials)
-    found = tj.fit(spring, {"along": positive(50.0)}, [data])
+    data = tj.identification.HingeTest.of("spring", trials)
+    found = tj.identify(spring, {"along": positive(50.0)}, [data])
     assert_close(found.estimates["along"], (0.011 + 0.04) / 5e-4, digits=6)
 
 
 def test_a_reading_may_be_missing():
     load = tj.Load("block", (0, 5e-6, 8e-6))  # so small that neither turns the block
-    sensors = [tj.Sensor("block", name, 1e-10) for name in ("x", "y")]
-    test = tj.StaticTest([[load]], sensors)
+    sensors = [tj.identification.BodySensor("block", name, 1e-10) for name in ("x", "y")]
+    test = tj.identification.StaticTest([[load]], sensors)
     start = {"along": positive(50.0), "across": positive(500.0)}
-    found = tj.fit(spring, start, [test.measured([[4e-8, np.nan]])])
+    found = tj.identify(spring, start, [test.measured([[4e-8, np.nan]])])
     assert_close(found.estimates["along"], 125.0, digits=7)
     assert found.readings == 1
     assert "across" in found.undetermined[0]
@@ -188,8 +196,11 @@ def test_a_reading_may_be_missing():
 
 def motion(deviation=1e-5, tolerance=1e-8):
     times = np.linspace(0.0, 1.0, 21)
-    sensors = [tj.Sensor("block", name, deviation) for name in ("angle", "x", "y")]
-    return tj.MotionTest(
+    sensors = [
+        tj.identification.BodySensor("block", name, deviation)
+        for name in ("angle", "x", "y")
+    ]
+    return tj.identification.MotionTest(
         times, sensors, velocities={"block": (1.0, 0.3, 0.2)}, tolerance=tolerance
     )
 
@@ -198,9 +209,9 @@ def motion(deviation=1e-5, tolerance=1e-8):
 def swing():
     """A motion, what it starts from, and what is found from it."""
     true = {"turn": 1.0, "along": 100.0, "across": 400.0}
-    data = motion().rehearsed(spring(true), jax.random.key(3))
+    data = motion().synthetic_data(spring(true), jax.random.key(3))
     start = {"turn": positive(1.2), "along": positive(80.0), "across": positive(500.0)}
-    return true, data, start, tj.fit(spring, start, [data])
+    return true, data, start, tj.identify(spring, start, [data])
 
 
 def test_a_motion_tells_all_three_stiffnesses(swing):
@@ -237,14 +248,16 @@ def test_slopes_in_reverse_are_those_forwards(swing):
 )  # fmt: skip
 def test_every_method_finds_the_same(method):
     data = [push(force).measured([[force / 125.0]]) for force in (1.0, 5.0)]
-    found = tj.fit(spring, {"along": positive(60.0)}, data, method=method, throw=False)
+    found = tj.identify(
+        spring, {"along": positive(60.0)}, data, method=method, throw=False
+    )
     assert_close(found.estimates["along"], 125.0, digits=4)
 
 
 def test_gradient_descent_may_go_in_reverse():
     data = [push(5.0).measured([[0.04]])]
     start = {"along": positive(100.0)}
-    found = tj.fit(
+    found = tj.identify(
         *(spring, start, data), method=optax.adam(0.02), reverse=True, max_steps=400,
         throw=False,
     )  # fmt: skip
@@ -255,12 +268,14 @@ def test_gradient_descent_may_go_in_reverse():
 def test_an_outlier_is_borne_by_a_robust_loss():
     forces = np.linspace(1.0, 5.0, 9)
     readings = forces / 100 + 1e-4 * np.array([0, 1, -1, 0.5, 300, -0.5, 1, -1, 0])
-    sensors = [tj.Sensor("block", "x", 1e-4)]
-    test = tj.StaticTest([[tj.Load("block", (0, f, 0))] for f in forces], sensors)
+    sensors = [tj.identification.BodySensor("block", "x", 1e-4)]
+    test = tj.identification.StaticTest(
+        [[tj.Load("block", (0, f, 0))] for f in forces], sensors
+    )
     data = [test.measured(readings[:, None])]
     start = {"along": positive(80.0)}
-    plain = tj.fit(spring, start, data)
-    robust = tj.fit(spring, start, data, robust=1.345)
+    plain = tj.identify(spring, start, data)
+    robust = tj.identify(spring, start, data, robust=1.345)
     assert abs(plain.estimates["along"] - 100) > 5
     assert abs(robust.estimates["along"] - 100) < 0.3
     assert any("times as large as the deviations" in text for text in plain.warnings)
@@ -282,11 +297,13 @@ def test_of_several_starts_the_best_is_taken():
     """Of a swing of three periods, a fit that starts a period off stays there."""
     times = np.linspace(0.0, 3.0, 25)
     let_go = {"velocities": {"block": (0.0, 1.0, 0.0)}, "tolerance": 1e-5}
-    test = tj.MotionTest(times, [tj.Sensor("block", "x", 1e-3)], **let_go)
+    test = tj.identification.MotionTest(
+        times, [tj.identification.BodySensor("block", "x", 1e-3)], **let_go
+    )
     data = test.measured(np.sin(np.sqrt(50.0) * times)[:, None] / np.sqrt(50.0))
     start = {"along": positive(190.0)}
-    alone = tj.fit(spring, start, [data], throw=False)
-    several = tj.fit(spring, start, [data], restarts=8, spread=0.7, throw=False)
+    alone = tj.identify(spring, start, [data], throw=False)
+    several = tj.identify(spring, start, [data], restarts=8, spread=0.7, throw=False)
     assert abs(alone.estimates["along"] / 100 - 1) > 0.1
     assert_close(several.estimates["along"], 100.0, digits=3)
     assert several.losses.shape == (9,)
@@ -295,8 +312,8 @@ def test_of_several_starts_the_best_is_taken():
 
 def test_a_bound_holds_and_is_told():
     data = [push(5.0).measured([[0.04]])]
-    start = {"along": tj.Unknown(60.0, above=0, below=100.0)}
-    found = tj.fit(spring, start, data, throw=False)
+    start = {"along": tj.Parameter(60.0, above=0, below=100.0)}
+    found = tj.identify(spring, start, data, throw=False)
     assert 99.9 < found.estimates["along"] <= 100.0
     assert any("runs into its bound" in text for text in found.warnings)
 
@@ -304,7 +321,7 @@ def test_a_bound_holds_and_is_told():
 def test_held_out_readings_judge_a_model():
     data = [push(5.0).measured([[0.04]])]
     fresh = [push(10.0).measured([[0.09]])]  # 10 / 125 is 0.08
-    found = tj.fit(spring, {"along": positive(60.0)}, data, held_out=fresh)
+    found = tj.identify(spring, {"along": positive(60.0)}, data, held_out=fresh)
     assert_close(found.held_out[0][0, 0], -0.01 / 1e-4, digits=6)
     assert any("held-out readings are missed" in text for text in found.warnings)
 
@@ -312,47 +329,51 @@ def test_held_out_readings_judge_a_model():
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """Of 400 noisy repetitions, side by side; three standard deviations of the count."""
     forces = jnp.linspace(1.0, 5.0, 5)
-    sensors = [tj.Sensor("block", "x", 1e-3)]
-    test = tj.StaticTest([[tj.Load("block", (0, f, 0))] for f in forces], sensors)
+    sensors = [tj.identification.BodySensor("block", "x", 1e-3)]
+    test = tj.identification.StaticTest(
+        [[tj.Load("block", (0, f, 0))] for f in forces], sensors
+    )
 
-    def held(key):
+    def fixed(key):
         noise = 1e-3 * jax.random.normal(key, (5, 1))
         data = test.measured(forces[:, None] / 100.0 + noise)
-        found = tj.fit(spring, {"along": positive(70.0)}, [data], throw=False)
+        found = tj.identify(spring, {"along": positive(70.0)}, [data], throw=False)
         low, high = found.interval()
         return (low["along"] < 100.0) & (high["along"] > 100.0), found.succeeded
 
-    inside, done = jax.jit(jax.vmap(held))(jax.random.split(jax.random.key(5), 400))
+    inside, done = jax.jit(jax.vmap(fixed))(jax.random.split(jax.random.key(5), 400))
     assert jnp.all(done)
     assert abs(np.mean(np.asarray(inside)) - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 400)
 
 
 def test_a_start_without_an_answer_says_what_the_solve_says():
     data = [push(5.0).measured([[0.04]])]
-    follower = tj.StaticTest(
-        [[tj.Load("block", (20.0, 0.0, 0.0))]], [tj.Sensor("block", "angle", 1e-3)]
+    follower = tj.identification.StaticTest(
+        [[tj.Load("block", (20.0, 0.0, 0.0))]],
+        [tj.identification.BodySensor("block", "angle", 1e-3)],
     )
     with pytest.raises(RuntimeError, match=r"has no answer.*No equilibrium was found"):
-        tj.fit(spring, {"turn": positive(1.0)}, [follower.measured([[1.0]]), *data])
+        tj.identify(spring, {"turn": positive(1.0)}, [follower.measured([[1.0]]), *data])
 
 
 def test_a_search_turns_back_where_there_is_no_answer():
     """The moment of the twistor's spring is 2 k at most: softer ones cannot bear it."""
-    test = tj.StaticTest(
-        [[tj.Load("block", (1.9, 0.0, 0.0))]], [tj.Sensor("block", "angle", 1e-3)]
+    test = tj.identification.StaticTest(
+        [[tj.Load("block", (1.9, 0.0, 0.0))]],
+        [tj.identification.BodySensor("block", "angle", 1e-3)],
     )
     angle = 2 * np.arcsin(1.9 / 2 / 2 / 0.96) * 1.0
     true = 1.9 / 2 / np.sin(angle / 2) / np.cos(angle / 2)
-    found = tj.fit(spring, {"turn": positive(8.0)}, [test.measured([[angle]])])
+    found = tj.identify(spring, {"turn": positive(8.0)}, [test.measured([[angle]])])
     assert_close(found.estimates["turn"], true, digits=5)
 
 
 def test_not_settling_is_told():
     data = [push(5.0).measured([[0.04]])]
     with pytest.raises(RuntimeError, match=r"have not settled.*2 evaluations"):
-        tj.fit(spring, {"along": positive(1.0)}, data, max_steps=2)
-    found = tj.fit(spring, {"along": positive(1.0)}, data, max_steps=2, throw=False)
-    assert tj.outcomes(found.result) == "unsettled"
+        tj.identify(spring, {"along": positive(1.0)}, data, max_steps=2)
+    found = tj.identify(spring, {"along": positive(1.0)}, data, max_steps=2, throw=False)
+    assert tj.result_names(found.result) == "not_converged"
     assert "have not settled" in repr(found)
 
 
@@ -377,12 +398,12 @@ def test_what_cannot_be_fitted_is_refused(wrong, message):
     given = {"start": {"along": positive(1.0)}, "data": [push(5.0).measured([[0.04]])]}
     given |= wrong
     with pytest.raises((ValueError, TypeError), match=message):
-        tj.fit(spring, given.pop("start"), given.pop("data"), **given)
+        tj.identify(spring, given.pop("start"), given.pop("data"), **given)
 
 
 def test_unknowns_stay_within_their_bounds_and_start_where_told():
     for bounds in ({"above": 0}, {"below": 3}, {"above": -1, "below": 3}, {}):
-        unknown = tj.Unknown(2.0, **bounds)
+        unknown = tj.Parameter(2.0, **bounds)
         assert_close(unknown.at(jnp.zeros(())), 2.0, digits=12)
         slope = jax.grad(unknown.at)(jnp.zeros(()))
         assert_close(slope, unknown._size(), digits=9)
@@ -400,27 +421,30 @@ def test_a_design_that_cannot_be_compiled_is_refused():
 
     start = {"along": positive(1.0)}
     with pytest.raises(ValueError, match="`design` is a function that cannot be comp"):
-        tj.fit(branching, start, data)
+        tj.identify(branching, start, data)
     with pytest.raises(ValueError, match="`design` gave a dict, but must build a"):
-        tj.fit(lambda k: k, start, data)
+        tj.identify(lambda k: k, start, data)
 
 
 def test_a_weak_unknown_keeps_no_other_from_its_best():
     """The thickness of a leaf beside a damping of which hardly anything is seen."""
     forces = np.array([1.0, 2.0, 5.0])
-    sensors = [tj.Sensor("block", "x", 3e-3), tj.Sensor("block", "angle", 3.0)]
+    sensors = [
+        tj.identification.BodySensor("block", "x", 3e-3),
+        tj.identification.BodySensor("block", "angle", 3.0),
+    ]
     loads = [[tj.Load("block", (1e-3, f, 0.0))] for f in forces]
-    test = tj.StaticTest(loads, sensors)
+    test = tj.identification.StaticTest(loads, sensors)
     true = {"along": 100.0, "turn": 1.0}
-    data = [test.rehearsed(spring(true))]
+    data = [test.synthetic_data(spring(true))]
     start = {"along": positive(90.0), "turn": positive(2.0)}
-    found = tj.fit(spring, start, data)
+    found = tj.identify(spring, start, data)
     assert_close(found.estimates["along"], 100.0, digits=3)
     assert "turn" in found.undetermined[0] and "along" not in found.undetermined[0]
 
 
 def test_intervals_have_a_level():
-    found = tj.fit(spring, {"along": positive(80.0)}, [push(5.0).measured([[0.05]])])
+    found = tj.identify(spring, {"along": positive(80.0)}, [push(5.0).measured([[0.05]])])
     low, high = found.interval(0.6826894921)
     size = found.standard_errors["along"] / 100.0
     assert_close(low["along"], 100 * np.exp(-size), digits=6)
@@ -444,41 +468,45 @@ def test_intervals_have_a_level():
 )
 def test_unknowns_that_make_no_sense_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        tj.Unknown(*arguments[0], **arguments[1])
+        tj.Parameter(*arguments[0], **arguments[1])
 
 
 def test_unknowns_may_be_any_tree():
     """An energy with unknown coefficients, say, and a scale that is known."""
     powers = [(2, 0, 0), (0, 2, 0), (0, 0, 2)]
-    first = tj.Polynomial([0.7, 40.0, 250.0], powers, coordinates="twist")
-    unknown = tj.Unknown(first.coefficients, "J")
+    first = tj.energies.Polynomial([0.7, 40.0, 250.0], powers, coordinates="twist")
+    unknown = tj.Parameter(first.coefficients, "J")
     start = eqx.tree_at(lambda energy: energy.coefficients, first, unknown)
 
     def design(energy):
         hinge = tj.Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
         bodies = [tj.Body("wall"), tj.Body("block")]
-        return tj.Mechanism(bodies, [hinge], held=["wall"])
+        return tj.Mechanism(bodies, [hinge], fixed=["wall"])
 
     loads = [(0.1, 0, 0), (0, 1.0, 0), (0, 0, 1.0)]
-    sensors = [tj.Sensor("block", name, 1e-5) for name in ("angle", "x", "y")]
-    test = tj.StaticTest([[tj.Load("block", load)] for load in loads], sensors)
+    sensors = [
+        tj.identification.BodySensor("block", name, 1e-5) for name in ("angle", "x", "y")
+    ]
+    test = tj.identification.StaticTest(
+        [[tj.Load("block", load)] for load in loads], sensors
+    )
     data = test.measured(np.diag([0.1, 0.01, 0.0025]))
-    found = tj.fit(design, start, [data])
-    assert isinstance(found.estimates, tj.Polynomial)
+    found = tj.identify(design, start, [data])
+    assert isinstance(found.estimates, tj.energies.Polynomial)
     assert_close(found.estimates.coefficients, jnp.array([0.5, 50.0, 200.0]), digits=7)
     assert found.names == ("coefficients[0]", "coefficients[1]", "coefficients[2]")
 
 
 def test_numbers_beside_unknowns_are_known():
     data = [push(5.0).measured([[0.04]])]
-    found = tj.fit(spring, {"along": positive(80.0), "across": 300.0}, data)
+    found = tj.identify(spring, {"along": positive(80.0), "across": 300.0}, data)
     assert found.names == ("along",)
     assert found.estimates["across"] == 300.0
-    found = tj.fit(spring, {"along": 80, "across": 300.0}, data)
+    found = tj.identify(spring, {"along": 80, "across": 300.0}, data)
     assert found.names == ("across", "along")
 
 
-class Formula(tj.study.AbstractTest):
+class Formula(tj.identification.AbstractTest):
     """Reads any function of two unknowns, which stand in the place of a body."""
 
     function: Callable = eqx.field(static=True)
@@ -497,22 +525,22 @@ class Formula(tj.study.AbstractTest):
         return self.sizes[:, None]
 
     def read(self, mechanism, *, forward=True, throw=True):
-        return self.function(mechanism.rest[1, 1:])[:, None]
+        return self.function(mechanism.reference[1, 1:])[:, None]
 
 
 def placed(u):
-    body = tj.Body("block", rest=(0.0, u["a"], u["b"]))
+    body = tj.Body("block", pose=(0.0, u["a"], u["b"]))
     energy = tj.Quadratic(jnp.eye(3))
     hinge = tj.Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
-    return tj.Mechanism([tj.Body("wall"), body], [hinge], held=["wall"])
+    return tj.Mechanism([tj.Body("wall"), body], [hinge], fixed=["wall"])
 
 
 def fit_formula(function, sizes, start, **settings):
     sizes = jnp.asarray(sizes, float)
     test = Formula(function, sizes)
-    free = {name: tj.Unknown(value) for name, value in start.items()}
+    free = {name: tj.Parameter(value) for name, value in start.items()}
     data = [test.measured(jnp.zeros((len(sizes), 1)))]
-    return tj.fit(placed, free, data, **settings)
+    return tj.identify(placed, free, data, **settings)
 
 
 def test_a_reading_that_cannot_be_met_does_not_hold_up_the_others():
@@ -540,7 +568,7 @@ def test_to_end_where_there_is_no_answer_is_not_to_settle():
         return jnp.stack([u[0] - 3.0 + nowhere, u[1] - 0.3, u[0] * u[1] ** 2 - 0.9])
 
     found = fit_formula(function, 3 * [1e-3], {"a": 1.0, "b": 1.0}, throw=False)
-    assert tj.outcomes(found.result) == "unsettled"
+    assert tj.result_names(found.result) == "not_converged"
 
 
 def test_robust_errors_are_never_better_than_those_of_least_squares():
@@ -561,18 +589,18 @@ def test_robust_intervals_hold_the_truth_with_few_readings():
     """Twelve of a line, one in ten of them sixfold off: 300 repetitions."""
     along = jnp.linspace(0.0, 1.0, 12)
 
-    def held(key):
+    def fixed(key):
         noise, which = jax.random.split(key)
         size = jnp.where(jax.random.uniform(which, (12,)) < 0.1, 6.0, 1.0)
         values = 1.0 + 2.0 * along + 0.1 * size * jax.random.normal(noise, (12,))
         test = Formula(lambda u: u[0] + u[1] * along, 0.1 * jnp.ones(12))
-        start = {"a": tj.Unknown(1.3), "b": tj.Unknown(1.7)}
+        start = {"a": tj.Parameter(1.3), "b": tj.Parameter(1.7)}
         data = [test.measured(values[:, None])]
-        found = tj.fit(placed, start, data, robust=1.345, throw=False)
+        found = tj.identify(placed, start, data, robust=1.345, throw=False)
         low, high = found.interval()
         return (low["b"] < 2.0) & (high["b"] > 2.0)
 
-    inside = jax.jit(jax.vmap(held))(jax.random.split(jax.random.key(1), 300))
+    inside = jax.jit(jax.vmap(fixed))(jax.random.split(jax.random.key(1), 300))
     assert abs(np.mean(np.asarray(inside)) - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from helpers import assert_close
 
-from twistorjax import lines, se2
+from twistorjax.geometry import lines, se2
 
 
 ROOT = np.sqrt(3)
@@ -32,7 +32,7 @@ def test_the_resultant_of_section_2_4():
     assert_close(found.direction, np.pi / 4)
     # through (sqrt(3) + 1, 0): seen from there the force has no moment
     there = jnp.array([0.0, -(ROOT + 1), 0.0])
-    assert_close(se2.carry_wrench(there, total)[0], 0.0)
+    assert_close(se2.transform_wrench(there, total)[0], 0.0)
 
 
 def test_the_resultant_acts_at_its_foot():

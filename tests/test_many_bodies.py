@@ -7,9 +7,9 @@ import pytest
 from helpers import some_stiffness
 
 import twistorjax as tj
-from twistorjax.boundary import Loads
-from twistorjax.solve.factors import block_layout
-from twistorjax.solve.problem import Places, Problem
+from twistorjax.mechanism.loads import LoadSet
+from twistorjax.solve.factorization import block_layout
+from twistorjax.solve.static_system import DofPartition, Problem
 
 
 pytestmark = pytest.mark.slow
@@ -26,13 +26,13 @@ def chain(stiffness):
         tj.Hinge(str(k), str(k), str(k + 1), hinge, (0.0, (k + 0.5) * size, 0.0))
         for k in range(COUNT)
     ]
-    return tj.Mechanism(bodies, hinges, held=["0"])
+    return tj.Mechanism(bodies, hinges, fixed=["0"])
 
 
 SLENDER = np.diag([COUNT, 1e6 * COUNT, 12 * COUNT**3])
 
 
-def lattice(wide, long, held):
+def lattice(wide, long, fixed):
     """Bodies on a grid, each joined to its neighbours by hinges of every coupling."""
     bodies = [tj.Body(f"{i} {j}", (0.0, i, j)) for i in range(long) for j in range(wide)]
     hinges = []
@@ -46,7 +46,7 @@ def lattice(wide, long, held):
                     ends = f"{i} {j}", "{} {}".format(*other)
                     energy = tj.Quadratic(some_stiffness(i + j))
                     hinges.append(tj.Hinge(f"{ends}", *ends, energy, at))
-    return tj.Mechanism(bodies, hinges, held=held)
+    return tj.Mechanism(bodies, hinges, fixed=fixed)
 
 
 def test_a_moment_winds_a_chain_into_a_polygon():
@@ -62,8 +62,8 @@ def test_a_moment_winds_a_chain_into_a_polygon():
 
 def test_blocks_are_found_where_a_mechanism_is_long():
     def layout(mechanism):
-        free = tuple(set(range(mechanism.rest.size)) - set(mechanism.held))
-        return block_layout(mechanism.couplings.ends, tuple(sorted(free)))
+        free = tuple(set(range(mechanism.reference.size)) - set(mechanism.fixed))
+        return block_layout(mechanism.hinge_assembly.ends, tuple(sorted(free)))
 
     assert layout(chain(SLENDER)) is not None
     assert layout(lattice(3, 40, ["0 0"])) is not None
@@ -73,25 +73,27 @@ def test_blocks_are_found_where_a_mechanism_is_long():
     assert layout(lattice(14, 14, ["0 0"])).size < 60
 
 
-@pytest.mark.parametrize("follows", [False, True])
-def test_blocks_solve_what_a_dense_matrix_does(follows):
+@pytest.mark.parametrize("follower", [False, True])
+def test_blocks_solve_what_a_dense_matrix_does(follower):
     """With a body that can only turn, one driven in part, and loads at an offset."""
-    held = {"0 0": ("angle", "x", "y"), "7 1": ("x", "y")}
-    mechanism = lattice(3, 24, held)
+    fixed = {"0 0": ("angle", "x", "y"), "7 1": ("x", "y")}
+    mechanism = lattice(3, 24, fixed)
     given = mechanism.coordinates("driven", {"23 2": ["angle", "y"]})
-    free = sorted(set(range(mechanism.rest.size)) - set(mechanism.held) - set(given))
+    free = sorted(
+        set(range(mechanism.reference.size)) - set(mechanism.fixed) - set(given)
+    )
     loaded = mechanism.index("23 2"), mechanism.index("11 1")
     loads = [
-        tj.Load(mechanism.names[body], (0.3, 0.5, -0.2), at=(0.4, 0.1), follows=follows)
+        tj.Load(mechanism.names[body], (0.3, 0.5, -0.2), at=(0.4, 0.1), follower=follower)
         for body in loaded
     ]
     problem = Problem(
-        mechanism.couplings,
-        Loads.of(loads, loaded, mechanism.rest),
+        mechanism.hinge_assembly,
+        LoadSet.of(loads, loaded, mechanism.reference),
         jnp.zeros(len(given)),
-        Places(tuple(free), given),
+        DofPartition(tuple(free), given),
     )
-    moved = 0.01 * jax.random.normal(jax.random.key(0), mechanism.rest.shape)
+    moved = 0.01 * jax.random.normal(jax.random.key(0), mechanism.reference.shape)
     right = jax.random.normal(jax.random.key(1), (len(free),))
     move = jnp.array([0.7, -0.4])
 

@@ -9,21 +9,23 @@ import pytest
 from helpers import assert_close, some_poses, some_stiffness
 
 import twistorjax as tj
-from twistorjax import clifford, se2
+from twistorjax.geometry import se2, twistors
 
 
 every_coordinates = pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 
 
 def some_polynomial(coordinates, order=4, seed=0, scale=0.7, **settings):
-    powers = tj.monomials(order, coordinates, **settings)
+    powers = tj.energies.monomials(order, coordinates, **settings)
     rng = np.random.default_rng(seed)
-    return tj.Polynomial(rng.normal(size=len(powers)), powers, coordinates, scale)
+    return tj.energies.Polynomial(
+        rng.normal(size=len(powers)), powers, coordinates, scale
+    )
 
 
 def plain(energy, pose):
     """The polynomial as it stands on paper."""
-    point = clifford.twistor(pose) if energy.coordinates == "twistor" else se2.twist(pose)
+    point = twistors.twistor(pose) if energy.coordinates == "twistor" else se2.twist(pose)
     point = point.at[-2:].divide(energy.scale)
     terms = [jnp.prod(point ** jnp.array(row, float)) for row in energy.powers]
     return jnp.vdot(energy.coefficients, jnp.stack(terms))
@@ -44,7 +46,7 @@ def idx4(i1, i2, i3, i4, order):
 
 def test_monomials_stand_in_the_dissertations_order():
     order = 4
-    powers = tj.monomials(order, redundant=True)
+    powers = tj.energies.monomials(order, redundant=True)
     for row in itertools.product(range(order + 1), repeat=4):
         if sum(row) <= order:
             assert powers[idx4(*row, order) - 1] == row
@@ -55,15 +57,15 @@ def test_without_redundancy_there_are_as_many_as_functions():
     poses = some_poses(3, 90)
     for order, count in ((2, 14), (4, 55)):
         values = [
-            jnp.prod(clifford.twistor(pose)[None] ** powers(order), axis=1)
+            jnp.prod(twistors.twistor(pose)[None] ** powers(order), axis=1)
             for pose in poses
         ]
         assert np.linalg.matrix_rank(np.stack(values), 1e-10) == count
-        assert len(tj.monomials(order)) == count
+        assert len(tj.energies.monomials(order)) == count
 
 
 def powers(order):
-    return jnp.array(tj.monomials(order, redundant=True), float)
+    return jnp.array(tj.energies.monomials(order, redundant=True), float)
 
 
 @every_coordinates
@@ -80,12 +82,14 @@ def test_derivatives_by_coefficients_are_the_monomials():
     pose = jnp.array([0.4, 0.2, -0.3])
     energy = some_polynomial("twistor", 3)
 
-    def stored(coefficients):
-        return tj.Polynomial(coefficients, energy.powers, scale=energy.scale)(pose)
+    def stored_energy(coefficients):
+        return tj.energies.Polynomial(coefficients, energy.powers, scale=energy.scale)(
+            pose
+        )
 
-    point = clifford.twistor(pose).at[2:].divide(energy.scale)
+    point = twistors.twistor(pose).at[2:].divide(energy.scale)
     expected = jnp.prod(point[None] ** jnp.array(energy.powers, float), axis=1)
-    assert_close(jax.grad(stored)(energy.coefficients), expected)
+    assert_close(jax.grad(stored_energy)(energy.coefficients), expected)
 
 
 @every_coordinates
@@ -99,7 +103,7 @@ def test_of_second_order_it_can_be_the_quadratic_one(coordinates):
         row[names[i]] += 1
         row[names[j]] += 1
         terms[tuple(row)] = terms.get(tuple(row), 0.0) + factor * float(matrix[i, j])
-    energy = tj.Polynomial(list(terms.values()), list(terms), coordinates)
+    energy = tj.energies.Polynomial(list(terms.values()), list(terms), coordinates)
     poses = some_poses(4)
     expected = jax.vmap(tj.Quadratic(matrix, coordinates))(poses)
     assert_close(jax.vmap(energy)(poses), expected, digits=10)
@@ -113,7 +117,7 @@ def test_is_a_polynomial_from_any_two_frames():
         seen = energy.seen_from(first, second)
         inside = se2.compose(se2.compose(se2.inverse(first), pose), second)
         assert_close(seen(inside), energy(pose), digits=8)
-        assert seen.powers == tj.monomials(4)
+        assert seen.powers == tj.energies.monomials(4)
 
 
 @every_coordinates
@@ -150,11 +154,11 @@ def test_a_symmetry_leaves_the_energy_alone(coordinates, kind):
 
 def test_a_denominator_of_squares_has_no_zero():
     rng = np.random.default_rng(0)
-    powers = tj.monomials(2)
-    squares = tj.Squares(rng.normal(size=(3, len(powers))), powers)
+    powers = tj.energies.monomials(2)
+    squares = tj.energies.SumOfSquares(rng.normal(size=(3, len(powers))), powers)
     values = jax.vmap(squares)(some_poses(9, 200))
     assert jnp.min(values) >= 1.0
-    energy = tj.Rational(some_polynomial("twistor", 2), squares)
+    energy = tj.energies.Rational(some_polynomial("twistor", 2), squares)
     pose = jnp.array([0.3, 0.2, 0.1])
     assert_close(energy(pose), energy.numerator(pose) / squares(pose))
     step = 1e-6 * jnp.eye(3)
@@ -166,14 +170,16 @@ def test_a_denominator_of_squares_has_no_zero():
 def test_is_a_hinge_of_a_mechanism(name):
     """Under a load it rests where the hinge's wrench is the load's."""
     powers = ((0, 2, 0, 0), (0, 0, 2, 0), (0, 0, 0, 2), (0, 4, 0, 0), (0, 2, 0, 2))
-    energy = tj.Polynomial([2.0, 30.0, 9.0, 1.0, 20.0], powers)
+    energy = tj.energies.Polynomial([2.0, 30.0, 9.0, 1.0, 20.0], powers)
     if name == "rational":
-        energy = tj.Rational(energy, tj.Squares([[0.3]], [(0, 0, 0, 1)]))
+        energy = tj.energies.Rational(
+            energy, tj.energies.SumOfSquares([[0.3]], [(0, 0, 0, 1)])
+        )
     bodies = [tj.Body("wall"), tj.Body("block")]
     hinge = tj.Hinge("hinge", "wall", "block", energy, at=(0, 0, 0))
-    mechanism = tj.Mechanism(bodies, [hinge], held=["wall"])
-    rest = tj.equilibrium(mechanism, loads=[tj.Load("block", (0.3, 1.0, 2.0))])
-    pose = rest.pose("block")
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    solution = tj.equilibrium(mechanism, loads=[tj.Load("block", (0.3, 1.0, 2.0))])
+    pose = solution.pose("block")
     assert jnp.abs(pose[0]) > 0.05
     wrench = jax.grad(energy)(pose)
     assert_close(wrench, jnp.array([0.3, 1.0, 2.0]), digits=8)
@@ -183,17 +189,38 @@ def test_is_a_hinge_of_a_mechanism(name):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: tj.Polynomial([1.0], [(0, 2)]), "must be 4 whole numbers"),
-        (lambda: tj.Polynomial([1.0], [(0, -1, 0, 0)]), "must be 4 whole numbers"),
-        (lambda: tj.Polynomial([1.0, 2.0], [(0, 2, 0, 0)]), "there are 1 `powers`"),
-        (lambda: tj.Polynomial([1.0, 2.0], 2 * [(0, 2, 0, 0)]), "more than once"),
-        (lambda: tj.Polynomial([np.nan], [(0, 2, 0, 0)]), "powers (0, 2, 0, 0) is not"),
-        (lambda: tj.Polynomial([1.0], [(2, 0, 0)], "polar"), "'twist', 'twistor'"),
-        (lambda: tj.Polynomial([1.0], [(0, 2, 0, 0)], scale=0.0), "must be positive"),
-        (lambda: tj.monomials(-1), "a whole number from 0 on"),
-        (lambda: tj.monomials(2, symmetry=["round"]), "'mirror', 'ends'"),
-        (lambda: tj.monomials(2, "twist", symmetry=["sign"]), "of the twistor alone"),
-        (lambda: tj.Squares([[1.0]], [(0, 2, 0, 0)] * 2), "more than once"),
+        (lambda: tj.energies.Polynomial([1.0], [(0, 2)]), "must be 4 whole numbers"),
+        (
+            lambda: tj.energies.Polynomial([1.0], [(0, -1, 0, 0)]),
+            "must be 4 whole numbers",
+        ),
+        (
+            lambda: tj.energies.Polynomial([1.0, 2.0], [(0, 2, 0, 0)]),
+            "there are 1 `powers`",
+        ),
+        (
+            lambda: tj.energies.Polynomial([1.0, 2.0], 2 * [(0, 2, 0, 0)]),
+            "more than once",
+        ),
+        (
+            lambda: tj.energies.Polynomial([np.nan], [(0, 2, 0, 0)]),
+            "powers (0, 2, 0, 0) is not",
+        ),
+        (
+            lambda: tj.energies.Polynomial([1.0], [(2, 0, 0)], "polar"),
+            "'twist', 'twistor'",
+        ),
+        (
+            lambda: tj.energies.Polynomial([1.0], [(0, 2, 0, 0)], scale=0.0),
+            "must be positive",
+        ),
+        (lambda: tj.energies.monomials(-1), "a whole number from 0 on"),
+        (lambda: tj.energies.monomials(2, symmetry=["round"]), "'mirror', 'ends'"),
+        (
+            lambda: tj.energies.monomials(2, "twist", symmetry=["sign"]),
+            "of the twistor alone",
+        ),
+        (lambda: tj.energies.SumOfSquares([[1.0]], [(0, 2, 0, 0)] * 2), "more than once"),
     ],
 )
 def test_bad_input_is_told(make, message):
@@ -203,6 +230,10 @@ def test_bad_input_is_told(make, message):
 
 
 def test_the_symmetry_of_a_leaf_may_stand_in_a_list():
-    assert tj.monomials(4, symmetry=["leaf"]) == tj.monomials(4, symmetry="leaf")
-    both = tj.monomials(4, "tension", symmetry=["leaf", "exchange"])
-    assert both == tj.monomials(4, "tension", symmetry=["mirror", "ends", "exchange"])
+    assert tj.energies.monomials(4, symmetry=["leaf"]) == tj.energies.monomials(
+        4, symmetry="leaf"
+    )
+    both = tj.energies.monomials(4, "tension", symmetry=["leaf", "exchange"])
+    assert both == tj.energies.monomials(
+        4, "tension", symmetry=["mirror", "ends", "exchange"]
+    )

@@ -17,7 +17,7 @@ FAR, THERE = [-1.0, 0.7], [[9.0, 0.2], [8.5, -0.6]]  # beyond reach of the poses
 
 
 def charges():
-    return tj.Coulomb(CHARGES, SITES, FAR, THERE, constant=3.0)
+    return tj.energies.PointCharges(CHARGES, SITES, FAR, THERE, constant=3.0)
 
 
 def moved_by_hand(angle, x, y):
@@ -44,7 +44,9 @@ def test_charges_push_by_the_inverse_square_of_their_distance():
 
 def test_a_charge_sees_those_of_the_other_body_alone():
     """Two like charges a metre apart, both on one body: only the pair between counts."""
-    energy = tj.Coulomb([1.0], [[0.0, 0.0]], [1.0, 1.0], [[0.0, 0.0], [1.0, 0.0]])
+    energy = tj.energies.PointCharges(
+        [1.0], [[0.0, 0.0]], [1.0, 1.0], [[0.0, 0.0], [1.0, 0.0]]
+    )
     assert_close(energy(jnp.array([0.0, 1.0, 0.0])), 1.5 * 8.9875517862e9)
     assert np.isinf(energy(jnp.zeros(3)))  # where sites meet
 
@@ -61,19 +63,19 @@ def test_a_charge_sees_those_of_the_other_body_alone():
 )
 def test_charges_that_do_not_fit_are_told(given, message):
     with pytest.raises(ValueError) as error:
-        tj.Coulomb(*given)
+        tj.energies.PointCharges(*given)
     assert message in str(error.value)
 
 
 def a_quotient(coordinates="twistor"):
     """One with a denominator between 0.2 and 1.8 at the poses below."""
-    powers = tj.monomials(2, coordinates)
+    powers = tj.energies.monomials(2, coordinates)
     numerator, denominator = np.random.default_rng(4).normal(size=(2, len(powers)))
     one = np.array([not any(row) for row in powers], float)
     denominator = one + 0.5 * (1 - one) * denominator / np.abs(denominator).sum()
-    return tj.Rational(
-        tj.Polynomial(numerator, powers, coordinates, 0.8),
-        tj.Polynomial(denominator, powers, coordinates, 0.8),
+    return tj.energies.Rational(
+        tj.energies.Polynomial(numerator, powers, coordinates, 0.8),
+        tj.energies.Polynomial(denominator, powers, coordinates, 0.8),
     )
 
 
@@ -82,7 +84,7 @@ def some_trials(energy, count=40, seed=0, size=0.8):
     energies, wrenches = jax.jit(
         jax.vmap(lambda pose: (energy(pose), energy.wrench(pose)))
     )(poses)
-    return tj.Trials(poses, wrenches, energies)
+    return tj.energies.Trials(poses, wrenches, energies)
 
 
 @pytest.mark.parametrize("coordinates", ["twistor", "twist"])
@@ -90,7 +92,7 @@ def test_a_quotient_is_found_again(coordinates):
     """From wrenches and energies; its constant, which no wrench tells, included."""
     truth = a_quotient(coordinates)
     trials, fresh = some_trials(truth), some_trials(truth, seed=1)
-    fit = tj.fit_rational(
+    fit = tj.energies.fit_rational(
         trials, 2, coordinates=coordinates, ridge=0.0, scale=0.5, held_out=fresh
     )
     assert fit.rank == fit.terms
@@ -100,14 +102,14 @@ def test_a_quotient_is_found_again(coordinates):
     assert 0 < fit.lowest < fit.highest
 
 
-BASE = tj.Polynomial([2.0, 1.0, 1.0], [(0,) * 4, (0, 0, 2, 0), (0, 0, 0, 2)])
+BASE = tj.energies.Polynomial([2.0, 1.0, 1.0], [(0,) * 4, (0, 0, 2, 0), (0, 0, 0, 2)])
 
 
 def test_its_errors_are_those_of_its_energy():
     """As the quotient itself says, by differentiation; of poses farther out, too."""
     beyond = {"count": 20, "seed": 1, "size": 1.6}
     trials, others = some_trials(charges()), some_trials(charges(), **beyond)
-    fit = tj.fit_rational(trials, 2, base=BASE, scale=0.5, held_out=others)
+    fit = tj.energies.fit_rational(trials, 2, base=BASE, scale=0.5, held_out=others)
     mine = some_trials(fit.energy, **beyond)
     energies = np.asarray(others.energies - mine.energies)
     wrenches = np.asarray(others.wrenches - mine.wrenches)
@@ -124,16 +126,18 @@ def test_its_errors_are_those_of_its_energy():
 def noisy():
     """Energies without rhyme, which a free denominator meets by poles between them."""
     poses = some_trials(charges()).poses
-    return tj.Trials(poses, energies=np.random.default_rng(7).normal(size=len(poses)))
+    return tj.energies.Trials(
+        poses, energies=np.random.default_rng(7).normal(size=len(poses))
+    )
 
 
 def test_a_ridge_keeps_poles_away():
     with pytest.warns(UserWarning, match="the denominator changes sign"):
-        free = tj.fit_rational(noisy(), 2, ridge=0.0)
+        free = tj.energies.fit_rational(noisy(), 2, ridge=0.0)
     assert free.has_poles
     assert "warning: the denominator changes sign" in repr(free)
     asked = 2 * np.asarray(some_trials(charges(), 60, seed=3).poses)
-    kept = tj.fit_rational(noisy(), 2, clear_of=asked)
+    kept = tj.energies.fit_rational(noisy(), 2, clear_of=asked)
     assert kept.ridge > 1e-4
     denominators = [kept.energy.denominator(jnp.asarray(pose)) for pose in asked]
     assert min(denominators) > 0.1
@@ -141,7 +145,7 @@ def test_a_ridge_keeps_poles_away():
 
 
 def test_a_base_alone_is_the_denominator_at_any_pose():
-    fit = tj.fit_rational(noisy(), 2, base=BASE, denominator="base", scale=0.5)
+    fit = tj.energies.fit_rational(noisy(), 2, base=BASE, denominator="base", scale=0.5)
     for pose in some_poses(2, 12):
         assert_close(fit.energy.denominator(pose), BASE(pose))
     assert (fit.lowest, fit.highest) == (1.0, 1.0)
@@ -149,7 +153,7 @@ def test_a_base_alone_is_the_denominator_at_any_pose():
 
 def test_a_fit_that_interpolates_is_told():
     with pytest.warns(UserWarning, match="interpolates: 27 coefficients for 5 numbers"):
-        fit = tj.fit_rational(noisy()[np.arange(5)], 2, ridge=0.0)
+        fit = tj.energies.fit_rational(noisy()[np.arange(5)], 2, ridge=0.0)
     assert fit.rank == fit.equations == 5
 
 
@@ -162,20 +166,23 @@ def test_a_fit_that_interpolates_is_told():
         ({"denominator": "none"}, "must be one of 'free', 'base'"),
         ({"clear_of": [[0.0, 1.0]]}, "`clear_of` has shape (1, 2)"),
         (
-            {"base": tj.Polynomial([1.0], [(0, 0, 0)], "twist")},
+            {"base": tj.energies.Polynomial([1.0], [(0, 0, 0)], "twist")},
             "`base` is a polynomial of the twist, but must be one of the twistor",
         ),
-        ({"base": tj.Polynomial([1.0], [(2, 0, 0, 0)])}, "write it as 1 - xi^2"),
-        ({"base": tj.Polynomial([1.0], [(0, 1, 0, 0)])}, "must be positive at all"),
+        ({"base": tj.energies.Polynomial([1.0], [(2, 0, 0, 0)])}, "write it as 1 - xi^2"),
+        (
+            {"base": tj.energies.Polynomial([1.0], [(0, 1, 0, 0)])},
+            "must be positive at all",
+        ),
     ],
 )
 def test_bad_settings_are_told(settings, message):
     with pytest.raises(ValueError) as error:
-        tj.fit_rational(noisy(), 2, **settings)
+        tj.energies.fit_rational(noisy(), 2, **settings)
     assert message in str(error.value)
 
 
 def test_wrenches_alone_are_refused():
-    trials = tj.Trials([[0.1, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    trials = tj.energies.Trials([[0.1, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
     with pytest.raises(ValueError, match="give both, or take `fit_energy`"):
-        tj.fit_rational(trials, 2)
+        tj.energies.fit_rational(trials, 2)

@@ -7,7 +7,7 @@ import pytest
 from helpers import assert_close
 
 import twistorjax as tj
-from twistorjax.cases import random_data
+from twistorjax.examples import random_data
 
 
 pytestmark = pytest.mark.slow
@@ -20,7 +20,7 @@ def study():
 
 def test_the_trials_are_those_of_the_dissertation():
     reference = pathlib.Path(__file__).parent / "reference" / "random_trials.csv"
-    given, trials = tj.read_trials(reference), random_data.trials()
+    given, trials = tj.energies.read_trials(reference), random_data.trials()
     np.testing.assert_array_equal(trials.poses, given.poses)
     np.testing.assert_array_equal(trials.wrenches, given.wrenches)
     largest = np.abs(trials.wrenches).max(axis=0)
@@ -55,7 +55,7 @@ def test_none_is_foretold_by_the_others(study):
     others = study.trials[np.arange(17) != row]
     with pytest.warns(UserWarning, match="interpolates"):
         fit = tj.fit_energy(
-            *(others, 4), redundant=True, rest="free", ridge=0.0,
+            *(others, 4), redundant=True, reference="free", ridge=0.0,
             scale=float(study.fit.energy.scale),
         )  # fmt: skip
     wrench = fit.energy.wrench(study.trials.poses[row])

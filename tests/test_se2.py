@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 from helpers import assert_close, some_poses, some_stiffness
 
-from twistorjax import se2
+from twistorjax.geometry import se2
 
 
 def matrix(pose):
@@ -171,7 +171,7 @@ def test_adjoint_is_that_of_equation_3_23():
 def test_power_does_not_depend_on_the_observer():
     wrench = jnp.array([0.7, -1.3, 2.1])
     for pose, twist in zip(some_poses(0), some_poses(1), strict=True):
-        outside = se2.carry_wrench(pose, wrench) @ (se2.adjoint(pose) @ twist)
+        outside = se2.transform_wrench(pose, wrench) @ (se2.adjoint(pose) @ twist)
         assert_close(outside, wrench @ twist)
 
 
@@ -182,12 +182,12 @@ def test_wrenches_travel_by_equation_3_60():
     expected[0, 1:] = np.array([-2.0, 1.0]) @ rotation
     expected[1:, 1:] = rotation
     wrench = jnp.array([0.7, -1.3, 2.1])
-    assert_close(se2.carry_wrench(pose, wrench), expected @ wrench)
+    assert_close(se2.transform_wrench(pose, wrench), expected @ wrench)
 
 
 def test_stiffness_and_wrench_travel_together():
     stiffness = some_stiffness(0)
     for pose, twist in zip(some_poses(0), some_poses(1), strict=True):
-        inside = se2.carry_wrench(pose, stiffness @ twist)
-        outside = se2.carry_stiffness(pose, stiffness) @ (se2.adjoint(pose) @ twist)
+        inside = se2.transform_wrench(pose, stiffness @ twist)
+        outside = se2.transform_stiffness(pose, stiffness) @ (se2.adjoint(pose) @ twist)
         assert_close(outside, inside, digits=11)

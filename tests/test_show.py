@@ -17,8 +17,8 @@ from matplotlib.colors import to_hex
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 
 import twistorjax as tj
-from twistorjax.cases import four_bar, stage
-from twistorjax.show import canvas
+from twistorjax.examples import four_bar, stage
+from twistorjax.plotting import canvas
 
 
 @pytest.fixture(autouse=True)
@@ -33,10 +33,10 @@ def polygons(axes):
 
 def test_a_body_is_drawn_where_it_is_in_millimetres():
     mechanism = stage.microstage()
-    poses = mechanism.rest.at[5].add(jnp.array([0.0, 1e-3, 0.0]))
+    poses = mechanism.reference.at[5].add(jnp.array([0.0, 1e-3, 0.0]))
     axes = tj.draw(mechanism, poses, ghost=False, magnify=2.0)
     drawn = polygons(axes)[5].get_xy()[:-1]
-    outline = np.asarray(mechanism.outlines[5] + mechanism.rest[5, 1:][None])
+    outline = np.asarray(mechanism.outlines[5] + mechanism.reference[5, 1:][None])
     assert_close(drawn, 1e3 * outline + np.array([2.0, 0.0]))
     assert "magnified 2 times" in axes.get_title()
 
@@ -49,10 +49,10 @@ def test_a_hinge_keeps_to_both_bodies():
     neck = polygons(axes)[len(mechanism.names)].get_xy()[:-1]  # hinge a: bodies 2 and 6
     outline = np.asarray(mechanism.hinge_outlines[0])
     for end, name in ((outline[:, 0].argmin(), "2"), (outline[:, 0].argmax(), "6")):
-        rest = mechanism.rest[mechanism.index(name)]
+        solution = mechanism.reference[mechanism.index(name)]
         corner = mechanism.at[0, 1:] + outline[end]
-        pose = rest + 80 * moved.displacement(name)
-        expected = tj.se2.act(pose, corner - rest[1:])
+        pose = solution + 80 * moved.displacement(name)
+        expected = tj.geometry.se2.act(pose, corner - solution[1:])
         assert_close(neck[end], 1e3 * expected, digits=10)
 
 
@@ -69,7 +69,7 @@ def test_bodies_and_hinges_without_outlines_are_drawn_too():
     mechanism = tj.Mechanism(
         [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))],
         [tj.Hinge("h", "a", "b", spring, at=(0.0, 0.5, 0.0))],
-        held=["a"],
+        fixed=["a"],
     )
     axes = tj.draw(mechanism)
     assert len(polygons(axes)) == 3  # two spokes and a dot
@@ -80,13 +80,13 @@ def test_names_can_be_left_out():
     assert not tj.draw(stage.microstage(), names=False).texts
 
 
-def arrows(axes, colour):
+def arrows(axes, color):
     """Where arrows of a colour start and end; mm."""
     return [
         np.array(patch._posA_posB)
         for patch in axes.patches
         if isinstance(patch, FancyArrowPatch)
-        and to_hex(patch.get_edgecolor()) == canvas.__dict__[colour]
+        and to_hex(patch.get_edgecolor()) == canvas.__dict__[color]
     ]
 
 
@@ -95,15 +95,17 @@ def test_loads_are_arrows_from_where_they_act():
     linkage = four_bar.four_bar()
     loads = [
         tj.Load("3", (0.0, 4.0, 0.0), at=(0.02, 0.0)),
-        tj.Load("2", (0.0, 0.0, 3.0), follows=True),
+        tj.Load("2", (0.0, 0.0, 3.0), follower=True),
     ]
-    rest = tj.equilibrium(linkage, loads=loads)
-    axes = tj.draw(linkage, rest, loads=loads, names=False)
+    solution = tj.equilibrium(linkage, loads=loads)
+    axes = tj.draw(linkage, solution, loads=loads, names=False)
     far, follower = arrows(axes, "RED")
-    assert_close(far[0], 1e3 * tj.se2.act(rest.pose("3"), jnp.array([0.02, 0.0])))
+    assert_close(
+        far[0], 1e3 * tj.geometry.se2.act(solution.pose("3"), jnp.array([0.02, 0.0]))
+    )
     size = 70.0  # from below the ground link to above the top one; mm
     assert_close(far[1] - far[0], [0.2 * size, 0.0])
-    angle = float(rest.pose("2")[0])
+    angle = float(solution.pose("2")[0])
     along = np.array([-np.sin(angle), np.cos(angle)])
     assert_close(follower[1] - follower[0], 0.75 * 0.2 * size * along)
     assert {text.get_text() for text in axes.texts} == {"4 N", "3 N"}
@@ -123,11 +125,11 @@ def test_reactions_balance_in_the_picture():
 def test_hinges_are_coloured_by_what_they_store():
     mechanism = stage.microstage()
     moved = stage.amplify(mechanism).equilibrium
-    axes = tj.draw(mechanism, moved, colour="energy", names=False)
+    axes = tj.draw(mechanism, moved, color="energy", names=False)
     bar = axes.figure.axes[1]
     assert bar.get_ylabel() == "energy (µJ)"
     stored = {
-        name: mechanism.couplings.energy_of(k)(
+        name: mechanism.hinge_assembly.energy_of(k)(
             mechanism.displacement_of(name, moved.poses)
         )
         for k, name in enumerate(mechanism.hinge_names)
@@ -137,13 +139,13 @@ def test_hinges_are_coloured_by_what_they_store():
     necks = polygons(axes)[-7:]
     brightest = max(range(7), key=lambda k: sum(necks[k].get_facecolor()[:2]))
     assert "abcdefg"[brightest] == max(stored, key=stored.get)
-    with pytest.raises(ValueError, match="`colour` names the hinge 'h'"):
-        tj.draw(mechanism, moved, colour={"h": 1.0})
+    with pytest.raises(ValueError, match="`color` names the hinge 'h'"):
+        tj.draw(mechanism, moved, color={"h": 1.0})
 
 
 def test_pins_and_sliders_are_where_their_bodies_carry_them():
     linkage = four_bar.four_bar()
-    poses = linkage.rest.at[2].add(jnp.array([0.0, 5e-3, 0.0]))
+    poses = linkage.reference.at[2].add(jnp.array([0.0, 5e-3, 0.0]))
     joints = [
         tj.Pin("pin", "1", "3", at=(0.01, 0.065)),
         tj.Slider("rail", "1", "3", at=(0.0, 0.0, 0.065)),
@@ -168,7 +170,7 @@ def test_axes_have_units_that_fit(count, word):
     spring = tj.Quadratic(jnp.eye(3))
     bodies = [tj.Body("a"), tj.Body("b", (0.0, count, 0.0))]
     hinge = tj.Hinge("h", "a", "b", spring, at=(0.0, count / 2, 0.0))
-    axes = tj.draw(tj.Mechanism(bodies, [hinge], held=["a"]))
+    axes = tj.draw(tj.Mechanism(bodies, [hinge], fixed=["a"]))
     assert axes.get_xlabel() == f"x ({word})"
 
 
@@ -180,7 +182,7 @@ def test_a_batch_or_no_answer_is_not_drawn():
     with pytest.raises(ValueError, match=r"batch of answers, of shape \(3,\)"):
         tj.draw(linkage, many)
     with pytest.raises(ValueError, match="not finite"):
-        tj.draw(linkage, linkage.rest * jnp.nan)
+        tj.draw(linkage, linkage.reference * jnp.nan)
 
 
 def test_a_path_of_equilibria_is_a_film():
@@ -221,10 +223,14 @@ def test_a_vibration_swings_in_its_shape():
 def test_a_landscape_shows_what_is_stored_and_where_it_is_known():
     """A leaf stores half k times its turn squared; beyond its range, white."""
     alloy = tj.Material(69e9, 0.33)
-    blade = tj.leaf(alloy, length=0.01, thickness=1e-3, width=5e-3, coordinates="twist")
+    blade = tj.flexures.leaf(
+        alloy, length=0.01, thickness=1e-3, width=5e-3, coordinates="twist"
+    )
     bending = float(blade.stiffness[0, 0])
-    sure = tj.Certified(blade, turn=0.2, force=1e9, error=[0.0, 0.0, 0.0])
-    panel = tj.draw_energy(sure, turn=0.4).axes[0]
+    sure = tj.energies.WithValidityRange(
+        blade, turn=0.2, force=1e9, error=[0.0, 0.0, 0.0]
+    )
+    panel = tj.plotting.draw_energy(sure, turn=0.4).axes[0]
     assert panel.get_title() == "energy (mJ)"
     levels = panel.collections[0]
 
@@ -241,10 +247,10 @@ def test_a_landscape_shows_what_is_stored_and_where_it_is_known():
 
 def test_answers_of_a_sweep_are_drawn_over_their_parameters():
     """A line over one parameter, colours over two; what cannot be drawn is refused."""
-    from twistorjax.show.charts import chart
+    from twistorjax.plotting.charts import chart
 
     def study(design):
-        energy = tj.Column(design["a"] * design["b"], unit="J")
+        energy = tj.solve.Column(design["a"] * design["b"], unit="J")
         return {"energy": energy, "whole": jnp.ones(3) * design["a"]}
 
     grid = tj.Grid({"a": np.linspace(1e-3, 2e-3, 5), "b": np.linspace(1.0, 3.0, 4)})
@@ -263,8 +269,8 @@ def test_answers_of_a_sweep_are_drawn_over_their_parameters():
 
 def test_a_neck_is_no_higher_than_its_bodies():
     """It ends as wide as its holes, flat where these reach beyond the bodies."""
-    plain = tj.notch_outline(hole=8e-3, web=0.5e-3)
-    cut = tj.notch_outline(hole=8e-3, web=0.5e-3, height=5e-3)
+    plain = tj.flexures.notch_outline(hole=8e-3, web=0.5e-3)
+    cut = tj.flexures.notch_outline(hole=8e-3, web=0.5e-3, height=5e-3)
     assert_close(jnp.abs(cut[:, 1]).max(), 2.5e-3)
     assert_close(jnp.abs(cut[:, 0]).max(), 4e-3)
     inside = np.abs(plain[:, 1]) < 2.5e-3

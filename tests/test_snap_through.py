@@ -24,7 +24,7 @@ def shallow_arch():
         tj.Hinge("2", "l", "r", soft, (0, 0, 0.1)),
         tj.Hinge("3", "r", "wall", soft, (0, 1, 0)),
     ]
-    return tj.Mechanism(bodies, hinges, held=["wall"])
+    return tj.Mechanism(bodies, hinges, fixed=["wall"])
 
 
 def test_no_load_beyond_its_limit_leads_through_the_snap_of_an_arch():
@@ -48,7 +48,7 @@ def test_no_load_beyond_its_limit_leads_through_the_snap_of_an_arch():
     loads = jnp.array([0.5 * limit, 0.99 * limit, 1.01 * limit, 3.0, 20.0, 40.0, 100.0])
     pushed = jax.vmap(push)(loads)
     assert pushed.succeeded.tolist() == [True, True, *5 * [False]]
-    assert set(tj.outcomes(pushed.result)[2:]) == {"no_equilibrium"}
+    assert set(tj.result_names(pushed.result)[2:]) == {"no_equilibrium"}
     np.testing.assert_allclose(pushed.fraction[2:] * loads[2:], limit, rtol=2e-3)
 
 
@@ -66,7 +66,7 @@ def test_a_truss_is_not_thrown_over_by_any_load():
     truss = tj.Mechanism(
         [*bodies, tj.Body("apex", (0, 0, 0.02))],
         hinges,
-        held={"wall": ("angle", "x", "y"), "apex": ("angle",)},
+        fixed={"wall": ("angle", "x", "y"), "apex": ("angle",)},
     )
 
     def press(load):
@@ -106,7 +106,7 @@ def bars(count, coordinates, frame):
             for k in range(count + 1)
         ]
         load = tj.Load(names[count // 2], design["wrench"], at=(design["at"], 0.0))
-        return tj.Mechanism(bodies, hinges, held=["wall"]), load
+        return tj.Mechanism(bodies, hinges, fixed=["wall"]), load
 
     return build
 
@@ -137,15 +137,15 @@ def small_steps(mechanism, load, rise):
     Returns the fraction of the load up to which it is stable, and where it ends. Forces
     and stiffnesses are derivatives of the energy of the mechanism.
     """
-    free = np.arange(3, mechanism.rest.size)
+    free = np.arange(3, mechanism.reference.size)
     body = mechanism.index(load.body)
 
     def potential(moved, fraction):
-        moved = jnp.zeros(mechanism.rest.size).at[free].set(moved).reshape(-1, 3)
+        moved = jnp.zeros(mechanism.reference.size).at[free].set(moved).reshape(-1, 3)
         turn, shift = moved[body, 0], moved[body, 1:]
-        arm = tj.se2._turn(mechanism.rest[body, 0] + turn, load.at)
+        arm = tj.geometry.se2._turn(mechanism.reference[body, 0] + turn, load.at)
         work = load.wrench[0] * turn + load.wrench[1:] @ (shift + arm)
-        return mechanism.energy(mechanism.rest + moved) - fraction * work
+        return mechanism.energy(mechanism.reference + moved) - fraction * work
 
     slope, curvature = jax.grad(potential), jax.hessian(potential)
 

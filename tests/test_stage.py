@@ -14,7 +14,7 @@ import pytest
 from helpers import assert_close
 
 import twistorjax as tj
-from twistorjax.cases import stage
+from twistorjax.examples import stage
 
 
 pytestmark = pytest.mark.slow
@@ -88,25 +88,25 @@ def test_rigid_levers_on_pins():
 
     def gain(factor):
         mechanism = stage.microstage()
-        (stack,) = mechanism.couplings.stacks
+        (stack,) = mechanism.hinge_assembly.groups
         stretched = stack.energy.stiffness * jnp.array([1.0, factor, factor])[None]
         stiff = tj.Quadratic(stretched)
         bodies = [
-            tj.Body(name, rest)
-            for name, rest in zip(mechanism.names, mechanism.rest, strict=True)
+            tj.Body(name, reference)
+            for name, reference in zip(mechanism.names, mechanism.reference, strict=True)
         ]
         hinges = [
             tj.Hinge(name, mechanism.names[a], mechanism.names[b], stiff, at)
             for name, (a, b), at in zip(
                 mechanism.hinge_names,
-                mechanism.couplings.ends,
+                mechanism.hinge_assembly.ends,
                 mechanism.at,
                 strict=True,
             )
         ]
-        held = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
-        rigid = tj.Mechanism(bodies, hinges, held)
-        small = tj.linearise(rigid, {"6": ["x"]})
+        fixed = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
+        rigid = tj.Mechanism(bodies, hinges, fixed)
+        small = tj.linearize(rigid, {"6": ["x"]})
         return small(drives=[tj.Drive("6", x=1.0)]).displacement("4")[1]
 
     shortfalls = [amplification - gain(factor) for factor in (1e3, 1e5)]
@@ -120,14 +120,14 @@ def test_masses_are_those_of_the_listing():
         row = mechanism.index(body)
         np.testing.assert_allclose(mechanism.masses[row], expected["mass_kg"])
         np.testing.assert_allclose(mechanism.inertias[row], expected["inertia_kg_m2"])
-        np.testing.assert_allclose(mechanism.rest[row, 1:], expected["position_m"])
+        np.testing.assert_allclose(mechanism.reference[row, 1:], expected["position_m"])
 
 
 def test_hinges_are_those_of_the_listing():
     mechanism = stage.microstage()
     for name, (first, second, x, y) in REFERENCE["hinges_m"].items():
         row = mechanism.hinge_names.index(name)
-        ends = {mechanism.names[body] for body in mechanism.couplings.ends[row]}
+        ends = {mechanism.names[body] for body in mechanism.hinge_assembly.ends[row]}
         assert ends == {str(first), str(second)}
         np.testing.assert_allclose(mechanism.at[row], [0.0, x, y])
 

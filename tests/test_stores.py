@@ -47,12 +47,15 @@ def test_parameters_that_a_store_cannot_keep_are_refused_at_once(tmp_path, name,
 def test_answers_that_a_store_cannot_keep_are_refused_before_they_are_compiled(
     tmp_path, name, monkeypatch
 ):
-    monkeypatch.setattr("twistorjax.sweeps.engine.Program._compile", never)
+    monkeypatch.setattr("twistorjax.sweeps.executor.Program._compile", never)
     for answer in (
         {name: 1.0},
         {"b": {name: 1.0}},
-        {"b": tj.Column(jnp.ones(1), ("x",), "", ((name, ("one",)),))},
-        {"b": {name: tj.Column(jnp.ones(1), (name,))}, "y": tj.Column(jnp.ones(1))},
+        {"b": tj.solve.Column(jnp.ones(1), ("x",), "", ((name, ("one",)),))},
+        {
+            "b": {name: tj.solve.Column(jnp.ones(1), (name,))},
+            "y": tj.solve.Column(jnp.ones(1)),
+        },
     )[: 2 if name != "finished" else 1]:
         with pytest.raises(ValueError, match="cannot keep the name"):
             tj.sweep(lambda d, a=answer: a, {"c": ONE}, store=tmp_path / "s.zarr")
@@ -91,37 +94,43 @@ SIDE = ("side", ("left", "right", "back"))
     [
         (
             tj.Grid({"side": ONE}),
-            {"y": tj.Column(jnp.ones(3), ("side",))},
+            {"y": tj.solve.Column(jnp.ones(3), ("side",))},
             "'y' has an axis 'side', but that is an axis of the designs",
         ),
         (
             {"side": ONE},
-            {"y": tj.Column(jnp.ones(3), ("side",), "", (SIDE,))},
+            {"y": tj.solve.Column(jnp.ones(3), ("side",), "", (SIDE,))},
             "'side' is an axis that has values or labels of its own",
         ),
         (
             {"k": ONE},
-            {"y": tj.Column(jnp.ones(2), ("side",), "", (SIDE,))},
+            {"y": tj.solve.Column(jnp.ones(2), ("side",), "", (SIDE,))},
             "'y' has 2 entries along 'side', but 3 labels",
         ),
         (
             {"k": ONE},
             {
-                "y": tj.Column(jnp.ones(3), ("side",), "", (SIDE,)),
-                "z": tj.Column(jnp.ones(3), ("side",), "", (("side", ("a", "b", "c")),)),
+                "y": tj.solve.Column(jnp.ones(3), ("side",), "", (SIDE,)),
+                "z": tj.solve.Column(
+                    jnp.ones(3), ("side",), "", (("side", ("a", "b", "c")),)
+                ),
             },
             "The axis 'side' of 'z' has other labels",
         ),
         (
             {"time_places": ONE},
-            {"time": tj.Column(jnp.ones(3), ("time",))},
+            {"time": tj.solve.Column(jnp.ones(3), ("time",))},
             "'time_places' is the name of a parameter or of an answer",
         ),
-        ({"k": ONE}, {"y": tj.Column(jnp.ones(3))}, "'y' has shape (3,), but its axes"),
+        (
+            {"k": ONE},
+            {"y": tj.solve.Column(jnp.ones(3))},
+            "'y' has shape (3,), but its axes",
+        ),
     ],
 )
 def test_axes_that_a_table_cannot_have_are_refused(designs, answer, message, monkeypatch):
-    monkeypatch.setattr("twistorjax.sweeps.engine.Program._compile", never)
+    monkeypatch.setattr("twistorjax.sweeps.executor.Program._compile", never)
     with pytest.raises(ValueError) as error:
         tj.sweep(lambda design: answer, designs)
     assert message in str(error.value)
@@ -314,14 +323,14 @@ def test_a_table_beyond_the_memory_is_refused_before_any_work(tmp_path, designs,
 
 def test_answers_beyond_the_memory_are_refused_before_they_are_compiled(monkeypatch):
     """A million designs of a gigabyte each."""
-    monkeypatch.setattr("twistorjax.sweeps.engine.Program._compile", never)
+    monkeypatch.setattr("twistorjax.sweeps.executor.Program._compile", never)
     with pytest.raises(ValueError) as error:
         tj.sweep(lambda d: d["a"] * jnp.ones(2**27), large(2**20), chunk=1)
     assert "1,048,576 designs needs at least 1.05e+06 GiB" in str(error.value)
 
 
 def test_where_the_memory_is_not_known_its_end_is_a_clear_error(monkeypatch):
-    monkeypatch.setattr("twistorjax.sweeps.machine._memory", lambda: None)
+    monkeypatch.setattr("twistorjax.sweeps.memory._memory", lambda: None)
     with pytest.raises(ValueError, match="the memory of this machine cannot hold"):
         tj.sweep(area, {name: np.broadcast_to(1.0, 2**46) for name in "ab"})
 
@@ -329,10 +338,12 @@ def test_where_the_memory_is_not_known_its_end_is_a_clear_error(monkeypatch):
 @pytest.mark.parametrize("method", ["sobol", "latin", "random"])
 def test_more_samples_than_the_memory_holds_are_refused(method):
     with pytest.raises(ValueError, match=r"at least 1\.49e\+06 GiB"):
-        tj.sampled({"a": tj.Uniform([0.0, 0.0], 1.0)}, 10**14, method=method)
+        tj.sweeps.sample_designs(
+            {"a": tj.sweeps.Uniform([0.0, 0.0], 1.0)}, 10**14, method=method
+        )
     with pytest.raises(ValueError, match=r"at least 1\.49e\+06 GiB"):
-        spread = {"a": tj.Uniform([0.0, 0.0], 1.0)}
-        tj.tolerances(never, spread, count=10**14, method=method)
+        spread = {"a": tj.sweeps.Uniform([0.0, 0.0], 1.0)}
+        tj.sweeps.tolerances(never, spread, count=10**14, method=method)
 
 
 def test_more_designs_than_can_be_numbered_are_refused():

@@ -16,7 +16,7 @@ ZERO = tj.Quadratic(jnp.zeros((3, 3)))
 
 
 def leaf(thickness=0.5e-3):
-    return tj.quartic_leaf(STEEL, length=50e-3, thickness=thickness, width=10e-3)
+    return tj.flexures.quartic_leaf(STEEL, length=50e-3, thickness=thickness, width=10e-3)
 
 
 def table(energy, damping=None):
@@ -29,7 +29,7 @@ def table(energy, damping=None):
         for name, x in names.items()
     ]  # fmt: skip
     top = tj.Body("table", (0.0, 0.0, 30e-3), mass=0.1, inertia=1e-4)
-    return tj.Mechanism([tj.Body("base"), top], hinges, held=["base"])
+    return tj.Mechanism([tj.Body("base"), top], hinges, fixed=["base"])
 
 
 def pushed(energy, force=5.0):
@@ -41,7 +41,7 @@ SUMS = {
     "nothing and leaf": lambda leaf: ZERO + leaf,
     "three shares": lambda leaf: 0.2 * leaf + (0.3 * leaf + 0.5 * leaf),
     "a multiple of a sum": lambda leaf: 2.0 * (0.25 * leaf + 0.25 * leaf),
-    "a range of a sum": lambda leaf: tj.Certified(
+    "a range of a sum": lambda leaf: tj.energies.WithValidityRange(
         0.5 * leaf + 0.5 * leaf, turn=1.0, force=1e6, error=[0.0, 0.0, 0.0]
     ),
 }
@@ -57,7 +57,7 @@ def test_a_sum_takes_the_newton_steps_of_its_terms(add):
     def bent(energy):
         hinge = tj.Hinge("leaf", "wall", "tip", energy, (0.0, length / 2, 0.0))
         bodies = [tj.Body("wall"), tj.Body("tip", (0.0, length, 0.0))]
-        beam = tj.Mechanism(bodies, [hinge], held=["wall"])
+        beam = tj.Mechanism(bodies, [hinge], fixed=["wall"])
         return tj.equilibrium(beam, loads=[tj.Load("tip", (0.0, 0.0, force))])
 
     alone, added = bent(thin), bent(add(thin))
@@ -82,32 +82,36 @@ def test_a_sum_moves_and_is_damped_as_its_terms():
 
 def test_a_damping_as_such_acts_once_on_what_the_flexure_resists():
     """It is that of the time that it is made of."""
-    damping = tj.Viscous(1e-4 * leaf().tangent_stiffness(), "twist", resisted=True)
+    damping = tj.energies.ViscousDamping(
+        1e-4 * leaf().tangent_stiffness(), "twist", resisted=True
+    )
     alone, added = released(leaf(), damping), released(ZERO + leaf(), damping)
     np.testing.assert_allclose(added.displacements, alone.displacements, atol=1e-7)
 
 
 def test_the_range_of_a_sum_is_seen():
-    narrow = tj.Certified(leaf() + leaf(), turn=1e-4, force=1e6, error=[0.0, 0.0, 0.0])
+    narrow = tj.energies.WithValidityRange(
+        leaf() + leaf(), turn=1e-4, force=1e6, error=[0.0, 0.0, 0.0]
+    )
     asked = [tj.Drive("table", angle=2e-4)]
     answer = tj.equilibrium(table(narrow), drives=asked, throw=False)
-    assert str(tj.outcomes(answer.result)) == "out_of_range"
+    assert str(tj.result_names(answer.result)) == "out_of_range"
     with pytest.raises(RuntimeError, match=r"'left': it is turned by 0\.0002 rad"):
         tj.equilibrium(table(narrow), drives=asked)
 
 
 def test_a_mechanism_of_sums_is_saved_as_it_is(tmp_path):
-    energy = tj.Certified(
+    energy = tj.energies.WithValidityRange(
         2.0 * (leaf() + ZERO), turn=1.0, force=1e6, error=[0.0, 0.0, 0.0]
     )
     made = table(energy, damping=1e-4)
-    tj.save_mechanism(made, tmp_path / "table.json")
-    loaded = tj.load_mechanism(tmp_path / "table.json")
+    tj.io.save_mechanism(made, tmp_path / "table.json")
+    loaded = tj.io.load_mechanism(tmp_path / "table.json")
     pose = jnp.array([0.01, 1e-6, 1e-4])
     for row in range(2):
-        both = made.couplings.energy_of(row), loaded.couplings.energy_of(row)
-        assert type(both[1]) is tj.Certified
+        both = made.hinge_assembly.energy_of(row), loaded.hinge_assembly.energy_of(row)
+        assert type(both[1]) is tj.energies.WithValidityRange
         assert_close(both[0](pose), both[1](pose))
-    ours, theirs = (jax.tree.leaves(each.couplings) for each in (made, loaded))
+    ours, theirs = (jax.tree.leaves(each.hinge_assembly) for each in (made, loaded))
     for mine, other in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(mine, other)

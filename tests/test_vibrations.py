@@ -8,7 +8,7 @@ import pytest
 from helpers import assert_close
 
 import twistorjax as tj
-from twistorjax.cases import four_bar, stage
+from twistorjax.examples import four_bar, stage
 
 
 # By another program in 50 digits; Hz
@@ -22,12 +22,12 @@ FOUR_BAR = [
 
 
 def test_the_dissertations_mechanisms_vibrate_as_the_reference_does(validated):
-    held = tj.vibrations(stage.microstage(), {"6": ["x"]})
-    np.testing.assert_allclose(held.frequencies[:6], STAGE, rtol=1e-7)
+    fixed = tj.vibrations(stage.microstage(), {"6": ["x"]})
+    np.testing.assert_allclose(fixed.frequencies[:6], STAGE, rtol=1e-7)
     found = tj.vibrations(four_bar.four_bar())
     np.testing.assert_allclose(found.frequencies, FOUR_BAR, rtol=1e-7)
     oracle = "a derivation of its own, by LAPACK"
-    validated("The stage", "six frequencies", held.frequencies[:6], STAGE, oracle)
+    validated("The stage", "six frequencies", fixed.frequencies[:6], STAGE, oracle)
     told = "nine frequencies", found.frequencies, FOUR_BAR, oracle
     validated("Four-bar linkages", *told)
     assert repr(found).startswith("successful: 9 vibrations")
@@ -44,7 +44,7 @@ def test_shapes_have_unit_modal_mass_and_no_part_in_one_another():
 def column(load, stiffness=2.0):
     """A rigid rod on a torsion hinge, pressed from above."""
     hinge = tj.Quadratic(jnp.diag(jnp.stack([jnp.asarray(stiffness), *jnp.full(2, 1e7)])))
-    rod = tj.Body("rod", rest=(0, 0, 0.5), mass=1e-4, inertia=0.3)
+    rod = tj.Body("rod", pose=(0, 0, 0.5), mass=1e-4, inertia=0.3)
     mechanism = tj.Mechanism(
         [tj.Body("base"), rod], [tj.Hinge("h", "base", "rod", hinge, (0, 0, 0))], ["base"]
     )
@@ -57,8 +57,8 @@ def test_a_pressed_column_slows_down():
 
     def frequency(load):
         mechanism, loads = column(load)
-        rest = tj.equilibrium(mechanism, loads=loads)
-        found = tj.vibrations(mechanism, about=rest, loads=loads)
+        solution = tj.equilibrium(mechanism, loads=loads)
+        found = tj.vibrations(mechanism, about=solution, loads=loads)
         return found.frequencies[0]
 
     about_hinge = 0.3 + 1e-4 * 0.5**2
@@ -70,7 +70,7 @@ def test_a_pressed_column_slows_down():
 
 def test_an_unstable_state_does_not_vibrate():
     mechanism, loads = column(2.1)
-    upright = mechanism.rest.at[1, 2].add(-2.1 / 1e7)  # pressed together
+    upright = mechanism.reference.at[1, 2].add(-2.1 / 1e7)  # pressed together
     with pytest.raises(RuntimeError, match="gives some away"):
         tj.vibrations(mechanism, about=upright, loads=loads)
     told = tj.vibrations(mechanism, about=upright, loads=loads, throw=False)
@@ -79,7 +79,7 @@ def test_an_unstable_state_does_not_vibrate():
 
 def test_loads_that_follow_have_no_vibrations():
     mechanism, _ = column(1.0)
-    follower = tj.Load("rod", (0, 0, -1.0), follows=True)
+    follower = tj.Load("rod", (0, 0, -1.0), follower=True)
     with pytest.raises(ValueError, match="follows its body"):
         tj.vibrations(mechanism, loads=[follower])
 
@@ -88,7 +88,7 @@ def block(damping):
     spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 50.0, 80.0])))
     hinge = tj.Hinge("spring", "wall", "block", spring, (0, 0, 0), damping=damping)
     body = tj.Body("block", mass=2.0, inertia=0.1)
-    return tj.Mechanism([tj.Body("wall"), body], [hinge], held=["wall"])
+    return tj.Mechanism([tj.Body("wall"), body], [hinge], fixed=["wall"])
 
 
 def test_the_response_to_a_load_is_the_textbooks():
@@ -182,7 +182,7 @@ def test_soft_vibrations_beside_stiff_ones_keep_their_digits(loaded):
             )
             for k, (ends, energy, at) in enumerate(hinges)
         ],
-        held=["wall"],
+        fixed=["wall"],
     )  # fmt: skip
     pull, more = [], np.zeros((6, 6))
     if loaded:
@@ -203,7 +203,7 @@ def test_the_sum_of_equal_frequencies_has_second_derivatives():
         stiffness = jnp.array([[1e4, 0, 0], [0, 400 + x, mixed], [0, mixed, 400 + y]])
         hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(stiffness), at=(0, 0, 0))
         block = tj.Body("block", mass=1.0, inertia=0.1)
-        mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])
+        mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
         return jnp.sum(tj.vibrations(mechanism).frequencies[:2])
 
     equal = jnp.zeros(3)
@@ -227,12 +227,14 @@ def test_the_sum_of_equal_frequencies_has_second_derivatives():
 def test_terms_that_are_not_positive_by_themselves_are_counted():
     """Couplings without stiffness of their own, and a spring that pushes away."""
     soft = tj.Quadratic(jnp.diag(jnp.array([2.0, 50.0, 30.0])), "twist")
-    coupling = tj.Polynomial([5.0, 3.0, 1e-9], [(1, 0, 1), (0, 1, 1), (2, 0, 0)], "twist")
-    pushing = tj.Polynomial([-4.0, 1e-12], [(0, 0, 2), (0, 2, 0)], "twist")
+    coupling = tj.energies.Polynomial(
+        [5.0, 3.0, 1e-9], [(1, 0, 1), (0, 1, 1), (2, 0, 0)], "twist"
+    )
+    pushing = tj.energies.Polynomial([-4.0, 1e-12], [(0, 0, 2), (0, 2, 0)], "twist")
     hinge = tj.Hinge("h", "wall", "block", soft + coupling + pushing, at=(0.2, 0.1, 0.3))
     block = tj.Body("block", mass=2.0, inertia=0.1)
-    mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])
-    stiffness = np.asarray(mechanism.stiffness(mechanism.rest))[1, :, 1]
+    mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
+    stiffness = np.asarray(mechanism.stiffness(mechanism.reference))[1, :, 1]
     root = np.sqrt([0.1, 2.0, 2.0])
     squares = np.linalg.eigvalsh(stiffness / np.outer(root, root))
     exact = np.sqrt(squares) / (2 * np.pi)
@@ -248,4 +250,4 @@ def block_on(along, across):
     spring = tj.Quadratic(jnp.diag(jnp.array([1e4, along, across])))
     hinge = tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
     block = tj.Body("block", mass=1.0, inertia=0.1)
-    return tj.Mechanism([tj.Body("wall"), block], [hinge], held=["wall"])
+    return tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])

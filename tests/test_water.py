@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import assert_close
 
-from twistorjax.cases import water
+from twistorjax.examples import water
 
 
 pytestmark = pytest.mark.slow

@@ -24,12 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from .._trees import undifferentiated
-from .._types import Scalar
-from ..pull import product
-from .elimination import inverse
-from .schemes import Scheme, scheme
-from .system import Slopes, State, System
+from .._utils.pytrees import undifferentiated
+from .._utils.types import Scalar
+from ..mechanism.hinge_forces import product
+from .collocation_schemes import Scheme, scheme
+from .motion_system import Slopes, State, System
+from .small_matrices import inverse
 
 
 class Memory(NamedTuple):
@@ -181,7 +181,7 @@ def _first(kind: Scheme, time: Any, state: State, system: System) -> Memory:
     """What there is to foresee the first step from: that nothing changes."""
     now = system.instant(time, state.place, state.rate)
     displacements, _ = system.spread(time, state.place, state.rate)
-    stretches = system.mechanism.couplings.stretches(displacements).reshape(-1)
+    stretches = system.mechanism.hinge_assembly.stretches(displacements).reshape(-1)
 
     def constant(value: Array) -> Array:
         return jnp.zeros((len(kind.through), value.size)).at[0].set(value)

@@ -9,19 +9,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import need_float64
-from .._types import Poses, PosesLike, Scalar
-from ..boundary import Drive, driven, Load, loaded
-from ..joints import AbstractConstraint, Joined, joined
-from ..mechanism import Mechanism
-from . import motion_errors, start as begin
+from .._utils.types import Poses, PosesLike, Scalar
+from .._utils.validation import require_float64
+from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
+from ..mechanism.loads import Drive, driven, Load, loaded_bodies
+from ..mechanism.mechanism import Mechanism
+from . import initial_state as begin, motion_errors
 from .collocation import Gauss, Radau
 from .motion import Energies, Motion
-from .problem import Places
-from .projected import Projected
+from .motion_system import equation, State, System
+from .projection import Projected
 from .results import raise_failed, RESULTS
+from .static_system import DofPartition
 from .statics import Equilibrium, free_coordinates
-from .system import equation, State, System
 
 
 # Other solvers than those of this library give up below this share of the slowest period.
@@ -108,13 +108,13 @@ def simulate(
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)
-        >>> mechanism = Mechanism([Body("wall"), block], [hinge], held=["wall"])
+        >>> mechanism = Mechanism([Body("wall"), block], [hinge], fixed=["wall"])
         >>> pulled = [[0, 0, 0], [0, 0.1, 0]]
         >>> swing = simulate(mechanism, [0.0, jnp.pi / 10], start=pulled)
         >>> swing.displacement("block")[-1, 1]  # half a period later
         Array(-0.1000..., dtype=float64)
     """
-    need_float64(mechanism.rest)
+    require_float64(mechanism.reference)
     instants = begin.times(times)
     first = instants[0]
     begin.limits(tolerance, max_steps, step)
@@ -126,15 +126,15 @@ def simulate(
     with begin.compiling(first, drives=drives, loads=loads):
         now = drives(first) if callable(drives) else drives
         acting = loads(first) if callable(loads) else loads
-    loaded(mechanism, acting)
+    loaded_bodies(mechanism, acting)
     places, _ = driven(mechanism, now)
-    free = free_coordinates(len(mechanism.names), mechanism.held, places)
-    moved = jnp.zeros_like(mechanism.rest)
+    free = free_coordinates(len(mechanism.names), mechanism.fixed, places)
+    moved = jnp.zeros_like(mechanism.reference)
     if start is not None:
         moved = mechanism.displacements(start, "start", one=True)
         begin.finite("start", moved)
     rates = begin.velocities(mechanism, velocities, free)
-    joints = joined(mechanism, constraints)
+    joints = gather_constraints(mechanism, constraints)
     if throw:
         motion_errors.refuse(
             mechanism, drives, joints, moved, first, velocities is not None
@@ -158,7 +158,7 @@ def simulate(
             dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
             max_steps,
             energies,
-            Places(free, places),
+            DofPartition(free, places),
         )
     if not throw:
         return answer
@@ -172,7 +172,7 @@ def _solve(
     times: Float[Array, " times"],
     loads: Loading,
     drives: Driving,
-    joints: Joined,
+    joints: ConstraintSet,
     moved: Poses,
     given: Poses | None,
     tolerance: Scalar,
@@ -185,7 +185,7 @@ def _solve(
     adjoint: dfx.AbstractAdjoint,
     max_steps: int,
     energies: bool,
-    places: Places,
+    places: DofPartition,
 ) -> Motion:
     collocated = isinstance(solver, Radau | Gauss)
     start = begin.begin(
@@ -230,8 +230,8 @@ def _solve(
     final = solution.ys[1]
     there = jnp.all(jnp.isfinite(final.place)) & jnp.all(jnp.isfinite(final.rate))
     ended = RESULTS.where(lost | ~there, RESULTS.not_finite, ended)
-    unsettled = ended == RESULTS.nonlinear_divergence
-    ended = RESULTS.where(unsettled, RESULTS.step_too_long, ended)
+    not_converged = ended == RESULTS.nonlinear_divergence
+    ended = RESULTS.where(not_converged, RESULTS.step_too_long, ended)
     began = start.result == RESULTS.successful
     result = RESULTS.where(began, ended, start.result)
     solution = eqx.tree_at(
@@ -244,7 +244,7 @@ def _solve(
     at, kept = solution.ts[0], solution.ys[0]
     there = jnp.isfinite(at)
     tell = jax.vmap(partial(_told, system))(jnp.where(there, at, start.times[0]), kept)
-    beyond = jax.vmap(mechanism.couplings.beyond)(tell[0])
+    beyond = jax.vmap(mechanism.hinge_assembly.out_of_range)(tell[0])
     out = jnp.cumsum(there & jnp.any(beyond, axis=1)) > 0
     ended_well = (result == RESULTS.successful) | (result == RESULTS.event_occurred)
     left = jnp.any(out)
@@ -262,7 +262,7 @@ def _solve(
         times=jnp.where(there, at, jnp.nan),
         displacements=displacements,
         velocities=velocities,
-        rest=mechanism.rest,
+        reference=mechanism.reference,
         reactions=reactions,
         pushes=pushes,
         energies=energy,
@@ -284,7 +284,7 @@ def _told(system: System, time: Scalar, state: State):
     now = system.instant(time, place, rate)
     works = state.work if state.work.size else jnp.zeros(3)
     energy = Energies(
-        elastic=system.mechanism.couplings.energy(displacements),
+        elastic=system.mechanism.hinge_assembly.energy(displacements),
         kinetic=jnp.sum(system.inertia * velocities.reshape(-1) ** 2) / 2,
         dissipated=works[0],
         by_loads=works[1],
@@ -335,7 +335,7 @@ def _seen(event: dfx.Event) -> dfx.Event:
     def wrapped(condition):
         def see(t, y, args, **more):
             displacements, velocities = args.spread(t, y.place, y.rate)
-            poses = args.mechanism.rest + displacements
+            poses = args.mechanism.reference + displacements
             return condition(t, Snapshot(poses, displacements, velocities), args, **more)
 
         return see

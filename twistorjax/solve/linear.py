@@ -7,17 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._checks import need_float64
-from .._types import Poses, PosesLike
-from ..boundary import Drive, driven, Load, loaded, Loads
-from ..mechanism import Mechanism
-from .factors import Factors
-from .problem import Places, Problem
+from .._utils.types import Poses, PosesLike
+from .._utils.validation import require_float64
+from ..mechanism.loads import Drive, driven, Load, loaded_bodies, LoadSet
+from ..mechanism.mechanism import Mechanism
+from .factorization import Factors
 from .results import RESULTS
+from .static_system import DofPartition, Problem
 from .statics import Equilibrium, free_coordinates, raised, within_range
 
 
-class Linearised(eqx.Module):
+class Linearization(eqx.Module):
     """A mechanism near one state, its tangent factored once for many loads and drives.
 
     Call it with drives of just the coordinates that it was made for, and any loads; it
@@ -30,7 +30,7 @@ class Linearised(eqx.Module):
     about: Poses
     matrix: Float[Array, "coordinates coordinates"]
     factors: Factors
-    places: Places = eqx.field(static=True)
+    places: DofPartition = eqx.field(static=True)
     finite: Bool[Array, ""]
 
     def __call__(
@@ -44,7 +44,7 @@ class Linearised(eqx.Module):
 
         Args:
             loads: small ones, beside those that act already.
-            drives: of the coordinates that were named to `linearise`, all of them.
+            drives: of the coordinates that were named to `linearize`, all of them.
             throw: whether a failure is raised, or only told by `result`.
 
         Raises:
@@ -56,7 +56,7 @@ class Linearised(eqx.Module):
         if sorted(places) != sorted(self.places.driven):
             raise ValueError(
                 f"`drives` moves {_listed(mechanism, places)}, but this map was made by "
-                f"`linearise` for {_listed(mechanism, self.places.driven)}."
+                f"`linearize` for {_listed(mechanism, self.places.driven)}."
             )
         free = np.array(self.places.free, int)
         flat = (
@@ -64,21 +64,23 @@ class Linearised(eqx.Module):
             .at[np.array(places, int)]
             .set(jnp.array(targets, float))
         )
-        applied, _ = Loads.of(loads, loaded(mechanism, loads), mechanism.rest).apply(
-            self.about - mechanism.rest
-        )
+        applied, _ = LoadSet.of(
+            loads, loaded_bodies(mechanism, loads), mechanism.reference
+        ).apply(self.about - mechanism.reference)
         applied = applied.reshape(-1)
         flat = flat.at[free].set(self.factors.solve((applied - self.matrix @ flat)[free]))
         forces = self.matrix @ flat
-        held = jnp.ones(flat.size).at[free].set(0.0)
-        result = RESULTS.where(self.factors.resists(), RESULTS.successful, RESULTS.loose)
+        fixed = jnp.ones(flat.size).at[free].set(0.0)
+        result = RESULTS.where(
+            self.factors.resists(), RESULTS.successful, RESULTS.unstable
+        )
         fine = self.finite & jnp.all(jnp.isfinite(applied))
         result = RESULTS.where(fine, result, RESULTS.not_finite)
         shape = self.about.shape
         answer = Equilibrium(
             displacements=flat.reshape(shape),
-            rest=self.about,
-            reactions=(held * (forces - applied)).reshape(shape),
+            reference=self.about,
+            reactions=(fixed * (forces - applied)).reshape(shape),
             energy=jnp.vdot(flat, forces) / 2,
             reached=flat.reshape(shape),
             fraction=jnp.ones(()),
@@ -89,13 +91,13 @@ class Linearised(eqx.Module):
         return raised(answer, mechanism) if throw else answer
 
 
-def linearise(
+def linearize(
     mechanism: Mechanism,
     driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
     about: PosesLike | Equilibrium | None = None,
     loads: Sequence[Load] = (),
-) -> Linearised:
+) -> Linearization:
     """The answer of a mechanism to small loads and drives, as one factorisation.
 
     Args:
@@ -116,33 +118,33 @@ def linearise(
         >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
-        >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], held=["wall"])
-        >>> small = linearise(mechanism, driven={"block": ["y"]})
+        >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])
+        >>> small = linearize(mechanism, driven={"block": ["y"]})
         >>> small(drives=[Drive("block", y=1e-3)]).reaction("block")
         Array([0.  , 0.  , 0.01], dtype=float64)
     """
-    need_float64(mechanism.rest)
-    mechanism.need_support()
+    require_float64(mechanism.reference)
+    mechanism.require_support()
     places = mechanism.coordinates("driven", driven)
-    if both := sorted(set(places) & set(mechanism.held)):
+    if both := sorted(set(places) & set(mechanism.fixed)):
         raise ValueError(
             f"`driven` has the {_listed(mechanism, both)}, but that is held already."
         )
-    free = free_coordinates(len(mechanism.names), mechanism.held, places)
-    every = Places(tuple(range(3 * len(mechanism.names))), ())
-    moved = jnp.zeros_like(mechanism.rest)
+    free = free_coordinates(len(mechanism.names), mechanism.fixed, places)
+    every = DofPartition(tuple(range(3 * len(mechanism.names))), ())
+    moved = jnp.zeros_like(mechanism.reference)
     if about is not None:
         moved = within_range(mechanism, "about", about)
-    acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
-    whole = Problem(mechanism.couplings, acting, jnp.zeros(0), every)
+    acting = LoadSet.of(loads, loaded_bodies(mechanism, loads), mechanism.reference)
+    whole = Problem(mechanism.hinge_assembly, acting, jnp.zeros(0), every)
     _, matrix, _ = whole.matrix(moved)
     rows = np.array(free, int)
-    return Linearised(
+    return Linearization(
         mechanism=mechanism,
-        about=mechanism.rest + moved,
+        about=mechanism.reference + moved,
         matrix=matrix,
         factors=Factors.of(matrix[rows[:, None], rows], whole.symmetric),
-        places=Places(free, places),
+        places=DofPartition(free, places),
         finite=jnp.all(jnp.isfinite(matrix)),
     )
 

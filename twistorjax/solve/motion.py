@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from .._checks import all_known
-from .results import counted, outcomes, Placed, RESULTS
-from .system import System
+from .._utils.validation import all_concrete
+from .motion_system import System
+from .results import count_results, PoseSolution, result_names, RESULTS
 from .tables import Column, Columns, columns
 
 
@@ -35,12 +35,12 @@ class Energies(eqx.Module):
     @property
     def imbalance(self) -> Float[Array, "..."]:
         """What is there and should not be: the error of the motion, as energy."""
-        held = self.elastic + self.kinetic
+        fixed = self.elastic + self.kinetic
         came = self.by_loads + self.by_drives - self.dissipated
-        return (held - held[..., :1]) - (came - came[..., :1])
+        return (fixed - fixed[..., :1]) - (came - came[..., :1])
 
 
-class Motion(Placed):
+class Motion(PoseSolution):
     """How the bodies of a mechanism moved.
 
     Where a motion stopped before its end, the rows of later times are NaN.
@@ -49,7 +49,7 @@ class Motion(Placed):
         times: s.
         displacements: of each body from its rest; rad, m, m.
         velocities: of each body, in world axes; rad/s, m/s, m/s.
-        rest: the poses from which displacements count; rad, m, m.
+        reference: the poses from which displacements count; rad, m, m.
         reactions: what held and driven coordinates receive from outside; zero elsewhere.
             About each body's origin, in world axes; N m, N, N.
         pushes: of each constraint's entries; N m, N.
@@ -57,7 +57,7 @@ class Motion(Placed):
         reached: the time up to which it went; s.
         steps: of the solver, those that were tried again included.
         rejected: those that were tried again.
-        result: how it ended; `outcomes` gives its name.
+        result: how it ended; `result_names` gives its name.
         solution: all else that diffrax tells.
         system: its equations, where the whole of it was kept.
         names: of the bodies, for their rows.
@@ -67,7 +67,7 @@ class Motion(Placed):
     times: Float[Array, "*batch times"]
     displacements: Float[Array, "*batch times bodies 3"]
     velocities: Float[Array, "*batch times bodies 3"]
-    rest: Float[Array, "*batch bodies 3"]
+    reference: Float[Array, "*batch bodies 3"]
     reactions: Float[Array, "*batch times bodies 3"]
     pushes: Float[Array, "*batch times entries"]
     energies: Energies
@@ -100,7 +100,7 @@ class Motion(Placed):
             )
         instant = jnp.asarray(time, float)
         state = self.solution.evaluate(instant)
-        return self.rest + self.system.spread(instant, state.place, state.rate)[0]
+        return self.reference + self.system.spread(instant, state.place, state.rate)[0]
 
     def push(self, constraint: str) -> Float[Array, "*batch times entries"]:
         """What a constraint exerts, for each of its entries; N m, N."""
@@ -137,12 +137,12 @@ class Motion(Placed):
         return told
 
     def __repr__(self) -> str:
-        ended = outcomes(self.result)
-        seen = all_known([self.times, self.displacements, self.energies.dissipated])
+        ended = result_names(self.result)
+        seen = all_concrete([self.times, self.displacements, self.energies.dissipated])
         if ended is None or seen is None:
             return eqx.tree_pformat(self)
         if ended.shape:
-            return counted("motions", ended)
+            return count_results("motions", ended)
         times, moved, _ = seen
         title = (
             f"{ended}: {float(times[0]):g} to {float(self.reached):.6g} s in "
@@ -151,6 +151,6 @@ class Motion(Placed):
         )
         if np.any(seen[2]):
             lost = np.nanmax(np.abs(self.energies.imbalance))
-            held = np.nanmax(self.energies.elastic + self.energies.kinetic)
-            title += f"\nenergy out of balance by {lost:.2g} J of {held:.3g} J"
+            fixed = np.nanmax(self.energies.elastic + self.energies.kinetic)
+            title += f"\nenergy out of balance by {lost:.2g} J of {fixed:.3g} J"
         return self._listed(title, "largest", np.nanmax(np.abs(moved), axis=0))

@@ -7,13 +7,13 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from .._checks import all_known
-from .._types import Poses
-from ..boundary import Drive, driven
-from ..joints import Joined
-from ..mechanism import Mechanism
-from .results import meaning
-from .start import EXACT
+from .._utils.types import Poses
+from .._utils.validation import all_concrete
+from ..mechanism.constraints import ConstraintSet
+from ..mechanism.loads import Drive, driven
+from ..mechanism.mechanism import Mechanism
+from .initial_state import EXACT
+from .results import result_message
 from .statics import free_coordinates
 
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 def _length(mechanism: Mechanism) -> float:
     """The length of a lever, where values can be seen; see `_scales`."""
-    free = free_coordinates(len(mechanism.names), mechanism.held, ())
-    return float(mechanism.couplings.lever(free)) or 1.0
+    free = free_coordinates(len(mechanism.names), mechanism.fixed, ())
+    return float(mechanism.hinge_assembly.lever(free)) or 1.0
 
 
 def _given(drives: Any, now: Array) -> Sequence[Drive]:
@@ -32,45 +32,52 @@ def _given(drives: Any, now: Array) -> Sequence[Drive]:
 
 
 def refuse(
-    mechanism: Mechanism, drives, joints: Joined, moved: Poses, now: Array, told: bool
+    mechanism: Mechanism,
+    drives,
+    joints: ConstraintSet,
+    moved: Poses,
+    now: Array,
+    told: bool,
 ) -> None:
     """Refuses a start that can be seen to be none, before anything is compiled."""
-    if all_known([moved, now, *jax.tree.leaves((mechanism, joints))]) is None:
+    if all_concrete([moved, now, *jax.tree.leaves((mechanism, joints))]) is None:
         return
     given = _given(drives, now)
     places, targets = driven(mechanism, given)
-    if all_known(targets) is None:
+    if all_concrete(targets) is None:
         return
     unit = _length(mechanism)
     for place, target in zip(places, targets, strict=True):
         apart = abs(float(target) - float(moved.reshape(-1)[place]))
         if apart > EXACT * (1.0 if place % 3 == 0 else unit):
             words = _jumps(mechanism, drives, moved, now)
-            raise ValueError(f"{meaning('drive_jumps')} {words}")
+            raise ValueError(f"{result_message('drive_jumps')} {words}")
     seen = np.isfinite(np.asarray(joints.violation(moved, now))) if joints.size else ()
     if joints.size and not told and np.all(seen):
         words = _at_odds(mechanism, joints, moved, now, drives)
         if not words.startswith("The velocities"):
-            raise ValueError(f"{meaning('constraints_at_odds')} {words}")
+            raise ValueError(f"{result_message('inconsistent_constraints')} {words}")
 
 
 def failure(
     answer: "Motion",
     mechanism: Mechanism,
     drives,
-    joints: Joined,
+    joints: ConstraintSet,
     moved: Poses,
     now: Array,
     item: str,
-    lane: tuple[int, ...],
+    batch_index: tuple[int, ...],
 ) -> Exception:
     """What is wrong with a motion that did not reach its end, or could not begin."""
-    text = meaning(item)
-    if lane:
-        return RuntimeError(f"{text} (lane {', '.join(map(str, lane))} of the batch)")
+    text = result_message(item)
+    if batch_index:
+        return RuntimeError(
+            f"{text} (lane {', '.join(map(str, batch_index))} of the batch)"
+        )
     if item == "drive_jumps":
         return ValueError(f"{text} {_jumps(mechanism, drives, moved, now)}")
-    if item == "constraints_at_odds":
+    if item == "inconsistent_constraints":
         return ValueError(f"{text} {_at_odds(mechanism, joints, moved, now, drives)}")
     if item in ("times_not_increasing", "damping_gives_energy"):
         return ValueError(text)
@@ -92,12 +99,12 @@ def _jumps(mechanism: Mechanism, drives, moved: Poses, now: Array) -> str:
 
 
 def _at_odds(
-    mechanism: Mechanism, joints: Joined, moved: Poses, now: Array, drives
+    mechanism: Mechanism, joints: ConstraintSet, moved: Poses, now: Array, drives
 ) -> str:
     """Which constraints are violated at the start, or add nothing to those before."""
     given = _given(drives, now)
     places, _ = driven(mechanism, given)
-    free = free_coordinates(len(mechanism.names), mechanism.held, places)
+    free = free_coordinates(len(mechanism.names), mechanism.fixed, places)
     violation = np.asarray(joints.violation(moved, now))
     normals = np.asarray(
         jax.jacrev(lambda moved: joints.violation(moved, now))(moved)
@@ -133,11 +140,15 @@ def _at_odds(
 def _not_finite(mechanism: Mechanism) -> str:
     """Which hinge or body has the value."""
     for place, name in enumerate(mechanism.hinge_names):
-        values = jax.tree.leaves(mechanism.couplings.energy_of(place))
+        values = jax.tree.leaves(mechanism.hinge_assembly.energy_of(place))
         if not all(np.all(np.isfinite(value)) for value in values):
             return f" It is in the energy of the hinge {name!r}."
     for body, name in enumerate(mechanism.names):
-        values = mechanism.rest[body], mechanism.masses[body], mechanism.inertias[body]
+        values = (
+            mechanism.reference[body],
+            mechanism.masses[body],
+            mechanism.inertias[body],
+        )
         if not all(np.all(np.isfinite(v)) for v in values if v is not None):
             return f" It is in the body {name!r}."
     return ""
@@ -158,7 +169,9 @@ def _stopped(answer: "Motion", mechanism: Mechanism) -> str:
     poses = answer.poses[last]
     stored = [
         float(
-            mechanism.couplings.energy_of(place)(mechanism.displacement_of(name, poses))
+            mechanism.hinge_assembly.energy_of(place)(
+                mechanism.displacement_of(name, poses)
+            )
         )
         for place, name in enumerate(mechanism.hinge_names)
     ]

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
-from .._types import Poses, Scalar
-from .problem import Problem
+from .._utils.types import Poses, Scalar
+from .static_system import Problem
 
 
 RUNNING, CONVERGED, NOT_FINITE, LOOSE, STUCK, USED_UP = range(6)
@@ -70,7 +70,7 @@ def settle(
     """
     rows = problem.free
     begin = start.reshape(-1)[problem.driven]
-    holding = problem.couplings.forces(start).reshape(-1)[rows]
+    holding = problem.hinge_assembly.forces(start).reshape(-1)[rows]
     unit = _units(problem)
     unit_of_free = unit[rows % 3]
 
@@ -112,7 +112,7 @@ def settle(
         )
 
         def tension(displacements: Poses) -> Float[Array, "3 hinges"]:
-            return problem.couplings.tension(displacements, state.borne)
+            return problem.hinge_assembly.tension(displacements, state.borne)
 
         foreseen = sum(jax.jvp(tension, (state.now,), (now - state.now,)))
 
@@ -197,7 +197,7 @@ def settle(
 
     zero, none = jnp.zeros(()), jnp.zeros((), int)
     nothing = jnp.zeros(len(problem.free))
-    borne = problem.couplings.tension(start)
+    borne = problem.hinge_assembly.tension(start)
     state = State(
         now=start,
         borne=borne,
@@ -222,45 +222,48 @@ def settle(
 
 def _units(problem: Problem) -> Float[Array, "3"]:
     """The units of a body's displacement: 1 rad, and the length of a lever; rad, m, m."""
-    lever = problem.couplings.lever(problem.places.free)
+    lever = problem.hinge_assembly.lever(problem.places.free)
     lever = jnp.where(lever > 0, lever, 1.0)
     return jnp.stack([jnp.ones_like(lever), lever, lever])
 
 
 @jax.custom_jvp
 def follow(
-    problem: Problem, root: Float[Array, " free"], rest: Poses, found: Bool[Array, ""]
+    problem: Problem,
+    root: Float[Array, " free"],
+    reference: Poses,
+    found: Bool[Array, ""],
 ) -> Array:
     """The free coordinates at equilibrium, as a function of the problem.
 
-    `root` is where they are, found beforehand, and `rest` where the held ones are. The
+    `root` is where they are, found beforehand, and `reference` where the held ones are. The
     derivative is that of the equilibrium itself, by the implicit function theorem, not of
     Newton's way to it; being written with `follow` again, it has derivatives of every
     order. Where no equilibrium was found it is zero, not NaN, which a sum over a batch
     could not mask.
     """
-    del problem, rest, found
+    del problem, reference, found
     return root
 
 
 @follow.defjvp
 def _(primals, tangents):
-    problem, root, rest, found = primals
+    problem, root, reference, found = primals
     change, _, moved, _ = tangents
-    free = follow(problem, root, rest, found)
+    free = follow(problem, root, reference, found)
 
-    def unbalanced(problem: Problem, rest: Poses):
-        displacements = problem.place(rest, free=free, driven=problem.targets)
+    def unbalanced(problem: Problem, reference: Poses):
+        displacements = problem.place(reference, free=free, driven=problem.targets)
         return problem.residual(displacements)[problem.free]
 
     dynamic, static = eqx.partition(problem, eqx.is_inexact_array)
     rates = eqx.filter(change, eqx.is_inexact_array)
     _, pull = jax.jvp(
-        lambda dynamic, rest: unbalanced(eqx.combine(dynamic, static), rest),
-        (dynamic, rest),
+        lambda dynamic, reference: unbalanced(eqx.combine(dynamic, static), reference),
+        (dynamic, reference),
         (rates, moved),
     )
-    displacements = problem.place(rest, free=free, driven=problem.targets)
+    displacements = problem.place(reference, free=free, driven=problem.targets)
     _, slope, _ = problem.tangent(displacements)
     pull = jnp.where(found, pull, 0.0)
     return free, -slope.where(found).factors(problem.symmetric).solve(pull)

@@ -9,18 +9,18 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
-from .._checks import known
-from .tables import Columns, columns, Tabled
+from .._utils.validation import concrete
+from .tables import Columns, columns, Tabular
 
 
 class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     """Why a solve stopped. The text is empty where it succeeded.
 
-    For equilibria one of `successful`, `not_finite`, `loose`, `no_equilibrium`,
+    For equilibria one of `successful`, `not_finite`, `unstable`, `no_equilibrium`,
     `steps_used_up` and `out_of_range`; for motions `successful`, `event_occurred`,
     `max_steps_reached`, `not_finite`, `out_of_range`, `step_too_long`, and what is wrong
-    with their start; for fits `successful`, `unsettled` and
-    `no_answer_at_start`. `RESULTS[item]` is its text. Extends the results of diffrax, so
+    with their start; for fits `successful`, `not_converged` and
+    `no_solution_at_start`. `RESULTS[item]` is its text. Extends the results of diffrax, so
     that one enumeration serves both.
     """
 
@@ -29,9 +29,9 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "A value of the mechanism, its loads or its drives is not finite: a NaN came in, "
         "or a dimension of a hinge lies outside the range of its formula."
     )
-    loose = (
+    unstable = (
         "Some body can move without storing energy, or even gives some away, so nothing "
-        "picks out where it rests. Hold it with `held`, drive it, add a hinge, or "
+        "picks out where it rests. Hold it with `fixed`, drive it, add a hinge, or "
         "stiffen one: the mechanism's `stiffness` there is singular or has a negative "
         "eigenvalue."
     )
@@ -67,28 +67,28 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "The damping of a hinge has a negative eigenvalue, so it would give energy to "
         "the mechanism instead of taking it. Every eigenvalue must be zero or positive."
     )
-    constraints_at_odds = (
+    inconsistent_constraints = (
         "The constraints repeat or contradict one another, or the start violates them."
     )
 
-    unsettled = (
+    not_converged = (
         "The estimates have not settled within the evaluations allowed. Raise "
         "`max_steps`, start nearer, try `restarts`, or leave out what the readings do "
         "not determine."
     )
-    no_answer_at_start = (
+    no_solution_at_start = (
         "At the values from which the fit starts a test has no answer. Start from values "
         "at which every solve succeeds."
     )
 
 
-def outcomes(result: RESULTS) -> np.ndarray | None:
+def result_names(result: RESULTS) -> np.ndarray | None:
     """The names of results, in the shape of their batch, or nothing while traced."""
-    index = known(result._value)
+    index = concrete(result._value)
     return None if index is None else np.array(_NAMED[index], object)
 
 
-def counted(noun: str, ended: np.ndarray) -> str:
+def count_results(noun: str, ended: np.ndarray) -> str:
     """How many answers of a batch ended how, in a line."""
     counts = Counter(map(str, ended.ravel()))
     told = ", ".join(f"{count:,} {name}" for name, count in counts.items())
@@ -96,7 +96,7 @@ def counted(noun: str, ended: np.ndarray) -> str:
 
 
 @runtime_checkable
-class Ended(Protocol):
+class HasResult(Protocol):
     """An answer that says how it ended."""
 
     @property
@@ -106,7 +106,7 @@ class Ended(Protocol):
     def succeeded(self) -> Bool[Array, "*batch"]: ...
 
 
-Answer = TypeVar("Answer", bound=Ended)
+Answer = TypeVar("Answer", bound=HasResult)
 
 
 def raise_failed(
@@ -118,29 +118,29 @@ def raise_failed(
         answer: of a solve, or of a batch of them.
         failure: what to raise, from the name of the outcome and the lane of the batch.
     """
-    ended = outcomes(answer.result)
+    ended = result_names(answer.result)
     if ended is None:
         return answer.result.error_if(answer, ~answer.succeeded)
     failed = ~np.asarray(answer.succeeded)
     if np.any(failed):
-        lane = tuple(map(int, np.unravel_index(np.argmax(failed), failed.shape)))
-        raise failure(np.asarray(ended)[lane], lane)
+        batch_index = tuple(map(int, np.unravel_index(np.argmax(failed), failed.shape)))
+        raise failure(np.asarray(ended)[batch_index], batch_index)
     return answer
 
 
-def meaning(item: str) -> str:
+def result_message(item: str) -> str:
     """What an outcome means, by its name."""
     return RESULTS[getattr(RESULTS, item)]
 
 
 # of the outcomes, by their numbers
-NAMES = tuple(
+RESULT_NAMES = tuple(
     sorted(RESULTS._name_to_item, key=lambda name: int(getattr(RESULTS, name)._value))
 )
-_NAMED = np.array(NAMES, object)
+_NAMED = np.array(RESULT_NAMES, object)
 
 
-class ByBody(Tabled):
+class BodySolution(Tabular):
     """What an answer tells of each body, called by its name."""
 
     displacements: eqx.AbstractVar[Inexact[Array, "..."]]
@@ -184,17 +184,17 @@ class ByBody(Tabled):
         return self.names.index(body)
 
 
-class Placed(ByBody):
+class PoseSolution(BodySolution):
     """What an answer tells that says where each body is."""
 
-    rest: eqx.AbstractVar[Float[Array, "..."]]
+    reference: eqx.AbstractVar[Float[Array, "..."]]
 
     @property
     def poses(self) -> Float[Array, "*batch bodies 3"]:
         """Where the bodies are; rad, m, m."""
-        more = self.displacements.ndim - self.rest.ndim
-        shape = (*self.rest.shape[:-2], *more * (1,), *self.rest.shape[-2:])
-        return self.rest.reshape(shape) + self.displacements
+        more = self.displacements.ndim - self.reference.ndim
+        shape = (*self.reference.shape[:-2], *more * (1,), *self.reference.shape[-2:])
+        return self.reference.reshape(shape) + self.displacements
 
     def pose(self, body: str) -> Float[Array, "*batch 3"]:
         """Where a body is; rad, m, m."""

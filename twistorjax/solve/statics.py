@@ -9,18 +9,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, ScalarLike
 
-from .._checks import all_known, known, need_float64
-from .._types import Poses, PosesLike, Scalar, Wrenches
-from ..boundary import Drive, driven, Load, loaded, Loads
-from ..couplings import Couplings
-from ..mechanism import Mechanism
+from .._utils.types import Poses, PosesLike, Scalar, Wrenches
+from .._utils.validation import all_concrete, concrete, require_float64
+from ..mechanism.hinge_assembly import HingeAssembly
+from ..mechanism.loads import Drive, driven, Load, loaded_bodies, LoadSet
+from ..mechanism.mechanism import Mechanism
 from . import newton
-from .problem import Places, Problem
-from .results import counted, meaning, outcomes, Placed, raise_failed, RESULTS
+from .results import (
+    count_results,
+    PoseSolution,
+    raise_failed,
+    result_message,
+    result_names,
+    RESULTS,
+)
+from .static_system import DofPartition, Problem
 from .tables import Column, Columns
 
 
-class Equilibrium(Placed):
+class Equilibrium(PoseSolution):
     """Where the bodies of a mechanism rest, and what holds them there.
 
     Where none was found, displacements, reactions and energy are NaN, with derivatives of
@@ -29,20 +36,20 @@ class Equilibrium(Placed):
 
     Args:
         displacements: of each body from its rest; rad, m, m.
-        rest: the poses from which they count; rad, m, m.
+        reference: the poses from which they count; rad, m, m.
         reactions: what held and driven coordinates receive from outside; zero elsewhere.
             About each body's origin, in world axes; N m, N, N.
         energy: stored in the hinges; J.
         reached: displacements under that fraction of the loads and drives; rad, m, m.
         fraction: that was reached: 1, or less where it failed.
         steps: of Newton's method.
-        result: how it ended: `RESULTS.successful`, or what went wrong; `outcomes` gives
+        result: how it ended: `RESULTS.successful`, or what went wrong; `result_names` gives
             its name.
         names: of the bodies, for its rows.
     """
 
     displacements: Poses
-    rest: Poses
+    reference: Poses
     reactions: Wrenches
     energy: Scalar
     reached: Poses
@@ -56,12 +63,12 @@ class Equilibrium(Placed):
         return {**told, "energy": Column(self.energy, (), "J")}
 
     def __repr__(self) -> str:
-        ended = outcomes(self.result)
-        seen = all_known([self.reached, self.energy, self.fraction])
+        ended = result_names(self.result)
+        seen = all_concrete([self.reached, self.energy, self.fraction])
         if ended is None or seen is None:
             return eqx.tree_pformat(self)
         if ended.shape:
-            return counted("equilibria", ended)
+            return count_results("equilibria", ended)
         moved, energy, fraction = seen
         title = (
             f"{ended}: {100 * float(fraction):.4g} % of loads and drives, "
@@ -119,31 +126,31 @@ def equilibrium(
         >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
-        >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], held=["wall"])
-        >>> rest = equilibrium(mechanism, loads=[Load("block", (0.0, 5.0, 0.0))])
-        >>> rest.displacement("block"), rest.reaction("wall")
+        >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])
+        >>> solution = equilibrium(mechanism, loads=[Load("block", (0.0, 5.0, 0.0))])
+        >>> solution.displacement("block"), solution.reaction("wall")
         (Array([0.  , 0.05, 0.  ], dtype=float64), Array([ 0., -5.,  0.], dtype=float64))
     """
-    need_float64(mechanism.rest)
-    mechanism.need_support()
+    require_float64(mechanism.reference)
+    mechanism.require_support()
     if not 0 < tolerance < 1 or max_steps < 1:
         raise ValueError(
             f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but they "
             "must lie between 0 and 1, and be at least 1."
         )
-    bodies = loaded(mechanism, loads)
+    bodies = loaded_bodies(mechanism, loads)
     places, targets = driven(mechanism, drives)
     answer = _solve(
-        mechanism.couplings,
-        mechanism.rest,
+        mechanism.hinge_assembly,
+        mechanism.reference,
         None if start is None else mechanism.displacements(start, "start", one=True),
         tuple(loads),
         targets,
         tolerance,
         max_steps,
         bodies=bodies,
-        places=Places(
-            free_coordinates(len(mechanism.names), mechanism.held, places), places
+        places=DofPartition(
+            free_coordinates(len(mechanism.names), mechanism.fixed, places), places
         ),
         names=mechanism.names,
     )
@@ -161,30 +168,30 @@ def within_range(
         state: an equilibrium, or poses; rad, m, m.
     """
     moved = mechanism.displacements(state, name, one=True)
-    beyond = jnp.any(mechanism.couplings.beyond(moved))
-    if known(beyond) is None:
+    beyond = jnp.any(mechanism.hinge_assembly.out_of_range(moved))
+    if concrete(beyond) is None:
         return jnp.where(beyond, jnp.nan, moved)
     if beyond:
         raise ValueError(
             f"`{name}` displaces a hinge beyond the range in which its energy is known. "
-            f"{mechanism.ranges_beyond(mechanism.rest + moved)}"
+            f"{mechanism.range_messages(mechanism.reference + moved)}"
         )
     return moved
 
 
 @lru_cache(maxsize=256)
 def free_coordinates(
-    bodies: int, held: tuple[int, ...], driven: tuple[int, ...]
+    bodies: int, fixed: tuple[int, ...], driven: tuple[int, ...]
 ) -> tuple[int, ...]:
     """The places of the coordinates that are neither held nor driven."""
-    given = {*held, *driven}
+    given = {*fixed, *driven}
     return tuple(place for place in range(3 * bodies) if place not in given)
 
 
 @partial(jax.jit, static_argnames=("bodies", "places", "names"))
 def _solve(
-    couplings: Couplings,
-    rest: Poses,
+    hinge_assembly: HingeAssembly,
+    reference: Poses,
     begin: Poses | None,
     loads: tuple[Load, ...],
     targets: tuple[Scalar, ...],
@@ -192,13 +199,16 @@ def _solve(
     max_steps: ScalarLike,
     *,
     bodies: tuple[int, ...],
-    places: Places,
+    places: DofPartition,
     names: tuple[str, ...],
 ) -> Equilibrium:
     problem = Problem(
-        couplings, Loads.of(loads, bodies, rest), jnp.array(targets, float), places
+        hinge_assembly,
+        LoadSet.of(loads, bodies, reference),
+        jnp.array(targets, float),
+        places,
     )
-    begin = jnp.zeros_like(rest) if begin is None else begin
+    begin = jnp.zeros_like(reference) if begin is None else begin
     settled = newton.settle(
         jax.lax.stop_gradient(problem),
         jax.lax.stop_gradient(begin),
@@ -210,14 +220,14 @@ def _solve(
     free = newton.follow(problem, flat[problem.free], begin, found)
     given = jnp.where(found, problem.targets, flat[problem.driven])
     displacements = problem.place(begin, free=free, driven=given)
-    beyond = found & jnp.any(couplings.beyond(settled.displacements))
+    beyond = found & jnp.any(hinge_assembly.out_of_range(settled.displacements))
     sure = found & ~beyond
-    held = jnp.ones(flat.size).at[problem.free].set(0.0)
-    reactions = (held * problem.residual(displacements)).reshape(rest.shape)
+    fixed = jnp.ones(flat.size).at[problem.free].set(0.0)
+    reactions = (fixed * problem.residual(displacements)).reshape(reference.shape)
     result = RESULTS.successful
     for status, item in (
         (newton.NOT_FINITE, RESULTS.not_finite),
-        (newton.LOOSE, RESULTS.loose),
+        (newton.LOOSE, RESULTS.unstable),
         (newton.STUCK, RESULTS.no_equilibrium),
         (newton.USED_UP, RESULTS.steps_used_up),
     ):
@@ -225,9 +235,9 @@ def _solve(
     result = RESULTS.where(beyond, RESULTS.out_of_range, result)
     return Equilibrium(
         displacements=jnp.where(sure, displacements, jnp.nan),
-        rest=rest,
+        reference=reference,
         reactions=jnp.where(sure, reactions, jnp.nan),
-        energy=jnp.where(sure, problem.couplings.energy(displacements), jnp.nan),
+        energy=jnp.where(sure, problem.hinge_assembly.energy(displacements), jnp.nan),
         reached=settled.displacements,
         fraction=settled.fraction,
         steps=settled.steps,
@@ -245,13 +255,18 @@ def raised(answer: Equilibrium, mechanism: Mechanism | None = None) -> Equilibri
 
 
 def _failure(
-    answer: Equilibrium, mechanism: Mechanism | None, item: str, lane: tuple[int, ...]
+    answer: Equilibrium,
+    mechanism: Mechanism | None,
+    item: str,
+    batch_index: tuple[int, ...],
 ) -> RuntimeError:
     fraction, steps = (
-        np.asarray(value)[lane] for value in (answer.fraction, answer.steps)
+        np.asarray(value)[batch_index] for value in (answer.fraction, answer.steps)
     )
-    where = f" in lane {', '.join(map(str, lane))} of the batch" if lane else ""
-    text = meaning(item)
-    if item == "out_of_range" and mechanism is not None and not lane:
-        text += f" {mechanism.ranges_beyond(mechanism.rest + answer.reached)}"
+    where = (
+        f" in lane {', '.join(map(str, batch_index))} of the batch" if batch_index else ""
+    )
+    text = result_message(item)
+    if item == "out_of_range" and mechanism is not None and not batch_index:
+        text += f" {mechanism.range_messages(mechanism.reference + answer.reached)}"
     return RuntimeError(f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})")

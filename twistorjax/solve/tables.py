@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Shaped
 
-from .._checks import package
+from .._utils.validation import require_package
 
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def columns(
     }
 
 
-class Tabled(eqx.Module):
+class Tabular(eqx.Module):
     """An answer that can be told as a table."""
 
     @abstractmethod
@@ -93,7 +93,7 @@ def dataset(
     Raises:
         ImportError: xarray is not installed.
     """
-    xarray = need_xarray()
+    xarray = require_xarray()
     variables, coordinates = {}, {}
     for name, column in told.items():
         more = dict((attributes or {}).get(name, {}))
@@ -105,10 +105,10 @@ def dataset(
     return xarray.Dataset(variables, coordinates)
 
 
-def need_xarray():
+def require_xarray():
     """xarray, where it is installed.
 
     Raises:
         ImportError: it is not.
     """
-    return package("xarray", "Tables", "data")
+    return require_package("xarray", "Tables", "data")

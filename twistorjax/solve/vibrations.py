@@ -8,18 +8,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
-from .._checks import need_float64
-from .._types import Poses, PosesLike
-from ..boundary import Drive, driven as driven_by, Load, loaded, Loads
-from ..mechanism import Mechanism
-from .modes import modes, Stiffness
-from .problem import Places, Problem
-from .results import ByBody, counted, meaning, outcomes, raise_failed, RESULTS
+from .._utils.types import Poses, PosesLike
+from .._utils.validation import require_float64
+from ..mechanism.loads import Drive, driven as driven_by, Load, loaded_bodies, LoadSet
+from ..mechanism.mechanism import Mechanism
+from .eigenmodes import modes, Stiffness
+from .results import (
+    BodySolution,
+    count_results,
+    raise_failed,
+    result_message,
+    result_names,
+    RESULTS,
+)
+from .static_system import DofPartition, Problem
 from .statics import Equilibrium, free_coordinates, within_range
-from .tables import Column, Columns, columns, Tabled
+from .tables import Column, Columns, columns, Tabular
 
 
-class Vibrations(Tabled):
+class Vibrations(Tabular):
     """The natural vibrations of a mechanism, the slowest first.
 
     Where the equilibrium is unstable its frequency is NaN.
@@ -28,7 +35,7 @@ class Vibrations(Tabled):
         frequencies: Hz.
         shapes: displacements of each body, of unit modal mass; rad, m, m, all of them by
             the root of kg m2.
-        result: how it ended; `outcomes` gives its name.
+        result: how it ended; `result_names` gives its name.
         names: of the bodies, for their rows.
     """
 
@@ -51,11 +58,11 @@ class Vibrations(Tabled):
         return self.result == RESULTS.successful
 
     def __repr__(self) -> str:
-        ended = outcomes(self.result)
+        ended = result_names(self.result)
         if ended is None:
             return eqx.tree_pformat(self)
         if ended.shape:
-            return counted("sets of vibrations", ended)
+            return count_results("sets of vibrations", ended)
         lines = [f"{ended}: {self.frequencies.size} vibrations", "frequency (Hz)  moves"]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
             travels = np.linalg.norm(np.asarray(shape)[:, 1:], axis=1)
@@ -101,19 +108,19 @@ def vibrations(
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 400.0, 100.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)
-        >>> mechanism = Mechanism([Body("wall"), block], [hinge], held=["wall"])
+        >>> mechanism = Mechanism([Body("wall"), block], [hinge], fixed=["wall"])
         >>> 2 * jnp.pi * vibrations(mechanism).frequencies
         Array([ 3.16227766, 10.        , 20.        ], dtype=float64)
     """
-    need_float64(mechanism.rest)
-    if any(load.follows for load in loads):
+    require_float64(mechanism.reference)
+    if any(load.follower for load in loads):
         raise ValueError(
             "`loads` has one that follows its body. It has no potential, so vibrations "
             "need not be: see how the mechanism answers with `frequency_response`, or "
             "let it move with `simulate`."
         )
     given = mechanism.coordinates("driven", driven)
-    free = free_coordinates(len(mechanism.names), mechanism.held, given)
+    free = free_coordinates(len(mechanism.names), mechanism.fixed, given)
     if not free:
         raise ValueError(
             "No coordinate can vibrate: all bodies are held, or named in `driven`. Leave "
@@ -123,9 +130,9 @@ def vibrations(
     return raise_failed(answer, _loose) if throw else answer
 
 
-def _loose(item: str, lane: tuple[int, ...]) -> RuntimeError:
-    del lane
-    return RuntimeError(meaning(item))
+def _loose(item: str, batch_index: tuple[int, ...]) -> RuntimeError:
+    del batch_index
+    return RuntimeError(result_message(item))
 
 
 @eqx.filter_jit
@@ -134,30 +141,32 @@ def _vibrations(
 ) -> Vibrations:
     rows = np.array(free, int)
     root = jnp.sqrt(mechanism.inertia().reshape(-1)[rows])
-    lines, weights, rest = mechanism.couplings.factored(moved, free)
-    _, by_angle = Loads.of(loads, loaded(mechanism, loads), mechanism.rest).apply(moved)
+    lines, weights, reference = mechanism.hinge_assembly.factored(moved, free)
+    _, by_angle = LoadSet.of(
+        loads, loaded_bodies(mechanism, loads), mechanism.reference
+    ).apply(moved)
     # loads that keep their direction have moments alone that depend on angles
-    rest = rest - jnp.diag(by_angle.reshape(-1)[rows])
-    rest = rest / (root[:, None] * root[None])
-    angular, vectors = modes(Stiffness(lines / root[None], weights, rest))
+    reference = reference - jnp.diag(by_angle.reshape(-1)[rows])
+    reference = reference / (root[:, None] * root[None])
+    angular, vectors = modes(Stiffness(lines / root[None], weights, reference))
     angular = jnp.diagonal(angular)
     finite = jnp.all(jnp.isfinite(angular))
     stable = angular[0] > -1e-7 * angular[-1]
     frequencies = jnp.maximum(angular, 0.0) / (2 * jnp.pi)
     frequencies = jnp.where((angular > 0) | stable, frequencies, jnp.nan)
-    shapes = jnp.zeros((len(free), mechanism.rest.size))
+    shapes = jnp.zeros((len(free), mechanism.reference.size))
     shapes = shapes.at[:, rows].set((vectors / root[:, None]).T)
-    result = RESULTS.where(stable, RESULTS.successful, RESULTS.loose)
+    result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
     result = RESULTS.where(finite, result, RESULTS.not_finite)
     return Vibrations(
         frequencies=jnp.where(finite, frequencies, jnp.nan),
-        shapes=jnp.where(finite, shapes, jnp.nan).reshape(-1, *mechanism.rest.shape),
+        shapes=jnp.where(finite, shapes, jnp.nan).reshape(-1, *mechanism.reference.shape),
         result=result,
         names=mechanism.names,
     )
 
 
-class Response(ByBody):
+class FrequencyResponse(BodySolution):
     """How a mechanism answers to what swings, at each frequency.
 
     Amplitudes are complex: what swings with `cos(2 pi f t)` is answered by the real part
@@ -167,7 +176,7 @@ class Response(ByBody):
         frequencies: Hz.
         displacements: amplitude of each body's, from the equilibrium; rad, m, m.
         reactions: amplitude of what held and driven coordinates receive; N m, N, N.
-        result: how it ended; `outcomes` gives its name.
+        result: how it ended; `result_names` gives its name.
         names: of the bodies, for their rows.
     """
 
@@ -189,9 +198,9 @@ def frequency_response(
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
     about: PosesLike | Equilibrium | None = None,
-    bears: Sequence[Load] = (),
+    static_loads: Sequence[Load] = (),
     throw: bool = True,
-) -> Response:
+) -> FrequencyResponse:
     """The answer of a mechanism to small loads and drives that swing.
 
     Args:
@@ -201,7 +210,7 @@ def frequency_response(
         loads: amplitudes of loads.
         drives: amplitudes of driven coordinates.
         about: poses of the equilibrium about which it swings, by default rest; rad, m, m.
-        bears: loads that hold the mechanism there; they add to its stiffness.
+        static_loads: loads that hold the mechanism there; they add to its stiffness.
         throw: whether a failure is raised, or only told by `result`.
 
     Raises:
@@ -214,13 +223,13 @@ def frequency_response(
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 400.0, 100.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)
-        >>> mechanism = Mechanism([Body("wall"), block], [hinge], held=["wall"])
+        >>> mechanism = Mechanism([Body("wall"), block], [hinge], fixed=["wall"])
         >>> push = Load("block", (0.0, 1.0, 0.0))
         >>> answer = frequency_response(mechanism, [0.0], loads=[push])
         >>> abs(answer.displacement("block")[0, 1])  # 1 N over 400 N/m
         Array(0.0025, dtype=float64)
     """
-    need_float64(mechanism.rest)
+    require_float64(mechanism.reference)
     values = jnp.asarray(frequencies, float)
     if values.ndim != 1:
         raise ValueError(
@@ -228,22 +237,22 @@ def frequency_response(
             "[100.0], or jnp.linspace(0, 100, 11)."
         )
     places, targets = driven_by(mechanism, drives)
-    free = free_coordinates(len(mechanism.names), mechanism.held, places)
-    loaded(mechanism, loads)
+    free = free_coordinates(len(mechanism.names), mechanism.fixed, places)
+    loaded_bodies(mechanism, loads)
     answer = _response(
         mechanism,
         values,
         tuple(loads),
         targets,
         _state(mechanism, about),
-        tuple(bears),
-        Places(free, places),
+        tuple(static_loads),
+        DofPartition(free, places),
     )
     return raise_failed(answer, _resonant) if throw else answer
 
 
-def _resonant(item: str, lane: tuple[int, ...]) -> RuntimeError:
-    del item, lane
+def _resonant(item: str, batch_index: tuple[int, ...]) -> RuntimeError:
+    del item, batch_index
     return RuntimeError(
         "At some frequency the answer is not finite: a resonance without damping or a "
         "value of the mechanism that is not finite. Give the hinges `damping`, or leave "
@@ -258,22 +267,22 @@ def _response(
     loads: tuple[Load, ...],
     targets: tuple[Array, ...],
     moved: Poses,
-    bears: tuple[Load, ...],
-    places: Places,
-) -> Response:
-    every = tuple(range(mechanism.rest.size))
-    still = jnp.zeros_like(mechanism.rest)
-    damping = mechanism.couplings.tangent_in_motion(moved, still, every).damping
-    stiffness = _stiffness(mechanism, moved, bears)
+    static_loads: tuple[Load, ...],
+    places: DofPartition,
+) -> FrequencyResponse:
+    every = tuple(range(mechanism.reference.size))
+    still = jnp.zeros_like(mechanism.reference)
+    damping = mechanism.hinge_assembly.tangent_in_motion(moved, still, every).damping
+    stiffness = _stiffness(mechanism, moved, static_loads)
     inertia = mechanism.inertia().reshape(-1)
     inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
-    bodies = loaded(mechanism, loads)
-    applied, _ = Loads.of(loads, bodies, mechanism.rest).apply(moved)
+    bodies = loaded_bodies(mechanism, loads)
+    applied, _ = LoadSet.of(loads, bodies, mechanism.reference).apply(moved)
     force = applied.reshape(-1)
     free, given = (np.array(chosen, int) for chosen in places)
     mask = np.ones(force.size, complex)
     mask[free] = 0.0
-    held = jnp.asarray(mask)
+    fixed = jnp.asarray(mask)
 
     def at(frequency: Array) -> tuple[Array, Array]:
         omega = 2 * jnp.pi * frequency
@@ -294,12 +303,12 @@ def _response(
         solved = back @ (right / size) / size
         swing = swing.at[free].set(jnp.where(worst < 1e13, solved, jnp.nan))
         return swing.reshape(still.shape), (
-            held * (matrix @ swing - force.astype(matrix.dtype))
+            fixed * (matrix @ swing - force.astype(matrix.dtype))
         ).reshape(still.shape)
 
     displacements, reactions = jax.vmap(at)(frequencies)
     finite = jnp.all(jnp.isfinite(displacements))
-    return Response(
+    return FrequencyResponse(
         frequencies=frequencies,
         displacements=displacements,
         reactions=reactions,
@@ -311,13 +320,13 @@ def _response(
 def _stiffness(
     mechanism: Mechanism, moved: Poses, loads: tuple[Load, ...]
 ) -> Float[Array, "coordinates coordinates"]:
-    every = Places(tuple(range(mechanism.rest.size)), ())
-    acting = Loads.of(loads, loaded(mechanism, loads), mechanism.rest)
-    problem = Problem(mechanism.couplings, acting, jnp.zeros(0), every)
+    every = DofPartition(tuple(range(mechanism.reference.size)), ())
+    acting = LoadSet.of(loads, loaded_bodies(mechanism, loads), mechanism.reference)
+    problem = Problem(mechanism.hinge_assembly, acting, jnp.zeros(0), every)
     return problem.matrix(moved)[1]
 
 
 def _state(mechanism: Mechanism, about: PosesLike | Equilibrium | None) -> Poses:
     if about is None:
-        return jnp.zeros_like(mechanism.rest)
+        return jnp.zeros_like(mechanism.reference)
     return within_range(mechanism, "about", about)

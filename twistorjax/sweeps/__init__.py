@@ -1,11 +1,22 @@
-"""Sweeps: what a study says of many designs, in chunks, on one device or on many."""
+"""Sweeps of a study over many designs, and tolerance analysis.
 
-from .lanes import Grid as Grid
-from .spreads import (
-    AbstractSpread as AbstractSpread,
+Start reading in `sweep`. `designs` and `distributions` hold what is varied, `outputs` what
+a study returns of one design, `executor` the compiled program that evaluates chunks of
+designs on one or several devices, and `store` the results on disk, from which an
+interrupted sweep is resumed. `tolerances` computes how tolerances of the parameters
+propagate to an output.
+"""
+
+from .designs import Grid as Grid
+from .distributions import (
+    AbstractDistribution as AbstractDistribution,
     Normal as Normal,
-    sampled as sampled,
+    sample_designs as sample_designs,
     Uniform as Uniform,
 )
 from .sweep import open_sweep as open_sweep, sweep as sweep
-from .tolerances import Share as Share, Tolerances as Tolerances, tolerances as tolerances
+from .tolerances import (
+    Tolerances as Tolerances,
+    tolerances as tolerances,
+    VarianceShare as VarianceShare,
+)

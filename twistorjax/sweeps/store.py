@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool
 
-from .._checks import package
+from .._utils.validation import require_package
 from .store_creation import FORMAT, nothing
 from .store_files import clear_errors, damage, damaged_files, MANIFEST, read_manifest
 
@@ -38,7 +38,7 @@ class Store:
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
-        package("zarr", "Stores", "data")
+        require_package("zarr", "Stores", "data")
         if not self.path.exists():
             raise FileNotFoundError(f"There is no store {str(path)!r}.")
         manifest = read_manifest(self.path)
@@ -86,7 +86,7 @@ class Store:
             )
             raise damage(self.path, f"its file {damaged[0]!r}", remedy)
         with clear_errors(self.path, "read"):
-            zarr = package("zarr", "Stores", "data")
+            zarr = require_package("zarr", "Stores", "data")
             group = zarr.open_group(self.path, mode=mode)
             self._sums = group["finished/sums"]
             self._arrays = {name: group[name] for name in self.names}

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from .._checks import package
-from .layout import Layout, OUTCOMES, UNKNOWN
+from .._utils.validation import require_package
+from .dataset import Layout, OUTCOMES, UNKNOWN
 from .store_files import clear_errors, MANIFEST, write_manifest
 
 
@@ -136,7 +136,7 @@ def _built(
 
 def _build(folder: Path, made_by: Mapping[str, Any], layout: Layout, chunk: int) -> None:
     """Write all files of a store without answers."""
-    group = package("zarr", "Stores", "data").open_group(folder, mode="w")
+    group = require_package("zarr", "Stores", "data").open_group(folder, mode="w")
     labels = {}
     for name, column in (layout.fixed | layout.by_design).items():
         labels.update(column.labels)
@@ -158,7 +158,7 @@ def _build(folder: Path, made_by: Mapping[str, Any], layout: Layout, chunk: int)
     for axis, names in labels.items():
         words = np.array(names, dtype=np.dtypes.StringDType())
         _write_fixed(group, axis, words, dimension_names=(axis,))
-    count = len(layout.lanes)
+    count = len(layout.designs)
     group.create_group("finished").create_array(
         "sums", shape=(-(-count // chunk),), chunks=(1,), dtype="uint64", fill_value=0
     )

@@ -13,18 +13,18 @@ from typing import Any, TYPE_CHECKING
 import jax
 import numpy as np
 
-from .._checks import uncompilable
-from ..solve.results import meaning, NAMES
-from ..solve.tables import Column, dataset, need_xarray
-from .engine import chunk_of, Program
-from .lanes import Lanes
-from .layout import finished, Layout, OUTCOMES, UNKNOWN
-from .machine import LEAST, need_memory, too_large
+from .._utils.validation import compilation_error
+from ..solve.results import result_message, RESULT_NAMES
+from ..solve.tables import Column, dataset, require_xarray
+from .dataset import finished, Layout, OUTCOMES, UNKNOWN
+from .designs import Designs
+from .executor import chunk_of, Program
+from .memory import LEAST, need_memory, too_large
 from .names import check_storable
+from .outputs import StudyOutput
 from .store import Store
 from .store_creation import create_store, need_writable, rewrite_fixed_files
 from .store_files import clear_errors, damage
-from .telling import Told
 
 
 if TYPE_CHECKING:
@@ -55,11 +55,11 @@ def sweep(
         study: of one design, as `designs` has them: builds a mechanism, solves it with
             `throw=False`, and answers with an equilibrium, vibrations, a motion, a
             number, an array, or a mapping of these by names. What such a mapping has of
-            type `RESULTS`, as `rest.result`, tells of each design whether it succeeded;
+            type `RESULTS`, as `reference.result`, tells of each design whether it succeeded;
             otherwise those do whose numbers are finite. It is traced once for all
             designs, so numbers of `np.random` are the same for all.
         designs: a mapping from names to arrays, or another tree of them, each with an
-            entry for each design along its first axis; `sampled` makes such ones. Or a
+            entry for each design along its first axis; `sample_designs` makes such ones. Or a
             `Grid`, for all combinations.
         derivatives: names of answers that are differentiated by each parameter, in the
             same pass: `gain_by_web`.
@@ -94,14 +94,15 @@ def sweep(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from twistorjax import Body, equilibrium, Hinge, leaf, Load, Material
+        >>> from twistorjax import Body, equilibrium, Hinge, Load, Material
+        >>> from twistorjax.flexures import leaf
         >>> from twistorjax import Mechanism
         >>> steel = Material(modulus=210e9, poisson=0.3)
         >>> def sag(design):
         ...     spring = leaf(steel, length=0.05, width=0.01, **design)
         ...     hinge = Hinge("leaf", "wall", "tip", spring, at=(0.0, 0.025, 0.0))
         ...     bodies = [Body("wall"), Body("tip", (0.0, 0.05, 0.0))]
-        ...     beam = Mechanism(bodies, [hinge], held=["wall"])
+        ...     beam = Mechanism(bodies, [hinge], fixed=["wall"])
         ...     push = Load("tip", (0.0, 0.0, -1.0))
         ...     bent = equilibrium(beam, loads=[push], throw=False)
         ...     return {"sag": -bent.displacement("tip")[2], "result": bent.result}
@@ -110,10 +111,10 @@ def sweep(
         >>> table.sag.values
         array([0.00190..., 0.00023...])
     """
-    need_xarray()
+    require_xarray()
     if not callable(study):
         raise ValueError(f"`study` is {study!r}, but must be a function of one design.")
-    lanes = Lanes(designs)
+    designs = Designs(designs)
     if isinstance(derivatives, str):
         derivatives = (derivatives,)
     if (chunk is not None and chunk < 1) or not memory > 0:
@@ -125,15 +126,15 @@ def sweep(
         raise ValueError("`resume` is given, but no `store` to go on with.")
     there = None
     if store is not None:
-        check_storable(lanes.names)
+        check_storable(designs.names)
         if Path(store).exists():
             there = Store(store)  # refused where it is none
         else:
             need_writable(Path(store))
     # the answers in a store are read as they are used, unless they become a grid
-    held = store is None or lanes.dims != ("design",)
-    parameters = sum(array.nbytes for array in lanes.arrays)
-    need_memory(len(lanes), parameters + (LEAST * len(lanes) if held else 0))
+    fixed = store is None or designs.dims != ("design",)
+    parameters = sum(array.nbytes for array in designs.arrays)
+    need_memory(len(designs), parameters + (LEAST * len(designs) if fixed else 0))
     _together("looked")  # before the first of them makes it
     if there is not None and not resume:
         raise ValueError(
@@ -142,37 +143,39 @@ def sweep(
         )
     if there is not None and chunk is None:
         chunk = there.made_by["chunk"]
-    size = chunk_of(len(lanes), mesh) if chunk is None else chunk
+    size = chunk_of(len(designs), mesh) if chunk is None else chunk
     try:
         program = _program(
-            study, lanes.kind, tuple(derivatives), size, memory, mesh, chunk is not None
+            study, designs.kind, tuple(derivatives), size, memory, mesh, chunk is not None
         )
     except jax.errors.JAXTypeError as error:
-        raise uncompilable("study", "about the design", error) from error
-    layout = Layout(lanes, program.told, dict(units or {}))
+        raise compilation_error("study", "about the design", error) from error
+    layout = Layout(designs, program.told, dict(units or {}))
     if store is not None:
         layout.check_storable()
-    needed = layout.size(answers=held)
-    need_memory(len(lanes), needed)
+    needed = layout.size(answers=fixed)
+    need_memory(len(designs), needed)
     program.fit()
     if store is None:
         try:
             kept = layout.empty()
         except MemoryError:
-            raise too_large(len(lanes), needed) from None
-        for number, told in _shown(program, lanes, range(program.count(lanes)), progress):
+            raise too_large(len(designs), needed) from None
+        for number, told in _shown(
+            program, designs, range(program.count(designs)), progress
+        ):
             first = number * program.chunk
             for name, values in layout.values(told).items():
                 rows = kept[name][first : first + program.chunk]
                 rows[:] = values[: len(rows)]
-        attributes = _identity(study, lanes, program, units, settings)
-        table = _in_memory(layout, _gathered(kept, lanes, program), attributes)
+        attributes = _identity(study, designs, program, units, settings)
+        table = _in_memory(layout, _gathered(kept, designs, program), attributes)
     else:
-        made_by = _identity(study, lanes, program, units, settings)
+        made_by = _identity(study, designs, program, units, settings)
         keeper = _opened(store, layout, program, made_by, resume)
         left = np.flatnonzero(~keeper.finished())
         _together("begun")
-        for number, told in _shown(program, lanes, left.tolist(), progress):
+        for number, told in _shown(program, designs, left.tolist(), progress):
             keeper.write(number, layout.values(told))
         _together("ended")
         table = open_sweep(store, verify=False)
@@ -212,7 +215,7 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
         OSError: it is not there, cannot be read, or its coordinates, labels or metadata
             are damaged.
     """
-    xarray, kept = need_xarray(), Store(store).open("r")
+    xarray, kept = require_xarray(), Store(store).open("r")
     with clear_errors(kept.path, "read"):
         table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
     table = table[list(kept.names)].assign_coords(table.coords)
@@ -257,14 +260,14 @@ def _opened(
 
 def _identity(
     study: Callable[[Any], Any],
-    lanes: Lanes,
+    designs: Designs,
     program: Program,
     units: Mapping[str, str] | None,
     settings: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """What another sweep is told apart by."""
     digest = hashlib.sha256()
-    for name, array in zip(lanes.names, lanes.arrays, strict=True):
+    for name, array in zip(designs.names, designs.arrays, strict=True):
         digest.update(f"{name} {array.dtype} {array.shape};".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     try:
@@ -294,20 +297,20 @@ def _in_memory(
         for name, column in layout.by_design.items()
     }
     table = dataset({**layout.fixed, **told}, OUTCOMES)
-    table = table.set_coords(layout.lanes.names).assign_attrs(attributes)
+    table = table.set_coords(layout.designs.names).assign_attrs(attributes)
     return finished(table, layout.grid, layout.places)
 
 
 def _shown(
-    program: Program, lanes: Lanes, chunks: Sequence[int], progress: bool
-) -> Iterator[tuple[int, Told]]:
+    program: Program, designs: Designs, chunks: Sequence[int], progress: bool
+) -> Iterator[tuple[int, StudyOutput]]:
     """The chunks as they are found, with a bar that counts designs."""
     from tqdm import tqdm
 
-    count, size = len(lanes), program.chunk
+    count, size = len(designs), program.chunk
     total = sum(min(size, count - number * size) for number in chunks)
     with tqdm(total=total, unit="design", unit_scale=True, disable=not progress) as bar:
-        for number, told in program.run(lanes, chunks):
+        for number, told in program.run(designs, chunks):
             yield number, told
             bar.update(min(size, count - number * size))
 
@@ -321,17 +324,17 @@ def _together(step: str) -> None:
 
 
 def _gathered(
-    kept: dict[str, np.ndarray], lanes: Lanes, program: Program
+    kept: dict[str, np.ndarray], designs: Designs, program: Program
 ) -> dict[str, np.ndarray]:
     """The numbers of all processes, of which each has those of its own chunks."""
     if jax.process_count() == 1:
         return kept
     from jax.experimental import multihost_utils
 
-    owner = np.repeat(program.owners(lanes), program.chunk)[: len(lanes)]
-    designs = np.arange(len(owner))
+    owner = np.repeat(program.owners(designs), program.chunk)[: len(designs)]
+    rows = np.arange(len(owner))
     return {
-        name: np.asarray(multihost_utils.process_allgather(values))[owner, designs]
+        name: np.asarray(multihost_utils.process_allgather(values))[owner, rows]
         for name, values in kept.items()
     }
 
@@ -339,14 +342,16 @@ def _gathered(
 def failures(table: "xarray.Dataset") -> dict[str, int]:
     """How many designs have no answer, by what became of them."""
     codes = np.asarray(table["result"])[~np.asarray(table["succeeded"])]
-    return dict(Counter(NAMES[code] for code in codes.ravel() if code != UNKNOWN))
+    return dict(Counter(RESULT_NAMES[code] for code in codes.ravel() if code != UNKNOWN))
 
 
 def warn_of_failures(table: "xarray.Dataset") -> None:
     """Counts the designs that have no answer, and says why."""
     if not (counts := failures(table)):
         return
-    why = " ".join(f"{count:,} {name}: {meaning(name)}" for name, count in counts.items())
+    why = " ".join(
+        f"{count:,} {name}: {result_message(name)}" for name, count in counts.items()
+    )
     warnings.warn(
         f"{sum(counts.values()):,} of {table['succeeded'].size:,} designs have no "
         f"answer: their numbers are NaN. {why}",

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..solve.tables import need_xarray
-from .machine import need_memory
-from .spreads import Method, Spreads
+from ..solve.tables import require_xarray
+from .distributions import DistributionSet, Method
+from .memory import need_memory
 from .sweep import sweep, warn_of_failures
 
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _GROUPS = 8  # samples, each for itself
 
 
-class Share(NamedTuple):
+class VarianceShare(NamedTuple):
     """How much of the spread of an answer one parameter brings.
 
     Of correlated parameters each has what it brings together with the others, which may
@@ -31,7 +31,7 @@ class Share(NamedTuple):
         name: of the parameter.
         slope: of the answer by it, at the means.
         first_order: its part of the variance, by the slopes.
-        sampled: its part of the variance of the designs that were drawn, by the linear
+        sample_designs: its part of the variance of the designs that were drawn, by the linear
             function of the parameters that fits them best.
     """
 
@@ -70,7 +70,7 @@ class Tolerances(NamedTuple):
     spread: float
     spread_error: float
     interval: tuple[float, float]
-    shares: tuple[Share, ...]
+    shares: tuple[VarianceShare, ...]
     nonlinear: float
     failed: int
     table: "xarray.Dataset"
@@ -146,7 +146,7 @@ def tolerances(
         answer: the name of the number that is looked at; "answer" of a study that gives
             just a number.
         count: how many designs are drawn, best a power of two.
-        method: how: see `sampled`. Of what fills the space evenly eight samples are
+        method: how: see `sample_designs`. Of what fills the space evenly eight samples are
             drawn, each for itself, whose differences give the standard errors; fewer
             than 128 designs are one sample, whose errors are told as if each had been
             drawn for itself, which is too large.
@@ -173,13 +173,13 @@ def tolerances(
         >>> round(seen.deviation, 5), [share.name for share in seen.shares]
         (0.02236, ['height', 'width'])
     """
-    need_xarray()
+    require_xarray()
     if jnp.result_type(float) != jnp.float64:
         raise ValueError(
             "Small differences need double precision, which JAX has off. Before any "
             'array is made, write `jax.config.update("jax_enable_x64", True)`.'
         )
-    spreads = Spreads(designs, correlation)
+    spreads = DistributionSet(designs, correlation)
     if not isinstance(count, int | np.integer) or count < 2:
         raise ValueError(f"`count` is {count!r}, but must be a whole number from 2.")
     need_memory(count, 8 * count * len(spreads.names))
@@ -226,7 +226,7 @@ def tolerances(
     spread = float(values.std(ddof=1))
     seen = _brought(drawn[fine], values, spreads.deviations)
     shares = [
-        Share(name, float(slope), float(first), float(other))
+        VarianceShare(name, float(slope), float(first), float(other))
         for name, slope, first, other in zip(
             spreads.names, slopes, brought / (variance or 1.0), seen, strict=True
         )
@@ -256,7 +256,7 @@ class _OfSpread:
     So that what was compiled of it is found again.
     """
 
-    def __init__(self, study: Callable[[Any], Any], spreads: Spreads):
+    def __init__(self, study: Callable[[Any], Any], spreads: DistributionSet):
         self._study, self._spreads = study, spreads
         self._known = (study, *spreads.known)
         self.__qualname__ = getattr(study, "__qualname__", type(study).__qualname__)

@@ -1,1 +1,0 @@
-"""The commands of `twistorjax`, each with what it prints."""

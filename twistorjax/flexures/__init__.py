@@ -1,0 +1,28 @@
+"""Energies of flexures that are cut from a plate, from their dimensions and material.
+
+Start reading in `leaf` and `notch`, which return the energy of a hinge for use in small
+rotations. `beam` solves a geometrically exact beam of any outline, `exact_beam` makes an
+energy of it, and `surrogate` replaces that by a polynomial which is as fast as one hinge.
+`stress` computes the largest stress from the wrench of a hinge.
+"""
+
+from .beam import (
+    Beam as Beam,
+    beam_under_load as beam_under_load,
+    BeamSolution as BeamSolution,
+    largest_rotation as largest_rotation,
+)
+from .exact_beam import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
+from .leaf import (
+    leaf as leaf,
+    leaf_outline as leaf_outline,
+    quartic_leaf as quartic_leaf,
+)
+from .material import Material as Material
+from .notch import (
+    notch as notch,
+    notch_outline as notch_outline,
+    notch_profile as notch_profile,
+)
+from .stress import leaf_stress as leaf_stress, notch_stress as notch_stress
+from .surrogate import surrogate as surrogate

@@ -1,0 +1,41 @@
+"""What a plate is made of."""
+
+import equinox as eqx
+from jaxtyping import ArrayLike
+
+from .._utils.types import Scalar
+from .._utils.validation import require_interval, require_positive
+
+
+class Material(eqx.Module):
+    """An isotropic, linearly elastic material.
+
+    Args:
+        modulus: Young's modulus; Pa.
+        poisson: Poisson's ratio.
+        density: needed for masses alone; kg/m3.
+
+    Raises:
+        ValueError: a value is not positive, or Poisson's ratio is above a half.
+
+    Example:
+        >>> Material(modulus=69e9, poisson=0.33).shear_modulus
+        Array(2.59398496e+10, dtype=float64)
+    """
+
+    modulus: Scalar
+    poisson: Scalar
+    density: Scalar | None
+
+    def __init__(
+        self, modulus: ArrayLike, poisson: ArrayLike, density: ArrayLike | None = None
+    ):
+        self.modulus = require_positive("`modulus`", modulus)
+        needed = "must lie above -1 and be at most 0.5"
+        self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, needed)
+        self.density = None if density is None else require_positive("`density`", density)
+
+    @property
+    def shear_modulus(self) -> Scalar:
+        """Resistance to a change of angle; Pa."""
+        return self.modulus / (2 * (1 + self.poisson))

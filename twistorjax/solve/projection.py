@@ -1,0 +1,72 @@
+"""Solvers of diffrax for mechanisms with constraints."""
+
+from typing import Any, cast
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+
+from .motion_system import State, System
+
+
+class Projected(dfx.AbstractWrappedSolver):
+    """A solver of diffrax whose every step ends on the constraints.
+
+    The equations of motion keep the second derivative of the constraints at zero. A
+    solver that integrates them lets the constraints themselves drift, so that a pin moves
+    away from its place without any sign of it. Here each step is followed by the
+    projection of its displacements and velocities, as inertia measures the distance. The
+    order of the method stays the same.
+
+    Args:
+        solver: any solver for ordinary differential equations.
+
+    Source:
+        Hairer, Lubich and Wanner, Geometric Numerical Integration, algorithm IV.4.2.
+    """
+
+    solver: dfx.AbstractSolver
+
+    @property
+    def term_structure(self) -> Any:
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self) -> Any:  # pyright: ignore
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self) -> Any:
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def root_finder(self) -> Any:
+        """Of an implicit solver; diffrax sets its tolerances."""
+        return cast(dfx.AbstractImplicitSolver, self.solver).root_finder
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def strong_order(self, terms):
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+    def step(self, terms, t0, t1, y0: State, args: System, solver_state, made_jump):
+        # What a step leaves to the next belongs to its end before the projection, which
+        # is a jump in the sense of diffrax.
+        del made_jump
+        end, error, dense, solver_state, result = self.solver.step(
+            terms, t0, t1, y0, args, solver_state, True
+        )
+        time = jnp.asarray(t1)
+        place, rate = args.project(time, end.place, end.rate)
+        end = eqx.tree_at(lambda end: (end.place, end.rate), end, (place, rate))
+        return end, error, dense, solver_state, result

@@ -1,4 +1,4 @@
-"""The command line's time, in processes of their own."""
+"""Time of the command `twistorjax stage`, which includes the start of Python and JAX."""
 
 import os
 import subprocess
@@ -11,12 +11,12 @@ from .measure import at_most, Row
 
 
 def run() -> Iterator[Row]:
-    """A first call with nothing cached, and a second one."""
+    """Measure a first call without cached programs, and a second call with them."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "XDG_CACHE_HOME": cache}
-        # as installed by pip, which compiles Python's own files too
+        # An installation by pip contains compiled Python files, so let Python write them.
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        for what, bound in (("first call", 6.0), ("second call", 3.0)):
+        for call, bound in (("first call", 6.0), ("second call", 3.0)):
             start = time.perf_counter()
             subprocess.run(
                 [sys.executable, "-m", "twistorjax", "stage"],
@@ -25,4 +25,4 @@ def run() -> Iterator[Row]:
                 stdout=subprocess.DEVNULL,
             )
             elapsed = time.perf_counter() - start
-            yield at_most(f"`twistorjax stage`: {what}", elapsed, "s", bound)
+            yield at_most(f"`twistorjax stage`: {call}", elapsed, "s", bound)

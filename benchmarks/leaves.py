@@ -32,11 +32,11 @@ def energies(thickness: float, turn: float, shear_factor: float | None) -> Energ
     return {
         "leaf": tj.flexures.leaf(UNIT, theory=theory, coordinates="twist", **size),
         "quartic_leaf": tj.flexures.quartic_leaf(UNIT, theory=theory, **size),
-        "distilled": tj.flexures.surrogate(beam(thickness, shear_factor), turn=turn),
+        "distilled": tj.flexures.surrogate(beam(thickness, shear_factor), rotation=turn),
     }
 
 
-def gather_constraints(
+def assembled(
     energy: tj.AbstractEnergy, places: list[tuple[float, float, float]]
 ) -> tj.Mechanism:
     """A stage on leaves; a cantilever, where there is one."""
@@ -58,7 +58,7 @@ def _under_loads() -> Iterator[Row]:
     """Against the exact beam, t / L = 0.1, under fresh random loads."""
     thick = beam(0.1, 5 / 6)
     bend = jax.jit(
-        jax.vmap(lambda load: tj.flexures.beam_under_load(thick, load, places=2))
+        jax.vmap(lambda load: tj.flexures.beam_under_load(thick, load, sections=2))
     )
     for degrees, asked in ((20, 0.1), (46, 0.5), (90, 3.0)):
         turn = np.radians(degrees)
@@ -97,7 +97,7 @@ def _mechanisms() -> Iterator[Row]:
     )  # fmt: skip
     for case, thickness, places, (loads, drives), expected in cases:
         for name, energy in energies(thickness, 0.8, None).items():
-            mechanism = gather_constraints(energy, places)
+            mechanism = assembled(energy, places)
             solution = tj.equilibrium(mechanism, loads=loads, drives=drives)
             turn, along, across = solution.displacement("stage")
             moment, _, force = solution.reaction("stage")
@@ -119,7 +119,9 @@ def _mechanisms() -> Iterator[Row]:
 def _costs() -> Iterator[Row]:
     """What energies and distillation cost."""
     start = time.perf_counter()
-    surrogate = jax.block_until_ready(tj.flexures.surrogate(beam(0.09, 5 / 6), turn=0.8))
+    surrogate = jax.block_until_ready(
+        tj.flexures.surrogate(beam(0.09, 5 / 6), rotation=0.8)
+    )
     again = time.perf_counter() - start
     yield Row("a leaf distilled, its kind compiled before", again, "s")
     powers = tj.energies.monomials(8)

@@ -22,7 +22,7 @@ SWEPT = f"{DESIGNS} linkages, let go: on one core"
 def released(thickness: jax.Array, tolerance: float) -> tj.Motion:
     """Link 3 let go at 10 m/s."""
     linkage = four_bar.four_bar(damping=1e-4, thickness=thickness)
-    return four_bar.release(
+    return four_bar.released_motion(
         linkage, TIMES, tolerance=tolerance, energies=False, throw=False
     )
 
@@ -33,7 +33,7 @@ def run() -> Iterator[Row]:
     asked = jnp.array([0.0, 0.09, 0.18, 0.27, 0.36, 0.405])
 
     def driven(linkage: tj.Mechanism, tolerance: float) -> tj.Motion:
-        return four_bar.drive(linkage, asked, tolerance=tolerance, throw=False)
+        return four_bar.driven_motion(linkage, asked, tolerance=tolerance, throw=False)
 
     program, compile_time = compiled(driven, linkage, 1e-8)
     yield at_most("four-bar, driven: compile", compile_time, "s", 5.0)

@@ -17,7 +17,7 @@ WEBS = 10_000
 
 def gain(web: jax.Array) -> jax.Array:
     """The nonlinear gain of a stage, from its geometry."""
-    return stage.amplify(stage.microstage(web), throw=False).gain
+    return stage.amplification(stage.microstage(web), throw=False).gain
 
 
 def small_gain(web: jax.Array) -> jax.Array:

@@ -1,7 +1,7 @@
-"""Studies over many designs, on all cores or accelerators: `python -m benchmarks.sweeps`.
+"""Sweeps over many designs, on all cores or accelerators: `python -m benchmarks.sweeps`.
 
-In a process of its own, for how many devices a processor is must be said before JAX is
-first used.
+The sweeps run in a process of their own, because the number of devices on a processor
+must be set before JAX is used for the first time.
 """
 
 import json
@@ -26,11 +26,11 @@ from .measure import at_least, at_most, Row
 from .statics import small_gain
 
 
-SHORT = 10e-3  # of the leaves; m
+LEAF_LENGTH = 10e-3  # m
 
 
 def run() -> Iterator[Row]:
-    """The rows of the table."""
+    """Run the benchmarks in a process of their own, and yield the rows of the table."""
     done = subprocess.run(
         [sys.executable, "-m", __name__], stdout=subprocess.PIPE, text=True, check=True
     )
@@ -39,111 +39,115 @@ def run() -> Iterator[Row]:
 
 
 def gain(design: dict[str, Any]) -> dict[str, Any]:
-    """The nonlinear gain of a stage."""
-    answer = stage_gain(design)
-    return {"gain": answer.gain, "result": answer.result}
+    """Compute the nonlinear gain of a stage."""
+    amplification = stage_gain(design)
+    return {"gain": amplification.gain, "result": amplification.result}
 
 
 def linear_gain(design: dict[str, Any]) -> dict[str, Any]:
-    """Its gain for small travels."""
+    """Compute the gain of a stage for small displacements."""
     return {"gain": small_gain(design["web"])}
 
 
 def frequencies(design: dict[str, Any]) -> dict[str, Any]:
-    """Its three slowest vibrations, with the input held."""
-    found = tj.vibrations(stage.microstage(design["web"]), {"6": ["x"]}, throw=False)
-    return {"frequency": found.frequencies[:3], "result": found.result}
+    """Compute the three lowest natural frequencies of a stage with a fixed input."""
+    modes = tj.vibrations(stage.microstage(design["web"]), {"6": ["x"]}, throw=False)
+    return {"frequency": modes.frequencies[:3], "result": modes.result}
 
 
 @cache
 def leaf() -> tj.energies.WithValidityRange:
-    """A leaf that is exact to 20 degrees."""
+    """Create a surrogate of an exact leaf, valid for rotations of up to 20 degrees."""
     beam = tj.flexures.Beam(
-        stage.aluminium(), length=SHORT, thickness=SHORT / 10, width=5e-3
+        stage.aluminum(), length=LEAF_LENGTH, thickness=LEAF_LENGTH / 10, width=5e-3
     )
-    return tj.flexures.surrogate(beam, turn=np.radians(20))
+    return tj.flexures.surrogate(beam, rotation=np.radians(20))
 
 
 def parallelogram(design: dict[str, Any]) -> dict[str, Any]:
-    """A table on two distilled leaves, pushed aside."""
+    """Compute the parasitic motion of a parallelogram with two surrogate leaves."""
     hinges = [
-        tj.Hinge(name, "base", "table", leaf(), (jnp.pi / 2, x, SHORT / 2))
-        for name, x in (("left", -SHORT), ("right", SHORT))
+        tj.Hinge(name, "base", "table", leaf(), (jnp.pi / 2, x, LEAF_LENGTH / 2))
+        for name, x in (("left", -LEAF_LENGTH), ("right", LEAF_LENGTH))
     ]
-    bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, SHORT))]
+    bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, LEAF_LENGTH))]
     table = tj.Mechanism(bodies, hinges, fixed=["base"])
-    pushed = tj.Drive("table", x=design["travel"])
-    solution = tj.equilibrium(table, drives=[pushed], throw=False)
-    return {"sinking": solution.displacement("table")[2], "result": solution.result}
+    drive = tj.Drive("table", x=design["travel"])
+    solution = tj.equilibrium(table, drives=[drive], throw=False)
+    return {"parasitic": solution.displacement("table")[2], "result": solution.result}
 
 
 def released(design: dict[str, Any]) -> dict[str, Any]:
-    """A four-bar linkage let go for 0.2 s."""
+    """Simulate the free motion of a four-bar linkage for 0.2 s."""
     linkage = four_bar.four_bar(
         damping=four_bar.RELEASED_DAMPING, thickness=design["thickness"]
     )
-    moved = four_bar.release(
+    motion = four_bar.released_motion(
         linkage, [0.0, 0.2], tolerance=1e-4, energies=False, throw=False
     )
-    return {"angle": moved.displacement("2")[-1, 0], "result": moved.result}
+    return {"angle": motion.displacement("2")[-1, 0], "result": motion.result}
 
 
-def measured() -> Iterator[Row]:
-    """The rows, in this process."""
+def measure_sweeps() -> Iterator[Row]:
+    """Yield the rows of the table, measured in this process."""
     mesh = jax.make_mesh((jax.device_count(),), ("designs",))
     accelerated = jax.default_backend() != "cpu"
 
     def timed(
         study: Callable, name: str, low: float, high: float, count: int, **settings: Any
     ) -> tuple[float, float]:
-        """Seconds with compilation, and without."""
+        """Time a sweep with compilation and without; s."""
         designs, times = {name: np.linspace(low, high, count)}, []
         for _ in range(4):
-            begun = time.perf_counter()
+            start = time.perf_counter()
             table = tj.sweep(study, designs, mesh=mesh, **settings)
-            times.append(time.perf_counter() - begun)
+            times.append(time.perf_counter() - start)
             assert bool(table.succeeded.all())
         return times[0], float(np.median(times[1:]))
 
     webs = ("web", 0.2e-3, 0.4e-3)
-    first, taken = timed(gain, *webs, 100_000)
+    first, repeated = timed(gain, *webs, 100_000)
     yield Row("sweep: stage: with compilation, 100,000 webs", first, "s")
     bound = 1e7 if accelerated else 100_000
-    yield at_least("sweep: stage: nonlinear gains", 100_000 / taken, "/s", bound)
-    each = {}
+    yield at_least("sweep: stage: nonlinear gains", 100_000 / repeated, "/s", bound)
+    per_design = {}
     for count in (10_000, 1_000_000):
-        each[count] = timed(gain, *webs, count)[1] / count
-        yield Row(f"sweep: stage: gains, {count:,} webs", 1 / each[count], "/s")
-    ratio = each[1_000_000] / each[10_000]
+        per_design[count] = timed(gain, *webs, count)[1] / count
+        yield Row(f"sweep: stage: gains, {count:,} webs", 1 / per_design[count], "/s")
+    ratio = per_design[1_000_000] / per_design[10_000]
     yield at_most("sweep: stage: cost of a design, 1e6 over 1e4", ratio, "x", 1.2)
-    taken = timed(gain, *webs, 100_000, derivatives=("gain",))[1]
+    repeated = timed(gain, *webs, 100_000, derivatives=("gain",))[1]
     what = "sweep: stage: gains and exact derivatives"
-    yield at_least(what, 100_000 / taken, "/s", 50_000)
-    taken = timed(linear_gain, *webs, 400_000)[1]
-    yield at_least("sweep: stage: linearised gains", 400_000 / taken, "/s", 400_000)
-    taken = timed(frequencies, *webs, 20_000)[1]
-    yield Row("sweep: stage: three frequencies", 20_000 / taken, "/s")
-    leaf()  # not while its sweep is traced
-    taken = timed(parallelogram, "travel", 1e-5, 1e-3, 20_000)[1]
-    yield Row("sweep: table on two distilled leaves", 20_000 / taken, "/s")
+    yield at_least(what, 100_000 / repeated, "/s", 50_000)
+    repeated = timed(linear_gain, *webs, 400_000)[1]
+    yield at_least("sweep: stage: linearized gains", 400_000 / repeated, "/s", 400_000)
+    repeated = timed(frequencies, *webs, 20_000)[1]
+    yield Row("sweep: stage: three frequencies", 20_000 / repeated, "/s")
+    leaf()  # Create the surrogate now, not while the study is traced.
+    repeated = timed(parallelogram, "travel", 1e-5, 1e-3, 20_000)[1]
+    yield Row("sweep: parallelogram of two surrogate leaves", 20_000 / repeated, "/s")
     count = 100_000 if accelerated else 500
-    chunk = None if accelerated else 64
-    taken = timed(released, "thickness", 0.9e-3, 1e-3, count, chunk=chunk)[1]
-    what, bound = "sweep: linkages let go for 0.2 s", 5e4 if accelerated else None
-    rate = count / taken
-    yield Row(what, rate, "/s") if bound is None else at_least(what, rate, "/s", bound)
+    chunk_size = None if accelerated else 64
+    thicknesses = ("thickness", 0.9e-3, 1e-3)
+    repeated = timed(released, *thicknesses, count, chunk_size=chunk_size)[1]
+    what, rate = "sweep: free motion of a linkage for 0.2 s", count / repeated
+    yield at_least(what, rate, "/s", 5e4) if accelerated else Row(what, rate, "/s")
 
-    spread = {"web": tj.sweeps.Normal(np.full(7, stage.WEB), 10e-6)}
-    seen = tj.sweeps.tolerances(stage_gain, spread, "gain", mesh=mesh)
-    yield Row("tolerances: gain, seven webs +- 10 um, drawn: mean", seen.mean, "")
-    yield Row("tolerances: the same: deviation", seen.spread, "")
-    yield Row("tolerances: the same, to first order: mean", seen.nominal, "")
-    yield Row("tolerances: the same: deviation", seen.deviation, "")
+    distributions = {"web": tj.sweeps.Normal(np.full(7, stage.WEB), 10e-6)}
+    result = tj.sweeps.tolerances(stage_gain, distributions, "gain", mesh=mesh)
+    what = "tolerances: gain, seven webs +- 10 um, sampled: mean"
+    yield Row(what, result.mean, "")
+    what = "tolerances: the same: standard deviation"
+    yield Row(what, result.standard_deviation, "")
+    yield Row("tolerances: the same, first order: mean", result.nominal, "")
+    yield Row(what, result.first_order_standard_deviation, "")
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     if os.environ.get("JAX_PLATFORMS", "cpu") == "cpu":
-        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
-    for row in measured():
+        # `process_cpu_count` exists from Python 3.13 on.
+        cores = getattr(os, "process_cpu_count", os.cpu_count)() or 1
+        jax.config.update("jax_num_cpu_devices", cores)
+    for row in measure_sweeps():
         print(json.dumps(asdict(row)), flush=True)

@@ -1,4 +1,4 @@
-"""How the manual reads docstrings: an `Example:` is code, and what it prints."""
+"""Extension of mkdocstrings: `Example:` sections are shown as code."""
 
 import re
 
@@ -6,10 +6,16 @@ import griffe
 
 
 class Examples(griffe.Extension):
-    """Calls the section what griffe's parser knows."""
+    """Rename sections `Example:` to `Examples:`, which griffe parses."""
 
     def on_object(self, *, obj: griffe.Object, **_: object) -> None:
-        """Of every module, class, function and attribute."""
+        """Rename the section in the docstring of one object.
+
+        Args:
+            obj: Module, class, function, or attribute.
+        """
         if obj.docstring:
             text = obj.docstring.value
-            obj.docstring.value = re.sub(r"(?m)^( *)Example:$", r"\1Examples:", text)
+            obj.docstring.value = re.sub(
+                r"(?m)^( *)Example:$", r"\1Examples:", text
+            )

@@ -1,4 +1,4 @@
-"""Runs every notebook from top to bottom: `python notebooks/run.py --help`."""
+"""Run the notebooks from top to bottom: `python notebooks/run.py --help`."""
 
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -10,47 +10,76 @@ import typer
 from nbclient import NotebookClient
 
 
-LONGEST = 150  # a notebook takes less than a minute on a machine of its own; s
-LARGEST = 3e5  # of one output: what is kept is read on slow lines; bytes
+TIMEOUT = (
+    150  # for one cell; a whole notebook takes less than a minute if alone; s
+)
+LARGEST_OUTPUT = (
+    3e5  # of one cell, so that the manual loads on slow connections; bytes
+)
 
 
 def main(
     keep: Annotated[
-        bool, typer.Option("--keep", help="Keep their outputs in the files.")
+        bool,
+        typer.Option("--keep", help="Write the outputs into the notebooks."),
     ] = False,
     names: Annotated[
-        list[str] | None, typer.Argument(help="Of notebooks, by default all.")
+        list[str] | None,
+        typer.Argument(help="Paths of notebooks. [default: all]"),
     ] = None,
 ) -> None:
-    """Runs notebooks, two at a time; ends with 1 where one fails, or keeps too much."""
+    """Run notebooks, two at a time. The exit code is 1 if one fails."""
     folder = Path(__file__).parent
-    paths = [Path(name) for name in names or []] or sorted(folder.glob("*.ipynb"))
+    paths = [Path(name) for name in names or []] or sorted(
+        folder.glob("*.ipynb")
+    )
     failed = False
     with ProcessPoolExecutor(2) as pool:
-        for path, work in [(path, pool.submit(run, path, keep)) for path in paths]:
-            error = work.exception()
+        for path, job in [
+            (path, pool.submit(run, path, keep)) for path in paths
+        ]:
+            error = job.exception()
             failed |= error is not None
-            print(f"{path.name}: {error or work.result()}", flush=True)
+            print(f"{path.name}: {error or job.result()}", flush=True)
     raise typer.Exit(int(failed))
 
 
 def run(path: Path, keep: bool) -> str:
-    """Runs one, and tells how long it took."""
+    """Run one notebook.
+
+    Args:
+        path: Path of the notebook.
+        keep: Whether its outputs are written into the file.
+
+    Returns:
+        The time it took and the size of its largest output, as text.
+
+    Raises:
+        ValueError: An output is larger than `LARGEST_OUTPUT`.
+    """
     notebook = nbformat.read(path, as_version=4)
     metadata = dict(notebook.metadata)
-    begun = time.perf_counter()
-    NotebookClient(notebook, timeout=LONGEST, record_timing=False).execute()
-    taken = time.perf_counter() - begun
-    sizes = [len(str(o)) for c in notebook.cells for o in c.get("outputs", [])]
-    if max(sizes, default=0) > LARGEST:
-        raise ValueError(f"an output of {max(sizes):,} bytes: draw less.")
+    start = time.perf_counter()
+    NotebookClient(notebook, timeout=TIMEOUT, record_timing=False).execute()
+    seconds = time.perf_counter() - start
+    sizes = [
+        len(str(o)) for c in notebook.cells for o in c.get("outputs", [])
+    ]
+    if max(sizes, default=0) > LARGEST_OUTPUT:
+        raise ValueError(
+            f"An output has {max(sizes):,} bytes: draw fewer frames."
+        )
     if keep:
-        for cell in notebook.cells:  # warnings name paths of this machine
-            if "outputs" in cell:
-                cell.outputs = [o for o in cell.outputs if o.get("name") != "stderr"]
-        notebook.metadata = nbformat.from_dict(metadata)  # not this machine's Python
+        for cell in notebook.cells:
+            if "outputs" in cell:  # warnings contain paths of this machine
+                cell.outputs = [
+                    o for o in cell.outputs if o.get("name") != "stderr"
+                ]
+        # the metadata that the run adds contain the version of Python
+        notebook.metadata = nbformat.from_dict(metadata)
         nbformat.write(notebook, path)
-    return f"{taken:.0f} s, largest output {max(sizes, default=0) / 1e3:.0f} kB"
+    largest = max(sizes, default=0)
+    return f"{seconds:.0f} s, largest output {largest / 1e3:.0f} kB"
 
 
 if __name__ == "__main__":

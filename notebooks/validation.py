@@ -1,6 +1,6 @@
-"""Writes the manual's report from what the tests found.
+"""Write the manual's page on validation from the report of the tests.
 
-pytest --junitxml=found.xml && python notebooks/validation.py found.xml
+pytest --junitxml=report.xml && python notebooks/validation.py report.xml
 """
 
 import json
@@ -13,55 +13,69 @@ import typer
 
 HEAD = """# Validation
 
-What the tests find, beside an oracle that shares no code with the library: a closed
-form, a published number, another program. The error is the largest of a row's numbers,
-over the largest of them, unless it says otherwise; a test fails where it exceeds its
-limit. Written by `notebooks/validation.py` from the tests' own numbers.
+The tests compare results with references that share no code with the library:
+closed forms, published numbers, and other programs. The error is the largest
+deviation in a row, relative to the largest reference value, unless the row
+says otherwise. A test fails if its error exceeds its limit.
+`notebooks/validation.py` writes this page from the numbers of the tests.
 
 """
 
-TAIL = """Besides, wrenches as derivatives of the energy, and the closed forms with the Λ
-matrix (equations 3.53 and 4.35 of the dissertation), agree to rounding at random poses;
-the algebra agrees with the package `clifford`; derivatives of every kind agree with
-differences of another solve. `pytest` runs it all.
+TAIL = """The tests also check that wrenches as derivatives of the energy agree
+to rounding with the closed forms that use the matrix Λ (equations 3.53 and
+4.35 of the dissertation), that the algebra agrees with the package `clifford`,
+and that all derivatives agree with finite differences.
 """
 
 
 def main(
-    found: Annotated[Path, typer.Argument(help="What pytest wrote by --junitxml.")],
+    report: Annotated[
+        Path, typer.Argument(help="Report of pytest --junitxml.")
+    ],
     check: Annotated[
-        bool, typer.Option("--check", help="Whether its rows are those of the report.")
+        bool, typer.Option("--check", help="Compare the rows; write nothing.")
     ] = False,
 ) -> None:
-    """Writes `manual/validation.md`, or looks whether it has a row for each number."""
-    root = ElementTree.parse(found).getroot()
+    """Write `manual/validation.md`, or check its rows."""
+    root = ElementTree.parse(report).getroot()
     rows = [
-        json.loads(kept.attrib["value"])
-        for kept in root.iter("property")
-        if kept.attrib["name"] == "validated"
+        json.loads(entry.attrib["value"])
+        for entry in root.iter("property")
+        if entry.attrib["name"] == "validated"
     ]
     if not rows:
-        raise typer.BadParameter(f"{found} has no property `validated`: run all tests.")
-    parts: dict[str, list[str]] = {}
+        raise typer.BadParameter(
+            f"{report} has no property `validated`: run all tests with "
+            "--junitxml."
+        )
+    sections: dict[str, list[str]] = {}
     for row in rows:
         line = f"| {row['what']} | {row['error']:.0e} | {row['oracle']} |"
-        lines = parts.setdefault(row["part"], [])
+        lines = sections.setdefault(row["part"], [])
         if line not in lines:
             lines.append(line)
     text = HEAD
-    for part in sorted(parts):
-        text += f"## {part}\n\n| what | error | oracle |\n|---|---|---|\n"
-        text += "\n".join(sorted(parts[part])) + "\n\n"
-    report = Path(__file__).parent / "manual" / "validation.md"
+    for section in sorted(sections):
+        text += f"## {section}\n\n"
+        text += "| quantity | error | reference |\n|---|---|---|\n"
+        text += "\n".join(sorted(sections[section])) + "\n\n"
+    page = Path(__file__).parent / "manual" / "validation.md"
     if not check:
-        report.write_text(text + TAIL)
-    elif _names(report.read_text()) != _names(text):
-        raise SystemExit("The report has other rows than the tests tell: write it again.")
+        page.write_text(text + TAIL)
+    elif _quantities(page.read_text()) != _quantities(text):
+        raise SystemExit(
+            "manual/validation.md has other rows than the tests: run "
+            "`python notebooks/validation.py` with the new report."
+        )
 
 
-def _names(text: str) -> list[str]:
-    """What was validated: errors by rounding differ from machine to machine."""
-    return [line.split("|")[1] for line in text.splitlines() if line.startswith("| ")]
+def _quantities(text: str) -> list[str]:
+    """Return the first column of all tables; errors differ by machine."""
+    return [
+        line.split("|")[1]
+        for line in text.splitlines()
+        if line.startswith("| ")
+    ]
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-"""Tests run in double precision, with nothing promoted silently, and compile fast.
+"""Settings of JAX for all tests: double precision, and fast compilation.
 
-What they find can be kept for the manual's report.
+Implicit promotion of dtypes and ranks is an error. The fixture `validated` records the
+errors of the tests for the validation page of the manual.
 """
 
 import json
 import os
 
 
-# most of their time is compilation, of programs that run once
+# Most of the time of the tests is compilation, because a program runs only once.
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false",
@@ -25,12 +26,12 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 @pytest.fixture
 def validated(record_property):
-    """Keeps what was found beside what it should be, for `notebooks/validation.py`."""
+    """Record a result and its reference value, for `notebooks/validation.py`."""
 
-    def keep(part, what, found, exact, oracle):
+    def record(part, what, found, exact, oracle):
         found, exact = np.asarray(found, float), np.asarray(exact, float)
         error = np.max(np.abs(found - exact)) / np.max(np.abs(exact))
         row = {"part": part, "what": what, "error": float(error), "oracle": oracle}
         record_property("validated", json.dumps(row))
 
-    return keep
+    return record

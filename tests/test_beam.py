@@ -1,4 +1,4 @@
-"""The exact planar beam, against closed forms, published numbers and finite elements."""
+"""Exact planar beams against closed forms, published numbers and finite elements."""
 
 import json
 import pathlib
@@ -21,14 +21,14 @@ REFERENCE = json.loads(
 )
 LAWS = [
     pytest.param("linear", marks=pytest.mark.long),
-    "saint-venant-kirchhoff",  # the linear one is a part of it
+    "saint-venant-kirchhoff",  # whose program includes the linear law
 ]
-SOFT = tj.Material(modulus=3.45e9, poisson=0.3)
-bend = jax.jit(tj.flexures.beam_under_load)
+POLYMER = tj.Material(modulus=3.45e9, poisson=0.3)
+beam_under_load = jax.jit(tj.flexures.beam_under_load)
 
 
 def slender(thickness=1e-4, **settings):
-    """E I and L are one, and it hardly stretches."""
+    """Return a beam with E I = 1 and L = 1 that is almost inextensible."""
     unit = tj.Material(modulus=1.0, poisson=0.3)
     settings = {"shear_factor": None, "steps": 12, **settings}
     width = 12 / thickness**3
@@ -38,26 +38,31 @@ def slender(thickness=1e-4, **settings):
 
 
 def leaf(law="linear", **settings):
+    """Return a leaf with a length of ten thicknesses."""
     settings = {"length": 10e-3, "thickness": 1e-3, "width": 5e-3, **settings}
-    return tj.flexures.Beam(SOFT, law=law, steps=8, **settings)
+    return tj.flexures.Beam(POLYMER, law=law, steps=8, **settings)
 
 
 def under_tip_force(beam, force):
-    """A dead force on the end section: its moment about the middle follows the tip."""
+    """Return the state of a beam under a force at its end section.
 
-    def gap(moment):
-        tip = bend(beam, jnp.array([moment, *force])).line[-1]
+    The moment of the force about the origin of frame a depends on the position of the
+    end section, and is found by iteration.
+    """
+
+    def residual(moment):
+        tip = beam_under_load(beam, jnp.array([moment, *force])).centerline[-1]
         return moment - (tip[1] * force[1] - tip[2] * force[0])
 
     size = float(beam.length) * np.abs(force).max()
-    moment = brentq(gap, -size, size, xtol=1e-13 * size, rtol=1e-14)
-    return bend(beam, jnp.array([moment, *force]))
+    moment = brentq(residual, -size, size, xtol=1e-13 * size, rtol=1e-14)
+    return beam_under_load(beam, jnp.array([moment, *force]))
 
 
 @pytest.mark.parametrize("row", REFERENCE["elastica_tip_force"]["rows"])
-def test_a_cantilever_is_the_elastica(row, validated):
+def test_a_cantilever_under_a_tip_force_is_the_elastica(row, validated):
     force, across, along, angle = row
-    tip = under_tip_force(slender(), np.array([0.0, force])).line[-1]
+    tip = under_tip_force(slender(), np.array([0.0, force])).centerline[-1]
     actual = jnp.array([tip[2], 0.5 - tip[1], tip[0]])
     assert_close(actual, np.array([across, along, angle]), digits=8)
     exact = [across, along, angle]
@@ -65,67 +70,66 @@ def test_a_cantilever_is_the_elastica(row, validated):
     validated("Exact beams", what, actual, exact, "the elastica, by elliptic integrals")
 
 
-def test_a_cantilever_that_stretches_is_the_published_one(validated):
+def test_an_extensible_cantilever_is_the_published_one(validated):
     given = REFERENCE["extensible_cantilever_SI"]
     metal = tj.Material(modulus=given["E"], poisson=0.3)
     beam = tj.flexures.Beam(
-        *(metal,),
-        length=given["L"], thickness=given["h"], width=given["b"],
+        metal, length=given["L"], thickness=given["h"], width=given["b"],
         shear_factor=None,
     )  # fmt: skip
     force = 3 * given["E"] * given["b"] * given["h"] ** 3 / 12 / given["L"] ** 2
-    tip = under_tip_force(beam, np.array([0.0, -force])).line[-1]
+    tip = under_tip_force(beam, np.array([0.0, -force])).centerline[-1]
     actual = jnp.array([tip[1] - given["L"] / 2, tip[2]])
     exact = [given["ux"], given["uy"]]
     np.testing.assert_allclose(actual, exact, rtol=1e-9)
     oracle = "a published benchmark of large deflections"
-    validated("Exact beams", "tip of one that stretches", actual, exact, oracle)
+    validated("Exact beams", "tip of a beam that stretches", actual, exact, oracle)
 
 
 @pytest.mark.parametrize("row", REFERENCE["fixed_guided_leaf"]["rows"])
-def test_a_guided_leaf_shortens(row):
+def test_a_leaf_that_is_displaced_without_rotation_shortens(row):
     across, force, along = row
     beam = slender()
 
-    def turn(moment):
-        return float(bend(beam, jnp.array([moment, 0.0, force])).pose[0])
+    def rotation(moment):
+        return float(beam_under_load(beam, jnp.array([moment, 0.0, force])).pose[0])
 
-    moment = brentq(turn, -force, force, xtol=1e-14)
-    _, x, y = bend(beam, jnp.array([moment, 0.0, force])).pose
+    moment = brentq(rotation, -force, force, xtol=1e-14)
+    _, x, y = beam_under_load(beam, jnp.array([moment, 0.0, force])).pose
     np.testing.assert_allclose([y, -x], [across, along], rtol=3e-8)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_its_wrench_is_the_slope_of_its_energy(law):
-    """Castigliano: two ways through the same beam, there by a load, back by a pose."""
+def test_the_wrench_of_an_exact_beam_is_the_derivative_of_its_energy(law):
+    """Castigliano's theorem: the energy at the pose of a load gives this load again."""
     beam = leaf(law)
-    bent = bend(beam, jnp.array([0.08, 12.0, -9.0]))
-    exact = tj.flexures.ExactBeam(beam)
-    np.testing.assert_allclose(exact(bent.pose), bent.energy, rtol=1e-10)
+    solution = beam_under_load(beam, jnp.array([0.08, 12.0, -9.0]))
+    energy = tj.flexures.ExactBeam(beam)
+    np.testing.assert_allclose(energy(solution.pose), solution.energy, rtol=1e-10)
     np.testing.assert_allclose(
-        eqx.filter_jit(exact.wrench)(bent.pose), bent.wrench, rtol=1e-8
+        eqx.filter_jit(energy.wrench)(solution.pose), solution.wrench, rtol=1e-8
     )
 
 
 @pytest.mark.long
-def test_derivatives_by_the_geometry_agree_with_differences():
-    """Of the energy and of the wrench at one pose, by the thickness."""
-    pose = bend(leaf(), jnp.array([0.08, 12.0, -9.0])).pose
+def test_derivatives_with_respect_to_the_thickness_agree_with_differences():
+    """The derivatives are those of the energy and of the wrench at a fixed pose."""
+    pose = beam_under_load(leaf(), jnp.array([0.08, 12.0, -9.0])).pose
 
-    def answers(thickness):
-        exact = tj.flexures.ExactBeam(leaf(thickness=thickness))
-        return exact(pose), exact.wrench(pose)
+    @jax.jit
+    def energy_and_wrench(thickness):
+        energy = tj.flexures.ExactBeam(leaf(thickness=thickness))
+        return energy(pose), energy.wrench(pose)
 
-    answers = jax.jit(answers)
-    _, slopes = jax.jvp(answers, (jnp.asarray(1e-3),), (jnp.ones(()),))
+    _, slopes = jax.jvp(energy_and_wrench, (jnp.asarray(1e-3),), (jnp.ones(()),))
     step = 1e-7
-    after, before = answers(1e-3 + step), answers(1e-3 - step)
-    for slope, there, here in zip(slopes, after, before, strict=True):
-        np.testing.assert_allclose(slope, (there - here) / (2 * step), rtol=1e-6)
+    above, below = energy_and_wrench(1e-3 + step), energy_and_wrench(1e-3 - step)
+    for slope, high, low in zip(slopes, above, below, strict=True):
+        np.testing.assert_allclose(slope, (high - low) / (2 * step), rtol=1e-6)
 
 
-def test_finite_elements_of_a_leaf_obey_the_same_material_law(validated):
-    """St. Venant-Kirchhoff within some per cent; a linear section is six times worse."""
+def test_a_leaf_has_the_wrenches_of_finite_elements_with_the_same_law(validated):
+    """The error of the linear law is more than four times as large."""
     folder = pathlib.Path(__file__).parent / "reference"
     trials = tj.energies.read_trials(folder / "fe_leaf.csv")[np.arange(0, 122, 3)]
     size = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
@@ -134,8 +138,8 @@ def test_finite_elements_of_a_leaf_obey_the_same_material_law(validated):
         wrenches = jax.jit(jax.vmap(tj.flexures.ExactBeam(leaf(law)).wrench))(
             trials.poses
         )
-        gap = np.asarray(wrenches - trials.wrenches)
-        errors.append(np.sqrt(np.mean(gap**2, axis=0)) / size)
+        difference = np.asarray(wrenches - trials.wrenches)
+        errors.append(np.sqrt(np.mean(difference**2, axis=0)) / size)
     assert np.all(errors[0] < [0.015, 0.045, 0.02])
     assert np.all(errors[1] > 4 * errors[0])
     what = "wrenches of a leaf of t/L = 0.1 to 46° (rms, worst component)"
@@ -144,25 +148,25 @@ def test_finite_elements_of_a_leaf_obey_the_same_material_law(validated):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_it_is_at_rest_what_beam_theory_says(law):
-    exact = tj.flexures.ExactBeam(leaf(law))
-    stiffness = jnp.diag(eqx.filter_jit(exact.tangent_stiffness)(jnp.zeros(3)))
+def test_the_stiffness_of_an_exact_beam_is_that_of_timoshenko(law):
+    energy = tj.flexures.ExactBeam(leaf(law))
+    stiffness = jnp.diag(eqx.filter_jit(energy.tangent_stiffness)(jnp.zeros(3)))
     expected = tj.flexures.leaf(
-        *(SOFT,), length=10e-3, thickness=1e-3, width=5e-3, theory="timoshenko"
+        POLYMER, length=10e-3, thickness=1e-3, width=5e-3, theory="timoshenko"
     ).stiffness
     np.testing.assert_allclose(stiffness, jnp.diag(expected), rtol=1e-9)
 
 
-def test_a_notch_is_a_beam_of_its_own_outline():
-    """Against the integrals of Paros and Weisbord, with and without shear."""
+def test_a_beam_with_the_profile_of_a_notch_has_the_integrated_stiffness():
+    """The reference is the integrals of Paros and Weisbord, with and without shear."""
     given = REFERENCE["notch_D3mm_h0.25mm_t20mm_E69GPa"]
     metal = tj.Material(modulus=69e9, poisson=0.33)
 
-    height = tj.flexures.notch_profile(hole=3e-3, web=0.25e-3)
+    profile = tj.flexures.notch_profile(hole=3e-3, web=0.25e-3)
     for factor, shear in ((None, "k_shear_1D_EB"), (5 / 6, "k_shear_1D_Timoshenko")):
         beam = tj.flexures.Beam(
-            *(metal,),
-            length=3e-3, thickness=height, width=20e-3, shear_factor=factor, steps=48,
+            metal, length=3e-3, thickness=profile, width=20e-3, shear_factor=factor,
+            steps=48,
         )  # fmt: skip
         load = 1e-6 * jnp.diag(jnp.array([1.0, 1e3, 1e3]))
         poses = jax.vmap(
@@ -173,33 +177,48 @@ def test_a_notch_is_a_beam_of_its_own_outline():
         np.testing.assert_allclose(stiffness, expected, rtol=1e-5)
 
 
-def test_a_section_gives_way_beyond_its_largest_moment():
-    """St. Venant-Kirchhoff's is M = k - 0.3 (t / L)^2 k^3, whose top is at 7.03."""
+def test_a_section_has_no_equilibrium_above_its_largest_moment():
+    """With St. Venant-Kirchhoff, M = k - 0.3 (t / L)^2 k^3 has its maximum at 7.03."""
     beam = leaf("saint-venant-kirchhoff")
 
-    def turn(moment):
-        return bend(beam, jnp.array([moment * float(beam.bending), 0.0, 0.0])).pose[0]
+    def rotation(moment):
+        load = jnp.array([moment * float(beam.bending_stiffness), 0.0, 0.0])
+        return beam_under_load(beam, load).pose[0]
 
     for moment in (5.0, 6.9):
         bound = np.sqrt(1 / 0.9) / 0.1
         exact = brentq(lambda k, m=moment: k - 3e-3 * k**3 - m, 0.0, bound)
-        np.testing.assert_allclose(turn(moment), exact, rtol=1e-8)
-    assert np.isnan(turn(7.1)) and np.isnan(turn(8.0))
+        np.testing.assert_allclose(rotation(moment), exact, rtol=1e-8)
+    assert np.isnan(rotation(7.1)) and np.isnan(rotation(8.0))
 
 
-def test_stress_is_that_of_a_bent_and_pulled_bar():
+def test_the_stress_of_a_beam_in_bending_and_in_tension():
+    """Bending by M gives M t / 2 I in the outermost fibers, and tension gives P / A."""
     beam = leaf()
-    bent = bend(beam, jnp.array([0.05, 0.0, 0.0]))
-    fibre = 0.05 * 0.5e-3 / (5e-3 * (1e-3) ** 3 / 12)
-    assert_close(bent.stress, np.full((21, 2), [-fibre, fibre]), digits=12)
-    pulled = bend(beam, jnp.array([0.0, 20.0, 0.0])).stress
+    bent = beam_under_load(beam, jnp.array([0.05, 0.0, 0.0]))
+    stress = 0.05 * 0.5e-3 / (5e-3 * (1e-3) ** 3 / 12)
+    assert_close(bent.stress, np.full((21, 2), [-stress, stress]), digits=12)
+    pulled = beam_under_load(beam, jnp.array([0.0, 20.0, 0.0])).stress
     assert_close(pulled, np.full((21, 2), 20.0 / 5e-6), digits=12)
-    assert_close(tj.flexures.largest_rotation(beam, fibre), 0.05 / 0.14375, digits=12)
+    assert_close(tj.flexures.largest_rotation(beam, stress), 0.05 / 0.14375, digits=12)
+
+
+def test_the_largest_stress_is_a_magnitude_in_tension_and_in_compression():
+    """For a small load it is the stress of a straight beam, 6 M / w t^2 + P / w t."""
+    beam, moment, force = leaf(), 1e-5, 0.02
+    loads = jnp.array([[moment, force, 0.0], [moment, -force, 0.0]])
+    solutions = jax.vmap(lambda load: tj.flexures.beam_under_load(beam, load))(loads)
+    bending, axial = 6 * moment / (5e-3 * 1e-3**2), force / (5e-3 * 1e-3)
+    largest = tj.flexures.largest_stress(solutions)
+    np.testing.assert_allclose(largest, [bending + axial] * 2, rtol=1e-3)
+    compressed = jax.tree.map(lambda array: array[1], solutions)
+    np.testing.assert_allclose(compressed.stress.max(), bending - axial, rtol=1e-3)
+    assert tj.flexures.largest_stress(compressed) == largest[1]
 
 
 @pytest.mark.long
-def test_it_is_a_hinge_of_a_mechanism():
-    """A body on the end of a leaf, pushed: by statics as from end to end."""
+def test_an_exact_beam_is_a_hinge_of_a_mechanism():
+    """The equilibrium of a body at the end of a leaf is the state under a tip force."""
     beam = leaf()
     bodies = [tj.Body("wall"), tj.Body("tip", pose=(0.0, 5e-3, 0.0))]
     hinge = tj.Hinge(
@@ -207,7 +226,7 @@ def test_it_is_a_hinge_of_a_mechanism():
     )
     mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
     solution = tj.equilibrium(mechanism, loads=[tj.Load("tip", (0.0, 0.0, 8.0))])
-    tip = under_tip_force(beam, np.array([0.0, 8.0])).line[-1]
+    tip = under_tip_force(beam, np.array([0.0, 8.0])).centerline[-1]
     np.testing.assert_allclose(solution.pose("tip"), tip, rtol=1e-7)
 
 
@@ -225,22 +244,22 @@ def test_it_is_a_hinge_of_a_mechanism():
         (lambda: tj.flexures.largest_rotation(leaf(), -1.0), "`stress` is -1"),
     ],
 )
-def test_bad_input_is_told(make, message):
+def test_an_invalid_argument_raises_an_error(make, message):
     with pytest.raises(ValueError) as error:
         make()
     assert message in str(error.value)
 
 
 @pytest.mark.parametrize("thickness", [0.1, 0.01, 0.002])
-def test_a_pose_is_bent_to_however_thin_the_leaf(thickness):
-    """The loads that led there are found again, to turns of 100 degrees."""
-    leaf = tj.flexures.Beam(SOFT, length=1.0, thickness=thickness, width=0.1)
+def test_the_load_at_a_pose_is_found_for_any_thickness(thickness):
+    """The poses of random loads, with rotations up to 100 degrees, give these loads."""
+    leaf = tj.flexures.Beam(POLYMER, length=1.0, thickness=thickness, width=0.1)
     loads = jax.random.uniform(jax.random.key(0), (40, 3), minval=-1.0, maxval=1.0)
-    loads = loads * jnp.array([[1.5, 6.0, 6.0]]) * leaf.bending
-    bent = jax.vmap(lambda load: tj.flexures.beam_under_load(leaf, load))(loads)
-    assert jnp.abs(bent.pose[:, 0]).max() > 1.7
-    found = jax.jit(jax.vmap(lambda pose: tj.flexures.beam_at_pose(leaf, pose)))(
-        bent.pose
+    loads = loads * jnp.array([[1.5, 6.0, 6.0]]) * leaf.bending_stiffness
+    expected = jax.vmap(lambda load: tj.flexures.beam_under_load(leaf, load))(loads)
+    assert jnp.abs(expected.pose[:, 0]).max() > 1.7
+    actual = jax.jit(jax.vmap(lambda pose: tj.flexures.beam_at_pose(leaf, pose)))(
+        expected.pose
     )
-    apart = (found.wrench - bent.wrench) / leaf.bending
-    np.testing.assert_allclose(apart, 0.0, atol=1e-9)
+    difference = (actual.wrench - expected.wrench) / leaf.bending_stiffness
+    np.testing.assert_allclose(difference, 0.0, atol=1e-9)

@@ -7,9 +7,9 @@ import pytest
 from helpers import some_stiffness
 
 import twistorjax as tj
-from twistorjax.mechanism.loads import LoadSet
+from twistorjax.solve.dofs import DofPartition
 from twistorjax.solve.factorization import block_layout
-from twistorjax.solve.static_system import DofPartition, Problem
+from twistorjax.solve.system import System
 
 
 pytestmark = pytest.mark.slow
@@ -87,24 +87,19 @@ def test_blocks_solve_what_a_dense_matrix_does(follower):
         tj.Load(mechanism.names[body], (0.3, 0.5, -0.2), at=(0.4, 0.1), follower=follower)
         for body in loaded
     ]
-    problem = Problem(
-        mechanism.hinge_assembly,
-        LoadSet.of(loads, loaded, mechanism.reference),
-        jnp.zeros(len(given)),
-        DofPartition(tuple(free), given),
-    )
+    system = System.of(mechanism, DofPartition.of(mechanism, given), loads)
     moved = 0.01 * jax.random.normal(jax.random.key(0), mechanism.reference.shape)
     right = jax.random.normal(jax.random.key(1), (len(free),))
     move = jnp.array([0.7, -0.4])
 
     @jax.jit
     def by_blocks(moved):
-        _, tangent, _ = problem.tangent(moved)
-        factors = tangent.factors(problem.symmetric)
+        _, tangent, _ = system.tangent(moved)
+        factors = tangent.factors(system.loads.conservative)
         return factors.solve(right), tangent.push(move), factors.resists()
 
     solved, pushed, resists = by_blocks(moved)
-    _, matrix, _ = problem.matrix(moved)
+    _, matrix, _ = system.matrix(moved, (*free, *given))
     matrix = np.asarray(matrix)
     own, by_given = matrix[:, : len(free)], matrix[:, len(free) :]
     np.testing.assert_allclose(solved, np.linalg.solve(own, right), rtol=1e-8, atol=1e-9)

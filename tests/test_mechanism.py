@@ -131,12 +131,12 @@ def test_wrenches_keep_the_digits_of_small_displacements(size):
     pushed = tj.equilibrium(mechanism, loads=[tj.Load("block", force)])
     wrench = mechanism.wrench_of("h", pushed)
     assert_close(
-        wrench / size, [0.0, *(tj.geometry.se2._turn(-0.3, force[1:]) / size)], digits=11
+        wrench / size, [0.0, *(tj.geometry.se2.rotate(-0.3, force[1:]) / size)], digits=11
     )
     moved = pushed.displacement("block")
     across = mechanism.displacement_of("h", pushed)
     assert_close(
-        across[1:] / size, tj.geometry.se2._turn(-0.3, moved[1:]) / size, digits=11
+        across[1:] / size, tj.geometry.se2.rotate(-0.3, moved[1:]) / size, digits=11
     )
 
 

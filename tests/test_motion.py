@@ -45,7 +45,7 @@ PANELS = {
 @pytest.mark.parametrize("hinges", ["identical", "mixed"])
 def test_the_driven_linkage_moves_as_the_dissertation_tells(hinges, validated):
     table = PANELS[hinges]
-    motion = four_bar.drive(
+    motion = four_bar.driven_motion(
         four_bar.four_bar(hinges), [0.0, *table[:, 0]], tolerance=1e-8
     )
     for k, name in enumerate("234"):
@@ -91,10 +91,10 @@ def test_one_body_moves_as_by_scipy(coordinates, validated):
             return tj.geometry.se2.compose(solution + place, arm)
 
         here, moving = jax.jvp(port, (place,), (rate,))
-        own = jnp.concatenate([moving[:1], tj.geometry.se2._turn(-here[0], moving[1:])])
+        own = jnp.concatenate([moving[:1], tj.geometry.se2.rotate(-here[0], moving[1:])])
         wrench = damping.wrench(tj.geometry.se2.between(at, here), jnp.zeros(3), own)
         to_world = jnp.concatenate(
-            [wrench[:1], tj.geometry.se2._turn(here[0], wrench[1:])]
+            [wrench[:1], tj.geometry.se2.rotate(here[0], wrench[1:])]
         )
         _, back = jax.vjp(port, place)
         return (-jax.grad(stored_energy)(place) - back(to_world)[0]) / mass
@@ -165,7 +165,8 @@ def test_energy_is_accounted_for(energies):
         return [tj.Load("3", (0.0, 0.0, -1.0)), tj.Load("4", (1e-3, 0.0, 0.0))]
 
     moved = tj.simulate(
-        four_bar.four_bar(), np.linspace(0, 0.2, 9), drives=four_bar.turn, loads=pull,
+        four_bar.four_bar(), np.linspace(0, 0.2, 9), drives=four_bar.crank_rotation,
+        loads=pull,
         tolerance=1e-9, energies=energies,
     )  # fmt: skip
     told = moved.energies
@@ -184,12 +185,16 @@ def test_drives_and_constraints_do_the_same(validated):
     times = np.linspace(0, 0.1, 4)
     linkage = four_bar.four_bar()
     crank = tj.Constraint(
-        "crank", ["2"], lambda pose, time: pose[0] - four_bar.turn(time)[0].angle
+        "crank",
+        ["2"],
+        lambda pose, time: pose[0] - four_bar.crank_rotation(time)[0].angle,
     )
-    driven = four_bar.drive(linkage, times, tolerance=1e-10)
+    driven = four_bar.driven_motion(linkage, times, tolerance=1e-10)
     bound = tj.simulate(linkage, times, constraints=[crank], tolerance=1e-10)
     assert_close(bound.displacements, driven.displacements, digits=8)
-    assert_close(bound.push("crank")[:, 0], driven.reaction("2")[:, 0], digits=6)
+    assert_close(
+        bound.constraint_force("crank")[:, 0], driven.reaction("2")[:, 0], digits=6
+    )
     assert_close(bound.energies.by_drives, driven.energies.by_drives, digits=8)
     both = bound.displacements, driven.displacements
     validated("Motion", "a crank as a constraint", *both, "the same as a drive")
@@ -228,7 +233,7 @@ def test_a_pendulum_swings_about_its_pin():
     across = 2 * (0.5 * turning + 9.81 * np.sin(angle))
     push = -along * np.sin(angle) + across * np.cos(angle)
     lift = along * np.cos(angle) + across * np.sin(angle)
-    assert_close(moved.push("pin"), np.stack([push, lift], axis=1), digits=5)
+    assert_close(moved.constraint_force("pin"), np.stack([push, lift], axis=1), digits=5)
 
 
 def test_constraints_do_not_drift():
@@ -260,7 +265,7 @@ def test_a_slider_leaves_one_way():
     way = -2 / 22.5 * (1 - np.cos(omega * np.array([0.0, 0.3, 0.7])))
     np.testing.assert_allclose(x / np.cos(np.pi / 6), way, atol=1e-8)
     spring = jax.vmap(mechanism.wrenches)(moved.poses)[:, 1, 0]
-    assert_close(moved.push("rail")[:, 0], -0.2 - spring, digits=10)
+    assert_close(moved.constraint_force("rail")[:, 0], -0.2 - spring, digits=10)
 
 
 def test_a_pseudo_rigid_body_model_stands_beside_ours():
@@ -294,7 +299,7 @@ def test_undamped_motion_keeps_its_energy(validated):
     """By Gauss's points, over a hundred thousand steps: no growth, no drift."""
     linkage = four_bar.four_bar(damping=None)
     times = np.linspace(0, 1.0, 101)
-    moved = four_bar.release(
+    moved = four_bar.released_motion(
         linkage, times, 1.0, solver=tj.solve.Gauss(), step=1e-5, max_steps=200_000,
         energies=False,
     )  # fmt: skip
@@ -312,7 +317,7 @@ def test_derivatives_through_a_stiff_run_are_exact():
     times = np.array([0.0, 0.01])
 
     def angle(damping, speed, tolerance=1e-9, adjoint=None):
-        moved = four_bar.release(
+        moved = four_bar.released_motion(
             four_bar.four_bar(damping=damping), times, speed, tolerance=tolerance,
             energies=False, adjoint=adjoint,
         )  # fmt: skip
@@ -387,7 +392,7 @@ def test_what_diffrax_offers_stays_usable():
 
 
 def test_a_motion_prints_and_becomes_a_table():
-    moved = four_bar.drive(four_bar.four_bar(), [0.0, 0.09])
+    moved = four_bar.driven_motion(four_bar.four_bar(), [0.0, 0.09])
     assert repr(moved).startswith("successful: 0 to 0.09 s in ")
     table = moved.to_xarray()
     assert table.x.attrs["units"] == "m" and table.moment.attrs["units"] == "N m"
@@ -411,10 +416,10 @@ MISTAKES = {
     "comes after `times[1]` = 2": dict(times=[0.0, 2.0, 1.0]),
     "a row of at least two times": dict(times=[0.0]),
     "`times` must be finite": dict(times=[0.0, np.nan]),
-    "The x of 'block' starts at 0 and is driven to 0.1.": dict(drives=[PULL]),
+    "The x of 'block' starts at 0, but 0.1 is prescribed.": dict(drives=[PULL]),
     "names the body 'blok'": dict(velocities={"blok": (0, 0, 0)}),
     "but must be a mapping": dict(velocities=[0, 0, 0]),
-    "moves the x of 'wall', but that is held": dict(velocities={"wall": (0, 1, 0)}),
+    "moves the x of 'wall', but that is fixed": dict(velocities={"wall": (0, 1, 0)}),
     "must be finite": dict(velocities={"block": (0, np.nan, 0)}),
     "`tolerance` is 0": dict(tolerance=0),
     "'q' is redundant: 2 of its 2 entries": dict(
@@ -444,7 +449,7 @@ def test_a_mistake_is_told(message):
 
 
 def test_a_run_that_stops_says_when_and_where():
-    with pytest.raises(RuntimeError, match=r"It went to t = .* in 10 steps.*'spring'"):
+    with pytest.raises(RuntimeError, match=r"It reached t = .* in 10 steps.*'spring'"):
         tj.simulate(
             oscillator(), np.linspace(0, 9, 99), velocities={"block": (0, 1.0, 0)},
             max_steps=10,
@@ -462,7 +467,7 @@ def test_damping_that_gives_energy_is_refused():
     with pytest.raises(ValueError, match="negative eigenvalue"):
         tj.energies.ViscousDamping(-jnp.eye(3))
     wrong = eqx.tree_at(lambda v: v.damping, hinge, -jnp.eye(3))
-    with pytest.raises(ValueError, match="give energy"):
+    with pytest.raises(ValueError, match="supply energy"):
         tj.simulate(oscillator(wrong), [0.0, 1.0])
 
 
@@ -501,5 +506,5 @@ def test_a_pin_may_hold_what_no_hinge_does():
     ],
 )
 def test_a_drive_that_cannot_be_compiled_is_told(drive):
-    with pytest.raises(ValueError, match="`drives` is a function that cannot be comp"):
+    with pytest.raises(ValueError, match="`drives` is a function that JAX cannot comp"):
         tj.simulate(four_bar.four_bar(), [0.0, 0.1], drives=drive)

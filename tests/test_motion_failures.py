@@ -61,7 +61,7 @@ def test_a_motion_that_cannot_begin_takes_no_step():
     assert moved.steps[-1] <= 1
     assert np.all(np.isfinite(moved.displacements[0]))
     assert np.all(np.isnan(moved.displacements[1:-1]))
-    assert np.all(np.isnan(moved.solution.ys[1].place[1:-1]))
+    assert np.all(np.isnan(moved.solution.ys[1].position[1:-1]))
 
 
 def test_a_drive_that_jumps_or_ends_in_nothing_delays_no_other_motion():
@@ -119,7 +119,7 @@ def test_a_pin_stays_where_it_is_with_solvers_of_diffrax(solver):
         tolerance=1e-4,
     )  # fmt: skip
     # as it was integrated, before a report projects it
-    angle, x, y = moved.solution.ys[0].place.T
+    angle, x, y = moved.solution.ys[0].position.T
     away = np.hypot(length + x - length * np.cos(angle), y - length * np.sin(angle))
     assert np.max(away) < 1e-5
     fallen = GRAVITY * length * np.sin(angle)
@@ -153,9 +153,9 @@ def start_on_a_rail(size):
     with pytest.raises(ValueError, match="'rail' is violated by"):
         move(off=1e-5 * size)
     for share in (1.0, 5e-6):
-        with pytest.raises(ValueError, match="velocities at the start are against"):
+        with pytest.raises(ValueError, match="velocities at the start violate"):
             move(across=share * size)
-    with pytest.raises(ValueError, match="velocities at the start are against"):
+    with pytest.raises(ValueError, match="velocities at the start violate"):
         move(across=1e-5 * size, along=size)
 
 

@@ -1,4 +1,4 @@
-"""Random wrenches met, and none foretold: section 7.1."""
+"""Random wrenches are interpolated, but not predicted (section 7.1)."""
 
 import pathlib
 
@@ -20,14 +20,15 @@ def study():
 
 def test_the_trials_are_those_of_the_dissertation():
     reference = pathlib.Path(__file__).parent / "reference" / "random_trials.csv"
-    given, trials = tj.energies.read_trials(reference), random_data.trials()
-    np.testing.assert_array_equal(trials.poses, given.poses)
-    np.testing.assert_array_equal(trials.wrenches, given.wrenches)
+    expected, trials = tj.energies.read_trials(reference), random_data.trials()
+    np.testing.assert_array_equal(trials.poses, expected.poses)
+    np.testing.assert_array_equal(trials.wrenches, expected.wrenches)
     largest = np.abs(trials.wrenches).max(axis=0)
-    assert_close(largest, np.array([0.944, 0.836, 0.959]), digits=3)  # as it prints
+    printed = np.array([0.944, 0.836, 0.959])
+    assert_close(largest, printed, digits=3)
 
 
-def test_others_are_of_their_kind():
+def test_trials_of_a_seed_have_the_distribution_of_the_dissertation():
     trials = random_data.trials(seed=5)
     angles, x, y = np.asarray(trials.poses).T
     assert len(trials) == 17
@@ -38,7 +39,7 @@ def test_others_are_of_their_kind():
     assert not np.allclose(trials.poses, random_data.trials(seed=6).poses)
 
 
-def test_they_are_interpolated_within_the_printed_errors(study):
+def test_training_errors_are_below_those_of_the_dissertation(study):
     assert (study.fit.equations, study.fit.terms, study.fit.rank) == (51, 69, 51)
     printed = np.array([2.64e-5, 1.53e-5, 4.2e-6])
     assert np.all(study.fit.training.largest < printed)
@@ -46,29 +47,36 @@ def test_they_are_interpolated_within_the_printed_errors(study):
     assert "interpolates" in str(study.fit.warning)
 
 
-def test_none_is_foretold_by_the_others(study):
-    """Worse than to foretell no wrench at all, whose relative error is one."""
+def test_no_trial_is_predicted_by_a_fit_to_the_others(study):
+    """The relative errors exceed 1, which is the error of predicting zero."""
     assert np.all(study.held_out.relative > 1)
-    gap = study.foretold - np.asarray(study.trials.wrenches)
-    assert_close(study.held_out.largest, np.abs(gap).max(axis=0), digits=9)
-    row = 4  # as an independent fit without it has it
+    error = study.predictions - np.asarray(study.trials.wrenches)
+    assert_close(study.held_out.largest, np.abs(error).max(axis=0), digits=9)
+
+
+def test_a_prediction_is_that_of_an_independent_fit_to_the_other_trials(study):
+    row = 4
     others = study.trials[np.arange(17) != row]
     with pytest.warns(UserWarning, match="interpolates"):
         fit = tj.fit_energy(
-            *(others, 4), redundant=True, reference="free", ridge=0.0,
+            others,
+            order=4,
+            redundant=True,
+            reference="free",
+            ridge=0.0,
             scale=float(study.fit.energy.scale),
-        )  # fmt: skip
+        )
     wrench = fit.energy.wrench(study.trials.poses[row])
-    np.testing.assert_allclose(wrench, study.foretold[row], rtol=1e-6)
+    np.testing.assert_allclose(wrench, study.predictions[row], rtol=1e-6)
 
 
-def test_it_prints_and_draws_itself(study):
+def test_a_study_prints_and_draws_itself(study):
     mpl = pytest.importorskip("matplotlib")
     mpl.use("agg")
-    assert "69 coefficients for 51 numbers, rank 51" in repr(study)
+    assert "69 coefficients, 51 equations, rank 51" in repr(study)
     figure = random_data.plot(study)
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["moment (N m)", "force 1 (N)", "force 2 (N)"]
-    given = figure.axes[0].lines[1]
-    assert_close(given.get_ydata(), study.trials.wrenches[:, 0])
+    measured = figure.axes[0].lines[1]
+    assert_close(measured.get_ydata(), study.trials.wrenches[:, 0])
     mpl.pyplot.close(figure)

@@ -1,4 +1,4 @@
-"""Displacements against matrices, high precision, and the dissertation's examples."""
+"""Poses and twists against matrices, mpmath and the examples of the dissertation."""
 
 import jax
 import jax.numpy as jnp
@@ -12,30 +12,31 @@ from twistorjax.geometry import se2
 
 
 def matrix(pose):
-    """A pose as the homogeneous matrix of equation 5.1."""
+    """Return the homogeneous matrix of a pose, equation 5.1."""
     angle, x, y = np.asarray(pose)
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, x], [s, c, y], [0, 0, 1]])
 
 
 def wedge(twist):
-    """A twist as a matrix of the algebra."""
+    """Return the matrix of a twist in the Lie algebra."""
     rotation, along, across = np.asarray(twist)
     return np.array([[0, -rotation, along], [rotation, 0, across], [0, 0, 0]])
 
 
 def unwedge(matrix):
+    """Return the twist of a matrix in the Lie algebra."""
     return np.array([matrix[1, 0], matrix[0, 2], matrix[1, 2]])
 
 
 def precise_twist(angle, x, y):
-    """The logarithm by its definition, in a hundred digits."""
+    """Return the logarithm of a pose, computed with a hundred digits."""
     with mpmath.workdps(100):
         half = mpmath.mpf(angle) / 2
         along = x * mpmath.cos(half) + y * mpmath.sin(half)
         across = y * mpmath.cos(half) - x * mpmath.sin(half)
-        stretch = half / mpmath.sin(half) if half else mpmath.mpf(1)
-        return angle, stretch * along, stretch * across
+        factor = half / mpmath.sin(half) if half else mpmath.mpf(1)
+        return angle, factor * along, factor * across
 
 
 def test_compose_is_the_product_of_matrices():
@@ -49,42 +50,42 @@ def test_angles_are_not_wrapped():
     assert se2.compose(jnp.array([6.0, 0, 0]), jnp.array([5.0, 0, 0]))[0] == 11.0
 
 
-def test_inverse_undoes():
+def test_the_product_with_the_inverse_is_the_identity():
     poses = some_poses(0)
-    both = jax.vmap(lambda pose: se2.compose(se2.inverse(pose), pose))(poses)
-    assert_close(both, np.zeros((64, 3)), digits=14)
+    products = jax.vmap(lambda pose: se2.compose(se2.inverse(pose), pose))(poses)
+    assert_close(products, np.zeros((64, 3)), digits=14)
 
 
-def test_between_is_the_second_seen_from_the_first():
+def test_between_is_the_second_pose_relative_to_the_first():
     for first, second in zip(some_poses(0), some_poses(1), strict=True):
         expected = np.linalg.inv(matrix(first)) @ matrix(second)
         assert_close(matrix(se2.between(first, second)), expected, digits=13)
 
 
-def test_act_moves_points_as_the_matrix_does():
+def test_act_is_the_product_of_matrix_and_point():
     point = jnp.array([0.3, -0.7])
     for pose in some_poses(2):
         expected = (matrix(pose) @ [*point, 1])[:2]
         assert_close(se2.act(pose, point), expected, digits=14)
 
 
-def test_exp_is_the_exponential_of_the_algebra():
+def test_exp_is_the_matrix_exponential():
     for twist in some_poses(0):
         expected = scipy.linalg.expm(wedge(twist))
         assert_close(matrix(se2.exp(twist)), expected, digits=13)
 
 
-def test_twist_undoes_exp_within_a_full_turn():
+def test_twist_inverts_exp_within_a_full_turn():
     twists = some_poses(0)
-    back = jax.vmap(lambda twist: se2.twist(se2.exp(twist)))(twists)
-    assert_close(back, twists, digits=13)
+    recovered = jax.vmap(lambda twist: se2.twist(se2.exp(twist)))(twists)
+    assert_close(recovered, twists, digits=13)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.7, 2.0, np.pi, -3.0, 6.0, 6.28])
-def test_twist_is_exact_to_rounding(angle):
+def test_the_twist_is_accurate_to_rounding(angle):
     expected = [float(value) for value in precise_twist(angle, 0.4, -1.1)]
     actual = se2.twist(jnp.array([angle, 0.4, -1.1]))
-    # near a full turn the chord is short, and known to its rounding only
+    # Near a full turn the chord is short, and its relative error is large.
     chord = 1.0 if abs(angle) < 4 else abs(np.sin(angle / 2))
     scale = np.abs(expected).max()
     np.testing.assert_allclose(actual, expected, rtol=0, atol=2e-15 * scale / chord)
@@ -92,7 +93,7 @@ def test_twist_is_exact_to_rounding(angle):
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.9, 1.9999999, 2.0, np.pi, 5.5])
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_derivatives_of_the_twist_are_exact_too(angle, order):
+def test_the_derivatives_of_the_twist_are_accurate_to_rounding(angle, order):
     def across(angle):
         return se2.twist(jnp.stack([angle, jnp.array(0.4), jnp.array(-1.1)]))[2]
 
@@ -110,7 +111,7 @@ def test_derivatives_of_the_twist_are_exact_too(angle, order):
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 1e-4, 0.5, 0.9999999, 1.0, 1.5, 3.1])
-def test_sinc_and_its_derivatives_keep_their_digits(x):
+def test_sinc_and_its_derivatives_are_accurate_to_rounding(x):
     function = se2.sinc
     for order in range(4):
         with mpmath.workdps(40):
@@ -127,55 +128,55 @@ def test_sinc_and_its_derivatives_keep_their_digits(x):
         function = jax.grad(function)
 
 
-def test_twist_of_example_2_1():
-    angle = jnp.arccos(0.866)  # as the text rounds it
+def test_the_twist_of_example_2_1():
+    angle = jnp.arccos(0.866)  # rounded as in the text
     assert_close(se2.twist(jnp.stack([angle, *jnp.array([2.0, 1.0])]))[1:],
                  [2.2159, 0.4534], digits=4)  # fmt: skip
 
 
-def test_pole_of_example_2_1():
+def test_the_pole_of_example_2_1():
     pole = se2.pole(jnp.array([jnp.pi / 6, 2.0, 1.0]))
     assert_close(pole, [1 - 1 / (2 * np.tan(np.pi / 12)), 0.5 + 1 / np.tan(np.pi / 12)])
 
 
-def test_displacement_of_example_2_2():
+def test_the_displacement_of_example_2_2():
     pose = se2.exp(jnp.pi / 4 * jnp.ones(3))
     assert_close(pose, [np.pi / 4, np.sqrt(2) - 1, 1.0])
 
 
-def test_a_pole_stays_where_it_is():
+def test_the_pole_is_the_fixed_point_of_a_displacement():
     for pose in some_poses(3)[1:]:
         pole = se2.pole(pose)
         scale = 1 + np.abs(pole).max()
         assert_close(se2.act(pose, pole) / scale, pole / scale, digits=13)
 
 
-def test_the_pole_of_a_translation_is_infinitely_far():
+def test_the_pole_of_a_translation_is_infinite():
     assert np.all(np.isinf(se2.pole(jnp.array([0.0, 1.0, 2.0]))))
     assert np.all(np.isinf(se2.pole(jnp.zeros(3))))
 
 
-def test_adjoint_is_conjugation():
+def test_the_adjoint_is_conjugation():
     for pose, twist in zip(some_poses(0), some_poses(1), strict=True):
-        outside = matrix(pose) @ wedge(twist) @ np.linalg.inv(matrix(pose))
-        assert_close(se2.adjoint(pose) @ twist, unwedge(outside), digits=13)
+        transformed = matrix(pose) @ wedge(twist) @ np.linalg.inv(matrix(pose))
+        assert_close(se2.adjoint(pose) @ twist, unwedge(transformed), digits=13)
 
 
-def test_adjoint_is_that_of_equation_3_23():
+def test_the_adjoint_of_equation_3_23():
     pose = jnp.array([0.4, 1.0, 2.0])
     expected = np.block([[1, np.zeros((1, 2))], [np.array([[2.0], [-1.0]]), np.eye(2)]])
     expected[1:, 1:] = matrix(pose)[:2, :2]
     assert_close(se2.adjoint(pose), expected)
 
 
-def test_power_does_not_depend_on_the_observer():
+def test_power_does_not_depend_on_the_frame_of_reference():
     wrench = jnp.array([0.7, -1.3, 2.1])
     for pose, twist in zip(some_poses(0), some_poses(1), strict=True):
-        outside = se2.transform_wrench(pose, wrench) @ (se2.adjoint(pose) @ twist)
-        assert_close(outside, wrench @ twist)
+        power = se2.transform_wrench(pose, wrench) @ (se2.adjoint(pose) @ twist)
+        assert_close(power, wrench @ twist)
 
 
-def test_wrenches_travel_by_equation_3_60():
+def test_wrenches_are_transformed_by_equation_3_60():
     pose = jnp.array([0.4, 1.0, 2.0])
     rotation = matrix(pose)[:2, :2]
     expected = np.eye(3)
@@ -185,9 +186,9 @@ def test_wrenches_travel_by_equation_3_60():
     assert_close(se2.transform_wrench(pose, wrench), expected @ wrench)
 
 
-def test_stiffness_and_wrench_travel_together():
+def test_the_transformed_stiffness_gives_the_transformed_wrench():
     stiffness = some_stiffness(0)
     for pose, twist in zip(some_poses(0), some_poses(1), strict=True):
-        inside = se2.transform_wrench(pose, stiffness @ twist)
-        outside = se2.transform_stiffness(pose, stiffness) @ (se2.adjoint(pose) @ twist)
-        assert_close(outside, inside, digits=11)
+        expected = se2.transform_wrench(pose, stiffness @ twist)
+        actual = se2.transform_stiffness(pose, stiffness) @ (se2.adjoint(pose) @ twist)
+        assert_close(actual, expected, digits=11)

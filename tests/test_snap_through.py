@@ -143,7 +143,7 @@ def small_steps(mechanism, load, rise):
     def potential(moved, fraction):
         moved = jnp.zeros(mechanism.reference.size).at[free].set(moved).reshape(-1, 3)
         turn, shift = moved[body, 0], moved[body, 1:]
-        arm = tj.geometry.se2._turn(mechanism.reference[body, 0] + turn, load.at)
+        arm = tj.geometry.se2.rotate(mechanism.reference[body, 0] + turn, load.at)
         work = load.wrench[0] * turn + load.wrench[1:] @ (shift + arm)
         return mechanism.energy(mechanism.reference + moved) - fraction * work
 

@@ -1,7 +1,7 @@
-"""The micropositioning stage against numbers of fifty digits and of an experiment.
+"""The micropositioning stage against a solution with fifty digits and an experiment.
 
-`reference/stage.json` was computed independently: Newton's method in fifty digits, which
-three other engines met to 1e-6.
+`reference/stage.json` was computed independently by Newton's method with fifty digits.
+Three other programs agree with it to 1e-6.
 """
 
 import json
@@ -24,80 +24,86 @@ REFERENCE = json.loads((Path(__file__).parent / "reference" / "stage.json").read
 
 
 @pytest.fixture(scope="module")
-def moved():
-    return stage.amplify(stage.microstage())
+def result():
+    return stage.amplification(stage.microstage())
 
 
-def test_the_gain(moved, validated):
-    np.testing.assert_allclose(moved.gain, REFERENCE["gain"], rtol=1e-10)
-    oracle = "a derivation of its own, minimised by Newton's method in NumPy"
-    validated("The stage", "gain", moved.gain, REFERENCE["gain"], oracle)
+def test_gain(result, validated):
+    np.testing.assert_allclose(result.gain, REFERENCE["gain"], rtol=1e-10)
+    oracle = "an independent derivation, minimized by Newton's method in NumPy"
+    validated("The stage", "gain", result.gain, REFERENCE["gain"], oracle)
 
 
-def test_both_energies_give_the_same_gain_to_seven_digits(moved):
-    by_twist = stage.amplify(stage.microstage(coordinates="twist"))
-    np.testing.assert_allclose(by_twist.gain, moved.gain, rtol=2e-7)
-    assert by_twist.gain != moved.gain
+def test_energies_of_twist_and_twistor_give_nearly_the_same_gain(result):
+    by_twist = stage.amplification(stage.microstage(coordinates="twist"))
+    np.testing.assert_allclose(by_twist.gain, result.gain, rtol=2e-7)
+    assert by_twist.gain != result.gain
 
 
-def test_the_displacements(moved):
+def test_displacements(result):
     for body, (x, y, angle) in REFERENCE["displacements_m_m_rad"].items():
-        actual = moved.equilibrium.displacement(body)
+        actual = result.equilibrium.displacement(body)
         np.testing.assert_allclose(actual, [angle, x, y], rtol=1e-9, atol=1e-18)
 
 
-def test_force_compression_and_energy(moved):
+def test_force_compression_and_energy(result):
+    printed_digits = 3e-6  # of the reference
     for actual, expected in (
-        (moved.input_force, REFERENCE["input_force_N"]),
-        (moved.compression, REFERENCE["compression_of_hinge_a_m"]),
-        (moved.equilibrium.energy, REFERENCE["strain_energy_J"]),
+        (result.input_force, REFERENCE["input_force_N"]),
+        (result.compression, REFERENCE["compression_of_hinge_a_m"]),
+        (result.equilibrium.energy, REFERENCE["strain_energy_J"]),
     ):
-        np.testing.assert_allclose(actual, expected, rtol=3e-6)  # as printed there
+        np.testing.assert_allclose(actual, expected, rtol=printed_digits)
 
 
-def test_the_drive_does_the_work_that_the_hinges_store():
-    """Half force times travel, in the limit of small travels."""
-    small = stage.amplify(stage.microstage(), travel=1e-9)
+def test_the_hinges_store_the_work_of_the_input_force():
+    """For a small input displacement, the work is half the force times displacement."""
+    small = stage.amplification(stage.microstage(), travel=1e-9)
     work = small.input_force * 1e-9 / 2
     np.testing.assert_allclose(small.equilibrium.energy, work, rtol=1e-6)
 
 
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd], ids=["reverse", "forward"])
-def test_the_gain_by_the_web(derivative):
-    slope = derivative(lambda web: stage.amplify(stage.microstage(web)).gain)(
+def test_derivative_of_the_gain_by_the_web(derivative):
+    slope = derivative(lambda web: stage.amplification(stage.microstage(web)).gain)(
         jnp.array(stage.WEB)
     )
     np.testing.assert_allclose(slope, REFERENCE["dgain_dweb_per_m"], rtol=2e-8)
 
 
-def test_the_tolerance_of_the_web_is_worth_more_than_the_experiment_tells():
-    """25 um on a web of 250 um move the gain by 1.26: no model can be told by 0.3."""
-    low, high = (
-        stage.amplify(stage.microstage(stage.WEB + error)).gain
-        for error in (25e-6, -25e-6)
-    )
+def test_the_tolerance_of_the_web_exceeds_the_uncertainty_of_the_measured_gain():
+    """An error of 25 um of a web of 250 um changes the gain by 1.26.
+
+    The measured gains differ by 0.3, so they cannot distinguish two models.
+    """
+
+    def gain(web_error):
+        return stage.amplification(stage.microstage(stage.WEB + web_error)).gain
+
+    low, high = gain(25e-6), gain(-25e-6)
     assert_close((high - low) / 2, 1.26, digits=2)
     assert low < stage.MEASURED_GAIN[0] < stage.MEASURED_GAIN[1] < high
 
 
-def test_rigid_levers_on_pins():
-    """The limit of hinges that only turn: from the lever arms of the drawing."""
+def test_the_gain_of_stiff_hinges_approaches_that_of_rigid_levers_on_pins():
+    """The limit follows from the lever arms of the drawing."""
     amplification = (44 - 3) / (44 - 35) * (24 - 0) / (3 - 0)
     assert_close(amplification, stage.RIGID_GAIN)
     assert_close(REFERENCE["rigid_lever_gain"], amplification, digits=8)
 
     def gain(factor):
+        """The gain with axial and transverse stiffnesses multiplied by a factor."""
         mechanism = stage.microstage()
-        (stack,) = mechanism.hinge_assembly.groups
-        stretched = stack.energy.stiffness * jnp.array([1.0, factor, factor])[None]
-        stiff = tj.Quadratic(stretched)
+        (group,) = mechanism.hinge_assembly.groups
+        stiffness = group.energy.stiffness * jnp.array([1.0, factor, factor])[None]
+        energy = tj.Quadratic(stiffness)
         bodies = [
             tj.Body(name, reference)
             for name, reference in zip(mechanism.names, mechanism.reference, strict=True)
         ]
         hinges = [
-            tj.Hinge(name, mechanism.names[a], mechanism.names[b], stiff, at)
-            for name, (a, b), at in zip(
+            tj.Hinge(name, mechanism.names[first], mechanism.names[second], energy, at)
+            for name, (first, second), at in zip(
                 mechanism.hinge_names,
                 mechanism.hinge_assembly.ends,
                 mechanism.at,
@@ -105,16 +111,16 @@ def test_rigid_levers_on_pins():
             )
         ]
         fixed = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
-        rigid = tj.Mechanism(bodies, hinges, fixed)
-        small = tj.linearize(rigid, {"6": ["x"]})
-        return small(drives=[tj.Drive("6", x=1.0)]).displacement("4")[1]
+        stiff = tj.Mechanism(bodies, hinges, fixed)
+        linear = tj.linearize(stiff, {"6": ["x"]})
+        return linear(drives=[tj.Drive("6", x=1.0)]).displacement("4")[1]
 
-    shortfalls = [amplification - gain(factor) for factor in (1e3, 1e5)]
-    assert 0 < shortfalls[1] < shortfalls[0] / 80  # as one over the stiffness
-    assert_close(gain(1e5) + shortfalls[1], amplification)
+    errors = [amplification - gain(factor) for factor in (1e3, 1e5)]
+    assert 0 < errors[1] < errors[0] / 80  # inversely proportional to the stiffness
+    assert_close(gain(1e5) + errors[1], amplification)
 
 
-def test_masses_are_those_of_the_listing():
+def test_bodies_are_those_of_the_listing():
     mechanism = stage.microstage()
     for body, expected in REFERENCE["bodies"].items():
         row = mechanism.index(body)
@@ -132,25 +138,24 @@ def test_hinges_are_those_of_the_listing():
         np.testing.assert_allclose(mechanism.at[row], [0.0, x, y])
 
 
-def test_a_batch_of_webs_is_the_loop_over_them():
+def test_a_batch_of_webs_equals_a_loop_over_them():
     webs = jnp.linspace(0.2e-3, 0.4e-3, 5)
 
     def gain(web):
-        return stage.amplify(stage.microstage(web), throw=False).gain
+        return stage.amplification(stage.microstage(web), throw=False).gain
 
     loop = jnp.stack([gain(web) for web in webs])
     np.testing.assert_allclose(jax.vmap(gain)(webs), loop, rtol=1e-12)
 
 
-def test_a_web_out_of_range_is_refused_by_name():
+def test_a_web_outside_the_range_of_the_formula_raises_an_error():
     with pytest.raises(ValueError, match=r"`web / hole` is 0\.0333333, but the formula"):
         stage.microstage(0.1e-3)
 
 
-def test_large_travels_need_no_guessing():
-    """A thousand times the experiment's travel turns the levers by half a radian."""
-    far = stage.amplify(stage.microstage(), travel=1e-3)
-    assert abs(far.equilibrium.displacement("3")[0]) > 0.5
-    np.testing.assert_allclose(
-        stage.microstage().wrenches(far.equilibrium.poses)[3], np.zeros(3), atol=1e-6
-    )
+def test_a_large_input_displacement_needs_no_initial_guess():
+    """Body 3 rotates by half a radian at 700 times the displacement of the experiment."""
+    result = stage.amplification(stage.microstage(), travel=1e-3)
+    assert abs(result.equilibrium.displacement("3")[0]) > 0.5
+    wrenches = stage.microstage().wrenches(result.equilibrium.poses)
+    np.testing.assert_allclose(wrenches[3], np.zeros(3), atol=1e-6)

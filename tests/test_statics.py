@@ -424,8 +424,8 @@ def test_a_failed_batch_says_which_lane():
         return tj.equilibrium(block_on_spring(stiffness), throw=False)
 
     lanes = jax.vmap(solve)(jnp.array([4.0, 0.0]))
-    with pytest.raises(RuntimeError, match="lane 1 of the batch"):
-        tj.solve.statics.raised(lanes)
+    with pytest.raises(RuntimeError, match="index 1 of the batch"):
+        tj.solve.statics.raise_error(lanes)
 
 
 @pytest.mark.parametrize("traced", [False, True])
@@ -440,7 +440,7 @@ def test_a_block_that_nothing_keeps_has_no_equilibrium(traced):
 def test_a_moment_beyond_what_a_twistor_spring_bears_has_no_equilibrium():
     """It bears k sin(angle): at most k, at a quarter turn."""
     mechanism = block_on_spring(np.eye(3))
-    with pytest.raises(RuntimeError, match="No equilibrium was found that continues"):
+    with pytest.raises(RuntimeError, match="No equilibrium was found that is connected"):
         tj.equilibrium(mechanism, loads=[tj.Load("block", (1.25, 0.0, 0.0))])
     answer = tj.equilibrium(
         mechanism, loads=[tj.Load("block", (1.25, 0.0, 0.0))], throw=False
@@ -486,11 +486,11 @@ def test_needs_double_precision():
         ),
         (
             {"drives": [tj.Drive("wall", x=1.0)]},
-            r"`drives\[0\]` drives the x of 'wall', which is held already",
+            r"`drives\[0\]` prescribes the x of 'wall', which is fixed already",
         ),
         (
             {"drives": [tj.Drive("block", x=1.0), tj.Drive("block", x=1.0)]},
-            r"`drives\[1\]` drives the x of 'block', which is driven already",
+            r"`drives\[1\]` prescribes the x of 'block', which is prescribed already",
         ),
     ],
 )
@@ -502,7 +502,7 @@ def test_refuses_what_the_mechanism_does_not_have(arguments, message):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: tj.Drive("b"), "The drive of 'b' moves nothing"),
+        (lambda: tj.Drive("b"), "The drive of 'b' prescribes nothing"),
         (
             lambda: tj.Drive("b", x=np.nan),
             "`x` of the drive of 'b' is nan, but must be",
@@ -584,16 +584,18 @@ def test_the_linear_map_about_a_loaded_state_is_its_derivative():
 
 def test_the_linear_map_refuses_other_drives():
     small = tj.linearize(stage(), {"6": ["x"]})
-    with pytest.raises(ValueError, match=r"moves nothing, but this map .* for x of '6'"):
+    with pytest.raises(
+        ValueError, match=r"prescribes nothing, but this map .* for x of '6'"
+    ):
         small(loads=[tj.Load("4", (0.0, 1.0, 0.0))])
 
 
 @pytest.mark.parametrize(
     ("driven", "message"),
     [
-        ({"anvil": ["x"]}, "`driven` names the body 'anvil', but the bodies are"),
-        ({"block": ["X"]}, "`driven` of the body 'block' names the coordinate 'X'"),
-        (["wall"], "`driven` has the angle of 'wall' and x of 'wall'.*held already"),
+        ({"anvil": ["x"]}, "`prescribed` names the body 'anvil', but the bodies are"),
+        ({"block": ["X"]}, "`prescribed` of the body 'block' names the coordinate 'X'"),
+        (["wall"], "`prescribed` has the angle of 'wall' and x of 'wall'.*fixed already"),
     ],
 )
 def test_the_linear_map_refuses_what_cannot_be_driven(driven, message):

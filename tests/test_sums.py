@@ -42,7 +42,7 @@ SUMS = {
     "three shares": lambda leaf: 0.2 * leaf + (0.3 * leaf + 0.5 * leaf),
     "a multiple of a sum": lambda leaf: 2.0 * (0.25 * leaf + 0.25 * leaf),
     "a range of a sum": lambda leaf: tj.energies.WithValidityRange(
-        0.5 * leaf + 0.5 * leaf, turn=1.0, force=1e6, error=[0.0, 0.0, 0.0]
+        0.5 * leaf + 0.5 * leaf, rotation=1.0, force=1e6, error=[0.0, 0.0, 0.0]
     ),
 }
 every_sum = pytest.mark.parametrize("add", SUMS.values(), ids=SUMS.keys())
@@ -91,18 +91,18 @@ def test_a_damping_as_such_acts_once_on_what_the_flexure_resists():
 
 def test_the_range_of_a_sum_is_seen():
     narrow = tj.energies.WithValidityRange(
-        leaf() + leaf(), turn=1e-4, force=1e6, error=[0.0, 0.0, 0.0]
+        leaf() + leaf(), rotation=1e-4, force=1e6, error=[0.0, 0.0, 0.0]
     )
     asked = [tj.Drive("table", angle=2e-4)]
     answer = tj.equilibrium(table(narrow), drives=asked, throw=False)
     assert str(tj.result_names(answer.result)) == "out_of_range"
-    with pytest.raises(RuntimeError, match=r"'left': it is turned by 0\.0002 rad"):
+    with pytest.raises(RuntimeError, match=r"'left': its rotation is 0\.0002 rad"):
         tj.equilibrium(table(narrow), drives=asked)
 
 
 def test_a_mechanism_of_sums_is_saved_as_it_is(tmp_path):
     energy = tj.energies.WithValidityRange(
-        2.0 * (leaf() + ZERO), turn=1.0, force=1e6, error=[0.0, 0.0, 0.0]
+        2.0 * (leaf() + ZERO), rotation=1.0, force=1e6, error=[0.0, 0.0, 0.0]
     )
     made = table(energy, damping=1e-4)
     tj.io.save_mechanism(made, tmp_path / "table.json")

@@ -71,7 +71,7 @@ def test_a_pressed_column_slows_down():
 def test_an_unstable_state_does_not_vibrate():
     mechanism, loads = column(2.1)
     upright = mechanism.reference.at[1, 2].add(-2.1 / 1e7)  # pressed together
-    with pytest.raises(RuntimeError, match="gives some away"):
+    with pytest.raises(RuntimeError, match="releases energy"):
         tj.vibrations(mechanism, about=upright, loads=loads)
     told = tj.vibrations(mechanism, about=upright, loads=loads, throw=False)
     assert not told.succeeded and np.isnan(told.frequencies[0])
@@ -80,7 +80,7 @@ def test_an_unstable_state_does_not_vibrate():
 def test_loads_that_follow_have_no_vibrations():
     mechanism, _ = column(1.0)
     follower = tj.Load("rod", (0, 0, -1.0), follower=True)
-    with pytest.raises(ValueError, match="follows its body"):
+    with pytest.raises(ValueError, match="follower load"):
         tj.vibrations(mechanism, loads=[follower])
 
 

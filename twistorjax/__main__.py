@@ -1,4 +1,4 @@
-"""`python -m twistorjax`, the same as the command `twistorjax`."""
+"""Run the command line program: `python -m twistorjax` is the same as `twistorjax`."""
 
 from .cli.app import main
 

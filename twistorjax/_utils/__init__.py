@@ -1,4 +1,4 @@
-"""Types, validation, pytree helpers, and JSON and CSV files.
+"""Array types, validation of arguments, pytree functions, and JSON and CSV files.
 
-Internal. Every other package may import these modules, and they import none of them.
+Internal. Every other package may import these modules. They import no other package.
 """

@@ -1,4 +1,4 @@
-"""Files of named columns of numbers."""
+"""Text files of named columns of numbers."""
 
 import csv
 import re
@@ -10,14 +10,15 @@ from .validation import shorten
 
 
 _SEPARATORS = ",;\t"
-# not all that `float` reads: neither 1_0 nor the digits of other scripts
+# This excludes what `float` also accepts: 1_0, and digits of other scripts.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-class Columns:
-    """A text of separated values, whose first line names the columns.
+class CsvFile:
+    """The content of a text file of separated values, with column names in line 1.
 
-    The separator is a comma, a semicolon or a tab, whichever the first line has most of.
+    The separator is a comma, a semicolon or a tab: the most frequent of these in the
+    first line.
 
     Args:
         path: Path of the file.
@@ -33,9 +34,11 @@ class Columns:
         try:
             lines = self.path.read_text(encoding="utf-8-sig").split("\n")
         except UnicodeDecodeError as error:
-            raise ValueError(f"{path} is not a text of separated values.") from error
+            raise ValueError(
+                f"{path} is not a UTF-8 text file of separated values."
+            ) from error
         separator = max(_SEPARATORS, key=lines[0].count)
-        # strict: otherwise a quotation mark that is not closed hides the lines after it
+        # Without `strict`, an unclosed quotation mark hides the following lines.
         reader = csv.reader(lines, delimiter=separator, strict=True)
         try:
             self.names = [name.strip() for name in next(reader, [])]
@@ -53,12 +56,19 @@ class Columns:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def place(self, row: int) -> str:
-        """Where a row of numbers is, for messages: the file and the line."""
+    def location(self, row: int) -> str:
+        """Return the file and the line of a row, for messages.
+
+        Args:
+            row: Index of the row, without the line of names and without empty lines.
+
+        Returns:
+            The words, such as "trials.csv, line 2".
+        """
         return f"{self.path}, line {self._rows[row][0]}"
 
     def numbers(self, name: str, *, unit: float = 1.0, blank: bool = False) -> np.ndarray:
-        """The numbers of one column.
+        """Return the numbers of a column.
 
         Args:
             name: Name of the column.
@@ -66,10 +76,10 @@ class Columns:
             blank: Whether entries may be empty; these are NaN.
 
         Returns:
-            The numbers, in units of `unit`.
+            The numbers, multiplied by `unit`.
 
         Raises:
-            ValueError: The column is there twice, a row is too short or too long, or an
+            ValueError: Two columns have this name, a row is too short or too long, or an
                 entry is not a finite number. The message names the line; the first line
                 is 1.
         """
@@ -77,27 +87,28 @@ class Columns:
             raise ValueError(
                 f"{self.path} has the column {shorten(name)} more than once."
             )
-        place = self.names.index(name)
+        column = self.names.index(name)
         return np.array(
-            [self._number(row, place, unit, blank) for row in range(len(self))], float
+            [self._number(row, column, unit, blank) for row in range(len(self))], float
         )
 
-    def _number(self, number: int, place: int, unit: float, blank: bool) -> float:
-        row = self._rows[number][1]
-        if len(row) != len(self.names):
+    def _number(self, row: int, column: int, unit: float, blank: bool) -> float:
+        """Return one entry as a number, multiplied by `unit`; NaN for a blank entry."""
+        entries = self._rows[row][1]
+        if len(entries) != len(self.names):
             raise ValueError(
-                f"{self.place(number)}: it has {len(row)} entries, but the first line "
-                f"names {len(self.names)} columns. Is the file whole?"
+                f"{self.location(row)}: it has {len(entries)} entries, but the first "
+                f"line names {len(self.names)} columns. Is the file complete?"
             )
-        entry = row[place]
+        entry = entries[column]
         if blank and not entry:
             return np.nan
         value = unit * float(entry) if _NUMBER.fullmatch(entry) else np.nan
         if not np.isfinite(value):
-            hint = " Write the decimal point as a point." if "," in entry else ""
+            hint = " Write the decimal separator as a point." if "," in entry else ""
             hint = " It is too large." if np.isinf(value) else hint
             raise ValueError(
-                f"{self.place(number)}: {shorten(self.names[place])} is "
+                f"{self.location(row)}: {shorten(self.names[column])} is "
                 f"{shorten(entry) or 'empty'}, but must be a finite number.{hint}"
             )
         return value

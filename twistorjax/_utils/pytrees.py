@@ -1,4 +1,4 @@
-"""Trees of arrays: which can be stacked, and which are not to be differentiated."""
+"""Functions of pytrees: grouping by structure, names of leaves, and stopped gradients."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,31 +9,61 @@ import jax.numpy as jnp
 import numpy as np
 
 
-def alike(trees: Sequence[Any]) -> list[list[int]]:
-    """The places of those trees that can be stacked: of one structure, shape and type."""
-    kinds: dict[Any, list[int]] = {}
-    for place, tree in enumerate(trees):
+def group_by_structure(trees: Sequence[Any]) -> list[list[int]]:
+    """Group pytrees that can be stacked.
+
+    Args:
+        trees: The pytrees.
+
+    Returns:
+        For each group, the indices of its pytrees. All pytrees of a group have the same
+        structure, and their leaves have the same shapes and dtypes.
+    """
+    groups: dict[Any, list[int]] = {}
+    for index, tree in enumerate(trees):
         leaves, structure = jax.tree.flatten(tree)
         shapes = tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-        kinds.setdefault((structure, shapes), []).append(place)
-    return list(kinds.values())
+        groups.setdefault((structure, shapes), []).append(index)
+    return list(groups.values())
 
 
 def path_name(path: Sequence[Any]) -> str:
-    """What a leaf is called, by its path: "leaf.length"; "value" where it is all."""
+    """Return the name of a leaf, such as "leaf.length".
+
+    Args:
+        path: Key path of the leaf, as `jax.tree_util.tree_flatten_with_path` returns it.
+
+    Returns:
+        The name; "value" if the tree is a single leaf.
+    """
     return jax.tree_util.keystr(tuple(path), simple=True, separator=".") or "value"
 
 
 def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
-    """What the entries of an array of that name are called: "web[0]", "web[1]"."""
-    places = (", ".join(map(str, place)) for place in np.ndindex(shape))
-    return [f"{name}[{place}]" if place else name for place in places]
+    """Return the names of the entries of an array, such as "web[0]" and "web[1]".
 
+    Args:
+        name: Name of the array.
+        shape: Shape of the array.
 
-def undifferentiated(tree: Any) -> Any:
-    """The same, with no derivative: what changes the way to an answer, and not it.
-
-    Stopped on the way in: tangents that are dropped in the end are traced nevertheless.
+    Returns:
+        The names in row-major order; only `name` for a scalar.
     """
-    arrays, rest = eqx.partition(tree, eqx.is_array)
-    return eqx.combine(jax.lax.stop_gradient(arrays), rest)
+    indices = (", ".join(map(str, index)) for index in np.ndindex(shape))
+    return [f"{name}[{index}]" if index else name for index in indices]
+
+
+def stop_gradient(tree: Any) -> Any:
+    """Return a pytree whose arrays are constants for differentiation.
+
+    It is for values that change how a result is computed, but not the result. Apply it to
+    the inputs of a computation: JAX traces tangents also if they are dropped at its end.
+
+    Args:
+        tree: A pytree with leaves of any type.
+
+    Returns:
+        The same pytree, with the gradients of its arrays stopped.
+    """
+    arrays, others = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(jax.lax.stop_gradient(arrays), others)

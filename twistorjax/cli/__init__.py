@@ -1,5 +1,5 @@
-"""The command line `twistorjax`: one file for each command.
+"""The command line program `twistorjax`, with one file for each command.
 
-Start reading in `app`, which collects the commands and turns every error into one line
-and an exit code. `common` holds what the commands share.
+Start reading in `app`, which collects the commands and reports every error as one line
+and an exit code. `common` contains the functions and options that the commands share.
 """

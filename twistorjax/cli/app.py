@@ -1,4 +1,4 @@
-"""The command line: `twistorjax --help`."""
+"""The commands of `twistorjax`, and how their errors are reported."""
 
 import contextlib
 import io
@@ -11,7 +11,7 @@ import typer
 from .._utils.validation import shorten
 from .common import SolveError, UsageError
 from .export import export
-from .fit import fit
+from .fit_energy import fit_energy
 from .four_bar import four_bar
 from .identify import identify
 from .random_data import random_data
@@ -20,24 +20,21 @@ from .sweep import sweep
 from .water import water
 
 
-app = typer.Typer(
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
-_ABOUT = {
-    stage: "The gain of the micropositioning stage.",
-    four_bar: "The four-bar linkages, driven or let go.",
-    fit: "An energy of a hinge, from measurements.",
-    identify: "Three stiffnesses, from a motion.",
-    random_data: "Random wrenches, and what fits to them foretell.",
-    water: "The energy of two water molecules.",
-    export: "A mechanism in files for other programs.",
+_SHORT_HELP = {
+    stage: "Gain of the micropositioning stage.",
+    four_bar: "Motion of the four-bar linkages.",
+    fit_energy: "Fit the energy of a hinge to trials.",
+    identify: "Identify stiffnesses from a motion.",
+    random_data: "Overfitting study on random wrenches.",
+    water: "Fits to the energy of water molecules.",
+    export: "Export a mechanism to other programs.",
 }
-for command, about in _ABOUT.items():
-    app.command(command.__name__.replace("_", "-"), short_help=about)(command)
-app.add_typer(sweep, name="sweep", short_help="Answers over ranges of dimensions.")
+for command, short_help in _SHORT_HELP.items():
+    app.command(command.__name__.replace("_", "-"), short_help=short_help)(command)
+app.add_typer(sweep, name="sweep", short_help="Sweep the dimensions of a mechanism.")
 
 
 @app.callback(invoke_without_command=True)
@@ -47,69 +44,68 @@ def overview(
         bool, typer.Option("--version", help="Print the version.")
     ] = False,
 ) -> None:
-    """Differentiable mechanics of planar flexure mechanisms.
+    """Differentiable mechanics of planar compliant mechanisms.
 
     Example: twistorjax stage
     """
     if version:
-        from importlib.metadata import version as installed
+        from importlib.metadata import version as installed_version
 
-        print(f"twistorjax {installed('twistorjax')}")
+        print(f"twistorjax {installed_version('twistorjax')}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
 
 
-_INTERRUPTED = 130  # as shells report a process that was interrupted from the keyboard
-_LONGEST = 1000  # characters of a message
+_INTERRUPTED = 130  # the exit code that shells report after Ctrl+C
+_MESSAGE_LENGTH = 1000  # largest length of a message; characters
+_OUT_OF_MEMORY = "There is not enough memory. Use fewer designs, points, or times."
+# Depending on its version, typer imports click or contains a copy of it.
+_ClickException: Any = next(
+    kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException"
+)
 
 
 def main() -> None:
-    """Run the command line.
+    """Run the command line program.
 
-    The exit code is 0 on success, 1 on failure, 2 on wrong input and 130 if interrupted.
-    A failure or wrong input is reported as one line on stderr.
+    The exit code is 0 on success, 1 if a solve failed or a file cannot be read or
+    written, 2 if the input is invalid, and 130 if the program was interrupted. Every
+    error is reported as one line on stderr.
     """
     _prepare_streams()
     code = _run()
     try:
         sys.stdout.flush()
     except OSError as error:
-        code = _failed_write(error)
+        code = _report_os_error(error)
     sys.exit(code)
 
 
 def _run() -> int:
-    """Run the command of `sys.argv`; its exit code."""
+    """Run the command that `sys.argv` names, and return its exit code."""
     try:
         return typer.main.get_command(app).main(standalone_mode=False) or 0
     except UsageError as error:
-        return _complain(str(error), 2)
+        return _report(str(error), 2)
     except SolveError as error:
-        return _complain(str(error), 1)
-    except _UsageError as error:
-        return _complain(error.format_message(), 2)
+        return _report(str(error), 1)
+    except _ClickException as error:
+        return _report(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
         return _INTERRUPTED
     except MemoryError:
-        return _complain(_NO_MEMORY, 1)
+        return _report(_OUT_OF_MEMORY, 1)
     except OSError as error:
-        return _failed_write(error)
+        return _report_os_error(error)
     except RuntimeError as error:
-        # JAX reports by its own type that an array does not fit into the memory
+        # JAX has its own type of error for an array that does not fit into the memory.
         if "RESOURCE_EXHAUSTED" not in str(error):
             raise
-        return _complain(_NO_MEMORY, 1)
-
-
-_NO_MEMORY = "There is not enough memory: ask for fewer designs, points or times."
-# typer has its own copy of click, or imports click, depending on its version
-_UsageError: Any = next(
-    kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException"
-)
+        return _report(_OUT_OF_MEMORY, 1)
 
 
 def _prepare_streams() -> None:
-    """Let output be written whatever characters it has, also where a stream is closed."""
+    """Make stdout and stderr accept all characters, and replace closed streams."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
@@ -118,25 +114,31 @@ def _prepare_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _failed_write(error: OSError) -> int:
-    """The exit code after a file or the output could not be read or written.
+def _report_os_error(error: OSError) -> int:
+    """Report that a file or the output cannot be read or written.
 
-    A reader that stops early, such as `head`, is not reported.
+    A broken pipe is not reported: a reader such as `head` may stop early.
+
+    Args:
+        error: The error.
+
+    Returns:
+        The exit code.
     """
     try:
         sys.stdout.flush()
-    except OSError:  # what is still in the buffer would fail again at exit
+    except OSError:  # Python would try to write the rest of the buffer again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return 1
-    return _complain(str(error), 1)
+    return _report(str(error), 1)
 
 
-def _complain(message: str, code: int) -> int:
-    """Write a message as one line on stderr; the exit code."""
-    words = shorten(" ".join(message.split()), _LONGEST)
+def _report(message: str, code: int) -> int:
+    """Write a message as one line on stderr, and return the exit code."""
+    line = shorten(" ".join(message.split()), _MESSAGE_LENGTH)
     with contextlib.suppress(OSError):
-        sys.stderr.write(f"twistorjax: {words}\n")
+        sys.stderr.write(f"twistorjax: {line}\n")
     return code
 
 

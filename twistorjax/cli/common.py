@@ -1,161 +1,172 @@
-"""What the commands share: how they refuse, prepare, and draw."""
+"""Options, checks, and output that the commands share."""
 
 import json
 import math
 import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import typer
 
 from .._utils.validation import shorten
 
 
+LARGEST_SEED = 2**63 - 1
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object instead of a table.")
+]
+EnergyOption = Annotated[
+    Literal["twistor", "twist"],
+    typer.Option("--energy", help="Coordinates of the quadratic hinge energies."),
+]
+
+
 class UsageError(Exception):
-    """Input that cannot be used, told in one line."""
+    """Invalid input. The message is one line."""
 
 
 class SolveError(Exception):
-    """A solve that found no answer, told in one line."""
+    """A solve that failed. The message is one line."""
 
 
-def prepare_jax(devices: int = 1) -> None:
-    """Double precision, and compiled programs kept for the next call.
+def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
+    """Select the platform, double precision, and a cache of compiled programs.
 
     Args:
-        devices: as how many the processor is to count.
+        accelerator: Whether JAX may use an accelerator if there is one. Otherwise the
+            platform is the CPU, unless the environment variable `JAX_PLATFORMS` names
+            another one: a single mechanism is too small to benefit from an accelerator.
+        cpu_cores: Number of CPU cores that JAX uses as separate devices. More than one
+            forces the CPU platform.
     """
-    os.environ.setdefault("JAX_PLATFORMS", "cpu")
     import jax
     import platformdirs
 
     jax.config.update("jax_enable_x64", True)
-    if devices > 1:
-        jax.config.update("jax_num_cpu_devices", devices)
+    # JAX is imported with this package, so setting the environment variable is too late.
+    free = accelerator or "JAX_PLATFORMS" in os.environ
+    if cpu_cores > 1 or not free:
+        jax.config.update("jax_platforms", "cpu")
+    if cpu_cores > 1:
+        jax.config.update("jax_num_cpu_devices", cpu_cores)
     cache = platformdirs.user_cache_path("twistorjax")
     jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def need(option: str, value: float, unit: str) -> None:
-    """Refuses what is not positive and finite."""
+def check_positive(value: float) -> float:
+    """Return an option's value if it is positive and finite."""
     if not (math.isfinite(value) and value > 0):
-        raise UsageError(
-            f"{option} is {value:g}, but must be positive and finite; {unit}."
-        )
-
-
-def need_choice(option: str, value: str, choices: Sequence[str]) -> Any:
-    """The value, if it is one of the choices."""
-    if value not in choices:
-        *most, last = map(repr, choices)
-        raise UsageError(
-            f"{option} is {value!r}, but must be {', '.join(most)} or {last}."
-        )
+        raise typer.BadParameter(f"{value:g} is not positive and finite.")
     return value
 
 
-def need_energy(energy: str) -> Literal["twistor", "twist"]:
-    """The coordinates of that name."""
-    return need_choice("--energy", energy, ("twistor", "twist"))
+def check_finite(value: float | None) -> float | None:
+    """Return an option's value if it is finite or not given."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value:g} is not finite.")
+    return value
 
 
-def need_folder(option: str, path: Path | None) -> None:
-    """Refuses a file in a folder that is not there."""
-    # unlike those of pathlib, this is no error for a name that is too long or a loop
+def check_folder(path: Path | None) -> Path | None:
+    """Return the path of an output file if its folder exists or no path is given."""
+    # Unlike pathlib, os.path raises no error for a name that is too long or a loop.
     if path is not None and not os.path.isdir(os.path.dirname(os.path.abspath(path))):
-        raise UsageError(
-            f"{option} is {shorten(str(path), 200)}, but there is no folder "
-            f"{shorten(str(path.parent), 200)}."
-        )
+        folder = shorten(str(path.parent), 200)
+        raise typer.BadParameter(f"there is no folder {folder}.")
+    return path
 
 
-def need_seed(option: str, seed: int, lowest: int = 0) -> None:
-    """Refuses a seed of random numbers that is negative or has more than 63 bits."""
-    highest = 2**63 - 1
-    if not lowest <= seed <= highest:
-        raise UsageError(
-            f"{option} is {seed}, but must be a whole number from {lowest} to {highest}."
-        )
+def check_figure(path: Path | None) -> Path | None:
+    """Return the path of a figure if it can be written or is not given."""
+    if path is None:
+        return None
+    check_folder(path)
+    _require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    _check_suffix(path, list(FigureCanvasAgg.get_supported_filetypes()))
+    return path
 
 
-def in_json(record: Any) -> str:
-    """A record as JSON; numbers that are not finite, which JSON lacks, are null."""
+def check_film(path: Path | None) -> Path | None:
+    """Return the path of an animation if it can be written or is not given."""
+    if path is None:
+        return None
+    check_folder(path)
+    _require_matplotlib()
+    _check_suffix(path, ["gif", "mp4", "html"])
+    if path.suffix.lower() == ".mp4":
+        from matplotlib.animation import writers
 
-    def plain(value: Any) -> Any:
+        if not writers.is_available("ffmpeg"):
+            raise typer.BadParameter(
+                f"{path} needs ffmpeg. Install it, or write a .gif file."
+            )
+    return path
+
+
+def save_figure(path: Path, drawn: Any) -> None:
+    """Write a figure, or the figure of some axes, to the file that --plot names."""
+    try:
+        getattr(drawn, "figure", drawn).savefig(path, dpi=160)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"--plot cannot be written: {error}") from None
+
+
+def to_json(record: Any) -> str:
+    """Format a record as JSON. JSON has no NaN and no infinity; they become null."""
+
+    def without_nan(value: Any) -> Any:
         if isinstance(value, dict):
-            return {key: plain(part) for key, part in value.items()}
+            return {key: without_nan(part) for key, part in value.items()}
         if isinstance(value, list | tuple):
-            return [plain(part) for part in value]
+            return [without_nan(part) for part in value]
         if isinstance(value, float) and not math.isfinite(value):
             return None
         return value
 
-    return json.dumps(plain(record), allow_nan=False)
+    return json.dumps(without_nan(record), allow_nan=False)
 
 
-def meter():
-    """A progress bar, where somebody looks."""
+def progress_bar() -> Any:
+    """Return a progress bar for `simulate`, or None if stderr is not a terminal."""
     from ..solve.progress import ProgressBar
 
     return ProgressBar() if sys.stderr.isatty() else None
 
 
-def finished(motion):
-    """The motion, if it reached its end."""
-    from ..solve.results import result_names, RESULTS
-
-    ended = str(result_names(motion.result))
-    if ended != "successful":
-        text = RESULTS[motion.result]
-        raise SolveError(f"{text} It went to t = {float(motion.reached):.6g} s.")
-    return motion
-
-
-def need_picture(option: str, path: Path | None, *, film: bool = False) -> None:
-    """Refuses, before anything is solved, a picture that could not be written.
+def require_success(motion: Any) -> None:
+    """Raise a `SolveError` if a simulation stopped before its last time.
 
     Args:
-        option: that asks for it.
-        path: of its file.
-        film: whether it moves.
+        motion: A motion computed by `simulate`.
     """
-    if path is None:
-        return
-    need_folder(option, path)
+    from ..solve.results import result_names, RESULTS
+
+    if str(result_names(motion.result)) != "successful":
+        raise SolveError(
+            f"{RESULTS[motion.result]} The simulation stopped at "
+            f"t = {float(motion.reached):.6g} s."
+        )
+
+
+def _require_matplotlib() -> None:
+    """Import matplotlib and select a backend that needs no display."""
     try:
         import matplotlib
     except ImportError:
-        raise UsageError(
-            f'{option} needs matplotlib: pip install "twistorjax[show]".'
+        raise typer.BadParameter(
+            'drawing needs matplotlib: pip install "twistorjax[show]".'
         ) from None
     matplotlib.use("agg")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    kinds = list(_FILMS if film else FigureCanvasAgg.get_supported_filetypes())
-    kind = path.suffix[1:].lower()
-    if kind not in kinds:
-        raise UsageError(
-            f"{option} is {path}, but its name must end with one of "
-            f"{', '.join(f'.{name}' for name in kinds)}."
-        )
-    if kind == "mp4":
-        from matplotlib.animation import writers
-
-        if not writers.is_available("ffmpeg"):
-            raise UsageError(
-                f"{option} {path} needs ffmpeg: install it, or write a .gif."
-            )
 
 
-_FILMS = ("gif", "mp4", "html")
-
-
-def save(path: Path, picture) -> None:
-    """Draws a picture, axes or a figure, into a file."""
-    drawn = picture()
-    try:
-        getattr(drawn, "figure", drawn).savefig(path, dpi=160)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--plot cannot be written: {error}") from None
+def _check_suffix(path: Path, formats: list[str]) -> None:
+    """Check that the name of a file ends with one of some formats."""
+    if path.suffix[1:].lower() not in formats:
+        suffixes = ", ".join(f".{name}" for name in formats)
+        raise typer.BadParameter(f"{path} must end with one of {suffixes}.")

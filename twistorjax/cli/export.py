@@ -1,4 +1,4 @@
-"""`twistorjax export`: a mechanism in files for other programs."""
+"""`twistorjax export`: write a mechanism to a file for other programs."""
 
 import warnings
 from pathlib import Path
@@ -6,80 +6,84 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import in_json, need_folder, prepare_jax, UsageError
+from .common import check_folder, JsonOption, prepare_jax, to_json, UsageError
 
 
-_CASES = ("stage", "four-bar", "mixed-four-bar")
-_KINDS = (".json", ".dxf", ".svg", ".py")
+_EXAMPLES = ("stage", "four-bar", "mixed-four-bar")
+_SUFFIXES = (".json", ".dxf", ".svg", ".py")
 
 
 def export(
     mechanism: Annotated[
         str,
         typer.Argument(
-            help="stage, four-bar, mixed-four-bar, or a .json file of a model."
+            help="stage, four-bar, mixed-four-bar, or the .json file of a model."
         ),
     ],
     out: Annotated[
         Path,
         typer.Option(
-            help="The file: .json a model, .dxf or .svg an outline to be cut, .py a "
-            "script for EXUDYN."
+            help="Output file: .json for a model, .dxf or .svg for an outline, .py for "
+            "an EXUDYN script.",
+            callback=check_folder,
         ),
     ],
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object instead of a line.")
-    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """A mechanism as a model, as an outline, or as a script of another program.
+    """Export a mechanism as a model, as an outline, or as a script for EXUDYN.
 
-    A model may be edited and exported again. Outlines need the extra "export"; a script
-    has no loads and drives: write them into its GIVEN and LOADS.
+    A model may be edited and exported again. Outlines need the extra "export". A script
+    has no loads and no prescribed displacements; write them into its LOADS and
+    PRESCRIBED.
 
     Examples: twistorjax export stage --out stage.dxf
 
     twistorjax export my.json --out my.svg
     """
-    need_folder("--out", out)
-    kind = out.suffix.lower()
-    if kind not in _KINDS:
-        raise UsageError(f"--out is {out}, but must end with {', '.join(_KINDS)}.")
-    if mechanism not in _CASES and not mechanism.endswith(".json"):
+    suffix = out.suffix.lower()
+    if suffix not in _SUFFIXES:
         raise UsageError(
-            f"The mechanism is {mechanism!r}, but must be {', '.join(_CASES)}, or a "
+            f"--out is {out}, but must end with one of {', '.join(_SUFFIXES)}."
+        )
+    if mechanism not in _EXAMPLES and not mechanism.endswith(".json"):
+        raise UsageError(
+            f"The mechanism is {mechanism!r}, but must be {', '.join(_EXAMPLES)}, or a "
             ".json file."
         )
     prepare_jax()
     from ..io import exudyn_script, save_mechanism, save_outline
 
-    made = _made(mechanism)
+    model = _load(mechanism)
     try:
-        if kind == ".json":
-            save_mechanism(made, out)
-        elif kind == ".py":
-            out.write_text(exudyn_script(made), encoding="utf-8")
+        if suffix == ".json":
+            save_mechanism(model, out)
+        elif suffix == ".py":
+            out.write_text(exudyn_script(model), encoding="utf-8")
         else:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of ezdxf's own dependencies
-                save_outline(made, out)
+                warnings.simplefilter("ignore")  # from the dependencies of ezdxf
+                save_outline(model, out)
     except (OSError, ImportError, ValueError) as error:
         raise UsageError(f"--out cannot be written: {error}") from None
     if as_json:
-        record = {"out": str(out), "bodies": made.names, "hinges": made.hinge_names}
-        print(in_json(record))
+        record = {"out": str(out), "bodies": model.names, "hinges": model.hinge_names}
+        print(to_json(record))
     else:
-        print(f"{made!r}\nkept in {out}")
+        print(f"{model!r}\nsaved to {out}")
 
 
-def _made(name: str) -> Any:
+def _load(name: str) -> Any:
+    """Return the mechanism of an example, or of the model in a .json file."""
     from ..examples.four_bar import four_bar
     from ..examples.stage import microstage
     from ..io import load_mechanism
 
     if name == "stage":
         return microstage()
-    if name in _CASES:
-        return four_bar("mixed" if name.startswith("mixed") else "identical")
+    if name == "four-bar":
+        return four_bar("identical")
+    if name == "mixed-four-bar":
+        return four_bar("mixed")
     try:
         return load_mechanism(name)
     except (OSError, ValueError) as error:

@@ -1,133 +1,150 @@
-"""`twistorjax four-bar`: the linkages of chapter 5 in motion."""
+"""`twistorjax four-bar`: simulate the four-bar linkages of chapter 5."""
 
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
 from .common import (
-    finished,
-    in_json,
-    meter,
-    need_choice,
-    need_energy,
-    need_picture,
+    check_figure,
+    check_film,
+    check_finite,
+    EnergyOption,
+    JsonOption,
     prepare_jax,
-    save,
+    progress_bar,
+    require_success,
+    save_figure,
+    to_json,
     UsageError,
 )
 
 
 def four_bar(
     hinges: Annotated[
-        str, typer.Option(help="identical (section 5.2) or mixed (section 5.3).")
+        Literal["identical", "mixed"],
+        typer.Option(
+            help="Four identical leaves (section 5.2), or two leaves and two notches "
+            "(section 5.3)."
+        ),
     ] = "identical",
-    energy: Annotated[
-        str, typer.Option(help="Coordinates of the hinges' energy: twistor or twist.")
-    ] = "twistor",
+    coordinates: EnergyOption = "twistor",
     damping_time: Annotated[
         float | None,
-        typer.Option(help="Damping over stiffness; s. [default: 1e-3; released 1e-4]"),
+        typer.Option(
+            help="Ratio of damping to stiffness; s. [default: 1e-3, or 1e-4 with "
+            "--release]",
+            min=0.0,
+            callback=check_finite,
+        ),
     ] = None,
     times: Annotated[
         str | None,
-        typer.Option(help="When to tell the motion, as 0.045,0.09,0.135; s."),
+        typer.Option(help="Times of the output, such as 0.045,0.09,0.135; s."),
     ] = None,
     release: Annotated[
         float | None,
-        typer.Option(help="Let it go with this speed of link 3 along x; m/s."),
+        typer.Option(
+            help="Release the linkage with this velocity of link 3 along x; m/s.",
+            callback=check_finite,
+        ),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object instead of a table.")
-    ] = False,
+    as_json: JsonOption = False,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw it at (ten of) these times into this file.")
+        Path | None,
+        typer.Option(
+            help="Draw the linkage at up to ten of the times to this file.",
+            callback=check_figure,
+        ),
     ] = None,
     animate: Annotated[
-        Path | None, typer.Option(help="Draw it moving: a .gif, .mp4 or .html file.")
+        Path | None,
+        typer.Option(
+            help="Draw the motion to this .gif, .mp4, or .html file.", callback=check_film
+        ),
     ] = None,
 ) -> None:
-    """The flexural four-bar linkages of chapter 5: driven by link 2, or let go.
+    """Simulate a flexural four-bar linkage that is driven by link 2, or released.
 
     Examples: twistorjax four-bar --hinges mixed --plot panels.png
 
     twistorjax four-bar --release 10 --times 0.05,0.1 --json
     """
-    kind = need_choice("--hinges", hinges, ("identical", "mixed"))
-    coordinates = need_energy(energy)
-    if damping_time is not None and not (
-        math.isfinite(damping_time) and damping_time >= 0
-    ):
-        raise UsageError(
-            f"--damping-time is {damping_time:g}, but must be zero or positive; s."
-        )
-    if release is not None and not math.isfinite(release):
-        raise UsageError(f"--release is {release:g}, but must be finite; m/s.")
-    need_picture("--plot", plot)
-    need_picture("--animate", animate, film=True)
-    asked = _times(times)
+    output_times = _parse_times(times)
     prepare_jax()
     import equinox as eqx
 
-    from ..examples import four_bar as case
+    from ..examples import four_bar as example
 
-    if asked is None:
-        asked = list(case.PANELS)
-        if release is not None:
-            asked = [0.02 * k for k in range(10)]
-    damping = damping_time
-    if damping is None:
-        damping = case.DRIVEN_DAMPING if release is None else case.RELEASED_DAMPING
-    # as one program, not as a hundred small ones to compile
-    linkage = eqx.filter_jit(case.four_bar)(
-        kind, coordinates=coordinates, damping=damping
+    if release is None:
+        default_times = list(example.FIGURE_TIMES)
+        default_damping = example.DRIVEN_DAMPING
+    else:
+        default_times = [0.02 * k for k in range(10)]
+        default_damping = example.RELEASED_DAMPING
+    if output_times is None:
+        output_times = default_times
+    # Compiled as one program, which is faster than to compile many small operations.
+    linkage = eqx.filter_jit(example.four_bar)(
+        hinges,
+        coordinates=coordinates,
+        damping=default_damping if damping_time is None else damping_time,
     )
 
-    def move(instants: list[float]):
-        settings = {"tolerance": 1e-9, "throw": False, "progress_meter": meter()}
+    def simulate(times: list[float]) -> Any:
+        settings = {
+            "tolerance": 1e-9,
+            "throw": False,
+            "progress_meter": progress_bar(),
+        }
         if release is None:
-            motion = case.drive(linkage, instants, **settings)
+            motion = example.driven_motion(linkage, times, **settings)
         else:
-            motion = case.release(linkage, instants, release, **settings)
-        return finished(motion)
+            motion = example.released_motion(linkage, times, release, **settings)
+        require_success(motion)
+        return motion
 
-    # a motion begins at zero, whether or not that time was asked for
-    added = asked[0] > 0
-    motion = move([0.0, *asked] if added else asked)
+    # A simulation starts at zero, even if that time is not part of the output.
+    first_row = 1 if output_times[0] > 0 else 0
+    motion = simulate([0.0, *output_times] if first_row else output_times)
     if plot is not None:
-        save(plot, lambda: case.plot(linkage, motion))
+        save_figure(plot, example.plot(linkage, motion))
     if animate is not None:
-        end = asked[-1]
-        _film(animate, linkage, move([end * k / 100 for k in range(101)]))
-    rows = slice(1 if added else 0, None)
-    print(_motion_json(motion, rows) if as_json else _motion_table(motion, rows))
+        end = output_times[-1]
+        _save_film(animate, linkage, simulate([end * k / 100 for k in range(101)]))
+    rows = slice(first_row, None)
+    print(_json(motion, rows) if as_json else _table(motion, rows))
 
 
-def _times(given: str | None) -> list[float] | None:
-    if given is None:
+def _parse_times(text: str | None) -> list[float] | None:
+    """Convert the value of --times to a list of times; s."""
+    if text is None:
         return None
     try:
-        values = [float(part) for part in given.split(",")]
+        times = [float(part) for part in text.split(",")]
     except ValueError:
         raise UsageError(
-            f"--times is {given!r}, but must be numbers between commas: 0.045,0.09; s."
+            f"--times is {text!r}, but must be numbers separated by commas, such as "
+            "0.045,0.09; s."
         ) from None
-    if not all(math.isfinite(value) and value >= 0 for value in values):
-        raise UsageError(f"--times is {given!r}, but must be finite and not negative; s.")
-    if any(late <= early for early, late in pairwise(values)):
-        raise UsageError(f"--times is {given!r}, but must increase; s.")
-    if values == [0.0]:
-        raise UsageError("--times is 0, when nothing has moved: give a later one, too.")
-    return values
+    if not all(math.isfinite(time) and time >= 0 for time in times):
+        raise UsageError(f"--times is {text!r}, but must be finite and not negative; s.")
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise UsageError(f"--times is {text!r}, but must increase; s.")
+    if times == [0.0]:
+        raise UsageError("--times is 0, the start of the motion. Add a later time.")
+    return times
 
 
-def _motion_json(motion, rows: slice) -> str:
-    def by_link(values) -> dict[str, list]:
-        return {name: values[rows, row].tolist() for row, name in enumerate(motion.names)}
+def _json(motion: Any, rows: slice) -> str:
+    """Format some rows of a motion as JSON."""
 
-    return in_json(
+    def by_link(values: Any) -> dict[str, list]:
+        return {name: values[rows, k].tolist() for k, name in enumerate(motion.names)}
+
+    return to_json(
         {
             "times": motion.times[rows].tolist(),
             "poses": by_link(motion.poses),
@@ -138,32 +155,38 @@ def _motion_json(motion, rows: slice) -> str:
     )
 
 
-def _motion_table(motion, rows: slice) -> str:
-    heads = ("time (s)", "angle of 2", "angle of 3", "angle of 4", "x of 3", "y of 3")
-    lines = ["  ".join(f"{head:>11}" for head in (*heads, "moment on 2"))]
-    lines.append("  ".join(f"{unit:>11}" for unit in ("", *3 * ["rad"], "m", "m", "N m")))
-    angles = [motion.displacement(link)[rows, 0] for link in "234"]
-    columns = (
-        motion.times[rows],
-        *angles,
-        *motion.displacement("3")[rows, 1:].T,
-        motion.reaction("2")[rows, 0],
-    )
-    for row in zip(*columns, strict=True):
+def _table(motion: Any, rows: slice) -> str:
+    """Format some rows of a motion as a table."""
+    x, y = motion.displacement("3")[rows, 1:].T
+    columns = {
+        ("time", "s"): motion.times[rows],
+        ("angle of 2", "rad"): motion.displacement("2")[rows, 0],
+        ("angle of 3", "rad"): motion.displacement("3")[rows, 0],
+        ("angle of 4", "rad"): motion.displacement("4")[rows, 0],
+        ("x of 3", "m"): x,
+        ("y of 3", "m"): y,
+        ("moment on 2", "N m"): motion.reaction("2")[rows, 0],
+    }
+    lines = [
+        "  ".join(f"{name:>11}" for name, _ in columns),
+        "  ".join(f"{unit:>11}" for _, unit in columns),
+    ]
+    for row in zip(*columns.values(), strict=True):
         lines.append("  ".join(f"{float(value):>11.6g}" for value in row))
-    return "\n".join([*lines, f"{int(motion.steps)} steps"])
+    lines.append(f"{int(motion.steps)} steps")
+    return "\n".join(lines)
 
 
-def _film(path: Path, mechanism, motion) -> None:
+def _save_film(path: Path, mechanism: Any, motion: Any) -> None:
+    """Write an animation, ten times slower than the motion, to a file."""
     from ..plotting.animation import animate
 
     film = animate(mechanism, motion, slower=10)
     try:
-        kind = path.suffix.lower()
-        if kind == ".html":
+        if path.suffix.lower() == ".html":
             path.write_text(film.to_jshtml(), encoding="utf-8")
         else:
-            writer = "pillow" if kind == ".gif" else "ffmpeg"
+            writer = "pillow" if path.suffix.lower() == ".gif" else "ffmpeg"
             film.save(path, writer=writer, dpi=100)
     except (OSError, ValueError) as error:
         raise UsageError(f"--animate cannot be written: {error}") from None

@@ -1,75 +1,95 @@
-"""`twistorjax identify`: stiffnesses found from a motion."""
+"""`twistorjax identify`: identify three stiffnesses from a motion."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from .common import in_json, need, need_seed, prepare_jax, SolveError, UsageError
+from .common import (
+    check_positive,
+    JsonOption,
+    LARGEST_SEED,
+    prepare_jax,
+    SolveError,
+    to_json,
+    UsageError,
+)
 
 
 def identify(
     seed: Annotated[
-        int, typer.Option(help="Of the random errors of the camera; -1 for none.")
+        int,
+        typer.Option(
+            help="Random seed of the camera's errors; -1 for no errors.",
+            min=-1,
+            max=LARGEST_SEED,
+        ),
     ] = 0,
-    angle: Annotated[
-        float, typer.Option(help="Standard deviation of the camera's angles; rad.")
+    angle_deviation: Annotated[
+        float,
+        typer.Option(
+            help="Standard deviation of the camera's angles; rad.",
+            callback=check_positive,
+        ),
     ] = 1e-5,
-    travel: Annotated[
-        float, typer.Option(help="Standard deviation of its travels; m.")
+    position_deviation: Annotated[
+        float,
+        typer.Option(
+            help="Standard deviation of the camera's positions; m.",
+            callback=check_positive,
+        ),
     ] = 1e-6,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object instead of a table.")
-    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Three stiffnesses of hinge A of the four-bar linkage, from its motion.
+    """Identify three stiffnesses of hinge A of the four-bar linkage from its motion.
 
-    Link 3 is let go with 10 m/s, and a camera takes 101 pictures of the three links in
-    0.05 s. The fit starts at 1.5, 0.6 and 0.5 times the true stiffnesses.
+    Link 3 is released with 10 m/s. A camera takes 101 pictures of the three moving links
+    in 0.05 s. The start values are 1.5, 0.6, and 0.5 times the true stiffnesses.
 
-    Example: twistorjax identify --seed 3 --travel 1e-5
+    Example: twistorjax identify --seed 3 --position-deviation 1e-5
     """
-    need("--angle", angle, "rad")
-    need("--travel", travel, "m")
-    if seed < -1:
-        raise UsageError(
-            f"--seed is {seed}, but must be 0 or larger, or -1 for no errors."
-        )
-    need_seed("--seed", seed, lowest=-1)
     prepare_jax()
     import jax
 
-    from ..examples import identification as case
+    from ..examples import identification as example
 
     key = None if seed == -1 else jax.random.key(seed)
     try:
-        found = case.hinge_a(
-            key, angle=angle, travel=travel, progress=sys.stderr.isatty()
+        result = example.identify_hinge_a(
+            key,
+            angle_deviation=angle_deviation,
+            position_deviation=position_deviation,
+            progress=sys.stderr.isatty(),
         )
     except RuntimeError as error:
         raise SolveError(str(error)) from None
-    except ValueError as error:  # deviations whose squares are no numbers
-        raise UsageError(f"--angle or --travel cannot be used: {error}") from None
-    if not as_json:
-        print(found)
-        print("true: " + ", ".join(f"{name} {case.LEAF[name]:g}" for name in found.names))
+    except ValueError as error:  # the square of a deviation is zero or infinite
+        raise UsageError(
+            f"--angle-deviation or --position-deviation cannot be used: {error}"
+        ) from None
+    if as_json:
+        print(_json(result, example.LEAF))
         return
-    print(
-        in_json(
-            {
-                "estimates": {k: float(v) for k, v in found.estimates.items()},
-                "standard_errors": {
-                    k: float(v) for k, v in found.standard_errors.items()
-                },
-                "true": case.LEAF,
-                "units": dict(zip(found.names, found.units, strict=True)),
-                "covariance": found.covariance.tolist(),
-                "names": found.names,
-                "evaluations": int(found.steps),
-                "readings": found.readings,
-                "not_determined": found.undetermined,
-                "warnings": found.warnings,
-                "result": "successful",
-            }
-        )
+    true = [f"{name} {example.LEAF[name]:g}" for name in result.names]
+    print(result)
+    print(f"true values: {', '.join(true)}")
+
+
+def _json(result: Any, true: dict[str, float]) -> str:
+    """Format the estimates and the true values as JSON."""
+    errors = result.standard_errors
+    return to_json(
+        {
+            "estimates": {name: float(value) for name, value in result.estimates.items()},
+            "standard_errors": {name: float(value) for name, value in errors.items()},
+            "true": true,
+            "units": dict(zip(result.names, result.units, strict=True)),
+            "covariance": result.covariance.tolist(),
+            "names": result.names,
+            "evaluations": int(result.steps),
+            "readings": result.reading_count,
+            "not_determined": result.undetermined_directions,
+            "warnings": result.warnings,
+            "result": "successful",
+        }
     )

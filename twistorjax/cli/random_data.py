@@ -1,42 +1,43 @@
-"""`twistorjax random-data`: random wrenches met by a polynomial, of section 7.1."""
+"""`twistorjax random-data`: overfitting study on random wrenches (section 7.1)."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .common import in_json, need_picture, prepare_jax, save
+from .common import check_figure, JsonOption, prepare_jax, save_figure, to_json
 
 
 def random_data(
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object instead of a table.")
-    ] = False,
+    as_json: JsonOption = False,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw given and fitted wrenches into this file.")
+        Path | None,
+        typer.Option(
+            help="Draw given, fitted, and predicted wrenches to this file.",
+            callback=check_figure,
+        ),
     ] = None,
 ) -> None:
-    """A polynomial through the 17 random trials of section 7.1, and what it foretells.
+    """Fit a polynomial energy to the 17 random trials of section 7.1.
 
-    Each trial is also held back once, and foretold by a fit to the others.
+    Each trial is also held out once, and predicted by a fit to the other trials.
 
     Example: twistorjax random-data --plot random.png
     """
-    need_picture("--plot", plot)
     prepare_jax()
-    from ..examples import random_data as case
+    from ..examples import random_data as example
 
-    study = case.study()
+    study = example.study()
     if plot is not None:
-        save(plot, lambda: case.plot(study))
+        save_figure(plot, example.plot(study))
     if not as_json:
         print(study)
         if plot is not None:
-            print(f"drawn to {plot}")
+            print(f"figure saved to {plot}")
         return
     fit = study.fit
     print(
-        in_json(
+        to_json(
             {
                 "order": fit.energy.order,
                 "trials": len(study.trials),

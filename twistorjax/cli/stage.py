@@ -1,53 +1,62 @@
-"""`twistorjax stage`: the gain of the micropositioning stage, and how it is reached."""
+"""`twistorjax stage`: the gain of the micropositioning stage, static or over time."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from .common import (
-    finished,
-    in_json,
-    meter,
-    need,
-    need_energy,
-    need_picture,
+    check_figure,
+    check_positive,
+    EnergyOption,
+    JsonOption,
     prepare_jax,
-    save,
+    progress_bar,
+    require_success,
+    save_figure,
     SolveError,
+    to_json,
     UsageError,
 )
 
 
 def stage(
     travel: Annotated[
-        float, typer.Option("--input", help="Travel of the input; m.")
+        float,
+        typer.Option("--input", help="Input displacement; m.", callback=check_positive),
     ] = 1.35e-6,
     web: Annotated[
-        float, typer.Option(help="Thickness of the necks of the notch hinges; m.")
+        float,
+        typer.Option(
+            help="Thickness of the necks of the notch hinges; m.", callback=check_positive
+        ),
     ] = 0.25e-3,
-    energy: Annotated[
-        str, typer.Option(help="Coordinates of the hinges' energy: twistor or twist.")
-    ] = "twistor",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object instead of a table.")
-    ] = False,
+    coordinates: EnergyOption = "twistor",
+    as_json: JsonOption = False,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw the deformed stage into this file.")
+        Path | None,
+        typer.Option(
+            help="Draw the deformed stage, or its motion, to this file.",
+            callback=check_figure,
+        ),
     ] = None,
     transient: Annotated[
         bool,
-        typer.Option("--transient", help="Follow it in time until it rests instead."),
+        typer.Option("--transient", help="Simulate the motion until it is at rest."),
     ] = False,
     step: Annotated[
         bool,
-        typer.Option("--step", help="With --transient: the input steps, unfiltered."),
+        typer.Option("--step", help="With --transient: a step input without a filter."),
     ] = False,
     damping_time: Annotated[
-        float, typer.Option(help="With --transient: damping over stiffness; s.")
+        float,
+        typer.Option(
+            help="With --transient: ratio of damping to stiffness; s.",
+            callback=check_positive,
+        ),
     ] = 1e-3,
 ) -> None:
-    """The displacement gain of the micropositioning stage (chapter 6).
+    """Compute the displacement gain of the micropositioning stage (chapter 6).
 
     Examples: twistorjax stage --web 0.3e-3 --plot stage.png
 
@@ -55,86 +64,106 @@ def stage(
 
     twistorjax stage --transient --plot transient.png
     """
-    need("--input", travel, "m")
-    need("--web", web, "m")
-    need("--damping-time", damping_time, "s")
-    coordinates = need_energy(energy)
-    need_picture("--plot", plot)
     if step and not transient:
-        raise UsageError(
-            "--step tells how the input moves in time: give --transient, too."
-        )
+        raise UsageError("--step needs --transient: it selects the input of a motion.")
     if transient:
         _transient(travel, web, coordinates, as_json, plot, step, damping_time)
-        return
+    else:
+        _static(travel, web, coordinates, as_json, plot)
+
+
+def _static(
+    travel: float,
+    web: float,
+    coordinates: Literal["twistor", "twist"],
+    as_json: bool,
+    plot: Path | None,
+) -> None:
+    """Print the static gain; the arguments are the options of `stage`."""
     prepare_jax()
     import numpy as np
 
-    from ..examples import stage as case
+    from ..examples import stage as example
     from ..solve.results import result_names, RESULTS
 
-    answer, slope = case.amplify_by_web(web, travel, coordinates=coordinates)
-    moved = answer.equilibrium
-    ended = str(result_names(moved.result))
-    if ended == "not_finite":
+    result, slope = example.amplification_and_slope(web, travel, coordinates=coordinates)
+    deformed = result.equilibrium
+    name = str(result_names(deformed.result))
+    if name == "not_finite":
         try:
-            case.microstage(web)  # tells what is wrong with the web
+            example.microstage(web)  # raises the error that explains the NaN
         except ValueError as error:
-            raise UsageError(f"--web cannot be used, holes being 3 mm: {error}") from None
-    if ended != "successful":
-        reached = f"(fraction {float(moved.fraction):.4g})"
-        raise SolveError(f"--input {travel:g}: {RESULTS[moved.result]} {reached}")
+            raise _unusable_web(error) from None
+    if name != "successful":
+        reached = f"(fraction {float(deformed.fraction):.4g})"
+        raise SolveError(f"--input {travel:g}: {RESULTS[deformed.result]} {reached}")
     values = {
-        "gain": float(answer.gain),
-        "output_m": float(answer.output),
-        "input_force_N": float(answer.input_force),
-        "compression_a_m": float(answer.compression),
-        "strain_energy_J": float(moved.energy),
+        "gain": float(result.gain),
+        "output_m": float(result.output),
+        "input_force_N": float(result.input_force),
+        "compression_a_m": float(result.compression),
+        "strain_energy_J": float(deformed.energy),
         "dgain_dweb_per_m": float(slope),
     }
     if plot is not None:
-        save(plot, lambda: case.plot(case.microstage(web), answer))
+        save_figure(plot, example.plot(example.microstage(web), result))
     if as_json:
-        poses = np.asarray(moved.reference) + np.asarray(moved.displacements)
-        named = dict(zip(moved.names, poses.tolist(), strict=True))
-        print(in_json({**values, "poses": named, "result": ended}))
-    else:
-        print(_table(values, web, travel))
-        if plot is not None:
-            print(f"drawn to {plot}")
+        poses = np.asarray(deformed.reference) + np.asarray(deformed.displacements)
+        by_body = dict(zip(deformed.names, poses.tolist(), strict=True))
+        print(to_json({**values, "poses": by_body, "result": name}))
+        return
+    print(_table(values, web, travel))
+    if plot is not None:
+        print(f"figure saved to {plot}")
 
 
 def _table(values: dict[str, float], web: float, travel: float) -> str:
-    from ..examples import stage as case
+    """Format the static results as a table.
 
-    low, high = case.MEASURED_GAIN
-    gain = values["gain"]
+    Args:
+        values: Results, named and in the units of the JSON output.
+        web: Thickness of the necks; m.
+        travel: Input displacement; m.
+
+    Returns:
+        One line for each result, with a note.
+    """
+    from ..examples import stage as example
+
+    micro, nano = 1e-6, 1e-9
+    gain_note = f"rigid levers {example.RIGID_GAIN:.4f}"
+    compression_note = ""
+    if web == example.WEB:  # only this device was measured
+        low, high = example.MEASURED_GAIN
+        gain_note = (
+            f"measured {low} to {high} (1978); "
+            f"dissertation {example.DISSERTATION_GAIN}; {gain_note}"
+        )
+        compression_note = "input 1.35 um: measured 50 nm; dissertation about 150 nm"
     slope = values["dgain_dweb_per_m"]
-    micro = 1e-6
-    told = compressed = ""
-    if web == case.WEB:  # the device that was measured
-        told = f"measured {low} to {high} (1978); dissertation {case.DISSERTATION_GAIN}; "
-        compressed = "for 1.35 um: measured 50 nm; dissertation about 150 nm"
     rows = [
-        ("gain", f"{gain:.6f}", f"{told}rigid levers {case.RIGID_GAIN:.4f}"),
-        ("output", f"{values['output_m'] / micro:.4f} um", "travel of body 4"),
+        ("gain", f"{values['gain']:.6f}", gain_note),
+        ("output", f"{values['output_m'] / micro:.4f} um", "displacement of body 4"),
         ("input force", f"{values['input_force_N']:.4f} N", ""),
         (
             "compression of a",
-            f"{values['compression_a_m'] / 1e-9:.2f} nm",
-            compressed,
+            f"{values['compression_a_m'] / nano:.2f} nm",
+            compression_note,
         ),
         ("strain energy", f"{values['strain_energy_J'] / micro:.4f} uJ", ""),
         (
             "d(gain)/d(web)",
             f"{slope:.4f} /m",
-            f"webs 25 um thicker: {25 * micro * slope:+.2f}",
+            f"change of the gain for webs 25 um thicker: {25 * micro * slope:+.2f}",
         ),
     ]
-    wide = max(len(row[1]) for row in rows)
-    lines = [f"{name:<18}{value:>{wide}}   {note}".rstrip() for name, value, note in rows]
-    title = f"micropositioning stage, webs {web / 1e-3:g} mm, input {travel / micro:g} um"
-    return "\n".join([title, *lines])
+    width = max(len(value) for _, value, _ in rows)
+    lines = [
+        f"micropositioning stage, webs {web / 1e-3:g} mm, input {travel / micro:g} um"
+    ]
+    for name, value, note in rows:
+        lines.append(f"{name:<18}{value:>{width}}   {note}".rstrip())
+    return "\n".join(lines)
 
 
 def _transient(
@@ -146,50 +175,65 @@ def _transient(
     step: bool,
     damping_time: float,
 ) -> None:
+    """Print the transient response; the arguments are the options of `stage`."""
     prepare_jax()
-    from ..examples import stage, stage_motion as case
+    from ..examples import stage, stage_motion as example
 
     try:
-        design = stage.microstage(web, coordinates=coordinates, damping=damping_time)
+        mechanism = stage.microstage(web, coordinates=coordinates, damping=damping_time)
     except ValueError as error:
-        raise UsageError(f"--web cannot be used, holes being 3 mm: {error}") from None
+        raise _unusable_web(error) from None
     try:
-        settled = case.settle(
-            design,
+        response = example.transient_response(
+            mechanism,
             travel=travel,
-            rise=None if step else case.RISE,
+            filter_time=None if step else example.FILTER_TIME,
             throw=False,
-            progress_meter=meter(),
+            progress_meter=progress_bar(),
         )
-    except RuntimeError as error:  # of the equilibrium with which its end is compared
+    except RuntimeError as error:  # there is no equilibrium at the end of the motion
         raise SolveError(f"--input {travel:g}: {error}") from None
-    motion = finished(settled.motion)
+    motion = response.motion
+    require_success(motion)
     if plot is not None:
-        save(plot, lambda: case.plot(settled))
-    gain, static = float(settled.gain), float(settled.static_gain)
-    apart = float(settled.joint[1, -1] - settled.joint[0, -1])
+        save_figure(plot, example.plot(response))
     if as_json:
-        print(
-            in_json(
-                {
-                    "gain": gain,
-                    "static_gain": static,
-                    "compression_a_m": apart,
-                    "times": motion.times.tolist(),
-                    "output_m": settled.output.tolist(),
-                    "hinge_a_on_2_m": settled.joint[0].tolist(),
-                    "hinge_a_on_6_m": settled.joint[1].tolist(),
-                    "steps": int(motion.steps),
-                    "result": "successful",
-                }
-            )
-        )
+        print(_transient_json(response))
         return
-    how = "stepped" if step else f"filtered by {case.RISE / 1e-3:g} ms"
+    kind = "step"
+    if not step:
+        kind = f"filtered with a time constant of {example.FILTER_TIME / 1e-3:g} ms"
+    end = float(motion.times[-1]) / 1e-3
+    compression = float(response.compression) / 1e-9
     print(
-        f"micropositioning stage, input {travel / 1e-6:g} um, {how}\n"
-        f"gain after {float(motion.times[-1]) / 1e-3:g} ms  {gain:.8f}\n"
-        f"gain at rest       {static:.8f}\n"
-        f"hinge a, apart     {apart / 1e-9:.2f} nm\n"
+        f"micropositioning stage, input {travel / 1e-6:g} um, {kind}\n"
+        f"gain after {end:g} ms   {float(response.gain):.8f}\n"
+        f"static gain        {float(response.static_gain):.8f}\n"
+        f"compression of a   {compression:.2f} nm\n"
         f"steps              {int(motion.steps)}"
     )
+    if plot is not None:
+        print(f"figure saved to {plot}")
+
+
+def _transient_json(response: Any) -> str:
+    """Format a transient response as JSON."""
+    on_body_2, on_body_6 = response.hinge_a
+    return to_json(
+        {
+            "gain": float(response.gain),
+            "static_gain": float(response.static_gain),
+            "compression_a_m": float(response.compression),
+            "times": response.motion.times.tolist(),
+            "output_m": response.output.tolist(),
+            "hinge_a_on_2_m": on_body_2.tolist(),
+            "hinge_a_on_6_m": on_body_6.tolist(),
+            "steps": int(response.motion.steps),
+            "result": "successful",
+        }
+    )
+
+
+def _unusable_web(error: ValueError) -> UsageError:
+    """Make the error for a web that the formula of the notches does not allow."""
+    return UsageError(f"--web cannot be used with holes of 3 mm: {error}")

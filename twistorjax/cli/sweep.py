@@ -1,4 +1,4 @@
-"""`twistorjax sweep`: the stage and the linkage over ranges of their dimensions."""
+"""`twistorjax sweep`: sweep the dimensions of the stage or of the linkage."""
 
 import json
 import math
@@ -11,7 +11,15 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from .common import need_folder, need_picture, prepare_jax, save, SolveError, UsageError
+from .common import (
+    check_figure,
+    check_folder,
+    JsonOption,
+    prepare_jax,
+    save_figure,
+    SolveError,
+    UsageError,
+)
 
 
 sweep = typer.Typer()
@@ -19,7 +27,7 @@ sweep = typer.Typer()
 
 @sweep.callback(invoke_without_command=True)
 def overview(context: typer.Context) -> None:
-    """Answers over ranges of dimensions, such as 0.2e-3:0.4e-3:1000.
+    """Sweep the dimensions of a mechanism over ranges such as 0.2e-3:0.4e-3:1000.
 
     Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:1000 --plot gain.png
     """
@@ -27,78 +35,104 @@ def overview(context: typer.Context) -> None:
         print(context.get_help())
 
 
-_MOST = 10_000_000
+_LARGEST_COUNT = 10_000_000  # designs in a sweep
 
-_Out = Annotated[
-    Path | None, typer.Option(help="Keep them in this folder, chunk by chunk (zarr).")
+_OutOption = Annotated[
+    Path | None,
+    typer.Option(help="Save the results to this folder (zarr).", callback=check_folder),
 ]
-_Resume = Annotated[
-    bool, typer.Option("--resume", help="Go on with that folder, from what it has.")
+_ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Resume the sweep that --out contains.")
 ]
-_Devices = Annotated[
-    int, typer.Option(help="Share the designs among so many cores of this machine.")
+_DevicesOption = Annotated[
+    int,
+    typer.Option(
+        help="Number of CPU cores that share the designs. With 1, JAX uses an "
+        "accelerator if there is one; more than 1 selects the CPU.",
+        min=1,
+    ),
 ]
-_Chunk = Annotated[int | None, typer.Option(help="Designs that are taken at once.")]
-_Json = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object instead of a table.")
+_ChunkOption = Annotated[
+    int | None, typer.Option(help="Number of designs that are solved at once.", min=1)
 ]
-_Plot = Annotated[Path | None, typer.Option(help="Draw the answers into this file.")]
+_PlotOption = Annotated[
+    Path | None,
+    typer.Option(help="Draw the outputs to this file.", callback=check_figure),
+]
 
 
-@sweep.command()
+@sweep.command(short_help="Gain of the micropositioning stage.")
 def stage(
     web: Annotated[
-        str, typer.Option(help="Thickness of the necks: lowest:highest:count; m.")
+        str,
+        typer.Option(help="Thickness of the necks: one value, or first:last:count; m."),
     ] = "0.2e-3:0.4e-3:1000",
     hole: Annotated[
-        str, typer.Option(help="Diameter of the holes, likewise; m.")
+        str,
+        typer.Option(help="Diameter of the holes: one value, or first:last:count; m."),
     ] = "3e-3",
-    out: _Out = None,
-    resume: _Resume = False,
-    devices: _Devices = 1,
-    chunk: _Chunk = None,
-    as_json: _Json = False,
-    plot: _Plot = None,
+    out: _OutOption = None,
+    resume: _ResumeOption = False,
+    devices: _DevicesOption = 1,
+    chunk: _ChunkOption = None,
+    as_json: JsonOption = False,
+    plot: _PlotOption = None,
 ) -> None:
-    """The gain of the micropositioning stage, with its exact derivatives.
+    """Compute the gain of the micropositioning stage and its exact derivatives.
 
     Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:10000 --out stage.zarr
     """
-    ranges = {"web": _range("--web", web), "hole": _range("--hole", hole)}
-    asked = _Asked(ranges, out, resume, devices, chunk, as_json, plot)
-    _tell(asked, _swept(asked, "stage_gain", ("gain",)), ("gain",))
+    ranges = {"web": _parse_range("--web", web), "hole": _parse_range("--hole", hole)}
+    options = _Options(ranges, out, resume, devices, chunk, as_json, plot)
+    table = _run(options, study="stage_gain", derivatives=("gain",))
+    _report(options, table, outputs=("gain",))
 
 
-@sweep.command("four-bar")
+@sweep.command("four-bar", short_help="Motion of the driven four-bar linkage.")
 def four_bar(
     length: Annotated[
-        str, typer.Option(help="Length of the leaves: lowest:highest:count; m.")
+        str,
+        typer.Option(help="Length of the leaves: one value, or first:last:count; m."),
     ] = "12e-3:16e-3:20",
     thickness: Annotated[
-        str, typer.Option(help="Thickness of the leaves, likewise; m.")
+        str,
+        typer.Option(help="Thickness of the leaves: one value, or first:last:count; m."),
     ] = "0.8e-3:1.2e-3:20",
-    out: _Out = None,
-    resume: _Resume = False,
-    devices: _Devices = 1,
-    chunk: _Chunk = None,
-    as_json: _Json = False,
-    plot: _Plot = None,
+    out: _OutOption = None,
+    resume: _ResumeOption = False,
+    devices: _DevicesOption = 1,
+    chunk: _ChunkOption = None,
+    as_json: JsonOption = False,
+    plot: _PlotOption = None,
 ) -> None:
-    """The driven four-bar linkage of like leaves: its travel, moment and frequency.
+    """Compute travel, moment, and frequency of the driven four-bar linkage.
+
+    The four leaves are identical. The outputs are the largest displacement of link 3
+    along x, the largest moment on link 2, and the lowest natural frequency.
 
     Example: twistorjax sweep four-bar --length 12e-3:16e-3:50 --thickness 1e-3
     """
     ranges = {
-        "length": _range("--length", length),
-        "thickness": _range("--thickness", thickness),
+        "length": _parse_range("--length", length),
+        "thickness": _parse_range("--thickness", thickness),
     }
-    asked = _Asked(ranges, out, resume, devices, chunk, as_json, plot)
-    answers = ("travel", "moment", "frequency")
-    _tell(asked, _swept(asked, "driven_linkage", ()), answers)
+    options = _Options(ranges, out, resume, devices, chunk, as_json, plot)
+    table = _run(options, study="driven_linkage", derivatives=())
+    _report(options, table, outputs=("travel", "moment", "frequency"))
 
 
-class _Asked(NamedTuple):
-    """What both commands are asked for."""
+class _Options(NamedTuple):
+    """The options of a sweep.
+
+    Args:
+        ranges: Values of each parameter, by name; m.
+        out: Folder for the results.
+        resume: Whether to resume the sweep in this folder.
+        devices: Number of CPU cores.
+        chunk: Number of designs that are solved at once.
+        as_json: Whether JSON is printed.
+        plot: File for a figure.
+    """
 
     ranges: Mapping[str, list[float]]
     out: Path | None
@@ -109,137 +143,198 @@ class _Asked(NamedTuple):
     plot: Path | None
 
     @property
-    def alone(self) -> list[str]:
-        """What has one value alone."""
-        return [axis for axis, row in self.ranges.items() if len(row) == 1]
+    def constant(self) -> list[str]:
+        """Names of the parameters that have only one value."""
+        return [name for name, values in self.ranges.items() if len(values) == 1]
 
 
-def _swept(asked: _Asked, study: str, derivatives: Sequence[str]) -> Any:
-    """The table of a study, called by its name."""
-    need_folder("--out", asked.out)
-    if (count := math.prod(map(len, asked.ranges.values()))) > _MOST:
-        raise UsageError(f"These are {count:,} designs, but may be at most {_MOST:,}.")
-    need_picture("--plot", asked.plot)
-    if asked.plot is not None and len(asked.alone) == len(asked.ranges):
-        options = " or ".join(f"--{axis}" for axis in asked.ranges)
-        raise UsageError(f"--plot draws answers over a range: give one to {options}.")
-    if asked.resume and asked.out is None:
-        raise UsageError("--resume goes on with the folder of --out: give that, too.")
-    if asked.devices < 1 or (asked.chunk is not None and asked.chunk < 1):
-        raise UsageError("--devices and --chunk must be at least 1.")
-    if asked.devices > (cores := len(os.sched_getaffinity(0))):
-        raise UsageError(f"--devices is {asked.devices}, but there are {cores} cores.")
-    prepare_jax(asked.devices)
+def _check(options: _Options) -> None:
+    """Raise a `UsageError` if the options of a sweep contradict each other."""
+    count = math.prod(len(values) for values in options.ranges.values())
+    if count > _LARGEST_COUNT:
+        raise UsageError(
+            f"The ranges have {count:,} designs, but may have at most {_LARGEST_COUNT:,}."
+        )
+    if options.plot is not None and len(options.constant) == len(options.ranges):
+        names = " or ".join(f"--{name}" for name in options.ranges)
+        raise UsageError(f"--plot needs a range first:last:count for {names}.")
+    if options.resume and options.out is None:
+        raise UsageError("--resume needs --out, the folder of the sweep to resume.")
+    # `process_cpu_count` exists from Python 3.13 on.
+    count_cores = getattr(os, "process_cpu_count", os.cpu_count)
+    cores = count_cores() or 1
+    if options.devices > cores:
+        raise UsageError(
+            f"--devices is {options.devices}, but there are {cores} CPU cores."
+        )
+
+
+def _run(options: _Options, study: str, derivatives: Sequence[str]) -> Any:
+    """Run a sweep.
+
+    Args:
+        options: Options of the sweep.
+        study: Name of a function in `twistorjax.examples.sweep_studies`.
+        derivatives: Outputs that are differentiated by the parameters.
+
+    Returns:
+        The dataset of the sweep.
+    """
+    _check(options)
+    prepare_jax(accelerator=True, cpu_cores=options.devices)
     import jax
 
     from ..examples import sweep_studies
-    from ..sweeps import Grid, sweep as over
+    from ..sweeps import Grid, sweep as run_sweep
 
     mesh = None
-    if asked.devices > 1:
-        mesh = jax.make_mesh((asked.devices,), ("designs",))
+    if options.devices > 1:
+        mesh = jax.make_mesh((options.devices,), ("designs",))
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # counted in what is told
-            return over(
+            warnings.simplefilter("ignore")  # `_report` prints the failures
+            return run_sweep(
                 getattr(sweep_studies, study),
-                Grid(asked.ranges),
+                Grid(options.ranges),
                 derivatives=derivatives,
-                units=dict.fromkeys(asked.ranges, "m"),
-                chunk=asked.chunk,
+                units=dict.fromkeys(options.ranges, "m"),
+                chunk_size=options.chunk,
                 mesh=mesh,
-                store=asked.out,
-                resume=asked.resume,
+                store=options.out,
+                resume=options.resume,
                 progress=sys.stderr.isatty(),
             )
     except ImportError as error:
         raise UsageError(str(error)) from None
     except ValueError as error:
-        raise UsageError(_as_options(str(error))) from None
+        raise UsageError(_with_option_names(str(error))) from None
     except OSError as error:
-        text = str(error) if error.filename else error.strerror or str(error)
-        raise SolveError(_as_options(text)) from None
+        message = str(error) if error.filename else error.strerror or str(error)
+        raise SolveError(_with_option_names(message)) from None
 
 
-def _as_options(message: str) -> str:
-    """A message of the library, with options in place of arguments."""
+def _with_option_names(message: str) -> str:
+    """Replace the arguments of `twistorjax.sweep` in a message by options."""
     return message.replace("`store`", "--out").replace("`resume=True`", "--resume")
 
 
-def _tell(asked: _Asked, table: Any, answers: Sequence[str]) -> None:
-    """Prints what is lowest, mean and highest, and draws it."""
-    if asked.plot is not None:
-        from ..plotting.charts import chart
+def _report(options: _Options, table: Any, outputs: Sequence[str]) -> None:
+    """Print minimum, mean, and maximum of the outputs, and draw the outputs.
 
-        save(asked.plot, lambda: chart(table.squeeze(asked.alone), answers))
-    told = {}
-    slopes = [f"{answer}_by_{axis}" for answer in answers for axis in asked.ranges]
-    for name in (*answers, *(slope for slope in slopes if slope in table)):
-        values = table[name]
-        told[name] = {
-            "lowest": _number(values.min()),
-            "mean": _number(values.mean()),
-            "highest": _number(values.max()),
-            "unit": values.attrs.get("units", ""),
-        }
+    Args:
+        options: Options of the sweep.
+        table: Dataset of the sweep.
+        outputs: Names of the outputs.
+
+    Raises:
+        SolveError: All designs failed.
+    """
     from ..solve.results import result_message
     from ..sweeps.sweep import failures
 
+    if options.plot is not None:
+        from ..plotting.charts import chart
+
+        save_figure(options.plot, chart(table.squeeze(options.constant), outputs))
+    names = list(outputs)
+    for output in outputs:
+        for parameter in options.ranges:
+            if f"{output}_by_{parameter}" in table:
+                names.append(f"{output}_by_{parameter}")
+    summary = {name: _summary(table[name]) for name in names}
     count, failed = table["succeeded"].size, failures(table)
-    if asked.as_json:
-        none = sum(failed.values())
-        record = {"designs": count, "failed": none, "why": failed, "answers": told}
+    if options.as_json:
+        record = {
+            "designs": count,
+            "failed": sum(failed.values()),
+            "failures": failed,
+            "outputs": summary,
+        }
         print(json.dumps(record))
     else:
-        _print(asked, count, failed, told)
+        _print_table(options, count, failed, summary)
     if sum(failed.values()) == count:
-        raise SolveError(f"No design has an answer. {result_message(next(iter(failed)))}")
+        raise SolveError(f"All designs failed. {result_message(next(iter(failed)))}")
 
 
-def _print(
-    asked: _Asked, count: int, failed: Mapping[str, int], told: Mapping[str, Any]
+def _summary(values: Any) -> dict[str, Any]:
+    """Return minimum, mean, maximum, and unit of an output, ignoring failed designs."""
+    numbers = {
+        "minimum": float(values.min()),
+        "mean": float(values.mean()),
+        "maximum": float(values.max()),
+    }
+    summary: dict[str, Any] = {
+        name: number if math.isfinite(number) else None
+        for name, number in numbers.items()
+    }
+    summary["unit"] = values.attrs.get("units", "")
+    return summary
+
+
+def _print_table(
+    options: _Options,
+    count: int,
+    failed: Mapping[str, int],
+    summary: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    """A table, and how many designs have no answer, and why."""
+    """Print the number of designs, the failures, and a table of the outputs.
+
+    Args:
+        options: Options of the sweep.
+        count: Number of designs.
+        failed: Number of failed designs, by result name.
+        summary: Minimum, mean, maximum, and unit of each output.
+    """
     from ..solve.results import result_message
 
     print(f"{count:,} designs")
     for name, number in failed.items():
-        print(f"{number:,} without an answer, {name}: {result_message(name)}")
-    print(f"{'':<22}{'lowest':>12}  {'mean':>12}  {'highest':>12}")
-    for name, row in told.items():
-        cells = (row["lowest"], row["mean"], row["highest"])
-        texts = ("none" if cell is None else f"{cell:.6g}" for cell in cells)
-        numbers = "  ".join(f"{text:>12}" for text in texts)
+        print(f"{number:,} failed, {name}: {result_message(name)}")
+    print(f"{'':<22}{'minimum':>12}  {'mean':>12}  {'maximum':>12}")
+    for name, row in summary.items():
+        cells = []
+        for statistic in ("minimum", "mean", "maximum"):
+            value = row[statistic]
+            text = "none" if value is None else f"{value:.6g}"
+            cells.append(f"{text:>12}")
         unit = "" if row["unit"] == "1" else f" {row['unit']}"
-        print(f"{name:<22}{numbers}{unit}")
-    if asked.out is not None:
-        print(f"kept in {asked.out}")
-    if asked.plot is not None:
-        print(f"drawn to {asked.plot}")
+        print(f"{name:<22}{'  '.join(cells)}{unit}")
+    if options.out is not None:
+        print(f"saved to {options.out}")
+    if options.plot is not None:
+        print(f"figure saved to {options.plot}")
 
 
-def _number(value: Any) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None
+def _parse_range(option: str, text: str) -> list[float]:
+    """Convert the value of an option to one number or to equally spaced numbers.
 
+    Args:
+        option: Name of the option, for messages.
+        text: A positive number, or first:last:count.
 
-def _range(option: str, given: str) -> list[float]:
-    """The values of a range, or the one that is given."""
-    parts = given.split(":")
+    Returns:
+        The numbers.
+    """
+    parts = text.split(":")
     try:
-        numbers = [float(part) for part in parts[:2]]
+        limits = [float(part) for part in parts[:2]]
         count = int(parts[2]) if len(parts) == 3 else 1
     except ValueError:
-        numbers, count = [], 0
-    fine = len(parts) in (1, 3) and all(math.isfinite(n) and n > 0 for n in numbers)
-    if not fine or count < 1 or (len(parts) == 3 and count < 2):
+        limits, count = [], 0
+    single = len(parts) == 1 and count == 1
+    several = len(parts) == 3 and count >= 2
+    positive = all(math.isfinite(limit) and limit > 0 for limit in limits)
+    if not (single or several) or not positive:
         raise UsageError(
-            f"{option} is {given}, but must be a positive number, or two and how many "
-            "from the one to the other: 0.2e-3:0.4e-3:1000."
+            f"{option} is {text}, but must be a positive number, or first:last:count "
+            "with a count of at least 2, such as 0.2e-3:0.4e-3:1000."
         )
-    if len(parts) == 1:
-        return numbers
-    if count > _MOST:
-        raise UsageError(f"{option} is {given}, but may have at most {_MOST:,} values.")
-    low, high = numbers
-    return [low + (high - low) * k / (count - 1) for k in range(count)]
+    if single:
+        return limits
+    if count > _LARGEST_COUNT:
+        raise UsageError(
+            f"{option} is {text}, but the count may be at most {_LARGEST_COUNT:,}."
+        )
+    first, last = limits
+    return [first + (last - first) * k / (count - 1) for k in range(count)]

@@ -1,81 +1,99 @@
-"""`twistorjax water`: the energy of two water molecules, of sections 7.2 to 7.4."""
+"""`twistorjax water`: fits to the energy of two water molecules (sections 7.2 to 7.4)."""
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from .common import in_json, need_picture, need_seed, prepare_jax, save, UsageError
+from .common import (
+    check_figure,
+    check_positive,
+    JsonOption,
+    LARGEST_SEED,
+    prepare_jax,
+    save_figure,
+    to_json,
+    UsageError,
+)
 
 
 def water(
     order: Annotated[
-        int, typer.Option(help="Of numerators and denominators: even, 2 to 12.")
+        int,
+        typer.Option(
+            help="Order of numerators and denominators; an even number.", min=2, max=12
+        ),
     ] = 6,
-    span: Annotated[
+    angle_range: Annotated[
         float,
-        typer.Option("--range", help="Of the angle and of the direction; rad."),
+        typer.Option(
+            "--range",
+            help="Range of the angle and of the direction of the second molecule; rad.",
+            max=6.2832,
+            callback=check_positive,
+        ),
     ] = 1.5708,
-    points: Annotated[int, typer.Option(help="Trials that are fitted.")] = 500,
-    seed: Annotated[int, typer.Option(help="Of the choice of trials.")] = 0,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object instead of a table.")
-    ] = False,
+    points: Annotated[
+        int, typer.Option(help="Number of trials that are fitted.", min=2, max=20000)
+    ] = 500,
+    seed: Annotated[
+        int,
+        typer.Option(help="Random seed of the trials.", min=0, max=LARGEST_SEED),
+    ] = 0,
+    as_json: JsonOption = False,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw energies and errors into this file.")
+        Path | None,
+        typer.Option(
+            help="Draw energies and errors to this file.", callback=check_figure
+        ),
     ] = None,
 ) -> None:
-    """Fits to the energy of two water molecules, checked by trials they have not seen.
+    """Fit the energy of two water molecules, and check the fits by held-out trials.
 
-    A polynomial and a quotient of two, as in chapter 7, and a quotient kept from poles.
+    Fits a polynomial and a rational function as in chapter 7, and a rational function
+    that is regularized to avoid poles.
 
     Examples: twistorjax water --plot water.png
 
     twistorjax water --order 8 --range 6.2832 --json
     """
-    if not 2 <= order <= 12 or order % 2:
-        raise UsageError(f"--order is {order}, but must be even, from 2 to 12.")
-    if not 0 < span <= 6.2832:
-        raise UsageError(
-            f"--range is {span:g}, but must be above 0, and at most a turn, 6.2832; rad."
-        )
-    if not 2 <= points <= 20000:
-        raise UsageError(f"--points is {points}, but must lie between 2 and 20000.")
-    need_seed("--seed", seed)
-    need_picture("--plot", plot)
+    if order % 2:
+        raise UsageError(f"--order is {order}, but must be an even number.")
     prepare_jax()
-    from ..examples import water as case
+    from ..examples import water as example
 
-    study = case.study(order, min(span, 2 * math.pi), points, [seed])
+    study = example.study(order, min(angle_range, 2 * math.pi), points, [seed])
     if plot is not None:
-        save(plot, lambda: case.plot(study))
+        save_figure(plot, example.plot(study))
     print(_json(study) if as_json else study)
     if plot is not None and not as_json:
-        print(f"drawn to {plot}")
+        print(f"figure saved to {plot}")
 
 
-def _json(study) -> str:
-    def of(name: str) -> dict:
+def _json(study: Any) -> str:
+    """Format the fits of a study with one seed as JSON."""
+
+    def fit_record(name: str) -> dict[str, Any]:
         (fit,) = study.fits[name]
         return {
             "terms": fit.terms,
             "rank": fit.rank,
             "ridge": fit.ridge,
-            "largest_error_training": study.training(name).item(),
-            "largest_error_held_out": study.held_out(name).item(),
-            "relative_error_of_wrench_held_out": study.wrenches(name).item(),
-            "denominator_over_base": [fit.lowest, fit.highest],
+            "largest_error_training": study.training_error(name).item(),
+            "largest_error_held_out": study.held_out_error(name).item(),
+            "relative_error_of_wrench_held_out": study.wrench_error(name).item(),
+            "denominator_over_base": [fit.smallest_ratio, fit.largest_ratio],
             "has_poles": fit.has_poles,
         }
 
-    return in_json(
+    return to_json(
         {
             "order": study.order,
-            "range_rad": study.span,
+            "range_rad": study.angle_range,
             "fitted": len(study.trials[0]),
-            "held_out": len(study.fresh[0]),
+            "held_out": len(study.held_out_trials[0]),
             "unit_of_energy": "e^2/Angstrom",
-            "fits": {name: of(name) for name in study.fits},
+            "fits": {name: fit_record(name) for name in study.fits},
         }
     )

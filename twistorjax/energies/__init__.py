@@ -1,16 +1,12 @@
 """Elastic energies of a hinge as functions of the displacement of its two frames.
 
-Start reading in `base`, which holds `AbstractEnergy`: a new energy is a subclass with one
-method. The energies have one file each. `damping` holds viscous damping, and `validity`
-the range in which an energy holds. The package `fitting` identifies energies from
-measured wrenches.
+Start reading in `base`, which contains `AbstractEnergy`: a new energy is a subclass with
+one method. `polynomial` contains polynomial and rational energies, and `mixed` those of
+flexures. `damping` contains viscous damping, and `validity` the range in which an energy
+is valid. The package `fitting` determines energies from measured wrenches.
 """
 
-from .base import (
-    AbstractEnergy as AbstractEnergy,
-    CoordinateEnergy as CoordinateEnergy,
-    Quadratic as Quadratic,
-)
+from .base import AbstractEnergy as AbstractEnergy
 from .damping import ViscousDamping as ViscousDamping
 from .fitting import (
     EnergyFit as EnergyFit,
@@ -28,4 +24,5 @@ from .polynomial import (
     Rational as Rational,
     SumOfSquares as SumOfSquares,
 )
+from .quadratic import CoordinateEnergy as CoordinateEnergy, Quadratic as Quadratic
 from .validity import WithValidityRange as WithValidityRange

@@ -1,4 +1,4 @@
-"""What a coupling dissipates as it moves: chapters 3 and 4 of the dissertation."""
+"""Viscous damping of a hinge (chapters 3 and 4 of the dissertation)."""
 
 import equinox as eqx
 import jax
@@ -13,20 +13,25 @@ from .strains import Coordinates, half_square, matrix_error, strain
 
 
 class ViscousDamping(eqx.Module):
-    """What a coupling dissipates: half the damping times the square of the strain rate.
+    """Viscous damping of a hinge, a quadratic form of the strain rate.
+
+    The damping is defined by Rayleigh's dissipation function, half the dissipated power:
+    `rate . damping . rate / 2`.
 
     Args:
-        damping: symmetric, with no negative eigenvalue, ordered as a stiffness is;
-            N m s/rad, N s/rad, N s/m.
-        coordinates: whose rates the damping multiplies: the "twistor" strain's
-            `2 (xi, x1, x2)` or the "twist"'s. The dissertation uses the twistor's in both
-            of its chapters, even beside the energy of the twist (equation 3.64 is 4.42).
-        resisted: whether only those rates count that the energy of its hinge resists. A
-            flexure whose ends come nearer as it bends is not stretched by that: damped
-            as if it were, it would lose a hundred times as much.
+        damping: Symmetric matrix without negative eigenvalues. The order of rows and
+            columns is rotation, axis 1, axis 2; N m s/rad, N s/rad, N s/m.
+        coordinates: Strain whose rate is damped: "twistor" for `2 (xi, x1, x2)`, or
+            "twist". The dissertation uses the twistor in both of its chapters, also
+            together with energies of the twist (equation 3.64 equals 4.42).
+        resisted: If True, the damping acts only on strain rates that the hinge's energy
+            resists. The ends of a flexure approach each other when it bends, but this
+            does not stretch the flexure. If it were damped like a stretch, the flexure
+            would dissipate about a hundred times as much.
 
     Raises:
-        ValueError: as for the stiffness of a `Quadratic`.
+        ValueError: The matrix is not 3 by 3, is not symmetric, has a negative eigenvalue
+            or a value that is not finite; the coordinates are unknown.
 
     Source:
         Equations 3.62 to 3.64 and 4.40 to 4.42 of the dissertation.
@@ -48,38 +53,56 @@ class ViscousDamping(eqx.Module):
         self.coordinates = require_choice(
             "`coordinates`", coordinates, ("twistor", "twist")
         )
-        if fault := matrix_error("damping", self.damping):
-            raise ValueError(f"A `ViscousDamping` damping cannot be made: {fault}")
+        if error := matrix_error("damping", self.damping):
+            raise ValueError(f"A `ViscousDamping` cannot be made: {error}")
 
     def __call__(self, pose: Pose, rate: Pose) -> Scalar:
-        """Half the power dissipated at a pose that changes at a rate; W."""
-
-        def measure(pose: Pose) -> Twist:
-            return jnp.stack(strain(Displacement.of(pose), self.coordinates))
-
-        _, strain_rate = jax.jvp(measure, (pose,), (rate,))
-        return half_square(self.damping, tuple(strain_rate))
-
-    def wrench(self, pose: Pose, first: Twist, second: Twist) -> Wrench:
-        """The viscous wrench that body B exerts on the coupling, about b, in its axes.
-
-        The derivative of half the dissipated power by the velocity of b.
+        """Compute the dissipation function, half the dissipated power.
 
         Args:
-            pose: frame b seen from frame a; rad, m, m.
-            first: velocity of frame a, in its own axes; rad/s, m/s, m/s.
-            second: velocity of frame b, in its own axes; rad/s, m/s, m/s.
+            pose: Pose of frame b relative to frame a; rad, m, m.
+            rate: Time derivative of the pose; rad/s, m/s, m/s.
+
+        Returns:
+            Half the dissipated power; W.
+        """
+
+        def strain_of(pose: Pose) -> Twist:
+            return jnp.stack(strain(Displacement.from_pose(pose), self.coordinates))
+
+        _, strain_rate = jax.jvp(strain_of, (pose,), (rate,))
+        return half_square(self.damping, tuple(strain_rate))
+
+    def wrench(self, pose: Pose, velocity_a: Twist, velocity_b: Twist) -> Wrench:
+        """Compute the viscous wrench that body B exerts on the hinge.
+
+        It is the derivative of the dissipation function with respect to the velocity of
+        frame b.
+
+        Args:
+            pose: Pose of frame b relative to frame a; rad, m, m.
+            velocity_a: Velocity of frame a, in its own axes; rad/s, m/s, m/s.
+            velocity_b: Velocity of frame b, in its own axes; rad/s, m/s, m/s.
+
+        Returns:
+            The wrench about the origin of frame b, in the axes of b; N m, N, N.
 
         Example:
-            >>> still, spin = jnp.zeros(3), jnp.array([2.0, 0.0, 0.0])
-            >>> ViscousDamping(3.0 * jnp.eye(3)).wrench(jnp.zeros(3), still, spin)
+            >>> damper = ViscousDamping(3.0 * jnp.eye(3))
+            >>> pose, velocity_a = jnp.zeros(3), jnp.zeros(3)
+            >>> velocity_b = jnp.array([2.0, 0.0, 0.0])  # rad/s, m/s, m/s
+            >>> damper.wrench(pose, velocity_a, velocity_b)
             Array([6., 0., 0.], dtype=float64)
         """
 
-        def dissipated(velocity: Twist) -> Scalar:
-            turning = velocity[0] - first[0]
+        def dissipation(velocity_b: Twist) -> Scalar:
+            angular_rate = velocity_b[0] - velocity_a[0]
             lever = jnp.stack([-pose[2], pose[1]])
-            drift = se2._turn(pose[0], velocity[1:]) - first[1:] - first[0] * lever
-            return self(pose, jnp.concatenate([turning[None], drift]))
+            linear_rate = (
+                se2.rotate(pose[0], velocity_b[1:])
+                - velocity_a[1:]
+                - velocity_a[0] * lever
+            )
+            return self(pose, jnp.concatenate([angular_rate[None], linear_rate]))
 
-        return jax.grad(dissipated)(second)
+        return jax.grad(dissipation)(velocity_b)

@@ -1,11 +1,10 @@
-"""Energies of flexures that are soft across their axis and stiff along it.
+"""Energies of flexures that are compliant in two directions and stiff along their axis.
 
-What such a flexure stores is hard to write by its translations, for a little along the
-axis takes large forces, and by how much bending draws its ends together depends on all.
-By the force along the axis it is easy: all is smooth, however slender the flexure is.
+The energy of such a flexure is hard to approximate as a function of its displacement: a
+small axial displacement causes a large force, and the axial shortening by bending depends
+on all coordinates. As a function of the axial force it is smooth for any slenderness.
 """
 
-import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -17,50 +16,62 @@ from jaxtyping import Array, ArrayLike, Float
 from .._utils.types import Scalar
 from .._utils.validation import concrete, require_positive
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy, CoordinateEnergy
+from .base import AbstractEnergy
 from .damping import ViscousDamping
-from .monomials import Powers, summed, VARIABLES
-from .polynomial import coefficients_error, need_fitting, rows_of_powers
+from .evaluation import evaluate_polynomial
+from .mixed_potential import (
+    axial_force_ratio,
+    ForceSeries,
+    maximum_over_force,
+    mixed_potential,
+)
+from .monomials import Powers, VARIABLES
+from .polynomial import coefficients_error, require_coefficients, require_powers
+from .quadratic import CoordinateEnergy
 from .strains import Coordinates, strain
 
 
-Parts = tuple[Scalar, ...]  # what the powers of the tension from 0 on are multiplied by
-_GIVE = (0, 0, 2)  # the powers of the term that gives along the axis at rest
+_AXIAL_COMPLIANCE = (0, 0, 2)  # powers of the term of the axial reference compliance
 
 
 class MixedEnergy(CoordinateEnergy):
-    """The energy of a flexure, by a polynomial of turn, translation across, and tension.
+    """Energy of a flexure, from a polynomial of rotation, displacement and axial force.
 
-    The tension `n` is the force along axis 1 that belongs to the twist `(tau, t1, t2)`:
-    it is where `n t1 + W(tau, t2, n)` is largest, and that is the energy. So `-dW/dn` is
-    how much longer the flexure is along its axis: of `W = B - n S - n^2 / (2 k)` the
-    energy is `B + k (t1 - S)^2 / 2`, of a leaf with the axial stiffness k, of which
-    bending takes the length -S. Polynomials that would need hundreds of terms of a
-    slender leaf's three translations, and fail altogether of a very slender one's, have
-    some dozens here.
+    `W(tau, t2, n)` is a polynomial of the rotation `tau`, the transverse displacement
+    `t2` and the axial force `n`. The energy of the twist `(tau, t1, t2)` is the maximum
+    of `n t1 + W(tau, t2, n)` over `n`, and the maximizing `n` is the axial force. At the
+    maximum `t1 = -dW/dn`. For `W = B - n S - n^2 / (2 k)` the energy is
+    `B + k (t1 - S)^2 / 2`. This is the energy of a leaf with the bending energy B, the
+    axial stiffness k and the axial displacement S due to bending.
+
+    A few dozen terms are sufficient for any slenderness. A polynomial of the three
+    displacements of a slender leaf requires hundreds of terms, and it does not converge
+    for a very slender leaf.
 
     Args:
-        coefficients: of the terms of W; J.
-        powers: of each term, those of `tau`, `t2 / length` and `n / force`.
-        length: m.
-        force: up to this tension, and down to its negative, is W the polynomial; beyond,
-            it goes on as the parabola that fits it there, so that any translation has its
-            tension; N.
+        coefficients: Coefficients of the terms of W; J.
+        powers: Powers of `tau`, `t2 / length` and `n / force` in each term.
+        length: Reference length, by which the transverse displacement is divided; m.
+        force: Reference force, by which the axial force is divided; N. W is the
+            polynomial for axial forces between `-force` and `force`. Outside of this
+            interval W is continued by its second-order Taylor polynomial in `n`, so that
+            there is an axial force for every axial displacement.
 
     Raises:
-        ValueError: numbers of coefficients and powers do not fit; a power is negative or
-            stands twice; a value is not finite, or a dimension not positive.
+        ValueError: The numbers of coefficients and powers do not match; a power is
+            negative or given twice; a value is not finite; a reference value is not
+            positive; the axial compliance is not positive.
 
     Source:
         Awtar and Sen, A generalized constraint model for two-dimensional beam flexures,
-        J. Mech. Des. 132, 2010, have W to the second power of turn and translation. That
+        J. Mech. Des. 132, 2010, give W to the second power of rotation and displacement.
         W is a complementary energy in one of three directions: Reissner, On a variational
         theorem in elasticity, J. Math. Phys. 29, 1950.
 
     Example:
         >>> powers = [(0, 2, 0), (0, 2, 1), (0, 0, 2)]
         >>> guided = MixedEnergy([6.0, 0.6, -5e-4], powers, length=1.0, force=1.0)
-        >>> guided.wrench(jnp.array([0.0, 0.0, 0.1]))[1:]  # k 3/5 t2^2 of tension
+        >>> guided.wrench(jnp.array([0.0, 0.0, 0.1]))[1:]  # axial force: k 3/5 t2^2
         Array([6.  , 1.92], dtype=float64)
     """
 
@@ -77,42 +88,43 @@ class MixedEnergy(CoordinateEnergy):
         length: ArrayLike,
         force: ArrayLike,
     ):
-        self.powers = rows_of_powers(powers, VARIABLES["tension"])
+        self.powers = require_powers(powers, VARIABLES["mixed"])
         self.coefficients = jnp.asarray(coefficients, float)
         self.length = require_positive("`length`", length)
         self.force = require_positive("`force`", force)
-        need_fitting(self, self.coefficients, self.powers)
+        require_coefficients(self, self.coefficients, self.powers)
 
     @property
     def order(self) -> int:
-        """The largest sum of powers of turn and translation in a term."""
+        """Largest sum of the powers of rotation and transverse displacement in a term."""
         return max(row[0] + row[1] for row in self.powers)
 
+    @property
+    def coordinates(self) -> Coordinates:
+        """Rotation and transverse displacement are components of the twist."""
+        return "twist"
+
     def validation_error(self) -> str | None:
-        """Which coefficient is not finite, or that there is no give along the axis."""
-        if fault := coefficients_error(self.coefficients, self.powers):
-            return fault
-        seen = concrete(self.coefficients)
-        if _GIVE not in self.powers or (
-            seen is not None and seen[self.powers.index(_GIVE)] >= 0
+        """Return a message about an invalid coefficient, or `None`."""
+        if error := coefficients_error(self.coefficients, self.powers):
+            return error
+        values = concrete(self.coefficients)
+        if _AXIAL_COMPLIANCE not in self.powers or (
+            values is not None and values[self.powers.index(_AXIAL_COMPLIANCE)] >= 0
         ):
             return (
-                "the term of powers (0, 0, 2), which says how much it gives along its "
-                "axis, is missing or not negative."
+                "the coefficient of the term with powers (0, 0, 2) is missing or not "
+                "negative. It must be negative, so that the axial compliance is positive."
             )
         return None
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        turn, along, across = strain(displacement, "twist")
-        return _largest(self.parts(turn, across), self.force * along)
+        rotation, axial, transverse = strain(displacement, "twist")
+        series = self.force_series(rotation, transverse)
+        return maximum_over_force(series, self.force * axial)
 
-    @property
-    def coordinates(self) -> Coordinates:
-        """Turn and translation across are those of the twist."""
-        return "twist"
-
-    def newton_model(self, tension: Scalar) -> "AbstractEnergy":
-        return _Foreseen(self, tension / self.force)
+    def newton_model(self, axial_force: Scalar) -> "AbstractEnergy":
+        return _NewtonModel(self, axial_force / self.force)
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
         return ViscousDamping(time * self.tangent_stiffness(), "twist", resisted=True)
@@ -120,154 +132,210 @@ class MixedEnergy(CoordinateEnergy):
     def resisted_rates(
         self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
     ) -> tuple[Scalar, Scalar, Scalar]:
-        """The rates of a solid whose every strain is damped by the same time.
+        """Return the strain rates of a solid with one damping time for all strains.
 
-        Along the axis that of the tension, as the translation that it would be at rest.
+        The axial rate is the rate of the axial stretch, which is the axial displacement
+        without the part due to bending. It is multiplied by `sqrt(k / k0)`, where k is
+        the axial stiffness at this displacement and k0 that in the reference
+        configuration. A damping proportional to k0 then acts like one proportional to k.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+            rates: Rates of the twist; rad/s, m/s, m/s.
+
+        Returns:
+            The rates of rotation, axial stretch and transverse displacement; rad/s, m/s,
+            m/s.
         """
-        turn, along, across = strain(displacement, "twist")
-        tension = _tension(self.parts(turn, across), self.force * along)
-        (_, lean), bend = _leaning(self, tension, turn, across)
-        at_rest = 2 * self.coefficients[self.powers.index(_GIVE)]
-        rate = rates[1] + (lean[0] * rates[0] + lean[1] * rates[2]) / self.force
-        return rates[0], rate * jnp.sqrt(at_rest / bend), rates[2]
+        rotation, axial, transverse = strain(displacement, "twist")
+        series = self.force_series(rotation, transverse)
+        force_ratio = axial_force_ratio(series, self.force * axial)
+        (_, gradient), curvature = _force_derivatives(
+            self, force_ratio, rotation, transverse
+        )
+        reference = 2 * self.coefficients[self.powers.index(_AXIAL_COMPLIANCE)]
+        bending_rate = gradient[0] * rates[0] + gradient[1] * rates[2]
+        rate = rates[1] + bending_rate / self.force
+        return rates[0], rate * jnp.sqrt(reference / curvature), rates[2]
 
-    def parts(self, turn: Scalar, across: Scalar) -> Parts:
-        """What multiplies each power of the tension, from 0 on; J."""
-        at = turn, across / self.length
-        parts = []
+    def force_series(self, rotation: Scalar, transverse: Scalar) -> ForceSeries:
+        """Write W as a polynomial of the relative axial force `n / force`.
+
+        Args:
+            rotation: Rotation; rad.
+            transverse: Transverse displacement; m.
+
+        Returns:
+            The coefficients of the powers of `n / force`, from the power zero on; J.
+        """
+        variables = rotation, transverse / self.length
+        series = []
         for power in range(1 + max(row[2] for row in self.powers)):
-            places = [k for k, row in enumerate(self.powers) if row[2] == power]
-            kept = tuple(self.powers[k][:2] for k in places)
-            mine = self.coefficients[np.array(places, int)]
-            parts.append(summed(kept, (0, 0), mine, at))
-        return tuple(parts)
+            terms = [k for k, row in enumerate(self.powers) if row[2] == power]
+            powers = tuple(self.powers[k][:2] for k in terms)
+            coefficients = self.coefficients[np.array(terms, int)]
+            series.append(evaluate_polynomial(powers, (0, 0), coefficients, variables))
+        return tuple(series)
 
 
-def _mixed(parts: Parts, tension: Scalar, times: int = 0) -> Scalar:
-    """W, differentiated so many times by the tension, in parts of the force."""
-    within = jnp.clip(tension, -1.0, 1.0)
-    over = tension - within
+class _NewtonModel(AbstractEnergy):
+    """Replacement of a mixed energy in Newton's method, near a predicted axial force.
 
-    def derivative(times: int) -> Scalar:
-        total = jnp.zeros_like(within)
-        for power in reversed(range(times, len(parts))):
-            total = total * within + math.perm(power, times) * parts[power]
-        return total
+    The axial displacement and the axial force are independent unknowns, and the residual
+    of their relation is eliminated to first order. With the energy itself, a transverse
+    Newton step would stretch the flexure, because the axial shortening by bending is of
+    second order. The large axial force of this stretch would slow down Newton's method.
 
-    if times == 2:
-        return derivative(2)
-    if times == 1:
-        return derivative(1) + over * derivative(2)
-    return derivative(0) + over * (derivative(1) + over * derivative(2) / 2)
-
-
-@jax.custom_jvp
-def _largest(parts: Parts, pull: Scalar) -> Scalar:
-    """The largest value of the tension times the pull, and W."""
-    tension = _tension(parts, pull)
-    return pull * tension + _mixed(parts, tension)
-
-
-@_largest.defjvp
-def _(primals, tangents):
-    # at its largest it does not change with the tension
-    parts, pull = primals
-    of_parts, of_pull = tangents
-    tension = _tension(parts, pull)
-    value = pull * tension + _mixed(parts, tension)
-    return value, tension * of_pull + _mixed(of_parts, tension)
-
-
-@jax.custom_jvp
-def _tension(parts: Parts, pull: Scalar) -> Scalar:
-    """The tension in parts of the force, by Newton's method; NaN where there is none.
-
-    Each step starts within the force, and the last finds what lies beyond: there W is a
-    parabola.
-    """
-
-    def nearer(_, tension: Scalar) -> Scalar:
-        within = jnp.clip(tension, -1.0, 1.0)
-        gap = pull + _mixed(parts, within, 1)
-        return within - gap / _mixed(parts, within, 2)
-
-    tension = jax.lax.fori_loop(0, 6, nearer, jnp.zeros_like(pull))
-    return jnp.where(_mixed(parts, tension, 2) < 0, tension, jnp.nan)
-
-
-@_tension.defjvp
-def _(primals, tangents):
-    parts, pull = primals
-    of_parts, of_pull = tangents
-    tension = _tension(parts, pull)
-    rate = of_pull + _mixed(of_parts, tension, 1)
-    return tension, -rate / _mixed(parts, tension, 2)
-
-
-class _Foreseen(AbstractEnergy):
-    """A slender flexure near a tension, for Newton's method alone.
-
-    Translations and tension are taken for unknowns of their own, and what lacks between
-    them is made up to first order. So a step across, which leaves the flexure too short
-    by far, does not stiffen it as if it bore the tension of that.
+    Args:
+        energy: The mixed energy.
+        force_ratio: Predicted axial force divided by the reference force.
     """
 
     energy: MixedEnergy
-    tension: Scalar
+    force_ratio: Scalar
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        turn, along, across = strain(displacement, "twist")
-        pull = self.energy.force * along
-        return _near(self.energy, self.tension, turn, pull, across)
+        rotation, axial, transverse = strain(displacement, "twist")
+        scaled_axial = self.energy.force * axial
+        return _model_energy(
+            self.energy, self.force_ratio, rotation, scaled_axial, transverse
+        )
 
-    def stretch(self, displacement: Displacement) -> Scalar:
-        return self.energy.stretch(displacement)
+    def translation_scale(self, displacement: Displacement) -> Scalar:
+        return self.energy.translation_scale(displacement)
 
 
-def _partial(energy: MixedEnergy, tension: Scalar, times: int):
-    """W by turn and translation across, differentiated so often by the tension."""
-    return lambda turn, across: _mixed(energy.parts(turn, across), tension, times)
+def _potential_derivative(energy: MixedEnergy, force_ratio: Scalar, derivative: int):
+    """Return a derivative of W with respect to the relative force, as a function.
+
+    Args:
+        energy: The mixed energy.
+        force_ratio: Axial force divided by the reference force.
+        derivative: Order of the derivative.
+
+    Returns:
+        A function of rotation and transverse displacement (rad, m); J.
+    """
+    return lambda rotation, transverse: mixed_potential(
+        energy.force_series(rotation, transverse), force_ratio, derivative
+    )
 
 
 @jax.custom_jvp
-def _near(
-    energy: MixedEnergy, tension: Scalar, turn: Scalar, pull: Scalar, across: Scalar
+def _model_energy(
+    energy: MixedEnergy,
+    force_ratio: Scalar,
+    rotation: Scalar,
+    axial: Scalar,
+    transverse: Scalar,
 ) -> Scalar:
-    value, slope, bend = (_partial(energy, tension, k)(turn, across) for k in range(3))
-    return pull * tension + value - (pull + slope) ** 2 / (2 * bend)
+    """Compute the energy after one Newton step from a predicted axial force.
+
+    Args:
+        energy: The mixed energy.
+        force_ratio: Predicted axial force divided by the reference force.
+        rotation: Rotation; rad.
+        axial: Axial displacement times the reference force; J.
+        transverse: Transverse displacement; m.
+
+    Returns:
+        The energy; J.
+    """
+    value, slope, curvature = (
+        _potential_derivative(energy, force_ratio, k)(rotation, transverse)
+        for k in range(3)
+    )
+    return axial * force_ratio + value - (axial + slope) ** 2 / (2 * curvature)
 
 
-@_near.defjvp
+@_model_energy.defjvp
 def _(primals, tangents):
-    by_turn, by_pull, by_across = _slopes_near(*primals)
-    of_turn, of_pull, of_across = tangents[2:]
-    rate = by_turn * of_turn + by_pull * of_pull + by_across * of_across
-    return _near(*primals), rate
+    by_rotation, by_axial, by_transverse = _model_gradient(*primals)
+    rotation_rate, axial_rate, transverse_rate = tangents[2:]
+    rate = (
+        by_rotation * rotation_rate
+        + by_axial * axial_rate
+        + by_transverse * transverse_rate
+    )
+    return _model_energy(*primals), rate
 
 
 @jax.custom_jvp
-def _slopes_near(
-    energy: MixedEnergy, tension: Scalar, turn: Scalar, pull: Scalar, across: Scalar
+def _model_gradient(
+    energy: MixedEnergy,
+    force_ratio: Scalar,
+    rotation: Scalar,
+    axial: Scalar,
+    transverse: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
-    (slope, lean), bend = _leaning(energy, tension, turn, across)
-    by_turn, by_across = jax.grad(_partial(energy, tension, 0), (0, 1))(turn, across)
-    more = -(pull + slope) / bend
-    return by_turn + more * lean[0], tension + more, by_across + more * lean[1]
+    """Compute the gradient of the model energy.
+
+    It is correct to first order in the residual `axial + dW/d(force_ratio)`. In its own
+    derivative, terms of this order are neglected.
+
+    Args:
+        energy: The mixed energy.
+        force_ratio: Predicted axial force divided by the reference force.
+        rotation: Rotation; rad.
+        axial: Axial displacement times the reference force; J.
+        transverse: Transverse displacement; m.
+
+    Returns:
+        The derivatives with respect to rotation, `axial` and transverse displacement;
+        J/rad, dimensionless, N.
+    """
+    (slope, gradient), curvature = _force_derivatives(
+        energy, force_ratio, rotation, transverse
+    )
+    by_rotation, by_transverse = jax.grad(
+        _potential_derivative(energy, force_ratio, 0), (0, 1)
+    )(rotation, transverse)
+    correction = -(axial + slope) / curvature
+    return (
+        by_rotation + correction * gradient[0],
+        force_ratio + correction,
+        by_transverse + correction * gradient[1],
+    )
 
 
-@_slopes_near.defjvp
+@_model_gradient.defjvp
 def _(primals, tangents):
-    energy, tension, turn, _, across = primals
-    of_turn, of_pull, of_across = tangents[2:]
-    (_, lean), bend = _leaning(energy, tension, turn, across)
-    curve = jax.grad(_partial(energy, tension, 0), (0, 1))
-    _, (turning, crossing) = jax.jvp(curve, (turn, across), (of_turn, of_across))
-    more = -(of_pull + lean[0] * of_turn + lean[1] * of_across) / bend
-    rates = turning + more * lean[0], more, crossing + more * lean[1]
-    return _slopes_near(*primals), rates
+    energy, force_ratio, rotation, _, transverse = primals
+    rotation_rate, axial_rate, transverse_rate = tangents[2:]
+    (_, gradient), curvature = _force_derivatives(
+        energy, force_ratio, rotation, transverse
+    )
+    potential_gradient = jax.grad(_potential_derivative(energy, force_ratio, 0), (0, 1))
+    _, (moment_rate, shear_rate) = jax.jvp(
+        potential_gradient, (rotation, transverse), (rotation_rate, transverse_rate)
+    )
+    residual_rate = (
+        axial_rate + gradient[0] * rotation_rate + gradient[1] * transverse_rate
+    )
+    force_rate = -residual_rate / curvature
+    rates = (
+        moment_rate + force_rate * gradient[0],
+        force_rate,
+        shear_rate + force_rate * gradient[1],
+    )
+    return _model_gradient(*primals), rates
 
 
-def _leaning(energy: MixedEnergy, tension: Scalar, turn: Scalar, across: Scalar):
-    """The slope of W by the tension, how that leans, and the second derivative."""
-    slope = jax.value_and_grad(_partial(energy, tension, 1), (0, 1))(turn, across)
-    return slope, _partial(energy, tension, 2)(turn, across)
+def _force_derivatives(
+    energy: MixedEnergy, force_ratio: Scalar, rotation: Scalar, transverse: Scalar
+) -> tuple[tuple[Scalar, tuple[Scalar, Scalar]], Scalar]:
+    """Compute derivatives of W with respect to the relative axial force.
+
+    Args:
+        energy: The mixed energy.
+        force_ratio: Axial force divided by the reference force.
+        rotation: Rotation; rad.
+        transverse: Transverse displacement; m.
+
+    Returns:
+        The first derivative (J) with its gradient by rotation and transverse displacement
+        (J/rad, N), and the second derivative (J).
+    """
+    slope = jax.value_and_grad(_potential_derivative(energy, force_ratio, 1), (0, 1))
+    curvature = _potential_derivative(energy, force_ratio, 2)
+    return slope(rotation, transverse), curvature(rotation, transverse)

@@ -1,4 +1,8 @@
-"""Point charges on two bodies: an energy known exactly, with a pole at every pair."""
+"""Energy of point charges on two bodies.
+
+The energy is known in closed form and has a pole wherever two charges meet. It is a test
+case for rational fits.
+"""
 
 from collections.abc import Sequence
 
@@ -17,33 +21,40 @@ VACUUM = 8.9875517862e9  # 1 / (4 pi epsilon_0); N m^2 / C^2
 
 
 class PointCharges(AbstractEnergy):
-    """Point charges on body A and on body B, of which each pulls at each of the other's.
+    """Electrostatic energy of point charges on body A with point charges on body B.
 
-    Charges of one body do not see one another. Where a site of A lies on one of B, the
-    energy is infinite and the wrench has no value. That may be so at rest, when both
-    frames coincide: such bodies have no stiffness there, and an equilibrium of theirs
-    must be sought from elsewhere.
+    Charges on the same body do not interact, because their distances are constant. If a
+    charge of A and a charge of B have the same position, the energy is infinite and the
+    wrench is undefined. This may happen in the reference configuration, where frames a
+    and b coincide. Such a hinge has no stiffness there, so an equilibrium must be
+    searched from another start.
 
     Args:
-        charges_a: of body A; C.
-        sites_a: where they are, in frame a: a row (x, y) for each; m.
-        charges_b: of body B, by default those of A; C.
-        sites_b: where they are, in frame b, by default as on A; m.
-        constant: of Coulomb's law, by default that of the vacuum; N m^2 / C^2. With
-            another unit of charge or of length the energy has that of
+        charges_a: Charges on body A; C.
+        sites_a: Positions of these charges in frame a, a row (x, y) for each; m.
+        charges_b: Charges on body B, by default those of A; C.
+        sites_b: Positions of these charges in frame b, by default those of A; m.
+        constant: Coulomb constant, by default that of the vacuum; N m^2 / C^2. In other
+            units of charge and length, the unit of the energy is that of
             `constant * charge^2 / length`.
 
     Raises:
-        ValueError: shapes do not fit, or a value is not finite.
+        ValueError: The shapes do not match, or a value is not finite.
 
     Source:
         Equations 7.16 and 7.19 of the dissertation.
 
     Example:
-        >>> pair = PointCharges([2.0], [[0.0, 0.0]], [-3.0], [[0.0, 1.0]], constant=1.0)
-        >>> pair(jnp.array([0.0, 0.0, 3.0]))  # 2 (-3) / (3 + 1)
+        >>> pair = PointCharges(
+        ...     charges_a=[2.0],
+        ...     sites_a=[[0.0, 0.0]],
+        ...     charges_b=[-3.0],
+        ...     sites_b=[[0.0, 1.0]],
+        ...     constant=1.0,
+        ... )
+        >>> pair(jnp.array([0.0, 0.0, 3.0]))  # at the distance 3 + 1
         Array(-1.5, dtype=float64)
-        >>> pair(jnp.array([jnp.pi, 0.0, 3.0]))  # turned to face one another
+        >>> pair(jnp.array([jnp.pi, 0.0, 3.0]))  # at the distance 3 - 1
         Array(-3., dtype=float64)
     """
 
@@ -63,10 +74,11 @@ class PointCharges(AbstractEnergy):
         constant: ArrayLike = VACUUM,
     ):
         if (charges_b is None) != (sites_b is None):
-            lacking = "charges_b" if charges_b is None else "sites_b"
+            names = ("charges_b", "sites_b")
+            missing, given = names if charges_b is None else reversed(names)
             raise ValueError(
-                f"`{lacking}` are not given, but the other of `charges_b` and `sites_b` "
-                "is: give both, or neither for a body B like A."
+                f"`{missing}` are not given, but `{given}` are. Give both, or neither if "
+                "body B has the same charges as body A."
             )
         self.charges_a = jnp.asarray(charges_a, float)
         self.sites_a = jnp.asarray(sites_a, float)
@@ -89,30 +101,30 @@ class PointCharges(AbstractEnergy):
                     f"`sites_{body}` has shape {sites.shape}, but for {len(charges)} "
                     f"charges must have {(len(charges), 2)}: a row (x, y) for each."
                 )
-        if fault := self.validation_error():
-            raise ValueError(f"A `PointCharges` energy cannot be made: {fault}")
+        if error := self.validation_error():
+            raise ValueError(f"A `PointCharges` energy cannot be made: {error}")
 
     def validation_error(self) -> str | None:
-        """Which of its values is not finite, in words, or nothing."""
+        """Return a message about the first value that is not finite, or `None`."""
         for name in ("charges_a", "sites_a", "charges_b", "sites_b"):
-            seen = concrete(getattr(self, name))
-            if seen is not None and not np.all(np.isfinite(seen)):
-                row = int(np.argwhere(~np.isfinite(seen))[0][0])
-                return f"`{name}[{row}]` is {seen[row]}, but must be finite."
+            values = concrete(getattr(self, name))
+            if values is not None and not np.all(np.isfinite(values)):
+                row = int(np.argwhere(~np.isfinite(values))[0][0])
+                return f"`{name}[{row}]` is {values[row]}, but must be finite."
         return None
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        sigma, xi = displacement.sigma, displacement.xi
+        cos, sin = displacement.sigma, displacement.xi
 
-        def turned(site: Point, sine: Scalar) -> Point:
+        def rotate(site: Point, sin: Scalar) -> Point:
             x, y = site
-            return jnp.stack([sigma * x - sine * y, sine * x + sigma * y])
+            return jnp.stack([cos * x - sin * y, sin * x + cos * y])
 
-        # in the axes half way between the frames
-        here = jax.vmap(lambda site: turned(site, -xi))(self.sites_a)
-        there = jax.vmap(lambda site: turned(site, xi))(self.sites_b)
-        apart = 2 * jnp.stack([displacement.x1, displacement.x2])
-        gaps = apart[None, None] + there[None] - here[:, None]
+        # All positions are resolved in the mid-frame.
+        positions_a = jax.vmap(lambda site: rotate(site, -sin))(self.sites_a)
+        positions_b = jax.vmap(lambda site: rotate(site, sin))(self.sites_b)
+        translation = 2 * jnp.stack([displacement.x1, displacement.x2])
+        gaps = translation[None, None] + positions_b[None] - positions_a[:, None]
         distances = jnp.sqrt(jnp.sum(gaps**2, axis=2))
         products = self.charges_a[:, None] * self.charges_b[None]
         return self.constant * jnp.sum(products / distances)

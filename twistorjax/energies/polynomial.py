@@ -1,7 +1,7 @@
-"""Energies that are polynomials, or quotients of them, of a displacement's coordinates.
+"""Polynomial and rational energies (sections 3.6 and 4.7 of the dissertation).
 
-Sections 3.6 and 4.7 of the dissertation. A polynomial of the twistor is one from every
-frame, for twistors seen from other frames are linear in one another.
+A polynomial of the twistor remains a polynomial if the frames of the hinge are changed,
+because the twistors of different frames are linear functions of each other.
 """
 
 import operator
@@ -13,30 +13,31 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from .._utils.types import Pose, Scalar
 from .._utils.validation import concrete, require_choice, require_positive, shorten
 from ..geometry import se2, twistors
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy, any_beyond, CoordinateEnergy, place_in_ranges
+from .base import AbstractEnergy, validation_error
+from .evaluation import evaluate_polynomial, polynomial_variables
 from .monomials import (
-    expanded,
     monomials,
     Powers,
-    reduction,
-    summed,
+    sigma_reduction,
+    substitution_matrix,
     VARIABLES,
-    variables,
 )
+from .quadratic import CoordinateEnergy
+from .solver_protocols import translation_scale
 from .strains import Coordinates
 
 
-LARGEST_POWER = 1000  # far above those of any fit
+LARGEST_POWER = 1000  # far above the powers of any fit
 
 
-class _OfMonomials(CoordinateEnergy):
-    """What is made of sums of monomials, by one row of coefficients or several."""
+class _MonomialEnergy(CoordinateEnergy):
+    """Base class of energies with one or several rows of coefficients of monomials."""
 
     coefficients: eqx.AbstractVar[Float[Array, "*sums terms"]]
     scale: eqx.AbstractVar[Scalar]
@@ -44,37 +45,39 @@ class _OfMonomials(CoordinateEnergy):
     coordinates: eqx.AbstractVar[Coordinates]
 
     def validation_error(self) -> str | None:
-        """Which coefficient is not finite, in words, or nothing."""
+        """Return a message about the first coefficient that is not finite, or `None`."""
         return coefficients_error(self.coefficients, self.powers)
 
-    def _sum(
+    def _evaluate(
         self, displacement: Displacement, coefficients: Float[Array, " terms"]
     ) -> Scalar:
-        at = variables(displacement, self.coordinates, self.scale)
-        return summed(self.powers, (0,) * len(at), coefficients, at)
+        """Evaluate the polynomial with these coefficients, in their unit."""
+        values = polynomial_variables(displacement, self.coordinates, self.scale)
+        derivatives = (0,) * len(values)
+        return evaluate_polynomial(self.powers, derivatives, coefficients, values)
 
 
-class Polynomial(_OfMonomials):
-    """A polynomial of the twist, or of the twistor.
+class Polynomial(_MonomialEnergy):
+    """Energy that is a polynomial of the twist or of the twistor.
 
     Args:
-        coefficients: of its terms; J.
-        powers: of each term's variables, of (tau, t1, t2) or (sigma, xi, x1, x2), as
-            `monomials` gives them, or only those that there are.
-        coordinates: which of the two.
-        scale: the length by which translations are divided before they are raised to
-            their powers; m. One metre, unless told, as in the dissertation.
+        coefficients: Coefficients of the terms; J.
+        powers: Powers of (tau, t1, t2) or of (sigma, xi, x1, x2) in each term; see
+            `monomials`. Not all terms have to be given.
+        coordinates: "twistor" or "twist".
+        scale: Length by which the translations are divided before they are raised to
+            their powers, by default one meter, as in the dissertation; m.
 
     Raises:
-        ValueError: numbers of coefficients, powers or variables do not fit; a power is
-            negative or stands twice; a value is not finite.
+        ValueError: The numbers of coefficients, powers or variables do not match; a power
+            is negative or given twice; a value is not finite.
 
     Source:
         Equations 3.67 and 4.69 of the dissertation.
 
     Example:
-        >>> bend = Polynomial([0.5, 0.1], [(2, 0, 0), (4, 0, 0)], "twist")
-        >>> bend(jnp.array([2.0, 0.0, 0.0]))
+        >>> pivot = Polynomial([0.5, 0.1], [(2, 0, 0), (4, 0, 0)], coordinates="twist")
+        >>> pivot(jnp.array([2.0, 0.0, 0.0]))  # 0.5 angle^2 + 0.1 angle^4
         Array(3.6, dtype=float64)
     """
 
@@ -93,122 +96,120 @@ class Polynomial(_OfMonomials):
         self.coordinates = require_choice(
             "`coordinates`", coordinates, get_args(Coordinates)
         )
-        self.powers = rows_of_powers(powers, VARIABLES[coordinates])
+        self.powers = require_powers(powers, VARIABLES[coordinates])
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = require_positive("`scale`", scale)
-        need_fitting(self, self.coefficients, self.powers)
+        require_coefficients(self, self.coefficients, self.powers)
 
     @property
     def order(self) -> int:
-        """The largest sum of powers in a term."""
+        """Largest sum of powers in a term."""
         return max(map(sum, self.powers), default=0)
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        return self._sum(displacement, self.coefficients)
+        return self._evaluate(displacement, self.coefficients)
 
-    def seen_from(self, first: Pose, second: Pose | None = None) -> "Polynomial":
-        """The same energy as a polynomial of the displacement between other frames.
+    def change_frames(self, frame_a: Pose, frame_b: Pose | None = None) -> "Polynomial":
+        """Write the same energy as a polynomial of the displacement of other frames.
 
         Args:
-            first: the other frame on body A, seen from frame a; rad, m, m.
-            second: the other frame on body B, seen from frame b, by default the same, so
-                that both still coincide when the hinge is unstressed. For energies of the
-                twist it must be.
+            frame_a: New frame on body A, relative to frame a; rad, m, m.
+            frame_b: New frame on body B, relative to frame b; rad, m, m. By default
+                equal to `frame_a`, so that the new frames coincide in the reference
+                configuration, too. Energies of the twist require this default.
 
         Returns:
-            A polynomial of all monomials of its order.
+            A polynomial with all monomials of its order.
+
+        Raises:
+            ValueError: `frame_b` is given for an energy of the twist.
 
         Source:
             Equations 3.69 and 4.70 of the dissertation.
 
         Example:
-            >>> spring = Polynomial([100.0], [(0, 0, 0, 2)])
-            >>> aside = spring.seen_from(jnp.array([0.0, 0.5, 0.0]))
-            >>> aside(jnp.array([0.1, 0.0, 0.0]))  # 100 (0.5 sin 0.05)^2
+            >>> spring = Polynomial([100.0], [(0, 0, 0, 2)])  # 100 x2^2
+            >>> lever = jnp.array([0.0, 0.5, 0.0])  # rad, m, m
+            >>> moved_spring = spring.change_frames(lever)
+            >>> moved_spring(jnp.array([0.1, 0.0, 0.0]))  # 100 (0.5 sin 0.05)^2
             Array(0.0624479, dtype=float64)
         """
         if self.coordinates == "twist":
-            if second is not None:
+            if frame_b is not None:
                 raise ValueError(
-                    "`second` is given for an energy of the twist, but only for those of "
-                    "the twistor may the two frames be changed by themselves."
+                    "`frame_b` is given for an energy of the twist, but only energies of "
+                    "the twistor allow different changes of the two frames. Leave it out."
                 )
-            matrix = se2.adjoint(first)
+            matrix = se2.adjoint(frame_a)
             scales = jnp.stack([jnp.ones(()), self.scale, self.scale])
         else:
-            second = first if second is None else second
-            there = twistors.twistor(first)
-            back = twistors.conjugate(twistors.twistor(second))
+            frame_b = frame_a if frame_b is None else frame_b
+            first = twistors.twistor(frame_a)
+            second = twistors.conjugate(twistors.twistor(frame_b))
 
-            def before(twistor):
-                return twistors.product(twistors.product(back, twistor), there)
+            def old_twistor(new_twistor):
+                return twistors.product(twistors.product(second, new_twistor), first)
 
-            matrix = jax.jacfwd(before)(jnp.zeros(4))
+            matrix = jax.jacfwd(old_twistor)(jnp.zeros(4))
             one = jnp.ones(())
             scales = jnp.stack([one, one, self.scale, self.scale])
         matrix = matrix * scales[None] / scales[:, None]
         order = self.order
-        wide = expanded(self.powers, matrix) if self.powers else jnp.zeros((0, 1))
-        coefficients = self.coefficients @ wide
+        substitution = jnp.zeros((0, 1))
+        if self.powers:
+            substitution = substitution_matrix(self.powers, matrix)
+        coefficients = self.coefficients @ substitution
         powers = monomials(order, self.coordinates, redundant=True)
         if self.coordinates == "twistor":
-            coefficients = coefficients @ reduction(order)
+            coefficients = coefficients @ sigma_reduction(order)
             powers = monomials(order)
         return Polynomial(coefficients, powers, self.coordinates, self.scale)
 
 
 class Rational(AbstractEnergy):
-    """A polynomial over another.
+    """Energy that is a quotient of two polynomials.
 
     Args:
-        numerator: J.
-        denominator: without unit: a `Polynomial`, whose zeros are poles, or `SumOfSquares`,
-            which has none.
+        numerator: Numerator; J.
+        denominator: Dimensionless denominator. The zeros of a `Polynomial` are poles of
+            the energy; a `SumOfSquares` has no zeros.
 
     Source:
         Equation 7.22 of the dissertation.
 
     Example:
-        >>> far = Polynomial([1.0], [(0, 0, 2)], "twist")
-        >>> Rational(far, SumOfSquares([[1.0]], [(0, 0, 1)], "twist"))(jnp.array([0, 0, 3.0]))
+        >>> numerator = Polynomial([1.0], [(0, 0, 2)], "twist")  # t2^2
+        >>> denominator = SumOfSquares([[1.0]], [(0, 0, 1)], "twist")  # 1 + t2^2
+        >>> energy = Rational(numerator, denominator)
+        >>> energy(jnp.array([0.0, 0.0, 3.0]))
         Array(0.9, dtype=float64)
     """
 
     numerator: AbstractEnergy
     denominator: AbstractEnergy
 
-    def validation_error(self) -> str | None:
-        """What is wrong with the first part at fault, or nothing."""
-        return self.numerator.validation_error() or self.denominator.validation_error()
-
     def stored_energy(self, displacement: Displacement) -> Scalar:
         return self.numerator.stored_energy(
             displacement
         ) / self.denominator.stored_energy(displacement)
 
-    def stretch(self, displacement: Displacement) -> Scalar:
-        return self.numerator.stretch(displacement)
-
-    def out_of_range(self, displacement: Displacement) -> Bool[Array, ""] | None:
-        """Whether one of its parts is not known there."""
-        return any_beyond((self.numerator, self.denominator), displacement)
-
-    def range_message(self, displacement: Displacement) -> str:
-        """How far it is displaced, and how far that part is known, in words."""
-        return place_in_ranges((self.numerator, self.denominator), displacement)
+    def translation_scale(self, displacement: Displacement) -> Scalar:
+        """Return the translation scale of the numerator."""
+        return translation_scale(self.numerator, displacement)
 
 
-class SumOfSquares(_OfMonomials):
-    """One and a sum of squares of polynomials: a denominator that cannot vanish.
+class SumOfSquares(_MonomialEnergy):
+    """Denominator without zeros: one plus a sum of squares of polynomials.
 
     Args:
-        coefficients: a row for each polynomial.
-        powers: of their terms, as for `Polynomial`.
-        coordinates: of which they are polynomials.
-        scale: the length by which translations are divided; m.
+        coefficients: Dimensionless coefficients, a row for each polynomial.
+        powers: Powers of each term; see `Polynomial`.
+        coordinates: "twistor" or "twist".
+        scale: Length by which the translations are divided; m.
 
     Raises:
-        ValueError: as for `Polynomial`.
+        ValueError: The numbers of coefficients, powers or variables do not match; a power
+            is negative or given twice; a value is not finite.
     """
 
     coefficients: Float[Array, "squares terms"]
@@ -226,71 +227,81 @@ class SumOfSquares(_OfMonomials):
         self.coordinates = require_choice(
             "`coordinates`", coordinates, get_args(Coordinates)
         )
-        self.powers = rows_of_powers(powers, VARIABLES[coordinates])
+        self.powers = require_powers(powers, VARIABLES[coordinates])
         self.coefficients = jnp.asarray(coefficients, float)
         self.scale = require_positive("`scale`", scale)
-        need_fitting(self, self.coefficients, self.powers, dimensions=2)
+        require_coefficients(self, self.coefficients, self.powers, dimensions=2)
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        sums = jax.vmap(partial(self._sum, displacement))(self.coefficients)
-        return 1.0 + jnp.sum(sums**2)
+        """Evaluate the denominator, which is dimensionless."""
+        values = jax.vmap(partial(self._evaluate, displacement))(self.coefficients)
+        return 1.0 + jnp.sum(values**2)
 
 
-def rows_of_powers(powers: Sequence[Sequence[int]], names: Sequence[str]) -> Powers:
+def require_powers(powers: Sequence[Sequence[int]], names: Sequence[str]) -> Powers:
     """Check the powers of each term.
 
     Args:
         powers: A row for each term.
-        names: Names of the variables, of which a row has the powers.
+        names: Names of the variables. A row has a power for each of them.
 
     Returns:
-        The rows, as tuples of whole numbers.
+        The rows, as tuples of integers.
 
     Raises:
-        ValueError: A row has another length, a power is no whole number or lies outside
-            of 0 to 1000, or a row is there twice.
+        ValueError: A row has the wrong length, a power is not a whole number from 0 to
+            1000, or a row is given twice.
     """
-    rows = tuple(_row_of_powers(place, row, names) for place, row in enumerate(powers))
+    rows = tuple(_require_row(index, row, names) for index, row in enumerate(powers))
     if len(set(rows)) < len(rows):
-        twice = next(row for row in rows if rows.count(row) > 1)
-        raise ValueError(f"`powers` has {twice} more than once.")
+        repeated = next(row for row in rows if rows.count(row) > 1)
+        raise ValueError(f"`powers` has {repeated} more than once.")
     return rows
 
 
-def _row_of_powers(
-    place: int, row: Sequence[int], names: Sequence[str]
-) -> tuple[int, ...]:
+def _require_row(index: int, row: Sequence[int], names: Sequence[str]) -> tuple[int, ...]:
+    """Check one row of powers and return it as a tuple of integers."""
     try:
-        whole = tuple(operator.index(power) for power in row)
+        integers = tuple(operator.index(power) for power in row)
     except TypeError:
-        whole = ()  # a number that is not whole is not rounded
-    fine = all(0 <= power <= LARGEST_POWER for power in whole)
-    if len(whole) != len(names) or not fine:
+        integers = ()  # numbers with a fraction are not rounded
+    in_limits = all(0 <= power <= LARGEST_POWER for power in integers)
+    if len(integers) != len(names) or not in_limits:
         raise ValueError(
-            f"`powers[{place}]` is {shorten(str(row))}, but must be {len(names)} whole "
+            f"`powers[{index}]` is {shorten(str(row))}, but must be {len(names)} whole "
             f"numbers from 0 to {LARGEST_POWER}, the powers of ({', '.join(names)})."
         )
-    return whole
+    return integers
 
 
 def coefficients_error(
     coefficients: Float[Array, "*sums terms"], powers: Powers
 ) -> str | None:
-    """Which coefficient is not finite, in words, or nothing."""
-    seen = concrete(coefficients)
-    if seen is None or np.all(np.isfinite(seen)):
+    """Return a message about the first coefficient that is not finite, or `None`."""
+    values = concrete(coefficients)
+    if values is None or np.all(np.isfinite(values)):
         return None
-    term = powers[int(np.argwhere(~np.isfinite(seen))[0][-1])]
-    return f"the coefficient of the term of powers {term} is not finite."
+    term = powers[int(np.argwhere(~np.isfinite(values))[0][-1])]
+    return f"the coefficient of the term with powers {term} is not finite."
 
 
-def need_fitting(
+def require_coefficients(
     energy: AbstractEnergy,
     coefficients: Float[Array, "*sums terms"],
     powers: Powers,
     dimensions: int = 1,
 ) -> None:
-    """Refuses coefficients that do not fit their powers, or have a fault."""
+    """Check that there is a valid coefficient for each term of an energy.
+
+    Args:
+        energy: The energy, with all of its fields set.
+        coefficients: Its coefficients.
+        powers: Its powers.
+        dimensions: Number of dimensions that the array of coefficients must have.
+
+    Raises:
+        ValueError: The shape does not match, or the energy has a validation error.
+    """
     shape = coefficients.shape
     if len(shape) != dimensions or shape[-1] != len(powers):
         raise ValueError(
@@ -298,5 +309,5 @@ def need_fitting(
             "coefficient is needed for each"
             + ("." if dimensions == 1 else ", in every row.")
         )
-    if fault := energy.validation_error():
-        raise ValueError(f"A `{type(energy).__name__}` energy cannot be made: {fault}")
+    if error := validation_error(energy):
+        raise ValueError(f"A `{type(energy).__name__}` energy cannot be made: {error}")

@@ -1,4 +1,9 @@
-"""The three numbers by which a displacement strains a coupling, and their squares."""
+"""Strain coordinates of a hinge, and quadratic forms of them.
+
+The strain of a hinge is a vector of three numbers, one for the rotation and two for the
+translations along axis 1 and axis 2 of the hinge. It is either the twist of the
+displacement or twice the vector part of the twistor.
+"""
 
 from typing import Literal
 
@@ -18,33 +23,64 @@ Coordinates = Literal["twist", "twistor"]
 def strain(
     displacement: Displacement, coordinates: Coordinates
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """The three numbers whose square a quadratic energy takes."""
-    turn = displacement.angle if coordinates == "twist" else 2 * displacement.xi
-    longer = stretch(displacement, coordinates)
-    return turn, 2 * longer * displacement.x1, 2 * longer * displacement.x2
+    """Compute the strain of a hinge, of which a quadratic energy is a quadratic form.
+
+    Args:
+        displacement: Displacement of frame b relative to frame a.
+        coordinates: "twist", or "twistor" for `2 (xi, x1, x2)`.
+
+    Returns:
+        The components for the rotation, axis 1 and axis 2; rad, m, m.
+    """
+    rotation = displacement.angle if coordinates == "twist" else 2 * displacement.xi
+    ratio = stretch(displacement, coordinates)
+    return rotation, 2 * ratio * displacement.x1, 2 * ratio * displacement.x2
 
 
 def stretch(displacement: Displacement, coordinates: Coordinates) -> Scalar:
-    """How much longer the translations of the coordinates are than those half way."""
+    """Compute the ratio of the strain's translation to the mid-frame translation.
+
+    Args:
+        displacement: Displacement of frame b relative to frame a.
+        coordinates: "twist" or "twistor".
+
+    Returns:
+        The ratio: one for the twistor, and the ratio of arc to chord for the twist.
+    """
     if coordinates == "twist":
         return 1 / se2.sinc(displacement.angle / 2, displacement.xi)
     return jnp.ones_like(displacement.angle)
 
 
 def half_square(matrix: Matrix, vector: tuple[Scalar, Scalar, Scalar]) -> Scalar:
-    """Half a quadratic form.
+    """Compute half a quadratic form, `vector . matrix . vector / 2`.
 
-    Written out by scalars: batches of hinges then stay elementwise, and one loop on a
-    processor. As a product of arrays it takes a fifth longer over a sweep of stages.
+    The sum is written out in scalars, so that XLA fuses it with its surroundings in a
+    batch of hinges. With a matrix product a sweep of stages takes a fifth longer.
+
+    Args:
+        matrix: Symmetric matrix, for example a stiffness or a damping.
+        vector: Strain or strain rate; rad, m, m or rad/s, m/s, m/s.
+
+    Returns:
+        Half the quadratic form; J for a stiffness and W for a damping.
     """
     a, b, c = vector
     squares = matrix[0, 0] * a * a + matrix[1, 1] * b * b + matrix[2, 2] * c * c
-    mixed = matrix[0, 1] * a * b + matrix[0, 2] * a * c + matrix[1, 2] * b * c
-    return squares / 2 + mixed
+    products = matrix[0, 1] * a * b + matrix[0, 2] * a * c + matrix[1, 2] * b * c
+    return squares / 2 + products
 
 
 def matrix_error(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
-    """What keeps a matrix from being a stiffness or a damping, in words, or nothing."""
+    """Check that a matrix can be a stiffness or a damping.
+
+    Args:
+        name: Name of the argument, for the message.
+        matrix: One matrix or a batch of matrices. Traced values are not checked.
+
+    Returns:
+        A message that describes the first error, or `None` if there is no error.
+    """
     if matrix.shape[-2:] != (3, 3):
         return (
             f"`{name}` has shape {matrix.shape}, but must be 3 by 3: a row and a column "
@@ -55,7 +91,8 @@ def matrix_error(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
         return None
     if not np.all(np.isfinite(values)):
         return f"`{name}` has a value that is not finite: {values.tolist()}."
-    # rotation and translation differ in unit, so by their size too: compare without it
+    # Rotation and translation have different units. A scaling by the diagonal makes the
+    # entries comparable.
     size = np.sqrt(np.abs(np.diagonal(values, axis1=-2, axis2=-1)))
     size = np.where(size > 0, size, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -66,13 +103,13 @@ def matrix_error(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
             f"`{name}` is not symmetric: {values.tolist()}. Use its symmetric part, "
             "`(matrix + matrix.T) / 2`; an antisymmetric part stores no energy."
         )
-    # an entry off the diagonal that overflows here is larger than the diagonal allows
+    # An off-diagonal entry that overflows after scaling makes the matrix indefinite.
     lowest = -np.inf
     if np.all(np.isfinite(scaled)):
         lowest = np.linalg.eigvalsh(scaled / 2 + np.swapaxes(scaled, -1, -2) / 2).min()
     if lowest < -1e-9:
         return (
-            f"`{name}` has a negative eigenvalue: {values.tolist()}. It would give "
-            "energy away when displaced; every eigenvalue must be zero or positive."
+            f"`{name}` has a negative eigenvalue: {values.tolist()}. Every eigenvalue "
+            "must be zero or positive, because a hinge is not a source of energy."
         )
     return None

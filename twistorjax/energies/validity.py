@@ -1,4 +1,4 @@
-"""Energies that say how far, and how well, they are known."""
+"""Energies with a validity range and an error estimate."""
 
 from collections.abc import Sequence
 
@@ -10,113 +10,106 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from .._utils.types import Scalar
 from .._utils.validation import all_concrete, require_positive, require_row
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy, Wrapped
+from .base import AbstractEnergy, AbstractWrapper
 
 
-class WithValidityRange(Wrapped):
-    """An energy with the range in which it holds, and its error there.
+class WithValidityRange(AbstractWrapper):
+    """Energy with the range of rotations and forces in which it is valid.
 
-    Solves that end beyond the range are refused, and so are poses there.
+    A pose out of this range raises an error, and so does a solution in which a hinge is
+    out of its range.
 
     Args:
-        energy: that holds there.
-        turn: the largest, either way; rad.
-        force: the largest, in any direction; N.
-        error: in the wrench, by component, root mean square over that of the wrenches:
-            on samples that the energy was not made from.
+        energy: The energy.
+        rotation: Largest rotation in both directions; rad.
+        force: Largest magnitude of the force; N.
+        error: Relative error of (moment, force 1, force 2) in the range: the rms error
+            divided by the rms value, on samples that were not used to determine the
+            energy.
 
     Raises:
-        ValueError: the energy is none; turn or force is not positive, or the error has
-            not three entries.
+        ValueError: `energy` is not an energy; `rotation` or `force` is not positive;
+            `error` does not have three entries.
 
     Example:
         >>> from twistorjax import Quadratic
         >>> leaf = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
-        >>> sure = WithValidityRange(leaf, turn=0.1, force=5.0, error=[1e-3, 1e-3, 1e-3])
-        >>> sure.wrench(jnp.array([0.2, 0.0, 0.0]))
+        >>> limited = WithValidityRange(
+        ...     leaf, rotation=0.1, force=5.0, error=[1e-3, 1e-3, 1e-3]
+        ... )
+        >>> limited.wrench(jnp.array([0.2, 0.0, 0.0]))
         Traceback (most recent call last):
             ...
-        ValueError: Beyond the range of the energy: it is turned by 0.2 rad and bears 0 N,
-        but is known up to 0.1 rad and 5 N.
+        ValueError: Beyond the range of the energy: its rotation is 0.2 rad and its force
+        0 N, but it is valid up to 0.1 rad and 5 N.
     """
 
     energy: AbstractEnergy
-    turn: Scalar
+    rotation: Scalar
     force: Scalar
     error: Float[Array, "3"]
 
     def __init__(
         self,
         energy: AbstractEnergy,
-        turn: ArrayLike,
+        rotation: ArrayLike,
         force: ArrayLike,
         error: Float[ArrayLike, "3"] | Sequence[ArrayLike],
     ):
         if not isinstance(energy, AbstractEnergy):
-            raise ValueError(f"`energy` is a {type(energy).__name__}, but must be one.")
+            raise ValueError(
+                f"`energy` is a {type(energy).__name__}, but must be an energy."
+            )
         self.energy = energy
-        self.turn = require_positive("`turn`", turn)
+        self.rotation = require_positive("`rotation`", rotation)
         self.force = require_positive("`force`", force)
         self.error = require_row(
-            "`error`", error, "one for each of (moment, force 1, force 2)"
+            "`error`", error, "one number for each of (moment, force 1, force 2)"
         )
 
     def out_of_range(self, displacement: Displacement) -> Bool[Array, ""]:
-        """Whether the turn or the force is larger than those of the range."""
-        # at its very end there is rounding, and the error of the force itself
+        """Return whether the rotation or the force exceeds the validity range."""
+        # The limits allow for rounding, and for the error of the force itself.
         slack = 1 + 1e-9
-        sure = jnp.abs(displacement.angle) <= slack * self.turn
-        most = (slack + 3 * jnp.max(self.error)) * self.force
-        return ~(sure & (self._borne(displacement) <= most))
+        valid_rotation = jnp.abs(displacement.angle) <= slack * self.rotation
+        largest_force = (slack + 3 * jnp.max(self.error)) * self.force
+        return ~(valid_rotation & (self._force_magnitude(displacement) <= largest_force))
 
-    def parallel_terms(self) -> tuple[AbstractEnergy, ...]:
-        terms = self.energy.parallel_terms()
-        return (self,) if len(terms) == 1 else (*terms, _Range(self))
-
-    def _borne(self, at: Displacement) -> Scalar:
-        """The size of the force; N."""
+    def _force_magnitude(self, displacement: Displacement) -> Scalar:
+        """Compute the magnitude of the force at a displacement; N."""
 
         def stored_energy(y1: Scalar, y2: Scalar) -> Scalar:
-            moved = Displacement(at.angle, at.sigma, at.xi, y1 / 2, y2 / 2)
-            return self.energy.stored_energy(moved)
+            angle, sigma, xi = displacement.angle, displacement.sigma, displacement.xi
+            return self.energy.stored_energy(
+                Displacement(angle, sigma, xi, y1 / 2, y2 / 2)
+            )
 
-        along, across = jax.grad(stored_energy, (0, 1))(2 * at.x1, 2 * at.x2)
-        return jnp.sqrt(along**2 + across**2)
+        force_1, force_2 = jax.grad(stored_energy, (0, 1))(
+            2 * displacement.x1, 2 * displacement.x2
+        )
+        return jnp.sqrt(force_1**2 + force_2**2)
 
     def range_message(self, displacement: Displacement) -> str:
-        """How far it is displaced, and how far it is known, in words."""
-        seen = all_concrete(
-            [displacement.angle, self._borne(displacement), self.turn, self.force]
-        )
-        if seen is None:
-            return "it is turned further, or bears more, than it was made for"
-        turn, force, most_turn, most_force = map(float, seen)
+        """Describe the displacement and the validity range."""
+        force = self._force_magnitude(displacement)
+        values = all_concrete([displacement.angle, force, self.rotation, self.force])
+        if values is None:
+            return "its rotation or its force exceeds its validity range"
+        rotation, force, largest_rotation, largest_force = map(float, values)
         return (
-            f"it is turned by {turn:.4g} rad and bears {force:.4g} N, but is known up to "
-            f"{most_turn:.4g} rad and {most_force:.4g} N"
+            f"its rotation is {rotation:.4g} rad and its force {force:.4g} N, but it is "
+            f"valid up to {largest_rotation:.4g} rad and {largest_force:.4g} N"
         )
 
     def __repr__(self) -> str:
-        seen = all_concrete([self.turn, self.force, self.error])
-        if seen is None or seen[0].shape:
+        values = all_concrete([self.rotation, self.force, self.error])
+        if values is None or values[0].shape:
             return eqx.tree_pformat(self)
-        turn, force, (moment, axial, transverse) = seen
+        rotation, force, (moment, axial, transverse) = values
         terms = getattr(self.energy, "powers", None)
-        size = "" if terms is None else f" of {len(terms)} terms"
+        size = "" if terms is None else f" with {len(terms)} terms"
         return (
-            f"{type(self.energy).__name__} energy{size}, known up to {float(turn):.4g} "
-            f"rad and {float(force):.4g} N; rms error {100 * moment:.2g} % in moment, "
+            f"{type(self.energy).__name__}{size}, valid up to {float(rotation):.4g} rad "
+            f"and {float(force):.4g} N; rms error {100 * moment:.2g} % in moment, "
             f"{100 * axial:.2g} % in axial, {100 * transverse:.2g} % in transverse force"
         )
-
-
-class _Range(AbstractEnergy):
-    """The range of an energy that is a sum, beside its terms: it stores nothing."""
-
-    energy: WithValidityRange
-
-    def stored_energy(self, displacement: Displacement) -> Scalar:
-        return jnp.zeros_like(displacement.angle)
-
-    def out_of_range(self, displacement: Displacement) -> Bool[Array, ""]:
-        return self.energy.out_of_range(displacement)

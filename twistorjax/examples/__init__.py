@@ -2,7 +2,7 @@
 
 Start reading in `stage` and `four_bar`. `stage_motion` simulates the stage, `water` and
 `random_data` fit energies to data, `identification` holds identification problems, and
-`sweep_studies` the studies of the command `twistorjax sweep`.
+`sweep_studies` holds the studies of the command `twistorjax sweep`.
 """
 
 from . import (
@@ -11,5 +11,6 @@ from . import (
     random_data as random_data,
     stage as stage,
     stage_motion as stage_motion,
+    sweep_studies as sweep_studies,
     water as water,
 )

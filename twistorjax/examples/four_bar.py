@@ -1,24 +1,26 @@
-"""The four-bar linkages of chapter 5: driven, and let go.
+"""Four-bar linkages with elastic hinges: driven by link 2, or released.
 
-Four links cut from a plate 5 mm thick, upright rectangles on a ground link, joined by
-elastic hinges whose axes are upright. In section 5.2 the hinges are four leaves of one
-kind; in section 5.3 one leaf is twice as long, and the upper two hinges are notches. The
-links are of aluminium; to make the motion visible, the hinges have a twentieth of its
-stiffness.
+Four links are cut from a plate that is 5 mm thick. Link 1 is the ground link; links 2
+and 4 stand on it, and link 3 connects their upper ends. Axis 1 of every hinge is
+vertical. In section 5.2 of the dissertation all four hinges are identical leaves. In
+section 5.3 one leaf is twice as long, and the upper two hinges are notches. The links are
+made of aluminum; Young's modulus of the hinges is 1/20 of that of aluminum, which makes
+the motion visible.
 
-The figures are those of the dissertation's listing. Its damping, 100 times the unit
-matrix, would freeze everything; one that is in proportion to the stiffness is taken
-instead. The listing also holds the driven link's x, which the text does not.
+The dimensions are those of the dissertation's listing `fourbar`. Its damping matrix, 100
+times the unit matrix, would suppress the motion; damping proportional to the stiffness
+replaces it. The listing also fixes the x coordinate of link 2; the text does not, and
+here it is free.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, TYPE_CHECKING
+from typing import Literal, NamedTuple, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from .._utils.types import Scalar
+from .._utils.types import Corners, Scalar
 from .._utils.validation import index_of
 from ..energies.base import AbstractEnergy
 from ..energies.damping import ViscousDamping
@@ -38,16 +40,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-PANELS = tuple(0.045 * k for k in range(10))  # of figures 5.3 and 5.6; s
-DRIVEN_DAMPING = 1e-3  # stiffness to damping, where the linkage is driven; s
-RELEASED_DAMPING = 1e-4  # where it is let go; s
-SPEED = 10.0  # of link 3 as it is let go, in the listing; m/s
+FIGURE_TIMES = tuple(0.045 * k for k in range(10))  # panels of figures 5.3 and 5.6; s
+DRIVEN_DAMPING = 1e-3  # ratio of damping to stiffness of the driven linkage; s
+RELEASED_DAMPING = 1e-4  # ratio of damping to stiffness of the released linkage; s
+RELEASE_SPEED = 10.0  # initial velocity of link 3 along x, from the listing; m/s
 
 Hinges = Literal["identical", "mixed"]
 
-_WIDTH = 5e-3  # out of the plane, and of the links in it; m
-_LENGTH = 40e-3  # of the links; m
-_HALF = 17.5e-3  # from the middle to the upright links; m
+_WIDTH = 5e-3  # thickness of the plate, and in-plane width of the links; m
+_LENGTH = 40e-3  # length of the links; m
+_HALF_SPAN = 17.5e-3  # distance of links 2 and 4 from the center line; m
+
+
+class _Flexure(NamedTuple):
+    """The energy of a hinge, its length along axis 1 (m), and its outline (m)."""
+
+    energy: AbstractEnergy
+    length: ArrayLike
+    outline: Corners
+
+
+class _Heights(NamedTuple):
+    """Heights along an upright link, above the center line of link 1; m."""
+
+    lower_hinge: ArrayLike
+    link: ArrayLike
+    upper_hinge: ArrayLike
+    top: ArrayLike
 
 
 def four_bar(
@@ -59,24 +78,25 @@ def four_bar(
     thickness: ArrayLike = 1e-3,
     energies: Mapping[str, AbstractEnergy] | None = None,
 ) -> Mechanism:
-    """A four-bar linkage with elastic hinges.
+    """Build a four-bar linkage with elastic hinges.
 
     Args:
-        hinges: "identical" leaves, as in section 5.2, or "mixed", as in section 5.3.
-        coordinates: of the hinges' quadratic energies, "twistor" or "twist".
-        damping: of each hinge: a `ViscousDamping`, or the time by which its stiffness is
-            multiplied; s.
-        length: of the leaves; of the mixed linkage, of the short one; m.
-        thickness: of the leaves; m.
-        energies: of some hinges, by their names, instead of those of leaves and notches.
+        hinges: "identical" for four identical leaves (section 5.2), "mixed" for two
+            leaves and two notches (section 5.3).
+        coordinates: Coordinates of the quadratic hinge energies, "twistor" or "twist".
+        damping: Damping of each hinge: a `ViscousDamping`, or the ratio of damping to
+            stiffness; s.
+        length: Length of the leaves. In the mixed linkage, length of the shorter leaf; m.
+        thickness: Thickness of the leaves; m.
+        energies: Energies that replace those of the leaves and notches, by hinge name.
 
     Returns:
-        Bodies "1" to "4" and hinges "A" to "D", as the dissertation calls them; "1" is
-        held.
+        A mechanism with the bodies "1" to "4" and the hinges "A" to "D", named as in the
+        dissertation. Body "1" is fixed.
 
     Raises:
-        ValueError: a dimension is not positive; `hinges`, `coordinates` or the name of a
-            hinge is unknown.
+        ValueError: A dimension is not positive; or `hinges`, `coordinates`, or the name
+            of a hinge is unknown.
 
     Source:
         Sections 5.2 and 5.3 of the dissertation, and its listing `fourbar`.
@@ -87,150 +107,206 @@ def four_bar(
     """
     energies = {} if energies is None else energies
     for name in energies:
-        index_of("`energies`", "hinge", name, tuple("ABCD"))
+        index_of("`energies`", "hinge", name, ("A", "B", "C", "D"))
     if hinges not in ("identical", "mixed"):
         raise ValueError(f"`hinges` is {hinges!r}, but must be 'identical' or 'mixed'.")
-    links = Material(modulus=69e9, poisson=0.3, density=2.7e3)
+    aluminum = Material(modulus=69e9, poisson=0.3, density=2.7e3)
     soft = Material(modulus=69e9 / 20, poisson=0.3)
 
-    def blade(length: ArrayLike):
+    def leaf_flexure(length: ArrayLike) -> _Flexure:
         energy = leaf(
-            soft, length=length, thickness=thickness, width=_WIDTH,
+            soft,
+            length=length,
+            thickness=thickness,
+            width=_WIDTH,
             coordinates=coordinates,
-        )  # fmt: skip
-        return length, energy, leaf_outline(length=length, thickness=thickness)
+        )
+        return _Flexure(energy, length, leaf_outline(length=length, thickness=thickness))
 
-    short = blade(length)
-    kinds = dict.fromkeys("ABCD", short)
-    heights = dict.fromkeys("24", _LENGTH)
+    short_leaf = leaf_flexure(length)
+    flexures = {"A": short_leaf, "B": short_leaf, "C": short_leaf, "D": short_leaf}
+    length_2 = _LENGTH
     if hinges == "mixed":
         hole, web = 8e-3, 0.5e-3
-        neck = notch(soft, hole=hole, web=web, width=_WIDTH, coordinates=coordinates)
-        waist = hole, neck, notch_outline(hole=hole, web=web, height=_WIDTH)
-        kinds = {"A": blade(2 * length), "B": waist, "C": waist, "D": short}
-        heights = {"2": 30e-3, "4": _LENGTH}
+        energy = notch(soft, hole=hole, web=web, width=_WIDTH, coordinates=coordinates)
+        outline = notch_outline(hole=hole, web=web, height=_WIDTH)
+        flexures["A"] = leaf_flexure(2 * length)
+        flexures["B"] = flexures["C"] = _Flexure(energy, hole, outline)
+        length_2 = 30e-3
 
-    bodies = [_link("1", 0.0, 0.0, _LENGTH, _WIDTH, links)]
-    joints = []
-    uprights = (("2", -_HALF, "A", "B"), ("4", _HALF, "D", "C"))
-    tops = []
-    for name, x, lower, upper in uprights:
-        ground, foot = _WIDTH / 2, kinds[lower][0]
-        link, head = heights[name], kinds[upper][0]
-        bodies.append(_link(name, x, ground + foot + link / 2, _WIDTH, link, links))
-        joints.append((lower, "1", name, x, ground + foot / 2))
-        joints.append((upper, name, "3", x, ground + foot + link + head / 2))
-        tops.append(ground + foot + link + head)
-    top = _link("3", 0.0, sum(tops) / 2 + _WIDTH / 2, _LENGTH, _WIDTH, links)
-    first, left, right = bodies
+    left = _heights(flexures["A"].length, length_2, flexures["B"].length)
+    right = _heights(flexures["D"].length, _LENGTH, flexures["C"].length)
+    height_3 = (left.top + right.top) / 2 + _WIDTH / 2
+
+    def hinge(name: str, first: str, second: str, x: float, y: ArrayLike) -> Hinge:
+        flexure = flexures[name]
+        return Hinge(
+            name,
+            first,
+            second,
+            energies.get(name, flexure.energy),
+            at=(jnp.pi / 2, x, y),
+            damping=damping,
+            outline=flexure.outline,
+        )
+
     return Mechanism(
-        [first, left, top, right],
-        [
-            Hinge(
-                name,
-                *((other, below) if name in "CD" else (below, other)),
-                energies.get(name, kinds[name][1]),
-                at=(jnp.pi / 2, x, y),
-                damping=damping,
-                outline=kinds[name][2],
-            )
-            for name, below, other, x, y in sorted(joints)
+        bodies=[
+            _link("1", 0.0, 0.0, _LENGTH, _WIDTH, aluminum),
+            _link("2", -_HALF_SPAN, left.link, _WIDTH, length_2, aluminum),
+            _link("3", 0.0, height_3, _LENGTH, _WIDTH, aluminum),
+            _link("4", _HALF_SPAN, right.link, _WIDTH, _LENGTH, aluminum),
+        ],
+        hinges=[
+            hinge("A", "1", "2", -_HALF_SPAN, left.lower_hinge),
+            hinge("B", "2", "3", -_HALF_SPAN, left.upper_hinge),
+            hinge("C", "3", "4", _HALF_SPAN, right.upper_hinge),
+            hinge("D", "4", "1", _HALF_SPAN, right.lower_hinge),
         ],
         fixed=["1"],
     )
 
 
-def turn(time: Scalar) -> list[Drive]:
-    """How link 2 is turned: from rest, forth and back five times a second.
+def crank_rotation(time: Scalar) -> list[Drive]:
+    """Prescribe the rotation of link 2: five cycles a second, up to 18 degrees.
+
+    Args:
+        time: Time; the linkage is in its reference configuration at zero; s.
+
+    Returns:
+        The prescribed displacement of link 2 at this time.
 
     Source:
         Equation 5.26 of the dissertation, integrated.
 
     Example:
-        >>> turn(jnp.array(0.1))[0].angle  # at its furthest
+        >>> (crank,) = crank_rotation(jnp.array(0.1))  # when the rotation is largest
+        >>> crank.angle
         Array(0.31415927, dtype=float64)
     """
     return [Drive("2", angle=0.05 * jnp.pi * (1 - jnp.cos(10 * jnp.pi * time)))]
 
 
-def drive(
+def driven_motion(
     linkage: Mechanism,
-    times: Float[ArrayLike, " times"] | Sequence[ArrayLike] = PANELS,
+    times: Float[ArrayLike, " times"] | Sequence[ArrayLike] = FIGURE_TIMES,
     **settings,
 ) -> Motion:
-    """Moves a linkage by turning link 2.
+    """Simulate a linkage that is driven by the rotation of link 2.
 
     Args:
-        linkage: a `four_bar`.
-        times: at which its motion is told; s.
-        settings: for `simulate`.
+        linkage: A linkage made by `four_bar`.
+        times: Times at which the motion is returned; s.
+        settings: Further arguments of `simulate`.
+
+    Returns:
+        The motion of the linkage.
 
     Source:
         Figures 5.3 and 5.6 of the dissertation.
 
     Example:
-        >>> drive(four_bar()).displacement("3")[2]
+        >>> motion = driven_motion(four_bar())
+        >>> motion.displacement("3")[2]  # angle (rad), x (m), y (m)
         Array([ 0.002349, -0.014866, -0.002255], dtype=float64)
     """
-    return simulate(linkage, times, drives=turn, **settings)
+    return simulate(linkage, times, drives=crank_rotation, **settings)
 
 
-def release(
+def released_motion(
     linkage: Mechanism,
     times: Float[ArrayLike, " times"] | Sequence[ArrayLike],
-    speed: ArrayLike = SPEED,
+    speed: ArrayLike = RELEASE_SPEED,
     **settings,
 ) -> Motion:
-    """Lets a linkage go, with link 3 moving along x.
+    """Simulate a linkage that is released with an initial velocity of link 3 along x.
 
     Args:
-        linkage: a `four_bar`.
-        times: at which its motion is told; s.
-        speed: of link 3 at the start; m/s.
-        settings: for `simulate`.
+        linkage: A linkage made by `four_bar`.
+        times: Times at which the motion is returned; s.
+        speed: Initial velocity of link 3 along x; m/s.
+        settings: Further arguments of `simulate`.
+
+    Returns:
+        The motion of the linkage.
 
     Source:
         The listing `fourbar` of the dissertation, with its initial velocity.
 
     Example:
-        >>> moved = release(four_bar(damping=1e-4), [0.0, 0.05])
-        >>> moved.displacement("3")[-1]
+        >>> linkage = four_bar(damping=RELEASED_DAMPING)
+        >>> motion = released_motion(linkage, times=[0.0, 0.05])
+        >>> motion.displacement("3")[-1]  # angle (rad), x (m), y (m)
         Array([ 0.00226..., -0.02276..., -0.00540...], dtype=float64)
     """
     return simulate(linkage, times, velocities={"3": (0.0, speed, 0.0)}, **settings)
 
 
 def plot(linkage: Mechanism, motion: Motion) -> "Figure":
-    """Draws a linkage at the times of a motion, as the panels of figures 5.3 and 5.6.
+    """Draw a linkage at several times of a motion, one panel for each time.
 
     Args:
-        linkage: a `four_bar`.
-        motion: of it; at most ten of its times are drawn, evenly chosen.
+        linkage: A linkage made by `four_bar`.
+        motion: Motion of this linkage. If it has more than ten times, ten of them are
+            drawn, evenly spaced.
+
+    Returns:
+        The figure.
+
+    Source:
+        Figures 5.3 and 5.6 of the dissertation.
     """
-    shown = np.unique(np.linspace(0, len(motion.times) - 1, 10).round().astype(int))
-    columns = min(5, len(shown))
-    rows = -(-len(shown) // columns)
+    rows = np.unique(np.linspace(0, len(motion.times) - 1, 10).round().astype(int))
+    column_count = min(5, len(rows))
+    row_count = -(-len(rows) // column_count)
     figure, axes = subplots(
-        rows,
-        columns,
-        size=(2.4 * columns, 3.2 * rows),
+        row_count,
+        column_count,
+        size=(2.4 * column_count, 3.2 * row_count),
         sharex=True,
         sharey=True,
         squeeze=False,
     )
-    for panel, row in zip(axes.flat, shown, strict=False):
-        draw(linkage, motion.poses[row], axes=panel, names=row == shown[0], ghost=True)
+    for panel, row in zip(axes.flat, rows, strict=False):
+        draw(linkage, motion.poses[row], axes=panel, names=row == rows[0])
         panel.set_title(f"{float(motion.times[row]):.3f} s", fontsize="medium")
         panel.label_outer()
-    for panel in axes.flat[len(shown) :]:
+    for panel in axes.flat[len(rows) :]:
         panel.set_visible(False)
     return figure
 
 
+def _heights(lower: ArrayLike, link: ArrayLike, upper: ArrayLike) -> _Heights:
+    """Compute the heights along an upright link from the lengths of its parts.
+
+    Args:
+        lower: Length of the hinge on link 1; m.
+        link: Length of the link; m.
+        upper: Length of the hinge below link 3; m.
+
+    Returns:
+        The centers of both hinges and of the link, and the upper end of the upper hinge;
+        m.
+    """
+    ground = _WIDTH / 2
+    return _Heights(
+        lower_hinge=ground + lower / 2,
+        link=ground + lower + link / 2,
+        upper_hinge=ground + lower + link + upper / 2,
+        top=ground + lower + link + upper,
+    )
+
+
 def _link(
-    name: str, x: ArrayLike, y: ArrayLike, wide: ArrayLike, high: ArrayLike, of: Material
+    name: str,
+    x: ArrayLike,
+    y: ArrayLike,
+    width: ArrayLike,
+    height: ArrayLike,
+    material: Material,
 ) -> Body:
+    """Make a rectangular link with its center at (x, y); all lengths in m."""
     corners = jnp.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) / 2
-    size = jnp.stack([jnp.asarray(wide, float), jnp.asarray(high, float)])
-    place = jnp.stack([jnp.asarray(x, float), jnp.asarray(y, float)])
-    return plate(name, place[None] + corners * size[None], width=_WIDTH, of=of)
+    size = jnp.stack([jnp.asarray(width, float), jnp.asarray(height, float)])
+    center = jnp.stack([jnp.asarray(x, float), jnp.asarray(y, float)])
+    return plate(name, center[None] + corners * size[None], width=_WIDTH, of=material)

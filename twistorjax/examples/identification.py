@@ -1,8 +1,9 @@
-"""Four things to be found from measurements: what they tell, and what they do not.
+"""Four identification problems: what measurements determine, and what they do not.
 
-The measurements of the linkages and of the leaf are rehearsed by the library itself, with
-errors of sensors where a key is given, so that what is found can be compared with what
-was put in. Those of the stage are real ones.
+Start reading in `identify_hinge_a`. The measurements of the linkages and of the leaf are
+synthetic data, computed by the library itself. A random key adds sensor errors to them.
+The estimates can therefore be compared with the true values. The measurements of the
+stage are real.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..energies.base import AbstractEnergy, Quadratic
+from ..energies.base import AbstractEnergy
 from ..energies.mixed import MixedEnergy
+from ..energies.quadratic import Quadratic
 from ..flexures import Beam, Material, quartic_leaf, surrogate
 from ..identification import (
     AbstractSensor,
@@ -32,261 +34,334 @@ from ..mechanism.mechanism import Mechanism
 from . import four_bar, stage
 
 
-# Of a leaf of the linkages: rotation, along its axis, across it
-LEAF = {"rotation": 0.14375, "along": 1.725e6, "across": 17250.0}
-UNITS = {"rotation": "N m/rad", "along": "N/m", "across": "N/m"}
-GUESS = {"rotation": 1.5, "along": 0.6, "across": 0.5}  # parts of the true ones
-RELEASE = np.linspace(0.0, 0.05, 101)  # s
+# stiffnesses of one leaf of the four-bar linkage: rotation about its center, and
+# translation along and across its axis
+LEAF = {"rotation": 0.14375, "axial": 1.725e6, "transverse": 17250.0}
+UNITS = {"rotation": "N m/rad", "axial": "N/m", "transverse": "N/m"}
+START_RATIOS = {"rotation": 1.5, "axial": 0.6, "transverse": 0.5}  # start / true value
+CAMERA_TIMES = np.linspace(0.0, 0.05, 101)  # s
+
+# dimensions of the leaves on the `leaf_bench`; m
+LEAF_LENGTH = 50e-3
+LEAF_THICKNESS = 0.5e-3
+LEAF_WIDTH = 10e-3
 
 
-def linkage(leaf_a: Mapping[str, ArrayLike]) -> Mechanism:
-    """The four-bar linkage of section 5.2, its hinge A with other stiffnesses.
+def linkage(stiffnesses: Mapping[str, ArrayLike]) -> Mechanism:
+    """Build the four-bar linkage of section 5.2 with given stiffnesses of hinge A.
 
     Args:
-        leaf_a: "rotation", "along" and "across" its axis; N m/rad, N/m, N/m.
+        stiffnesses: Stiffnesses of hinge A: "rotation" (N m/rad), "axial" (N/m), and
+            "transverse" (N/m).
+
+    Returns:
+        The linkage. Its damping is that of the released linkage.
 
     Example:
         >>> linkage(LEAF)
         Mechanism of 4 bodies (1, 2, 3, 4), 4 hinges (A, B, C, D); fixed: 1
     """
-    row = [jnp.asarray(leaf_a[name], float) for name in LEAF]
-    energy = Quadratic(jnp.diag(jnp.stack(row)))
-    damping = four_bar.RELEASED_DAMPING
-    return four_bar.four_bar(damping=damping, energies={"A": energy})
+    diagonal = [jnp.asarray(stiffnesses[name], float) for name in LEAF]
+    energy = Quadratic(jnp.diag(jnp.stack(diagonal)))
+    return four_bar.four_bar(damping=four_bar.RELEASED_DAMPING, energies={"A": energy})
 
 
-def let_go(
-    times: Float[ArrayLike, " times"] = RELEASE,
+def release_test(
+    times: Float[ArrayLike, " times"] = CAMERA_TIMES,
     *,
-    angle: float = 1e-5,
-    travel: float = 1e-6,
+    angle_deviation: float = 1e-5,
+    position_deviation: float = 1e-6,
     tolerance: float = 1e-7,
 ) -> MotionTest:
-    """Link 3 let go with 10 m/s, and followed by a camera on all three links.
+    """Describe a test that releases the linkage and films its three moving links.
+
+    Link 3 starts with a velocity of 10 m/s along x. A camera measures the angles and
+    positions of links 2, 3, and 4.
 
     Args:
-        times: of its pictures; s.
-        angle: standard deviation of an angle; rad.
-        travel: that of a travel; m.
-        tolerance: for `simulate`.
+        times: Times of the pictures; s.
+        angle_deviation: Standard deviation of the measured angles; rad.
+        position_deviation: Standard deviation of the measured positions; m.
+        tolerance: Tolerance of `simulate`.
+
+    Returns:
+        The test.
 
     Example:
-        >>> let_go().columns[:4]
+        >>> release_test().columns[:4]
         ('2.angle', '2.x', '2.y', '3.angle')
     """
     return MotionTest(
         times,
-        _seen("234", angle, travel),
-        velocities={"3": (0.0, four_bar.SPEED, 0.0)},
+        _camera(("2", "3", "4"), angle_deviation, position_deviation),
+        velocities={"3": (0.0, four_bar.RELEASE_SPEED, 0.0)},
         tolerance=tolerance,
     )
 
 
-def hinge_a(
+def identify_hinge_a(
     key: Array | None = None,
     *,
-    angle: float = 1e-5,
-    travel: float = 1e-6,
+    angle_deviation: float = 1e-5,
+    position_deviation: float = 1e-6,
     **settings: Any,
 ) -> Identification:
-    """The three stiffnesses of hinge A, from the motion of the linkage as it is let go.
+    """Identify the three stiffnesses of hinge A from the motion of the released linkage.
 
     Args:
-        key: of the errors of the camera; by default there are none.
-        angle: standard deviation of its angles; rad.
-        travel: that of its travels; m.
-        settings: for `fit`.
+        key: Random key of the camera's errors. By default there are no errors.
+        angle_deviation: Standard deviation of the camera's angles; rad.
+        position_deviation: Standard deviation of the camera's positions; m.
+        settings: Further arguments of `identify`.
+
+    Returns:
+        The estimates and their uncertainty.
 
     Example:
-        >>> hinge_a().estimates["rotation"]
+        >>> result = identify_hinge_a()
+        >>> result.estimates["rotation"]  # N m/rad
         Array(0.14375, dtype=float64)
     """
     start = {
-        name: Parameter(GUESS[name] * value, UNITS[name], above=0)
+        name: Parameter(START_RATIOS[name] * value, UNITS[name], lower=0)
         for name, value in LEAF.items()
     }
-    test = let_go(angle=angle, travel=travel)
-    return identify(linkage, start, [test.synthetic_data(linkage(LEAF), key)], **settings)
+    test = release_test(
+        angle_deviation=angle_deviation, position_deviation=position_deviation
+    )
+    data = test.synthetic_data(linkage(LEAF), key)
+    return identify(linkage, start, [data], **settings)
 
 
-def plate(unknown: Mapping[str, ArrayLike]) -> Mechanism:
-    """The stage, cut from a plate with other webs, or of another modulus.
+def stage_model(parameters: Mapping[str, ArrayLike]) -> Mechanism:
+    """Build the micropositioning stage with other webs or another Young's modulus.
 
     Args:
-        unknown: "web", the thickness of the necks; m; and, if it is there, "modulus",
-            over that of aluminium.
+        parameters: "web", the thickness of the necks (m), and optionally "modulus", the
+            ratio of Young's modulus to that of aluminum.
+
+    Returns:
+        The stage.
     """
-    alloy = stage.aluminium()
-    modulus = unknown.get("modulus", 1.0) * alloy.modulus
-    softer = Material(modulus=modulus, poisson=alloy.poisson, density=alloy.density)
-    return stage.microstage(unknown["web"], material=softer)
+    alloy = stage.aluminum()
+    modulus = parameters.get("modulus", 1.0) * alloy.modulus
+    material = Material(modulus=modulus, poisson=alloy.poisson, density=alloy.density)
+    return stage.microstage(parameters["web"], material=material)
 
 
-def stage_web(compression: bool = True, **settings: Any) -> Identification:
-    """The web and the modulus of the stage, from what was measured on it in 1978.
+def identify_stage_web(compression: bool = True, **settings: Any) -> Identification:
+    """Identify the web and Young's modulus of the stage from measurements of 1978.
 
-    One number, the gain, tells one other: a web of 243.6 um, with which the model has a
-    gain of 27.95, half way between those measured. Of the modulus it tells nothing, nor
-    does any other length that follows from a length: stiffnesses that are all scaled by
-    one factor move every body as before. A force would tell it.
+    The gain is one number and determines one parameter: a web of 243.6 um, with which the
+    model has a gain of 27.95, the center of the measured interval. Displacements do not
+    determine the modulus: if all stiffnesses are scaled by one factor, every body moves
+    as before. A measured force would determine it.
 
-    The compression of hinge a, 50 nm, cannot be met by either: it and the gain contradict
-    each other by nine of their standard deviations, in this model.
+    The model cannot fit the measured compression of hinge a, 50 nm, with any web or
+    modulus: it contradicts the measured gain by nine standard deviations.
 
     Args:
-        compression: whether the compression of hinge a is taken, too, for good to 10 nm;
-            Scire and Teague do not tell its error, nor the conditions.
-        settings: for `fit`.
+        compression: Whether the compression of hinge a is used as well, with an assumed
+            standard deviation of 10 nm. Scire and Teague state neither its error nor the
+            conditions of the measurement.
+        settings: Further arguments of `identify`.
+
+    Returns:
+        The estimates and their uncertainty.
 
     Source:
         Scire and Teague, Review of Scientific Instruments 49, 1978.
     """
     low, high = stage.MEASURED_GAIN
-    middle, half = (low + high) / 2, (high - low) / 2
-    sensors: list[AbstractSensor] = [BodySensor("4", "x", half * stage.TRAVEL)]
-    readings = [middle * stage.TRAVEL]
-    start = {"web": Parameter(stage.WEB, "m", above=0.1e-3, below=0.5e-3)}
+    gain, gain_deviation = (low + high) / 2, (high - low) / 2
+    sensors: list[AbstractSensor] = [BodySensor("4", "x", gain_deviation * stage.TRAVEL)]
+    readings = [gain * stage.TRAVEL]
+    start = {"web": Parameter(stage.WEB, "m", lower=0.1e-3, upper=0.5e-3)}
     if compression:
         sensors.append(HingeSensor("a", "x", 10e-9))
         readings.append(stage.MEASURED_COMPRESSION)
-        start["modulus"] = Parameter(1.0, above=0)
-    moved = StaticTest([[Drive("6", x=stage.TRAVEL)]], sensors)
-    return identify(plate, start, [moved.measured([readings])], **settings)
+        start["modulus"] = Parameter(1.0, lower=0)
+    input_displacement = Drive("6", x=stage.TRAVEL)
+    test = StaticTest([[input_displacement]], sensors)
+    return identify(stage_model, start, [test.measurement([readings])], **settings)
 
 
-def bench(energy: AbstractEnergy) -> Mechanism:
-    """A table on two leaves, and a flag on a third: three leaves of one energy.
+def leaf_bench(energy: AbstractEnergy) -> Mechanism:
+    """Build a test bench for leaves: a table on two leaves, and a flag on a third leaf.
 
-    The table is guided, so that its leaves bend to an S; the flag's bends as it likes.
-    """
-    up, height = jnp.pi / 2, 50e-3
-    bodies = [
-        Body("base"),
-        Body("table", pose=(0.0, 0.0, height)),
-        Body("flag", pose=(0.0, 0.2, height)),
-    ]
-    places = {"left": ("table", -0.04), "right": ("table", 0.04), "third": ("flag", 0.2)}
-    hinges = [
-        Hinge(name, "base", body, energy, at=(up, x, height / 2))
-        for name, (body, x) in places.items()
-    ]
-    return Mechanism(bodies, hinges, fixed=["base"])
-
-
-def blade() -> dict[str, Any]:
-    """The leaves of the `bench`, of steel."""
-    steel = Material(modulus=210e9, poisson=0.3)
-    return {"material": steel, "length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
-
-
-def bench_of(parts: Mapping[str, ArrayLike]) -> Mechanism:
-    """The `bench` with leaves of five terms, each a part of what beam theory says.
+    The two leaves guide the table, so they bend into an S shape. The flag is free to
+    rotate.
 
     Args:
-        parts: of "turn" and "shift", the energies of turning and of being guided across;
-            of "turn_shortens" and "shift_shortens", by how much these draw the ends
-            together; and of "give", along the axis.
+        energy: Energy of all three leaves.
+
+    Returns:
+        The bench, with the bodies "base" (fixed), "table", and "flag".
     """
-    leaf = quartic_leaf(**blade())
-    named: dict[tuple[int, ...], str] = {
-        (2, 0, 0): "turn",
-        (0, 2, 0): "shift",
-        (0, 2, 1): "shift_shortens",
-        (2, 0, 1): "turn_shortens",
-        (0, 0, 2): "give",
-    }
-    row = jnp.stack([jnp.asarray(parts[named[each]], float) for each in leaf.powers])
-    return bench(
-        MixedEnergy(
-            leaf.coefficients * row, leaf.powers, length=leaf.length, force=leaf.force
-        )
+    up, height = jnp.pi / 2, LEAF_LENGTH
+    return Mechanism(
+        bodies=[
+            Body("base"),
+            Body("table", pose=(0.0, 0.0, height)),
+            Body("flag", pose=(0.0, 0.2, height)),
+        ],
+        hinges=[
+            Hinge("left", "base", "table", energy, at=(up, -0.04, height / 2)),
+            Hinge("right", "base", "table", energy, at=(up, 0.04, height / 2)),
+            Hinge("third", "base", "flag", energy, at=(up, 0.2, height / 2)),
+        ],
+        fixed=["base"],
     )
 
 
-def leaf_on_bench(key: Array | None = None, **settings: Any) -> Identification:
-    """The coefficients of a leaf's energy, from what a mechanism of three does.
+def steel() -> Material:
+    """Return the material of the leaves on the `leaf_bench`."""
+    return Material(modulus=210e9, poisson=0.3)
 
-    What is measured has exact beams for leaves; what is fitted starts far from them. The
-    table's sinking tells how much a leaf shortens as it is guided, the flag's swing how
-    much as it turns. All five are one, where beam theory is right.
+
+def scaled_leaf_bench(factors: Mapping[str, ArrayLike]) -> Mechanism:
+    """Build the `leaf_bench` with leaves whose energy has five scaled coefficients.
 
     Args:
-        key: of the errors of the sensors; by default there are none.
-        settings: for `fit`.
+        factors: Ratio of each coefficient to its value by beam theory: "rotation" and
+            "transverse" scale the energies of a rotation and of a transverse
+            displacement, "rotation_shortening" and "transverse_shortening" scale how much
+            these reduce the distance of the ends, and "axial_compliance" scales the
+            extension under an axial force.
+
+    Returns:
+        The bench.
     """
-    size = blade()
-    material = size.pop("material")
-    exact = bench(surrogate(Beam(material, **size), turn=0.5))
-    trials = [
-        *([Load("table", (0.0, push, 0.0))] for push in (1.0, 2.0, 3.0)),
-        *([Load("table", (0.0, 2.0, pull))] for pull in (-5.0, 50.0)),
-        *([Load("flag", (moment, 0.0, 0.0))] for moment in (0.05, 0.1)),
-        [Load("flag", (0.0, 0.3, 0.5))],
-    ]
-    test = StaticTest(trials, _seen(("table", "flag"), 20e-6, 0.2e-6))
-    guess = {
-        "turn": 1.3,
-        "shift": 0.7,
-        "turn_shortens": 0.5,
-        "shift_shortens": 0.5,
-        "give": 2.0,
+    leaf = quartic_leaf(
+        steel(), length=LEAF_LENGTH, thickness=LEAF_THICKNESS, width=LEAF_WIDTH
+    )
+    # by the powers of rotation, transverse displacement, and axial force
+    names: dict[tuple[int, ...], str] = {
+        (2, 0, 0): "rotation",
+        (0, 2, 0): "transverse",
+        (0, 2, 1): "transverse_shortening",
+        (2, 0, 1): "rotation_shortening",
+        (0, 0, 2): "axial_compliance",
     }
-    start = {name: Parameter(part, above=0) for name, part in guess.items()}
-    return identify(bench_of, start, [test.synthetic_data(exact, key)], **settings)
+    scales = [jnp.asarray(factors[names[powers]], float) for powers in leaf.powers]
+    energy = MixedEnergy(
+        leaf.coefficients * jnp.stack(scales),
+        leaf.powers,
+        length=leaf.length,
+        force=leaf.force,
+    )
+    return leaf_bench(energy)
 
 
-def irregular(stiffness: Mapping[str, Array]) -> Mechanism:
-    """The four-bar linkage of section 5.3, with other stiffnesses.
+def identify_leaf(key: Array | None = None, **settings: Any) -> Identification:
+    """Identify the coefficients of a leaf's energy from static tests on the bench.
+
+    The synthetic data are those of geometrically exact beams. The vertical displacement
+    of the table determines how much a leaf shortens under a transverse displacement; the
+    motion of the flag determines how much it shortens under a rotation. If beam theory
+    holds, all five factors are 1.
 
     Args:
-        stiffness: of each hinge: rotation, along its axis, across it; N m/rad, N/m, N/m.
+        key: Random key of the sensor errors. By default there are no errors.
+        settings: Further arguments of `identify`.
+
+    Returns:
+        The estimates of the five factors of `scaled_leaf_bench`, and their uncertainty.
     """
-    energies = {name: Quadratic(jnp.diag(row)) for name, row in stiffness.items()}
+    beam = Beam(steel(), length=LEAF_LENGTH, thickness=LEAF_THICKNESS, width=LEAF_WIDTH)
+    exact = leaf_bench(surrogate(beam, rotation=0.5))
+    trials = [
+        [Load("table", force=(1.0, 0.0))],
+        [Load("table", force=(2.0, 0.0))],
+        [Load("table", force=(3.0, 0.0))],
+        [Load("table", force=(2.0, -5.0))],
+        [Load("table", force=(2.0, 50.0))],
+        [Load("flag", moment=0.05)],
+        [Load("flag", moment=0.1)],
+        [Load("flag", force=(0.3, 0.5))],
+    ]
+    sensors = _camera(("table", "flag"), angle_deviation=20e-6, position_deviation=0.2e-6)
+    data = StaticTest(trials, sensors).synthetic_data(exact, key)
+    start = {
+        "rotation": Parameter(1.3, lower=0),
+        "transverse": Parameter(0.7, lower=0),
+        "rotation_shortening": Parameter(0.5, lower=0),
+        "transverse_shortening": Parameter(0.5, lower=0),
+        "axial_compliance": Parameter(2.0, lower=0),
+    }
+    return identify(scaled_leaf_bench, start, [data], **settings)
+
+
+def mixed_linkage(stiffnesses: Mapping[str, Array]) -> Mechanism:
+    """Build the four-bar linkage of section 5.3 with given stiffnesses of all hinges.
+
+    Args:
+        stiffnesses: Rotational (N m/rad), axial (N/m), and transverse (N/m) stiffness of
+            each hinge, by name.
+
+    Returns:
+        The linkage.
+    """
+    energies = {name: Quadratic(jnp.diag(row)) for name, row in stiffnesses.items()}
     return four_bar.four_bar("mixed", energies=energies)
 
 
-def twelve(key: Array | None = None, **settings: Any) -> Identification:
-    """All stiffnesses of the irregular linkage, from its motion as link 2 is turned.
+def identify_twelve_stiffnesses(
+    key: Array | None = None, **settings: Any
+) -> Identification:
+    """Identify all stiffnesses of the mixed linkage from its driven motion.
 
-    A camera follows the links, and the drive tells the moment that it takes. Without the
-    moment no stiffness could be told but for a common factor. The four rotations are
-    hardly told apart: the moment is their sum, nearly.
+    A camera follows the links, and the moment on link 2 is measured. Without the moment,
+    the stiffnesses would only be determined up to a common factor. The four rotational
+    stiffnesses are strongly correlated, because the moment is nearly proportional to
+    their sum.
 
     Args:
-        key: of the errors of the sensors; by default there are none.
-        settings: for `fit`.
+        key: Random key of the sensor errors. By default there are no errors.
+        settings: Further arguments of `identify`.
+
+    Returns:
+        The estimates and their uncertainty.
     """
     linkage = four_bar.four_bar("mixed")
     true = {
         name: jnp.diagonal(linkage.hinge_assembly.energy_of(row).stiffness)  # pyright: ignore
         for row, name in enumerate(linkage.hinge_names)
     }
-    test = MotionTest(
-        np.linspace(0.0, 0.405, 82),
-        [
-            *_seen("34", 1e-5, 1e-6),
-            *(BodySensor("2", name, 1e-6) for name in ("x", "y")),
-            BodySensor("2", "moment", 1e-4),
-        ],
-        drives=four_bar.turn,
-    )
-    start = {
-        name: Parameter(row * jnp.array([1.5, 0.6, 0.7]), tuple(UNITS.values()), above=0)
-        for name, row in true.items()
-    }
-    return identify(
-        irregular, start, [test.synthetic_data(irregular(true), key)], **settings
-    )
-
-
-def _seen(bodies: Iterable[str], angle: float, travel: float) -> list[BodySensor]:
-    """What a camera sees: angles, and travels along x and y."""
-    return [
-        sensor
-        for body in bodies
-        for sensor in (
-            BodySensor(body, "angle", angle),
-            BodySensor(body, "x", travel),
-            BodySensor(body, "y", travel),
-        )
+    sensors = [
+        *_camera(("3", "4"), angle_deviation=1e-5, position_deviation=1e-6),
+        BodySensor("2", "x", 1e-6),
+        BodySensor("2", "y", 1e-6),
+        BodySensor("2", "moment", 1e-4),
     ]
+    test = MotionTest(
+        np.linspace(0.0, 0.405, 82), sensors, drives=four_bar.crank_rotation
+    )
+    start_ratios = jnp.array([1.5, 0.6, 0.7])
+    units = tuple(UNITS.values())
+    start = {
+        name: Parameter(start_ratios * row, units, lower=0) for name, row in true.items()
+    }
+    data = test.synthetic_data(mixed_linkage(true), key)
+    return identify(mixed_linkage, start, [data], **settings)
+
+
+def _camera(
+    bodies: Iterable[str], angle_deviation: float, position_deviation: float
+) -> list[BodySensor]:
+    """List the sensors of a camera: angle, x, and y of each body.
+
+    Args:
+        bodies: Names of the bodies.
+        angle_deviation: Standard deviation of the angles; rad.
+        position_deviation: Standard deviation of the positions; m.
+
+    Returns:
+        The sensors.
+    """
+    sensors = []
+    for body in bodies:
+        sensors.append(BodySensor(body, "angle", angle_deviation))
+        sensors.append(BodySensor(body, "x", position_deviation))
+        sensors.append(BodySensor(body, "y", position_deviation))
+    return sensors

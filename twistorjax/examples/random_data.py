@@ -1,8 +1,8 @@
-"""Random wrenches met by a polynomial: section 7.1, and what that tells.
+"""Overfitting: a polynomial energy fitted to random wrenches (section 7.1).
 
-Seventeen displacements and wrenches drawn at random are those of no hinge. A polynomial
-of fourth order has more coefficients than they have numbers, 69 for 51, and meets all of
-them; of a wrench that it was not fitted to it tells nothing.
+Seventeen displacements and wrenches are drawn at random, so they belong to no hinge. A
+polynomial of fourth order has 69 coefficients, more than the 51 components of these
+wrenches, and interpolates all of them. It does not predict a wrench that was held out.
 """
 
 import warnings
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..energies.fitting.polynomial import EnergyFit, fit_energy
-from ..energies.fitting.trials import compared, Errors, Trials
+from ..energies.fitting.trials import Errors, errors_of_predictions, Trials
 from ..plotting.canvas import subplots
 from ..plotting.fits import draw_numbers
 
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Angle, x, y, moment, force 1, force 2: of the dissertation, which gives no units
-NUMBERS = (
+COMPONENTS = ("moment (N m)", "force 1 (N)", "force 2 (N)")
+
+# angle, x, y, moment, force 1, force 2; the dissertation gives no units
+DISSERTATION_TRIALS = (
     (-0.15841351933608, 4.65393993495608, 1.31532797568824,
      -0.387550817802548, -0.468242167495191, -0.818195529282093),
     (0.134224962528456, 4.59789474366141, -0.971024909512858,
@@ -63,53 +65,55 @@ NUMBERS = (
 
 
 class Study(eqx.Module):
-    """A fit to random trials, and what fits to the others foretell of each of them.
+    """A polynomial fitted to random trials, and its leave-one-out predictions.
 
     Args:
-        trials: those fitted.
-        fit: to all of them.
-        fitted: its wrenches at their poses; N m, N, N.
-        foretold: wrench at each pose of a fit to the other trials; N m, N, N.
-        held_out: how far these are from the trials.
+        trials: The trials.
+        fit: Fit to all trials.
+        fitted: Wrench of this fit at the pose of each trial; N m, N, N.
+        predictions: Wrench at the pose of each trial, predicted by a fit to all other
+            trials; N m, N, N.
+        held_out: Errors of the predictions.
     """
 
     trials: Trials
     fit: EnergyFit
     fitted: Float[np.ndarray, "trials 3"]
-    foretold: Float[np.ndarray, "trials 3"]
+    predictions: Float[np.ndarray, "trials 3"]
     held_out: Errors
 
     def __repr__(self) -> str:
         fit = self.fit
         training, held_out = fit.training, self.held_out
-        heads = ("moment (N m)", "force 1 (N)", "force 2 (N)")
         rows = (
             ("rms of the trials", held_out.wrench / held_out.relative),
-            ("largest error, fitted", training.largest),
-            ("largest error, held out", held_out.largest),
-            ("rms error, held out", held_out.wrench),
+            ("largest training error", training.largest),
+            ("largest held-out error", held_out.largest),
+            ("rms held-out error", held_out.wrench),
         )
-        return "\n".join(
-            [
-                f"{len(self.trials)} random trials, polynomial of order "
-                f"{fit.energy.order}: {fit.terms} coefficients for {fit.equations} "
-                f"numbers, rank {fit.rank}, condition {fit.condition:.1e}",
-                f"{'':<24}" + "".join(f"{head:>14}" for head in heads),
-                *(
-                    f"{name:<24}" + "".join(f"{size:>14.2g}" for size in sizes)
-                    for name, sizes in rows
-                ),
-                "held out: each trial by a fit to the others",
-                *([f"warning: {fit.warning}"] if fit.warning else []),
-            ]
-        )
+        lines = [
+            f"{len(self.trials)} random trials, polynomial of order {fit.energy.order}: "
+            f"{fit.terms} coefficients, {fit.equations} equations, rank {fit.rank}, "
+            f"condition number {fit.condition:.1e}",
+            f"{'':<24}" + "".join(f"{component:>14}" for component in COMPONENTS),
+        ]
+        for name, errors in rows:
+            lines.append(f"{name:<24}" + "".join(f"{error:>14.2g}" for error in errors))
+        lines.append("Each trial is held out once and predicted by a fit to the others.")
+        if fit.warning:
+            lines.append(f"warning: {fit.warning}")
+        return "\n".join(lines)
 
 
 def trials(seed: int | None = None) -> Trials:
-    """The seventeen trials of the dissertation, or as many others of their kind.
+    """Return seventeen random trials.
 
     Args:
-        seed: of others; without one, those of the dissertation.
+        seed: Seed of the random numbers. By default, the trials are those of the
+            dissertation.
+
+    Returns:
+        The trials; poses in rad, m, m, and wrenches in N m, N, N.
 
     Source:
         Section 7.1.2 of the dissertation, and its listing `randomtest`.
@@ -119,78 +123,85 @@ def trials(seed: int | None = None) -> Trials:
         Array([-0.15841352,  4.65393994,  1.31532798], dtype=float64)
     """
     if seed is None:
-        numbers = np.array(NUMBERS)
-        return Trials(numbers[:, :3], numbers[:, 3:])
-    random = np.random.default_rng(seed).random((len(NUMBERS), 6))
+        numbers = np.array(DISSERTATION_TRIALS)
+        return Trials(poses=numbers[:, :3], wrenches=numbers[:, 3:])
+    random = np.random.default_rng(seed).random((len(DISSERTATION_TRIALS), 6))
     angles, directions = (random[:, :2].T - 0.5) * np.pi / 4
     distances = 3 + 3 * random[:, 2]
     x, y = distances * np.cos(directions), distances * np.sin(directions)
-    return Trials(np.stack([angles, x, y], axis=1), 1 - 2 * random[:, 3:])
+    poses = np.stack([angles, x, y], axis=1)
+    return Trials(poses=poses, wrenches=1 - 2 * random[:, 3:])
 
 
-def study(of: Trials | None = None, order: int = 4) -> Study:
-    """Fits a polynomial to random trials, and to all but one of them, each in turn.
+def study(data: Trials | None = None, order: int = 4) -> Study:
+    """Fit a polynomial to random trials, and predict each trial from the others.
 
     Args:
-        of: the trials; by default those of the dissertation.
-        order: of the polynomial.
+        data: The trials. By default, those of the dissertation.
+        order: Order of the polynomial.
+
+    Returns:
+        The fit to all trials, and the leave-one-out predictions.
 
     Source:
-        Section 7.1 of the dissertation, which gives the errors at the trials fitted:
-        2.64e-5, 1.53e-5 and 4.2e-6 at most.
+        Section 7.1 of the dissertation. It states the largest training errors: 2.64e-5
+        (moment), 1.53e-5 (force 1), and 4.2e-6 (force 2).
 
     Example:
-        >>> found = study()
-        >>> bool(np.all(found.fit.training.largest < 2.6e-5))
+        >>> result = study()
+        >>> bool(np.all(result.fit.training.largest < 2.6e-5))
         True
-        >>> bool(np.all(found.held_out.relative > 1))  # worse than foretelling nothing
+        >>> bool(np.all(result.held_out.relative > 1))  # predicting zero is better
         True
     """
-    some = trials() if of is None else of
-    reach = some.reach
+    data = trials() if data is None else data
+    scale = data.largest_translation
 
-    def fitted(some: Trials) -> EnergyFit:
+    def interpolate(some: Trials) -> EnergyFit:
         return fit_energy(
-            some, order, redundant=True, reference="free", ridge=0.0, scale=reach
+            some, order, redundant=True, reference="free", ridge=0.0, scale=scale
         )
 
-    rows = np.arange(len(some))
+    rows = np.arange(len(data))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # told by the answer
-        fit = fitted(some)
-        others = [fitted(some[rows != row]).energy for row in rows]
+        warnings.simplefilter("ignore")  # the result reports the warning
+        fit = interpolate(data)
+        energies = [interpolate(data[rows != row]).energy for row in rows]
     wrench = jax.jit(lambda energy, pose: energy.wrench(pose))
-    foretold = np.stack(
-        [wrench(energy, pose) for energy, pose in zip(others, some.poses, strict=True)]
+    fitted = np.stack([wrench(fit.energy, pose) for pose in data.poses])
+    predictions = np.stack(
+        [wrench(energy, pose) for energy, pose in zip(energies, data.poses, strict=True)]
     )
     return Study(
-        trials=some,
+        trials=data,
         fit=fit,
-        fitted=np.stack([wrench(fit.energy, pose) for pose in some.poses]),
-        foretold=foretold,
-        held_out=compared(some, foretold, np.zeros(len(some))),
+        fitted=fitted,
+        predictions=predictions,
+        held_out=errors_of_predictions(data, predictions, np.zeros(len(data))),
     )
 
 
 def plot(study: Study) -> "Figure":
-    """Draws the wrenches as given, as fitted, and as foretold by fits to the others.
+    """Draw the wrenches of the trials, of the fit, and of the predictions.
 
     Args:
-        study: of random trials.
+        study: A study made by `study`.
+
+    Returns:
+        The figure, with one panel for each component of the wrench.
 
     Source:
         Figures 7.1 to 7.3 of the dissertation.
     """
     figure, axes = subplots(3, size=(8, 8), sharex=True)
-    names = ("moment (N m)", "force 1 (N)", "force 2 (N)")
-    given = np.asarray(study.trials.wrenches)
-    for panel, name, component in zip(axes, names, range(3), strict=True):
+    measured = np.asarray(study.trials.wrenches)
+    for component, (panel, name) in enumerate(zip(axes, COMPONENTS, strict=True)):
         draw_numbers(
             panel,
-            given[:, component],
+            measured[:, component],
             {
                 "fitted": study.fitted[:, component],
-                "foretold by a fit to the others": study.foretold[:, component],
+                "predicted by a fit to the others": study.predictions[:, component],
             },
         )
         panel.set_ylabel(name)

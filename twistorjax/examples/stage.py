@@ -1,14 +1,15 @@
-"""The micropositioning stage of chapter 6, from its drawing to its gain.
+"""The micropositioning stage of chapter 6: its mechanism and its static gain.
 
-Six bodies and seven notch hinges, cut from one plate of aluminium by Scire and Teague
-(Review of Scientific Instruments 49, 1978). Body 1 is the frame and is held; a drive
-pushes body 6, the input; body 4, the output, moves some 28 times as far. The notches are
-not pins: with pins the linkage could not move at all, and their stretch takes a quarter
-of the gain of rigid levers.
+The stage has six bodies and seven notch hinges, cut from one aluminum plate by Scire and
+Teague (Review of Scientific Instruments 49, 1978). Body 1 is the frame and is fixed. An
+actuator displaces body 6, the input; body 4, the output, moves about 28 times as far.
+The notches are not ideal pins: with pins, the linkage could make no finite motion. The
+axial deformation of the notches reduces the gain of rigid levers by a quarter.
 
-The figures are those of the dissertation's listing. Its text differs in places: masses
-there are for 2.8e3 kg/m3, equation 6.12 has 0.0952 for 0.00952 kg, equation 6.23 lacks
-the target of the input, and section 6.2.3 has mm for um.
+The dimensions are those of the dissertation's listing `microstage`. The text differs in
+places: its masses are those for 2.8e3 kg/m3, equation 6.12 has 0.0952 instead of
+0.00952 kg, equation 6.23 lacks the input displacement, and section 6.2.3 has mm instead
+of um.
 """
 
 from functools import partial
@@ -20,8 +21,8 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from .._utils.types import Corners, Scalar
-from ..energies.base import Quadratic
 from ..energies.damping import ViscousDamping
+from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..flexures import Material, notch, notch_outline
 from ..flexures.notch import Formula
@@ -40,17 +41,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-WEB = 0.25e-3  # m
-TRAVEL = 1.35e-6  # of the input, in the experiments of 1978; m
-MEASURED_GAIN = (27.8, 28.1)  # Scire and Teague, 1978
-MEASURED_COMPRESSION = 50e-9  # of hinge a, under conditions they do not state; m
+WEB = 0.25e-3  # thickness of the necks, as built; m
+TRAVEL = 1.35e-6  # input displacement in the experiments of 1978; m
+MEASURED_GAIN = (27.8, 28.1)  # lowest and highest value; Scire and Teague, 1978
+MEASURED_COMPRESSION = 50e-9  # of hinge a; the conditions are not stated; m
 DISSERTATION_GAIN = 27.8  # section 6.4, read off its figure 6.3
-RIGID_GAIN = 328 / 9  # levers on pins: 36.44
+RIGID_GAIN = 328 / 9  # rigid levers on pins: 36.44
 
 _MM = 1e-3
 
-# name: centre of mass; m
-_CENTRES = {
+# center of mass of each body; m
+_CENTERS = {
     "1": (0.0, 0.0),
     "2": (-21 * _MM, 23 * _MM),
     "3": (-14 * _MM, 15 * _MM),
@@ -59,7 +60,7 @@ _CENTRES = {
     "6": (-7 * _MM, 35 * _MM),
 }
 
-# name: the two bodies, and the middle of the neck; m
+# the two bodies of each hinge, and the center of its neck; m
 _HINGES = {
     "a": ("2", "6", (-14 * _MM, 35 * _MM)),
     "b": ("1", "2", (-14 * _MM, 44 * _MM)),
@@ -71,8 +72,8 @@ _HINGES = {
 }
 
 
-def aluminium() -> Material:
-    """Aluminium 6061-T6, as the dissertation has it."""
+def aluminum() -> Material:
+    """Return aluminum 6061-T6, with the properties that the dissertation uses."""
     return Material(modulus=69e9, poisson=0.33, density=2.7e3)
 
 
@@ -86,26 +87,27 @@ def microstage(
     coordinates: Coordinates = "twistor",
     damping: ViscousDamping | ArrayLike | None = None,
 ) -> Mechanism:
-    """The micropositioning stage.
+    """Build the micropositioning stage.
 
     Args:
-        web: thickness of the necks of its hinges, one for all, or one for each from a to
-            g; m.
-        hole: diameter of the holes that leave them; m.
-        width: thickness of the plate; m.
-        material: of the plate, by default `aluminium`.
-        formula: for the stiffness of the notches.
-        coordinates: of their quadratic energies, "twistor" or "twist".
-        damping: of each notch, needed for motion alone: a `ViscousDamping`, or the time by
-            which its stiffness is multiplied; s.
+        web: Thickness of the necks of the notch hinges: one value for all hinges, or one
+            for each hinge from a to g; m.
+        hole: Diameter of the holes on both sides of a neck; m.
+        width: Thickness of the plate; m.
+        material: Material of the plate. By default `aluminum()`.
+        formula: Formula for the stiffness of the notches; see `flexures.notch`.
+        coordinates: Coordinates of the quadratic hinge energies, "twistor" or "twist".
+        damping: Damping of each hinge, used by simulations only: a `ViscousDamping`, or
+            the ratio of damping to stiffness; s.
 
     Returns:
-        Bodies "1" to "6" and hinges "a" to "g", as the dissertation calls them; "1" is
-        held, and "6" but for its x, along which it is to be driven.
+        A mechanism with the bodies "1" to "6" and the hinges "a" to "g", named as in the
+        dissertation. Body "1" is fixed. Body "6" can only move along x, which is the
+        direction of the input displacement.
 
     Raises:
-        ValueError: a dimension is not positive or outside the range of the formula;
-            there are neither one nor seven webs.
+        ValueError: A dimension is not positive or outside the range of the formula, or
+            `web` has neither one nor seven values.
 
     Source:
         Section 6.2 of the dissertation and its listing `microstage`.
@@ -115,7 +117,7 @@ def microstage(
         Mechanism of 6 bodies (1, 2, 3, 4, 5, 6), 7 hinges (a, b, c, d, e, f, g);
         fixed: 1, angle and y of 6
     """
-    material = aluminium() if material is None else material
+    material = aluminum() if material is None else material
 
     def neck(web: ArrayLike) -> tuple[Quadratic, Corners]:
         energy = notch(
@@ -137,48 +139,38 @@ def microstage(
         necks = [neck(each) for each in jnp.asarray(web, float)]
     else:
         necks = [neck(web)] * len(_HINGES)
-    bodies = []
-    for name, center in _CENTRES.items():
-        outline = _OUTLINES[name] * _MM - np.array(center)
-        if name == "1":
-            bodies.append(Body(name, outline=outline))
-            continue
-        area, second_moment = _areas(name)
-        density = 1.0 if material.density is None else material.density
-        weight = density * width
-        bodies.append(
-            Body(
+    hinges = []
+    for name, (energy, outline) in zip(_HINGES, necks, strict=True):
+        first, second, (x, y) = _HINGES[name]
+        hinges.append(
+            Hinge(
                 name,
-                pose=(0.0, *center),
-                mass=None if material.density is None else weight * area,
-                inertia=None if material.density is None else weight * second_moment,
+                first,
+                second,
+                energy,
+                at=(0.0, x, y),
+                damping=damping,
                 outline=outline,
             )
         )
-    hinges = [
-        Hinge(
-            name, first, second, energy, at=(0.0, *at), damping=damping, outline=outline
-        )
-        for (name, (first, second, at)), (energy, outline) in zip(
-            _HINGES.items(), necks, strict=True
-        )
-    ]
+    frame = Body("1", outline=_OUTLINES["1"] * _MM - np.array(_CENTERS["1"]))
+    moving = [_moving_body(name, material, width) for name in ("2", "3", "4", "5", "6")]
     fixed = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
-    return Mechanism(bodies, hinges, fixed=fixed)
+    return Mechanism([frame, *moving], hinges, fixed=fixed)
 
 
 class Amplification(Tabular):
-    """What a stage makes of a motion of its input.
+    """Displacements and forces of a stage whose input is displaced.
 
     Args:
-        gain: travel of the output over travel of the input.
-        output: travel of body 4 along x; m.
-        input_force: what drives the input; N.
-        compression: how much less body 2 moves at hinge a than the input does; m. In the
-            listing's geometry the input lies beyond the hinge, seen along its travel, so
-            that a travel along x stretches the neck, and one against x compresses it by
-            as much.
-        equilibrium: of the stage.
+        gain: Ratio of the output displacement to the input displacement.
+        output: Displacement of the output, body 4, along x; m.
+        input_force: Force that displaces the input; N.
+        compression: Displacement of the input (body 6) minus that of body 2, both at
+            hinge a and along x; m. In the geometry of the listing, body 6 is on the +x
+            side of hinge a: an input displacement along +x stretches the neck, and one
+            along -x compresses it by as much.
+        equilibrium: Equilibrium of the stage.
     """
 
     gain: Scalar
@@ -189,7 +181,7 @@ class Amplification(Tabular):
 
     @property
     def result(self) -> RESULTS:
-        """How it ended."""
+        """Result of the solve for the equilibrium."""
         return self.equilibrium.result
 
     def columns(self) -> Columns:
@@ -202,112 +194,148 @@ class Amplification(Tabular):
         }
 
 
-def amplify(
+def amplification(
     stage: Mechanism, travel: ArrayLike = TRAVEL, *, throw: bool = True
 ) -> Amplification:
-    """Moves the input of a stage, and sees what the output does.
+    """Compute how a stage amplifies a displacement of its input.
 
     Args:
-        stage: a `microstage`.
-        travel: of the input along x; m.
-        throw: whether a failure is raised, or only told by the equilibrium's `result`.
+        stage: A stage made by `microstage`.
+        travel: Displacement of the input along x; m.
+        throw: Whether a failed solve raises an error. If False, the failure is reported
+            by `Amplification.result`.
+
+    Returns:
+        The gain, the displacements, and the forces.
+
+    Raises:
+        RuntimeError: No equilibrium was found, and `throw` is True.
 
     Source:
         Section 6.4 of the dissertation, without its transient.
 
     Example:
-        >>> amplify(microstage()).gain
+        >>> stage = microstage()
+        >>> amplification(stage).gain
         Array(27.62804368, dtype=float64)
     """
-    moved = equilibrium(stage, drives=[Drive("6", x=travel)], throw=throw)
-    output = moved.displacement("4")[1]
+    deformed = equilibrium(stage, drives=[Drive("6", x=travel)], throw=throw)
+    output = deformed.displacement("4")[1]
     return Amplification(
         gain=output / travel,
         output=output,
-        input_force=moved.reaction("6")[1],
-        compression=stage.displacement_of("a", moved)[1],
-        equilibrium=moved,
+        input_force=deformed.reaction("6")[1],
+        compression=stage.displacement_of("a", deformed)[1],
+        equilibrium=deformed,
     )
 
 
 @partial(jax.jit, static_argnames="coordinates")
-def amplify_by_web(
+def amplification_and_slope(
     web: ArrayLike, travel: ArrayLike, coordinates: Coordinates = "twistor"
 ) -> tuple[Amplification, Scalar]:
-    """The amplification of a stage with such webs, and how its gain changes with them.
+    """Compute the amplification and the derivative of the gain by the web.
 
     Args:
-        web: thickness of the necks; m.
-        travel: of the input along x; m.
-        coordinates: of the hinges' energies, "twistor" or "twist".
+        web: Thickness of the necks; m.
+        travel: Displacement of the input along x; m.
+        coordinates: Coordinates of the hinge energies, "twistor" or "twist".
 
     Returns:
-        The amplification, whose `result` tells whether it succeeded, and the derivative
-        of the gain by the web; 1/m.
+        The amplification, whose `result` reports a failure, and the derivative of the
+        gain by the thickness of the necks; 1/m.
     """
 
     def gain(web: Scalar) -> tuple[Scalar, Amplification]:
         stage = microstage(web, coordinates=coordinates)
-        answer = amplify(stage, travel, throw=False)
-        return answer.gain, answer
+        result = amplification(stage, travel, throw=False)
+        return result.gain, result
 
     web = jnp.asarray(web, float)
-    _, slope, answer = jax.jvp(gain, (web,), (jnp.ones_like(web),), has_aux=True)
-    return answer, slope
+    _, slope, result = jax.jvp(gain, (web,), (jnp.ones_like(web),), has_aux=True)
+    return result, slope
 
 
-def plot(stage: Mechanism, answer: Amplification, *, magnify: float | int = 50) -> "Axes":
-    """Draws a stage as its input has moved it, with the travels of input and output.
+def plot(stage: Mechanism, result: Amplification, *, magnify: float | int = 50) -> "Axes":
+    """Draw the deformed stage, with the displacements of input and output.
 
     Args:
-        stage: a `microstage`.
-        answer: what `amplify` made of it.
-        magnify: a factor on displacements.
+        stage: A stage made by `microstage`.
+        result: Amplification of this stage.
+        magnify: Factor by which displacements are magnified.
+
+    Returns:
+        The axes.
     """
-    moved = answer.equilibrium
-    axes = draw(stage, moved.poses, magnify=magnify)
-    # beside the input, and below the output: where the drawing is empty
+    deformed = result.equilibrium
+    axes = draw(stage, deformed.poses, magnify=magnify)
+    # the labels are beside the input and below the output, where the drawing is empty
     for name, word, dx, dy in (("6", "input", 14.0, 0.0), ("4", "output", 0.0, -6.5)):
-        row = moved.names.index(name)
-        x, y = 1e3 * np.asarray(moved.reference)[row, 1:] + np.array([dx, dy])
-        travel = 1e6 * float(moved.displacements[row, 1])
+        row = deformed.names.index(name)
+        x, y = 1e3 * np.asarray(deformed.reference)[row, 1:] + np.array([dx, dy])
+        travel = 1e6 * float(deformed.displacements[row, 1])
         label = f"{word} {travel:.4g} \N{MICRO SIGN}m"
         axes.annotate(label, (x, y - 0.8), color=INK, ha="center", va="top")
         style = {"arrowstyle": "->", "color": INK}
         axes.annotate("", (x + 3.5, y), (x - 3.5, y), arrowprops=style)
     axes.set_title(
-        f"gain {float(answer.gain):.3f}, {axes.get_title()}", fontsize="medium"
+        f"gain {float(result.gain):.3f}, {axes.get_title()}", fontsize="medium"
     )
     return axes
 
 
-def _areas(name: str) -> tuple[float, float]:
-    """Area of a body, and its second moment about the centre; m2, m4.
+def _moving_body(name: str, material: Material, width: float) -> Body:
+    """Make one of the bodies 2 to 6; without a density it has no mass.
 
-    Sums of rectangles, as the listing has them, each (area, sides, centre).
+    Args:
+        name: Name of the body.
+        material: Material of the plate.
+        width: Thickness of the plate; m.
     """
-    bar = [(2 * 17 * 5, (17, 5), (2.5, 7.5))]
-    parts = {
+    center = _CENTERS[name]
+    outline = _OUTLINES[name] * _MM - np.array(center)
+    pose = (0.0, *center)
+    if material.density is None:
+        return Body(name, pose=pose, outline=outline)
+    area, second_moment = _areas(name)
+    mass_per_area = material.density * width
+    return Body(
+        name,
+        pose=pose,
+        mass=mass_per_area * area,
+        inertia=mass_per_area * second_moment,
+        outline=outline,
+    )
+
+
+def _areas(name: str) -> tuple[float, float]:
+    """Compute the area of a body and its polar second moment of area; m2, m4.
+
+    As in the listing, a body consists of rectangles. Each has an area (mm2), two sides
+    (mm), and a center relative to the body's frame (mm).
+    """
+    lever = [(2 * 17 * 5, (17, 5), (2.5, 7.5))]
+    rectangles = {
         "2": [
             (5 * 10, (5, 10), (1, 18)),
             (21 * 6, (6, 21), (2, 8)),
             (14 * 10 / 2, (6, 9), (3, 6)),
         ],
-        "3": bar,
+        "3": lever,
         "4": [(10 * 28, (28, 10), (0, 0))],
-        "5": bar,
+        "5": lever,
         "6": [(14 * 10, (7, 50), (0, 0))],
     }[name]
-    area = sum(part[0] for part in parts)
-    moment = sum(
-        size * ((sides[0] ** 2 + sides[1] ** 2) / 12 + place[0] ** 2 + place[1] ** 2)
-        for size, sides, place in parts
-    )
+    area = sum(size for size, _, _ in rectangles)
+    moment = 0.0
+    for size, (width, height), (x, y) in rectangles:
+        moment += size * ((width**2 + height**2) / 12 + x**2 + y**2)
     return area * _MM**2, moment * _MM**4
 
 
-# Corners, in the world at rest, after figure 6.1; mm. The listing has no outlines: these
-# leave the slots that the hinges' places and the bodies' bars tell of.
+# Corners in the reference configuration, after figure 6.1; mm. The listing has no
+# outlines. These leave the slots that follow from the positions of the hinges and from
+# the rectangles above.
 _RIGHT_LEVER = np.array(
     [
         (12.5, -1.9), (8.5, -1.9), (8.5, 15.5), (13, 18.5), (15.5, 22.2), (15.5, 25.8),

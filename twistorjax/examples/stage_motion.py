@@ -1,4 +1,7 @@
-"""The micropositioning stage as it moves: section 6.4, figures 6.3 and 6.4."""
+"""Transient response of the micropositioning stage (section 6.4, figures 6.3 and 6.4).
+
+Start reading in `transient_response`.
+"""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -14,141 +17,158 @@ from ..mechanism.mechanism import Mechanism
 from ..plotting.canvas import INK, ORANGE, subplots
 from ..solve.dynamics import simulate
 from ..solve.motion import Motion
-from .stage import amplify, TRAVEL
+from .stage import amplification, TRAVEL
 
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-RISE = 1e-3  # time constant of the input's filter; s
-TIMES = np.linspace(0.0, 0.03, 301)  # long enough to settle; s
+FILTER_TIME = 1e-3  # time constant of the input filter; s
+TIMES = np.linspace(0.0, 0.03, 301)  # until the stage is at rest; s
 
 
-class Filtered(eqx.Module):
-    """A travel that is taken up gradually, as a critically damped filter lets it.
+class FilteredInput(eqx.Module):
+    """An input displacement that follows a critically damped filter.
 
     Args:
-        travel: where it ends; m.
-        rise: time constant of the filter; s.
+        travel: Final displacement of the input along x; m.
+        filter_time: Time constant of the filter; s.
 
     Source:
-        Equations 6.21 to 6.23 of the dissertation, solved. Equation 6.23 lacks the
-        travel: it pulls the input back to zero.
+        Equations 6.21 to 6.23 of the dissertation, solved. Equation 6.23 lacks the final
+        displacement, so it would return the input to zero.
     """
 
     travel: ArrayLike
-    rise: ArrayLike
+    filter_time: ArrayLike
 
     def __call__(self, time: Float[Array, ""]) -> list[Drive]:
-        past = time / self.rise
-        # 1 - (1 + past) exp(-past), without the loss of digits at the start
-        return [Drive("6", x=self.travel * (-jnp.expm1(-past) - past * jnp.exp(-past)))]
+        ratio = time / self.filter_time
+        # 1 - (1 + ratio) exp(-ratio), without loss of digits at the start
+        return [
+            Drive("6", x=self.travel * (-jnp.expm1(-ratio) - ratio * jnp.exp(-ratio)))
+        ]
 
 
-class Transient(eqx.Module):
-    """How a stage comes to where its input has moved it.
+class TransientResponse(eqx.Module):
+    """Motion of a stage after a displacement of its input.
 
     Args:
-        motion: of the stage.
-        output: travel of body 4 along x; m.
-        joint: travel of hinge a along x, on body 2 and on body 6; m.
-        gain: travel of the output over that of the input, at the last time.
-        static_gain: the same of the equilibrium.
+        motion: Motion of the stage.
+        output: Displacement of the output, body 4, along x; m.
+        hinge_a: Displacements of hinge a along x, on body 2 and on body 6; m.
+        gain: Ratio of output to input displacement at the last time.
+        static_gain: The same ratio in equilibrium.
     """
 
     motion: Motion
     output: Float[Array, " times"]
-    joint: Float[Array, "2 times"]
+    hinge_a: Float[Array, "2 times"]
     gain: Float[Array, ""]
     static_gain: Float[Array, ""]
 
+    @property
+    def compression(self) -> Float[Array, ""]:
+        """The compression of hinge a at the last time, as in `Amplification`; m."""
+        return self.hinge_a[1, -1] - self.hinge_a[0, -1]
 
-def settle(
+
+def transient_response(
     stage: Mechanism,
     times: Float[ArrayLike, " times"] | Sequence[ArrayLike] = TIMES,
     *,
     travel: ArrayLike = TRAVEL,
-    rise: ArrayLike | None = RISE,
+    filter_time: ArrayLike | None = FILTER_TIME,
     tolerance: ArrayLike = 1e-10,
     **settings,
-) -> Transient:
-    """Moves the input of a stage, and follows the output until it rests.
+) -> TransientResponse:
+    """Simulate a stage whose input is displaced, until its output is at rest.
 
     Args:
-        stage: a `microstage`; damped, so that it comes to rest.
-        times: at which its motion is told; s.
-        travel: of the input along x; m.
-        rise: time constant by which the input is filtered; or nothing, for a step at the
-            start, as section 6.2.3 has it; s.
-        tolerance: for `simulate`, small because travels are.
-        settings: more of them.
+        stage: A stage made by `microstage`, with damping.
+        times: Times at which the motion is returned; s.
+        travel: Final displacement of the input along x; m.
+        filter_time: Time constant of the filtered input displacement. If None, the input
+            makes a step at the first time, as in section 6.2.3; s.
+        tolerance: Tolerance of `simulate`. It is small because the displacements are.
+        settings: Further arguments of `simulate`.
+
+    Returns:
+        The transient response.
+
+    Raises:
+        RuntimeError: There is no equilibrium with this input displacement, or the
+            simulation failed.
 
     Source:
         Section 6.4 of the dissertation.
 
     Example:
         >>> from twistorjax.examples.stage import microstage
-        >>> settle(microstage(damping=1e-3)).gain
+        >>> stage = microstage(damping=1e-3)
+        >>> transient_response(stage).gain
         Array(27.62804, dtype=float64)
     """
-    start, drives = None, [Drive("6", x=travel)]
-    if rise is not None:
-        drives = Filtered(travel, rise)
+    if filter_time is None:
+        input_row = stage.index("6")
+        start = stage.reference.at[input_row, 1].add(travel)
+        drives = [Drive("6", x=travel)]
     else:
-        row = stage.index("6")
-        start = stage.reference.at[row, 1].add(travel)
+        start = None
+        drives = FilteredInput(travel, filter_time)
     motion = simulate(
         stage, times, drives=drives, start=start, tolerance=tolerance, **settings
     )
     output = motion.displacement("4")[:, 1]
-    body_2, body_6 = _ports(stage, motion)
-    return Transient(
+    return TransientResponse(
         motion=motion,
         output=output,
-        joint=jnp.stack([body_2, body_6]),
+        hinge_a=_hinge_a(stage, motion),
         gain=output[-1] / travel,
-        static_gain=amplify(stage, travel).gain,
+        static_gain=amplification(stage, travel).gain,
     )
 
 
-def plot(transient: Transient) -> "Figure":
-    """Draws the output's travel, and those of hinge a on both its bodies.
+def plot(response: TransientResponse) -> "Figure":
+    """Draw the displacement of the output, and those of hinge a on both of its bodies.
 
     Args:
-        transient: of a stage.
+        response: Transient response of a stage.
+
+    Returns:
+        The figure.
 
     Source:
         Figures 6.3 and 6.4 of the dissertation.
     """
-    times = 1e3 * np.asarray(transient.motion.times)
-    figure, (above, below) = subplots(2, size=(6.5, 6.5), sharex=True)
-    above.plot(times, 1e6 * np.asarray(transient.output), color=INK)
-    above.set_ylabel("output, body 4 (\N{MICRO SIGN}m)")
-    above.set_title(
-        f"gain {float(transient.gain):.4f} at the end, "
-        f"{float(transient.static_gain):.4f} at rest",
+    times = 1e3 * np.asarray(response.motion.times)
+    figure, (upper, lower) = subplots(2, size=(6.5, 6.5), sharex=True)
+    upper.plot(times, 1e6 * np.asarray(response.output), color=INK)
+    upper.set_ylabel("output, body 4 (\N{MICRO SIGN}m)")
+    upper.set_title(
+        f"gain {float(response.gain):.4f} at the end, "
+        f"{float(response.static_gain):.4f} in equilibrium",
         fontsize="medium",
     )
-    styles = (("body 2", ORANGE, "--"), ("body 6, the input", INK, "-"))
-    for travel, (label, color, style) in zip(transient.joint, styles, strict=True):
-        below.plot(
-            times, 1e6 * np.asarray(travel), color=color, linestyle=style, label=label
-        )
-    apart = 1e9 * abs(float(transient.joint[1, -1] - transient.joint[0, -1]))
-    below.set_ylabel("hinge a (\N{MICRO SIGN}m)")
-    below.set_title(f"apart by {apart:.1f} nm at the end", fontsize="medium")
-    below.set_xlabel("time (ms)")
-    below.legend(frameon=False)
+    on_body_2, on_body_6 = 1e6 * np.asarray(response.hinge_a)
+    lower.plot(times, on_body_2, color=ORANGE, linestyle="--", label="body 2")
+    lower.plot(times, on_body_6, color=INK, linestyle="-", label="body 6, the input")
+    compression = 1e9 * abs(float(response.compression))
+    lower.set_ylabel("hinge a (\N{MICRO SIGN}m)")
+    lower.set_title(f"difference {compression:.1f} nm at the end", fontsize="medium")
+    lower.set_xlabel("time (ms)")
+    lower.legend(frameon=False)
     return figure
 
 
-def _ports(stage: Mechanism, motion: Motion) -> list[Array]:
-    """How far both ports of hinge a have moved along x."""
+def _hinge_a(stage: Mechanism, motion: Motion) -> Float[Array, "2 times"]:
+    """Compute the displacements along x of both frames of hinge a; m."""
     row = stage.hinge_names.index("a")
     arms = stage.hinge_assembly.arms[row]
-    travels = []
+    displacements = []
     for body, arm in zip(stage.hinge_assembly.ends[row], arms, strict=True):
         angle, x, _ = motion.displacements[:, body].T
-        travels.append(x + se2._swing(arm, jnp.cos(angle / 2), jnp.sin(angle / 2))[0])
-    return travels
+        cos_half, sin_half = jnp.cos(angle / 2), jnp.sin(angle / 2)
+        displacements.append(x + se2.rotation_displacement(arm, cos_half, sin_half)[0])
+    return jnp.stack(displacements)

@@ -1,4 +1,4 @@
-"""Studies of one design of the stage or of a linkage, to be swept over many."""
+"""Studies of one design of the stage or of a linkage, for `twistorjax.sweep`."""
 
 from collections.abc import Mapping
 
@@ -8,46 +8,51 @@ from jaxtyping import ArrayLike
 from ..solve.results import RESULTS
 from ..solve.tables import Column
 from ..solve.vibrations import vibrations
-from .four_bar import drive, four_bar
-from .stage import Amplification, amplify, microstage, TRAVEL, WEB
+from .four_bar import driven_motion, four_bar
+from .stage import Amplification, amplification, microstage, TRAVEL, WEB
 
 
-# of the driven linkage: from rest to where it is turned furthest, and back
-_TIMES = tuple(0.01 * k for k in range(21))
+_TIMES = tuple(0.01 * k for k in range(21))  # one cycle of the driven linkage; s
 
 
 def stage_gain(design: Mapping[str, ArrayLike]) -> Amplification:
-    """The amplification of a stage.
+    """Compute the amplification of a stage.
 
     Args:
-        design: some of `web`, `hole` and `travel`, by default as they were built; m.
+        design: Any of `web`, `hole`, and `travel`; by default those of the stage as
+            built; m.
+
+    Returns:
+        The amplification. Its `result` reports a failure.
 
     Example:
         >>> stage_gain({"web": 0.25e-3}).gain
         Array(27.62804368, dtype=float64)
     """
-    built = {"web": WEB, "hole": 3e-3, "travel": TRAVEL, **design}
-    stage = microstage(built["web"], hole=built["hole"])
-    return amplify(stage, built["travel"], throw=False)
+    values = {"web": WEB, "hole": 3e-3, "travel": TRAVEL, **design}
+    stage = microstage(values["web"], hole=values["hole"])
+    return amplification(stage, values["travel"], throw=False)
 
 
 def driven_linkage(design: Mapping[str, ArrayLike]) -> dict[str, Column | RESULTS]:
-    """A linkage of like leaves as it is turned forth and back once.
+    """Simulate one cycle of a driven linkage with four identical leaves.
 
     Args:
-        design: some of `length` and `thickness` of its leaves, by default as built; m.
+        design: Any of `length` and `thickness` of the leaves; by default those of the
+            dissertation; m.
 
     Returns:
-        How far link 3 moves at most along x, the largest moment that drives link 2, the
-        slowest natural frequency of the linkage while link 2 is held.
+        The largest displacement of link 3 along x ("travel"), the largest moment that
+        drives link 2 ("moment"), and the lowest natural frequency of the linkage while
+        link 2 is fixed ("frequency").
     """
-    built = {"length": 10e-3, "thickness": 1e-3, **design}
-    linkage = four_bar(length=built["length"], thickness=built["thickness"])
-    motion = drive(linkage, _TIMES, tolerance=1e-6, throw=False)
-    free = vibrations(linkage, driven={"2": ["angle"]}, throw=False)
+    values = {"length": 10e-3, "thickness": 1e-3, **design}
+    linkage = four_bar(length=values["length"], thickness=values["thickness"])
+    motion = driven_motion(linkage, _TIMES, tolerance=1e-6, throw=False)
+    modes = vibrations(linkage, prescribed={"2": ["angle"]}, throw=False)
     return {
         "travel": Column(jnp.max(jnp.abs(motion.displacement("3")[:, 1])), (), "m"),
         "moment": Column(jnp.max(jnp.abs(motion.reaction("2")[:, 0])), (), "N m"),
-        "frequency": Column(free.frequencies[0], (), "Hz"),
+        "frequency": Column(modes.frequencies[0], (), "Hz"),
         "result": motion.result,
     }

@@ -1,19 +1,20 @@
-"""Two water molecules and the energy of their charges: sections 7.2 to 7.4.
+"""Fits to the electrostatic energy of two water molecules (sections 7.2 to 7.4).
 
-Each is the TIP5P model seen from above its plane: a charge at each hydrogen, and one
-where both lone pairs meet in projection; the oxygen, at the origin, bears none. One
-molecule is still, the other lies 3 to 6 Angstrom away, in some direction and turned by
-some angle, both even over a range about zero.
+Each molecule is the TIP5P model, projected onto the plane of its atoms: one charge at
+each hydrogen atom, and one charge at the common projection of both lone pairs. The oxygen
+atom is at the origin and has no charge. One molecule is fixed. The other is 3 to
+6 Angstrom away; its direction and its angle are uniformly distributed about zero.
 
-Lengths are in Angstrom, charges in those of the electron, and Coulomb's constant is one:
-energies are in e^2/Angstrom, which is 14.4 eV, wrenches in e^2/Angstrom and
-e^2/Angstrom^2. The text gives neither the constant nor the distances; its errors are
-those at the trials it fitted, and contradict one another (0.00089 and 0.01266).
+Lengths are in Angstrom, charges in elementary charges e, and the Coulomb constant is 1.
+Energies are therefore in e^2/Angstrom (14.4 eV), moments in e^2/Angstrom, and forces in
+e^2/Angstrom^2. The dissertation states neither the constant nor the distances. Its errors
+are training errors, and two statements of them contradict each other (0.00089 and
+0.01266).
 """
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -34,67 +35,76 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-CHARGES = (0.241, 0.241, -0.482)  # of both hydrogens, and of both lone pairs; e
+CHARGES = (0.241, 0.241, -0.482)  # both hydrogen atoms, and both lone pairs; e
 SITES = ((0.5858823, 0.7569503), (0.5858823, -0.7569503), (-0.4041513, 0.0))  # Angstrom
-NEAREST, FARTHEST = 3.0, 6.0  # from origin to origin; Angstrom
-FRESH = 2000  # trials to check a fit, and as many poses to keep its poles from
+NEAREST, FARTHEST = 3.0, 6.0  # distance of the oxygen atoms; Angstrom
+HELD_OUT = 2000  # number of held-out trials, and of poses checked for poles
 
-_SQUARE = 20.0  # about the mean of r^2; Angstrom^2
+_MEAN_SQUARE = 20.0  # of the distance, approximately; Angstrom^2
 _UNIT = "e\N{SUPERSCRIPT TWO}/\N{LATIN CAPITAL LETTER A WITH RING ABOVE}"
 
 
 def molecules() -> PointCharges:
-    """The energy of two water molecules; e^2/Angstrom.
+    """Return the energy of two water molecules; e^2/Angstrom.
 
     Source:
         Section 7.2 of the dissertation, figure 7.5 and equation 7.19.
 
     Example:
-        >>> molecules()(jnp.array([0.0, 3.0, 0.0]))  # dipoles in a row attract
+        >>> energy = molecules()
+        >>> energy(jnp.array([0.0, 3.0, 0.0]))  # two dipoles in a row attract each other
         Array(-0.014644..., dtype=float64)
     """
     return PointCharges(CHARGES, SITES, constant=1.0)
 
 
 def poses(
-    span: float, points: int, seed: int | Sequence[int]
+    angle_range: float, points: int, seed: int | Sequence[int]
 ) -> Float[Array, "points 3"]:
-    """Where the second molecule may be seen from the first; rad, Angstrom, Angstrom.
+    """Draw random poses of the second molecule relative to the first.
 
     Args:
-        span: of its angle, and of the direction in which it lies: from minus to plus half
-            of it, evenly; rad.
-        points: how many.
-        seed: of the choice.
+        angle_range: Width of the interval about zero in which the angle and the direction
+            of the second molecule are uniformly distributed; rad.
+        points: Number of poses.
+        seed: Seed of the random numbers.
+
+    Returns:
+        Angle (rad), x, and y (Angstrom) of each pose.
 
     Raises:
-        ValueError: the span is not within a turn; there are no points.
+        ValueError: The range is not positive or exceeds one revolution, or there are no
+            points.
     """
-    if not 0 < span <= 2 * math.pi:
+    if not 0 < angle_range <= 2 * math.pi:
         raise ValueError(
-            f"`span` is {span!r}, but must be above 0, and at most a turn; rad."
+            f"`angle_range` is {angle_range!r}, but must be positive and at most "
+            "2 pi; rad."
         )
     if points < 1:
         raise ValueError(f"`points` is {points!r}, but must be 1 or more.")
     uniform = np.random.default_rng(seed).random((3, points))
-    angles, directions = (uniform[:2] - 0.5) * span
+    angles, directions = (uniform[:2] - 0.5) * angle_range
     distances = NEAREST + (FARTHEST - NEAREST) * uniform[2]
     x, y = distances * np.cos(directions), distances * np.sin(directions)
     return jnp.asarray(np.stack([angles, x, y], axis=1))
 
 
 def trials(
-    span: float = math.pi / 2, points: int = 500, seed: int | Sequence[int] = 0
+    angle_range: float = math.pi / 2, points: int = 500, seed: int | Sequence[int] = 0
 ) -> Trials:
-    """Energies and wrenches of the second molecule at random poses.
+    """Compute energies and wrenches of the second molecule at random poses.
 
     Args:
-        span: of its angle and of its direction; rad.
-        points: how many.
-        seed: of their choice.
+        angle_range: Range of the angle and of the direction; rad.
+        points: Number of trials.
+        seed: Seed of the random numbers.
+
+    Returns:
+        The trials, in the units of this module.
 
     Raises:
-        ValueError: as for `poses`.
+        ValueError: As for `poses`.
 
     Source:
         Section 7.3.1 of the dissertation.
@@ -103,232 +113,269 @@ def trials(
         >>> len(trials(points=10))
         10
     """
-    where = poses(span, points, seed)
-    energies, wrenches = _exact(where)
-    return Trials(where, wrenches, energies)
+    sampled = poses(angle_range, points, seed)
+    energies, wrenches = _exact(sampled)
+    return Trials(poses=sampled, wrenches=wrenches, energies=energies)
 
 
 def power_of_distance(order: int) -> Polynomial:
-    """The distance to some even power, by that of 4.5 Angstrom: what has no zero.
+    """Return an even power of the ratio of the distance to 4.5 Angstrom.
+
+    It is positive at all distances, so it is a denominator without zeros.
 
     Args:
-        order: of the power.
+        order: Order of the power; even.
+
+    Returns:
+        The power, a polynomial of the translation.
 
     Raises:
-        ValueError: the order is odd, or not positive.
+        ValueError: The order is odd or not positive.
 
     Example:
-        >>> power_of_distance(2)(jnp.array([1.0, 2.0, 4.0]))  # (2^2 + 4^2) / 20
+        >>> square = power_of_distance(2)
+        >>> square(jnp.array([1.0, 2.0, 4.0]))  # (2^2 + 4^2) / 20
         Array(1., dtype=float64)
     """
     if order < 2 or order % 2:
         raise ValueError(
-            f"`order` is {order!r}, but must be even, from 2 on: even powers of the "
-            "distance alone are polynomials."
+            f"`order` is {order!r}, but must be an even number from 2 on: only even "
+            "powers of the distance are polynomials."
         )
     half = order // 2
-    return Polynomial(
-        [
-            math.comb(half, k) * (4 * NEAREST**2 / _SQUARE) ** half
-            for k in range(half + 1)
-        ],
-        [(0, 0, order - 2 * k, 2 * k) for k in range(half + 1)],
-        scale=NEAREST,
-    )
+    factor = (4 * NEAREST**2 / _MEAN_SQUARE) ** half
+    coefficients = [math.comb(half, k) * factor for k in range(half + 1)]
+    powers = [(0, 0, order - 2 * k, 2 * k) for k in range(half + 1)]
+    return Polynomial(coefficients, powers, scale=NEAREST)
 
 
-def fit_polynomial(of: Trials, order: int, **settings) -> RationalFit:
-    """A polynomial of the twistor, fitted to energies alone.
+def fit_polynomial(data: Trials, order: int, **settings) -> RationalFit:
+    """Fit a polynomial of the twistor to energies alone.
 
     Args:
-        of: trials of the molecules.
-        order: of the polynomial.
-        settings: for `fit_rational`.
+        data: Trials of the molecules.
+        order: Order of the polynomial.
+        settings: Further arguments of `fit_rational`.
+
+    Returns:
+        The fit; its denominator is 1.
 
     Source:
-        Equation 7.21 of the dissertation, which is 4.69.
+        Equation 7.21 of the dissertation, which is equation 4.69.
     """
     settings = {"scale": 1.0, "denominator": "base", **settings}
-    return fit_rational(Trials(of.poses, energies=of.energies), order, **settings)
+    return fit_rational(Trials(data.poses, energies=data.energies), order, **settings)
 
 
-def fit_plain(of: Trials, order: int, **settings) -> RationalFit:
-    """A quotient of two polynomials of the twistor, fitted to energies alone.
+def fit_unregularized(data: Trials, order: int, **settings) -> RationalFit:
+    """Fit a rational function of the twistor to energies alone, without regularization.
 
-    Its denominator has a constant of one, and is free else. It is left to the trials,
-    between which it changes sign.
+    The constant term of the denominator is 1, and its other coefficients are free.
+    Nothing keeps the denominator positive, so it changes sign between the trials.
 
     Args:
-        of: trials of the molecules.
-        order: of both polynomials.
-        settings: for `fit_rational`.
+        data: Trials of the molecules.
+        order: Order of numerator and denominator.
+        settings: Further arguments of `fit_rational`.
+
+    Returns:
+        The fit.
 
     Source:
         Equations 7.22 to 7.25 of the dissertation.
     """
-    settings = {"scale": 1.0, "ridge": 0.0, "even": False, **settings}
-    return fit_rational(Trials(of.poses, energies=of.energies), order, **settings)
+    settings = {"scale": 1.0, "ridge": 0.0, "normalize_columns": False, **settings}
+    return fit_rational(Trials(data.poses, energies=data.energies), order, **settings)
 
 
-def fit_quotient(of: Trials, order: int, **settings) -> RationalFit:
-    """A quotient by what is known of the molecules, fitted to energies and wrenches.
+def fit_regularized(data: Trials, order: int, **settings) -> RationalFit:
+    """Fit a regularized rational function to energies and wrenches.
 
-    They are alike, and each is its own mirror image: so of the terms only those are
-    left that do not change when the molecules are exchanged, or mirrored. The denominator
-    is a power of their distance, which has no zero, and some of these terms; it is drawn
-    to the former until it has no zero at the poses `clear_of`.
+    The molecules are identical, and each is its own mirror image. The energy therefore
+    contains only terms that do not change if the molecules are exchanged or mirrored. The
+    denominator is the sum of a power of the distance, which has no zero, and of a
+    polynomial in these terms. A ridge regularizes this polynomial, until the denominator
+    is positive at the poses `pole_free_poses`.
 
     Args:
-        of: trials of the molecules.
-        order: of both polynomials; even.
-        settings: for `fit_rational`: `denominator="base"`, say, for the power alone.
+        data: Trials of the molecules.
+        order: Order of numerator and denominator; even.
+        settings: Further arguments of `fit_rational`, such as `denominator="base"` for
+            the power of the distance alone.
+
+    Returns:
+        The fit.
 
     Raises:
-        ValueError: as for `power_of_distance` and `fit_rational`.
+        ValueError: As for `power_of_distance` and `fit_rational`.
 
     Example:
-        >>> fit_quotient(trials(points=200), 4).training.largest_energy < 1e-3
+        >>> data = trials(points=200)
+        >>> fit_regularized(data, order=4).training.largest_energy < 1e-3
         True
     """
-    known = {
+    settings = {
         "symmetry": ("mirror", "exchange", "sign"),
         "base": power_of_distance(order),
+        **settings,
     }
-    return fit_rational(of, order, **{**known, **settings})
+    return fit_rational(data, order, **settings)
 
 
-FITS = {
+FITS: dict[str, Callable[..., RationalFit]] = {
     "polynomial": fit_polynomial,
-    "plain quotient": fit_plain,
-    "kept from poles": fit_quotient,
+    "unregularized rational": fit_unregularized,
+    "regularized rational": fit_regularized,
 }
 
 
 class Study(eqx.Module):
-    """Fits to trials of two water molecules, and what they say of fresh ones.
+    """Three kinds of fits to trials of two water molecules, and their errors.
 
     Args:
-        order: of numerators and denominators.
-        span: of the angle of the second molecule, and of its direction; rad.
-        trials: those fitted, by seed.
-        fresh: trials that no fit has seen, by seed.
-        fits: by name, those of `FITS`, and by seed.
+        order: Order of numerators and denominators.
+        angle_range: Range of the angle and of the direction of the second molecule; rad.
+        trials: Trials to which energies are fitted, for each seed.
+        held_out_trials: Trials that check the fits, for each seed.
+        fits: Fits by name, as in `FITS`, for each seed.
     """
 
     order: int
-    span: float
+    angle_range: float
     trials: tuple[Trials, ...]
-    fresh: tuple[Trials, ...]
+    held_out_trials: tuple[Trials, ...]
     fits: dict[str, tuple[RationalFit, ...]]
 
-    def training(self, name: str) -> np.ndarray:
-        """The largest error of the energy at the trials fitted, by seed."""
+    def training_error(self, name: str) -> np.ndarray:
+        """Return the largest error of the energy at fitted trials, for each seed."""
         return np.array([fit.training.largest_energy for fit in self.fits[name]])
 
-    def held_out(self, name: str) -> np.ndarray:
-        """The largest error of the energy at fresh trials, by seed."""
-        return np.array([_errors(fit).largest_energy for fit in self.fits[name]])
+    def held_out_error(self, name: str) -> np.ndarray:
+        """Return the largest error of the energy at held-out trials, for each seed."""
+        return np.array([_held_out(fit).largest_energy for fit in self.fits[name]])
 
-    def wrenches(self, name: str) -> np.ndarray:
-        """The error of the wrench at fresh trials as a part of it, by seed.
+    def wrench_error(self, name: str) -> np.ndarray:
+        """Return the relative error of the wrench at held-out trials, for each seed.
 
-        Root mean squares; that component which is met worst.
+        It is the ratio of root mean squares, of the component for which it is largest.
         """
-        return np.array([_errors(fit).relative.max() for fit in self.fits[name]])
+        return np.array([_held_out(fit).relative.max() for fit in self.fits[name]])
 
     def __repr__(self) -> str:
         seeds = len(self.trials)
-        energies = np.concatenate([np.asarray(some.energies) for some in self.trials])
-        heads = ("unknowns", "rank", "training", "held out", "wrench", "with poles")
+        energies = np.concatenate([np.asarray(data.energies) for data in self.trials])
+        title = (
+            f"two water molecules, order {self.order}, "
+            f"angle range {self.angle_range:.4g} rad: {len(self.trials[0])} fitted "
+            f"trials, {len(self.held_out_trials[0])} held-out trials"
+        )
+        if seeds > 1:
+            title += f"; medians of {seeds} seeds"
+        rms = np.sqrt(np.mean(energies**2))
         lines = [
-            f"two water molecules, order {self.order}, angles over {self.span:.4g} rad: "
-            f"{len(self.trials[0])} trials fitted, {len(self.fresh[0])} held out"
-            + (f"; medians over {seeds} seeds" if seeds > 1 else ""),
-            "largest error of the energy (e^2/Angstrom; the energy's rms is "
-            f"{np.sqrt(np.mean(energies**2)):.2g}), rms error of the wrench (as a part)",
-            f"{'':<16}" + "".join(f"{head:>11}" for head in heads),
+            title,
+            f"largest error of the energy (e^2/Angstrom; rms of the energy: {rms:.2g}), "
+            "relative rms error of the wrench",
         ]
+        heads = ("unknowns", "rank", "training", "held out", "wrench", "with poles")
+        lines.append(f"{'':<24}" + "".join(f"{head:>11}" for head in heads))
         for name, fits in self.fits.items():
             cells = (
-                str(fits[0].terms),
+                f"{fits[0].terms}",
                 f"{np.median([fit.rank for fit in fits]):.0f}",
-                *(
-                    f"{np.median(errors(name)):.2g}"
-                    for errors in (self.training, self.held_out, self.wrenches)
-                ),
+                f"{np.median(self.training_error(name)):.2g}",
+                f"{np.median(self.held_out_error(name)):.2g}",
+                f"{np.median(self.wrench_error(name)):.2g}",
                 f"{sum(fit.has_poles for fit in fits)} of {seeds}",
             )
-            lines.append(f"{name:<16}" + "".join(f"{cell:>11}" for cell in cells))
+            lines.append(f"{name:<24}" + "".join(f"{cell:>11}" for cell in cells))
         return "\n".join(lines)
 
 
 def study(
     order: int = 6,
-    span: float = math.pi / 2,
+    angle_range: float = math.pi / 2,
     points: int = 500,
     seeds: Sequence[int] = (0,),
 ) -> Study:
-    """Fits the energy of two water molecules in three ways, and checks each.
+    """Fit the energy of two water molecules in three ways, and check each fit.
 
     Args:
-        order: of numerators and denominators; even.
-        span: of the angle of the second molecule, and of its direction; rad.
-        points: trials to fit.
-        seeds: of the choice of trials, of fresh ones and of poses without energies where
-            there must be no pole.
+        order: Order of numerators and denominators; even.
+        angle_range: Range of the angle and of the direction of the second molecule; rad.
+        points: Number of trials that are fitted.
+        seeds: Seeds of the fitted trials, of the held-out trials, and of the poses that
+            are checked for poles.
+
+    Returns:
+        The fits and their errors.
 
     Raises:
-        ValueError: as for `poses` and `power_of_distance`.
+        ValueError: As for `poses` and `power_of_distance`.
 
     Source:
         Section 7.4 of the dissertation, figures 7.8 to 7.29.
 
     Example:
-        >>> found = study(order=4, points=200)
-        >>> bool(found.held_out("kept from poles") < found.held_out("polynomial") / 5)
+        >>> result = study(order=4, points=200)
+        >>> rational_error = result.held_out_error("regularized rational")
+        >>> polynomial_error = result.held_out_error("polynomial")
+        >>> bool(rational_error < polynomial_error / 5)
         True
     """
-    power_of_distance(order)  # refuses an order before any work is done
-    fitted = tuple(trials(span, points, (seed, 0)) for seed in seeds)
-    fresh = tuple(trials(span, FRESH, (seed, 1)) for seed in seeds)
+    power_of_distance(order)  # raises an error before the trials are computed
+    fitted = tuple(trials(angle_range, points, (seed, 0)) for seed in seeds)
+    held_out = tuple(trials(angle_range, HELD_OUT, (seed, 1)) for seed in seeds)
     fits: dict[str, list[RationalFit]] = {name: [] for name in FITS}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # told by the answer
-        for seed, some, others in zip(seeds, fitted, fresh, strict=True):
-            clear = {"clear_of": poses(span, FRESH, (seed, 2)), "held_out": others}
+        warnings.simplefilter("ignore")  # the result reports poles
+        for seed, data, check in zip(seeds, fitted, held_out, strict=True):
+            pole_free_poses = poses(angle_range, HELD_OUT, (seed, 2))
             for name, fit in FITS.items():
-                fits[name].append(fit(some, order, **clear))
-    of_all = {name: tuple(of_one) for name, of_one in fits.items()}
-    return Study(order, span, fitted, fresh, of_all)
+                fits[name].append(
+                    fit(data, order, pole_free_poses=pole_free_poses, held_out=check)
+                )
+    return Study(
+        order=order,
+        angle_range=angle_range,
+        trials=fitted,
+        held_out_trials=held_out,
+        fits={name: tuple(of_seeds) for name, of_seeds in fits.items()},
+    )
 
 
 def plot(study: Study) -> "Figure":
-    """Draws the energies of the first seed as they are and as they are fitted.
+    """Draw the exact and the fitted energies of the first seed, and their errors.
 
     Args:
-        study: of the molecules.
+        study: A study made by `study`.
+
+    Returns:
+        The figure: energies in the upper row, distributions of the errors in the lower
+        row; fitted trials on the left, held-out trials on the right.
 
     Source:
-        Figures 7.8, 7.11, 7.13, 7.14 and their like of the dissertation.
+        Figures 7.8, 7.11, 7.13, 7.14, and similar figures of the dissertation.
     """
     figure, axes = subplots(2, 2, size=(11, 8))
     axes[1, 1].sharex(axes[1, 0])
     axes[1, 1].sharey(axes[1, 0])
-    parts = (("fitted", study.trials[0]), ("held out", study.fresh[0]))
-    shown = {name: study.fits[name][0] for name in reversed(FITS)}
-    for (above, below), (name, some) in zip(axes.T, parts, strict=True):
-        given = np.asarray(some.energies)
-        values = {
-            kind: np.asarray(jax.jit(jax.vmap(fit.energy))(some.poses))
-            for kind, fit in shown.items()
+    fits = {name: study.fits[name][0] for name in reversed(FITS)}
+    parts = (("fitted", study.trials[0]), ("held-out", study.held_out_trials[0]))
+    for (upper, lower), (part, data) in zip(axes.T, parts, strict=True):
+        exact = np.asarray(data.energies)
+        fitted = {
+            name: np.asarray(jax.jit(jax.vmap(fit.energy))(data.poses))
+            for name, fit in fits.items()
         }
-        draw_ranked(above, given, values, _UNIT)
-        above.set_title(f"{len(some)} trials {name}", fontsize="medium")
-        gaps = {kind: found - given for kind, found in values.items()}
-        draw_distribution(below, gaps, _UNIT)
+        draw_ranked(upper, exact, fitted, _UNIT)
+        upper.set_title(f"{len(data)} {part} trials", fontsize="medium")
+        errors = {name: energies - exact for name, energies in fitted.items()}
+        draw_distribution(lower, errors, _UNIT)
     axes[1, 0].legend(fontsize="small", loc="lower left")
     figure.suptitle(
-        f"two water molecules, order {study.order}, angles over {study.span:.4g} rad"
+        f"two water molecules, order {study.order}, "
+        f"angle range {study.angle_range:.4g} rad"
     )
     return figure
 
@@ -337,10 +384,12 @@ def plot(study: Study) -> "Figure":
 def _exact(
     poses: Float[Array, "points 3"],
 ) -> tuple[Float[Array, " points"], Float[Array, "points 3"]]:
+    """Compute the exact energies and wrenches at some poses, in the module's units."""
     energy = molecules()
     return jax.vmap(energy)(poses), jax.vmap(energy.wrench)(poses)
 
 
-def _errors(fit: RationalFit) -> Errors:
-    assert fit.held_out is not None  # of every study
+def _held_out(fit: RationalFit) -> Errors:
+    """Return the errors of a fit at the held-out trials, which every study has."""
+    assert fit.held_out is not None
     return fit.held_out

@@ -1,13 +1,14 @@
-"""Energies of flexures that are cut from a plate, from their dimensions and material.
+"""Energies and stresses of flexures that are cut from a plate.
 
-Start reading in `leaf` and `notch`, which return the energy of a hinge for use in small
-rotations. `beam` solves a geometrically exact beam of any outline, `exact_beam` makes an
-energy of it, and `surrogate` replaces that by a polynomial which is as fast as one hinge.
-`stress` computes the largest stress from the wrench of a hinge.
+Start reading in `leaf` and `notch`, which return the energy of a hinge for small
+rotations, from its dimensions and its material. `beam` and `beam_solution` model a
+geometrically exact beam of any outline. `exact_beam` makes an energy of it, and
+`surrogate` approximates this energy by a polynomial, which is as fast as any other hinge.
+`stress` computes the largest stress in a flexure.
 """
 
-from .beam import (
-    Beam as Beam,
+from .beam import Beam as Beam
+from .beam_solution import (
     beam_under_load as beam_under_load,
     BeamSolution as BeamSolution,
     largest_rotation as largest_rotation,
@@ -24,5 +25,9 @@ from .notch import (
     notch_outline as notch_outline,
     notch_profile as notch_profile,
 )
-from .stress import leaf_stress as leaf_stress, notch_stress as notch_stress
+from .stress import (
+    largest_stress as largest_stress,
+    leaf_stress as leaf_stress,
+    notch_stress as notch_stress,
+)
 from .surrogate import surrogate as surrogate

@@ -1,4 +1,4 @@
-"""A beam's own energy: exact, and slow."""
+"""Energy of an exact beam as a function of its displacement: accurate, but slow."""
 
 from functools import partial
 from typing import Any
@@ -12,26 +12,32 @@ from .._utils.types import Pose, Scalar
 from ..energies.base import AbstractEnergy
 from ..geometry import se2
 from ..geometry.twistors import Displacement
-from .beam import Beam, beam_under_load, BeamSolution, end_of, last_section, units_of
+from .beam import Beam, load_units
+from .beam_solution import beam_under_load, BeamSolution, end_section, pose_and_wrench
+
+
+# Increments of the displacement, and as many for stiffening the auxiliary spring
+_INCREMENTS = 8
+_SPRING_COMPLIANCE = 0.05  # in lengths per E I / L^2
 
 
 class ExactBeam(AbstractEnergy):
-    """The energy of a beam itself: exact at any displacement, and slow.
+    """The energy of a geometrically exact beam, for any displacement.
 
-    The load that brings it to a displacement is found by Newton's method, from rest along
-    the twist that leads there; where none is found, the energy is NaN. It takes some
-    milliseconds a displacement, and as a hinge of a mechanism a minute to compile.
+    The load that belongs to a displacement is found by Newton's method, which follows the
+    constant twist from the reference configuration to the displacement. If no load is
+    found, the energy is NaN. An evaluation takes some milliseconds. A mechanism with such
+    a hinge takes about a minute to compile; `surrogate` makes a fast hinge of a beam.
 
     Args:
-        beam: with its frames at the middle, axis 1 along it.
+        beam: The beam.
 
     Example:
-        >>> from twistorjax import Material
-        >>> from twistorjax.flexures import beam_under_load
-        >>> soft = Material(modulus=3.45e9, poisson=0.3)
-        >>> leaf = Beam(soft, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> bent = beam_under_load(leaf, jnp.array([0.1, 0.0, 0.0]))
-        >>> ExactBeam(leaf).wrench(bent.pose)[0]
+        >>> import twistorjax as tj
+        >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
+        >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
+        >>> solution = beam_under_load(beam, jnp.array([0.1, 0.0, 0.0]))
+        >>> ExactBeam(beam).wrench(solution.pose)[0]  # the moment
         Array(0.1, dtype=float64)
     """
 
@@ -39,145 +45,166 @@ class ExactBeam(AbstractEnergy):
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         cos, sin = displacement.sigma, displacement.xi
-        half, across = displacement.x1, displacement.x2
-        place = jnp.stack([cos * half - sin * across, sin * half + cos * across])
-        pose = jnp.concatenate([displacement.angle[None], 2 * place])
-        return _stored(self.beam, pose)
+        half_1, half_2 = displacement.x1, displacement.x2
+        half = jnp.stack([cos * half_1 - sin * half_2, sin * half_1 + cos * half_2])
+        pose = jnp.concatenate([displacement.angle[None], 2 * half])
+        return _energy(self.beam, pose)
 
 
-def beam_at_pose(beam: Beam, pose: Pose, places: int = 21) -> BeamSolution:
-    """A beam bent to a pose: what it bears there, its line and its stress.
+def beam_at_pose(beam: Beam, pose: Pose, sections: int = 21) -> BeamSolution:
+    """Compute the deformed state of a beam at a given displacement of its ends.
 
     Args:
-        beam: with its frames at the middle, axis 1 along it.
-        pose: of frame b, seen from frame a, as `Mechanism.displacement_of` tells it of a
-            hinge; rad, m, m.
-        places: how many sections are told, the ends among them.
+        beam: The beam.
+        pose: Pose of frame b relative to frame a, for example the displacement of a hinge
+            as `Mechanism.displacement_of` returns it; rad, m, m.
+        sections: Number of cross-sections of the result, including both ends.
 
     Returns:
-        NaN where no load is found that bends it there; see `ExactBeam`.
+        The deformed state. It is NaN if no load is found for this displacement; see
+        `ExactBeam`.
 
     Example:
-        >>> from twistorjax import Material
-        >>> soft = Material(modulus=3.45e9, poisson=0.3)
-        >>> leaf = Beam(soft, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> beam_at_pose(leaf, jnp.array([0.1, 0.0, 0.0])).stress.max() / 1e6  # MPa
-        Array(15.15..., dtype=float64)
+        >>> import twistorjax as tj
+        >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
+        >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
+        >>> solution = beam_at_pose(beam, jnp.array([0.1, 0.0, 0.0]))
+        >>> tj.flexures.largest_stress(solution) / 1e6  # MPa
+        Array(20.79..., dtype=float64)
     """
-    return beam_under_load(beam, _load(beam, pose) * units_of(beam), places)
+    return beam_under_load(beam, _load(beam, pose) * load_units(beam), sections)
 
 
 @jax.custom_jvp
-def _stored(beam: Beam, pose: Pose) -> Scalar:
-    """The energy of a beam at a pose."""
-    return _through_load(beam, pose)
+def _energy(beam: Beam, pose: Pose) -> Scalar:
+    """Compute the energy of a beam at a pose (rad, m, m); J."""
+    return _integrated_energy(beam, pose)
 
 
-def _through_load(beam: Beam, pose: Pose) -> Scalar:
-    return units_of(beam)[0] * last_section(beam, _load(beam, pose)).energy
+def _integrated_energy(beam: Beam, pose: Pose) -> Scalar:
+    """Compute the energy of a beam at a pose (rad, m, m) from its load; J."""
+    return load_units(beam)[0] * end_section(beam, _load(beam, pose)).energy
 
 
-@partial(_stored.defjvp, symbolic_zeros=True)
-def _(primals, tangents):
-    # by the pose it is the wrench, which is known; by the beam, that of its integral
+@partial(_energy.defjvp, symbolic_zeros=True)
+def _energy_jvp(primals, tangents):
+    # The derivative with respect to the pose is the wrench, which is known. Only the
+    # derivative with respect to the beam needs that of the integration.
     beam, pose = primals
-    of_beam, of_pose = tangents
+    beam_tangent, pose_tangent = tangents
     load = _load(beam, pose)
-    wrench = load * units_of(beam)
-    moment = wrench[0] - se2._cross(pose[1:], wrench[1:])
-    turn = _whole(of_pose, pose)
-    rate = moment * turn[0] + jnp.dot(wrench[1:], turn[1:])
+    wrench = load * load_units(beam)
+    moment = wrench[0] - se2.cross(pose[1:], wrench[1:])
+    velocity = _fill_zeros(pose_tangent, pose)
+    power = moment * velocity[0] + jnp.dot(wrench[1:], velocity[1:])
 
-    if _still(of_beam):
-        return _through_load(beam, pose), rate
-    moving = (_whole(of_beam, beam),)
-    value, more = eqx.filter_jvp(lambda beam: _through_load(beam, pose), (beam,), moving)
-    return value, rate + more
+    if _is_constant(beam_tangent):
+        return _integrated_energy(beam, pose), power
+    energy, rate = eqx.filter_jvp(
+        lambda beam: _integrated_energy(beam, pose),
+        (beam,),
+        (_fill_zeros(beam_tangent, beam),),
+    )
+    return energy, power + rate
 
 
-def _still(tangents: Any) -> bool:
-    """Whether nothing of it changes, so that its part need not be compiled."""
+def _is_constant(tangents: Any) -> bool:
+    """Return whether all tangents are symbolic zeros, so that nothing is compiled."""
     leaves = jax.tree.leaves(tangents, is_leaf=_is_zero)
     return all(map(_is_zero, leaves))
 
 
 def _is_zero(leaf: Any) -> bool:
+    """Return whether a leaf is a symbolic zero."""
     return isinstance(leaf, jax.custom_derivatives.SymbolicZero)
 
 
-def _whole(tangents: Any, primals: Any) -> Any:
-    leaves, tree = jax.tree.flatten(tangents, is_leaf=_is_zero)
+def _fill_zeros(tangents: Any, primals: Any) -> Any:
+    """Replace the symbolic zeros of tangents by arrays of the shapes of the primals."""
+    leaves, structure = jax.tree.flatten(tangents, is_leaf=_is_zero)
     values = jax.tree.leaves(primals)
     filled = [
         jnp.zeros_like(value) if _is_zero(leaf) else leaf
         for leaf, value in zip(leaves, values, strict=True)
     ]
-    return jax.tree.unflatten(tree, filled)
+    return jax.tree.unflatten(structure, filled)
 
 
 @jax.custom_jvp
 def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
-    """The load, in its units, that brings a beam to a pose: by Newton's method.
+    """Find the load that displaces a beam to a pose, by Newton's method.
 
-    From rest along the twist that leads there, with a soft spring behind it along the
-    axis, which is then stiffened: a thin beam by itself would be stretched or pressed on
-    its way by far more than it bears, as bending draws its ends together. NaN where no
-    load is found.
+    The pose is approached in increments along the constant twist. Bending draws the ends
+    of a beam together, so the axial force of a thin beam would be much too large on this
+    way. An auxiliary axial spring in series with the beam prevents this. It is then
+    stiffened in steps, and removed.
+
+    Args:
+        beam: The beam.
+        pose: Pose of frame b relative to frame a; rad, m, m.
+
+    Returns:
+        The load about the origin of frame a and in its axes, over `load_units`. NaN if no
+        load is found.
     """
-    sizes = _sizes(beam)
+    units = _pose_units(beam)
     twist = se2.twist(pose)
 
-    def nearer(k: Array, load: Array) -> Array:
-        part = jnp.minimum(k // 2 + 1, _PARTS) / _PARTS
-        stiffening = jnp.maximum(k // 2 + 1 - _PARTS, 0)
-        soft = jnp.where(stiffening > _PARTS, 0.0, _SOFT * 0.2**stiffening)
-        half = part * pose[0] / 2
+    def newton_step(k: Array, load: Array) -> Array:
+        fraction = jnp.minimum(k // 2 + 1, _INCREMENTS) / _INCREMENTS
+        stiffenings = jnp.maximum(k // 2 + 1 - _INCREMENTS, 0)
+        compliance = jnp.where(
+            stiffenings > _INCREMENTS, 0.0, _SPRING_COMPLIANCE * 0.2**stiffenings
+        )
+        half = fraction * pose[0] / 2
         axis = jnp.stack([jnp.zeros(()), jnp.cos(half), jnp.sin(half)])
-        reached, slope = _reached_and_slope(beam, load)
-        gap = se2.exp(twist * part) / sizes - reached - soft * axis * (axis @ load)
-        return load + jnp.linalg.solve(slope + soft * jnp.outer(axis, axis), gap)
+        reached, derivative = _reached_and_derivative(beam, load)
+        spring = compliance * axis * (axis @ load)
+        residual = se2.exp(twist * fraction) / units - reached - spring
+        matrix = derivative + compliance * jnp.outer(axis, axis)
+        return load + jnp.linalg.solve(matrix, residual)
 
-    load = jax.lax.fori_loop(0, 4 * _PARTS + 4, nearer, jnp.zeros(3))
-    gap = jnp.max(jnp.abs(_reached(beam, load) - pose / sizes))
-    return jnp.where(gap < 1e-9, load, jnp.nan)
+    load = jax.lax.fori_loop(0, 4 * _INCREMENTS + 4, newton_step, jnp.zeros(3))
+    residual = jnp.max(jnp.abs(_reached(beam, load) - pose / units))
+    return jnp.where(residual < 1e-9, load, jnp.nan)
 
 
 @partial(_load.defjvp, symbolic_zeros=True)
-def _(primals, tangents):
+def _load_jvp(primals, tangents):
+    # Implicit differentiation of reached(beam, load) = pose
     beam, pose = primals
-    of_beam, of_pose = tangents
+    beam_tangent, pose_tangent = tangents
     load = _load(beam, pose)
-    _, slope = _reached_and_slope(beam, load)
+    _, derivative = _reached_and_derivative(beam, load)
 
-    rate = _whole(of_pose, pose) / _sizes(beam)
-    if not _still(of_beam):
+    rate = _fill_zeros(pose_tangent, pose) / _pose_units(beam)
+    if not _is_constant(beam_tangent):
 
-        def short(beam: Beam) -> Array:
-            return pose / _sizes(beam) - _reached(beam, load)
+        def residual(beam: Beam) -> Array:
+            return pose / _pose_units(beam) - _reached(beam, load)
 
-        rate = rate + eqx.filter_jvp(short, (beam,), (_whole(of_beam, beam),))[1]
-    return load, jnp.linalg.solve(slope, rate)
-
-
-# on the way from rest to a displacement, and as many while the spring is stiffened
-_PARTS = 8
-_SOFT = 0.05  # lengths by E I / L^2
+        filled = _fill_zeros(beam_tangent, beam)
+        rate = rate + eqx.filter_jvp(residual, (beam,), (filled,))[1]
+    return load, jnp.linalg.solve(derivative, rate)
 
 
-def _reached(beam: Beam, load: Array) -> Float[Array, "3"]:
-    """The pose that a load leads to, translations in parts of the length."""
-    pose, _ = end_of(beam, load * units_of(beam), last_section(beam, load))
-    return pose / _sizes(beam)
-
-
-def _sizes(beam: Beam) -> Float[Array, "3"]:
+def _pose_units(beam: Beam) -> Float[Array, "3"]:
+    """Return the units of a dimensionless pose, (1, L, L); rad, m, m."""
     return jnp.stack([jnp.ones(()), beam.length, beam.length])
 
 
-def _reached_and_slope(beam: Beam, load: Array) -> tuple[Array, Array]:
-    def twice(load: Array) -> tuple[Array, Array]:
+def _reached(beam: Beam, load: Array) -> Float[Array, "3"]:
+    """Compute the dimensionless pose that a dimensionless load produces."""
+    pose, _ = pose_and_wrench(beam, load * load_units(beam), end_section(beam, load))
+    return pose / _pose_units(beam)
+
+
+def _reached_and_derivative(beam: Beam, load: Array) -> tuple[Array, Array]:
+    """Compute the dimensionless pose of a load, and its derivative by the load."""
+
+    def reached_twice(load: Array) -> tuple[Array, Array]:
         reached = _reached(beam, load)
         return reached, reached
 
-    slope, reached = jax.jacfwd(twice, has_aux=True)(load)
-    return reached, slope
+    derivative, reached = jax.jacfwd(reached_twice, has_aux=True)(load)
+    return reached, derivative

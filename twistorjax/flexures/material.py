@@ -1,4 +1,4 @@
-"""What a plate is made of."""
+"""Elastic material of a plate."""
 
 import equinox as eqx
 from jaxtyping import ArrayLike
@@ -13,13 +13,15 @@ class Material(eqx.Module):
     Args:
         modulus: Young's modulus; Pa.
         poisson: Poisson's ratio.
-        density: needed for masses alone; kg/m3.
+        density: Density, which is only needed for masses; kg/m3.
 
     Raises:
-        ValueError: a value is not positive, or Poisson's ratio is above a half.
+        ValueError: The modulus or the density is not positive, or Poisson's ratio is not
+            between -1 and 0.5.
 
     Example:
-        >>> Material(modulus=69e9, poisson=0.33).shear_modulus
+        >>> aluminum = Material(modulus=69e9, poisson=0.33)
+        >>> aluminum.shear_modulus
         Array(2.59398496e+10, dtype=float64)
     """
 
@@ -31,11 +33,11 @@ class Material(eqx.Module):
         self, modulus: ArrayLike, poisson: ArrayLike, density: ArrayLike | None = None
     ):
         self.modulus = require_positive("`modulus`", modulus)
-        needed = "must lie above -1 and be at most 0.5"
-        self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, needed)
+        requirement = "must be above -1 and at most 0.5"
+        self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, requirement)
         self.density = None if density is None else require_positive("`density`", density)
 
     @property
     def shear_modulus(self) -> Scalar:
-        """Resistance to a change of angle; Pa."""
+        """Shear modulus; Pa."""
         return self.modulus / (2 * (1 + self.poisson))

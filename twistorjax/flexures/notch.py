@@ -1,4 +1,4 @@
-"""Notch hinges: the neck that two round holes leave between them."""
+"""Notch hinges: the neck between two circular holes."""
 
 from typing import Literal
 
@@ -13,14 +13,14 @@ from .._utils.validation import (
     require_kind,
     require_positive,
 )
-from ..energies.base import Quadratic
+from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from .material import Material
 
 
 Formula = Literal["fitted", "paros-weisbord", "paros-weisbord-simplified"]
 
-# web / hole, from above to and including: see `notch` for the reasons
+# Limits of web / hole. The reasons are in the docstring of `notch`.
 _RANGES = {
     "fitted": (0.05, 0.5),
     "paros-weisbord": (0.0, 0.25),
@@ -37,43 +37,53 @@ def notch(
     formula: Formula = "fitted",
     coordinates: Coordinates = "twistor",
 ) -> Quadratic:
-    """The energy of a notch hinge, in the frame at its middle with axis 1 along it.
+    """Create the quadratic energy of a notch hinge.
+
+    Its frame is at the middle of the neck, with axis 1 along the neck.
 
     Args:
-        material: of the plate.
-        hole: diameter of the two round holes; m.
-        web: thickness of the neck where it is thinnest; m.
-        width: out of the plane: the plate's own thickness; m.
-        formula: where the stiffness comes from.
+        material: Material of the plate.
+        hole: Diameter of the two circular holes; m.
+        web: Smallest thickness of the neck; m.
+        width: Out-of-plane width, which is the thickness of the plate; m.
+        formula: Source of the stiffness.
 
-            * "fitted": curves through many finite-element analyses, as the dissertation
-              lists them. For webs from 0.05 to 0.5 of the hole; below, the curve for
-              shear leaves that of a beam that shears (0.88 of it at 0.05, 0.71 at 0.03)
-              and is negative under 0.0157.
-            * "paros-weisbord": the neck as a beam of variable height, integrated
-              exactly, without shear. For webs to 0.25 of the hole, where shear would
-              double the transverse compliance; it adds 0.4 to it at 0.1.
-            * "paros-weisbord-simplified": the leading terms of that for thin webs, to a
-              tenth of the hole, where they are within 3 % in rotation, 11 % in axial
-              and 23 % in transverse stiffness of the exact integrals.
+            * "fitted": Curves that were fitted to many finite-element analyses, as listed
+              in the dissertation. They are valid for web / hole from 0.05 to 0.5. Below
+              0.05 the transverse stiffness is too small: it is 0.88 times that of a beam
+              with shear at 0.05 and 0.71 times at 0.03, and it is negative below 0.0157.
+            * "paros-weisbord": A beam of variable height without shear, integrated
+              exactly. It is valid for web / hole up to 0.25. Shear would increase the
+              transverse compliance by 40 % at 0.1, and double it at 0.25.
+            * "paros-weisbord-simplified": The leading terms of "paros-weisbord" for thin
+              webs. They are valid for web / hole up to 0.1. There the rotational
+              stiffness is within 3 %, the axial stiffness within 11 % and the transverse
+              stiffness within 23 % of the exact integrals.
 
-            The fitted axial stiffness is below that of the beam, whose stress is even
-            over each section: by 33 % at 0.05, 37 % at 0.1, 46 % at 0.3 of the hole.
-        coordinates: of the quadratic energy, "twistor" or "twist".
+            The axial stiffness of "fitted" is smaller than that of a beam, in which the
+            stress is uniform over each section: by 33 % at 0.05, by 37 % at 0.1 and by
+            46 % at 0.3.
+        coordinates: Coordinates of the energy, "twistor" or "twist".
+
+    Returns:
+        The energy.
 
     Raises:
-        ValueError: a dimension is not positive, or the web is outside the range.
+        ValueError: A dimension is not positive, or web / hole is outside the range of the
+            formula.
 
     Source:
-        The listing `notch_stiff` of the dissertation, after Zhang and Fasse; Paros and
-        Weisbord, How to design flexure hinges, Machine Design 37 (1965), and equation
-        6.2 (for the stage it gives 2.4907 N m/rad; the text prints 2.4919). Their
-        transverse stiffness is for a load at the end of the neck; here it is
-        that of the middle, from the same integrals.
+        The listing `notch_stiff` of the dissertation, after Zhang and Fasse. Paros and
+        Weisbord, How to design flexure hinges, Machine Design 37 (1965). Their transverse
+        stiffness is for a load at the end of the neck; here it is for a load at the
+        middle, from the same integrals. The simplified rotational stiffness is equation
+        6.2 of the dissertation. For its stage, this equation gives 2.4907 N m/rad; the
+        text prints 2.4919 N m/rad.
 
     Example:
-        >>> plate = Material(modulus=69e9, poisson=0.33)
-        >>> jnp.diag(notch(plate, hole=3e-3, web=0.25e-3, width=0.02).stiffness)
+        >>> aluminum = Material(modulus=69e9, poisson=0.33)
+        >>> energy = notch(aluminum, hole=3e-3, web=0.25e-3, width=0.02)
+        >>> jnp.diag(energy.stiffness)
         Array([2.50965125e+00, 1.58837017e+08, 1.66074768e+07], dtype=float64)
     """
     require_kind("material", [material], Material)
@@ -82,60 +92,69 @@ def notch(
     ratio = require_interval(
         "`web / hole`",
         web / hole,
-        low * (1 - 1e-12),  # 0.15 mm to 3 mm is within, but not to the last bit
+        low * (1 - 1e-12),  # The quotient 0.15 mm / 3 mm is not exactly 0.05.
         high * (1 + 1e-12),
-        f"the formula {formula!r} holds above {low:g} and up to {high:g}",
+        f"the formula {formula!r} is valid from {low:g} to {high:g}",
     )
     scale = material.modulus * require_positive("`width`", width)
     stiffnesses = {
         "fitted": _fitted,
-        "paros-weisbord": _beam,
-        "paros-weisbord-simplified": _thin,
+        "paros-weisbord": _paros_weisbord,
+        "paros-weisbord-simplified": _paros_weisbord_simplified,
     }[formula](ratio)
     units = jnp.stack([scale * hole**2, scale, scale])
     return Quadratic(jnp.diag(units * jnp.stack(stiffnesses)), coordinates)
 
 
 def notch_profile(*, hole: ArrayLike, web: ArrayLike) -> jax.tree_util.Partial:
-    """The thickness of a notch's neck along its axis, for a `Beam` as long as the holes.
+    """Return the thickness of the neck of a notch as a function of the position.
 
-    In so short a neck the stress is not even over each section, as a beam takes it:
-    finite elements turn by some per cent less moment, and give by a third to a half more
-    along the axis; see `notch`.
+    Use it as the `thickness` of a `Beam` with the length `hole`. In a neck as short as
+    this, the stress is not uniform over a section, as a beam assumes. Finite elements
+    give a rotational stiffness that is some percent smaller, and an axial stiffness that
+    is a third to a half smaller; see `notch`.
 
     Args:
-        hole: diameter of the two round holes; m.
-        web: thickness of the neck where it is thinnest; m.
+        hole: Diameter of the two circular holes; m.
+        web: Smallest thickness of the neck; m.
+
+    Returns:
+        The thickness of the neck (m) as a function of the position along axis 1 (m).
 
     Raises:
-        ValueError: a dimension is not positive.
+        ValueError: A dimension is not positive.
 
     Example:
-        >>> neck = notch_profile(hole=3e-3, web=0.25e-3)
-        >>> neck(jnp.array(0.0)), neck(jnp.array(1.5e-3))
+        >>> thickness = notch_profile(hole=3e-3, web=0.25e-3)
+        >>> thickness(jnp.array(0.0)), thickness(jnp.array(1.5e-3))
         (Array(0.00025, dtype=float64), Array(0.00325, dtype=float64))
     """
     hole, web = require_positive("`hole`", hole), require_positive("`web`", web)
-    return jax.tree_util.Partial(_between_holes, hole, web)
+    return jax.tree_util.Partial(_neck_thickness, hole, web)
 
 
-def _between_holes(hole: Scalar, web: Scalar, place: Scalar) -> Scalar:
-    square = hole**2 - (2 * place) ** 2
-    inside = square > 0  # rounding puts the ends outside, where a root has no derivative
+def _neck_thickness(hole: Scalar, web: Scalar, position: Scalar) -> Scalar:
+    """Compute the thickness of a neck at a position along its axis; all in m."""
+    square = hole**2 - (2 * position) ** 2
+    # Rounding may put the ends outside, where the square root has no derivative.
+    inside = square > 0
     return web + hole - jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
 
 
 def notch_outline(
     *, hole: ArrayLike, web: ArrayLike, height: ArrayLike | None = None, points: int = 24
 ) -> Corners:
-    """The outline of a notch's neck in its own frame, for drawing; m.
+    """Compute the outline of the neck of a notch in its frame, for drawing.
 
     Args:
-        hole: diameter of the two round holes; m.
-        web: thickness of the neck where it is thinnest; m.
-        height: of the bodies beside it, across, which it does not exceed; by default as
-            far as the holes reach; m.
-        points: along each side.
+        hole: Diameter of the two circular holes; m.
+        web: Smallest thickness of the neck; m.
+        height: In-plane height of the adjacent bodies, which limits the outline; m. The
+            default is the full height of the holes.
+        points: Number of points on each side.
+
+    Returns:
+        The corners of the outline; m.
     """
     angle = jnp.linspace(-jnp.pi / 2, jnp.pi / 2, points)
     x = jnp.sin(angle) * hole / 2
@@ -145,7 +164,12 @@ def notch_outline(
     return jnp.concatenate([jnp.stack([x, y], 1), jnp.stack([x, -y], 1)[::-1]])
 
 
+# The three formulas take r = web / hole. They return the rotational stiffness over
+# modulus * width * hole^2, and the axial and transverse stiffness over modulus * width.
+
+
 def _fitted(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Evaluate the curves that were fitted to finite-element analyses."""
     root = jnp.sqrt(r)
     rotation = r**2 * (0.1109 * root - 0.035 * r)
     axial = 0.3568 * root + 0.1452 * r
@@ -153,9 +177,10 @@ def _fitted(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return rotation, axial, shear
 
 
-def _beam(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    # Height h = hole (a - cos phi) at x = hole / 2 sin phi. A_n is the integral of
-    # (a - cos phi)^-n over the half circle; each follows from the derivative of the last.
+def _paros_weisbord(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Integrate a beam of the height h = hole (a - cos phi) at x = hole / 2 sin phi."""
+    # A_n is the integral of (a - cos phi)^-n over the half circle. Each A_n follows from
+    # the derivative of the previous one.
     a = 1 + r
     square = r * (2 + r)
     first = 4 / jnp.sqrt(square) * jnp.arctan(jnp.sqrt((2 + r) / r))
@@ -167,9 +192,10 @@ def _beam(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return 1 / rotation, 1 / axial, 1 / shear
 
 
-def _thin(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    slender = jnp.sqrt(1 / (2 * r))  # sqrt(radius / web)
-    rotation = r**2 / (4.5 * jnp.pi * slender)
-    axial = 1 / (jnp.pi * slender - 2.57)
-    shear = 1 / (1.5 * jnp.pi * slender**3)
+def _paros_weisbord_simplified(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Evaluate the leading terms of `_paros_weisbord` for thin webs."""
+    slenderness = jnp.sqrt(1 / (2 * r))  # sqrt(radius / web)
+    rotation = r**2 / (4.5 * jnp.pi * slenderness)
+    axial = 1 / (jnp.pi * slenderness - 2.57)
+    shear = 1 / (1.5 * jnp.pi * slenderness**3)
     return rotation, axial, shear

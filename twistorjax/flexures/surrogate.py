@@ -1,4 +1,4 @@
-"""Energies of beams as polynomials: nearly exact, at the cost of one hinge."""
+"""Polynomial surrogates of exact beams: nearly as accurate, and fast as a hinge."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -20,69 +20,74 @@ from .._utils.validation import (
     require_kind,
     require_positive,
 )
-from ..energies.fitting import mixed
+from ..energies.fitting.mixed import mixed_terms, twist_and_stress_matrix
 from ..energies.mixed import MixedEnergy
 from ..energies.monomials import monomials, Powers, Symmetry
 from ..energies.validity import WithValidityRange
-from .beam import Beam, end_of, last_section, uniform, units_of
+from .beam import Beam, load_units, uniform_thickness
+from .beam_solution import end_section, pose_and_wrench
 
 
 _ORDERS = (4, 6, 8, 10)
-_SAMPLES = 800  # to fit, and half as many to certify
+_SAMPLES = 800  # for the fit; half as many more are for the error estimate
 
 
 def surrogate(
     beam: Beam,
     *,
-    turn: ArrayLike,
+    rotation: ArrayLike,
     force: ArrayLike | None = None,
     error: float = 1e-3,
     order: int | None = None,
 ) -> WithValidityRange:
-    """A beam's energy as a hinge: a polynomial that is nearly exact over a range.
+    """Approximate the energy of a beam by a polynomial over a range of displacements.
 
-    Of a mixed kind, see `MixedEnergy`: so it takes as few terms for a very slender leaf as
-    for a thick one. At rest its stiffness is the beam's own. It can be differentiated by
-    all dimensions of the beam, to the error that it has in the wrench. A sweep over them
-    goes under `jax.jit` and `jax.lax.map`, with `order` given.
+    The energy is a `MixedEnergy`, which needs as few terms for a very slender leaf as for
+    a thick one. In the reference configuration it has the stiffness of the beam. It can
+    be differentiated with respect to the dimensions of the beam, with the accuracy of its
+    wrench. To compute surrogates of many beams, use `jax.jit` and `jax.lax.map`, and give
+    `order`.
 
     Args:
-        beam: leaf, notch or any other outline.
-        turn: the largest, either way, up to which it is to hold; rad.
-        force: the largest, in any direction; by default five times the bending stiffness
-            over the length, five E I / L^2 of a leaf. At some ten times it would buckle
-            between its ends, which no polynomial follows; N.
-        error: the largest that is accepted in any component of the wrench, root mean
-            square over that of the wrenches, on samples that the fit has not seen. While
-            the beam is being traced it cannot be looked at: then it is only told.
-        order: of the polynomial in turn and translation: 4, 6, 8 or 10; by default the
-            least that has the error; six while the beam is being traced.
+        beam: A beam of any outline.
+        rotation: Largest rotation, in both directions; rad.
+        force: Largest magnitude of the force, in any direction; N. The default is
+            5 E I / L^2, for a leaf with the length L. Above about 10 E I / L^2, a beam in
+            compression buckles between its ends, which a polynomial cannot represent.
+        error: Largest relative error of a component of the wrench: the rms error divided
+            by the rms value, on samples that are not used in the fit. If the beam is
+            traced, the error cannot be checked, and is only returned.
+        order: Order of the polynomial in the rotation and the transverse displacement: 4,
+            6, 8 or 10. The default is the lowest order with an accepted error, or 6 if
+            the beam is traced.
 
     Returns:
-        The energy with its range, and its error as `error`, for (moment, axial force,
-        transverse force) on fresh samples, spread evenly over turns and forces.
+        The energy with its validity range. Its field `error` has the relative errors of
+        the moment, the axial force and the transverse force. They are computed on
+        separate samples, which are uniformly distributed over rotations and forces.
 
     Raises:
-        ValueError: double precision is off; the error is not met, or the beam cannot be
-            bent so far; a setting makes no sense.
+        ValueError: Double precision is disabled, the error is not reached, the beam
+            buckles within the range, or an argument is out of its range.
 
     Source:
-        The polynomial energies of section 4.7 of the dissertation, of a beam instead of
-        measurements, in the form of `MixedEnergy`.
+        The polynomial energies of section 4.7 of the dissertation, in the form of
+        `MixedEnergy`, and fitted to a beam instead of measurements.
 
     Example:
-        >>> from twistorjax import Material
-        >>> from twistorjax.flexures import beam_under_load
-        >>> soft = Material(modulus=3.45e9, poisson=0.3)
-        >>> leaf = Beam(soft, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> hinge = surrogate(leaf, turn=0.8)
-        >>> hinge.wrench(beam_under_load(leaf, jnp.array([0.05, 0.0, 2.0])).pose)[2].round(2)
-        Array(1.88, dtype=float64)
+        >>> import twistorjax as tj
+        >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
+        >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
+        >>> energy = surrogate(beam, rotation=0.8)
+        >>> load = jnp.array([0.05, 0.0, 2.0])  # N m, N, N
+        >>> exact = tj.flexures.beam_under_load(beam, load)
+        >>> energy.wrench(exact.pose)[2].round(2), exact.wrench[2].round(2)
+        (Array(1.88, dtype=float64), Array(1.88, dtype=float64))
     """
     require_kind("beam", [beam], Beam)
     require_float64(beam.length)
-    turn = require_interval(
-        "`turn`", turn, 0.0, 2 * np.pi, "must be positive, to a full turn"
+    rotation = require_interval(
+        "`rotation`", rotation, 0.0, 2 * np.pi, "must be positive and at most 2 pi"
     )
     if not error > 0:
         raise ValueError(f"`error` is {error!r}, but must be positive.")
@@ -90,173 +95,220 @@ def surrogate(
         raise ValueError(f"`order` is {order!r}, but must be one of {_ORDERS}.")
     if force is not None:
         force = require_positive("`force`", force)
-    alike = _alike(beam)
+    equal_ends = _has_equal_ends(beam)
     middle = beam.profile(jnp.zeros(()))
-    samples = _sampled(beam, turn, force)
-    if all_concrete([middle, turn, *jax.tree.leaves(samples)]) is None:
-        return _fitted(_powers(order or 6, alike), beam.length, turn, samples)
-    missed = float(jnp.max(samples.missed))
-    ends = f"a turn of {float(turn):.4g} rad and a force of {float(samples.force):.4g} N"
-    if not missed < 1e-6:
+    samples = _sample(beam, rotation, force)
+    if all_concrete([middle, rotation, *jax.tree.leaves(samples)]) is None:
+        return _fit(_powers(order or 6, equal_ends), beam.length, rotation, samples)
+    limits = (
+        f"a rotation of {float(rotation):.4g} rad and a force of "
+        f"{float(samples.force):.4g} N"
+    )
+    if not float(jnp.max(samples.rotation_error)) < 1e-6:
         raise ValueError(
-            f"The beam cannot be bent everywhere up to {ends}: from "
-            f"{float(samples.least_missed):.3g} N on some turns are not found. Pressed "
-            "by some ten times its bending stiffness over its length it buckles between "
-            "its ends. Take a smaller `turn` or `force`."
+            f"The beam cannot be computed everywhere up to {limits}: from "
+            f"{float(samples.least_failed_force):.3g} N on, no equilibrium is found at "
+            "some rotations. A beam in compression buckles between its ends at about "
+            "10 E I / L^2. Use a smaller `rotation` or `force`."
         )
-    reached = {}
+    errors = {}
     for tried in _ORDERS if order is None else (order,):
-        hinge = _fitted(_powers(tried, alike), beam.length, turn, samples)
-        reached[tried] = float(jnp.max(hinge.error))
-        if reached[tried] <= error:
-            return hinge
-    told = ", ".join(f"order {tried} {worst:.2g}" for tried, worst in reached.items())
+        energy = _fit(_powers(tried, equal_ends), beam.length, rotation, samples)
+        errors[tried] = float(jnp.max(energy.error))
+        if errors[tried] <= error:
+            return energy
+    listed = ", ".join(
+        f"{worst:.2g} with order {tried}" for tried, worst in errors.items()
+    )
     raise ValueError(
-        f"An error of {error:g} is not met up to {ends}, but by {told}. Take a smaller "
-        "range, or accept a larger `error`."
+        f"The `error` of {error:g} is not reached up to {limits}; it is {listed}. Use a "
+        "smaller range, or accept a larger `error`."
     )
 
 
 class _Samples(NamedTuple):
-    """Displacements of a beam, and what they take.
+    """Displacements of a beam and their wrenches.
 
     Args:
-        poses: of frame b, seen from frame a; rad, m, m.
-        wrenches: that body B exerts: about b, in its axes; N m, N, N.
-        missed: by how much the turn is not what was wanted; rad.
-        least_missed: the least force under which one is missed; N.
-        force: the largest; N.
-        stiffness: of the beam at rest, rotation first; N m/rad, N/rad, N/m.
+        poses: Poses of frame b relative to frame a; rad, m, m.
+        wrenches: Wrenches that body B exerts on the beam, in frame b; N m, N, N.
+        rotation_error: Magnitude of computed minus prescribed rotation; rad.
+        least_failed_force: Smallest force at which the prescribed rotation was not
+            reached, infinite if there is none; N.
+        force: Largest force; N.
+        stiffness: Stiffness of the beam in the reference configuration; N m/rad, N/rad,
+            N/m.
     """
 
     poses: Float[Array, "samples 3"]
     wrenches: Float[Array, "samples 3"]
-    missed: Float[Array, " samples"]
-    least_missed: Scalar
+    rotation_error: Float[Array, " samples"]
+    least_failed_force: Scalar
     force: Scalar
     stiffness: Matrix
 
 
 @jax.jit
-def _sampled(beam: Beam, turn: Scalar, force: Scalar | None) -> _Samples:
-    """Turns and forces spread evenly, those to fit first, each with its moment."""
-    units = units_of(beam)
+def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
+    """Compute a beam at rotations and forces that are uniformly distributed.
 
-    def sample(load: Wrench) -> tuple[Pose, Wrench]:
-        return end_of(beam, load * units, last_section(beam, load))
+    Args:
+        beam: The beam.
+        rotation: Largest rotation; rad.
+        force: Largest force; N. `None` for the default.
+
+    Returns:
+        The samples: first those for the fit, then those for the error estimate.
+    """
+    units = load_units(beam)
+
+    def displace(load: Wrench) -> tuple[Pose, Wrench]:
+        return pose_and_wrench(beam, load * units, end_section(beam, load))
 
     stiffness = jnp.linalg.inv(
-        jax.jacfwd(lambda load: sample(load)[0])(jnp.zeros(3)) / units[None]
+        jax.jacfwd(lambda load: displace(load)[0])(jnp.zeros(3)) / units[None]
     )
     limit = 5 * stiffness[0, 0] / beam.length if force is None else force
-    still, largest, slack, softest = lax.stop_gradient(
-        (beam, turn, limit / units[1], units[0] / stiffness[0, 0])
+    # The samples are constants for differentiation; only their poses and wrenches at
+    # given loads depend on the beam.
+    constant_beam, largest_rotation, largest_force, compliance = lax.stop_gradient(
+        (beam, rotation, limit / units[1], units[0] / stiffness[0, 0])
     )
 
-    def turned(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
-        return last_section(still, jnp.concatenate([moment[None], force])).angle
+    def angle(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
+        return end_section(constant_beam, jnp.concatenate([moment[None], force])).angle
 
-    def load(spread: Float[Array, "3"]) -> tuple[Wrench, Scalar]:
-        wanted = largest * (2 * spread[0] - 1)
-        angle = 2 * np.pi * spread[2]
-        direction = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
-        across = slack * jnp.sqrt(spread[1]) * direction
+    def find_load(point: Float[Array, "3"]) -> tuple[Wrench, Scalar]:
+        """Find the load of a point in the unit cube, and the error of its rotation."""
+        target = largest_rotation * (2 * point[0] - 1)
+        direction_angle = 2 * np.pi * point[2]
+        direction = jnp.stack([jnp.cos(direction_angle), jnp.sin(direction_angle)])
+        force = largest_force * jnp.sqrt(point[1]) * direction
 
-        def nearer(_, moment: Scalar) -> Scalar:
+        def newton_step(_, moment: Scalar) -> Scalar:
             one = jnp.ones_like(moment)
-            reached, slope = jax.jvp(lambda m: turned(m, across), (moment,), (one,))
-            # no more than from one winding to the next
-            gap = jnp.clip(wanted - reached, -1.0, 1.0)
-            return moment + gap / jnp.maximum(slope, 0.03 * softest)
+            value, slope = jax.jvp(lambda m: angle(m, force), (moment,), (one,))
+            # A larger step could lead to a solution with another number of windings.
+            residual = jnp.clip(target - value, -1.0, 1.0)
+            return moment + residual / jnp.maximum(slope, 0.03 * compliance)
 
-        moment = lax.fori_loop(0, 10, nearer, wanted / softest)
-        missed = jnp.abs(turned(moment, across) - wanted)
-        return jnp.concatenate([moment[None], across]), missed
+        moment = lax.fori_loop(0, 10, newton_step, target / compliance)
+        rotation_error = jnp.abs(angle(moment, force) - target)
+        return jnp.concatenate([moment[None], force]), rotation_error
 
-    loads, missed = jax.vmap(load)(_spread())
-    poses, wrenches = jax.vmap(sample)(lax.stop_gradient(loads))
-    missed = jnp.where(jnp.isfinite(missed), missed, jnp.inf)
+    loads, errors = jax.vmap(find_load)(_low_discrepancy_points())
+    poses, wrenches = jax.vmap(displace)(lax.stop_gradient(loads))
+    errors = jnp.where(jnp.isfinite(errors), errors, jnp.inf)
     forces = units[1] * jnp.linalg.norm(loads[:, 1:], axis=1)
-    least = jnp.min(jnp.where(missed < 1e-6, jnp.inf, forces))
-    return _Samples(poses, wrenches, missed, least, limit, stiffness)
+    least_failed_force = jnp.min(jnp.where(errors < 1e-6, jnp.inf, forces))
+    return _Samples(poses, wrenches, errors, least_failed_force, limit, stiffness)
 
 
-def _spread() -> Float[Array, "samples 3"]:
-    """Points that fill a cube evenly: multiples of powers of a generalised golden ratio.
+def _low_discrepancy_points() -> Float[Array, "samples 3"]:
+    """Return uniformly distributed points of the unit cube.
 
-    Those that certify are a sequence of their own, half a cube away.
+    The points are multiples of powers of the generalized golden ratio, modulo 1. The
+    points of the error estimate are a second sequence, shifted by half the cube.
     """
     golden = 1.2207440846057596  # the root of x^4 = x + 1
     steps = golden ** -np.arange(1.0, 4.0)
-    to_fit = np.arange(1, _SAMPLES + 1)[:, None] * steps
-    to_certify = 0.5 + np.arange(1, _SAMPLES // 2 + 1)[:, None] * steps
-    return jnp.asarray(np.concatenate([to_fit, to_certify]) % 1)
+    for_fit = np.arange(1, _SAMPLES + 1)[:, None] * steps
+    for_error = 0.5 + np.arange(1, _SAMPLES // 2 + 1)[:, None] * steps
+    return jnp.asarray(np.concatenate([for_fit, for_error]) % 1)
 
 
-def _alike(beam: Beam) -> bool:
-    """Whether both ends are seen to be alike."""
-    if getattr(beam.profile, "func", None) is uniform:
+def _has_equal_ends(beam: Beam) -> bool:
+    """Return whether a beam is known to be symmetric about its middle section."""
+    if getattr(beam.profile, "func", None) is uniform_thickness:
         return True
-    places = jnp.asarray(np.linspace(-0.5, 0.5, 101)) * beam.length
-    heights = concrete(jax.vmap(beam.profile)(places))
+    positions = jnp.asarray(np.linspace(-0.5, 0.5, 101)) * beam.length
+    heights = concrete(jax.vmap(beam.profile)(positions))
     return heights is not None and np.allclose(heights, heights[::-1], rtol=1e-9, atol=0)
 
 
-def _powers(order: int, alike: bool) -> Powers:
-    """Those of a flexure that is its own mirror image, and bears nothing at rest."""
-    symmetry: Sequence[Symmetry] = ("mirror", "ends") if alike else ("mirror",)
-    powers = monomials(order, "tension", symmetry=symmetry)
+def _powers(order: int, equal_ends: bool) -> Powers:
+    """List the powers of the terms of a beam, which is symmetric about its axis.
+
+    The constant and the term that is linear in the axial force are left out, because the
+    reference configuration has no energy and no displacement.
+    """
+    symmetry: Sequence[Symmetry] = ("mirror", "ends") if equal_ends else ("mirror",)
+    powers = monomials(order, "mixed", symmetry=symmetry)
     return tuple(row for row in powers if row not in ((0, 0, 0), (0, 0, 1)))
 
 
 @partial(jax.jit, static_argnums=0)
-def _fitted(
-    powers: Powers, length: Scalar, turn: Scalar, samples: _Samples
+def _fit(
+    powers: Powers, length: Scalar, rotation: Scalar, samples: _Samples
 ) -> WithValidityRange:
-    """The energy, and its error on the samples left over."""
-    coefficients = _coefficients(powers, length, samples)
+    """Fit an energy, and estimate its error on the samples that are not fitted.
+
+    Args:
+        powers: Powers of the terms.
+        length: Length of the beam; m.
+        rotation: Largest rotation; rad.
+        samples: Samples of the beam.
+
+    Returns:
+        The energy with its validity range.
+    """
+    coefficients = _fit_coefficients(powers, length, samples)
     energy = MixedEnergy(coefficients, powers, length=length, force=samples.force)
-    left = jax.vmap(energy.wrench)(samples.poses[_SAMPLES:])
-    truth = samples.wrenches[_SAMPLES:]
-    error = jnp.sqrt(jnp.mean((left - truth) ** 2, axis=0) / jnp.mean(truth**2, axis=0))
-    return WithValidityRange(energy, turn, samples.force, error)
+    wrenches = jax.vmap(energy.wrench)(samples.poses[_SAMPLES:])
+    exact = samples.wrenches[_SAMPLES:]
+    square = jnp.mean((wrenches - exact) ** 2, axis=0)
+    error = jnp.sqrt(square / jnp.mean(exact**2, axis=0))
+    return WithValidityRange(energy, rotation, samples.force, error)
 
 
-def _coefficients(
+def _fit_coefficients(
     powers: Powers, length: Scalar, samples: _Samples
 ) -> Float[Array, " terms"]:
-    """By linear least squares of moment, transverse force and length.
+    """Fit moment, transverse force and axial displacement by linear least squares.
 
-    An error of the length is one of the tension, by how much the beam gives there: so
-    the lengths' weights follow from a first fit, and from another.
+    An error of the axial displacement is equivalent to an error of the axial force, by
+    the axial compliance of the sample. This compliance, which is the weight of the axial
+    displacement, is computed from the previous of four fits.
+
+    Args:
+        powers: Powers of the terms.
+        length: Length of the beam; m.
+        samples: Samples of the beam.
+
+    Returns:
+        The coefficients; J.
     """
-    twists, turning = jax.vmap(mixed.by_twist)(samples.poses[:_SAMPLES])
-    pulls = jnp.einsum("sij,sj->si", turning, samples.wrenches[:_SAMPLES])
-    adds = mixed.terms(powers, twists, pulls[:, 1], length, samples.force)
-    at_rest = _at_rest(length, samples)
-    none = jnp.zeros(())
-    start = jnp.stack([at_rest.get(row, none) for row in powers])
-    rows = jnp.stack([adds.moment, adds.shear, adds.length])
-    right = jnp.stack([pulls[:, 0], pulls[:, 2], twists[:, 1]]) - rows @ start
-    free = np.array([k for k, row in enumerate(powers) if row not in at_rest])
-    rows, gives = rows[..., free], adds.give[:, free]
+    twists, matrices = jax.vmap(twist_and_stress_matrix)(samples.poses[:_SAMPLES])
+    stresses = jnp.einsum("sij,sj->si", matrices, samples.wrenches[:_SAMPLES])
+    terms = mixed_terms(powers, twists, stresses[:, 1], length, samples.force)
+    quadratic = _quadratic_coefficients(length, samples)
+    zero = jnp.zeros(())
+    start = jnp.stack([quadratic.get(row, zero) for row in powers])
+    rows = jnp.stack([terms.moment, terms.transverse_force, terms.axial_displacement])
+    targets = jnp.stack([stresses[:, 0], stresses[:, 2], twists[:, 1]]) - rows @ start
+    free = np.array([k for k, row in enumerate(powers) if row not in quadratic])
+    rows, compliance_rows = rows[..., free], terms.axial_compliance[:, free]
 
-    moment, tension, shear = jnp.sqrt(jnp.mean(pulls**2, axis=0))
-    stiffest = samples.stiffness[1, 1]
-    give = jnp.full_like(twists[:, 1], jnp.std(twists[:, 1]) / tension)
+    moment, axial_force, transverse_force = jnp.sqrt(jnp.mean(stresses**2, axis=0))
+    axial_stiffness = samples.stiffness[1, 1]
+    compliance = jnp.full_like(twists[:, 1], jnp.std(twists[:, 1]) / axial_force)
     found = jnp.zeros(len(free))
     for _ in range(4):
-        each = 1 / (give * tension)
-        alike = [jnp.full_like(each, 1 / size) for size in (moment, shear)]
-        weights = jnp.stack([*alike, each])
+        axial = 1 / (compliance * axial_force)
+        others = [jnp.full_like(axial, 1 / size) for size in (moment, transverse_force)]
+        weights = jnp.stack([*others, axial])
         weighted = (weights[..., None] * rows).reshape(-1, len(free))
-        found = _least_squares(weighted, (weights * right).reshape(-1))
-        give = jnp.maximum(gives @ found + 1 / stiffest, 1e-3 / stiffest)
+        found = _least_squares(weighted, (weights * targets).reshape(-1))
+        compliance = jnp.maximum(
+            compliance_rows @ found + 1 / axial_stiffness, 1e-3 / axial_stiffness
+        )
     return start.at[free].set(found)
 
 
-def _at_rest(length: Scalar, samples: _Samples) -> dict[tuple[int, ...], Scalar]:
-    """The coefficients that the stiffness at rest tells, which are not fitted."""
+def _quadratic_coefficients(
+    length: Scalar, samples: _Samples
+) -> dict[tuple[int, ...], Scalar]:
+    """Return the coefficients that follow from the stiffness, and are not fitted; J."""
     stiffness = samples.stiffness
     return {
         (2, 0, 0): stiffness[0, 0] / 2,
@@ -267,10 +319,13 @@ def _at_rest(length: Scalar, samples: _Samples) -> dict[tuple[int, ...], Scalar]
 
 
 def _least_squares(
-    rows: Float[Array, "equations terms"], right: Float[Array, " equations"]
+    rows: Float[Array, "equations terms"], targets: Float[Array, " equations"]
 ) -> Float[Array, " terms"]:
-    """By normal equations, which differentiate well; the columns made alike in size."""
+    """Solve linear least squares by normal equations of columns of unit norm.
+
+    Normal equations are easy to differentiate.
+    """
     size = jnp.sqrt(jnp.sum(rows**2, axis=0))
     scaled = rows / size[None]
-    square = cho_factor(scaled.T @ scaled)
-    return cho_solve(square, scaled.T @ right) / size
+    factor = cho_factor(scaled.T @ scaled)
+    return cho_solve(factor, scaled.T @ targets) / size

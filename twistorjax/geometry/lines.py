@@ -1,13 +1,14 @@
-"""Line vectors of the plane: forces, and the lines on which they act.
+"""Line vectors of the plane: forces and their lines of action.
 
-A line vector `(moment, l, h)` has a magnitude and direction `(l, h)` and a line, told by
-its moment about the origin, but no point of that line. A wrench is one, and wrenches on
-a body add up to one. Sections 2.2 and 2.4 of the dissertation.
+A line vector `(moment, l, h)` has a magnitude, a direction `(l, h)` and a line. The
+moment about the origin determines the line, but no point on it. A wrench is a line
+vector, and the sum of the wrenches on a body is a wrench. Sections 2.2 and 2.4 of the
+dissertation.
 
-The resultant worked out there is right as a sum, `(6 + 3 sqrt 3, F, F)` with
-`F = 3 (1 + sqrt 3) / 2`. Its magnitude is printed without the `1 / sqrt 2` that two equal
-components leave: it is 5.796, not `3 + 3 sqrt 3` = 8.196. It meets the x axis where
-moment over F says, at `sqrt(3) + 1`; the text has `sqrt(3) - 1`.
+Corrections to section 2.4: the resultant `(6 + 3 sqrt(3), F, F)` with
+`F = 3 (1 + sqrt(3)) / 2` is correct, but two numbers after it are not. The magnitude is
+`sqrt(2) F = 5.796`, not `3 + 3 sqrt(3) = 8.196`. The line intersects the x axis at
+`moment / F = sqrt(3) + 1`, not at `sqrt(3) - 1`.
 """
 
 import equinox as eqx
@@ -15,18 +16,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._utils.types import Point, Scalar, Wrench
-from .se2 import _cross
+from .se2 import cross
 
 
 def line(start: Point, end: Point) -> Float[Array, "3"]:
-    """The line vector that leads from one point to another.
+    """Compute the line vector from one point to another.
 
     Args:
-        start: a point on the line; m.
-        end: another; m.
+        start: Start point; m.
+        end: End point; m.
 
     Returns:
-        `(moment, l, h)`, the Pluecker coordinates: twice the area that it spans with the
+        The Pluecker coordinates `(moment, l, h)`: the moment of the vector about the
         origin, and its two components; m2, m, m.
 
     Source:
@@ -37,34 +38,38 @@ def line(start: Point, end: Point) -> Float[Array, "3"]:
         Array([8., 0., 2.], dtype=float64)
     """
     along = end - start
-    return jnp.concatenate([_cross(start, along)[None], along])
+    return jnp.concatenate([cross(start, along)[None], along])
 
 
-def force(at: Point, force: Point) -> Wrench:
-    """The wrench about the origin of a force that acts at a point.
+def force(point: Point, force: Point) -> Wrench:
+    """Compute the wrench about the origin of a force that acts at a point.
 
     Args:
-        at: any point of the force's line; m.
-        force: its components; N.
+        point: Any point on the line of action; m.
+        force: Components of the force; N.
+
+    Returns:
+        The moment about the origin, and the force; N m, N, N.
 
     Source:
-        Equations 2.74 and 2.75 of the dissertation.
+        Equations 2.74 and 2.75 of the dissertation. The example is from its section 2.4.
 
     Example:
-        >>> half = jnp.array([jnp.sqrt(3) / 2, 0.5])  # section 2.4: 3 N at 30 degrees
-        >>> force(jnp.array([4.0, 0.0]), 3 * half)
+        >>> direction = jnp.array([jnp.sqrt(3) / 2, 0.5])  # at 30 degrees
+        >>> force(jnp.array([4.0, 0.0]), 3 * direction)
         Array([6.        , 2.59807621, 1.5       ], dtype=float64)
     """
-    return jnp.concatenate([_cross(at, force)[None], force])
+    return jnp.concatenate([cross(point, force)[None], force])
 
 
 class Resultant(eqx.Module):
-    """The one force that does what many do together, and where it acts.
+    """Magnitude, direction and line of action of a wrench.
 
     Args:
-        magnitude: of the force; N.
-        direction: angle of the force against the x axis; rad.
-        foot: the point of its line nearest the origin, infinite for a couple; m.
+        magnitude: Magnitude of the force; N.
+        direction: Angle between the force and the x axis; rad.
+        foot: Point on the line of action that is closest to the origin; m. It is infinite
+            for a couple.
     """
 
     magnitude: Scalar
@@ -73,10 +78,14 @@ class Resultant(eqx.Module):
 
 
 def resultant(wrench: Wrench) -> Resultant:
-    """The magnitude, direction and line of a wrench.
+    """Compute the magnitude, the direction and the line of action of a wrench.
 
     Args:
-        wrench: about the origin, of one force or the sum of many; N m, N, N.
+        wrench: Wrench about the origin, of one force or of a sum of forces; N m, N, N.
+
+    Returns:
+        The resultant. If the force is zero, the magnitude and the direction are zero, and
+        the foot is infinite.
 
     Source:
         Equations 2.77 to 2.80 of the dissertation.
@@ -87,11 +96,13 @@ def resultant(wrench: Wrench) -> Resultant:
     """
     moment, fx, fy = wrench
     square = fx**2 + fy**2
-    pushes = square > 0
-    safe = jnp.where(pushes, square, 1.0)
+    has_force = square > 0
+    safe = jnp.where(has_force, square, 1.0)
     foot = moment * jnp.stack([fy, -fx]) / safe
     return Resultant(
-        magnitude=jnp.where(pushes, jnp.sqrt(safe), 0.0),
-        direction=jnp.where(pushes, jnp.arctan2(fy, jnp.where(pushes, fx, 1.0)), 0.0),
-        foot=jnp.where(pushes, foot, jnp.inf),
+        magnitude=jnp.where(has_force, jnp.sqrt(safe), 0.0),
+        direction=jnp.where(
+            has_force, jnp.arctan2(fy, jnp.where(has_force, fx, 1.0)), 0.0
+        ),
+        foot=jnp.where(has_force, foot, jnp.inf),
     )

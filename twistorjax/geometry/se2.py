@@ -1,8 +1,9 @@
-"""Displacements of the plane as poses and twists, and how wrenches travel with them.
+"""Poses and twists: rigid displacements of the plane, and transformations of wrenches.
 
-A pose `(angle, x, y)` is one frame as seen from another, or the displacement that
-carries the one into the other. A twist is the constant velocity that reaches a pose in
-unit time. Sections 2.3 to 2.6 of the dissertation.
+A pose `(angle, x, y)` is the orientation and the position of a moving frame relative to a
+fixed frame. It is also the displacement that moves the fixed frame onto the moving frame.
+A twist is the constant velocity that produces a displacement in unit time. Sections 2.3
+to 2.6 of the dissertation.
 """
 
 import jax.numpy as jnp
@@ -12,148 +13,175 @@ from .._utils.types import Matrix, Point, Pose, Scalar, Twist, Wrench
 
 
 def compose(outer: Pose, inner: Pose) -> Pose:
-    """The pose of a frame in a frame in a frame: `inner` is seen from `outer`.
+    """Compose two poses.
 
     Args:
-        outer: the middle frame seen from the first; rad, m, m.
-        inner: the last frame seen from the middle one; rad, m, m.
+        outer: Pose of the second frame relative to the first; rad, m, m.
+        inner: Pose of the third frame relative to the second; rad, m, m.
 
     Returns:
-        The last frame seen from the first. As displacements of the plane: `inner` is
-        done first, then `outer`.
+        The pose of the third frame relative to the first; rad, m, m. As a displacement of
+        the plane, it applies `inner` first and then `outer`.
 
     Source:
         Equation 2.81 of the dissertation.
 
     Example:
-        >>> quarter = jnp.array([jnp.pi / 2, 1.0, 0.0])
-        >>> compose(quarter, quarter)
+        >>> step = jnp.array([jnp.pi / 2, 1.0, 0.0])  # 1 m along x, and 90 degrees
+        >>> compose(step, step)
         Array([3.14159265, 1.        , 1.        ], dtype=float64)
     """
-    return _pose(outer[0] + inner[0], act(outer, inner[1:]))
+    return _join(outer[0] + inner[0], act(outer, inner[1:]))
 
 
 def inverse(pose: Pose) -> Pose:
-    """The first frame seen from the second, for the second seen from the first.
+    """Invert a pose.
+
+    Args:
+        pose: Pose of the second frame relative to the first; rad, m, m.
+
+    Returns:
+        The pose of the first frame relative to the second; rad, m, m.
 
     Example:
         >>> inverse(jnp.array([0.0, 1.0, 2.0]))
         Array([-0., -1., -2.], dtype=float64)
     """
-    return _pose(-pose[0], -_turn(-pose[0], pose[1:]))
+    return _join(-pose[0], -rotate(-pose[0], pose[1:]))
 
 
 def between(first: Pose, second: Pose) -> Pose:
-    """The second frame as seen from the first, for poses seen from a third.
+    """Compute the pose of one frame relative to another.
 
-    The translation is the difference of the two positions, so that it loses no digits
-    where the frames nearly coincide.
+    The difference of the two positions is formed first. The result is therefore accurate
+    also if the two frames nearly coincide.
+
+    Args:
+        first: Pose of the first frame relative to a common frame; rad, m, m.
+        second: Pose of the second frame relative to the same common frame; rad, m, m.
+
+    Returns:
+        The pose of the second frame relative to the first; rad, m, m.
 
     Example:
         >>> between(jnp.array([0.0, 1.0, 0.0]), jnp.array([0.5, 1.0, 2.0]))
         Array([0.5, 0. , 2. ], dtype=float64)
     """
-    return _pose(second[0] - first[0], _turn(-first[0], second[1:] - first[1:]))
+    return _join(second[0] - first[0], rotate(-first[0], second[1:] - first[1:]))
 
 
 def act(pose: Pose, point: Point) -> Point:
-    """Where a point of the moved frame lies, seen from the first frame.
+    """Transform a point from the moving frame to the fixed frame.
 
     Args:
-        pose: the moved frame; rad, m, m.
-        point: a point, resolved in the moved frame; m.
+        pose: Pose of the moving frame relative to the fixed frame; rad, m, m.
+        point: Coordinates of the point in the moving frame; m.
+
+    Returns:
+        The coordinates of the point in the fixed frame; m.
 
     Source:
         Equation 2.81 of the dissertation.
 
     Example:
-        >>> act(jnp.array([jnp.pi / 2, 1.0, 0.0]), jnp.array([2.0, 0.0]))
+        >>> pose = jnp.array([jnp.pi / 2, 1.0, 0.0])
+        >>> act(pose, jnp.array([2.0, 0.0]))
         Array([1., 2.], dtype=float64)
     """
-    return pose[1:] + _turn(pose[0], point)
+    return pose[1:] + rotate(pose[0], point)
 
 
 def exp(twist: Twist) -> Pose:
-    """The pose reached by moving with a constant twist for unit time.
+    """Compute the pose that a constant twist reaches in unit time.
 
     Args:
-        twist: angle, and the velocity of the point at the origin; rad, m, m.
+        twist: Rotation, and velocity of the point at the origin; rad, m, m.
+
+    Returns:
+        The pose; rad, m, m. Its angle is not wrapped.
 
     Source:
-        Equations 2.91 and 2.92 of the dissertation, as a half-way translation, which
-        is smooth at rest. Its Example 2.2 is the example.
+        Equations 2.91 and 2.92 of the dissertation. They are written here with the
+        translation in the mid-frame, which is smooth at zero rotation. The example is
+        Example 2.2 of the dissertation.
 
     Example:
         >>> exp(jnp.pi / 4 * jnp.array([1.0, 1.0, 1.0]))
         Array([0.78539816, 0.41421356, 1.        ], dtype=float64)
     """
     half = twist[0] / 2
-    return _pose(twist[0], sinc(half) * _turn(half, twist[1:]))
+    return _join(twist[0], sinc(half) * rotate(half, twist[1:]))
 
 
 def twist(pose: Pose) -> Twist:
-    """The constant twist that reaches a pose in unit time: its logarithm.
+    """Compute the constant twist that reaches a pose in unit time.
 
-    It is the translation seen from the frame half way, stretched from the chord of the
-    motion's arc to the arc itself. Defined within a full turn, where the arc closes and
-    the chord vanishes. Undoes `exp` there.
+    The twist is the logarithm of the pose, the inverse of `exp`. A constant twist moves a
+    frame along an arc. The twist is the translation in the mid-frame, multiplied by the
+    ratio of the length of the arc to the length of its chord. This ratio is infinite at a
+    rotation of 2 pi, where the arc is closed.
 
     Args:
-        pose: of an angle strictly between minus and plus a full turn; rad, m, m.
+        pose: Pose with an angle strictly between -2 pi and 2 pi; rad, m, m.
+
+    Returns:
+        The twist; rad, m, m.
 
     Source:
-        Equations 2.107 and 2.108 of the dissertation, which divide by `1 - cos` of the
-        angle and so lose all digits near rest; this form keeps them. Its Example 2.1 is
-        the example.
+        Equations 2.107 and 2.108 of the dissertation divide by `1 - cos(angle)`, which
+        loses all digits at small angles. The form used here is accurate at any angle. The
+        example is Example 2.1 of the dissertation.
 
     Example:
         >>> twist(jnp.array([jnp.pi / 6, 2.0, 1.0]))
         Array([0.52359878, 2.21590..., 0.45344...], dtype=float64)
     """
     half = pose[0] / 2
-    return _pose(pose[0], _turn(-half, pose[1:]) / sinc(half))
+    return _join(pose[0], rotate(-half, pose[1:]) / sinc(half))
 
 
 def pole(pose: Pose) -> Point:
-    """The point that a displacement leaves where it is: the centre of its rotation.
+    """Compute the pole of a displacement: its fixed point, the center of its rotation.
 
     Args:
-        pose: a displacement that turns; rad, m, m.
+        pose: The displacement; rad, m, m.
 
     Returns:
-        The fixed point, seen from the first frame; infinite for a pure translation,
-        whose pole lies at infinity, across the motion.
+        The pole in the fixed frame; m. It is infinite for a pure translation.
 
     Source:
-        Equation 2.123 of the dissertation (after McCarthy).
+        Equation 2.123 of the dissertation (after McCarthy). The example is from its
+        section 2.7.4.
 
     Example:
-        >>> pole(jnp.array([jnp.pi / 3, 2.0, 2 * jnp.sqrt(3)]))  # section 2.7.4
+        >>> pole(jnp.array([jnp.pi / 3, 2.0, 2 * jnp.sqrt(3)]))
         Array([-2.        ,  3.46410162], dtype=float64)
     """
     half = pose[0] / 2
-    along, across = _turn(-half, pose[1:]) / 2
+    along, across = rotate(-half, pose[1:]) / 2
     sine = jnp.sin(half)
-    turns = sine != 0
-    safe = jnp.where(turns, sine, 1.0)
-    # 0 / 0 would be NaN: the pole of no displacement is as far as that of any translation
-    return jnp.where(turns, jnp.stack([-across, along]) / safe, jnp.inf)
+    rotates = sine != 0
+    safe = jnp.where(rotates, sine, 1.0)
+    # The identity would give 0 / 0 = NaN; its pole is infinite, as for any translation.
+    return jnp.where(rotates, jnp.stack([-across, along]) / safe, jnp.inf)
 
 
 def adjoint(pose: Pose) -> Matrix:
-    """Takes a twist resolved in a frame to the frame from which that frame is seen.
+    """Compute the matrix that transforms a twist to another frame of reference.
 
     Args:
-        pose: the frame in which the twist is resolved; rad, m, m.
+        pose: Pose of the moving frame relative to the fixed frame; rad, m, m.
 
     Returns:
-        The matrix `Ad` of `twist_outside = Ad @ twist_inside`.
+        The matrix `Ad` of `twist_in_fixed_frame = Ad @ twist_in_moving_frame`.
 
     Source:
         Equations 3.22 and 3.23 of the dissertation.
 
     Example:
-        >>> adjoint(jnp.array([0.0, 1.0, 2.0])) @ jnp.array([1.0, 0.0, 0.0])
+        >>> pose = jnp.array([0.0, 1.0, 2.0])
+        >>> rotation = jnp.array([1.0, 0.0, 0.0])  # about the origin of the moving frame
+        >>> adjoint(pose) @ rotation
         Array([ 1.,  2., -1.], dtype=float64)
     """
     cos, sin = jnp.cos(pose[0]), jnp.sin(pose[0])
@@ -163,87 +191,127 @@ def adjoint(pose: Pose) -> Matrix:
 
 
 def transform_wrench(pose: Pose, wrench: Wrench) -> Wrench:
-    """The wrench about a frame's origin, resolved in the frame that sees it.
+    """Transform a wrench from the moving frame to the fixed frame.
 
-    Power does not depend on the observer, so wrenches travel by the inverse transpose
-    of the `adjoint` that carries twists.
+    Power does not depend on the frame of reference. Wrenches are therefore transformed by
+    the inverse transpose of the `adjoint`.
 
     Args:
-        pose: the frame in which the wrench is resolved; rad, m, m.
-        wrench: moment about that frame's origin, and force in its axes; N m, N, N.
+        pose: Pose of the moving frame relative to the fixed frame; rad, m, m.
+        wrench: Moment about the origin of the moving frame, and force in its axes;
+            N m, N, N.
+
+    Returns:
+        The moment about the origin of the fixed frame, and the force in its axes;
+        N m, N, N.
 
     Source:
         Equations 3.58 to 3.60 of the dissertation.
 
     Example:
-        >>> transform_wrench(jnp.array([0.0, 2.0, 0.0]), jnp.array([0.0, 0.0, 3.0]))
+        >>> pose = jnp.array([0.0, 2.0, 0.0])
+        >>> transverse_force = jnp.array([0.0, 0.0, 3.0])
+        >>> transform_wrench(pose, transverse_force)
         Array([6., 0., 3.], dtype=float64)
     """
-    force = _turn(pose[0], wrench[1:])
-    return _pose(wrench[0] + _cross(pose[1:], force), force)
+    force = rotate(pose[0], wrench[1:])
+    return _join(wrench[0] + cross(pose[1:], force), force)
 
 
 def transform_stiffness(pose: Pose, stiffness: Matrix) -> Matrix:
-    """A stiffness about a frame's origin, in its axes, as the frame that sees it has it.
+    """Transform a stiffness matrix from the moving frame to the fixed frame.
 
     Args:
-        pose: the frame in which the stiffness is resolved; rad, m, m.
-        stiffness: maps twists to wrenches there; N m/rad, N/rad, N/m.
+        pose: Pose of the moving frame relative to the fixed frame; rad, m, m.
+        stiffness: Stiffness matrix in the moving frame, which maps twists to wrenches;
+            N m/rad, N/rad, N/m.
+
+    Returns:
+        The stiffness matrix in the fixed frame; N m/rad, N/rad, N/m.
 
     Source:
-        Equation 3.25 of the dissertation, from the other side: `Ad^-T K Ad^-1`.
+        `Ad^-T K Ad^-1`, the inverse of equation 3.25 of the dissertation.
 
     Example:
-        >>> leaf = jnp.diag(jnp.array([1.0, 0.0, 10.0]))
-        >>> transform_stiffness(jnp.array([0.0, 2.0, 0.0]), leaf)  # 1 + 2 * 2 * 10
+        >>> pose = jnp.array([0.0, 2.0, 0.0])
+        >>> stiffness = jnp.diag(jnp.array([1.0, 0.0, 10.0]))
+        >>> transform_stiffness(pose, stiffness)  # rotation: 1 + 10 * 2**2
         Array([[41.,  0., 20.],
                [ 0.,  0.,  0.],
                [20.,  0., 10.]], dtype=float64)
     """
     back = adjoint(inverse(pose))
-    return back.T @ stiffness @ back + 0.0  # no entry prints as minus zero
+    return back.T @ stiffness @ back + 0.0  # The sum turns entries of -0.0 into 0.0.
 
 
 def sinc(x: Scalar, sine: Scalar | None = None) -> Scalar:
-    """`sin(x) / x`, exact to rounding at 0 as elsewhere, with its derivatives.
+    """Compute `sin(x) / x` and its derivatives to rounding accuracy, also at zero.
 
     Args:
-        x: where; rad.
-        sine: `sin(x)`, if it is known already.
+        x: Argument; rad.
+        sine: Value of `sin(x)`, if it is already known.
+
+    Returns:
+        The quotient; 1 at zero.
     """
     near = jnp.abs(x) < 1
     square = jnp.where(near, x, 0.0) ** 2
     series = jnp.zeros_like(square)
-    for k in range(11, 0, -1):  # the first term left out, x^24 / 25!, is below rounding
+    for k in range(11, 0, -1):  # The first omitted term, x^24 / 25!, is below rounding.
         series = -(1 + series) * square / (2 * k * (2 * k + 1))
     far = jnp.where(near, 1.0, x)
     sine = jnp.sin(far) if sine is None else jnp.where(near, 1.0, sine)
     return jnp.where(near, 1 + series, sine / far)
 
 
-def _pose(angle: Scalar, translation: Point) -> Pose:
-    return jnp.concatenate([angle[None], translation])
+def rotate(angle: Scalar, vector: Point) -> Point:
+    """Rotate a vector.
 
+    Args:
+        angle: Angle of the rotation, positive counterclockwise; rad.
+        vector: The vector, in any unit.
 
-def _turn(angle: Scalar, vector: Point) -> Point:
+    Returns:
+        The rotated vector, in the same unit.
+    """
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y = vector[0], vector[1]
     return jnp.stack([cos * x - sin * y, sin * x + cos * y])
 
 
-def _swing(
+def rotation_displacement(
     arm: Point | tuple[Scalar, Scalar], cos: Array, sin: Array
 ) -> tuple[Array, Array]:
-    """What turning adds to the place of a point, without loss of digits: (R - 1) arm.
+    """Compute the displacement `(R - 1) arm` of a point that rotates about a center.
+
+    It is computed from the half angle, because `cos(angle) - 1` loses digits at small
+    angles.
 
     Args:
-        arm: from the centre to the point, before; m.
-        cos: of half the angle.
-        sin: likewise.
+        arm: Vector from the center to the point before the rotation; m.
+        cos: Cosine of half the angle of rotation.
+        sin: Sine of half the angle of rotation.
+
+    Returns:
+        The two components of the displacement; m.
     """
     versine, sine = 2 * sin * sin, 2 * sin * cos
     return -versine * arm[0] - sine * arm[1], sine * arm[0] - versine * arm[1]
 
 
-def _cross(first: Point, second: Point) -> Scalar:
+def cross(first: Point, second: Point) -> Scalar:
+    """Compute the cross product of two plane vectors, such as the moment of a force.
+
+    Args:
+        first: First vector, for example the lever arm; m.
+        second: Second vector, for example the force; N.
+
+    Returns:
+        The out-of-plane component, in the product of the two units; N m for a moment.
+    """
     return first[0] * second[1] - first[1] * second[0]
+
+
+def _join(angle: Scalar, vector: Point) -> Pose:
+    """Join an angle (or a moment) and a vector to a pose, a twist or a wrench."""
+    return jnp.concatenate([angle[None], vector])

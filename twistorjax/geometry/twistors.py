@@ -1,22 +1,22 @@
-"""Displacements of the plane as twistors: the Clifford parameters and their algebra.
+"""Twistors: the Clifford parameters of planar displacements, and their algebra.
 
 A twistor `(sigma, xi, x1, x2)` is the multivector
-`sigma + xi e1e2 + x1 e1e + x2 e2e` of the plane's homogeneous model, in which `e` is the
-point at infinity and `e e = 0`. It sees a displacement from the frame half way along it,
-so that both ends of a hinge see the same one but for its sign. Sections 2.1.5, 2.7 and
-2.8 of the dissertation.
+`sigma + xi e1e2 + x1 e1e + x2 e2e` of the homogeneous model of the plane, in which `e` is
+the point at infinity and `e e = 0`. It resolves a displacement in the mid-frame, which is
+halfway between the two frames. Exchanging the two frames therefore only changes the sign
+of `(xi, x1, x2)`. Sections 2.1.5, 2.7 and 2.8 of the dissertation.
 
-Points are moved by the sandwich `q* x q`. With the printed `e . e* = 1` (equation 2.24)
-that turns them forwards but shifts them backwards; with `e . e* = -1`, and points
-`x + x x e / 2 + e*`, it does both as said. Products of twistors know `e` by `e e = 0`
-alone, so nothing else changes. (Equation 2.156 leaves the sign of a translation as it is
-in the conjugate, which hides this, but then `q* q` is not one.)
+Sign of the basis: points are transformed by the product `q* x q`. With the printed
+`e . e* = 1` (equation 2.24), this rotates points in the positive direction but translates
+them in the negative direction. With `e . e* = -1` and points `x + x x e / 2 + e*`, both
+have the right sign. Products of twistors only depend on `e e = 0`, so nothing else
+changes. (Equation 2.156 does not change the sign of the translation in the conjugate,
+which hides the error, but then `q* q` is not 1.)
 
-Two of its printed products are in the wrong order: with points moved by `q* x q`, the
-displacement done first stands on the left. Equations 2.159 and 2.160 have it on the
-right; evaluated as they stand they give `... + 0 e1e + 2 e2e` and
-`... + sqrt(3) e1e - e2e`, not the value `... + sqrt(3) e1e + e2e` printed after them,
-which the other order does give.
+Order of products: because points are transformed by `q* x q`, the displacement that is
+applied first is the left factor. In equations 2.159 and 2.160 it is the right factor.
+Evaluated as printed, they give `... + 0 e1e + 2 e2e` and `... + sqrt(3) e1e - e2e`. The
+value printed after them, `... + sqrt(3) e1e + e2e`, follows from the other order.
 """
 
 import equinox as eqx
@@ -28,19 +28,19 @@ from . import se2
 
 
 def twistor(pose: Pose) -> Twistor:
-    """The Clifford parameters of a displacement.
+    """Compute the Clifford parameters of a displacement.
 
     Args:
-        pose: the second frame seen from the first; rad, m, m. The angle may exceed a
-            turn: twistors repeat only after two.
+        pose: Pose of the second frame relative to the first; rad, m, m. The angle may
+            exceed 2 pi; twistors have a period of 4 pi.
 
     Returns:
-        `(cos(angle / 2), sin(angle / 2), x1, x2)` with half the translation, resolved
-        in the frame half way; -, -, m, m.
+        `(cos(angle / 2), sin(angle / 2), x1, x2)`, where `(x1, x2)` is half the
+        translation, resolved in the mid-frame; -, -, m, m.
 
     Source:
-        Equations 2.124 and 2.129 to 2.135 of the dissertation; its section 2.7.4 is the
-        example.
+        Equations 2.124 and 2.129 to 2.135 of the dissertation. The example is from its
+        section 2.7.4.
 
     Example:
         >>> twistor(jnp.array([jnp.pi / 3, 2.0, 2 * jnp.sqrt(3)]))
@@ -53,20 +53,19 @@ def twistor(pose: Pose) -> Twistor:
 
 
 def pose(twistor: Twistor) -> Pose:
-    """The pose that a twistor stands for.
+    """Compute the pose of a twistor.
 
     Args:
-        twistor: of unit norm, as every displacement's is; -, -, m, m.
+        twistor: Twistor of unit norm; -, -, m, m.
 
     Returns:
-        The pose; its angle is that between minus and plus a full turn of which `sigma`
-        and `xi` are cosine and sine of the half.
+        The pose; rad, m, m. Its angle is between -2 pi and 2 pi.
 
     Source:
         Equations 2.171 and 2.172 of the dissertation.
 
     Example:
-        >>> pose(jnp.array([0.0, 1.0, 0.5, 0.0]))  # half a turn
+        >>> pose(jnp.array([0.0, 1.0, 0.5, 0.0]))  # a rotation by 180 degrees
         Array([3.14159265, 0.        , 1.        ], dtype=float64)
     """
     sigma, xi, x1, x2 = twistor
@@ -75,14 +74,24 @@ def pose(twistor: Twistor) -> Pose:
 
 
 def product(first: Twistor, second: Twistor) -> Twistor:
-    """The geometric product: two displacements in a row, each in the fixed axes.
+    """Compute the geometric product: two displacements in sequence, in fixed axes.
 
-    The displacement done first stands on the left, so that
     `twistor(se2.compose(outer, inner))` is `product(twistor(inner), twistor(outer))`.
 
+    Args:
+        first: Twistor of the displacement that is applied first; -, -, m, m.
+        second: Twistor of the displacement that is applied second; -, -, m, m.
+
+    Returns:
+        The twistor of the total displacement; -, -, m, m.
+
+    Source:
+        Section 2.7.4 of the dissertation, whose second way is the example.
+
     Example:
-        >>> shift, turn = jnp.array([[1.0, 0, 2, 0], [jnp.sqrt(0.75), 0.5, 0, 0]])
-        >>> product(shift, turn)  # section 2.7.4, the second way
+        >>> translation = jnp.array([1.0, 0.0, 2.0, 0.0])
+        >>> rotation = jnp.array([jnp.sqrt(0.75), 0.5, 0.0, 0.0])
+        >>> product(translation, rotation)
         Array([0.8660254 , 0.5       , 1.73205081, 1.        ], dtype=float64)
     """
     a, b, a1, a2 = first
@@ -98,52 +107,62 @@ def product(first: Twistor, second: Twistor) -> Twistor:
 
 
 def conjugate(twistor: Twistor) -> Twistor:
-    """The displacement back: its product with the twistor is one.
+    """Compute the conjugate of a twistor: the twistor of the inverse displacement.
+
+    Args:
+        twistor: Twistor of unit norm; -, -, m, m.
+
+    Returns:
+        The conjugate; its product with the twistor is 1; -, -, m, m.
 
     Example:
-        >>> there = jnp.array([0.6, 0.8, 1.0, 2.0])
-        >>> product(there, conjugate(there))
+        >>> displacement = jnp.array([0.6, 0.8, 1.0, 2.0])
+        >>> product(displacement, conjugate(displacement))
         Array([1., 0., 0., 0.], dtype=float64)
     """
     return twistor * jnp.array([1.0, -1.0, -1.0, -1.0])
 
 
 def move(twistor: Twistor, point: Point) -> Point:
-    """Where a displacement takes a point: the sandwich `q* x q`.
+    """Displace a point by the product `q* x q`.
 
     Args:
-        twistor: of unit norm; -, -, m, m.
-        point: in the fixed axes; m.
+        twistor: Twistor `q` of unit norm; -, -, m, m.
+        point: Coordinates of the point in the fixed axes; m.
+
+    Returns:
+        The coordinates of the displaced point in the fixed axes; m.
 
     Source:
         Equations 2.151 to 2.157 of the dissertation.
 
     Example:
-        >>> move(jnp.array([jnp.sqrt(0.75), 0.5, 0.0, 0.0]), jnp.array([1.0, 0.0]))
+        >>> rotation = jnp.array([jnp.sqrt(0.75), 0.5, 0.0, 0.0])  # by 60 degrees
+        >>> move(rotation, jnp.array([1.0, 0.0]))
         Array([0.5      , 0.8660254], dtype=float64)
     """
     sigma, xi, x1, x2 = twistor
-    # the right factor first: the vector part of x q, half way there
+    # The vector part of x q moves the point halfway.
     half_x = sigma * point[0] - xi * point[1] + x1
     half_y = sigma * point[1] + xi * point[0] + x2
-    # and then the conjugate, for the second half
+    # The product with the conjugate q* from the left moves it by the second half.
     x = sigma * half_x - xi * half_y + sigma * x1 - xi * x2
     y = sigma * half_y + xi * half_x + sigma * x2 + xi * x1
     return jnp.stack([x, y])
 
 
 class Displacement(eqx.Module):
-    """A relative displacement as an energy sees it: its angle, and its twistor.
+    """A relative displacement: its angle and its twistor, the argument of an energy.
 
-    The angle is kept beside the twistor because energies of the twist need it, and
-    because it counts turns.
+    The angle is stored in addition to the twistor because it counts full revolutions, and
+    because energies in the coordinates of the twist need it.
 
     Args:
-        angle: of the second frame against the first; rad.
-        sigma: cosine of the half angle.
-        xi: sine of the half angle.
-        x1: half the translation along axis 1 of the frame half way; m.
-        x2: half the translation along axis 2 of the frame half way; m.
+        angle: Angle of the second frame relative to the first; rad.
+        sigma: Cosine of half the angle.
+        xi: Sine of half the angle.
+        x1: Half the translation along axis 1 of the mid-frame; m.
+        x2: Half the translation along axis 2 of the mid-frame; m.
     """
 
     angle: Scalar
@@ -153,33 +172,51 @@ class Displacement(eqx.Module):
     x2: Scalar
 
     @classmethod
-    def of(cls, pose: Pose) -> "Displacement":
-        """The displacement that a pose stands for."""
+    def from_pose(cls, pose: Pose) -> "Displacement":
+        """Create the displacement of a pose.
+
+        Args:
+            pose: Pose of the second frame relative to the first; rad, m, m.
+
+        Returns:
+            The displacement.
+        """
         return cls(pose[0], *twistor(pose))
 
     def strain(self) -> Twist:
-        """Twice the vector part of the twistor, which near rest is the twist."""
+        """Return twice the vector part of the twistor; -, m, m.
+
+        It equals the twist to first order.
+        """
         return jnp.stack([2 * self.xi, 2 * self.x1, 2 * self.x2])
 
     def twist(self) -> Twist:
-        """The constant twist that reaches the displacement; see `se2.twist`."""
+        """Return the constant twist of the displacement, see `se2.twist`; rad, m, m."""
         stretch = 2 / se2.sinc(self.angle / 2, self.xi)
         return jnp.stack([self.angle, stretch * self.x1, stretch * self.x2])
 
 
 @jax.custom_jvp
-def half_turn(angle: Scalar, cos: Scalar, sin: Scalar) -> tuple[Scalar, Scalar]:
-    """Cosine and sine of half an angle, which are known already, as its functions.
+def half_angle_cos_sin(angle: Scalar, cos: Scalar, sin: Scalar) -> tuple[Scalar, Scalar]:
+    """Return the known cosine and sine of half an angle as functions of the angle.
 
-    For derivatives of any order without a sine or cosine being computed again: products
-    of twistors need none, and on a processor they are the costly part of a hinge.
+    Derivatives of any order reuse the two values. Products of twistors give them without
+    trigonometric functions, which on a CPU are the costly part of a hinge.
+
+    Args:
+        angle: The angle; rad. Only its derivatives are used.
+        cos: Cosine of half the angle.
+        sin: Sine of half the angle.
+
+    Returns:
+        `cos` and `sin`.
     """
     del angle
     return cos, sin
 
 
-@half_turn.defjvp
-def _(primals, tangents):
-    cos, sin = half_turn(*primals)
+@half_angle_cos_sin.defjvp
+def _half_angle_cos_sin_jvp(primals, tangents):
+    cos, sin = half_angle_cos_sin(*primals)
     rate = tangents[0] / 2
     return (cos, sin), (-sin * rate, cos * rate)

@@ -1,13 +1,16 @@
 """Identification of the parameters of a mechanism from measurements.
 
-Start reading in `identify`. A test states what was done to the mechanism and which
-sensors read it: `static_test`, `motion_test`, `vibration_test`, and `hinge_test` have one
-file each. `parameters` holds the unknown parameters, `report` the estimates and their
-uncertainties, `experiment_design` the ranking of further experiments, and `posterior`
-samples of the posterior distribution.
+Start reading in `identify`. A test defines what is done to the mechanism and which
+sensors are read: `static_test`, `motion_test`, `vibration_test` and `hinge_test` contain
+one kind of test each. The main path is: `parameters` maps the unknown numbers of a design
+to normalized parameters, `objective` computes the residuals and their derivatives,
+`search` runs an optimizer, and `report` holds the estimates and their uncertainties.
+`experiment_design` ranks further experiments, and `posterior` draws samples of the
+posterior distribution.
 """
 
 from .experiment_design import (
+    Candidate as Candidate,
     ExperimentRanking as ExperimentRanking,
     rank_experiments as rank_experiments,
 )

@@ -1,4 +1,4 @@
-"""Which further test would tell most about what is still uncertain."""
+"""Optimal design of experiments: ranking of further tests by their information."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -11,173 +11,222 @@ from jaxtyping import Array, Float
 
 from .._utils.validation import require_kind
 from .compilation import fast_compile
-from .measurement import AbstractTest, mapped
+from .measurement import AbstractTest, map_in_groups
 from .report import Identification
 
 
 class Candidate(NamedTuple):
-    """What a test, or one of its sensors alone, would add.
+    """Effect of one further test, or of one of its sensors, on the uncertainty.
 
     Args:
-        name: of the test, and of the sensor.
-        gain: how many nats it tells: the volume of the uncertainty shrinks by exp(gain).
-        errors: standard errors of the unknowns with it, as relative changes.
+        name: Name of the test, and of the sensor.
+        gain: Expected information gain in nats; the volume of the confidence region
+            shrinks by the factor exp(gain).
+        standard_errors: Standard errors of the parameters after the test, as relative
+            changes.
     """
 
     name: str
     gain: float
-    errors: Float[np.ndarray, " unknowns"]
+    standard_errors: Float[np.ndarray, " parameters"]
 
 
 class ExperimentRanking(eqx.Module):
-    """Candidates for a further test, the one that tells most first.
+    """Ranking of further tests.
 
     Args:
-        candidates: whole tests, and each of their sensors alone.
-        picked: names of whole tests, each chosen for what it adds to those before it.
-        names: of the unknowns.
-        before: standard errors of the unknowns without any, as relative changes.
-        after: with all that are picked.
+        candidates: Tests, and the single sensors of each test, in descending order of
+            their information gain.
+        selected: Names of the selected tests, in the order of their selection.
+        names: Names of the parameters.
+        standard_errors_before: Standard errors of the parameters without a further test,
+            as relative changes.
+        standard_errors_after: Standard errors of the parameters after all selected tests,
+            as relative changes.
     """
 
     candidates: tuple[Candidate, ...]
-    picked: tuple[str, ...]
+    selected: tuple[str, ...]
     names: tuple[str, ...]
-    before: Float[np.ndarray, " unknowns"]
-    after: Float[np.ndarray, " unknowns"]
+    standard_errors_before: Float[np.ndarray, " parameters"]
+    standard_errors_after: Float[np.ndarray, " parameters"]
 
     def __repr__(self) -> str:
-        def cells(values: np.ndarray) -> str:
-            return "  ".join(f"{f'{100 * value:.3g} %':>{wide}}" for value in values)
+        width = max(10, *map(len, self.names))
 
-        wide = max(10, *map(len, self.names))
-        first = max(map(len, (candidate.name for candidate in self.candidates)))
-        best = "the best" if len(self.picked) == 1 else f"the {len(self.picked)} best"
-        first = max(first, len("standard error with"))
-        head = "  ".join(f"{name:>{wide}}" for name in self.names)
-        lines = [f"{'standard error with':<{first}}  {'gain (nats)':>11}  {head}"]
-        lines.append(f"{'what there is':<{first}}  {'':>11}  {cells(self.before)}")
-        for name, gain, errors in self.candidates:
-            lines.append(f"{name:<{first}}  {gain:>11.3g}  {cells(errors)}")
-        lines.append(f"{best:<{first}}  {'':>11}  {cells(self.after)}")
-        lines.append(f"best, one after another: {', '.join(self.picked)}")
-        return "\n".join(lines)
+        def cells(values: np.ndarray) -> str:
+            return "  ".join(f"{f'{100 * value:.3g} %':>{width}}" for value in values)
+
+        title, before, after = "standard error after", "no further test", "selected tests"
+        titles = title, before, after, *(candidate.name for candidate in self.candidates)
+        first = max(map(len, titles))
+        head = "  ".join(f"{name:>{width}}" for name in self.names)
+        errors_before = cells(self.standard_errors_before)
+        errors_after = cells(self.standard_errors_after)
+        return "\n".join(
+            [
+                f"{title:<{first}}  {'gain (nats)':>11}  {head}",
+                f"{before:<{first}}  {'':>11}  {errors_before}",
+                *(
+                    f"{name:<{first}}  {gain:>11.3g}  {cells(errors)}"
+                    for name, gain, errors in self.candidates
+                ),
+                f"{after:<{first}}  {'':>11}  {errors_after}",
+                f"selected: {', '.join(self.selected)}",
+            ]
+        )
 
 
 def rank_experiments(
-    found: Identification,
+    identification: Identification,
     candidates: Mapping[str, AbstractTest] | Sequence[AbstractTest],
     *,
-    picks: int = 1,
-    prior: float = 1.0,
+    count: int = 1,
+    prior_standard_deviation: float = 1.0,
 ) -> ExperimentRanking:
-    """Which further test reduces the uncertainty of a fit most.
+    """Rank further tests by how much they reduce the uncertainty of the parameters.
 
-    Each is rehearsed at the estimates, and told by how much it would shrink the volume of
-    the region in which the unknowns are (D-optimality). Tests of one kind, which differ
-    in their loads, times or deviations alone, are rehearsed side by side.
+    Each test is simulated at the estimates. Its information gain is half the increase of
+    the logarithm of the determinant of the Fisher information matrix (D-optimality).
 
     Args:
-        found: what is known so far.
-        candidates: tests that could be done, with the sensors that would read them, by
-            names or in a sequence.
-        picks: how many are to be done: they are chosen one after another.
-        prior: relative change within which each unknown is taken to be known without any
-            measurement, so that what is not determined has a finite volume.
+        identification: Result of the measurements so far.
+        candidates: Possible further tests, as a mapping from names or as a sequence.
+        count: Number of tests to select. They are selected one after another: each one
+            has the largest information gain in addition to those before.
+        prior_standard_deviation: Prior standard deviation of the normalized parameters,
+            as a relative change. It makes the determinant of the information positive
+            if the measurements so far leave a direction undetermined.
 
     Returns:
-        The candidates, with what each would leave of the standard errors.
+        The ranking.
 
     Raises:
-        ValueError: there is no candidate; the numbers make no sense.
+        ValueError: There is no candidate; `count` or `prior_standard_deviation` is out of
+            its range.
 
     Source:
         Atkinson and Donev, Optimum Experimental Designs, chapters 9 and 10.
 
     Example:
         >>> from twistorjax import Body, Hinge, Load, Mechanism, Quadratic
-        >>> from twistorjax.identification import identify, BodySensor, StaticTest, Parameter
+        >>> from twistorjax.identification import BodySensor, identify, Parameter
+        >>> from twistorjax.identification import StaticTest
         >>> def spring(k):
-        ...     energy = Quadratic(jnp.diag(jnp.stack([k["turn"], k["along"], 10.0])))
-        ...     hinge = Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
+        ...     stiffness = jnp.diag(jnp.stack([k["rotation"], k["along"], 10.0]))
+        ...     energy = Quadratic(stiffness)
+        ...     hinge = Hinge("spring", "wall", "block", energy, at=(0.0, 0.0, 0.0))
         ...     return Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])
-        >>> start = {"along": Parameter(80.0, above=0), "turn": Parameter(1.0, above=0)}
-        >>> def pushed(load, quantity):
-        ...     gauge = BodySensor("block", quantity, 1e-4)
-        ...     return StaticTest([[Load("block", load)]], [gauge])
-        >>> along, turn = pushed((0, 5, 0), "x"), pushed((0.1, 0, 0), "angle")
-        >>> found = identify(spring, start, [along.measured([[0.05]])])
-        >>> rank_experiments(found, {"along": along, "turn": turn}).picked
-        ('turn',)
+        >>> push = Load("block", force=(5.0, 0.0))  # N
+        >>> twist = Load("block", moment=0.1)  # N m
+        >>> pushed = StaticTest([[push]], [BodySensor("block", "x", 1e-4)])
+        >>> twisted = StaticTest([[twist]], [BodySensor("block", "angle", 1e-4)])
+        >>> start = {"along": Parameter(80.0), "rotation": Parameter(1.0)}
+        >>> result = identify(spring, start, [pushed.measurement([[0.05]])])
+        >>> rank_experiments(result, {"push again": pushed, "twist": twisted}).selected
+        ('twist',)
     """
     if isinstance(candidates, AbstractTest):
         raise ValueError("`candidates` is one test: put it in a list, [...].")
     if not isinstance(candidates, Mapping):
         require_kind("candidates", candidates, AbstractTest)
         candidates = {f"{test!r}": test for test in candidates}
-    if not candidates or not 1 <= picks <= len(candidates) or not prior > 0:
+    if not candidates:
+        raise ValueError("`candidates` is empty, but must have at least one test.")
+    if not 1 <= count <= len(candidates):
         raise ValueError(
-            f"There are {len(candidates)} candidates, `picks` is {picks} and `prior` "
-            f"{prior}, but there must be one or more, as many as are picked, and the "
-            "prior must be positive."
+            f"`count` is {count}, but must be between 1 and the number of candidates, "
+            f"{len(candidates)}."
         )
+    if not prior_standard_deviation > 0:
+        raise ValueError(
+            f"`prior_standard_deviation` is {prior_standard_deviation}, but must be "
+            "positive."
+        )
+    problem, normalized = identification.problem, identification.normalized
+
+    def information_of(test: AbstractTest) -> Float[Array, "columns params params"]:
+        """Fisher information matrix of each column of readings."""
+
+        def predict(normalized: Array) -> Array:
+            mechanism = problem.mechanism(normalized)
+            return test.predict(mechanism, throw=False) / test.standard_deviations
+
+        jacobian = jax.vmap(
+            lambda direction: jax.jvp(predict, (normalized,), (direction,))[1],
+            out_axes=2,
+        )(jnp.eye(normalized.size))
+        return jnp.einsum("rcu,rcv->cuv", jacobian, jacobian)
+
     tests = list(candidates.values())
-    problem, place = found.problem, found.place
-
-    def sensed(test: AbstractTest) -> Float[Array, "columns unknowns unknowns"]:
-        """The information of each column."""
-
-        def read(place: Array) -> Array:
-            mechanism = problem.design(problem.unknowns.at(place))
-            return test.read(mechanism, throw=False) / test.deviations
-
-        slopes = jax.vmap(
-            lambda direction: jax.jvp(read, (place,), (direction,))[1], out_axes=2
-        )(jnp.eye(place.size))
-        return jnp.einsum("rcu,rcv->cuv", slopes, slopes)
-
-    told = [np.asarray(each) for each in fast_compile(mapped)(sensed, tests)]
-    known = np.asarray(found.sensitivity)
-    known = known.T @ known + np.eye(place.size) / prior**2
-    listed = []
-    for name, test, columns in zip(candidates, tests, told, strict=True):
-        listed.append(_judged(name, known, columns.sum(axis=0)))
+    per_column = [
+        np.asarray(each) for each in fast_compile(map_in_groups)(information_of, tests)
+    ]
+    per_test = {
+        name: columns.sum(axis=0)
+        for name, columns in zip(candidates, per_column, strict=True)
+    }
+    jacobian = np.asarray(identification.jacobian)
+    prior = np.eye(normalized.size) / prior_standard_deviation**2
+    known = jacobian.T @ jacobian + prior
+    ranked = []
+    for (name, test), columns in zip(candidates.items(), per_column, strict=True):
+        ranked.append(_evaluate(name, known, per_test[name]))
         if len(columns) > 1:
-            listed += [
-                _judged(f"{name}, {sensor} alone", known, information)
+            ranked += [
+                _evaluate(f"{name}, {sensor} alone", known, information)
                 for sensor, information in zip(test.columns, columns, strict=True)
             ]
-    picked = _picked(dict(zip(candidates, told, strict=True)), known, picks)
-    chosen = [list(candidates).index(name) for name in picked]
+    selected = _select(per_test, known, count)
     return ExperimentRanking(
-        candidates=tuple(sorted(listed, key=lambda candidate: -candidate.gain)),
-        picked=picked,
-        names=found.names,
-        before=_errors(known),
-        after=_errors(known + sum(told[place].sum(axis=0) for place in chosen)),
+        candidates=tuple(sorted(ranked, key=lambda candidate: -candidate.gain)),
+        selected=selected,
+        names=identification.names,
+        standard_errors_before=_standard_errors(known),
+        standard_errors_after=_standard_errors(
+            known + sum(per_test[name] for name in selected)
+        ),
     )
 
 
-def _errors(information: np.ndarray) -> np.ndarray:
+def _evaluate(name: str, known: np.ndarray, added: np.ndarray) -> Candidate:
+    """Effect of further information on the uncertainty.
+
+    Args:
+        name: Name of the candidate.
+        known: Information matrix so far, with respect to the normalized parameters.
+        added: Information matrix of the candidate.
+    """
+    return Candidate(name, _gain(known, added), _standard_errors(known + added))
+
+
+def _standard_errors(information: np.ndarray) -> np.ndarray:
+    """Standard errors that follow from an information matrix."""
     return np.sqrt(np.diagonal(np.linalg.inv(information)))
 
 
-def _gain(known: np.ndarray, more: np.ndarray) -> float:
-    """Half the logarithm of how the determinant of the information grows."""
-    gain = (np.linalg.slogdet(known + more)[1] - np.linalg.slogdet(known)[1]) / 2
+def _gain(known: np.ndarray, added: np.ndarray) -> float:
+    """Information gain in nats: half the increase of the log-determinant."""
+    gain = (np.linalg.slogdet(known + added)[1] - np.linalg.slogdet(known)[1]) / 2
     return float(gain)
 
 
-def _judged(name: str, known: np.ndarray, more: np.ndarray) -> Candidate:
-    return Candidate(name, _gain(known, more), _errors(known + more))
-
-
-def _picked(
-    told: Mapping[str, np.ndarray], known: np.ndarray, picks: int
+def _select(
+    candidates: Mapping[str, np.ndarray], known: np.ndarray, count: int
 ) -> tuple[str, ...]:
-    left, chosen = dict(told), []
-    for _ in range(picks):
-        best = max(left, key=lambda name: _gain(known, left[name].sum(axis=0)))
-        known = known + left.pop(best).sum(axis=0)
-        chosen.append(best)
-    return tuple(chosen)
+    """Select candidates one after another by their information gain.
+
+    Args:
+        candidates: Information matrix of each test.
+        known: Information matrix so far.
+        count: Number of tests to select.
+
+    Returns:
+        Names of the selected tests.
+    """
+    remaining, selected = dict(candidates), []
+    for _ in range(count):
+        best = max(remaining, key=lambda name: _gain(known, remaining[name]))
+        known = known + remaining.pop(best)
+        selected.append(best)
+    return tuple(selected)

@@ -1,4 +1,4 @@
-"""One hinge of a mechanism, tried on its own."""
+"""Tests on a single hinge of a mechanism."""
 
 from collections.abc import Sequence
 
@@ -10,32 +10,36 @@ from jaxtyping import Array, ArrayLike, Float
 from .._utils.validation import index_of
 from ..energies.fitting.trials import Trials
 from ..mechanism.mechanism import Mechanism
-from .measurement import AbstractTest, Measurement, so_many_deviations
+from .measurement import AbstractTest, expand_standard_deviation, Measurement
 
 
 class HingeTest(AbstractTest):
-    """The wrenches that one hinge takes at some displacements, tried on its own.
+    """Wrenches on one hinge at prescribed displacements, outside of the mechanism.
 
     Args:
-        hinge: its name in the mechanism.
-        poses: its frame b seen from its frame a, a row for each trial; rad, m, m.
-        deviation: standard deviations of moment, force along axis 1 and along axis 2;
-            N m, N, N.
+        hinge: Name of the hinge in the mechanism.
+        poses: Poses of frame b of the hinge relative to its frame a, a row for each
+            trial; rad, m, m.
+        standard_deviation: Standard deviations of the moment, of the force along axis 1
+            and of the force along axis 2, or one for all three; N m, N, N.
+
+    Raises:
+        ValueError: A shape is wrong, or a standard deviation is not positive.
 
     Example:
-        >>> HingeTest("A", [[0.1, 0.0, 0.0]], (1e-3, 0.1, 0.1))
+        >>> HingeTest("A", poses=[[0.1, 0.0, 0.0]], standard_deviation=(1e-3, 0.1, 0.1))
         HingeTest of A at 1 displacement
     """
 
     hinge: str = eqx.field(static=True)
     poses: Float[Array, "trials 3"]
-    deviation: Float[Array, "3"]
+    standard_deviation: Float[Array, "3"]
 
     def __init__(
         self,
         hinge: str,
         poses: Float[ArrayLike, "trials 3"] | Sequence[Sequence[ArrayLike]],
-        deviation: Float[ArrayLike, "3"] | Sequence[ArrayLike],
+        standard_deviation: Float[ArrayLike, "3"] | Sequence[ArrayLike],
     ):
         self.hinge = hinge
         self.poses = jnp.asarray(poses, float)
@@ -44,40 +48,45 @@ class HingeTest(AbstractTest):
                 f"`poses` has shape {self.poses.shape}, but must have a row (angle, x, "
                 "y) for each trial."
             )
-        self.deviation = so_many_deviations(deviation, 3)
+        self.standard_deviation = expand_standard_deviation(standard_deviation, 3)
 
     @classmethod
-    def of(cls, hinge: str, trials: Trials) -> Measurement:
-        """Trials of a hinge, as one of a mechanism's.
+    def from_trials(cls, hinge: str, trials: Trials) -> Measurement:
+        """Convert trials of a single hinge to a measurement.
 
         Args:
-            hinge: its name in the mechanism.
-            trials: of it, with wrenches.
+            hinge: Name of the hinge in the mechanism.
+            trials: Trials with wrenches.
+
+        Returns:
+            The measurement, which `identify` takes.
 
         Raises:
-            ValueError: the trials have no wrenches.
+            ValueError: The trials have no wrenches.
         """
         if trials.wrenches is None or trials.wrench_deviations is None:
-            raise ValueError("`trials` has no wrenches, but a `HingeTest` reads them.")
+            raise ValueError(
+                "`trials` has no wrenches, but a `HingeTest` needs measured wrenches."
+            )
         test = cls(hinge, trials.poses, trials.wrench_deviations[0])
-        return test.measured(trials.wrenches, trials.wrench_deviations)
+        return test.measurement(trials.wrenches, trials.wrench_deviations)
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The wrench's entries."""
+        """Names of the moment and the two forces."""
         return tuple(f"{self.hinge}.{name}" for name in ("moment", "force_1", "force_2"))
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the wrench."""
+        """SI units of the moment and the two forces."""
         return ("N m", "N", "N")
 
     @property
-    def deviations(self) -> Float[Array, "rows columns"]:
-        """The same for all trials."""
-        return jnp.broadcast_to(self.deviation, self.poses.shape)
+    def standard_deviations(self) -> Float[Array, "rows columns"]:
+        """Standard deviations of the readings, equal in all trials; N m, N, N."""
+        return jnp.broadcast_to(self.standard_deviation, self.poses.shape)
 
-    def read(
+    def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
     ) -> Float[Array, "rows columns"]:
         del forward, throw
@@ -85,5 +94,5 @@ class HingeTest(AbstractTest):
         return jax.vmap(mechanism.hinge_assembly.energy_of(row).wrench)(self.poses)
 
     def __repr__(self) -> str:
-        many = "s" if len(self.poses) != 1 else ""
-        return f"HingeTest of {self.hinge} at {len(self.poses)} displacement{many}"
+        plural = "s" if len(self.poses) != 1 else ""
+        return f"HingeTest of {self.hinge} at {len(self.poses)} displacement{plural}"

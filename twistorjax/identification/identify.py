@@ -1,4 +1,4 @@
-"""Unknowns of a design, found from what was measured on it."""
+"""Identification of the parameters of a design from measurements."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array
 
 from .._utils.validation import (
     all_concrete,
@@ -19,16 +19,18 @@ from .._utils.validation import (
 )
 from ..mechanism.mechanism import Mechanism
 from ..solve.results import raise_failed, result_message, RESULTS
-from .compilation import fast_compile
-from .measurement import a_key, as_tree, Measurement
-from .objective import Problem
-from .optimizer import AbstractDescent, constant, Found, Gradient, Marquardt, Optimistix
+from .levenberg_marquardt import LevenbergMarquardt
+from .measurement import as_pytree, Measurement, random_key
+from .objective import IdentificationProblem
+from .optimizer import AbstractOptimizer, constant
 from .parameters import ParameterSet
 from .report import Identification
+from .search import search_compiled, search_with_progress, SearchState
+from .wrapped_optimizers import GradientDescent, OptimistixSolver
 
 
-# more unknowns than these are differentiated in reverse, where a method allows it
-_MANY = 32
+# Gradient descent uses reverse mode by default if there are more parameters.
+_MOST_IN_FORWARD_MODE = 32
 
 
 def identify(
@@ -38,9 +40,9 @@ def identify(
     *,
     held_out: Sequence[Measurement] = (),
     method: optax.GradientTransformation | optx.AbstractLeastSquaresSolver | None = None,
-    robust: float | None = None,
+    huber_threshold: float | None = None,
     restarts: int = 0,
-    spread: float = 0.5,
+    restart_standard_deviation: float = 0.5,
     key: Array | int | None = None,
     tolerance: float = 1e-8,
     max_steps: int | None = None,
@@ -48,45 +50,53 @@ def identify(
     progress: bool = False,
     throw: bool = True,
 ) -> Identification:
-    """The unknowns with which a design reproduces what was measured on it.
+    """Identify the parameters of a design from measurements on its mechanism.
 
-    Least squares of the residuals, each in its reading's standard deviation, by the exact
-    derivatives of equilibria, motions and frequencies. Unknowns are changed by parts of
-    their own size, and stay within their bounds.
+    The estimates minimize the sum of the squared residuals. A residual is the difference
+    between the predicted and the measured value, divided by the standard deviation of the
+    reading. The derivatives of equilibria, motions and natural frequencies are exact.
+    The parameters are scaled by their sizes and stay within their bounds.
 
     Args:
-        design: builds the mechanism from the unknowns. Define it once: another function
-            is compiled anew.
-        start: what the design takes, a tree: each of its numbers is unknown, and starts
-            from there; or, where it has `Parameter`s, with their units and bounds, these
-            alone are.
-        data: what was measured: `test.measured(values)` of one or several tests.
-        held_out: what was measured as well, and is to take no part: the fit is only
-            compared with it.
-        method: by default Levenberg's and Marquardt's; an optimiser of optax, for
-            gradient descent, say `optax.sgd(0.5)`, where 1 would be the step of Gauss and
-            Newton; or a least-squares solver of optimistix.
-        robust: standard deviations beyond which a reading counts by its size instead of
-            its square, against outliers (Huber's loss); 1.345 costs 5 % of the precision
-            where there are none. It does not help against one that alone decides.
-        restarts: how many more starts are tried, side by side. The best is taken.
-        spread: standard deviation of the starts about the first, as relative changes.
-        key: of random numbers, for these, or a whole number to make it of.
-        tolerance: relative, of the estimates.
-        max_steps: evaluations at most; by default 100, of gradient descent 3000.
-        reverse: whether gradient descent differentiates in reverse, as is best for many
-            unknowns; by default, for more than 32.
-        progress: whether a bar is shown.
-        throw: whether a failure is raised, or only told by the answer.
+        design: Function that builds the mechanism from the parameters. Define it once: a
+            new function is compiled again.
+        start: Argument of the design, a tree with the initial values. If it contains
+            `Parameter`s, these are identified, with their units and bounds; otherwise all
+            its numbers.
+        data: Measurements, from `test.measurement(values)` of one or several tests.
+        held_out: Further measurements, which are not used for the estimates. The result
+            has their residuals.
+        method: Optimizer. The default is the Levenberg-Marquardt method. Optimizers of
+            optax do gradient descent, for example `optax.sgd(0.5)`; a learning rate of 1
+            is the Gauss-Newton step. Least-squares solvers of optimistix are accepted,
+            too.
+        huber_threshold: Threshold of Huber's loss, which reduces the effect of outliers:
+            a residual above it counts linearly instead of quadratically; in standard
+            deviations. With 1.345 the estimates lose 5 % of their efficiency if there are
+            no outliers. An outlier that alone determines a parameter has its full effect.
+            By default all residuals count quadratically.
+        restarts: Number of additional random starts, which are solved side by side. The
+            result with the smallest loss is returned.
+        restart_standard_deviation: Standard deviation of the random starts about the
+            first one, as a relative change of the parameters.
+        key: Random key, or an integer seed, of the random starts.
+        tolerance: Relative tolerance of the estimates.
+        max_steps: Largest number of evaluations, by default 100, or 3000 for gradient
+            descent.
+        reverse: Whether gradient descent uses reverse-mode derivatives, which are faster
+            for many parameters. By default it does for more than 32 parameters.
+        progress: Whether to show a progress bar.
+        throw: Whether a failure raises an error. If False, `result` holds the reason.
 
     Returns:
-        The estimates, and how far they can be trusted.
+        The estimates and their uncertainties.
 
     Raises:
-        ValueError: double precision is off; there is no unknown or no measurement; the
-            start is out of bounds; a setting makes no sense; or what a test refuses.
-        RuntimeError: the design has no answer to a test at the start; the search did not
-            settle.
+        ValueError: Double precision is not enabled; there is no parameter or no
+            measurement; an argument is out of its range; a test does not fit the
+            mechanism.
+        RuntimeError: A solve fails at the initial values, or the search does not
+            converge.
 
     Source:
         Nocedal and Wright, Numerical Optimization, chapter 10; Huber, Ann. Math. Stat.
@@ -94,269 +104,171 @@ def identify(
 
     Example:
         >>> from twistorjax import Body, Hinge, Load, Mechanism, Quadratic
-        >>> from twistorjax.identification import BodySensor, StaticTest, Parameter
-        >>> def spring(along):
-        ...     energy = Quadratic(jnp.diag(jnp.stack([1.0, along, 10.0])))
-        ...     hinge = Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
+        >>> from twistorjax.identification import BodySensor, Parameter, StaticTest
+        >>> def spring(stiffness):
+        ...     energy = Quadratic(jnp.diag(jnp.stack([1.0, stiffness, 10.0])))
+        ...     hinge = Hinge("spring", "wall", "block", energy, at=(0.0, 0.0, 0.0))
         ...     return Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])
-        >>> push, gauge = Load("block", (0, 5, 0)), BodySensor("block", "x", 1e-4)
-        >>> pulled = StaticTest([[push]], [gauge])
-        >>> identify(spring, Parameter(80.0, "N/m", above=0), [pulled.measured([[0.05]])])
-        successful: 1 unknown from 1 reading in ... evaluations; residual ... standard ...
-        unknown         estimate    ± standard error
+        >>> push = Load("block", force=(5.0, 0.0))  # N
+        >>> camera = BodySensor("block", "x", standard_deviation=1e-4)
+        >>> test = StaticTest([[push]], [camera])
+        >>> start = Parameter(80.0, "N/m", lower=0)
+        >>> identify(spring, start, [test.measurement([[0.05]])])
+        successful: 1 parameter from 1 reading in ... evaluations; RMS residual ...
+        parameter         estimate    ± standard error
         value          100  ± 0.2 N/m
-        warning: 1 reading for 1 unknown: ...
+        warning: 1 reading for 1 parameter: ...
     """
-    if restarts < 0 or not spread > 0 or not 0 < tolerance < 1:
+    if restarts < 0:
+        raise ValueError(f"`restarts` is {restarts}, but must be at least 0.")
+    if not restart_standard_deviation > 0:
         raise ValueError(
-            f"`restarts` is {restarts}, `spread` {spread} and `tolerance` {tolerance}, "
-            "but they must be at least 0, positive, and between 0 and 1."
+            f"`restart_standard_deviation` is {restart_standard_deviation}, but must be "
+            "positive."
         )
-    if robust is not None and (isinstance(robust, bool) or not robust > 0):
+    if not 0 < tolerance < 1:
+        raise ValueError(f"`tolerance` is {tolerance}, but must be between 0 and 1.")
+    is_flag = isinstance(huber_threshold, bool)
+    if huber_threshold is not None and (is_flag or not huber_threshold > 0):
         raise ValueError(
-            f"`robust` is {robust}, but must be a positive number of standard "
-            "deviations: 1.345."
+            f"`huber_threshold` is {huber_threshold}, but must be a positive number of "
+            "standard deviations: 1.345."
         )
-    unknowns, taken = ParameterSet.of(start), _measured("data", data)
-    descent, most = _descent(method, tolerance, unknowns)
-    most = most if max_steps is None else max_steps
-    if most < 1:
-        raise ValueError(f"`max_steps` is {most}, but must be at least 1.")
-    fresh = _measured("held_out", held_out)
-    if not taken:
-        raise ValueError("`data` is empty, but a fit needs a measurement.")
-    problem = Problem(as_tree(design), unknowns, taken, fresh, robust)
-    require_float64(problem.unknowns.leaves[0].value)
-    count = len(problem.unknowns.names)
-    matrix = not isinstance(descent, Gradient)
-    forward = matrix or not (count > _MANY if reverse is None else reverse)
-    try:
-        searched = _searched(
-            problem, descent, most, forward, restarts, spread, key, progress
-        )
-    except jax.errors.JAXTypeError as error:
-        raise compilation_error("design", "about what is unknown", error) from error
-    answer = _answer(problem, searched)
-    return _raised(answer) if throw else answer
-
-
-def _searched(
-    problem: Problem,
-    descent: AbstractDescent,
-    most: int,
-    forward: bool,
-    restarts: int,
-    spread: float,
-    key: Array | int | None,
-    progress: bool,
-) -> "_Search":
-    count = len(problem.unknowns.names)
-    place = constant(np.zeros(count))
+    parameters = ParameterSet.from_tree(start)
+    data = _require_measurements("data", data)
+    optimizer, default_steps = _choose_optimizer(method, tolerance, parameters)
+    max_steps = default_steps if max_steps is None else max_steps
+    if max_steps < 1:
+        raise ValueError(f"`max_steps` is {max_steps}, but must be at least 1.")
+    held_out = _require_measurements("held_out", held_out)
+    if not data:
+        raise ValueError("`data` is empty, but must have at least one measurement.")
+    problem = IdentificationProblem(
+        as_pytree(design), parameters, data, held_out, huber_threshold
+    )
+    require_float64(problem.parameters.parameters[0].value)
+    if reverse is None:
+        reverse = len(parameters.names) > _MOST_IN_FORWARD_MODE
+    forward = not (isinstance(optimizer, GradientDescent) and reverse)
+    start_point = constant(np.zeros(len(parameters.names)))
     arrays = jax.tree.leaves(eqx.filter((problem, key), eqx.is_array))
-    if restarts:
-        key = a_key(0 if key is None else key)
-        more = spread * jax.random.normal(key, (restarts, count))
-        places = jnp.concatenate([place[None], more])
-        return _side_by_side(problem, descent, places, most, forward)
-    if all_concrete(arrays) is None:
-        return _side_by_side(problem, descent, place, most, forward)
-    return _watched(problem, descent, place, most, forward, progress)
+    try:
+        if restarts:
+            shape = (restarts, start_point.size)
+            noise = jax.random.normal(random_key(0 if key is None else key), shape)
+            others = restart_standard_deviation * noise
+            starts = jnp.concatenate([start_point[None], others])
+            state = search_compiled(problem, optimizer, starts, max_steps, forward)
+        elif all_concrete(arrays) is None:
+            state = search_compiled(problem, optimizer, start_point, max_steps, forward)
+        else:
+            state = search_with_progress(
+                problem, optimizer, start_point, max_steps, forward, progress
+            )
+    except jax.errors.JAXTypeError as error:
+        raise compilation_error("design", "about the parameters", error) from error
+    identification = _summarize(problem, state)
+    return _raise_if_failed(identification) if throw else identification
 
 
-class _Search(eqx.Module):
-    """How far a search has come.
+def _require_measurements(
+    name: str, data: Sequence[Measurement]
+) -> tuple[Measurement, ...]:
+    """Check that an argument is a sequence of measurements.
 
     Args:
-        place: at which it looks next.
-        best: the best place so far.
-        found: what is there.
-        size: of the residual there.
-        state: of the method.
-        done: whether it has settled.
-        steps: evaluations.
+        name: Name of the argument, for messages.
+        data: Value of the argument.
     """
-
-    place: Float[Array, "*restarts unknowns"]
-    best: Float[Array, "*restarts unknowns"]
-    found: Found
-    size: Float[Array, "*restarts"]
-    state: Any
-    done: Bool[Array, "*restarts"]
-    steps: Int[Array, "*restarts"]
-
-
-def _measured(name: str, data: Sequence[Measurement]) -> tuple[Measurement, ...]:
     require_kind(name, data, Measurement)
     return tuple(data)
 
 
-def _descent(
-    method: Any, tolerance: float, unknowns: ParameterSet
-) -> tuple[AbstractDescent, int]:
+def _choose_optimizer(
+    method: Any, tolerance: float, parameters: ParameterSet
+) -> tuple[AbstractOptimizer, int]:
+    """Choose the optimizer, and its largest number of evaluations by default.
+
+    Args:
+        method: Argument of `identify`.
+        tolerance: Relative tolerance of the estimates.
+        parameters: Parameters to identify.
+    """
     if method is None:
-        bounded = [float(name in unknowns.bounded) for name in unknowns.names]
-        return Marquardt(tolerance, constant(bounded)), 100
+        bounded = [float(name in parameters.bounded) for name in parameters.names]
+        return LevenbergMarquardt(tolerance, constant(bounded)), 100
     if isinstance(method, optax.GradientTransformation):
-        return Gradient(method, tolerance), 3000
+        return GradientDescent(method, tolerance), 3000
     if isinstance(method, optx.AbstractLeastSquaresSolver):
-        return Optimistix(method), 100
+        return OptimistixSolver(method), 100
     raise ValueError(
-        f"`method` is {method!r}, but must be an optimiser of optax or a least-squares "
+        f"`method` is {method!r}, but must be an optimizer of optax or a least-squares "
         "solver of optimistix: `optax.sgd(0.5)`, `optimistix.Dogleg(1e-8, 1e-8)`."
     )
 
 
-def _evaluate(problem: Problem, place: Array, forward: bool) -> Found:
-    return problem.found(place, forward=forward)
-
-
-_found = fast_compile(_evaluate)
-
-
-def _begin(descent: AbstractDescent, place: Array, found: Found) -> _Search:
-    """A search before its first step; of what is found only the shapes matter."""
-    nothing = jax.tree.map(lambda leaf: constant(np.zeros(leaf.shape)), found)
-    return _Search(
-        place=place,
-        best=place,
-        found=nothing,
-        size=constant(0.0),
-        state=descent.begin(place, nothing),
-        done=constant(False),
-        steps=constant(0),
-    )
-
-
-def _step(descent: AbstractDescent, search: _Search, found: Found) -> _Search:
-    """Goes on with what was found at the place of a search."""
-    first = search.steps == 0
-    place, state, done = descent.step(search.place, found, search.state)
-    better = first | (found.loss < search.found.loss)
-    best, kept = jax.tree.map(
-        lambda new, old: jnp.where(better, new, old),
-        (search.place, found),
-        (search.best, search.found),
-    )
-    lost = first & ~jnp.isfinite(found.loss)
-    size = jnp.sqrt(2 * kept.loss)
-    steps = search.steps + 1
-    return _Search(place, best, kept, size, state, done | lost, steps)
-
-
-_go_on = fast_compile(_step)
-
-
-def _watched(
-    problem: Problem,
-    descent: AbstractDescent,
-    place: Array,
-    most: int,
-    forward: bool,
-    progress: bool,
-) -> _Search:
-    """One search, step by step, so that it can be watched and interrupted."""
-    from tqdm import tqdm
-
-    search = None
-    with tqdm(total=most, unit="evaluation", leave=False, disable=not progress) as bar:
-        for _ in range(most):
-            found = _found(problem, place, forward)
-            search = _begin(descent, place, found) if search is None else search
-            search = _go_on(descent, search, found)
-            place = search.place
-            bar.update()
-            bar.set_postfix_str(f"residual {float(search.size):.4g}")
-            if bool(search.done):
-                break
-    assert search is not None
-    return search
-
-
 @eqx.filter_jit
-def _side_by_side(
-    problem: Problem, descent: AbstractDescent, places: Array, most: int, forward: bool
-) -> _Search:
-    """Searches from several starts, or one that is being traced."""
+def _summarize(problem: IdentificationProblem, state: SearchState) -> Identification:
+    """Result of the search with the smallest loss.
 
-    def one(place: Array) -> _Search:
-        shapes = jax.eval_shape(lambda: problem.found(place, forward=forward))
-        search = _begin(descent, place, shapes)
-        moving, still = eqx.partition(search, eqx.is_array)
-
-        def body(moving: Any) -> Any:
-            search = eqx.combine(moving, still)
-            found = problem.found(search.place, forward=forward)
-            search = _step(descent, search, found)
-            return eqx.filter(search, eqx.is_array)
-
-        def going(moving: Any) -> Array:
-            return ~moving.done & (moving.steps < most)
-
-        moving = jax.lax.while_loop(going, body, moving)
-        return eqx.combine(moving, still)
-
-    return one(places) if places.ndim == 1 else eqx.filter_vmap(one)(places)
-
-
-@eqx.filter_jit
-def _answer(problem: Problem, searched: _Search) -> Identification:
-    """What the best of several searches, or the only one, says."""
-    search, losses = searched, jnp.atleast_1d(searched.size**2 / 2)
-    if searched.done.ndim:
+    Args:
+        problem: Problem that was solved.
+        state: Last state of one search, or of several.
+    """
+    losses = jnp.atleast_1d(state.residual_norm**2 / 2)
+    if state.done.ndim:
         best = jnp.argmin(losses)
-        search = jax.tree.map(
-            lambda leaf: leaf[best] if eqx.is_array(leaf) else leaf, searched
+        state = jax.tree.map(
+            lambda leaf: leaf[best] if eqx.is_array(leaf) else leaf, state
         )
-    place, found = search.best, search.found
-    if found.slopes.ndim == 1:  # of the loss alone, by gradient descent in reverse
-        found = problem.found(place)
-    row = problem.plain(found.residual)
+    normalized, evaluation = state.best_point, state.best
+    if evaluation.derivatives.ndim == 1:  # in reverse mode only the gradient is known
+        evaluation = problem.evaluate(normalized)
+    residuals = problem.untransformed_residuals(evaluation.residuals)
     ends = np.cumsum([part.values.size for part in problem.data])
     tables = [
         table.reshape(part.values.shape)
-        for table, part in zip(jnp.split(row, ends[:-1]), problem.data, strict=True)
+        for table, part in zip(jnp.split(residuals, ends[:-1]), problem.data, strict=True)
     ]
-    fresh = ()
+    held_out_residuals = ()
     if problem.held_out:
-        mechanism = problem.design(problem.unknowns.at(place))
-        fresh = tuple(part.residuals(mechanism) for part in problem.held_out)
-    result = RESULTS.where(search.done, RESULTS.successful, RESULTS.not_converged)
-    nowhere = ~jnp.isfinite(found.loss)
-    result = RESULTS.where(nowhere, RESULTS.no_solution_at_start, result)
+        mechanism = problem.mechanism(normalized)
+        held_out_residuals = tuple(part.residuals(mechanism) for part in problem.held_out)
+    result = RESULTS.where(state.done, RESULTS.successful, RESULTS.not_converged)
+    failed = ~jnp.isfinite(evaluation.loss)
+    result = RESULTS.where(failed, RESULTS.no_solution_at_start, result)
     return Identification(
-        estimates=problem.unknowns.at(place),
-        place=place,
-        sensitivity=problem.plain_slopes(found),
+        estimates=problem.parameters.tree(normalized),
+        normalized=normalized,
+        jacobian=problem.untransformed_jacobian(evaluation),
         residuals=tuple(tables),
-        held_out=fresh,
-        loss=found.loss,
+        held_out_residuals=held_out_residuals,
+        loss=evaluation.loss,
         losses=losses,
-        steps=search.steps,
+        steps=state.steps,
         result=result,
         problem=problem,
     )
 
 
-def _raised(answer: Identification) -> Identification:
-    """The answer, if it succeeded; otherwise its failure is raised."""
+def _raise_if_failed(identification: Identification) -> Identification:
+    """Return a successful identification; raise an error for one that has failed."""
 
     def failure(item: str, batch_index: tuple[int, ...]) -> Exception:
-        text = result_message(item)
-        problem = answer.problem
+        message = result_message(item)
+        problem = identification.problem
         if item == "no_solution_at_start" and not batch_index:
-            mechanism = problem.design(problem.unknowns.at(jnp.zeros_like(answer.place)))
+            start = jnp.zeros_like(identification.normalized)
+            mechanism = problem.mechanism(start)
             for part in problem.data:
                 try:
-                    part.test.read(mechanism)
+                    part.test.predict(mechanism)
                 except RuntimeError as error:
-                    return RuntimeError(f"{text} {part.test!r} says: {error}")
-            return ValueError(text)
-        where = (
-            f" in lane {', '.join(map(str, batch_index))} of the batch"
-            if batch_index
-            else ""
-        )
-        steps = np.asarray(answer.steps)[batch_index]
-        return RuntimeError(f"{text} ({steps} evaluations{where})")
+                    return RuntimeError(f"{message} {part.test!r}: {error}")
+            return ValueError(message)
+        index = ", ".join(map(str, batch_index))
+        where = f" at batch index {index}" if batch_index else ""
+        steps = np.asarray(identification.steps)[batch_index]
+        return RuntimeError(f"{message} ({steps} evaluations{where})")
 
-    return raise_failed(answer, failure)
+    return raise_failed(identification, failure)

@@ -1,4 +1,4 @@
-"""What was measured: a test on a mechanism, its readings, and how sure they are."""
+"""Tests on mechanisms, and the measurements that they give."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
@@ -10,71 +10,81 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._utils.pytrees import alike
+from .._utils.pytrees import group_by_structure
 from .._utils.validation import all_concrete, concrete
 from ..mechanism.mechanism import Mechanism
 from .compilation import fast_compile
 
 
 class AbstractTest(eqx.Module):
-    """What is done to a mechanism, and what is read.
+    """Test on a mechanism: what is done to it, and which quantities are measured.
 
-    Readings form a table: a row for each trial, time or vibration, a column for each
-    sensor.
+    The readings of a test form a table, with a row for each trial, time or natural
+    frequency, and a column for each sensor.
     """
 
     @abstractmethod
-    def read(
+    def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
     ) -> Float[Array, "rows columns"]:
-        """What a mechanism would read, without error.
+        """Compute the readings of a mechanism, without measurement errors.
 
         Args:
-            mechanism: on which the test is done.
-            forward: whether it will be differentiated forwards, or in reverse.
-            throw: whether a solve that fails is raised; otherwise its rows are NaN.
+            mechanism: Mechanism on which the test is done.
+            forward: Whether the result is differentiated in forward mode. If False, it
+                is differentiated in reverse mode.
+            throw: Whether a solve that fails raises an error. If False, its rows are NaN.
+
+        Returns:
+            The readings, in `units`.
         """
 
     @property
     @abstractmethod
     def columns(self) -> tuple[str, ...]:
-        """What the columns are called."""
+        """Names of the columns."""
 
     @property
     @abstractmethod
     def units(self) -> tuple[str, ...]:
-        """In which they read."""
+        """SI units of the columns."""
 
     @property
     @abstractmethod
-    def deviations(self) -> Float[Array, "rows columns"]:
-        """The standard deviation of each reading."""
+    def standard_deviations(self) -> Float[Array, "rows columns"]:
+        """Standard deviations of the readings, in `units`."""
 
-    def measured(
+    def measurement(
         self,
         values: Float[ArrayLike, "rows columns"] | Sequence[Sequence[ArrayLike]],
-        deviations: Float[ArrayLike, "*rows columns"] | None = None,
+        standard_deviations: Float[ArrayLike, "*rows columns"] | None = None,
     ) -> "Measurement":
-        """The test with what was read.
+        """Combine the test with the values that were measured.
 
         Args:
-            values: a row for each trial, time or vibration, a column for each sensor;
-                NaN where nothing was read.
-            deviations: of each reading, by default those of the sensors.
+            values: Row for each trial, time or natural frequency, with a value for each
+                sensor; NaN if a reading is missing; in `units`.
+            standard_deviations: Standard deviations of the readings, by default those of
+                the sensors; in `units`.
+
+        Returns:
+            The measurement, which `identify` takes.
 
         Raises:
-            ValueError: a shape is wrong, nothing was read, or a deviation is not
-                positive.
+            ValueError: A shape is wrong; all readings are missing; a standard deviation
+                is not positive.
         """
-        told = self.deviations if deviations is None else jnp.asarray(deviations, float)
-        shape = self.deviations.shape
+        sizes = self.standard_deviations
+        if standard_deviations is not None:
+            sizes = jnp.asarray(standard_deviations, float)
+        shape = self.standard_deviations.shape
         try:
             array = jnp.asarray(values, float)
         except ValueError:
             raise ValueError(
                 f"`values` has rows of different lengths, but this test reads {shape[0]} "
-                f"rows of {shape[1]}: {', '.join(self.columns)}. Give NaN where nothing "
-                "was read."
+                f"rows of {shape[1]}: {', '.join(self.columns)}. Give NaN for a missing "
+                "reading."
             ) from None
         if array.shape != shape:
             raise ValueError(
@@ -82,133 +92,168 @@ class AbstractTest(eqx.Module):
                 f"of {shape[1]}: {', '.join(self.columns)}."
             )
         try:
-            told = jnp.broadcast_to(told, shape)
+            sizes = jnp.broadcast_to(sizes, shape)
         except ValueError:
             raise ValueError(
-                f"`deviations` has shape {told.shape}, but must fit {shape}."
+                f"`standard_deviations` has shape {sizes.shape}, but must have shape "
+                f"{shape}, or one that broadcasts to it."
             ) from None
-        seen = concrete(told)
-        if seen is not None and not np.all((seen > 0) & np.isfinite(seen)):
-            raise ValueError("`deviations` must be positive and finite.")
-        seen = concrete(array)
-        if seen is not None and np.any(np.isinf(seen)):
-            raise ValueError("`values` is infinite somewhere: NaN is for no reading.")
-        if seen is not None and np.all(np.isnan(seen)):
-            raise ValueError("`values` has no reading: all are NaN.")
-        return Measurement(self, array, told)
+        known = concrete(sizes)
+        if known is not None and not np.all((known > 0) & np.isfinite(known)):
+            raise ValueError("`standard_deviations` must be positive and finite.")
+        known = concrete(array)
+        if known is not None and np.any(np.isinf(known)):
+            raise ValueError(
+                "`values` has an infinite entry: give NaN for a missing reading."
+            )
+        if known is not None and np.all(np.isnan(known)):
+            raise ValueError("`values` has no reading: all entries are NaN.")
+        return Measurement(self, array, sizes)
 
     def synthetic_data(
         self, mechanism: Mechanism, key: Array | int | None = None
     ) -> "Measurement":
-        """The test with what a known mechanism would read.
+        """Simulate the test on a mechanism whose parameters are known.
 
         Args:
-            mechanism: on which it is done.
-            key: of random numbers, or a whole number to make it of, for the errors of the
-                sensors; by default there are none.
+            mechanism: Mechanism on which the test is done.
+            key: Random key, or an integer seed, for normal measurement errors. By
+                default the readings are exact.
+
+        Returns:
+            The simulated measurement.
+
+        Raises:
+            RuntimeError: A solve fails.
         """
         arrays = eqx.filter((self, mechanism), eqx.is_array)
         if all_concrete(jax.tree.leaves(arrays)) is None:
-            values = self.read(mechanism, throw=False)
+            values = self.predict(mechanism, throw=False)
         else:
-            values = _read(self, mechanism)
+            values = _predict(self, mechanism)
             if np.any(np.isnan(values)):
-                self.read(mechanism, throw=True)  # which says why
+                self.predict(mechanism, throw=True)  # raises an error with the cause
         if key is not None:
-            noise = jax.random.normal(a_key(key), values.shape, values.dtype)
-            values = values + self.deviations * noise
-        return Measurement(self, values, self.deviations)
+            noise = jax.random.normal(random_key(key), values.shape, values.dtype)
+            values = values + self.standard_deviations * noise
+        return Measurement(self, values, self.standard_deviations)
 
 
 class Measurement(eqx.Module):
-    """A test, and what was read in it.
+    """Test with the values that were measured.
 
     Args:
-        test: what was done.
-        values: what was read; NaN where nothing was.
-        deviations: of each reading.
+        test: Test that was done.
+        values: Measured values; NaN if a reading is missing; in the units of the test.
+        standard_deviations: Standard deviations of the readings, in the same units.
     """
 
     test: AbstractTest
     values: Float[Array, "rows columns"]
-    deviations: Float[Array, "rows columns"]
+    standard_deviations: Float[Array, "rows columns"]
 
     def residuals(
         self, mechanism: Mechanism, *, forward: bool = True
     ) -> Float[Array, "rows columns"]:
-        """What a mechanism would read less what was read, in standard deviations.
+        """Compute the differences between predicted and measured values.
 
-        Zero where nothing was read, NaN where the mechanism has no answer.
+        Args:
+            mechanism: Mechanism on which the test is done.
+            forward: Whether the result is differentiated in forward mode. If False, it
+                is differentiated in reverse mode.
+
+        Returns:
+            The differences, divided by the standard deviations. They are zero if a
+            reading is missing, and NaN if a solve fails.
         """
-        model = self.test.read(mechanism, forward=forward, throw=False)
-        there = jnp.isfinite(self.values)
-        apart = model - jnp.where(there, self.values, 0.0)
-        return jnp.where(there, apart / self.deviations, 0.0)
+        predicted = self.test.predict(mechanism, forward=forward, throw=False)
+        exists = jnp.isfinite(self.values)
+        difference = predicted - jnp.where(exists, self.values, 0.0)
+        return jnp.where(exists, difference / self.standard_deviations, 0.0)
 
     def __repr__(self) -> str:
-        seen = concrete(self.values)
-        if seen is None or seen.ndim != 2:
+        values = concrete(self.values)
+        if values is None or values.ndim != 2:
             return eqx.tree_pformat(self)
-        count = int(np.sum(np.isfinite(seen)))
+        count = int(np.sum(np.isfinite(values)))
         return f"{count} readings of {self.test!r}"
 
 
 @fast_compile
-def _read(test: AbstractTest, mechanism: Mechanism) -> Float[Array, "rows columns"]:
-    return test.read(mechanism, throw=False)
+def _predict(test: AbstractTest, mechanism: Mechanism) -> Float[Array, "rows columns"]:
+    """Compute the readings of a mechanism; NaN if a solve fails."""
+    return test.predict(mechanism, throw=False)
 
 
-def a_key(key: Array | int) -> Array:
-    """A key of random numbers, of a whole number, too.
+def random_key(key: Array | int) -> Array:
+    """Make a random key from an integer seed; a key is returned unchanged.
 
     Raises:
-        ValueError: it is neither.
+        ValueError: The argument is neither a key nor an integer of at most 63 bits.
     """
-    small = not isinstance(key, int) or -(2**63) <= key < 2**63
-    if isinstance(key, bool) or not isinstance(key, int | Array) or not small:
+    is_small = not isinstance(key, int) or -(2**63) <= key < 2**63
+    if isinstance(key, bool) or not isinstance(key, int | Array) or not is_small:
         raise ValueError(
-            f"`key` is {key!r}, but must be a whole number of at most 63 bits, or a key: "
-            "jax.random.key(0)."
+            f"`key` is {key!r}, but must be an integer of at most 63 bits, or a random "
+            "key: jax.random.key(0)."
         )
     return jax.random.key(key) if isinstance(key, int) else key
 
 
-def mapped(function: Callable[[Any], Array], things: Sequence[Any]) -> list[Array]:
-    """A function of each thing, those of like structure mapped as one.
+def map_in_groups(function: Callable[[Any], Array], trees: Sequence[Any]) -> list[Array]:
+    """Apply a function to each tree; trees of equal structure are evaluated by `vmap`.
 
     Args:
-        function: of a tree.
-        things: trees; the like ones are stacked.
+        function: Function of one tree.
+        trees: Arguments; those of equal structure and equal shapes are stacked.
 
     Returns:
-        What it gives for each thing, in their order.
+        The results, in the order of the arguments.
     """
-    given: dict[int, Array] = {}
-    for places in alike(things):
-        if len(places) == 1:
-            given[places[0]] = function(things[places[0]])
+    results: dict[int, Array] = {}
+    for indices in group_by_structure(trees):
+        if len(indices) == 1:
+            results[indices[0]] = function(trees[indices[0]])
             continue
-        several = [things[place] for place in places]
-        stack = jax.tree.map(lambda *leaves: jnp.stack(leaves), *several)
-        given.update(zip(places, jax.vmap(function)(stack), strict=True))
-    return [given[place] for place in range(len(things))]
+        group = [trees[index] for index in indices]
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *group)
+        results.update(zip(indices, jax.vmap(function)(stacked), strict=True))
+    return [results[index] for index in range(len(trees))]
 
 
-def as_tree(function: Any) -> Any:
-    """A function that may stand in a tree of arrays, as part of its structure."""
+def as_pytree(function: Any) -> Any:
+    """Wrap a function so that it is part of the structure of a pytree, not a leaf.
+
+    Args:
+        function: Function; a module of equinox is a pytree and is returned unchanged.
+    """
     if isinstance(function, eqx.Module):
         return function
     return jax.tree_util.Partial(function)
 
 
-def so_many_deviations(given: Any, count: int) -> Float[Array, " count"]:
-    """So many standard deviations, of one or of as many."""
+def expand_standard_deviation(given: Any, count: int) -> Float[Array, " count"]:
+    """Expand one standard deviation, or check that there are as many as needed.
+
+    Args:
+        given: One standard deviation, or `count` of them.
+        count: Number of standard deviations that are needed.
+
+    Returns:
+        The standard deviations, in the unit of the argument.
+
+    Raises:
+        ValueError: The shape is wrong, or a standard deviation is not positive.
+    """
     sizes = jnp.asarray(given, float)
     if sizes.shape not in ((), (count,)):
         raise ValueError(
-            f"`deviation` has shape {sizes.shape}, but must be one number, or {count}."
+            f"`standard_deviation` has shape {sizes.shape}, but must be one number, or "
+            f"{count} numbers."
         )
-    seen = concrete(sizes)
-    if seen is not None and not np.all((seen > 0) & np.isfinite(seen)):
-        raise ValueError(f"`deviation` is {seen.tolist()}, but must be positive.")
+    known = concrete(sizes)
+    if known is not None and not np.all((known > 0) & np.isfinite(known)):
+        raise ValueError(
+            f"`standard_deviation` is {known.tolist()}, but must be positive and finite."
+        )
     return jnp.broadcast_to(sizes, (count,))

@@ -1,4 +1,4 @@
-"""Mechanisms in motion, read at some times."""
+"""Tests on mechanisms in motion."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,35 +11,42 @@ from .._utils.types import PosesLike, Scalar
 from .._utils.validation import concrete
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
-from ..solve import initial_state as begin
 from ..solve.dynamics import Driving, Loading, simulate
+from ..solve.initial_state import check_times
 from ..solve.statics import Equilibrium
-from .measurement import as_tree
-from .sensor_test import SensorTest, some_sensors
+from .measurement import as_pytree
+from .sensor_test import require_sensors, SensorTest
 from .sensors import AbstractSensor
 
 
 class MotionTest(SensorTest):
-    """A mechanism in motion, read at some times.
+    """Motion of a mechanism, measured at several times.
 
     Args:
-        times: at which it is read, from its start; s.
-        sensors: read at each.
-        loads: as for `simulate`.
-        drives: likewise.
-        constraints: likewise.
-        start: likewise.
-        velocities: likewise.
-        tolerance: likewise. What a fit finds is as exact as the motion: for the effect
-            of stiff directions to be seen, take a small one.
+        times: Times of the readings; the motion starts at the first one; s.
+        sensors: Sensors, which are read at each time.
+        loads: Loads, or a function of time that returns them; see `simulate`.
+        drives: Prescribed displacements, or a function of time that returns them; see
+            `simulate`.
+        constraints: Constraints between the bodies; see `simulate`.
+        start: Poses at the start, or an equilibrium, by default the reference poses; rad,
+            m, m.
+        velocities: Velocities at the start of some bodies, by default zero: a mapping
+            from the name to (angular velocity, velocity along x, velocity along y);
+            rad/s, m/s, m/s.
+        tolerance: Tolerance of the time integration; see `simulate`. The error of the
+            simulation limits the accuracy of the estimates: stiffnesses of stiff
+            directions need a small tolerance.
 
     Raises:
-        ValueError: the times do not increase, or there is no sensor.
+        ValueError: The times do not increase, there is no sensor, or nothing sets the
+            mechanism in motion.
 
     Example:
-        >>> from twistorjax.identification.sensors import BodySensor
-        >>> let_go = {"velocities": {"block": (0.0, 1.0, 0.0)}}
-        >>> MotionTest([0.0, 0.1, 0.2], [BodySensor("block", "x", 1e-5)], **let_go)
+        >>> from twistorjax.identification import BodySensor
+        >>> camera = BodySensor("block", "x", standard_deviation=1e-5)
+        >>> pushed_off = {"block": (0.0, 1.0, 0.0)}  # 1 m/s along x
+        >>> MotionTest([0.0, 0.1, 0.2], [camera], velocities=pushed_off)
         MotionTest at 3 times up to 0.2 s, read by block.x
     """
 
@@ -64,10 +71,10 @@ class MotionTest(SensorTest):
         velocities: Mapping[str, Sequence[ArrayLike] | Array] | None = None,
         tolerance: ArrayLike = 1e-8,
     ):
-        self.times = begin.times(times)
-        self.sensors = some_sensors(sensors)
-        self.loads = as_tree(loads) if callable(loads) else tuple(loads)
-        self.drives = as_tree(drives) if callable(drives) else tuple(drives)
+        self.times = check_times(times)
+        self.sensors = require_sensors(sensors)
+        self.loads = as_pytree(loads) if callable(loads) else tuple(loads)
+        self.drives = as_pytree(drives) if callable(drives) else tuple(drives)
         self.constraints = tuple(constraints)
         if isinstance(start, Equilibrium):
             start = start.poses
@@ -79,19 +86,19 @@ class MotionTest(SensorTest):
                 for body, velocity in velocities.items()
             }
         self.tolerance = jnp.asarray(tolerance, float)
-        moved = self.loads, self.drives, self.constraints
-        if not any(moved) and start is None and velocities is None:
+        actions = self.loads, self.drives, self.constraints
+        if not any(actions) and start is None and velocities is None:
             raise ValueError(
-                "Nothing sets the mechanism in motion: give `velocities`, a `start`, "
+                "Nothing sets the mechanism in motion: give `velocities`, `start`, "
                 "`loads` or `drives`."
             )
 
     @property
-    def rows(self) -> int:
-        """One for each time."""
+    def row_count(self) -> int:
+        """Number of times."""
         return len(self.times)
 
-    def read(
+    def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
     ) -> Float[Array, "rows columns"]:
         motion = simulate(
@@ -104,14 +111,15 @@ class MotionTest(SensorTest):
             velocities=self.velocities,
             tolerance=self.tolerance,
             adjoint=dfx.ForwardMode() if forward else None,
-            energies=any(sensor.energies for sensor in self.sensors),
+            energies=any(sensor.needs_energies for sensor in self.sensors),
             throw=throw,
         )
-        return self._sense(mechanism, motion)
+        return self._read_sensors(mechanism, motion)
 
     def __repr__(self) -> str:
-        last = concrete(self.times)
-        until = "" if last is None else f" up to {np.max(last):g} s"
+        times = concrete(self.times)
+        last = "" if times is None else f" up to {np.max(times):g} s"
         return (
-            f"MotionTest at {self.rows} times{until}, read by {', '.join(self.columns)}"
+            f"MotionTest at {self.row_count} times{last}, read by "
+            f"{', '.join(self.columns)}"
         )

@@ -1,4 +1,4 @@
-"""What a search minimises: how far a design is from what was measured on it."""
+"""Objective function of an identification: the residuals and their derivatives."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,90 +10,135 @@ from jaxtyping import Array, Float
 
 from ..mechanism.mechanism import Mechanism
 from .measurement import Measurement
-from .optimizer import Found
+from .optimizer import Evaluation
 from .parameters import ParameterSet
 
 
-class Problem(eqx.Module):
-    """A design, what is unknown of it, and what was measured on it.
+class IdentificationProblem(eqx.Module):
+    """Design with unknown parameters, and the measurements on it.
+
+    The loss is half the sum of the squared residuals. Huber's loss replaces the square of
+    a residual by a linear function beyond a threshold. To minimize it by least squares,
+    each residual is transformed so that its square is twice Huber's function.
 
     Args:
-        design: builds the mechanism from the unknowns.
-        unknowns: from where they start.
-        data: what was measured.
-        held_out: what was measured as well, and takes no part.
-        robust: standard deviations beyond which a reading counts by its size instead of
-            its square, or nothing.
+        design: Function that builds the mechanism from the parameters.
+        parameters: Parameters with their initial values.
+        data: Measurements.
+        held_out: Measurements that are not used for the estimates.
+        huber_threshold: Threshold of Huber's loss, in standard deviations; None for
+            ordinary least squares.
     """
 
     design: Callable[[Any], Mechanism]
-    unknowns: ParameterSet
+    parameters: ParameterSet
     data: tuple[Measurement, ...]
     held_out: tuple[Measurement, ...]
-    robust: float | None = eqx.field(static=True)
+    huber_threshold: float | None = eqx.field(static=True)
 
-    def tables(
-        self, place: Float[Array, " unknowns"], *, forward: bool = True
-    ) -> list[Float[Array, "rows columns"]]:
-        """The residuals of each test, in standard deviations."""
-        mechanism = self.design(self.unknowns.at(place))
+    def mechanism(self, normalized: Float[Array, " parameters"]) -> Mechanism:
+        """Build the mechanism from normalized parameters.
+
+        Raises:
+            ValueError: The design does not return a mechanism.
+        """
+        mechanism = self.design(self.parameters.tree(normalized))
         if not isinstance(mechanism, Mechanism):
             raise ValueError(
-                f"`design` gave a {type(mechanism).__name__}, but must build a "
-                "`Mechanism` from the unknowns."
+                f"`design` returns a {type(mechanism).__name__}, but must return a "
+                "`Mechanism` that is built from the parameters."
             )
+        return mechanism
+
+    def residuals(
+        self, normalized: Float[Array, " parameters"], *, forward: bool = True
+    ) -> Float[Array, " readings"]:
+        """Compute the residuals of all tests, transformed if the loss is Huber's.
+
+        Args:
+            normalized: Normalized parameters.
+            forward: Whether the result is differentiated in forward mode. If False, it
+                is differentiated in reverse mode.
+
+        Returns:
+            The residuals, in standard deviations.
+        """
+        mechanism = self.mechanism(normalized)
         tables = []
         for part in self.data:
             try:
                 tables.append(part.residuals(mechanism, forward=forward))
             except ValueError as error:
                 raise ValueError(f"{part.test!r}: {error}") from error
-        return tables
+        residuals = jnp.concatenate([table.reshape(-1) for table in tables])
+        if self.huber_threshold is None:
+            return residuals
+        is_large = jnp.abs(residuals) > self.huber_threshold
+        size = jnp.where(is_large, jnp.abs(residuals), 1.0)
+        root = jnp.sqrt(self.huber_threshold * (2 * size - self.huber_threshold))
+        return jnp.where(is_large, jnp.sign(residuals) * root, residuals)
 
-    def residual(
-        self, place: Float[Array, " unknowns"], *, forward: bool = True
+    def untransformed_residuals(
+        self, residuals: Float[Array, " readings"]
     ) -> Float[Array, " readings"]:
-        """The residuals in a row; half the sum of their squares is the loss.
+        """Recover the residuals of the readings from those of Huber's loss.
 
-        Of a robust loss, numbers whose squares are twice that: Huber's function of each.
+        Args:
+            residuals: Residuals as returned by `residuals`, in standard deviations.
+
+        Returns:
+            Differences between predicted and measured values, in standard deviations.
         """
-        tables = self.tables(place, forward=forward)
-        row = jnp.concatenate([table.reshape(-1) for table in tables])
-        if self.robust is None:
-            return row
-        far = jnp.abs(row) > self.robust
-        size = jnp.where(far, jnp.abs(row), 1.0)
-        linear = jnp.sqrt(self.robust * (2 * size - self.robust))
-        return jnp.where(far, jnp.sign(row) * linear, row)
+        if self.huber_threshold is None:
+            return residuals
+        is_large = jnp.abs(residuals) > self.huber_threshold
+        size = (residuals**2 / self.huber_threshold + self.huber_threshold) / 2
+        return jnp.where(is_large, jnp.sign(residuals) * size, residuals)
 
-    def plain(self, residual: Float[Array, " readings"]) -> Float[Array, " readings"]:
-        """The residuals of the readings, from those of a robust loss."""
-        if self.robust is None:
-            return residual
-        far = jnp.abs(residual) > self.robust
-        size = (residual**2 / self.robust + self.robust) / 2
-        return jnp.where(far, jnp.sign(residual) * size, residual)
+    def untransformed_jacobian(
+        self, evaluation: Evaluation
+    ) -> Float[Array, "readings parameters"]:
+        """Recover the Jacobian of the readings' residuals from that of Huber's loss.
 
-    def plain_slopes(self, found: Found) -> Float[Array, "readings unknowns"]:
-        """The slopes of the readings' residuals, from those of a robust loss."""
-        if self.robust is None:
-            return found.slopes
-        size = jnp.maximum(jnp.abs(found.residual), self.robust) / self.robust
-        return found.slopes * size[:, None]
+        Args:
+            evaluation: Residuals and their Jacobian, as returned by `evaluate`.
 
-    def found(self, place: Float[Array, " unknowns"], *, forward: bool = True) -> Found:
-        """The residual at a place, and its slopes."""
+        Returns:
+            Derivatives of the residuals, in standard deviations, with respect to the
+            normalized parameters.
+        """
+        if self.huber_threshold is None:
+            return evaluation.derivatives
+        size = jnp.maximum(jnp.abs(evaluation.residuals), self.huber_threshold)
+        factor = size / self.huber_threshold
+        return evaluation.derivatives * factor[:, None]
+
+    def evaluate(
+        self, normalized: Float[Array, " parameters"], *, forward: bool = True
+    ) -> Evaluation:
+        """Compute the residuals and their derivatives.
+
+        Args:
+            normalized: Normalized parameters.
+            forward: Whether the Jacobian of the residuals is computed in forward mode. If
+                False, only the gradient of the loss is computed, in reverse mode.
+
+        Returns:
+            The residuals, and either their Jacobian or the gradient of the loss.
+        """
         if not forward:
 
-            def loss(place: Array) -> tuple[Array, Array]:
-                residual = self.residual(place, forward=False)
-                return jnp.sum(residual**2) / 2, residual
+            def loss(normalized: Array) -> tuple[Array, Array]:
+                residuals = self.residuals(normalized, forward=False)
+                return jnp.sum(residuals**2) / 2, residuals
 
-            slopes, residual = jax.grad(loss, has_aux=True)(place)
-            return Found(residual, slopes)
+            gradient, residuals = jax.grad(loss, has_aux=True)(normalized)
+            return Evaluation(residuals, gradient)
 
-        def along(direction: Array) -> tuple[Array, Array]:
-            return jax.jvp(self.residual, (place,), (direction,))
+        def directional_derivative(direction: Array) -> tuple[Array, Array]:
+            return jax.jvp(self.residuals, (normalized,), (direction,))
 
-        residual, slopes = jax.vmap(along, out_axes=(None, 1))(jnp.eye(place.size))
-        return Found(residual, slopes)
+        residuals, jacobian = jax.vmap(directional_derivative, out_axes=(None, 1))(
+            jnp.eye(normalized.size)
+        )
+        return Evaluation(residuals, jacobian)

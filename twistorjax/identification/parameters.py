@@ -1,4 +1,10 @@
-"""What is to be found: numbers of a design, with their units and bounds."""
+"""Parameters to identify: numbers of a design, with units and bounds.
+
+The optimization works with dimensionless *normalized parameters*. They are zero at the
+initial values. A small normalized parameter is the relative change of its value or, if
+the parameter has a bound, of its distance to the bound. All real numbers are mapped to
+values between the bounds, so the optimization itself has no constraints.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -15,29 +21,33 @@ from .._utils.validation import concrete
 
 
 class Parameter(eqx.Module):
-    """A number, or an array of them, that a fit is to find.
+    """Number or array that is identified from measurements.
 
     Args:
-        value: from which to begin.
-        unit: for printing; of an array one, or one for each entry of its last axis.
-        above: what it always exceeds: 0 for a stiffness or a length.
-        below: what it never reaches.
-        scale: how far a sensible change goes. By default the value's own size, of a zero
-            in an array that of its largest; where there is a bound, the distance to it.
+        value: Initial value.
+        unit: Unit of the value, for printing. An array has one unit, or one for each
+            entry of its last axis.
+        lower: Lower bound; the value always exceeds it. Stiffnesses and lengths have the
+            lower bound 0.
+        upper: Upper bound; the value is always smaller.
+        scale: Size of a typical change of a parameter without bounds. The default is the
+            absolute value of `value`, and for a zero in an array the largest absolute
+            value of the array. The scale of a parameter with a bound is its distance to
+            the bound.
 
     Raises:
-        ValueError: the value is not finite, or not between its bounds; a free one is
-            zero and has no scale.
+        ValueError: The value is not finite or not between the bounds; the value is zero
+            and there is neither a bound nor a scale; both a bound and a scale are given.
 
     Example:
-        >>> Parameter(250e-6, "m", above=0)
-        Unknown(0.00025 m, above 0)
+        >>> Parameter(250e-6, "m", lower=0)
+        Parameter(0.00025 m, above 0)
     """
 
     value: Float[Array, "..."]
     unit: str | tuple[str, ...] = eqx.field(static=True)
-    above: float | None = eqx.field(static=True)
-    below: float | None = eqx.field(static=True)
+    lower: float | None = eqx.field(static=True)
+    upper: float | None = eqx.field(static=True)
     scale: Float[Array, "..."] | None
 
     def __init__(
@@ -45,8 +55,8 @@ class Parameter(eqx.Module):
         value: ArrayLike,
         unit: str | Sequence[str] = "",
         *,
-        above: float | int | None = None,
-        below: float | int | None = None,
+        lower: float | int | None = None,
+        upper: float | int | None = None,
         scale: ArrayLike | None = None,
     ):
         self.value = jnp.asarray(value, float)
@@ -55,187 +65,248 @@ class Parameter(eqx.Module):
         if not isinstance(unit, str) and (not shape or len(unit) != shape[-1]):
             raise ValueError(
                 f"`unit` has {len(unit)} entries, but the `Parameter` has shape {shape}: "
-                "give one, or one for each entry of its last axis."
+                "give one unit, or one for each entry of the last axis."
             )
-        self.above = None if above is None else float(above)
-        self.below = None if below is None else float(below)
+        self.lower = None if lower is None else float(lower)
+        self.upper = None if upper is None else float(upper)
         self.scale = None if scale is None else jnp.asarray(scale, float)
-        if self.scale is not None and (above is not None or below is not None):
+        if self.scale is not None and (lower is not None or upper is not None):
             raise ValueError(
-                "An `Parameter` with a bound is measured by the distance to it: leave out "
-                "`scale`."
+                "A `Parameter` has both a bound and a `scale`, but the scale of a "
+                "bounded parameter is its distance to the bound: leave out `scale`."
             )
-        seen = concrete(self.value)
-        if seen is None:
+        initial = concrete(self.value)
+        if initial is None:
             return
-        if not np.all(np.isfinite(seen)):
-            raise ValueError(f"An `Parameter` is {seen.tolist()}, but must be finite.")
-        if above is not None and below is not None and not above < below:
+        if not np.all(np.isfinite(initial)):
             raise ValueError(
-                f"An `Parameter` is to lie above {above:g} and below {below:g}: are the "
-                "bounds exchanged?"
+                f"The value of a `Parameter` is {initial.tolist()}, but must be finite."
             )
-        low = -np.inf if self.above is None else self.above
-        high = np.inf if self.below is None else self.below
-        if not np.all((low < seen) & (seen < high)):
+        if lower is not None and upper is not None and not lower < upper:
             raise ValueError(
-                f"An `Parameter` starts at {seen.tolist()}, but must start{self._bounds()}."
+                f"`lower` is {lower:g} and `upper` is {upper:g}, but `lower` must be "
+                "smaller: are the bounds exchanged?"
             )
-        size = concrete(self._size())
+        low = -np.inf if self.lower is None else self.lower
+        high = np.inf if self.upper is None else self.upper
+        if not np.all((low < initial) & (initial < high)):
+            raise ValueError(
+                f"The value of a `Parameter` is {initial.tolist()}, but must be"
+                f"{self._bounds()}."
+            )
+        size = concrete(self.initial_scale())
         if size is not None and not np.all((size > 0) & np.isfinite(size)):
             raise ValueError(
-                "A free `Parameter` starts at zero, so its size cannot be seen: give its "
-                "`scale`, how far a sensible change goes."
+                "A `Parameter` without bounds has the value 0, so the size of a typical "
+                "change is not known: give it as `scale`."
             )
 
-    def _size(self) -> Float[Array, "..."]:
-        """How far a unit step from the value goes."""
-        if self.above is not None and self.below is not None:
-            part = (self.value - self.above) / (self.below - self.above)
-            return (self.below - self.above) * part * (1 - part)
-        if self.above is not None:
-            return self.value - self.above
-        if self.below is not None:
-            return self.below - self.value
+    def initial_scale(self) -> Float[Array, "..."]:
+        """Derivative of the value with respect to the normalized parameter, at zero.
+
+        Returns:
+            The derivative, in the unit of the parameter.
+        """
+        if self.lower is not None and self.upper is not None:
+            fraction = (self.value - self.lower) / (self.upper - self.lower)
+            return (self.upper - self.lower) * fraction * (1 - fraction)
+        if self.lower is not None:
+            return self.value - self.lower
+        if self.upper is not None:
+            return self.upper - self.value
         if self.scale is None:
             size = jnp.abs(self.value)
             return jnp.where(size > 0, size, jnp.max(size))
         return jnp.broadcast_to(self.scale, self.value.shape)
 
-    def at(self, step: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The value a step away, within the bounds; at step 0 it is the start.
+    def value_at(self, normalized: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the value from the normalized parameter.
 
-        A small step is a relative change, of the value or of its distance to a bound.
+        Args:
+            normalized: Normalized parameter; zero gives the initial value.
+
+        Returns:
+            The value, which lies between the bounds, in the unit of the parameter.
         """
-        if self.above is not None and self.below is not None:
-            part = (self.value - self.above) / (self.below - self.above)
-            start = jnp.log(part / (1 - part))
-            span = self.below - self.above
-            return self.above + span * jax.nn.sigmoid(start + step)
-        if self.above is not None:
-            return self.above + (self.value - self.above) * jnp.exp(step)
-        if self.below is not None:
-            return self.below - (self.below - self.value) * jnp.exp(-step)
-        return self.value + self._size() * step
+        if self.lower is not None and self.upper is not None:
+            fraction = (self.value - self.lower) / (self.upper - self.lower)
+            logit = jnp.log(fraction / (1 - fraction))
+            span = self.upper - self.lower
+            return self.lower + span * jax.nn.sigmoid(logit + normalized)
+        if self.lower is not None:
+            return self.lower + (self.value - self.lower) * jnp.exp(normalized)
+        if self.upper is not None:
+            return self.upper - (self.upper - self.value) * jnp.exp(-normalized)
+        return self.value + self.initial_scale() * normalized
 
     def _bounds(self) -> str:
-        words = [
+        """Text of the bounds, which starts with a space; empty if there is none."""
+        texts = [
             f" {side} {bound:g}"
-            for side, bound in (("above", self.above), ("below", self.below))
+            for side, bound in (("above", self.lower), ("below", self.upper))
             if bound is not None
         ]
-        return " and".join(words)
+        return " and".join(texts)
 
     def __repr__(self) -> str:
-        seen = concrete(self.value)
-        if seen is None:
+        initial = concrete(self.value)
+        if initial is None:
             return eqx.tree_pformat(self)
-        told = self.unit if isinstance(self.unit, str) else ", ".join(self.unit)
-        unit = f" {told}" if told else ""
+        units = self.unit if isinstance(self.unit, str) else ", ".join(self.unit)
+        unit = f" {units}" if units else ""
         bounds = self._bounds()
         comma = "," if bounds else ""
-        return f"Unknown({np.array2string(seen, precision=6)}{unit}{comma}{bounds})"
+        value = np.array2string(initial, precision=6)
+        return f"Parameter({value}{unit}{comma}{bounds})"
 
 
 class ParameterSet(eqx.Module):
-    """All unknowns of a design, as one row of steps from where they start.
+    """All parameters of a design, in the form of one vector.
 
     Args:
-        leaves: the unknowns, in the order of the row.
-        reference: what else the design takes, as it is, with nothing where the unknowns are.
-        names: one for each entry of the row.
-        units: likewise.
+        parameters: Parameters, in the order of the vector.
+        constants: Leaves of the tree that are not identified; None in the positions of
+            the parameters.
+        structure: Structure of the tree that the design takes.
+        names: Names of the entries of the vector.
+        units: Units of the entries of the vector.
     """
 
-    leaves: tuple[Parameter, ...]
-    rest: Any
-    tree: Any = eqx.field(static=True)
+    parameters: tuple[Parameter, ...]
+    constants: Any
+    structure: Any = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def bounded(self) -> frozenset[str]:
-        """The names of those with a bound."""
+        """Names of the entries that have a bound."""
         return frozenset(
             name
-            for unknown, names in zip(self.leaves, self._cut(self.names), strict=True)
+            for parameter, names in zip(
+                self.parameters, self._split(self.names), strict=True
+            )
             for name in names
-            if unknown.above is not None or unknown.below is not None
+            if parameter.lower is not None or parameter.upper is not None
         )
 
     @classmethod
-    def of(cls, start: Any) -> "ParameterSet":
-        """Those of a tree: each `Parameter`, or, where there is none, each number."""
-        paths, tree = jax.tree_util.tree_flatten_with_path(start, is_leaf=_is_unknown)
-        sought = (
-            _is_unknown if any(_is_unknown(leaf) for _, leaf in paths) else _is_number
+    def from_tree(cls, start: Any) -> "ParameterSet":
+        """Collect the parameters of a tree.
+
+        Args:
+            start: Tree that a design takes. Each `Parameter` in it is identified or, if
+                there is none, each number.
+
+        Returns:
+            The parameters of the tree.
+
+        Raises:
+            ValueError: The tree contains neither parameters nor numbers.
+        """
+        leaves, structure = jax.tree_util.tree_flatten_with_path(
+            start, is_leaf=_is_parameter
         )
-        leaves, rest, names, units = [], [], [], []
-        for path, leaf in paths:
-            if not sought(leaf):
-                rest.append(leaf)
+        has_parameters = any(_is_parameter(leaf) for _, leaf in leaves)
+        is_identified = _is_parameter if has_parameters else _is_number
+        parameters, constants, names, units = [], [], [], []
+        for path, leaf in leaves:
+            if not is_identified(leaf):
+                constants.append(leaf)
                 continue
-            unknown = leaf if _is_unknown(leaf) else Parameter(leaf)
-            rest.append(None)
-            leaves.append(unknown)
-            names += entry_names(path_name(path), unknown.value.shape)
-            for place in np.ndindex(unknown.value.shape):
-                unit = unknown.unit
-                units.append(unit if isinstance(unit, str) else unit[place[-1]])
-        if not leaves:
+            parameter = leaf if _is_parameter(leaf) else Parameter(leaf)
+            constants.append(None)
+            parameters.append(parameter)
+            names += entry_names(path_name(path), parameter.value.shape)
+            for index in np.ndindex(parameter.value.shape):
+                unit = parameter.unit
+                units.append(unit if isinstance(unit, str) else unit[index[-1]])
+        if not parameters:
             raise ValueError(
-                f"`start` is {start!r}, but must have something to find: floats, arrays "
-                "of them, or `Parameter`s."
+                f"`start` is {start!r}, but must have a parameter to identify: floats, "
+                "arrays of them, or `Parameter`s."
             )
-        return cls(tuple(leaves), tuple(rest), tree, tuple(names), tuple(units))
+        return cls(
+            tuple(parameters), tuple(constants), structure, tuple(names), tuple(units)
+        )
 
-    def flat(self, steps: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
-        """The values, in a row."""
-        return jnp.concatenate([jnp.ravel(part) for part in self._parts(steps)])
+    def vector(
+        self, normalized: Float[Array, " parameters"]
+    ) -> Float[Array, " parameters"]:
+        """Values of the parameters as a vector, in their units."""
+        return jnp.concatenate([jnp.ravel(value) for value in self._values(normalized)])
 
-    def at(self, steps: Float[Array, " unknowns"]) -> Any:
-        """The tree that the design takes."""
-        parts = iter(self._parts(steps))
-        leaves = [next(parts) if leaf is None else leaf for leaf in self.rest]
-        return jax.tree.unflatten(self.tree, leaves)
+    def tree(self, normalized: Float[Array, " parameters"]) -> Any:
+        """Values of the parameters and the constants, in the tree that the design takes.
 
-    def like(self, row: Float[Array, " unknowns"]) -> Any:
-        """A number for each unknown, in the tree that the design takes."""
-        parts = zip(self.leaves, self._cut(row), strict=True)
-        shaped = (part.reshape(unknown.value.shape) for unknown, part in parts)
-        leaves = [next(shaped) if leaf is None else None for leaf in self.rest]
-        return jax.tree.unflatten(self.tree, leaves)
+        Args:
+            normalized: Normalized parameters.
+        """
+        values = iter(self._values(normalized))
+        leaves = [next(values) if leaf is None else leaf for leaf in self.constants]
+        return jax.tree.unflatten(self.structure, leaves)
 
-    def sizes(self, steps: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
-        """How large each is, by which its change counts as a relative one.
+    def unflatten(self, vector: Float[Array, " parameters"]) -> Any:
+        """Arrange one number for each parameter in the tree that the design takes.
 
-        The distance to a bound; of free ones the value, or their size at the start where
-        that is larger.
+        Args:
+            vector: Number for each parameter, for example its standard error.
+
+        Returns:
+            The tree; None in the positions of the constants.
+        """
+        parts = zip(self.parameters, self._split(vector), strict=True)
+        shaped = (part.reshape(parameter.value.shape) for parameter, part in parts)
+        leaves = [next(shaped) if leaf is None else None for leaf in self.constants]
+        return jax.tree.unflatten(self.structure, leaves)
+
+    def scales(
+        self, normalized: Float[Array, " parameters"]
+    ) -> Float[Array, " parameters"]:
+        """Reference sizes with respect to which changes of the values are relative.
+
+        Args:
+            normalized: Normalized parameters.
+
+        Returns:
+            For a parameter with a bound, the distance to the bound; otherwise the larger
+            one of the absolute value and the initial scale; in their units.
         """
         names, bounded = self.names, self.bounded
         free = jnp.asarray([name not in bounded for name in names])
-        slopes = jnp.abs(self.slopes(steps))
-        return jnp.where(free, jnp.maximum(slopes, jnp.abs(self.flat(steps))), slopes)
+        derivatives = jnp.abs(self.derivatives(normalized))
+        sizes = jnp.maximum(derivatives, jnp.abs(self.vector(normalized)))
+        return jnp.where(free, sizes, derivatives)
 
-    def slopes(self, steps: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
-        """How fast each value changes with its own step."""
-        return jax.jvp(self.flat, (steps,), (jnp.ones_like(steps),))[1]
+    def derivatives(
+        self, normalized: Float[Array, " parameters"]
+    ) -> Float[Array, " parameters"]:
+        """Derivative of each value with respect to its normalized parameter."""
+        return jax.jvp(self.vector, (normalized,), (jnp.ones_like(normalized),))[1]
 
-    def _parts(self, steps: Float[Array, " unknowns"]) -> list[Array]:
-        parts = zip(self.leaves, self._cut(steps), strict=True)
-        return [unknown.at(part.reshape(unknown.value.shape)) for unknown, part in parts]
+    def _values(self, normalized: Float[Array, " parameters"]) -> list[Array]:
+        parts = zip(self.parameters, self._split(normalized), strict=True)
+        return [
+            parameter.value_at(part.reshape(parameter.value.shape))
+            for parameter, part in parts
+        ]
 
-    def _cut(self, row: Any) -> list[Any]:
-        """A row's entries for each of the leaves."""
-        ends = np.cumsum([0, *(unknown.value.size for unknown in self.leaves)])
-        return [row[start:end] for start, end in pairwise(ends)]
+    def _split(self, vector: Any) -> list[Any]:
+        """Split a vector into the entries of each parameter."""
+        sizes = [parameter.value.size for parameter in self.parameters]
+        ends = np.cumsum([0, *sizes])
+        return [vector[start:end] for start, end in pairwise(ends)]
 
 
-def _is_unknown(leaf: Any) -> bool:
+def _is_parameter(leaf: Any) -> bool:
     return isinstance(leaf, Parameter)
 
 
 def _is_number(leaf: Any) -> bool:
+    """Whether a leaf is a number or an array of real numbers.
+
+    Integers are accepted, because users write 80 for 80.0.
+    """
     if isinstance(leaf, int) and not isinstance(leaf, bool):
-        return True  # a whole one by chance
+        return True
     return eqx.is_inexact_array_like(leaf)

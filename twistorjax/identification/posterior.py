@@ -1,4 +1,4 @@
-"""What measurements leave possible, by sampling."""
+"""Samples of the posterior distribution of the parameters."""
 
 from typing import Any, TYPE_CHECKING
 
@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from .._utils.validation import require_package
 from .compilation import fast_compile
-from .measurement import a_key
+from .measurement import random_key
 from .report import Identification
 
 
@@ -18,35 +18,38 @@ if TYPE_CHECKING:
 
 
 def posterior(
-    found: Identification,
+    identification: Identification,
     *,
     draws: int = 500,
     tune: int = 500,
     chains: int = 2,
-    prior: float = 3.0,
+    prior_standard_deviation: float = 3.0,
     key: Array | int = 0,
 ) -> "arviz.InferenceData":
-    """Samples of the unknowns as the measurements leave them, by Hamiltonian dynamics.
+    """Draw samples of the posterior distribution by Hamiltonian Monte Carlo.
 
-    Where a model is far from linear over its own uncertainty, standard errors mislead:
-    this does not. Errors of readings are normal, with the deviations told. Before the
-    measurements each unknown's relative change from its start is normal, so that one
-    with a bound is log-normal about it.
+    Standard errors assume that the model is linear within the uncertainty of the
+    parameters; the samples do not. The errors of the readings are normal, with the given
+    standard deviations. The prior distribution of each normalized parameter is normal
+    with mean zero, so a parameter with one bound has a shifted log-normal prior.
 
     Args:
-        found: a fit without a robust loss, from whose estimates the chains begin.
-        draws: samples of each chain.
-        tune: samples before these, by which the sampler adapts itself.
-        chains: that are run side by side, to be compared.
-        prior: standard deviation of the relative changes before the measurements.
-        key: of random numbers, or a whole number to make it of.
+        identification: Result of `identify` without Huber's loss. The chains start near
+            its estimates.
+        draws: Number of samples of each chain.
+        tune: Number of earlier samples of each chain, which adapt the sampler and are not
+            returned.
+        chains: Number of chains, which run side by side.
+        prior_standard_deviation: Prior standard deviation of the normalized parameters,
+            as a relative change from the initial values.
+        key: Random key, or an integer seed.
 
     Returns:
-        The draws, as arviz keeps them: `arviz.summary(draws)` tells of their quality.
+        The samples; `arviz.summary` reports their convergence.
 
     Raises:
         ImportError: blackjax or arviz is not installed.
-        ValueError: the loss was robust.
+        ValueError: The identification used Huber's loss.
 
     Source:
         Hoffman and Gelman, Journal of Machine Learning Research 15, 2014.
@@ -54,53 +57,55 @@ def posterior(
     arviz, blackjax = (
         require_package(name, "Samples", "posterior") for name in ("arviz", "blackjax")
     )
-    problem = found.problem
-    if problem.robust is not None:
+    problem, center = identification.problem, identification.normalized
+    if problem.huber_threshold is not None:
         raise ValueError(
-            "A robust loss is not the logarithm of a density of errors: fit without "
-            "`robust` before sampling."
+            "Huber's loss is not the logarithm of a normal probability density: call "
+            "`identify` without `huber_threshold` before sampling."
         )
 
     @jax.custom_jvp
-    def misfit(place: Array) -> Array:
-        return problem.found(place).loss
+    def loss(normalized: Array) -> Array:
+        return problem.evaluate(normalized).loss
 
-    @misfit.defjvp
-    def _(places: Any, moved: Any) -> tuple[Array, Array]:
-        # forwards, for few unknowns
-        seen = problem.found(places[0])
-        return seen.loss, seen.gradient @ moved[0]
+    @loss.defjvp
+    def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
+        # The gradient is computed in forward mode, which is faster for few parameters.
+        evaluation = problem.evaluate(primals[0])
+        return evaluation.loss, evaluation.gradient @ tangents[0]
 
-    def density(place: Array) -> Array:
-        return -misfit(place) - jnp.sum((place / prior) ** 2) / 2
+    def log_density(normalized: Array) -> Array:
+        prior_loss = jnp.sum((normalized / prior_standard_deviation) ** 2) / 2
+        return -loss(normalized) - prior_loss
 
-    size = jnp.asarray(found.sensitivity)
-    normal = size.T @ size + jnp.eye(found.place.size) / prior**2
-    spread = jnp.linalg.cholesky(jnp.linalg.inv(normal))
+    # The sampler works in coordinates in which the posterior distribution of the linear
+    # model has the unit matrix as its covariance.
+    jacobian = jnp.asarray(identification.jacobian)
+    prior_information = jnp.eye(center.size) / prior_standard_deviation**2
+    information = jacobian.T @ jacobian + prior_information
+    factor = jnp.linalg.cholesky(jnp.linalg.inv(information))
 
-    def one(key: Array) -> Array:
-        begin, adapt, sample = jax.random.split(key, 3)
-        offset = jax.random.normal(begin, found.place.shape)
-        # in coordinates in which a linear model's posterior is round
-        warm = blackjax.window_adaptation(
-            blackjax.nuts, lambda round_: density(found.place + spread @ round_)
-        )
-        run: Any = warm.run  # whose annotations leave out its arguments
-        (state, settings), _ = run(adapt, offset, tune)
-        step = blackjax.nuts(
-            lambda round_: density(found.place + spread @ round_), **settings
-        ).step
+    def whitened_log_density(whitened: Array) -> Array:
+        return log_density(center + factor @ whitened)
+
+    def run_chain(key: Array) -> Array:
+        start_key, tune_key, draw_key = jax.random.split(key, 3)
+        start = jax.random.normal(start_key, center.shape)
+        adaptation = blackjax.window_adaptation(blackjax.nuts, whitened_log_density)
+        run: Any = adaptation.run  # its annotations do not contain the arguments
+        (state, settings), _ = run(tune_key, start, tune)
+        step = blackjax.nuts(whitened_log_density, **settings).step
 
         def draw(state: Any, key: Array) -> tuple[Any, Array]:
             state, _ = step(key, state)
-            return state, found.place + spread @ state.position
+            return state, center + factor @ state.position
 
-        return jax.lax.scan(draw, state, jax.random.split(sample, draws))[1]
+        return jax.lax.scan(draw, state, jax.random.split(draw_key, draws))[1]
 
-    key = a_key(key)
+    keys = jax.random.split(random_key(key), chains)
+    # blackjax needs implicit promotion.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        # on which blackjax relies
-        places = fast_compile(jax.vmap(one))(jax.random.split(key, chains))
-    values = np.asarray(jax.vmap(jax.vmap(problem.unknowns.flat))(places))
-    named = {name: values[..., k] for k, name in enumerate(found.names)}
-    return arviz.from_dict(posterior=named)
+        samples = fast_compile(jax.vmap(run_chain))(keys)
+    values = np.asarray(jax.vmap(jax.vmap(problem.parameters.vector))(samples))
+    by_name = {name: values[..., k] for k, name in enumerate(identification.names)}
+    return arviz.from_dict(posterior=by_name)

@@ -1,26 +1,27 @@
-"""Measurements from files and datasets, their units told by each column."""
+"""Measurements from text files and xarray datasets, with units in each column."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from .._utils.csv_files import Columns
+from .._utils.csv_files import CsvFile
 from .._utils.validation import shorten
 from ..mechanism.loads import Drive, Load
 from .measurement import Measurement
 from .motion_test import MotionTest
 from .sensors import BodySensor, HingeSensor, UNITS
 from .static_test import StaticTest
-from .vibration_test import need_ascending, VibrationTest
+from .vibration_test import require_ascending, VibrationTest
 
 
 if TYPE_CHECKING:
     import xarray
 
 
+# Factors from the units of a file to SI units.
 _FACTORS = {
     "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
     "rad": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": np.pi / 180},
@@ -31,16 +32,25 @@ _FACTORS = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "Hz": {"Hz": 1.0, "kHz": 1e3},
 }
-_MICRO = str.maketrans("\u00b5\u03bc", "uu")  # the sign for micro, and the Greek letter
+_MICRO = str.maketrans("\u00b5\u03bc", "uu")  # micro sign, and Greek letter mu
 _LOADS = ("moment", "force_x", "force_y")
 _DRIVES = ("angle", "x", "y")
-_LONE = {"time": "s", "frequency": "Hz"}
+# Quantities that do not belong to a body or a hinge.
+_GLOBAL_UNITS = {"time": "s", "frequency": "Hz"}
 
 
 class _Column(NamedTuple):
-    """One column: whose it is, what, and its values in SI units."""
+    """One column of a file or a dataset.
 
-    role: str  # "read", "load", "drive", "hinge", "time" or "frequency"
+    Args:
+        role: "body" or "hinge" for readings, "load", "drive", "time" or "frequency".
+        subject: Name of the body or hinge; empty for times and frequencies.
+        quantity: Quantity, for example "force_x".
+        values: Values in SI units.
+        absolute: Whether the values are poses in the world frame, not displacements.
+    """
+
+    role: str
     subject: str
     quantity: str
     values: np.ndarray
@@ -48,241 +58,299 @@ class _Column(NamedTuple):
 
     @property
     def name(self) -> str:
+        """Name of the column without its role and unit, for example "3.force_x"."""
         return f"{self.subject}.{self.quantity}" if self.subject else self.quantity
 
 
-_Spreads = dict[tuple[str, str], np.ndarray]  # by role and name
+class _Table(NamedTuple):
+    """All columns of a file or a dataset.
+
+    Args:
+        source: Name of the file or the dataset, for messages.
+        columns: Columns, without those of standard deviations.
+        standard_deviations: Standard deviations by role and name of the column; SI units.
+    """
+
+    source: str
+    columns: list[_Column]
+    standard_deviations: dict[tuple[str, str], np.ndarray]
+
+    def with_role(self, *roles: str) -> list[_Column]:
+        """Columns with one of these roles, in the order of the roles."""
+        return [
+            column for role in roles for column in self.columns if column.role == role
+        ]
 
 
 def read_measurements(
     source: "str | Path | xarray.Dataset",
     *,
-    deviations: Mapping[str, float] | None = None,
+    standard_deviations: Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Measurement:
-    """Measurements from a file of separated values, or from an xarray dataset.
+    """Read measurements from a text file of separated values or an xarray dataset.
 
-    Each column tells what it is and in which unit: `3.x_um` is how far body 3 has moved
-    along x, in micrometres; `hinge_a.force_1_N` what hinge a bears. Beside readings there
-    are `time_s`, for a motion; or `load_3.force_x_N`, `load_3.moment_Nm` and
-    `drive_6.x_um`, a trial a row, for trials at rest; or `frequency_Hz` alone, the
-    slowest first. `sd_3.x_um` is the standard deviation of `3.x`. An empty entry is no
-    reading.
+    The name of each column contains the quantity and its unit. `3.x_um` is the
+    displacement of body 3 along x in micrometers, `hinge_a.force_1_N` a force on hinge a,
+    and `sd_3.x_um` the standard deviation of `3.x`. An empty entry is a missing reading.
+    The other columns define the kind of the test:
+
+    - `time_s`: a motion, with a row for each time.
+    - `load_3.force_x_N`, `load_3.moment_Nm`, `drive_6.x_um`: static trials, with a row
+      for each trial.
+    - `frequency_Hz`, without other columns of readings: natural frequencies in ascending
+      order.
 
     Args:
-        source: the file, separated by commas, semicolons or tabs; or a dataset over
-            `time` or `trial`, and `body`, with `units` in the attributes of each
-            variable, as `motion.to_xarray()` makes it. There "angle", "x" and "y" tell
-            where a body is; `displacement_x` and its like would
-            how far it has moved. Loads and drives are `load_force_x`, `drive_x` and their
-            like, standard deviations `sd_x`.
-        deviations: standard deviations of readings without a column for them, by name:
-            `{"3.x": 1e-6}`, or `{"x": 1e-6}` for all bodies; in SI units.
-        settings: more for the test: for a motion how it begins and what drives it.
+        source: File, separated by commas, semicolons or tabs; or dataset over `time` or
+            `trial`, and `body`, in which each variable has the attribute `units`, as that
+            of `motion.to_xarray()`. In a dataset "angle", "x" and "y" are poses in the
+            world frame, and `displacement_x` etc. are displacements. Loads and drives are
+            named `load_force_x` or `drive_x`, standard deviations `sd_x`.
+        standard_deviations: Standard deviations of the readings without a column for
+            them, by name: `{"3.x": 1e-6}`, or `{"x": 1e-6}` for all bodies; SI units.
+        settings: Further arguments of the test. A motion needs its initial state or what
+            drives it; see `MotionTest`, `StaticTest` and `VibrationTest`.
 
     Returns:
-        The test, with what was measured in it.
+        The test with its readings.
 
     Raises:
-        ValueError: a column is not known, its unit is not one of its quantity, an entry
-            is no number, or a standard deviation is missing.
-        OSError: the file cannot be read.
+        ValueError: A column is not known, its unit does not fit its quantity, an entry is
+            not a number, or a standard deviation is missing.
+        OSError: The file cannot be read.
 
     Example:
         >>> import xarray
-        >>> values = ("time", "body"), [[0.0], [1e-3], [2e-3]], {"units": "m"}
-        >>> table = xarray.Dataset(
-        ...     {"x": values},
-        ...     {"time": ("time", [0.0, 0.1, 0.2], {"units": "s"}), "body": ["block"]},
+        >>> travel = ("time", "body"), [[0.0], [1e-3], [2e-3]], {"units": "m"}
+        >>> times = ("time", [0.0, 0.1, 0.2], {"units": "s"})
+        >>> table = xarray.Dataset({"x": travel}, {"time": times, "body": ["block"]})
+        >>> velocities = {"block": (0.0, 0.01, 0.0)}  # 10 mm/s along x
+        >>> read_measurements(
+        ...     table, standard_deviations={"x": 1e-6}, velocities=velocities
         ... )
-        >>> let_go = {"block": (0.0, 0.01, 0.0)}
-        >>> read_measurements(table, deviations={"x": 1e-6}, velocities=let_go)
         3 readings of MotionTest at 3 times up to 0.2 s, read by block.x
     """
-    if isinstance(source, str | Path):
-        where, columns, spreads = str(source), *_from_file(Path(source))
-    else:
-        where, columns, spreads = "the dataset", *_from_dataset(source)
-    by_role: dict[str, list[_Column]] = {}
-    for column in columns:
-        by_role.setdefault(column.role, []).append(column)
-    readings = by_role.get("read", []) + by_role.get("hinge", [])
-    names = [column.name for column in columns]
-    roles = [(column.role, column.name) for column in columns]
-    if twice := [name for role, name in roles if roles.count((role, name)) > 1]:
-        raise ValueError(f"{where} tells {twice[0]} twice, in different units.")
-    known = {*names, *(column.quantity for column in columns)}
-    strange = [name for role, name in spreads if (role, name) not in roles]
-    for name in (*strange, *(deviations or {})):
-        if name in strange or name not in known:
-            raise ValueError(
-                f"There is a standard deviation of {shorten(name)!r}, but {where} has "
-                f"no such readings: it has {shorten(', '.join(names), 300)}."
-            )
-
-    def deviation(column: _Column) -> np.ndarray:
-        for name in (column.name, column.quantity):
-            if deviations is not None and name in deviations:
-                return np.full(len(column.values), float(deviations[name]))
-        if (column.role, column.name) not in spreads:
-            raise ValueError(
-                f"{where} does not tell the standard deviation of {column.name}: add a "
-                f"column `sd_{column.name}_...`, or give `deviations={{"
-                f"{column.name!r}: ...}}`."
-            )
-        return spreads[column.role, column.name]
-
-    given = by_role.get("load", []) + by_role.get("drive", [])
-    if given and ("time" in by_role or "frequency" in by_role):
+    is_file = isinstance(source, str | Path)
+    table = _read_file(Path(source)) if is_file else _read_dataset(source)
+    given = dict(standard_deviations or {})
+    _check_columns(table, given)
+    readings = table.with_role("body", "hinge")
+    actions = table.with_role("load", "drive")
+    times, frequencies = table.with_role("time"), table.with_role("frequency")
+    if actions and (times or frequencies):
         raise ValueError(
-            f"{where} tells {given[0].name} as a {given[0].role}, but only trials at "
-            "rest have such columns: give what moves it as `loads=` or `drives=`."
+            f"{table.source} has {actions[0].name} as a {actions[0].role}, but only "
+            "static trials have such columns: give `loads=` or `drives=` instead."
         )
-    if "frequency" in by_role:
-        (column,) = by_role["frequency"]
-        if readings or "time" in by_role:
-            other = (readings or by_role["time"])[0].name
+    if frequencies:
+        (column,) = frequencies
+        if other := readings or times:
             raise ValueError(
-                f"{where} has the column of {other} beside that of frequencies, but "
-                "natural frequencies stand alone."
+                f"{table.source} has the column of {other[0].name} beside that of "
+                "frequencies, but a file of natural frequencies has no other readings."
             )
-        sizes = deviation(column)
+        sizes = _standard_deviation(table, column, given)
         test = VibrationTest(len(column.values), sizes, **settings)
-        return test.measured(column.values[:, None])
+        return test.measurement(column.values[:, None])
     if not readings:
-        raise ValueError(f"{where} has no readings: columns such as `3.x_um`.")
-    sizes = np.stack([deviation(column) for column in readings], axis=1)
+        raise ValueError(f"{table.source} has no readings: add columns such as `3.x_um`.")
+    columns = [_standard_deviation(table, column, given) for column in readings]
+    sizes = np.stack(columns, axis=1)
     values = np.stack([column.values for column in readings], axis=1)
     sensors = [
-        _sensor(column, np.nanmin(size))
-        for column, size in zip(readings, sizes.T, strict=True)
+        _make_sensor(column, np.nanmin(size))
+        for column, size in zip(readings, columns, strict=True)
     ]
-    if "time" in by_role:
-        (time,) = by_role["time"]
-        motion = MotionTest(time.values, sensors, **settings)
-        return motion.measured(values, sizes)
-    if not given:
+    if times:
+        motion_test = MotionTest(times[0].values, sensors, **settings)
+        return motion_test.measurement(values, sizes)
+    if not actions:
         raise ValueError(
-            f"{where} tells neither times, nor loads or drives: give `time_s`, or "
-            "columns such as `load_3.force_x_N` or `drive_6.x_um`."
+            f"{table.source} has neither times, nor loads or drives: add the column "
+            "`time_s`, or columns such as `load_3.force_x_N` or `drive_6.x_um`."
         )
-    trials = [_trial(given, row) for row in range(len(values))]
-    return StaticTest(trials, sensors, **settings).measured(values, sizes)
+    trials = [_make_trial(actions, row) for row in range(len(values))]
+    return StaticTest(trials, sensors, **settings).measurement(values, sizes)
 
 
-def _sensor(column: _Column, deviation: float) -> BodySensor | HingeSensor:
+def _check_columns(table: _Table, standard_deviations: Mapping[str, float]) -> None:
+    """Check that no column is repeated, and that each standard deviation has a column.
+
+    Args:
+        table: Columns of the file or dataset.
+        standard_deviations: Standard deviations by name, as given to `read_measurements`.
+    """
+    names = [column.name for column in table.columns]
+    keys = [(column.role, column.name) for column in table.columns]
+    if repeated := [name for role, name in keys if keys.count((role, name)) > 1]:
+        raise ValueError(f"{table.source} has {repeated[0]} twice, in different units.")
+    known = {*names, *(column.quantity for column in table.columns)}
+    unmatched = [
+        name for role, name in table.standard_deviations if (role, name) not in keys
+    ]
+    unmatched += [name for name in standard_deviations if name not in known]
+    if unmatched:
+        raise ValueError(
+            f"There is a standard deviation of {shorten(unmatched[0])!r}, but "
+            f"{table.source} has no such readings: it has "
+            f"{shorten(', '.join(names), 300)}."
+        )
+
+
+def _standard_deviation(
+    table: _Table, column: _Column, given: Mapping[str, float]
+) -> np.ndarray:
+    """Standard deviations of the readings of one column; SI units.
+
+    Args:
+        table: Columns of the file or dataset.
+        column: Column of readings.
+        given: Standard deviations by name, which have priority over those of the table.
+    """
+    for name in (column.name, column.quantity):
+        if name in given:
+            return np.full(len(column.values), float(given[name]))
+    if (column.role, column.name) not in table.standard_deviations:
+        raise ValueError(
+            f"{table.source} has no standard deviation of {column.name}: add a column "
+            f"`sd_{column.name}_...`, or give `standard_deviations={{"
+            f"{column.name!r}: ...}}`."
+        )
+    return table.standard_deviations[column.role, column.name]
+
+
+def _make_sensor(column: _Column, standard_deviation: float) -> BodySensor | HingeSensor:
+    """Sensor that corresponds to a column of readings."""
+    quantity: Any = column.quantity
     if column.role == "hinge":
-        return HingeSensor(column.subject, column.quantity, deviation)  # pyright: ignore
+        return HingeSensor(column.subject, quantity, standard_deviation)
     return BodySensor(
-        column.subject,
-        column.quantity,  # pyright: ignore[reportArgumentType]
-        deviation,
-        absolute=column.absolute,
+        column.subject, quantity, standard_deviation, absolute=column.absolute
     )
 
 
-def _trial(given: list[_Column], row: int) -> list[Load | Drive]:
-    """The loads and drives of one trial."""
+def _make_trial(actions: Sequence[_Column], row: int) -> list[Load | Drive]:
+    """Loads and prescribed displacements of the static trial in one row."""
     wrenches: dict[str, list[float]] = {}
-    drives: dict[str, dict[str, float]] = {}
-    for column in given:
+    displacements: dict[str, dict[str, float]] = {}
+    for column in actions:
         value = float(column.values[row])
         if column.role == "load":
             wrench = wrenches.setdefault(column.subject, [0.0, 0.0, 0.0])
             wrench[_LOADS.index(column.quantity)] = value
         else:
-            drives.setdefault(column.subject, {})[column.quantity] = value
-    parts: list[Load | Drive] = [Load(body, w) for body, w in wrenches.items()]
-    return parts + [Drive(body, **moved) for body, moved in drives.items()]
+            displacements.setdefault(column.subject, {})[column.quantity] = value
+    loads: list[Load | Drive] = [Load(body, wrench) for body, wrench in wrenches.items()]
+    return loads + [Drive(body, **values) for body, values in displacements.items()]
 
 
-def _from_file(path: Path) -> tuple[list[_Column], _Spreads]:
-    file = Columns(path)
+def _read_file(path: Path) -> _Table:
+    """Read all columns of a text file."""
+    file = CsvFile(path)
     if not len(file):
-        raise ValueError(f"{path} has no readings: only the line of names.")
-    columns, spreads = [], {}
+        raise ValueError(f"{path} has no readings: it has only the line of column names.")
+    table = _Table(str(path), [], {})
     for title in file.names:
-        spread, role, subject, quantity, unit = _parsed(str(path), title)
-        blank = role in ("read", "hinge") and not spread
+        is_deviation, role, subject, quantity, unit = _parse_title(str(path), title)
+        blank = role in ("body", "hinge") and not is_deviation
         values = file.numbers(title, unit=unit, blank=blank)
-        if role == "frequency" and not spread:
-            need_ascending(values, file.place)
+        if role == "frequency" and not is_deviation:
+            require_ascending(values, file.location)
         column = _Column(role, subject, quantity, values)
-        if spread:
-            spreads[column.role, column.name] = values
+        if is_deviation:
+            table.standard_deviations[column.role, column.name] = values
         else:
-            columns.append(column)
-    return columns, spreads
+            table.columns.append(column)
+    return table
 
 
-def _parsed(where: str, title: str) -> tuple[bool, str, str, str, float]:
-    """What a column is: a deviation or not, its role, subject, quantity and unit."""
-    rest = title.removeprefix("sd_")
-    spread = rest != title
-    match = re.fullmatch(r"(?:(load|drive|hinge)_)?(.+)\.([a-z_12]+)_([^_]+)", rest)
+def _parse_title(source: str, title: str) -> tuple[bool, str, str, str, float]:
+    """Parse the name of a column of a text file.
+
+    Args:
+        source: Name of the file, for messages.
+        title: Name of the column, for example "sd_hinge_a.force_1_mN".
+
+    Returns:
+        Whether the values are standard deviations, the role, the name of the body or
+        hinge, the quantity, and the factor of the unit to the SI unit.
+    """
+    name = title.removeprefix("sd_")
+    is_deviation = name != title
+    match = re.fullmatch(r"(?:(load|drive|hinge)_)?(.+)\.([a-z_12]+)_([^_]+)", name)
     if match:
         role, subject, quantity, unit = match.groups()
-        role = role or "read"
+        role = role or "body"
         known = {"load": _LOADS, "drive": _DRIVES}.get(role, tuple(UNITS))
         if quantity in known:
-            return spread, role, subject, quantity, _factor(where, title, quantity, unit)
+            factor = _unit_factor(source, title, quantity, unit)
+            return is_deviation, role, subject, quantity, factor
     else:
-        quantity, _, unit = rest.rpartition("_")
-        if quantity in _LONE:
-            return spread, quantity, "", quantity, _factor(where, title, quantity, unit)
+        quantity, _, unit = name.rpartition("_")
+        if quantity in _GLOBAL_UNITS:
+            factor = _unit_factor(source, title, quantity, unit)
+            return is_deviation, quantity, "", quantity, factor
     raise ValueError(
-        f"{where} has the column {shorten(title)!r}, but a column is "
-        f"`<body>.<quantity>_<unit>` with one of {', '.join(UNITS)}; or "
-        "begins with `hinge_`, `load_`, `drive_` or `sd_`; or is `time_s` or "
-        "`frequency_Hz`."
+        f"{source} has the column {shorten(title)!r}, but a column is "
+        f"`<body>.<quantity>_<unit>` with one of {', '.join(UNITS)}; or starts with "
+        "`hinge_`, `load_`, `drive_` or `sd_`; or is `time_s` or `frequency_Hz`."
     )
 
 
-def _factor(where: str, title: str, quantity: str, unit: str) -> float:
-    """How many SI units a unit is."""
-    factors = _FACTORS[UNITS.get(quantity) or _LONE[quantity]]
+def _unit_factor(source: str, title: str, quantity: str, unit: str) -> float:
+    """Factor from a unit to the SI unit of a quantity.
+
+    Args:
+        source: Name of the file or dataset, for messages.
+        title: Name of the column, for messages.
+        quantity: Quantity of the column.
+        unit: Unit of the column.
+    """
+    factors = _FACTORS[UNITS.get(quantity) or _GLOBAL_UNITS[quantity]]
     if unit.translate(_MICRO) not in factors:
         raise ValueError(
-            f"{where} has the column {shorten(title)!r} in {shorten(unit)!r}, but "
-            f"{quantity} is told in {', '.join(factors)}; a letter µ is read as u."
+            f"{source} has the column {shorten(title)!r} in {shorten(unit)!r}, but the "
+            f"unit of {quantity} must be one of {', '.join(factors)}; the letter µ is "
+            "accepted for u."
         )
     return factors[unit.translate(_MICRO)]
 
 
-def _from_dataset(table: Any) -> tuple[list[_Column], _Spreads]:
-    columns, spreads = [], {}
-    if "time" in table.dims:
-        values = np.asarray(table["time"].values, float)
-        unit = str(table["time"].attrs.get("units", "s"))
-        factor = _factor("the dataset", "time", "time", unit)
-        columns.append(_Column("time", "", "time", factor * values))
-    for title, variable in table.data_vars.items():
-        name = str(title).removeprefix("sd_")
-        role = "read"
+def _read_dataset(dataset: Any) -> _Table:
+    """Read all columns of an xarray dataset."""
+    table = _Table("the dataset", [], {})
+    if "time" in dataset.dims:
+        values = np.asarray(dataset["time"].values, float)
+        unit = str(dataset["time"].attrs.get("units", "s"))
+        factor = _unit_factor(table.source, "time", "time", unit)
+        table.columns.append(_Column("time", "", "time", factor * values))
+    for title, variable in dataset.data_vars.items():
+        name, role = str(title).removeprefix("sd_"), "body"
         for prefix in ("load", "drive"):
             if name.startswith(f"{prefix}_"):
                 role, name = prefix, name.removeprefix(f"{prefix}_")
-        moved = name.removeprefix("displacement_")
+        quantity = name.removeprefix("displacement_")
         if name == "frequency":
             role, bodies = "frequency", [""]
-        elif moved in UNITS and "body" in variable.dims:
-            bodies = [str(body) for body in table["body"].values]
+        elif quantity in UNITS and "body" in variable.dims:
+            bodies = [str(body) for body in dataset["body"].values]
         else:
-            continue  # energies, and what else a table may tell
+            continue  # energies and other variables that no sensor measures
         units = variable.attrs.get("units")
         if units is None:
             raise ValueError(
-                f"the dataset has {title!r} without `units` in its attributes."
+                f"{table.source} has {title!r} without `units` in its attributes."
             )
-        factor = _factor("the dataset", str(title), moved, str(units))
+        factor = _unit_factor(table.source, str(title), quantity, str(units))
         rows = np.asarray(variable.values, float).reshape(-1, len(bodies))
         if "body" in variable.dims and variable.dims[-1] != "body":
             rows = np.asarray(variable.transpose(..., "body").values, float)
-        absolute = role == "read" and moved == name and name in _DRIVES
+        absolute = role == "body" and quantity == name and name in _DRIVES
         for body, values in zip(bodies, rows.T, strict=True):
-            column = _Column(role, body, moved, factor * values, absolute)
+            column = _Column(role, body, quantity, factor * values, absolute)
             if str(title).startswith("sd_"):
-                spreads[column.role, column.name] = column.values
+                table.standard_deviations[column.role, column.name] = column.values
             else:
-                columns.append(column)
-    return columns, spreads
+                table.columns.append(column)
+    return table

@@ -1,4 +1,4 @@
-"""Tests that are read by sensors."""
+"""Base class of the tests that are measured by sensors."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -15,40 +15,54 @@ from .sensors import AbstractSensor
 
 
 class SensorTest(AbstractTest):
-    """A test that is read by sensors."""
+    """Test that is measured by sensors.
+
+    Args:
+        sensors: Sensors, one for each column of the table of readings.
+    """
 
     sensors: eqx.AbstractVar[tuple[AbstractSensor, ...]]
 
     @property
     @abstractmethod
-    def rows(self) -> int:
-        """How many times all sensors are read."""
+    def row_count(self) -> int:
+        """Number of readings of each sensor."""
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The sensors' names."""
+        """Names of the sensors."""
         return tuple(sensor.name for sensor in self.sensors)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The sensors' units."""
+        """SI units of the sensors."""
         return tuple(sensor.unit for sensor in self.sensors)
 
     @property
-    def deviations(self) -> Float[Array, "rows columns"]:
-        """The sensors' deviations."""
-        row = jnp.stack([sensor.deviation for sensor in self.sensors])
-        return jnp.broadcast_to(row, (self.rows, len(self.sensors)))
+    def standard_deviations(self) -> Float[Array, "rows columns"]:
+        """Standard deviations of the sensors, in `units`; equal in all rows."""
+        row = jnp.stack([sensor.standard_deviation for sensor in self.sensors])
+        return jnp.broadcast_to(row, (self.row_count, len(self.sensors)))
 
-    def _sense(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows columns"]:
+    def _read_sensors(
+        self, mechanism: Mechanism, solution: Any
+    ) -> Float[Array, "*rows columns"]:
+        """Read all sensors in an equilibrium or a motion, in `units`."""
         return jnp.stack(
-            [sensor.read(mechanism, answer) for sensor in self.sensors], axis=-1
+            [sensor.read(mechanism, solution) for sensor in self.sensors], axis=-1
         )
 
 
-def some_sensors(sensors: Sequence[AbstractSensor]) -> tuple[AbstractSensor, ...]:
-    """The sensors, if there are any, and nothing else."""
+def require_sensors(sensors: Sequence[AbstractSensor]) -> tuple[AbstractSensor, ...]:
+    """Check that there is at least one sensor, and nothing else.
+
+    Returns:
+        The sensors.
+
+    Raises:
+        ValueError: The sequence is empty, or an entry is not a sensor.
+    """
     require_kind("sensors", sensors, AbstractSensor)
     if not sensors:
-        raise ValueError("`sensors` is empty, but a test needs at least one.")
+        raise ValueError("`sensors` is empty, but a test needs at least one sensor.")
     return tuple(sensors)

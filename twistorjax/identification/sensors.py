@@ -1,4 +1,4 @@
-"""What an experiment reads off a mechanism: sensors on its bodies and hinges."""
+"""Sensors on the bodies and hinges of a mechanism."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from ..geometry import se2
 from ..mechanism.mechanism import Mechanism
 
 
-Quantity = Literal[
+BodyQuantity = Literal[
     "angle",
     "x",
     "y",
@@ -30,7 +30,7 @@ Quantity = Literal[
     "force_x",
     "force_y",
 ]
-Strained = Literal["angle", "x", "y", "moment", "force_1", "force_2"]
+HingeQuantity = Literal["angle", "x", "y", "moment", "force_1", "force_2"]
 
 UNITS = {
     "angle": "rad",
@@ -48,236 +48,249 @@ UNITS = {
 
 
 class AbstractSensor(eqx.Module):
-    """One number read off a mechanism, with the standard deviation of its error."""
+    """Sensor that measures one quantity of a mechanism.
 
-    deviation: eqx.AbstractVar[Float[Array, ""]]
+    Args:
+        name: Name of the sensor.
+        unit: SI unit of the reading.
+        standard_deviation: Standard deviation of the measurement error, in `unit`.
+    """
+
+    name: eqx.AbstractVar[str]
+    unit: eqx.AbstractVar[str]
+    standard_deviation: eqx.AbstractVar[Float[Array, ""]]
 
     @abstractmethod
-    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
-        """What it reads in an equilibrium, or at each time of a motion."""
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+        """Compute the reading, without measurement error.
+
+        Args:
+            mechanism: Mechanism on which the sensor is mounted.
+            solution: Equilibrium or motion of the mechanism.
+
+        Returns:
+            The reading; for a motion, one for each time; in `unit`.
+        """
 
     @property
-    @abstractmethod
-    def name(self) -> str:
-        """What it is called."""
-
-    @property
-    @abstractmethod
-    def unit(self) -> str:
-        """In which it reads."""
-
-    @property
-    def energies(self) -> bool:
-        """Whether it may read what work was done in a motion."""
+    def needs_energies(self) -> bool:
+        """Whether the sensor needs the energy balance of a motion."""
         return False
+
+    def __repr__(self) -> str:
+        size = concrete(self.standard_deviation)
+        accuracy = "" if size is None or size.shape else f", to {size:g} {self.unit}"
+        return f"{type(self).__name__}({self.name}{accuracy})"
 
 
 class BodySensor(AbstractSensor):
-    """Reads how a body has moved from rest, how it moves, or what it is held by.
+    """Sensor for the displacement, the velocity or the reaction of a body.
 
     Args:
-        body: its name.
-        quantity: "angle", "x", "y": how far it has moved from rest; rad, m, m.
-            "angular_velocity", "velocity_x", "velocity_y": how fast, in a motion; rad/s,
-            m/s, m/s. "moment", "force_x", "force_y": what its held and driven coordinates
-            receive from outside; N m, N, N.
-        deviation: standard deviation of a reading, in the unit of the quantity.
-        at: the point on the body that it looks at, in the body's frame, for "x" and "y"
-            and their velocities, by default the body's origin; m.
-        absolute: whether it reads where the body is in the world, and not how far it has
-            moved.
+        body: Name of the body.
+        quantity: Measured quantity. "angle", "x" and "y" are displacements from the
+            reference pose; rad, m, m. "angular_velocity", "velocity_x" and "velocity_y"
+            are velocities in a motion; rad/s, m/s, m/s. "moment", "force_x" and "force_y"
+            are reactions on fixed and prescribed coordinates; N m, N, N.
+        standard_deviation: Standard deviation of the measurement error, in the unit of
+            the quantity.
+        at: Measured point in the frame of the body, by default the origin of the body.
+            It applies to "x", "y", "velocity_x" and "velocity_y"; m.
+        absolute: Whether "angle", "x" and "y" are measured in the world frame, instead
+            of relative to the reference pose.
 
     Raises:
-        ValueError: the quantity is unknown, the deviation not positive, or a point given
-            for what does not depend on it.
+        ValueError: The quantity does not exist; the standard deviation is not positive;
+            `at` or `absolute` does not apply to the quantity.
 
     Example:
-        >>> BodySensor("table", "x", 1e-6)
+        >>> BodySensor("table", "x", standard_deviation=1e-6)
         BodySensor(table.x, to 1e-06 m)
     """
 
     body: str = eqx.field(static=True)
-    quantity: Quantity = eqx.field(static=True)
-    deviation: Float[Array, ""]
+    quantity: BodyQuantity = eqx.field(static=True)
+    standard_deviation: Float[Array, ""]
     at: Float[Array, "2"] | None
     absolute: bool = eqx.field(static=True)
 
     def __init__(
         self,
         body: str,
-        quantity: Quantity,
-        deviation: ArrayLike,
+        quantity: BodyQuantity,
+        standard_deviation: ArrayLike,
         *,
         at: Float[ArrayLike, "2"] | Sequence[ArrayLike] | None = None,
         absolute: bool = False,
     ):
         self.body = body
-        self.quantity = require_choice("`quantity`", quantity, get_args(Quantity))
-        self.deviation = require_positive(
-            f"`deviation` of the sensor {self.name!r}", deviation
+        self.quantity = require_choice("`quantity`", quantity, get_args(BodyQuantity))
+        self.standard_deviation = require_positive(
+            f"`standard_deviation` of the sensor {self.name!r}", standard_deviation
         )
         self.at = None if at is None else require_row("`at`", at, "a point (x, y)", 2)
         self.absolute = absolute
         if at is not None and quantity not in ("x", "y", "velocity_x", "velocity_y"):
             raise ValueError(
-                f"`at` is given, but the {quantity} of a body is one for all its points."
+                f"`at` is given, but the {quantity} of a body is the same at all its "
+                "points: leave out `at`."
             )
         if absolute and quantity not in ("angle", "x", "y"):
-            raise ValueError(f"`absolute` is given, but the {quantity} has no place.")
+            raise ValueError(
+                f"`absolute` is given, but the {quantity} of a body does not depend on "
+                "its reference pose: leave out `absolute`."
+            )
 
     @property
     def name(self) -> str:
-        """The body and the quantity."""
+        """Name of the body and the quantity, for example "table.x"."""
         return f"{self.body}.{self.quantity}"
 
     @property
     def unit(self) -> str:
-        """Of the quantity."""
+        """SI unit of the quantity."""
         return UNITS[self.quantity]
 
-    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
-        place = get_args(Quantity).index(self.quantity)
-        if place >= 6:
-            return answer.reaction(self.body)[..., place - 6]
-        moved = answer.displacement(self.body)
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+        index = get_args(BodyQuantity).index(self.quantity)
+        if index >= 6:
+            return solution.reaction(self.body)[..., index - 6]
+        displacement = solution.displacement(self.body)
         reference = mechanism.reference[mechanism.index(self.body)]
-        if place < 3:
-            value = moved[..., place]
+        if index < 3:
+            value = displacement[..., index]
             if self.absolute:
-                value = value + reference[place]
+                value = value + reference[index]
             if self.at is not None:
-                before = se2._turn(reference[0], self.at)
-                value = value + _swung(before, moved[..., 0])[place - 1]
+                arm = se2.rotate(reference[0], self.at)
+                change = _rotation_displacement(arm, displacement[..., 0])
+                value = value + change[index - 1]
                 if self.absolute:
-                    value = value + before[place - 1]
+                    value = value + arm[index - 1]
             return value
-        if not hasattr(answer, "velocity"):
-            raise ValueError(f"{self!r} reads a velocity, but only a motion has any.")
-        speed = answer.velocity(self.body)
-        value = speed[..., place - 3]
+        if not hasattr(solution, "velocity"):
+            raise ValueError(
+                f"{self!r} measures a velocity, but only a motion has velocities: use it "
+                "in a `MotionTest`."
+            )
+        velocity = solution.velocity(self.body)
+        value = velocity[..., index - 3]
         if self.at is not None:
-            before = se2._turn(reference[0], self.at)
-            ahead = before[:, None] + jnp.stack(_swung(before, moved[..., 0].ravel()))
-            across = (-ahead[1], ahead[0])[place - 4].reshape(value.shape)
-            value = value + speed[..., 0] * across
+            arm = se2.rotate(reference[0], self.at)
+            change = _rotation_displacement(arm, displacement[..., 0].ravel())
+            rotated = arm[:, None] + jnp.stack(change)
+            per_angle = (-rotated[1], rotated[0])[index - 4].reshape(value.shape)
+            value = value + velocity[..., 0] * per_angle
         return value
-
-    def __repr__(self) -> str:
-        return _told(self)
 
 
 class HingeSensor(AbstractSensor):
-    """Reads how a hinge is strained, or what it bears.
+    """Sensor for the displacement or the wrench of a hinge.
 
     Args:
-        hinge: its name.
-        quantity: "angle", "x", "y": of its frame b seen from its frame a; rad, m, m.
-            "moment", "force_1", "force_2": what it bears, in the axes of frame b;
-            N m, N, N.
-        deviation: standard deviation of a reading, in the unit of the quantity.
+        hinge: Name of the hinge.
+        quantity: Measured quantity. "angle", "x" and "y" are the pose of frame b of the
+            hinge relative to its frame a; rad, m, m. "moment", "force_1" and "force_2"
+            are the wrench on the hinge, in the axes of frame b; N m, N, N.
+        standard_deviation: Standard deviation of the measurement error, in the unit of
+            the quantity.
 
     Raises:
-        ValueError: the quantity is unknown, or the deviation not positive.
+        ValueError: The quantity does not exist, or the standard deviation is not
+            positive.
 
     Example:
-        >>> HingeSensor("a", "x", 10e-9)
+        >>> HingeSensor("a", "x", standard_deviation=10e-9)
         HingeSensor(a.x, to 1e-08 m)
     """
 
     hinge: str = eqx.field(static=True)
-    quantity: Strained = eqx.field(static=True)
-    deviation: Float[Array, ""]
+    quantity: HingeQuantity = eqx.field(static=True)
+    standard_deviation: Float[Array, ""]
 
-    def __init__(self, hinge: str, quantity: Strained, deviation: ArrayLike):
+    def __init__(
+        self, hinge: str, quantity: HingeQuantity, standard_deviation: ArrayLike
+    ):
         self.hinge = hinge
-        self.quantity = require_choice("`quantity`", quantity, get_args(Strained))
-        self.deviation = require_positive(
-            f"`deviation` of the gauge {self.name!r}", deviation
+        self.quantity = require_choice("`quantity`", quantity, get_args(HingeQuantity))
+        self.standard_deviation = require_positive(
+            f"`standard_deviation` of the sensor {self.name!r}", standard_deviation
         )
 
     @property
     def name(self) -> str:
-        """The hinge and the quantity."""
+        """Name of the hinge and the quantity, for example "left.moment"."""
         return f"{self.hinge}.{self.quantity}"
 
     @property
     def unit(self) -> str:
-        """Of the quantity."""
+        """SI unit of the quantity."""
         return UNITS[self.quantity]
 
-    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
-        index_of("A gauge", "hinge", self.hinge, mechanism.hinge_names)
-        place = get_args(Strained).index(self.quantity)
-        tell = mechanism.displacement_of if place < 3 else mechanism.wrench_of
-        return tell(self.hinge, answer)[..., place % 3]
-
-    def __repr__(self) -> str:
-        return _told(self)
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+        index_of("The sensor", "hinge", self.hinge, mechanism.hinge_names)
+        index = get_args(HingeQuantity).index(self.quantity)
+        compute = mechanism.displacement_of if index < 3 else mechanism.wrench_of
+        return compute(self.hinge, solution)[..., index % 3]
 
 
 class FunctionSensor(AbstractSensor):
-    """Reads anything: a function of the mechanism and of the equilibrium or motion.
+    """Sensor that is defined by a function of the mechanism and its solution.
 
     Args:
-        function: called with the mechanism and the answer; gives a number, or one for
-            each time of a motion. Define it once: another function is compiled anew.
-        name: what it is called.
-        unit: for printing.
-        deviation: standard deviation of a reading.
+        function: Function of the mechanism and of its equilibrium or motion. It returns
+            a number or, for a motion, one for each time. Define it once: a new function
+            is compiled again.
+        name: Name of the sensor.
+        unit: SI unit of the reading.
+        standard_deviation: Standard deviation of the measurement error, in `unit`.
+
+    Raises:
+        ValueError: The standard deviation is not positive.
 
     Example:
-        >>> def stored_energy(mechanism, answer):
-        ...     return answer.energy
-        >>> FunctionSensor(stored_energy, "energy", "J", 1e-3)
+        >>> def stored_energy(mechanism, solution):
+        ...     return solution.energy
+        >>> FunctionSensor(stored_energy, "energy", "J", standard_deviation=1e-3)
         FunctionSensor(energy, to 0.001 J)
     """
 
     function: Callable[[Mechanism, Any], Array] = eqx.field(static=True)
-    called: str = eqx.field(static=True)
-    measured_in: str = eqx.field(static=True)
-    deviation: Float[Array, ""]
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    standard_deviation: Float[Array, ""]
 
     def __init__(
         self,
         function: Callable[[Mechanism, Any], Array],
         name: str,
         unit: str,
-        deviation: ArrayLike,
+        standard_deviation: ArrayLike,
     ):
         self.function = function
-        self.called = name
-        self.measured_in = unit
-        self.deviation = require_positive(
-            f"`deviation` of the reading {name!r}", deviation
+        self.name = name
+        self.unit = unit
+        self.standard_deviation = require_positive(
+            f"`standard_deviation` of the sensor {name!r}", standard_deviation
         )
 
     @property
-    def name(self) -> str:
-        """As it was given."""
-        return self.called
-
-    @property
-    def unit(self) -> str:
-        """As it was given."""
-        return self.measured_in
-
-    @property
-    def energies(self) -> bool:
-        """It may read anything."""
+    def needs_energies(self) -> bool:
+        """True, because the function may use the energy balance of a motion."""
         return True
 
-    def read(self, mechanism: Mechanism, answer: Any) -> Float[Array, "*rows"]:
-        return self.function(mechanism, answer)
-
-    def __repr__(self) -> str:
-        return _told(self)
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+        return self.function(mechanism, solution)
 
 
-def _swung(arm: Float[Array, "2"], angle: Array) -> tuple[Array, Array]:
-    return se2._swing(arm, jnp.cos(angle / 2), jnp.sin(angle / 2))
+def _rotation_displacement(arm: Float[Array, "2"], angle: Array) -> tuple[Array, Array]:
+    """Displacement of the end of an arm that rotates about its other end.
 
+    Args:
+        arm: Vector from the center of rotation to the point, before the rotation; m.
+        angle: Angle of rotation; rad.
 
-def _told(sensor: AbstractSensor) -> str:
-    seen = concrete(sensor.deviation)
-    told = "" if seen is None or seen.shape else f", to {seen:g} {sensor.unit}"
-    return f"{type(sensor).__name__}({sensor.name}{told})"
+    Returns:
+        Displacements along x and y; m.
+    """
+    return se2.rotation_displacement(arm, jnp.cos(angle / 2), jnp.sin(angle / 2))

@@ -1,4 +1,4 @@
-"""Mechanisms loaded or displaced, and read at rest."""
+"""Tests on mechanisms in static equilibrium."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ from .._utils.validation import concrete
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.statics import Equilibrium, equilibrium
-from .measurement import mapped
-from .sensor_test import SensorTest, some_sensors
+from .measurement import map_in_groups
+from .sensor_test import require_sensors, SensorTest
 from .sensors import AbstractSensor
 
 
@@ -20,20 +20,22 @@ _Trial = tuple[Load | Drive, ...]
 
 
 class StaticTest(SensorTest):
-    """A mechanism loaded or displaced, trial after trial, and read at rest.
+    """Series of static trials, each with its own loads and prescribed displacements.
 
     Args:
-        trials: one list of loads and drives for each, as `equilibrium` takes them.
-        sensors: read in each trial.
-        tolerance: for `equilibrium`.
+        trials: List of loads and prescribed displacements for each trial.
+        sensors: Sensors, which are read in the equilibrium of each trial.
+        tolerance: Relative tolerance of the equilibria; see `equilibrium`.
 
     Raises:
-        ValueError: there is no trial or no sensor.
+        ValueError: There is no trial or no sensor, or a trial contains something else
+            than loads and prescribed displacements.
 
     Example:
-        >>> from twistorjax.identification.sensors import BodySensor
-        >>> push = Load("table", (0, 5, 0))
-        >>> StaticTest([[push]], [BodySensor("table", "x", 1e-6)])
+        >>> from twistorjax.identification import BodySensor
+        >>> camera = BodySensor("table", "x", standard_deviation=1e-6)
+        >>> push = Load("table", force=(5.0, 0.0))  # N
+        >>> StaticTest([[push]], [camera])
         StaticTest of 1 trial, read by table.x
     """
 
@@ -48,34 +50,35 @@ class StaticTest(SensorTest):
         *,
         tolerance: float = 1e-10,
     ):
-        self.trials = tuple(map(_trial, trials))
-        self.sensors = some_sensors(sensors)
+        self.trials = tuple(map(_require_trial, trials))
+        self.sensors = require_sensors(sensors)
         self.tolerance = tolerance
         if not trials:
-            raise ValueError("`trials` is empty, but a test needs at least one.")
+            raise ValueError("`trials` is empty, but a test needs at least one trial.")
 
     @property
-    def rows(self) -> int:
-        """One for each trial."""
+    def row_count(self) -> int:
+        """Number of trials."""
         return len(self.trials)
 
-    def read(
+    def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
     ) -> Float[Array, "rows columns"]:
         del forward
 
-        def one(trial: _Trial) -> Float[Array, " columns"]:
-            solution = self._settle(mechanism, trial, throw=False)
-            return self._sense(mechanism, solution)
+        def read_trial(trial: _Trial) -> Float[Array, " columns"]:
+            solution = self._solve(mechanism, trial, throw=False)
+            return self._read_sensors(mechanism, solution)
 
-        read = jnp.stack(mapped(one, _alike(self.trials)))
-        seen = concrete(read)
-        if throw and seen is not None and np.any(np.isnan(seen)):
+        readings = jnp.stack(map_in_groups(read_trial, _pad_with_zero_loads(self.trials)))
+        values = concrete(readings)
+        if throw and values is not None and np.any(np.isnan(values)):
             for trial in self.trials:
-                self._settle(mechanism, trial, throw=True)
-        return read
+                self._solve(mechanism, trial, throw=True)
+        return readings
 
-    def _settle(self, mechanism: Mechanism, trial: _Trial, throw: bool) -> Equilibrium:
+    def _solve(self, mechanism: Mechanism, trial: _Trial, throw: bool) -> Equilibrium:
+        """Compute the equilibrium of one trial."""
         return equilibrium(
             mechanism,
             loads=[part for part in trial if isinstance(part, Load)],
@@ -85,42 +88,45 @@ class StaticTest(SensorTest):
         )
 
     def __repr__(self) -> str:
-        trials = "1 trial" if self.rows == 1 else f"{self.rows} trials"
+        trials = "1 trial" if self.row_count == 1 else f"{self.row_count} trials"
         return f"StaticTest of {trials}, read by {', '.join(self.columns)}"
 
 
-def _trial(parts: Sequence[Load | Drive]) -> _Trial:
-    if isinstance(parts, Load | Drive):
+def _require_trial(trial: Sequence[Load | Drive]) -> _Trial:
+    """Check that a trial is a sequence of loads and prescribed displacements."""
+    if isinstance(trial, Load | Drive):
         raise ValueError("A trial is a list of loads and drives: put this one in [...].")
-    for part in parts:
+    for part in trial:
         if not isinstance(part, Load | Drive):
             raise ValueError(
-                f"A trial has a {type(part).__name__}, but takes loads and drives alone."
+                f"A trial contains a {type(part).__name__}, but must be a list of loads "
+                "and drives."
             )
-    return tuple(parts)
+    return tuple(trial)
 
 
-def _alike(trials: Sequence[_Trial]) -> list[_Trial]:
-    """The trials, with loads of zero where another has a load.
+def _pad_with_zero_loads(trials: Sequence[_Trial]) -> list[_Trial]:
+    """Add zero loads to the trials until all have the same number of loads on each body.
 
-    So that those which are driven alike are of one structure, and mapped as one.
+    Trials with equal prescribed coordinates then have the same structure, so that they
+    are evaluated together by `vmap`.
     """
-    slots: dict[tuple[str, bool], int] = {}
-    sorted_out = []
+    counts: dict[tuple[str, bool], int] = {}
+    loads_of_trials = []
     for trial in trials:
-        own: dict[tuple[str, bool], list[Load]] = {}
+        loads_by_kind: dict[tuple[str, bool], list[Load]] = {}
         for part in trial:
             if isinstance(part, Load):
-                own.setdefault((part.body, part.follower), []).append(part)
-        sorted_out.append(own)
-        for slot, loads in own.items():
-            slots[slot] = max(len(loads), slots.get(slot, 0))
-    filled = []
-    for trial, own in zip(trials, sorted_out, strict=True):
+                loads_by_kind.setdefault((part.body, part.follower), []).append(part)
+        loads_of_trials.append(loads_by_kind)
+        for kind, loads in loads_by_kind.items():
+            counts[kind] = max(len(loads), counts.get(kind, 0))
+    padded = []
+    for trial, loads_by_kind in zip(trials, loads_of_trials, strict=True):
         parts: list[Load | Drive] = [part for part in trial if isinstance(part, Drive)]
-        for (body, follower), count in slots.items():
-            loads = own.get((body, follower), [])
-            none = [Load(body, (0, 0, 0), follower=follower)] * (count - len(loads))
-            parts += [*loads, *none]
-        filled.append(tuple(parts))
-    return filled
+        for (body, follower), count in counts.items():
+            loads = loads_by_kind.get((body, follower), [])
+            zero_load = Load(body, wrench=(0.0, 0.0, 0.0), follower=follower)
+            parts += [*loads, *[zero_load] * (count - len(loads))]
+        padded.append(tuple(parts))
+    return padded

@@ -1,4 +1,4 @@
-"""Mechanisms that vibrate, and what is read: their frequencies."""
+"""Tests in which natural frequencies of a mechanism are measured."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -14,132 +14,141 @@ from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.statics import Equilibrium
 from ..solve.vibrations import vibrations
-from .measurement import AbstractTest, Measurement, so_many_deviations
+from .measurement import AbstractTest, expand_standard_deviation, Measurement
 
 
 class VibrationTest(AbstractTest):
-    """The natural frequencies of a mechanism, the slowest first.
+    """Measurement of the lowest natural frequencies of a mechanism.
 
     Args:
-        count: how many are read; Hz.
-        deviation: standard deviation of a reading, or one for each; Hz.
-        driven: coordinates that are held in this test, as for `vibrations`.
-        about: poses about which it vibrates, by default rest; rad, m, m.
-        loads: that hold it there.
+        count: Number of natural frequencies, in ascending order from the lowest one.
+        standard_deviation: Standard deviation of the readings, or one for each frequency;
+            Hz.
+        prescribed: Coordinates that are held by drives in this test; see `vibrations`.
+        about: Poses, or an equilibrium, about which the mechanism vibrates, by default
+            the reference poses; rad, m, m.
+        loads: Loads that act in this equilibrium.
+
+    Raises:
+        ValueError: `count` is smaller than 1; a standard deviation is not positive, or
+            the number of standard deviations is wrong.
 
     Example:
-        >>> VibrationTest(3, 0.5)
+        >>> VibrationTest(count=3, standard_deviation=0.5)
         VibrationTest of 3 frequencies
     """
 
     count: int = eqx.field(static=True)
-    deviation: Float[Array, " count"]
-    driven: Any = eqx.field(static=True)
+    standard_deviation: Float[Array, " count"]
+    prescribed: Any = eqx.field(static=True)
     about: Poses | None
     loads: tuple[Load, ...]
 
     def __init__(
         self,
         count: int,
-        deviation: ArrayLike | Sequence[ArrayLike],
+        standard_deviation: ArrayLike | Sequence[ArrayLike],
         *,
-        driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
+        prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
         about: PosesLike | Equilibrium | None = None,
         loads: Sequence[Load] = (),
     ):
         if count < 1:
             raise ValueError(f"`count` is {count}, but must be at least 1.")
         self.count = count
-        self.deviation = so_many_deviations(deviation, count)
-        self.driven = (
-            tuple((body, tuple(which)) for body, which in driven.items())
-            if isinstance(driven, Mapping)
-            else tuple(driven)
+        self.standard_deviation = expand_standard_deviation(standard_deviation, count)
+        self.prescribed = (
+            tuple((body, tuple(names)) for body, names in prescribed.items())
+            if isinstance(prescribed, Mapping)
+            else tuple(prescribed)
         )
         if isinstance(about, Equilibrium):
             about = about.poses
         self.about = None if about is None else jnp.asarray(about, float)
         self.loads = tuple(loads)
 
-    def measured(
+    def measurement(
         self,
         values: Float[ArrayLike, "rows columns"] | Sequence[Sequence[ArrayLike]],
-        deviations: Float[ArrayLike, "*rows columns"] | None = None,
+        standard_deviations: Float[ArrayLike, "*rows columns"] | None = None,
     ) -> Measurement:
-        """The test with the frequencies that were measured.
+        """Combine the test with the frequencies that were measured.
 
         Args:
-            values: A row of one frequency for each vibration, the slowest first; NaN
-                where nothing was read; Hz.
-            deviations: Standard deviations of the frequencies, by default those of the
-                test; Hz.
+            values: Row with one frequency for each vibration, in ascending order; NaN if
+                a reading is missing; Hz.
+            standard_deviations: Standard deviations of the frequencies, by default those
+                of the test; Hz.
+
+        Returns:
+            The measurement, which `identify` takes.
 
         Raises:
-            ValueError: As for any test; or a frequency is negative, or lower than one
-                before it.
+            ValueError: A shape is wrong; all readings are missing; a standard deviation
+                is not positive; a frequency is negative or smaller than the one before.
         """
-        data = super().measured(values, deviations)
-        seen = concrete(data.values)
-        if seen is not None:
-            need_ascending(seen[:, 0], lambda row: f"`values[{row}]`")
+        data = super().measurement(values, standard_deviations)
+        known = concrete(data.values)
+        if known is not None:
+            require_ascending(known[:, 0], lambda row: f"`values[{row}]`")
         return data
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The one column."""
+        """Name of the only column."""
         return ("frequency",)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the one column."""
+        """SI unit of the only column."""
         return ("Hz",)
 
     @property
-    def deviations(self) -> Float[Array, "rows columns"]:
-        """One for each frequency."""
-        return self.deviation[:, None]
+    def standard_deviations(self) -> Float[Array, "rows columns"]:
+        """Standard deviation of each frequency; Hz."""
+        return self.standard_deviation[:, None]
 
-    def read(
+    def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
     ) -> Float[Array, "rows columns"]:
         del forward
-        driven: Any = self.driven
-        if driven and isinstance(driven[0], tuple):
-            driven = dict(driven)
-        found = vibrations(
-            mechanism, driven, about=self.about, loads=self.loads, throw=throw
-        )
-        if len(found.frequencies) < self.count:
+        prescribed: Any = self.prescribed
+        if prescribed and isinstance(prescribed[0], tuple):
+            prescribed = dict(prescribed)
+        frequencies = vibrations(
+            mechanism, prescribed, about=self.about, loads=self.loads, throw=throw
+        ).frequencies
+        if len(frequencies) < self.count:
             raise ValueError(
                 f"`count` is {self.count}, but the mechanism has only "
-                f"{len(found.frequencies)} vibrations."
+                f"{len(frequencies)} natural frequencies."
             )
-        return found.frequencies[: self.count, None]
+        return frequencies[: self.count, None]
 
     def __repr__(self) -> str:
         return f"VibrationTest of {self.count} frequencies"
 
 
-def need_ascending(frequencies: np.ndarray, place: Callable[[int], str]) -> None:
-    """Refuse measured frequencies that are negative or not in order, the slowest first.
+def require_ascending(frequencies: np.ndarray, row_name: Callable[[int], str]) -> None:
+    """Check that measured frequencies are not negative and in ascending order.
 
     Args:
-        frequencies: Frequencies; NaN where nothing was read; Hz.
-        place: Name of a row, for messages.
+        frequencies: Frequencies; NaN if a reading is missing; Hz.
+        row_name: Function that returns the name of a row, for messages.
 
     Raises:
-        ValueError: A frequency is negative, or lower than one before it.
+        ValueError: A frequency is negative, or smaller than the one before.
     """
-    last = 0.0
+    previous = 0.0
     for row, frequency in enumerate(np.asarray(frequencies).tolist()):
         if frequency < 0:
             raise ValueError(
-                f"{place(row)}: the frequency is {frequency:g} Hz, but must not be "
+                f"{row_name(row)}: the frequency is {frequency:g} Hz, but must not be "
                 "negative."
             )
-        if frequency < last:
+        if frequency < previous:
             raise ValueError(
-                f"{place(row)}: the frequency is {frequency:g} Hz and follows one of "
-                f"{last:g} Hz, but frequencies must ascend, the slowest first."
+                f"{row_name(row)}: the frequency is {frequency:g} Hz and follows one of "
+                f"{previous:g} Hz, but frequencies must be in ascending order."
             )
-        last = last if np.isnan(frequency) else frequency
+        previous = previous if np.isnan(frequency) else frequency

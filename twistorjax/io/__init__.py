@@ -1,7 +1,8 @@
 """Files: energies and mechanisms as JSON, outlines as SVG and DXF, EXUDYN scripts.
 
-Start reading in `mechanisms` and `energies`. `schemas` holds the layout of the JSON files,
-by which every entry of a file is checked.
+Start reading in `mechanisms` and `energies`. `schemas` holds the layout of the JSON
+files, which is used to check every entry. `outlines` writes SVG and DXF files, and
+`exudyn` writes scripts for cross-checks.
 """
 
 from .energies import load_energy as load_energy, save_energy as save_energy

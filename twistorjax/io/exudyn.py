@@ -1,11 +1,11 @@
-"""Scripts by which another program checks a mechanism."""
+"""Scripts that compute the equilibrium of a mechanism with EXUDYN."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from .._utils.validation import require_float64
-from ..mechanism.loads import Drive, driven, Load, loaded_bodies
+from ..mechanism.loads import Drive, Load, loaded_bodies, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 
 
@@ -16,39 +16,43 @@ def exudyn_script(
     drives: Sequence[Drive] = (),
     steps: int = 10,
 ) -> str:
-    """A Python script that finds the same equilibrium with EXUDYN, for cross-checking.
+    """Create a Python script that computes the same equilibrium with EXUDYN.
 
-    Its hinges are EXUDYN's linear springs between two frames, with the stiffness at rest
-    of each energy. They are the same to first order in the turn of a hinge; a hinge that
-    turns by 0.1 rad differs by some per cent of its transverse force.
+    The script is meant for cross-checks. Its hinges are linear springs of EXUDYN between
+    two frames, with the stiffness of each energy in the reference configuration. They
+    agree with the hinges of the mechanism to first order in the rotation of a hinge. At a
+    rotation of 0.1 rad the transverse forces differ by some percent.
 
     Args:
-        mechanism: at rest where nothing loads it.
-        loads: on its bodies.
-        drives: of coordinates that are not held.
-        steps: in which loads and drives are applied.
+        mechanism: The mechanism. Its reference configuration must be free of external
+            loads.
+        loads: Loads on the bodies.
+        drives: Prescribed displacements of coordinates that are not fixed.
+        steps: Number of increments in which loads and prescribed displacements are
+            applied.
 
     Returns:
-        The script, to be written into a file. It prints how far each body has moved:
-        angle, x, y; rad, m, m.
+        The text of the script. It prints the displacement of each body: angle (rad),
+        x (m), y (m).
 
     Raises:
-        ValueError: double precision is off; a name is unknown; a coordinate is driven
-            twice, or driven and held.
+        ValueError: Double precision is off; a name is unknown; or a displacement is
+            prescribed twice or for a fixed coordinate.
 
     Source:
         EXUDYN's `ObjectConnectorRigidBodySpringDamper`: github.com/jgerstmayr/EXUDYN.
 
     Example:
+        >>> from twistorjax import Drive
         >>> from twistorjax.examples import stage
         >>> script = exudyn_script(stage.microstage(), drives=[Drive("6", x=1e-6)])
-        >>> script.splitlines()[6]
-        'import exudyn as exu'
+        >>> "import exudyn as exu" in script
+        True
     """
     require_float64(mechanism.reference)
-    places, targets = driven(mechanism, drives)
-    given = dict.fromkeys(mechanism.fixed, 0.0)
-    given |= {place: float(to) for place, to in zip(places, targets, strict=True)}
+    dofs, targets = prescribed_dofs(mechanism, drives)
+    displacements = dict.fromkeys(mechanism.fixed, 0.0)
+    displacements |= {dof: float(to) for dof, to in zip(dofs, targets, strict=True)}
     bodies = {
         name: [float(value) for value in mechanism.reference[row]]
         for row, name in enumerate(mechanism.names)
@@ -63,8 +67,11 @@ def exudyn_script(
             [float(value) for value in mechanism.at[row]],
             np.asarray(stiffness).tolist(),
         )
-    fixed = [(mechanism.names[p // 3], p % 3, to) for p, to in sorted(given.items())]
-    pushes = [
+    prescribed = [
+        (mechanism.names[dof // 3], dof % 3, value)
+        for dof, value in sorted(displacements.items())
+    ]
+    applied = [
         (
             mechanism.names[body],
             np.asarray(load.wrench).tolist(),
@@ -75,45 +82,50 @@ def exudyn_script(
     ]
     return _SCRIPT.format(
         title=f"{len(bodies)} bodies and {len(hinges)} hinges",
-        bodies=_listed(bodies.items()),
-        hinges=_listed(hinges.items()),
-        fixed=_rows(fixed),
-        pushes=_rows(pushes),
+        bodies=_dict_literal(bodies),
+        hinges=_dict_literal(hinges),
+        prescribed=_list_literal(prescribed),
+        loads=_list_literal(applied),
         steps=steps,
     )
 
 
-def _listed(items) -> str:
-    lines = "".join(f"    {name!r}: {value!r},\n" for name, value in items)
+def _dict_literal(items: Mapping[str, object]) -> str:
+    """Format a dictionary as Python code with one item in each line."""
+    lines = "".join(f"    {key!r}: {value!r},\n" for key, value in items.items())
     return "{\n" + lines + "}"
 
 
-def _rows(rows) -> str:
+def _list_literal(rows: Iterable[object]) -> str:
+    """Format a list as Python code with one entry in each line."""
     return "[\n" + "".join(f"    {row!r},\n" for row in rows) + "]"
 
 
 _SCRIPT = '''\
-"""{title} at rest under loads, by EXUDYN (pip install exudyn).
+"""Equilibrium of a mechanism of {title}, computed with EXUDYN.
 
-Hinges are linear springs with their stiffness at rest: what they do beyond it, as leaves
-that shorten where they bend, is not in here.
+Install EXUDYN with `pip install exudyn`. The hinges are linear springs with the stiffness
+of the reference configuration. Nonlinear effects of flexures, such as the shortening of a
+leaf that bends, are not included.
 """
 
 import exudyn as exu
 import numpy as np
 from exudyn import itemInterface as items
 
-# angle, x, y at rest; rad, m, m
+# Reference pose of each body: angle (rad), x (m), y (m)
 BODIES = {bodies}
-# two bodies; angle, x, y at rest; stiffness by turn, along, across
+# First and second body; reference pose of the hinge: angle (rad), x (m), y (m); stiffness
+# matrix in the order rotation, axis 1, axis 2
 HINGES = {hinges}
-# body; 0, 1, 2 for angle, x, y; displacement
-GIVEN = {fixed}
-# body; moment, force; where in its frame; whether it follows
-LOADS = {pushes}
+# Body; coordinate, 0 for angle, 1 for x, 2 for y; prescribed displacement (rad or m)
+PRESCRIBED = {prescribed}
+# Body; moment (N m) and force (N); point of application in the frame of the body (m);
+# whether the force rotates with the body
+LOADS = {loads}
 
 
-def turned(angle):
+def rotation_matrix(angle):
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
@@ -127,50 +139,52 @@ for name, (angle, x, y) in BODIES.items():
     bodies[name] = system.AddObject(body)
 
 
-def marker(name, place):
-    body = items.MarkerBodyRigid(bodyNumber=bodies[name], localPosition=[*place, 0.0])
+def add_marker(name, point):
+    """Add a marker on a body, at a point in the frame of the body (m)."""
+    body = items.MarkerBodyRigid(bodyNumber=bodies[name], localPosition=[*point, 0.0])
     return system.AddMarker(body)
 
 
-def inside(name, place):
-    angle, *rest = BODIES[name]
-    return (turned(-angle)[:2, :2] @ (np.array(place) - rest)).tolist()
+def to_body(name, point):
+    """Transform a point from world coordinates to the frame of a body (m)."""
+    angle, *origin = BODIES[name]
+    return (rotation_matrix(-angle)[:2, :2] @ (np.array(point) - origin)).tolist()
 
 
-for first, second, (angle, *place), stiffness in HINGES.values():
-    rotation, along, across = range(3)
-    order, slots = [along, across, rotation], [0, 1, 5]
+for first, second, (angle, *point), stiffness in HINGES.values():
+    # EXUDYN orders the components as x, y, z and the rotations about x, y, z.
+    order, components = [1, 2, 0], [0, 1, 5]
     matrix = np.zeros((6, 6))
-    matrix[np.ix_(slots, slots)] = np.array(stiffness)[np.ix_(order, order)]
-    ends = [marker(name, inside(name, place)) for name in (first, second)]
-    frames = [turned(angle - BODIES[name][0]) for name in (first, second)]
+    matrix[np.ix_(components, components)] = np.array(stiffness)[np.ix_(order, order)]
+    markers = [add_marker(name, to_body(name, point)) for name in (first, second)]
+    frames = [rotation_matrix(angle - BODIES[name][0]) for name in (first, second)]
     system.AddObject(
         items.ObjectConnectorRigidBodySpringDamper(
-            markerNumbers=ends, stiffness=matrix, rotationMarker0=frames[0],
+            markerNumbers=markers, stiffness=matrix, rotationMarker0=frames[0],
             rotationMarker1=frames[1],
         )
     )
 ground = system.AddNode(items.NodePointGround())
 ground = system.AddMarker(items.MarkerNodeCoordinate(nodeNumber=ground, coordinate=0))
-moving = []
-for name, which, value in GIVEN:
-    place = items.MarkerNodeCoordinate(
-        nodeNumber=nodes[name], coordinate=(2, 0, 1)[which]
+connectors = []
+for name, coordinate, value in PRESCRIBED:
+    marker = items.MarkerNodeCoordinate(
+        nodeNumber=nodes[name], coordinate=(2, 0, 1)[coordinate]
     )
-    both = [ground, system.AddMarker(place)]
-    held = items.ObjectConnectorCoordinate(markerNumbers=both, offset=0.0)
-    moving.append((system.AddObject(held), value))
+    markers = [ground, system.AddMarker(marker)]
+    connector = items.ObjectConnectorCoordinate(markerNumbers=markers, offset=0.0)
+    connectors.append((system.AddObject(connector), value))
 loads = []
-for name, (moment, *force), place, follows in LOADS:
-    at = marker(name, place)
-    push = items.LoadForceVector(markerNumber=at, bodyFixed=follows)
-    turn = items.LoadTorqueVector(markerNumber=at)
-    loads.append((system.AddLoad(push), [*force, 0.0]))
-    loads.append((system.AddLoad(turn), [0.0, 0.0, moment]))
+for name, (moment, *force), point, follower in LOADS:
+    marker = add_marker(name, point)
+    force_vector = items.LoadForceVector(markerNumber=marker, bodyFixed=follower)
+    torque_vector = items.LoadTorqueVector(markerNumber=marker)
+    loads.append((system.AddLoad(force_vector), [*force, 0.0]))
+    loads.append((system.AddLoad(torque_vector), [0.0, 0.0, moment]))
 system.Assemble()
 
 settings = exu.SimulationSettings()
-if hasattr(settings, "solution"):  # since EXUDYN 1.11
+if hasattr(settings, "solution"):  # EXUDYN 1.11 and later
     settings.solution.file.write = False
 else:
     settings.solutionSettings.writeSolutionToFile = False
@@ -178,14 +192,15 @@ settings.staticSolver.verboseMode = 0
 settings.staticSolver.newton.relativeTolerance = 1e-8
 settings.staticSolver.newton.absoluteTolerance = 1e-9
 for step in range(1, {steps} + 1):
-    part = step / {steps}
-    for connector, value in moving:
-        system.SetObjectParameter(connector, "offset", part * value)
+    fraction = step / {steps}
+    for connector, value in connectors:
+        system.SetObjectParameter(connector, "offset", fraction * value)
     for load, vector in loads:
-        system.SetLoadParameter(load, "loadVector", (part * np.array(vector)).tolist())
+        vector = (fraction * np.array(vector)).tolist()
+        system.SetLoadParameter(load, "loadVector", vector)
     exu.MainSolverStatic().SolveSystem(system, settings)
-    found = system.systemData.GetODE2Coordinates(exu.ConfigurationType.Current)
-    system.systemData.SetODE2Coordinates(found, exu.ConfigurationType.Initial)
+    solution = system.systemData.GetODE2Coordinates(exu.ConfigurationType.Current)
+    system.systemData.SetODE2Coordinates(solution, exu.ConfigurationType.Initial)
 
 print("body, angle (rad), x (m), y (m)")
 for name, node in nodes.items():

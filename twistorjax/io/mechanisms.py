@@ -1,4 +1,4 @@
-"""Mechanisms as JSON, written and read to the last bit."""
+"""JSON files of mechanisms."""
 
 from pathlib import Path
 from typing import Any
@@ -11,21 +11,21 @@ from ..energies.damping import ViscousDamping
 from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from .energies import energy_from, energy_told, read_record, write_record
+from .energies import energy_from_record, energy_record, read_record, write_record
 
 
 def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
-    """Write a mechanism as JSON, to the last bit.
+    """Write a mechanism to a JSON file without rounding.
 
     Args:
-        mechanism: The mechanism. The energies of its hinges must be of the kinds that
+        mechanism: The mechanism. The energies of its hinges must be of the classes that
             `save_energy` can write.
         path: Path of the file. A file that exists is replaced once the new one is
             complete.
 
     Raises:
-        ValueError: Double precision is off; a hinge has an energy of another kind; a
-            name cannot be written as UTF-8; a value is not finite. Nothing is written.
+        ValueError: Double precision is off; a hinge has an energy of another class; a
+            name cannot be written as UTF-8; or a value is not finite. Nothing is written.
         OSError: The file cannot be written.
 
     Example:
@@ -41,10 +41,10 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
     bodies = [
         {
             "name": name,
-            "pose": _numbers(mechanism.reference[row]),
-            "mass": _numbers(mechanism.masses[row]),
-            "inertia": _numbers(mechanism.inertias[row]),
-            "outline": _numbers(mechanism.outlines[row]),
+            "pose": _to_plain(mechanism.reference[row]),
+            "mass": _to_plain(mechanism.masses[row]),
+            "inertia": _to_plain(mechanism.inertias[row]),
+            "outline": _to_plain(mechanism.outlines[row]),
         }
         for row, name in enumerate(mechanism.names)
     ]
@@ -58,75 +58,72 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
                 "name": name,
                 "first": mechanism.names[first],
                 "second": mechanism.names[second],
-                "at": _numbers(mechanism.at[row]),
-                "energy": energy_told(energy),
-                "damping": _damping_told(damping),
-                "outline": _numbers(mechanism.hinge_outlines[row]),
+                "at": _to_plain(mechanism.at[row]),
+                "energy": energy_record(energy),
+                "damping": _damping_record(damping),
+                "outline": _to_plain(mechanism.hinge_outlines[row]),
             }
         )
     fixed: dict[str, list[str]] = {}
-    for place in mechanism.fixed:
-        name = mechanism.names[place // 3]
-        fixed.setdefault(name, []).append(COORDINATES[place % 3])
-    model = {"bodies": bodies, "hinges": hinges, "fixed": fixed}
-    write_record(path, "mechanism", model)
+    for dof in mechanism.fixed:
+        name = mechanism.names[dof // 3]
+        fixed.setdefault(name, []).append(COORDINATES[dof % 3])
+    record = {"bodies": bodies, "hinges": hinges, "fixed": fixed}
+    write_record(path, "mechanism", record)
 
 
 def load_mechanism(path: str | Path) -> Mechanism:
-    """Read a mechanism that `save_mechanism` wrote, or that was written by hand.
+    """Read a mechanism from a JSON file that `save_mechanism` or a user wrote.
 
     Args:
         path: Path of the file.
 
     Returns:
-        The mechanism. Hinges whose energies are equal share one.
+        The mechanism. Hinges with equal energies share one energy.
 
     Raises:
         ValueError: The file is damaged or of another version; an entry is unknown,
-            missing, of a wrong type or out of range; or the entries do not make a
+            missing, of a wrong type or out of range; or the entries do not make a valid
             mechanism. The message names the file and the entry.
         OSError: The file cannot be read.
     """
     from msgspec.json import encode
 
-    model = read_record(path, "mechanism")
-    where = "mechanism"
+    record = read_record(path, "mechanism")
+    entry = "mechanism"
     try:
         bodies = []
-        for k, told in enumerate(model.bodies):
-            where = f"mechanism.bodies[{k}]"
-            bodies.append(
-                Body(
-                    told.name,
-                    told.pose,
-                    told.mass,
-                    told.inertia,
-                    _array(told.outline),
-                )
-            )
+        for k, body in enumerate(record.bodies):
+            entry = f"mechanism.bodies[{k}]"
+            outline = _to_array(body.outline)
+            bodies.append(Body(body.name, body.pose, body.mass, body.inertia, outline))
         hinges, energies = [], {}
-        for k, told in enumerate(model.hinges):
-            where = f"mechanism.hinges[{k}]"
-            content = encode(told.energy)
+        for k, hinge in enumerate(record.hinges):
+            entry = f"mechanism.hinges[{k}]"
+            content = encode(hinge.energy)
             if content not in energies:
-                energies[content] = energy_from(told.energy, f"{where}.energy")
+                energies[content] = energy_from_record(hinge.energy, f"{entry}.energy")
             hinges.append(
                 Hinge(
-                    *(told.name, told.first, told.second, energies[content], told.at),
-                    damping=_damping_of(told.damping),
-                    outline=_array(told.outline),
+                    hinge.name,
+                    hinge.first,
+                    hinge.second,
+                    energies[content],
+                    hinge.at,
+                    damping=_damping_from_record(hinge.damping),
+                    outline=_to_array(hinge.outline),
                 )
             )
-        where = "mechanism"
-        return Mechanism(bodies, hinges, fixed=model.fixed)
+        entry = "mechanism"
+        return Mechanism(bodies, hinges, fixed=record.fixed)
     except EntryError as error:
         raise ValueError(f"{path}: {error}") from error
     except ValueError as error:
-        raise ValueError(f"{path}: the entry `{where}`: {error}") from error
+        raise ValueError(f"{path}: the entry `{entry}`: {error}") from error
 
 
-def _damping_of(record: Any) -> ViscousDamping | float | None:
-    """The damping of a record; a number is a time, in s."""
+def _damping_from_record(record: Any) -> ViscousDamping | float | None:
+    """Create a damping from its record; a number is a damping time in s."""
     if record is None or isinstance(record, float):
         return record
     return ViscousDamping(
@@ -134,20 +131,22 @@ def _damping_of(record: Any) -> ViscousDamping | float | None:
     )
 
 
-def _array(rows: Any) -> np.ndarray | None:
-    return None if rows is None else np.array(rows, float)
-
-
-def _numbers(value: Any) -> Any:
-    return None if value is None else np.asarray(value).tolist()
-
-
-def _damping_told(damping: ViscousDamping | Any) -> Any:
-    """The record of a damping; that of a time is a number, in s."""
+def _damping_record(damping: ViscousDamping | Any) -> Any:
+    """Convert a damping into a record; a damping time in s becomes a number."""
     if not isinstance(damping, ViscousDamping):
-        return _numbers(damping)
+        return _to_plain(damping)
     return {
-        "damping": _numbers(damping.damping),
+        "damping": _to_plain(damping.damping),
         "coordinates": damping.coordinates,
         "resisted": damping.resisted,
     }
+
+
+def _to_array(rows: Any) -> np.ndarray | None:
+    """Convert nested sequences of numbers into an array."""
+    return None if rows is None else np.array(rows, float)
+
+
+def _to_plain(value: Any) -> Any:
+    """Convert an array into nested lists of numbers."""
+    return None if value is None else np.asarray(value).tolist()

@@ -1,23 +1,21 @@
 """Layout of the JSON files of energies and mechanisms.
 
-The schemas check fields, types, numbers of entries and kinds. What follows from several
-entries together, such as the symmetry of a stiffness, is checked by the classes that are
-made of them. This module is imported only where a file is read or written, so that
-msgspec is not loaded before.
+The schemas check the fields, their types and the numbers of their entries. Properties of
+several entries together, such as the symmetry of a stiffness, are checked by the classes
+that are created from the records. This module is imported only where a file is read or
+written, because it imports msgspec.
 """
 
 import re
-from typing import Annotated, Any, get_args, TypeVar
+from typing import Annotated, Any, get_args
 
 import msgspec
 from msgspec import Meta
 
-from .._utils.json_files import entry, shown
+from .._utils.json_files import describe_value, entry_name
 from .._utils.validation import shorten
 from ..energies.polynomial import LARGEST_POWER
 
-
-Record = TypeVar("Record", bound=msgspec.Struct)
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -28,22 +26,22 @@ Corners = Annotated[list[Pair], Meta(min_length=3)]
 
 
 class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An object of a file. Every field must be there, and no other may."""
+    """Base class of all objects in a file. All fields are required."""
 
 
-class _Kind(_Record, frozen=True, tag_field="kind", tag=True):
-    """An energy; the field `kind` has the name of its class."""
+class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
+    """Base class of energies. The field `kind` holds the name of the class."""
 
 
-class Quadratic(_Kind, frozen=True):
-    """A `Quadratic` energy."""
+class Quadratic(_EnergyRecord, frozen=True):
+    """Record of a `Quadratic` energy."""
 
     stiffness: Matrix
     coordinates: str
 
 
-class Polynomial(_Kind, frozen=True):
-    """A `Polynomial`."""
+class Polynomial(_EnergyRecord, frozen=True):
+    """Record of a `Polynomial` energy."""
 
     coefficients: list[float]
     scale: float
@@ -51,15 +49,15 @@ class Polynomial(_Kind, frozen=True):
     coordinates: str
 
 
-class Rational(_Kind, frozen=True):
-    """A `Rational`; its parts are energies of any kind."""
+class Rational(_EnergyRecord, frozen=True):
+    """Record of a `Rational` energy."""
 
     numerator: "Energy"
     denominator: "Energy"
 
 
-class SumOfSquares(_Kind, frozen=True):
-    """A denominator `SumOfSquares`; every row of coefficients fits the powers."""
+class SumOfSquares(_EnergyRecord, frozen=True):
+    """Record of a `SumOfSquares`, with one coefficient for each power in each row."""
 
     coefficients: list[list[float]]
     scale: float
@@ -67,16 +65,16 @@ class SumOfSquares(_Kind, frozen=True):
     coordinates: str
 
     def __post_init__(self) -> None:
-        for place, row in enumerate(self.coefficients):
+        for k, row in enumerate(self.coefficients):
             if len(row) != len(self.powers):
                 raise ValueError(
-                    f"`coefficients[{place}]` has {len(row)} entries, but there are "
-                    f"{len(self.powers)} `powers`: a coefficient is needed for each."
+                    f"`coefficients[{k}]` has {len(row)} entries, but there are "
+                    f"{len(self.powers)} `powers`. Give one coefficient for each of them."
                 )
 
 
-class MixedEnergy(_Kind, frozen=True):
-    """A `MixedEnergy` energy."""
+class MixedEnergy(_EnergyRecord, frozen=True):
+    """Record of a `MixedEnergy`."""
 
     coefficients: list[float]
     length: float
@@ -84,17 +82,17 @@ class MixedEnergy(_Kind, frozen=True):
     powers: Powers
 
 
-class WithValidityRange(_Kind, frozen=True):
-    """A `WithValidityRange` energy."""
+class WithValidityRange(_EnergyRecord, frozen=True):
+    """Record of a `WithValidityRange` energy."""
 
     energy: "Energy"
-    turn: float
+    rotation: float
     force: float
     error: Triple
 
 
-class PointCharges(_Kind, frozen=True):
-    """A `PointCharges` energy."""
+class PointCharges(_EnergyRecord, frozen=True):
+    """Record of a `PointCharges` energy."""
 
     charges_a: list[float]
     sites_a: list[Pair]
@@ -103,14 +101,14 @@ class PointCharges(_Kind, frozen=True):
     constant: float
 
 
-class Sum(_Kind, frozen=True):
-    """A `Sum` of one part or more."""
+class Sum(_EnergyRecord, frozen=True):
+    """Record of a `Sum` of at least one energy."""
 
     parts: Annotated[list["Energy"], Meta(min_length=1)]
 
 
-class Scaled(_Kind, frozen=True):
-    """A `Scaled` energy."""
+class Scaled(_EnergyRecord, frozen=True):
+    """Record of a `Scaled` energy."""
 
     factor: float
     energy: "Energy"
@@ -130,7 +128,7 @@ Energy = (
 
 
 class Damping(_Record, frozen=True):
-    """A `ViscousDamping` damping."""
+    """Record of a `ViscousDamping`."""
 
     damping: Matrix
     coordinates: str
@@ -138,7 +136,7 @@ class Damping(_Record, frozen=True):
 
 
 class Body(_Record, frozen=True):
-    """A body of a mechanism."""
+    """Record of a `Body`."""
 
     name: str
     pose: Triple
@@ -148,7 +146,7 @@ class Body(_Record, frozen=True):
 
 
 class Hinge(_Record, frozen=True):
-    """A hinge of a mechanism; a damping that is a number is a time."""
+    """Record of a `Hinge`. A damping that is a number is a damping time; s."""
 
     name: str
     first: str
@@ -160,39 +158,41 @@ class Hinge(_Record, frozen=True):
 
 
 class Mechanism(_Record, frozen=True):
-    """A mechanism; `fixed` has names of bodies, or their held coordinates by name."""
+    """Record of a `Mechanism`, with fixed bodies or fixed coordinates of each body."""
 
     bodies: list[Body]
     hinges: list[Hinge]
     fixed: dict[str, Any] | list[str]
 
     def __post_init__(self) -> None:
-        # not by the types above, for msgspec does not report the name of the body
+        # msgspec would not report the name of the body.
         if not isinstance(self.fixed, dict):
             return
-        for name, chosen in self.fixed.items():
-            listed = chosen if isinstance(chosen, list) else [chosen]
-            strange = [part for part in listed if not isinstance(part, str)]
-            if strange or not isinstance(chosen, list):
+        for name, coordinates in self.fixed.items():
+            is_list = isinstance(coordinates, list)
+            listed = coordinates if is_list else [coordinates]
+            invalid = [value for value in listed if not isinstance(value, str)]
+            if invalid or not is_list:
                 raise ValueError(
-                    f"`{entry(['fixed', name])}` has {shown((strange or listed)[0])}, but "
-                    "must be a list of coordinates: 'angle', 'x' and 'y'."
+                    f"`{entry_name(['fixed', name])}` has "
+                    f"{describe_value((invalid or listed)[0])}, but must be a list of "
+                    "coordinates: 'angle', 'x' and 'y'."
                 )
 
 
 def is_energy(value: Any) -> bool:
-    """Whether a value is the record of an energy."""
-    return isinstance(value, _Kind)
+    """Return whether a value is the record of an energy."""
+    return isinstance(value, _EnergyRecord)
 
 
 SCHEMAS: dict[str, Any] = {"energy": Energy, "mechanism": Mechanism}
 
 
-def converted(tree: Any, kind: str) -> Any:
+def convert_record(content: Any, kind: str) -> Any:
     """Convert the content of a file into a record of its schema.
 
     Args:
-        tree: Objects, lists and values, as `read_json` returns them.
+        content: Dictionaries, lists and values, as `read_json` returns them.
         kind: "energy" or "mechanism".
 
     Returns:
@@ -202,17 +202,17 @@ def converted(tree: Any, kind: str) -> Any:
         ValueError: The content does not fit the schema. The message names the entry.
     """
     try:
-        return msgspec.convert(tree, SCHEMAS[kind], strict=True)
+        return msgspec.convert(content, SCHEMAS[kind], strict=True)
     except msgspec.ValidationError as error:
-        raise ValueError(_in_words(str(error), tree, kind)) from None
+        raise ValueError(_message(str(error), content, kind)) from None
 
 
-_PLACE = re.compile(r"(.*) - at `\$((?:\.\w+|\[\d+\])*)`", re.DOTALL)
+_PATH = re.compile(r"(.*) - at `\$((?:\.\w+|\[\d+\])*)`", re.DOTALL)
 _TYPE = re.compile(
     r"Expected `(?P<types>[^`]+)`(?: of length (?P<length>(?:>= )?\d+)"
     r"| (?P<limit>[<>]= \d+))?(?:, got .+)?"
 )
-_TYPES = {
+_TYPE_NAMES = {
     "float": "a number",
     "int": "a whole number",
     "str": "text",
@@ -223,39 +223,51 @@ _TYPES = {
 }
 
 
-def _in_words(message: str, tree: Any, kind: str) -> str:
-    """A message of msgspec as a sentence that names the entry and shows its value."""
-    place = _PLACE.fullmatch(message)
-    what, path = place.groups() if place else (message, "")
+def _message(original: str, content: Any, kind: str) -> str:
+    """Convert a message of msgspec into one that names the entry and shows its value.
+
+    Args:
+        original: Message of msgspec.
+        content: Content of the file.
+        kind: "energy" or "mechanism".
+
+    Returns:
+        The message.
+    """
+    match = _PATH.fullmatch(original)
+    problem, path = match.groups() if match else (original, "")
     keys = [
         int(key[1:-1]) if key[0] == "[" else key[1:]
         for key in re.findall(r"\.\w+|\[\d+\]", path)
     ]
-    value: Any = tree
+    value: Any = content
     try:
         for key in keys:
             value = value[key]
     except (KeyError, IndexError, TypeError):
-        keys, what = [], message  # the name of an unknown field may look like a place
-    name = f"the entry `{entry([kind, *keys])}`"
-    if keys and keys[-1] == "kind":  # only energies have this field
-        kinds = ", ".join(each.__name__ for each in get_args(Energy))
-        return f"{name} is {shown(value)}, but must be one of {kinds}."
-    if match := _TYPE.fullmatch(what):
-        return f"{name} is {shown(value)}, but must be {_needed(match)}."
-    for theirs, ours in (
+        # The name of an unknown field can look like a path.
+        keys, problem = [], original
+    name = f"the entry `{entry_name([kind, *keys])}`"
+    if keys and keys[-1] == "kind":  # Only energies have this field.
+        kinds = ", ".join(record.__name__ for record in get_args(Energy))
+        return f"{name} is {describe_value(value)}, but must be one of {kinds}."
+    if match := _TYPE.fullmatch(problem):
+        return f"{name} is {describe_value(value)}, but must be {_expected(match)}."
+    for prefix, verb in (
         ("Object missing required", "lacks the"),
         ("Object contains unknown", "has the unknown"),
     ):
-        if what.startswith(theirs):
-            field = shorten(what.removeprefix(theirs).strip(), 80)
-            return f"{name} {ours} {field}."
-    return f"{name}: {what}"
+        if problem.startswith(prefix):
+            field = shorten(problem.removeprefix(prefix).strip(), 80)
+            return f"{name} {verb} {field}."
+    return f"{name}: {problem}"
 
 
-def _needed(match: re.Match[str]) -> str:
-    """The type that is needed, in words."""
-    words = " or ".join(_TYPES.get(part, part) for part in match["types"].split(" | "))
+def _expected(match: re.Match[str]) -> str:
+    """Describe the type that a message of msgspec expects."""
+    words = " or ".join(
+        _TYPE_NAMES.get(name, name) for name in match["types"].split(" | ")
+    )
     if match["length"]:
         return f"{words} of {match['length'].replace('>= ', 'at least ')} entries"
     if match["limit"]:

@@ -1,9 +1,10 @@
-"""What is joined without stretch: pins, sliders, and whatever else must stay zero."""
+"""Kinematic constraints between bodies: pins, sliders, and general equations."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -15,45 +16,49 @@ from .mechanism import Mechanism
 
 
 class AbstractConstraint(eqx.Module):
-    """Something about the poses of some bodies that stays zero as they move.
+    """A function of the poses of some bodies that stays zero as they move.
 
-    A subclass writes `violation`. What keeps it at zero is a force for each of its
-    entries: in its own direction, as large as it takes.
+    A subclass implements `violation`. For each of its entries there is a constraint
+    force, which does no work on displacements that the constraint allows.
     """
 
     name: eqx.AbstractVar[str]
     bodies: eqx.AbstractVar[tuple[str, ...]]
 
     @abstractmethod
-    def violation(self, poses: Poses, rests: Poses, time: Scalar) -> Float[Array, "..."]:
-        """What must be zero; rad or m.
+    def violation(
+        self, poses: Poses, references: Poses, time: Scalar
+    ) -> Float[Array, "..."]:
+        """Compute the values that must be zero; rad or m.
 
         Args:
-            poses: of its bodies, in order; rad, m, m.
-            rests: of the same bodies, when nothing is loaded; rad, m, m.
-            time: s.
+            poses: Poses of the bodies of the constraint, in order; rad, m, m.
+            references: Reference poses of the same bodies; rad, m, m.
+            time: Time; s.
         """
 
 
 class Constraint(AbstractConstraint):
-    """Any equation between the poses of some bodies, and the time.
+    """A general equation between the poses of some bodies and the time.
 
     Args:
-        name: by which answers and messages call it.
-        bodies: names of those whose poses it knows.
-        zero: a function of their poses, in order, and then of the time; one number or a
-            row of them, as many as it takes away freedoms; rad or m.
+        name: Name of the constraint in solutions and messages.
+        bodies: Names of the bodies whose poses the equation contains.
+        zero: Function of the poses of these bodies, in order, and of the time. It returns
+            one number or a row of numbers, one for each degree of freedom that the
+            constraint removes; rad or m.
 
     Raises:
-        ValueError: a name is no text, or `zero` is not a function.
+        ValueError: A name is not a string, or `zero` is not a function.
 
     Source:
         Equations 5.25 and 6.4 of the dissertation.
 
     Example:
-        >>> along = Constraint("along", ["3"], lambda pose, time: pose[1] - 0.1 * time)
-        >>> along.bodies
-        ('3',)
+        >>> def position_error(pose, time):
+        ...     return pose[1] - 0.1 * time
+        >>> Constraint("along x", ["table"], position_error).bodies
+        ('table',)
     """
 
     name: str = eqx.field(static=True)
@@ -77,25 +82,28 @@ class Constraint(AbstractConstraint):
             )
         self.zero = zero
 
-    def violation(self, poses: Poses, rests: Poses, time: Scalar) -> Float[Array, "..."]:
-        del rests
+    def violation(
+        self, poses: Poses, references: Poses, time: Scalar
+    ) -> Float[Array, "..."]:
+        del references
         entries = jnp.asarray(self.zero(*poses, time))
         return entries[None] if entries.ndim == 0 else entries
 
 
 class Pin(AbstractConstraint):
-    """A point that two bodies share, about which they turn freely.
+    """A pin joint: a point that two bodies share, about which they rotate freely.
 
-    Its force is what it exerts on the second body there, in world axes; N.
+    The constraint force is the force on the second body at the pin, in world axes; N.
 
     Args:
-        name: by which answers and messages call it.
-        first: name of one body.
-        second: name of the other.
-        at: where the pin is at rest, in the world; m.
+        name: Name of the joint in solutions and messages.
+        first: Name of the first body.
+        second: Name of the second body.
+        at: Position of the pin in the reference configuration, in the world frame; m.
 
     Raises:
-        ValueError: a name is no text, a body is joined to itself, or a value not finite.
+        ValueError: A name is not a string, a body is joined to itself, or a value is not
+            finite.
 
     Example:
         >>> Pin("elbow", "upper", "lower", at=(0.1, 0.0)).bodies
@@ -114,34 +122,34 @@ class Pin(AbstractConstraint):
         at: Float[ArrayLike, "2"] | Sequence[ArrayLike],
     ):
         self.name = require_text("The name of a pin", name)
-        self.bodies = _two("pin", name, first, second)
+        self.bodies = _two_bodies("pin", name, first, second)
         self.at = require_row(f"`at` of the pin {name!r}", at, "(x, y)", 2)
 
-    def violation(self, poses: Poses, rests: Poses, time: Scalar) -> Float[Array, "2"]:
+    def violation(
+        self, poses: Poses, references: Poses, time: Scalar
+    ) -> Float[Array, "2"]:
         del time
-        place = jnp.concatenate([jnp.zeros(1), self.at])
-        first, second = (
-            se2.compose(pose, se2.between(reference, place))
-            for pose, reference in zip(poses, rests, strict=True)
-        )
+        frame = jnp.concatenate([jnp.zeros(1), self.at])
+        first, second = _carried(frame, poses, references)
         return second[1:] - first[1:]
 
 
 class Slider(AbstractConstraint):
-    """A straight guide: the second body slides along an axis fixed to the first.
+    """A prismatic joint: the second body slides along an axis fixed to the first.
 
-    Its forces are the moment and the force across that it exerts on the second body,
-    about that point of it which was at `at`; N m, N.
+    The constraint forces are the moment and the force normal to the axis on the second
+    body, about the point of it that is at `at` in the reference configuration; N m, N.
 
     Args:
-        name: by which answers and messages call it.
-        first: name of the body that carries the guide.
-        second: name of the body that slides.
-        at: the guide at rest, in the world: the angle of its axis, and a point on it;
-            rad, m, m.
+        name: Name of the joint in solutions and messages.
+        first: Name of the body that carries the guide.
+        second: Name of the body that slides.
+        at: Angle of the axis and a point on it in the reference configuration, in the
+            world frame; rad, m, m.
 
     Raises:
-        ValueError: a name is no text, a body is joined to itself, or a value not finite.
+        ValueError: A name is not a string, a body is joined to itself, or a value is not
+            finite.
 
     Example:
         >>> Slider("rail", "frame", "table", at=(0.0, 0.0, 0.1)).bodies
@@ -160,92 +168,146 @@ class Slider(AbstractConstraint):
         at: Float[ArrayLike, "3"] | Sequence[ArrayLike],
     ):
         self.name = require_text("The name of a slider", name)
-        self.bodies = _two("slider", name, first, second)
+        self.bodies = _two_bodies("slider", name, first, second)
         self.at = require_row(f"`at` of the slider {name!r}", at, "(angle, x, y)")
 
-    def violation(self, poses: Poses, rests: Poses, time: Scalar) -> Float[Array, "2"]:
+    def violation(
+        self, poses: Poses, references: Poses, time: Scalar
+    ) -> Float[Array, "2"]:
         del time
-        first, second = (
-            se2.compose(pose, se2.between(reference, self.at))
-            for pose, reference in zip(poses, rests, strict=True)
-        )
-        apart = se2.between(first, second)
-        return jnp.stack([apart[0], apart[2]])
+        gap = se2.between(*_carried(self.at, poses, references))
+        return jnp.stack([gap[0], gap[2]])
 
 
 class ConstraintSet(eqx.Module):
-    """All constraints on a mechanism, as one function of its poses.
+    """All constraints on a mechanism, as functions of the displacements of its bodies.
+
+    The constraint forces multiply the derivatives of the violation: the generalized
+    forces on the bodies are their product.
 
     Args:
-        constraints: in the order of its entries.
-        rows: the places of each one's bodies.
-        sizes: how many entries each has.
-        reference: poses of all bodies at rest; rad, m, m.
+        constraints: The constraints, in the order of their entries.
+        bodies: Indices of the bodies of each constraint.
+        sizes: Number of entries of each constraint.
+        reference: Reference poses of all bodies; rad, m, m.
     """
 
     constraints: tuple[AbstractConstraint, ...]
-    rows: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    bodies: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     sizes: tuple[int, ...] = eqx.field(static=True)
     reference: Poses
 
     @property
     def size(self) -> int:
-        """How many freedoms they take away."""
+        """Number of entries: the degrees of freedom that the constraints remove."""
         return sum(self.sizes)
 
     def violation(self, displacements: Poses, time: Scalar) -> Float[Array, " entries"]:
-        """What must be zero, of all of them; rad or m."""
+        """Compute the violation of all constraints; rad or m.
+
+        Args:
+            displacements: Displacement of each body from its reference pose; rad, m, m.
+            time: Time; s.
+        """
         poses = self.reference + displacements
         parts = [
             constraint.violation(
                 poses[np.array(rows)], self.reference[np.array(rows)], time
             )
-            for constraint, rows in zip(self.constraints, self.rows, strict=True)
+            for constraint, rows in zip(self.constraints, self.bodies, strict=True)
         ]
         return jnp.concatenate([jnp.zeros(0), *parts])
 
-    def owners(self) -> list[str]:
-        """The name of each entry's constraint."""
+    def jacobian(
+        self, displacements: Poses, time: Scalar
+    ) -> Float[Array, "entries dofs"]:
+        """Compute the derivatives of the violation by all degrees of freedom."""
+        if not self.size:
+            return jnp.zeros((0, displacements.size))
+        jacobian = jax.jacrev(self.violation)(displacements, time)
+        return jacobian.reshape(self.size, -1)
+
+    def forces(
+        self, displacements: Poses, time: Scalar, push: Float[Array, " entries"]
+    ) -> Float[Array, " dofs"]:
+        """Compute the generalized forces that the constraint forces exert; N m, N.
+
+        Args:
+            displacements: Displacement of each body from its reference pose; rad, m, m.
+            time: Time; s.
+            push: Constraint force of each entry; N m, N.
+        """
+        if not self.size:
+            return jnp.zeros(displacements.size)
+        _, pull_back = jax.vjp(lambda at: self.violation(at, time), displacements)
+        return pull_back(push)[0].reshape(-1)
+
+    def geometric_stiffness(
+        self, displacements: Poses, time: Scalar, push: Float[Array, " entries"]
+    ) -> Float[Array, "dofs dofs"]:
+        """Compute the negative derivative of the `forces` by all degrees of freedom.
+
+        It is the stiffness that constraint forces add because their directions change as
+        the bodies move; N m/rad, N/rad, N/m.
+        """
+        size = displacements.size
+
+        def forces(flat: Array) -> Array:
+            return self.forces(flat.reshape(displacements.shape), time, push)
+
+        return -jax.jacfwd(forces)(displacements.reshape(size))
+
+    def names(self) -> tuple[str, ...]:
+        """Name of the constraint of each entry."""
         pairs = zip(self.constraints, self.sizes, strict=True)
-        return [constraint.name for constraint, size in pairs for _ in range(size)]
+        return tuple(constraint.name for constraint, size in pairs for _ in range(size))
 
 
 def gather_constraints(
     mechanism: Mechanism, constraints: Sequence[AbstractConstraint]
 ) -> ConstraintSet:
-    """Gathers constraints on the bodies of a mechanism.
+    """Gather constraints on the bodies of a mechanism.
 
     Raises:
-        ValueError: a constraint names a body that the mechanism does not have, or two
-            have one name, or something in the list is no constraint.
+        ValueError: A constraint names a body that the mechanism does not have, two
+            constraints have the same name, or an element of the list is no constraint.
     """
     require_kind("constraints", constraints, AbstractConstraint)
-    rows, sizes, names = [], [], set()
+    bodies, sizes, names = [], [], set()
     for constraint in constraints:
         where = f"The constraint {constraint.name!r}"
         if constraint.name in names:
             raise ValueError(f"{where} is given twice; names must differ.")
         names.add(constraint.name)
-        own = tuple(
+        rows = tuple(
             index_of(where, "body", body, mechanism.names) for body in constraint.bodies
         )
-        rests = mechanism.reference[np.array(own)]
+        references = mechanism.reference[np.array(rows)]
         shape = eqx.filter_eval_shape(
-            constraint.violation, rests, rests, jnp.zeros(())
+            constraint.violation, references, references, jnp.zeros(())
         ).shape
         if len(shape) != 1:
             raise ValueError(
-                f"{where} gives an array of shape {shape}, but must give a row of "
-                "numbers, or one."
+                f"{where} returns an array of shape {shape}, but must return a row of "
+                "numbers, or one number."
             )
-        rows.append(own)
+        bodies.append(rows)
         sizes.append(shape[0])
     return ConstraintSet(
-        tuple(constraints), tuple(rows), tuple(sizes), mechanism.reference
+        tuple(constraints), tuple(bodies), tuple(sizes), mechanism.reference
     )
 
 
-def _two(noun: str, name: str, first: str, second: str) -> tuple[str, str]:
+def _carried(frame: Pose, poses: Poses, references: Poses) -> list[Pose]:
+    """Move a frame from the reference configuration with each body; rad, m, m."""
+    return [
+        se2.compose(pose, se2.between(reference, frame))
+        for pose, reference in zip(poses, references, strict=True)
+    ]
+
+
+def _two_bodies(noun: str, name: str, first: str, second: str) -> tuple[str, str]:
+    """Check the names of the two bodies of a joint and return them."""
     require_text(f"`first` of the {noun} {name!r}", first)
     require_text(f"`second` of the {noun} {name!r}", second)
     if first == second:

@@ -16,7 +16,7 @@ from .._utils.validation import (
     require_row,
     require_text,
 )
-from ..energies.base import AbstractEnergy
+from ..energies.base import AbstractEnergy, validation_error
 from ..energies.damping import ViscousDamping
 from ..geometry import se2
 
@@ -120,9 +120,9 @@ def check_energy(hinge: Hinge) -> None:
     Raises:
         ValueError: A value is not finite, or the energy reports a fault.
     """
-    if fault := hinge.energy.validation_error():
+    if error := validation_error(hinge.energy):
         raise ValueError(
-            f"The energy of the hinge {hinge.name!r} cannot be used: {fault}"
+            f"The energy of the hinge {hinge.name!r} cannot be used: {error}"
         )
     for leaf in jax.tree.leaves(hinge.energy):
         values = concrete(leaf)

@@ -1,4 +1,4 @@
-"""Energies of one kind, stacked so that all of them are one array operation."""
+"""Hinges with the same kind of energy, stacked for evaluation as one array operation."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -9,24 +9,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._utils.pytrees import alike
+from .._utils.pytrees import group_by_structure
 from .._utils.types import Scalar
 from .._utils.validation import all_concrete
 from ..energies.base import AbstractEnergy
 from ..energies.damping import ViscousDamping
+from ..energies.solver_protocols import (
+    has_resisted_rates,
+    parallel_terms,
+    proportional_damping,
+)
 from .hinge import Hinge
 
 
 class HingeGroup(eqx.Module):
-    """Hinges of one kind of energy and damping, evaluated as one array operation.
+    """Hinges with the same kind of energy and damping.
 
-    A hinge whose energy is a sum has a place for each term.
+    A hinge whose energy is a sum has a member for each term.
 
     Args:
-        members: their places in the mechanism's list of hinges.
-        energy: their energies, stacked; what all of them share stands once.
-        damping: the same of what they dissipate, if anything.
-        axes: for each array of the two 0 where it is stacked, or nothing.
+        members: Index of the hinge of each member.
+        energy: Their energies, stacked; an array that all of them share is not repeated.
+        damping: Their damping, stacked in the same way, if they are damped.
+        axes: For each array of energy and damping 0 if it is stacked, None if shared.
     """
 
     members: tuple[int, ...] = eqx.field(static=True)
@@ -36,56 +41,56 @@ class HingeGroup(eqx.Module):
 
 
 def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
-    """Sort the energies of hinges by kind, and stack those of one kind.
+    """Sort the energies of hinges by kind, and stack those of the same kind.
 
-    The terms of a sum act side by side, each with its own damping, coordinates and
-    prediction for Newton's method.
+    The terms of a sum act in parallel, each with its own damping, coordinates, and model
+    for Newton's method.
     """
-    rows, couples = [], []
+    rows, pairs = [], []
     for row, hinge in enumerate(hinges):
-        terms = hinge.energy.parallel_terms()
-        for term, damping in zip(terms, _shared(hinge.damping, terms), strict=True):
+        terms = parallel_terms(hinge.energy)
+        for term, damping in zip(terms, _distribute(hinge.damping, terms), strict=True):
             rows.append(row)
-            couples.append((term, damping))
-    stacks = []
-    for places in alike(couples):
-        tree = jax.tree.structure(couples[places[0]])
-        columns = zip(*(jax.tree.leaves(couples[k]) for k in places), strict=True)
+            pairs.append((term, damping))
+    groups = []
+    for indices in group_by_structure(pairs):
+        tree = jax.tree.structure(pairs[indices[0]])
+        columns = zip(*(jax.tree.leaves(pairs[k]) for k in indices), strict=True)
         leaves, axes = [], []
         for column in columns:
             shared = all(leaf is column[0] for leaf in column)
             axes.append(None if shared else 0)
-            leaves.append(column[0] if shared else _stacked(column))
+            leaves.append(column[0] if shared else _stack(column))
         energy, damping = jax.tree.unflatten(tree, leaves)
         if eqx.is_array(damping):  # a time
             damping = _proportional(energy, damping, tuple(axes))
             axes[-1] = None if damping.damping.ndim == 2 else 0
-        members = tuple(rows[k] for k in places)
-        stacks.append(HingeGroup(members, energy, damping, tuple(axes)))
-    return tuple(stacks)
+        members = tuple(rows[k] for k in indices)
+        groups.append(HingeGroup(members, energy, damping, tuple(axes)))
+    return tuple(groups)
 
 
 def sums_of(
     hinges: Sequence[Hinge],
 ) -> tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]:
-    """The energies of hinges that are sums, and their dampings; see `HingeAssembly`."""
+    """Return energy and damping of each hinge whose energy is a sum; None for others."""
     return tuple(
-        (hinge.energy, hinge.damping) if len(hinge.energy.parallel_terms()) > 1 else None
+        (hinge.energy, hinge.damping) if len(parallel_terms(hinge.energy)) > 1 else None
         for hinge in hinges
     )
 
 
-def _shared(
+def _distribute(
     damping: ViscousDamping | Scalar | None, terms: Sequence[AbstractEnergy]
 ) -> list[ViscousDamping | Scalar | None]:
-    """The damping of each term of a sum, from that of the hinge.
+    """Distribute the damping of a hinge among the terms of its energy.
 
-    A time multiplies the stiffness of each term. A damping as such acts once, beside a
-    term that says which rates it resists, if there is one.
+    A time multiplies the stiffness of each term; s. A damping acts once, with the first
+    term that resists only a part of the rates, if there is one.
     """
     if not isinstance(damping, ViscousDamping):
         return [damping] * len(terms)
-    chosen = next((k for k, term in enumerate(terms) if term.has_resisted_rates()), 0)
+    chosen = next((k for k, term in enumerate(terms) if has_resisted_rates(term)), 0)
     return [damping if k == chosen else None for k in range(len(terms))]
 
 
@@ -93,11 +98,17 @@ def _shared(
 def _proportional(
     energy: AbstractEnergy, time: Array, axes: tuple[int | None, ...]
 ) -> ViscousDamping:
-    """The dampings that are the stiffness at rest times a time, of stacked energies."""
+    """Compute the damping of stacked energies in proportion to their stiffness.
+
+    Args:
+        energy: The energies.
+        time: Factor of the stiffness; s.
+        axes: Axes of the arrays of energies and times; see `HingeGroup`.
+    """
     leaves, tree = jax.tree.flatten(energy)
 
     def one(leaves, time):
-        return jax.tree.unflatten(tree, leaves).proportional_damping(time)
+        return proportional_damping(jax.tree.unflatten(tree, leaves), time)
 
     *of_energy, of_time = axes
     if any(axis == 0 for axis in axes):
@@ -105,7 +116,7 @@ def _proportional(
     return one(leaves, time)
 
 
-def _stacked(row: Sequence[Array]) -> Array:
-    # a thousand traced rows would be a thousand operations to compile
+def _stack(row: Sequence[Array]) -> Array:
+    """Stack arrays; concrete ones at once, because each operation is compiled."""
     values = all_concrete(row)
     return jnp.stack(row) if values is None else jnp.asarray(np.stack(values))

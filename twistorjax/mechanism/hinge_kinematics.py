@@ -1,4 +1,4 @@
-"""How a hinge grips its two bodies, and how its displacement follows them."""
+"""Kinematics of a hinge: how its displacement follows those of its two bodies."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,44 +17,61 @@ SixBySix = tuple[Six, Six, Six, Six, Six, Six]
 
 
 class End(NamedTuple):
-    """One end of a hinge: how far its body has moved, and where on the body it grips.
+    """One end of a hinge: the displacement of its body, and its position on the body.
 
-    Displacements are counted from rest, for which differences of positions would lose
-    digits: a stage of 40 mm moves by micrometres.
+    Displacements are measured from the reference pose, because differences of positions
+    would lose digits: a stage of 40 mm moves by micrometers.
+
+    Args:
+        angle: Rotation of the body; rad.
+        x: Displacement of the origin of the body along x; m.
+        y: Displacement of the origin of the body along y; m.
+        cos: Cosine of half the rotation.
+        sin: Sine of half the rotation.
+        arm_x: Distance along x from the origin of the body to the hinge, in the reference
+            configuration; m.
+        arm_y: The same along y; m.
     """
 
-    angle: Scalar  # that the body has turned; rad
-    x: Scalar  # that its origin has moved; m
+    angle: Scalar
+    x: Scalar
     y: Scalar
-    cos: Scalar  # of half the angle
+    cos: Scalar
     sin: Scalar
-    arm_x: Scalar  # from the body's origin to the hinge, in world axes at rest; m
+    arm_x: Scalar
     arm_y: Scalar
 
-    def turn(self) -> tuple[Scalar, Scalar]:
-        """What the body's turning adds to the place of the hinge: (R - 1) arm."""
-        return se2._swing((self.arm_x, self.arm_y), self.cos, self.sin)
+    def arm_displacement(self) -> tuple[Scalar, Scalar]:
+        """Compute the displacement of the hinge by the rotation: (R - 1) arm; m."""
+        return se2.rotation_displacement((self.arm_x, self.arm_y), self.cos, self.sin)
 
 
 class MidFrame(NamedTuple):
-    """A displacement, and the frame half way along it, in the world."""
+    """The displacement of a hinge, and the frame at its middle.
+
+    Args:
+        displacement: Displacement of frame b, seen from frame a.
+        cos: Cosine of the angle of the mid-frame in the world.
+        sin: Sine of the angle of the mid-frame in the world.
+    """
 
     displacement: Displacement
-    cos: Scalar  # of that frame's angle
+    cos: Scalar
     sin: Scalar
 
 
 def mid_frame(first: End, second: End, axis: tuple[Scalar, Scalar]) -> MidFrame:
-    """The displacement of b against a, by products of half angles alone.
+    """Compute the displacement of a hinge, from products of half angles only.
 
     Args:
-        first: the end on body A.
-        second: the end on body B.
-        axis: cosine and sine of the hinge's angle at rest.
+        first: End on body A.
+        second: End on body B.
+        axis: Cosine and sine of the angle of the hinge in the reference configuration.
     """
-    (turn_ax, turn_ay), (turn_bx, turn_by) = first.turn(), second.turn()
-    dx = (second.x - first.x) + (turn_bx - turn_ax)
-    dy = (second.y - first.y) + (turn_by - turn_ay)
+    arm_ax, arm_ay = first.arm_displacement()
+    arm_bx, arm_by = second.arm_displacement()
+    dx = (second.x - first.x) + (arm_bx - arm_ax)
+    dy = (second.y - first.y) + (arm_by - arm_ay)
     sigma = second.cos * first.cos + second.sin * first.sin
     xi = second.sin * first.cos - second.cos * first.sin
     mean_cos = second.cos * first.cos - second.sin * first.sin
@@ -67,21 +84,23 @@ def mid_frame(first: End, second: End, axis: tuple[Scalar, Scalar]) -> MidFrame:
 
 
 class HingeKinematics(NamedTuple):
-    """How a hinge's coordinates follow its bodies.
+    """Derivatives of the coordinates of a hinge by the displacements of its bodies.
 
-    The coordinates are the relative angle and the translation (y1, y2) seen half way.
-    Shifting body A is shifting body B backwards, so four motions of the six are told
-    apart: turning A, turning B, and shifting B along x and along y.
+    The coordinates are the relative angle and the translation (y1, y2) in the mid-frame.
+    Only the difference of the translations of both bodies matters, so there are four
+    motions instead of six displacements: rotation of A, rotation of B, and translation of
+    B relative to A along x and along y.
 
     Args:
-        half: where the hinge is.
-        a1: from body A's origin to the hinge, in the axes half way; m.
-        a2: the same, across.
-        b1: from body B's origin to the hinge; m.
-        b2: the same, across.
+        middle: Displacement and mid-frame of the hinge.
+        a1: Distance from the origin of body A to the hinge along axis 1 of the mid-frame;
+            m.
+        a2: The same along axis 2; m.
+        b1: Distance from the origin of body B to the hinge along axis 1; m.
+        b2: The same along axis 2; m.
     """
 
-    half: MidFrame
+    middle: MidFrame
     a1: Scalar
     a2: Scalar
     b1: Scalar
@@ -91,38 +110,46 @@ class HingeKinematics(NamedTuple):
     def of(
         cls, first: End, second: End, axis: tuple[Scalar, Scalar]
     ) -> "HingeKinematics":
-        """The grip of a hinge on its two ends."""
-        half = mid_frame(first, second, axis)
+        """Compute the kinematics of a hinge from its two ends; see `mid_frame`."""
+        middle = mid_frame(first, second, axis)
         levers = []
         for end in (first, second):
-            turn_x, turn_y = end.turn()
-            x, y = end.arm_x + turn_x, end.arm_y + turn_y
-            levers += [half.cos * x + half.sin * y, half.cos * y - half.sin * x]
-        return cls(half, *levers)
+            moved_x, moved_y = end.arm_displacement()
+            x, y = end.arm_x + moved_x, end.arm_y + moved_y
+            levers += [middle.cos * x + middle.sin * y, middle.cos * y - middle.sin * x]
+        return cls(middle, *levers)
 
     def columns(self) -> tuple[Three, Three, Three, Three]:
-        """The coordinates' derivatives by the four motions."""
-        c, s = self.half.cos, self.half.sin
-        y1, y2 = self.half.displacement.x1, self.half.displacement.x2  # halves
+        """Compute the derivatives of the coordinates by the four motions."""
+        c, s = self.middle.cos, self.middle.sin
+        half_y1, half_y2 = self.middle.displacement.x1, self.middle.displacement.x2
         one, zero = jnp.ones_like(c), jnp.zeros_like(c)
         return (
-            (-one, y2 + self.a2, -y1 - self.a1),
-            (one, y2 - self.b2, -y1 + self.b1),
+            (-one, half_y2 + self.a2, -half_y1 - self.a1),
+            (one, half_y2 - self.b2, -half_y1 + self.b1),
             (zero, c, -s),
             (zero, s, c),
         )
 
     def rates(self, first: Three, second: Three) -> Three:
-        """The coordinates' rates, for those of the bodies' (angle, x, y)."""
+        """Compute the rates of the coordinates from the rates of (angle, x, y)."""
         motions = first[0], second[0], second[1] - first[1], second[2] - first[2]
-        return combined(self.columns(), motions)
+        return combine(self.columns(), motions)
 
-    def bend(self, slopes: Three) -> list[list[Scalar]]:
-        """What slopes by the coordinates add to second derivatives by the motions."""
+    def geometric_stiffness(self, slopes: Three) -> list[list[Scalar]]:
+        """Compute the second derivatives of the coordinates times given forces.
+
+        Args:
+            slopes: Derivatives of the energy by the coordinates; N m, N, N.
+
+        Returns:
+            The stiffness among the four motions; N m/rad, N/rad.
+        """
         _, g1, g2 = slopes
-        c, s = self.half.cos, self.half.sin
-        x, y = c * g1 - s * g2, s * g1 + c * g2  # the force, in the world
-        own = -(g1 * self.half.displacement.x1 + g2 * self.half.displacement.x2) / 2
+        c, s = self.middle.cos, self.middle.sin
+        x, y = c * g1 - s * g2, s * g1 + c * g2  # the force in world axes
+        at = self.middle.displacement
+        own = -(g1 * at.x1 + g2 * at.x2) / 2
         mixed = own + (g1 * (self.b1 - self.a1) + g2 * (self.b2 - self.a2)) / 2
         zero = jnp.zeros_like(own)
         return [
@@ -132,26 +159,28 @@ class HingeKinematics(NamedTuple):
             [x / 2, x / 2, zero, zero],
         ]
 
-    def turning(self, rates: Three, mean: Scalar) -> tuple[Three, Three, Three, Three]:
-        """Derivatives of the `rates` by the four motions, the bodies' own rates kept.
+    def rate_columns(
+        self, rates: Three, mean: Scalar
+    ) -> tuple[Three, Three, Three, Three]:
+        """Compute the derivatives of the `rates` by the four motions.
 
         Args:
-            rates: of the coordinates.
-            mean: of the two bodies' rates of turning; rad/s.
+            rates: Rates of the coordinates; rad/s, m/s, m/s.
+            mean: Mean angular velocity of the two bodies; rad/s.
         """
-        c, s = self.half.cos, self.half.sin
-        turn, along, across = (rate / 2 for rate in rates)
+        c, s = self.middle.cos, self.middle.sin
+        rotation, along, across = (rate / 2 for rate in rates)
         zero = jnp.zeros_like(c)
         return (
-            (zero, across - turn * self.a1, -along - turn * self.a2),
-            (zero, across - turn * self.b1, -along - turn * self.b2),
+            (zero, across - rotation * self.a1, -along - rotation * self.a2),
+            (zero, across - rotation * self.b1, -along - rotation * self.b2),
             (zero, -mean * s, -mean * c),
             (zero, mean * c, -mean * s),
         )
 
 
-def combined(columns: Sequence[Three], weights: Sequence[Scalar]) -> Three:
-    """The columns of a matrix, times a vector."""
+def combine(columns: Sequence[Three], weights: Sequence[Scalar]) -> Three:
+    """Multiply a matrix, given by its columns, and a vector."""
     total = [weights[0] * entry for entry in columns[0]]
     for column, weight in zip(columns[1:], weights[1:], strict=True):
         total = [old + weight * entry for old, entry in zip(total, column, strict=True)]

@@ -1,4 +1,4 @@
-"""The outside of a mechanism: what loads it and what drives it."""
+"""Loads on the bodies of a mechanism, and prescribed displacements."""
 
 from collections.abc import Sequence
 
@@ -16,17 +16,22 @@ class Load(eqx.Module):
     """A force and a moment on a body.
 
     Args:
-        body: name of the body.
-        wrench: moment and force, in world axes; N m, N, N.
-        at: where on the body the force acts, in the body's frame; m.
-        follower: whether the force turns with the body, so that `wrench` is in its axes
-            (pressure, a thruster), or keeps its direction (weight, a taut string).
+        body: Name of the body.
+        wrench: Moment and force as one row (moment, fx, fy), in world axes; N m, N, N.
+            Give either this or `force` and `moment`.
+        force: Force (fx, fy) in world axes; N.
+        moment: Moment; N m.
+        at: Point of the body on which the force acts, in the frame of the body; m.
+        follower: Whether the force rotates with the body, so that its components are
+            those in the axes of the body (pressure, a thruster). Otherwise it keeps its
+            direction (weight, a taut string).
 
     Raises:
-        ValueError: a shape is wrong or a value not finite.
+        ValueError: Both or neither of `wrench` and its parts are given, a shape is wrong,
+            or a value is not finite.
 
     Example:
-        >>> Load("stage", (0.0, 1.0, 0.0)).wrench  # 1 N along x
+        >>> Load("stage", force=(1.0, 0.0)).wrench
         Array([0., 1., 0.], dtype=float64)
     """
 
@@ -38,29 +43,45 @@ class Load(eqx.Module):
     def __init__(
         self,
         body: str,
-        wrench: Float[ArrayLike, "3"] | Sequence[ArrayLike],
+        wrench: Float[ArrayLike, "3"] | Sequence[ArrayLike] | None = None,
         at: Float[ArrayLike, "2"] | Sequence[ArrayLike] = (0.0, 0.0),
         *,
+        force: Float[ArrayLike, "2"] | Sequence[ArrayLike] | None = None,
+        moment: ArrayLike | None = None,
         follower: bool = False,
     ):
         self.body = body
-        what = f"of the load on {body!r}"
-        self.wrench = require_row(f"`wrench` {what}", wrench, "(moment, fx, fy)")
-        self.at = require_row(f"`at` {what}", at, "(x, y)", 2)
+        where = f"of the load on {body!r}"
+        parts = force is not None or moment is not None
+        if (wrench is None) != parts:
+            raise ValueError(
+                f"The load on {body!r} needs either `wrench`, or `force` and `moment`, "
+                f"but {'both are' if parts else 'neither is'} given."
+            )
+        if wrench is not None:
+            self.wrench = require_row(f"`wrench` {where}", wrench, "(moment, fx, fy)")
+        else:
+            about = _number(f"`moment` {where}", 0.0 if moment is None else moment)
+            pull = (0.0, 0.0) if force is None else force
+            along = require_row(f"`force` {where}", pull, "(fx, fy)", 2)
+            self.wrench = jnp.concatenate([about[None], along])
+        self.at = require_row(f"`at` {where}", at, "(x, y)", 2)
         self.follower = follower
 
 
 class Drive(eqx.Module):
-    """A motion imposed on some coordinates of a body.
+    """A prescribed displacement of some coordinates of a body.
+
+    The displacement is imposed exactly, and the reaction is returned with the solution.
 
     Args:
-        body: name of the body.
-        angle: by which it is turned from rest, where that is imposed; rad.
-        x: by which its origin is moved from rest along x, where that is imposed; m.
-        y: the same along y; m.
+        body: Name of the body.
+        angle: Rotation from the reference pose, if it is prescribed; rad.
+        x: Displacement of the origin of the body along x, if it is prescribed; m.
+        y: Displacement of the origin of the body along y, if it is prescribed; m.
 
     Raises:
-        ValueError: no coordinate is given, or a value is not a finite number.
+        ValueError: No coordinate is given, or a value is not a finite number.
 
     Example:
         >>> Drive("input", x=1.35e-6, y=0.0).coordinates
@@ -84,7 +105,7 @@ class Drive(eqx.Module):
         values = dict(zip(COORDINATES, (angle, x, y), strict=True))
         if all(value is None for value in values.values()):
             raise ValueError(
-                f"The drive of {body!r} moves nothing: give it `angle`, `x` or `y`."
+                f"The drive of {body!r} prescribes nothing: give it `angle`, `x` or `y`."
             )
         self.angle, self.x, self.y = (
             None
@@ -95,77 +116,91 @@ class Drive(eqx.Module):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates that are driven."""
+        """Names of the prescribed coordinates."""
         return tuple(name for name in COORDINATES if getattr(self, name) is not None)
 
 
 class LoadSet(eqx.Module):
-    """All loads on a mechanism, as functions of how far its bodies have moved.
+    """All loads on a mechanism, as functions of the displacements of its bodies.
 
     Args:
-        bodies: the place of each load's body.
-        follower: for each load, whether it turns with its body.
-        wrenches: one a load; N m, N, N.
-        at: one a load, in the body's frame; m.
-        reference: angle of each load's body at rest; rad.
+        bodies: Index of the body of each load.
+        followers: Whether each load is a follower load.
+        wrenches: Moment and force of each load; N m, N, N.
+        at: Point of application of each load, in the frame of its body; m.
+        angles: Angle of the body of each load in the reference configuration; rad.
     """
 
     bodies: tuple[int, ...] = eqx.field(static=True)
-    follower: tuple[bool, ...] = eqx.field(static=True)
+    followers: tuple[bool, ...] = eqx.field(static=True)
     wrenches: Float[Array, "loads 3"]
     at: Float[Array, "loads 2"]
-    reference: Float[Array, " loads"]
+    angles: Float[Array, " loads"]
 
     @classmethod
     def of(
-        cls, loads: Sequence[Load], bodies: tuple[int, ...], reference: Poses
+        cls, loads: Sequence[Load], names: Sequence[str], reference: Poses
     ) -> "LoadSet":
-        """Gathers loads on the bodies of those places, which rest at those poses."""
+        """Gather loads.
+
+        Args:
+            loads: The loads.
+            names: Names of the bodies of the mechanism.
+            reference: Reference poses of these bodies; rad, m, m.
+        """
+        bodies = tuple(names.index(load.body) for load in loads)
         count = len(bodies)
         return cls(
             bodies=bodies,
-            follower=tuple(load.follower for load in loads),
+            followers=tuple(load.follower for load in loads),
             wrenches=jnp.array([load.wrench for load in loads]).reshape(count, 3),
             at=jnp.array([load.at for load in loads]).reshape(count, 2),
-            reference=reference[np.array(bodies, int), 0],
+            angles=reference[np.array(bodies, int), 0],
         )
+
+    @property
+    def conservative(self) -> bool:
+        """Whether the loads have a potential: all except follower loads have one."""
+        return not any(self.followers)
 
     def apply(self, displacements: Poses) -> tuple[Wrenches, Wrenches]:
-        """What the loads apply to each body at its origin, in world axes.
+        """Compute the wrench that the loads apply to each body.
+
+        Args:
+            displacements: Displacement of each body from its reference pose; rad, m, m.
 
         Returns:
-            The wrenches, and their derivatives by the angle of their own body, the only
-            coordinate on which they depend.
+            The wrenches about the origins of the bodies, in world axes; N m, N, N. Their
+            derivatives by the angle of their own body, the only coordinate on which they
+            depend; N m/rad, N/rad, N/rad.
         """
-        none = jnp.zeros_like(displacements)
+        zero = jnp.zeros_like(displacements)
         if not self.bodies:
-            return none, none
+            return zero, zero
         bodies = np.array(self.bodies)
-        angle = self.reference + displacements[bodies, 0]
+        angle = self.angles + displacements[bodies, 0]
         cos, sin = jnp.cos(angle), jnp.sin(angle)
-        follower = np.array(self.follower)
+        followers = np.array(self.followers)
         moment, fx, fy = self.wrenches.T
-        x, y = (
-            cos * self.at[:, 0] - sin * self.at[:, 1],
-            (sin * self.at[:, 0] + cos * self.at[:, 1]),
-        )
-        world_x = jnp.where(follower, cos * fx - sin * fy, fx)
-        world_y = jnp.where(follower, sin * fx + cos * fy, fy)
+        x = cos * self.at[:, 0] - sin * self.at[:, 1]
+        y = sin * self.at[:, 0] + cos * self.at[:, 1]
+        world_x = jnp.where(followers, cos * fx - sin * fy, fx)
+        world_y = jnp.where(followers, sin * fx + cos * fy, fy)
         wrench = [moment + x * world_y - y * world_x, world_x, world_y]
         slope = [
-            jnp.where(follower, 0.0, -x * fx - y * fy),
-            jnp.where(follower, -world_y, 0.0),
-            jnp.where(follower, world_x, 0.0),
+            jnp.where(followers, 0.0, -x * fx - y * fy),
+            jnp.where(followers, -world_y, 0.0),
+            jnp.where(followers, world_x, 0.0),
         ]
-        applied = none.at[bodies].add(jnp.stack(wrench, axis=1))
-        return applied, none.at[bodies].add(jnp.stack(slope, axis=1))
+        applied = zero.at[bodies].add(jnp.stack(wrench, axis=1))
+        return applied, zero.at[bodies].add(jnp.stack(slope, axis=1))
 
 
 def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:
-    """The place of each load's body.
+    """Find the index of the body of each load.
 
     Raises:
-        ValueError: a load names a body that the mechanism does not have, or is no load.
+        ValueError: A load names a body that the mechanism does not have, or is no load.
     """
     require_kind("loads", loads, Load)
     return tuple(
@@ -174,38 +209,45 @@ def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...
     )
 
 
-def driven(
+def prescribed_dofs(
     mechanism: Mechanism, drives: Sequence[Drive]
 ) -> tuple[tuple[int, ...], tuple[Scalar, ...]]:
-    """The places of the driven coordinates, and the displacements they are given.
+    """Find the prescribed degrees of freedom and their displacements.
+
+    Returns:
+        The indices of the degrees of freedom, three for each body, and the displacement
+        of each; rad, m.
 
     Raises:
-        ValueError: a drive names a body that the mechanism does not have, or a coordinate
-            that is held or driven already.
+        ValueError: A drive names a body that the mechanism does not have, or a coordinate
+            that is fixed or prescribed already.
     """
     require_kind("drives", drives, Drive)
     values: dict[int, Scalar] = {}
     for k, drive in enumerate(drives):
         body = index_of(f"`drives[{k}]`", "body", drive.body, mechanism.names)
         given = drive.angle, drive.x, drive.y
-        for name, value in zip(COORDINATES, given, strict=True):
+        for coordinate, (name, value) in enumerate(zip(COORDINATES, given, strict=True)):
             if value is None:
                 continue
-            place = 3 * body + COORDINATES.index(name)
-            if place in mechanism.fixed or place in values:
-                how = "held" if place in mechanism.fixed else "driven"
+            dof = 3 * body + coordinate
+            if dof in mechanism.fixed or dof in values:
+                how = "fixed" if dof in mechanism.fixed else "prescribed"
                 raise ValueError(
-                    f"`drives[{k}]` drives the {name} of {drive.body!r}, which is {how} "
-                    "already."
+                    f"`drives[{k}]` prescribes the {name} of {drive.body!r}, which is "
+                    f"{how} already."
                 )
-            values[place] = value
+            values[dof] = value
     return tuple(values), tuple(values.values())
 
 
 def _number(name: str, value: ArrayLike) -> Scalar:
-    seen = concrete(value)
-    if seen is not None and not (
-        seen.shape == () and np.issubdtype(seen.dtype, np.number) and np.isfinite(seen)
+    """Convert a value to an array and check that it is one finite number."""
+    number = concrete(value)
+    if number is not None and not (
+        number.shape == ()
+        and np.issubdtype(number.dtype, np.number)
+        and np.isfinite(number)
     ):
         raise ValueError(f"{name} is {value!r}, but must be a finite number.")
     return jnp.asarray(value, float)

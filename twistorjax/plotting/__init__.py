@@ -1,7 +1,8 @@
 """Figures and animations of mechanisms, energies, sweeps, and fits, with matplotlib.
 
-Start reading in `drawing`. `shapes` computes the outlines of all parts in the world frame,
-`marks` draws loads and constraints, and `canvas` holds figures, colors, and units.
+Start reading in `drawing`. `shapes` computes the outlines of all parts in world
+coordinates, `marks` draws loads, reactions and constraints, `labels` places names and
+numbers so that they do not overlap, and `canvas` holds figures, colors, and units.
 """
 
 from .animation import animate as animate

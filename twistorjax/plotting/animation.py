@@ -1,4 +1,4 @@
-"""A mechanism as it moves, on matplotlib axes."""
+"""Animations of motions, vibrations and equilibrium paths, on matplotlib axes."""
 
 import math
 from typing import cast, NamedTuple, TYPE_CHECKING
@@ -10,9 +10,9 @@ from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
 from ..solve.vibrations import Vibrations
-from .canvas import lengths, new_axes
-from .drawing import draw, draw_ghost, figure_size
-from .shapes import shapes, size_of
+from .canvas import length_unit, new_axes
+from .drawing import draw, draw_reference, figure_size
+from .shapes import mechanism_size, shapes
 
 
 if TYPE_CHECKING:
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from matplotlib.patches import Polygon
 
 
-_SWING = 0.08  # of a vibration, as a part of the mechanism's size
-_PERIOD = 30  # frames of one
+_AMPLITUDE = 0.08  # of a vibration, relative to the size of the mechanism
+_FRAMES_PER_PERIOD = 30  # of a vibration
 
 
-class _Film(NamedTuple):
-    """Poses one after another, what is said of each, and how long they are shown."""
+class _Frames(NamedTuple):
+    """Frames of an animation: poses (rad, m, m), titles, and the time of each frame."""
 
     poses: np.ndarray
     titles: list[str]
@@ -36,7 +36,7 @@ class _Film(NamedTuple):
 
 def animate(
     mechanism: Mechanism,
-    moving: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
+    motion: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
     *,
     mode: int = 0,
     magnify: float | int = 1.0,
@@ -44,138 +44,165 @@ def animate(
     frames: int = 120,
     axes: "Axes | None" = None,
 ) -> "FuncAnimation":
-    """Draws a mechanism as it moves: a motion, a vibration, a path of equilibria.
+    """Animate a motion, a vibration mode, or a sequence of equilibria of a mechanism.
+
+    The frames of a motion have equal durations. The animation is therefore true to time
+    only if the times of the motion are evenly spaced.
 
     Args:
-        mechanism: what moves.
-        moving: a motion, told at times evenly apart, so that it runs evenly; vibrations,
-            of which one is shown, as large as can be seen; or equilibria one after
-            another, as a batch of answers or of poses; rad, m, m.
-        mode: which vibration, the slowest being 0.
-        magnify: a factor on displacements, angles included; stated on the axes.
-        slower: than a motion was, by this factor.
-        frames: how many to draw at most, evenly chosen; each takes a tenth of a second.
-        axes: on which to draw, by default new ones.
+        mechanism: The mechanism.
+        motion: A motion, vibrations, a batch of equilibria, or poses; rad, m, m. Of
+            vibrations one mode is shown with an amplitude that can be seen.
+        mode: Index of the vibration mode. Mode 0 has the lowest frequency.
+        magnify: Factor on all displacements, including angles. It is stated in the title.
+        slower: Factor by which the animation is slower than the motion.
+        frames: Maximum number of frames, which are chosen evenly. Drawing a frame takes
+            about 0.1 s.
+        axes: Axes to draw on. By default new ones are created.
 
     Returns:
-        The animation. A notebook shows it; `save("motion.gif", writer="pillow")` and
-        `save("motion.mp4")` keep it.
+        The animation. A notebook displays it; `save("motion.gif", writer="pillow")` and
+        `save("motion.mp4")` write files.
 
     Raises:
-        ImportError: matplotlib is not installed.
-        ValueError: a batch of motions or of vibrations; there is no such mode; a single
-            equilibrium.
+        ImportError: Matplotlib is not installed.
+        ValueError: `motion` is a batch of motions or of vibrations, or a single
+            equilibrium; or there is no such mode.
 
     Example:
         >>> from twistorjax.examples import four_bar
         >>> linkage = four_bar.four_bar()
-        >>> film = animate(linkage, four_bar.drive(linkage), slower=10)
-        >>> "<script" in film.to_jshtml()
+        >>> motion = four_bar.driven_motion(linkage)
+        >>> animation = animate(linkage, motion, slower=10)
+        >>> "<script" in animation.to_jshtml()
         True
     """
-    film = _film(mechanism, moving, mode, magnify, slower, frames)
+    sequence = _frames(mechanism, motion, mode, magnify, slower, frames)
     if axes is None:
-        wide, high = figure_size(mechanism, film.poses[0])
-        axes = new_axes((5.0, 5.0 * high / wide))
+        width, height = figure_size(mechanism, sequence.poses[0])
+        axes = new_axes((5.0, 5.0 * height / width))
     from matplotlib.animation import FuncAnimation
 
-    unit, _ = lengths(size_of(mechanism))
-    already = len(axes.patches)
-    draw(mechanism, film.poses[0], ghost=False, names=False, axes=axes)
-    parts = cast("list[Polygon]", list(axes.patches)[already:])
-    draw_ghost(mechanism, axes)
-    every = [part.corners for poses in film.poses for part in shapes(mechanism, poses)]
-    axes.set(**_limits(unit * np.concatenate(every)))
+    unit, _ = length_unit(mechanism_size(mechanism))
+    first_patch = len(axes.patches)
+    draw(mechanism, sequence.poses[0], reference=False, names=False, axes=axes)
+    patches = cast("list[Polygon]", list(axes.patches)[first_patch:])
+    draw_reference(mechanism, axes)
+    corners = [
+        shape.corners for poses in sequence.poses for shape in shapes(mechanism, poses)
+    ]
+    axes.set(**_limits(unit * np.concatenate(corners)))
 
-    def frame(k: int) -> list["Polygon"]:
-        for patch, part in zip(parts, shapes(mechanism, film.poses[k]), strict=True):
-            patch.set_xy(unit * part.corners)
-        axes.set_title(film.titles[k], fontsize="medium")
-        return parts
+    def update(k: int) -> list["Polygon"]:
+        for patch, shape in zip(
+            patches, shapes(mechanism, sequence.poses[k]), strict=True
+        ):
+            patch.set_xy(unit * shape.corners)
+        axes.set_title(sequence.titles[k], fontsize="medium")
+        return patches
 
     figure = cast("Figure", axes.get_figure(root=True))
-    shown = FuncAnimation(
-        figure, frame, frames=len(film.poses), interval=max(20.0, film.interval)
+    animation = FuncAnimation(
+        figure,
+        update,
+        frames=len(sequence.poses),
+        interval=max(20.0, sequence.interval),
     )
-    shown._repr_html_ = lambda: _html(shown, figure)
-    return shown
+    animation._repr_html_ = lambda: _html(animation, figure)
+    return animation
 
 
-def _html(shown: "FuncAnimation", figure: "Figure") -> str:
-    """For a notebook, which would show the figure once more, and still."""
+def _html(animation: "FuncAnimation", figure: "Figure") -> str:
+    """Convert an animation for a notebook, and close its figure.
+
+    A notebook would otherwise also display the figure as a still picture.
+    """
     from matplotlib import pyplot as plt
 
     plt.close(figure)
-    with plt.rc_context({"savefig.dpi": 72}):  # a notebook keeps every frame
-        return shown.to_jshtml()
+    with plt.rc_context({"savefig.dpi": 72}):  # A notebook stores every frame.
+        return animation.to_jshtml()
 
 
-def _film(
+def _frames(
     mechanism: Mechanism,
-    moving: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
+    motion: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
     mode: int,
     magnify: float | int,
     slower: float | int,
     frames: int,
-) -> _Film:
+) -> _Frames:
+    """Compute the frames of an animation; see `animate` for the arguments."""
     reference = np.asarray(mechanism.reference)
-    told = "" if magnify == 1 else f"displacements magnified {magnify:g} times"
-    if isinstance(moving, Vibrations):
-        frequencies, moved = np.asarray(moving.frequencies), np.asarray(moving.shapes)
-        if frequencies.ndim != 1 or not -len(frequencies) <= mode < len(frequencies):
-            raise ValueError(
-                f"`mode` is {mode} of vibrations of shape {frequencies.shape}: animate "
-                "those of one mechanism, and a mode that there is."
-            )
-        shape = moved[mode]
-        largest = max(
-            np.abs(after.corners - before.corners).max()
-            for before, after in zip(
-                shapes(mechanism, reference), shapes(mechanism, reference + 1e-6 * shape),
-                strict=True,
-            )
-        )  # fmt: skip
-        swing = magnify * _SWING * size_of(mechanism) / (1e6 * largest or 1.0)
-        count = min(_PERIOD, frames)
-        turns = np.sin(2 * np.pi * np.arange(count) / count)
-        which = mode % len(frequencies) + 1
-        title = f"vibration {which}: {frequencies[mode]:.5g} Hz, of any size"
-        return _Film(
-            reference + swing * turns[:, None, None] * shape,
-            count * [title],
-            2000 / count,
-        )
-    times, joined = np.zeros(0), "; " * bool(told)
-    if isinstance(moving, Motion):
-        times, poses = np.asarray(moving.times), np.asarray(moving.poses)
+    if isinstance(motion, Vibrations):
+        return _vibration_frames(mechanism, motion, mode, magnify, frames)
+    times = np.zeros(0)
+    if isinstance(motion, Motion):
+        times, poses = np.asarray(motion.times), np.asarray(motion.poses)
     else:
-        poses = moving.poses if isinstance(moving, Equilibrium) else moving
+        poses = motion.poses if isinstance(motion, Equilibrium) else motion
         poses = np.asarray(poses)
-    if poses.ndim != 3:
-        what = (
-            f"a batch of motions, of shape {poses.shape[:-3]}: animate one"
-            if poses.ndim > 3
-            else "one equilibrium: animate several one after another, or `draw` it"
+    if poses.ndim > 3:
+        raise ValueError(
+            f"`motion` is a batch of motions, of shape {poses.shape[:-3]}. Animate one "
+            "of them."
         )
-        raise ValueError(f"`moving` is {what}.")
-    kept = np.flatnonzero(np.all(np.isfinite(poses), axis=(1, 2)))
-    if not len(kept):
-        raise ValueError("`moving` is nowhere finite: no solve of it succeeded.")
-    chosen = np.linspace(0, len(kept) - 1, min(frames, len(kept))).round().astype(int)
-    kept = kept[chosen]
-    poses = reference + magnify * (poses - reference)
-    if len(times):
-        apart = max(float(np.ptp(times[kept])), 1e-12) / max(1, len(kept) - 1)
-        digits = max(0, math.ceil(-math.log10(apart)))
-        titles = [f"{times[k]:.{digits}f} s{joined}{told}" for k in kept]
-        length = 1e3 * slower * float(times[kept[-1]] - times[kept[0]])
-        return _Film(poses[kept], titles, length / max(1, len(kept) - 1))
-    titles = [f"{k + 1} of {len(poses)}{joined}{told}" for k in kept]
-    return _Film(poses[kept], titles, 3000 / len(kept))
+    if poses.ndim != 3:
+        raise ValueError(
+            "`motion` is one equilibrium. Give a batch of equilibria, or use `draw`."
+        )
+    finite = np.flatnonzero(np.all(np.isfinite(poses), axis=(1, 2)))
+    if not len(finite):
+        raise ValueError("`motion` has no finite pose: no solve succeeded.")
+    count = min(frames, len(finite))
+    rows = finite[np.linspace(0, len(finite) - 1, count).round().astype(int)]
+    drawn_poses = (reference + magnify * (poses - reference))[rows]
+    suffix = "" if magnify == 1 else f"; displacements magnified {magnify:g} times"
+    if not len(times):
+        titles = [f"{row + 1} of {len(poses)}{suffix}" for row in rows]
+        return _Frames(drawn_poses, titles, 3000 / count)
+    spacing = max(float(np.ptp(times[rows])), 1e-12) / max(1, count - 1)
+    digits = max(0, math.ceil(-math.log10(spacing)))
+    titles = [f"{times[row]:.{digits}f} s{suffix}" for row in rows]
+    duration = 1e3 * slower * float(times[rows[-1]] - times[rows[0]])
+    return _Frames(drawn_poses, titles, duration / max(1, count - 1))
+
+
+def _vibration_frames(
+    mechanism: Mechanism,
+    vibrations: Vibrations,
+    mode: int,
+    magnify: float | int,
+    frames: int,
+) -> _Frames:
+    """Compute the frames of one period of a vibration mode; see `animate`."""
+    reference = np.asarray(mechanism.reference)
+    frequencies = np.asarray(vibrations.frequencies)
+    if frequencies.ndim != 1 or not -len(frequencies) <= mode < len(frequencies):
+        raise ValueError(
+            f"`mode` is {mode}, and the frequencies have shape {frequencies.shape}. "
+            "Animate the vibrations of one mechanism, and one of its modes."
+        )
+    shape = np.asarray(vibrations.shapes)[mode]
+    step = 1e-6  # small enough that the displacements are linear in it
+    largest = max(
+        np.abs(after.corners - before.corners).max()
+        for before, after in zip(
+            shapes(mechanism, reference), shapes(mechanism, reference + step * shape),
+            strict=True,
+        )
+    )  # fmt: skip
+    amplitude = magnify * _AMPLITUDE * mechanism_size(mechanism) / (1e6 * largest or 1.0)
+    count = min(_FRAMES_PER_PERIOD, frames)
+    phases = np.sin(2 * np.pi * np.arange(count) / count)
+    number = mode % len(frequencies) + 1
+    title = f"mode {number}: {frequencies[mode]:.5g} Hz, arbitrary amplitude"
+    poses = reference + amplitude * phases[:, None, None] * shape
+    return _Frames(poses, count * [title], 2000 / count)
 
 
 def _limits(corners: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Limits of the axes, with some room around the corners."""
+    """Compute limits of the axes with a margin around the corners."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = 0.05 * np.max(high - low)
     low, high = low - margin, high + margin

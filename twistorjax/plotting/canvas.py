@@ -1,4 +1,4 @@
-"""Where pictures are drawn: figures of matplotlib, if it is there, and their units."""
+"""Figures of matplotlib, and the colors and units of all plots."""
 
 from typing import Any, TYPE_CHECKING
 
@@ -10,32 +10,36 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# safe for colour-blind eyes: Okabe and Ito, Color Universal Design, 2008
+# Colors that color-blind readers can distinguish: Okabe and Ito, Color Universal Design,
+# 2008.
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e08214", "#009e73", "#d55e00"
-INK, GRAY = "#1b4965", "#8a8a8a"
-# of the parts of a mechanism
-FILLS = {"body": "#b8cfe3", "held": "#d5d5d5", "neck": ORANGE}
+INK, GRAY, BLACK = "#1b4965", "#8a8a8a", "#202020"
+# Fill colors of the parts of a mechanism that have an outline; see `Shape.kind`.
+FILLS = {"body": "#b8cfe3", "fixed": "#d5d5d5", "hinge": ORANGE}
 
 _PREFIXES = (
     (1e12, "p"), (1e9, "n"), (1e6, "\N{MICRO SIGN}"), (1e3, "m"), (1.0, ""), (1e-3, "k"),
     (1e-6, "M"), (1e-9, "G"),
 )  # fmt: skip
-_PREFIXED = ("m", "N", "N m", "J", "s", "Hz", "Pa")
+_UNITS_WITH_PREFIX = ("m", "N", "N m", "J", "s", "Hz", "Pa")
 
 
 def subplots(
     rows: int = 1, columns: int = 1, *, size: tuple[float | int, float | int], **settings
 ) -> tuple["Figure", Any]:
-    """A new figure and its axes, laid out so that nothing overlaps.
+    """Create a figure and its axes, with a layout in which axes do not overlap.
 
     Args:
-        rows: of axes.
-        columns: of axes.
-        size: of the figure; inches.
-        settings: for matplotlib's `subplots`.
+        rows: Number of rows of axes.
+        columns: Number of columns of axes.
+        size: Width and height of the figure; inches.
+        settings: Further arguments of `matplotlib.pyplot.subplots`.
+
+    Returns:
+        The figure, and its axes as `matplotlib.pyplot.subplots` returns them.
 
     Raises:
-        ImportError: matplotlib is not installed; the text says how to.
+        ImportError: Matplotlib is not installed. The message says how to install it.
 
     Example:
         >>> figure, axes = subplots(size=(5, 5))
@@ -45,30 +49,49 @@ def subplots(
 
 
 def new_axes(size: tuple[float | int, float | int]) -> "Axes":
-    """The axes of a new figure of that size; inches."""
+    """Create a figure with one pair of axes.
+
+    Args:
+        size: Width and height of the figure; inches.
+
+    Returns:
+        The axes.
+    """
     return subplots(size=size)[1]
 
 
-def readable(unit: str, largest: float) -> tuple[float, str]:
-    """By what numbers are multiplied, and their unit then, so that they are handy.
+def prefixed_unit(unit: str, largest: float) -> tuple[float, str]:
+    """Choose the SI prefix with which the largest number is between 1 and 1000.
 
     Args:
-        unit: of the numbers, an SI unit without a prefix.
-        largest: of them.
+        unit: SI unit of the numbers, without a prefix.
+        largest: Largest absolute value of the numbers.
+
+    Returns:
+        The factor by which the numbers are multiplied, and the unit with its prefix. The
+        factor is 1 if no prefix fits or if the unit takes none.
 
     Example:
-        >>> readable("m", 0.03)
+        >>> prefixed_unit("m", 0.03)
         (1000.0, 'mm')
-        >>> readable("rad", 1e-3)
+        >>> prefixed_unit("rad", 1e-3)
         (1.0, 'rad')
     """
-    if unit not in _PREFIXED:
+    if unit not in _UNITS_WITH_PREFIX:
         return 1.0, unit
     fitting = [pair for pair in _PREFIXES if 1 <= largest * pair[0] < 1000]
     factor, prefix = fitting[0] if fitting else (1.0, "")
     return factor, prefix + unit
 
 
-def lengths(size: float) -> tuple[float, str]:
-    """The same for lengths of a picture: millimetres, unless it is large or tiny."""
-    return (1e3, "mm") if 1e-3 <= size < 10 else readable("m", size)
+def length_unit(size: float) -> tuple[float, str]:
+    """Choose the unit of the axes of a drawing.
+
+    Args:
+        size: Size of the mechanism; m.
+
+    Returns:
+        The number of units in a meter, and the unit: millimeters for a size from 1 mm to
+        10 m, and the unit of `prefixed_unit` otherwise.
+    """
+    return (1e3, "mm") if 1e-3 <= size < 10 else prefixed_unit("m", size)

@@ -1,11 +1,11 @@
-"""Pictures of a sweep: answers over the parameters of its designs."""
+"""Charts of a sweep: outputs over the parameters of its designs."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import INK, readable, subplots
+from .canvas import INK, prefixed_unit, subplots
 
 
 if TYPE_CHECKING:
@@ -13,20 +13,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def chart(table: "xarray.Dataset", answers: Sequence[str]) -> "Figure":
-    """Draws answers of a sweep: lines over one parameter, colours over two.
+def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
+    """Draw outputs of a sweep as lines over one parameter, or as colors over two.
 
-    Designs without an answer are left white.
+    Designs that failed are left blank.
 
     Args:
-        table: of a sweep, over `design` with one parameter, or over a grid of one or two.
-        answers: names of numbers, a panel for each.
+        table: Result of a sweep, over `design` with one parameter, or over a grid of one
+            or two parameters.
+        outputs: Names of outputs that are numbers. Each has its own axes.
+
+    Returns:
+        The figure.
 
     Raises:
-        ValueError: a name is not that of a number of each design; there are more than
-            two parameters.
+        ValueError: An output is not one number for each design, or the designs differ in
+            more than two parameters.
     """
-    for name in answers:
+    for name in outputs:
         dims = table[name].dims if name in table else ()
         if not 1 <= len(dims) <= 2 or any(str(dim) not in _axes(table) for dim in dims):
             numbers = [
@@ -35,59 +39,61 @@ def chart(table: "xarray.Dataset", answers: Sequence[str]) -> "Figure":
                 if 1 <= values.ndim <= 2 and {*map(str, values.dims)} <= _axes(table)
             ]
             raise ValueError(
-                f"{name!r} cannot be drawn: draw {', '.join(numbers) or 'something else'}"
-                ", over one or two parameters."
+                f"The output {name!r} cannot be drawn: it must be one number for each "
+                "design, over one or two parameters. Outputs that can be drawn: "
+                f"{', '.join(numbers) or 'none'}."
             )
     figure, panels = subplots(
-        1, len(answers), size=(4.2 * len(answers), 3.4), squeeze=False
+        1, len(outputs), size=(4.2 * len(outputs), 3.4), squeeze=False
     )
-    for name, axes in zip(answers, panels.flat, strict=True):
+    for name, axes in zip(outputs, panels.flat, strict=True):
         values = table[name]
-        told, factor = _scaled(name, values)
+        label, factor = _label_and_factor(name, values)
         if values.ndim == 1:
-            places = _places(table, str(values.dims[0]))
-            x, along = _scaled(str(places.name), places)
-            axes.plot(along * places, factor * values, color=INK)
-            axes.set_xlabel(x)
-            axes.set_ylabel(told)
+            parameter = _parameter(table, str(values.dims[0]))
+            x_label, x_factor = _label_and_factor(str(parameter.name), parameter)
+            axes.plot(x_factor * parameter, factor * values, color=INK)
+            axes.set_xlabel(x_label)
+            axes.set_ylabel(label)
             axes.grid(alpha=0.3)
             continue
-        below, left = (table[str(dim)] for dim in reversed(values.dims))
-        x, along = _scaled(str(below.name), below)
-        y, up = _scaled(str(left.name), left)
+        x, y = (table[str(dim)] for dim in reversed(values.dims))
+        x_label, x_factor = _label_and_factor(str(x.name), x)
+        y_label, y_factor = _label_and_factor(str(y.name), y)
         colors = axes.pcolormesh(
-            along * below, up * left, factor * values, cmap="cividis", shading="nearest"
+            x_factor * x, y_factor * y, factor * values, cmap="cividis", shading="nearest"
         )
-        axes.set_xlabel(x)
-        axes.set_ylabel(y)
-        axes.figure.colorbar(colors, ax=axes, label=told)
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        axes.figure.colorbar(colors, ax=axes, label=label)
     return figure
 
 
 def _axes(table: "xarray.Dataset") -> set[str]:
-    """The axes along which designs differ."""
+    """Return the dimensions along which designs differ."""
     if "design" in table.sizes:
         return {"design"}
     return {str(name) for name in table["succeeded"].dims}
 
 
-def _places(table: "xarray.Dataset", axis: str) -> "xarray.DataArray":
-    """What is told along an axis of designs."""
-    if axis != "design":
-        return table[axis]
-    rows = [c for c in table.coords.values() if c.dims == ("design",)]
-    if len(rows) != 1:
+def _parameter(table: "xarray.Dataset", dimension: str) -> "xarray.DataArray":
+    """Return the values of the parameter along a dimension of designs."""
+    if dimension != "design":
+        return table[dimension]
+    parameters = [c for c in table.coords.values() if c.dims == ("design",)]
+    if len(parameters) != 1:
         raise ValueError(
-            f"The designs differ in {len(rows)} parameters: a line is drawn over one."
+            f"The designs differ in {len(parameters)} parameters, but a line is drawn "
+            "over one. Use a grid of one or two parameters."
         )
-    return rows[0]
+    return parameters[0]
 
 
-def _scaled(name: str, values: "xarray.DataArray") -> tuple[str, float]:
-    """What an axis is called, and by how much its numbers are multiplied."""
+def _label_and_factor(name: str, values: "xarray.DataArray") -> tuple[str, float]:
+    """Return the label of an axis, and the factor from SI units to its units."""
     unit = values.attrs.get("units", "")
     if unit in ("", "1"):
         return name, 1.0
     size = np.nanmax(np.abs(values)) if np.any(np.isfinite(values)) else 1.0
-    factor, unit = readable(unit, float(size))
+    factor, unit = prefixed_unit(unit, float(size))
     return f"{name} ({unit})", factor

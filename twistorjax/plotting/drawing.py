@@ -1,4 +1,4 @@
-"""A mechanism at given poses, drawn on matplotlib axes."""
+"""Drawings of a mechanism at given poses, on matplotlib axes."""
 
 from collections.abc import Mapping, Sequence
 from typing import Literal, TYPE_CHECKING
@@ -14,9 +14,15 @@ from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
-from .canvas import FILLS, GRAY, lengths, new_axes, ORANGE, readable
-from .marks import mark_constraints, mark_frames, mark_loads, mark_reactions
-from .shapes import placed, ports, Shape, shapes, size_of
+from .canvas import FILLS, GRAY, GREEN, length_unit, new_axes, ORANGE, prefixed_unit, RED
+from .marks import (
+    mark_constraints,
+    mark_frames,
+    mark_wrenches,
+    Wrenches,
+    wrenches_of_loads,
+)
+from .shapes import hinge_frames, mechanism_size, Shape, shapes, to_world
 
 
 if TYPE_CHECKING:
@@ -31,7 +37,7 @@ def draw(
     poses: PosesLike | Equilibrium | Motion | None = None,
     *,
     magnify: float | int = 1.0,
-    ghost: bool = True,
+    reference: bool = True,
     names: bool = True,
     frames: bool = False,
     loads: Sequence[Load] = (),
@@ -41,36 +47,40 @@ def draw(
     label: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
-    """Draws a mechanism: bodies by their outlines, hinges between them, as they bend.
+    """Draw a mechanism in its reference configuration or a deformed one.
 
-    A body without an outline is drawn as arms from its origin to its hinges; a hinge
-    without one as a spiral spring. Outlines of leaves and notches: `leaf_outline` and
-    `notch_outline`, handed to `Hinge`.
+    Bodies and hinges are drawn by their outlines; `leaf_outline` and `notch_outline` in
+    `twistorjax.flexures` compute outlines of hinges. A body without an outline is drawn
+    as arms from its origin to its hinges. A hinge without an outline is drawn as a spiral
+    spring.
 
     Args:
-        mechanism: what to draw.
-        poses: of its bodies, by default at rest, or an equilibrium, or a motion for its
-            end; rad, m, m.
-        magnify: a factor on displacements, angles included; stated on the axes.
-        ghost: whether the shape at rest is shown too, where it differs.
-        names: whether bodies and hinges are labelled.
-        frames: whether the frames of bodies and hinges are shown; axis 1 is the thicker.
-        loads: to be shown as arrows with their sizes, but for those below a thousandth
-            of the largest.
-        reactions: whether those of the answer handed as `poses` are shown likewise.
-        constraints: pins and sliders to be shown.
-        color: of the hinges: by the "energy" that each stores, or by a number for each,
-            by its name, as the stress that `leaf_stress` gives.
-        label: what the numbers are, with their unit, for the bar of colours.
-        axes: on which to draw, by default new ones.
+        mechanism: The mechanism.
+        poses: Poses of its bodies (rad, m, m), an equilibrium, or a motion, of which the
+            last pose is drawn. By default the reference configuration is drawn.
+        magnify: Factor on all displacements, including angles. It is stated in the title.
+        reference: Whether the reference configuration is shown by dotted lines.
+        names: Whether bodies and hinges are labeled with their names.
+        frames: Whether the frames of bodies and hinges are shown. Axis 1 is thicker.
+        loads: Loads to show as arrows with their values. A force or moment is left out if
+            its effect is below a thousandth of the largest one. The effect of a force is
+            the force times the size of the mechanism.
+        reactions: Whether the reactions of the equilibrium or motion given as `poses` are
+            shown in the same way.
+        constraints: Pins and sliders to show.
+        color: "energy" colors the hinges by their stored energies. A mapping colors them
+            by one number for each hinge name, for example a stress.
+        label: Label of the color bar, with the unit of the numbers in `color`.
+        axes: Axes to draw on. By default new ones are created.
 
     Returns:
-        The axes, in millimetres, unless the mechanism is very large or small.
+        The axes. Their unit is the millimeter, unless the mechanism is larger than 10 m
+        or smaller than 1 mm.
 
     Raises:
-        ImportError: matplotlib is not installed.
-        ValueError: reactions are asked for without an answer that has them; the poses
-            are a batch, or not finite; a name is unknown.
+        ImportError: Matplotlib is not installed.
+        ValueError: Reactions are requested, but `poses` is not a result that has them;
+            the poses are a batch or not finite; or a name is unknown.
 
     Example:
         >>> from twistorjax.examples import stage
@@ -78,57 +88,76 @@ def draw(
         >>> axes.get_xlabel()
         'x (mm)'
     """
-    reference = np.asarray(mechanism.reference)
+    undeformed = np.asarray(mechanism.reference)
     displacements = _displacements(mechanism, poses)
-    moved = reference + magnify * displacements
-    unit, word = lengths(size_of(mechanism))
-    values, label = _coloured(mechanism, reference + displacements, color, label)
+    drawn_poses = undeformed + magnify * displacements
+    size = mechanism_size(mechanism)
+    unit, unit_name = length_unit(size)
+    values, label = _hinge_values(mechanism, undeformed + displacements, color, label)
     if axes is None:
-        axes = new_axes(figure_size(mechanism, moved, bool(values)))
-    if ghost and np.any(displacements):
-        draw_ghost(mechanism, axes)
-    fills = _bar(axes, values, label) if values else {}
-    for shape in shapes(mechanism, moved):
-        hinge = shape.kind in ("neck", "spring")
-        _draw_part(axes, shape, unit, fills.get(shape.row) if hinge else None)
+        axes = new_axes(figure_size(mechanism, drawn_poses, bool(values)))
+    reference = reference and bool(np.any(displacements))
+    if reference:
+        draw_reference(mechanism, axes)
+    fills = _color_bar(axes, values, label) if values else {}
+    for shape in shapes(mechanism, drawn_poses):
+        is_hinge = shape.kind in ("hinge", "spring")
+        _draw_shape(axes, shape, unit, fills.get(shape.row) if is_hinge else None)
     if frames:
-        mark_frames(axes, mechanism, moved, unit)
-    mark_constraints(axes, mechanism, moved, constraints, unit)
-    mark_loads(axes, mechanism, moved, loads, unit)
+        mark_frames(axes, mechanism, drawn_poses, unit)
+    mark_constraints(axes, mechanism, drawn_poses, constraints, unit)
+    wrenches, hinge_forces = [wrenches_of_loads(mechanism, drawn_poses, loads, RED)], None
     if reactions:
-        mark_reactions(axes, mechanism, moved, _reactions(poses), unit)
+        wrenches.append(Wrenches(drawn_poses[:, 1:], _reactions(poses), GREEN))
+        hinge_forces = np.asarray(
+            mechanism.hinge_assembly.forces(jnp.asarray(displacements))
+        )
+    mark_wrenches(axes, wrenches, size, unit, hinge_forces=hinge_forces)
     if names:
-        marked = bool(frames or reactions or len(loads))
-        _label(axes, mechanism, moved, unit, marked)
+        _label_parts(axes, mechanism, drawn_poses, unit)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    axes.set_xlabel(f"x ({word})")
-    axes.set_ylabel(f"y ({word})")
+    axes.set_xlabel(f"x ({unit_name})")
+    axes.set_ylabel(f"y ({unit_name})")
     if magnify != 1:
         title = f"displacements magnified {magnify:g} times"
-        if ghost and np.any(displacements):
-            title += "; dotted: at rest"
+        if reference:
+            title += "; dotted: reference"
         axes.set_title(title, fontsize="medium")
     return axes
 
 
 def figure_size(
-    mechanism: Mechanism, poses: np.ndarray, bar: bool = False
+    mechanism: Mechanism, poses: np.ndarray, color_bar: bool = False
 ) -> tuple[float, float]:
-    """Of a figure that a mechanism fills, with room for a bar of colours; inches."""
+    """Choose the size of a figure that a mechanism fills.
+
+    Args:
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        color_bar: Whether the figure has a color bar.
+
+    Returns:
+        Width and height; inches.
+    """
     corners = np.concatenate([part.corners for part in shapes(mechanism, poses)])
-    wide, high = np.ptp(corners, axis=0)
-    part = np.clip(high / wide if wide else 2.0, 0.25, 1.2)
-    return 7.0 + 0.8 * bar, float(6.0 * part + 1.0)
+    width, height = np.ptp(corners, axis=0)
+    ratio = np.clip(height / width if width else 2.0, 0.25, 1.2)
+    return 7.0 + 0.8 * color_bar, float(6.0 * ratio + 1.0)
 
 
-def draw_ghost(mechanism: Mechanism, axes: "Axes") -> None:
-    """Dots the bodies at rest."""
+def draw_reference(mechanism: Mechanism, axes: "Axes") -> None:
+    """Draw the bodies in the reference configuration by dotted lines.
+
+    Args:
+        mechanism: The mechanism.
+        axes: The axes.
+    """
     from matplotlib.patches import Polygon
 
-    unit, _ = lengths(size_of(mechanism))
+    unit, _ = length_unit(mechanism_size(mechanism))
     for shape in shapes(mechanism, np.asarray(mechanism.reference)):
-        if shape.kind in ("body", "held", "arm"):
+        if shape.kind in ("body", "fixed", "arm"):
             axes.add_patch(
                 Polygon(
                     unit * shape.corners, closed=shape.kind != "arm", fill=False,
@@ -137,10 +166,17 @@ def draw_ghost(mechanism: Mechanism, axes: "Axes") -> None:
             )  # fmt: skip
 
 
-def _draw_part(
+def _draw_shape(
     axes: "Axes", shape: Shape, unit: float, fill: Color | None = None
 ) -> None:
-    """Draws one part of a mechanism."""
+    """Draw one part of a mechanism.
+
+    Args:
+        axes: The axes.
+        shape: Outline of the part.
+        unit: Number of units of the axes in a meter.
+        fill: Color of the part, by default that of its kind.
+    """
     from matplotlib.patches import Polygon
 
     if shape.kind in ("arm", "spring"):
@@ -151,12 +187,12 @@ def _draw_part(
             "zorder": 2.5 if spring else 1, "capstyle": "round",
         }  # fmt: skip
     else:
-        neck = shape.kind == "neck"
+        hinge = shape.kind == "hinge"
         color = fill or FILLS[shape.kind]
         style = {
             "closed": True, "facecolor": color, "linewidth": 0.8,
-            "edgecolor": color if neck else "#404040",
-            "zorder": 2 if neck else 1,
+            "edgecolor": color if hinge else "#404040",
+            "zorder": 2 if hinge else 1,
         }  # fmt: skip
     axes.add_patch(Polygon(unit * shape.corners, **style))
 
@@ -164,73 +200,94 @@ def _draw_part(
 def _displacements(
     mechanism: Mechanism, poses: PosesLike | Equilibrium | Motion | None
 ) -> np.ndarray:
+    """Return the displacements of the bodies that are drawn; rad, m, m."""
     if poses is None:
         return np.zeros(mechanism.reference.shape)
     if isinstance(poses, Equilibrium | Motion):
         rows = poses.poses
         if (batch := rows.ndim - 2 - isinstance(poses, Motion)) > 0:
             raise ValueError(
-                f"`poses` is a batch of answers, of shape {rows.shape[:batch]}: draw one,"
-                " as by `jax.tree.map(lambda leaf: leaf[0], answers)`."
+                f"`poses` is a batch of results, of shape {rows.shape[:batch]}. Draw one "
+                "of them, for example `jax.tree.map(lambda leaf: leaf[0], results)`."
             )
         poses = rows if isinstance(poses, Equilibrium) else rows[-1]
-    found = np.asarray(mechanism.displacements(poses))
-    if not np.all(np.isfinite(found)):
+    displacements = np.asarray(mechanism.displacements(poses))
+    if not np.all(np.isfinite(displacements)):
         raise ValueError(
-            "`poses` are not finite: the solve that gave them did not succeed, as its "
-            "`result` tells."
+            "`poses` are not finite. The solve that computed them did not succeed; its "
+            "`result` holds the reason."
         )
-    return found
+    return displacements
 
 
 def _reactions(poses: PosesLike | Equilibrium | Motion | None) -> np.ndarray:
+    """Return the reactions on the bodies that are drawn; N m, N, N."""
     if isinstance(poses, Equilibrium):
         return np.asarray(poses.reactions)
     if isinstance(poses, Motion):
         return np.asarray(poses.reactions[-1])
     raise ValueError(
-        "`reactions` are told by an equilibrium or a motion: hand that as `poses`."
+        "`reactions` is True, but `poses` has no reactions. Give an equilibrium or a "
+        "motion as `poses`."
     )
 
 
-def _coloured(
+def _hinge_values(
     mechanism: Mechanism,
     poses: np.ndarray,
     color: Literal["energy"] | Mapping[str, ArrayLike] | None,
     label: str,
 ) -> tuple[dict[int, float], str]:
-    """The number by which each hinge is coloured, and what it is."""
+    """Compute the numbers by which hinges are colored.
+
+    Args:
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        color: "energy", or a number for each hinge name.
+        label: Label of the color bar for numbers that are given.
+
+    Returns:
+        A number for each hinge index, and the label of the color bar.
+    """
     if color is None:
         return {}, ""
     if isinstance(color, str):
         if color != "energy":
             raise ValueError(
-                f"`color` is {color!r}, but must be 'energy', or a number for each "
-                "hinge by its name."
+                f"`color` is {color!r}, but must be 'energy' or a mapping from hinge "
+                "names to numbers."
             )
-        there, stored = jnp.asarray(poses), {}
+        poses_array, energies = jnp.asarray(poses), {}
         for row, name in enumerate(mechanism.hinge_names):
-            displaced = mechanism.displacement_of(name, there)
-            stored[row] = float(mechanism.hinge_assembly.energy_of(row)(displaced))
-        factor, unit = readable("J", max(map(abs, stored.values())))
-        return {row: factor * value for row, value in stored.items()}, f"energy ({unit})"
-    told = {
-        index_of("`color`", "hinge", name, mechanism.hinge_names): float(
-            np.asarray(value)
-        )
-        for name, value in color.items()
-    }
-    return told, label
+            displacement = mechanism.displacement_of(name, poses_array)
+            energies[row] = float(mechanism.hinge_assembly.energy_of(row)(displacement))
+        factor, unit = prefixed_unit("J", max(map(abs, energies.values())))
+        scaled = {row: factor * energy for row, energy in energies.items()}
+        return scaled, f"energy ({unit})"
+    values = {}
+    for name, value in color.items():
+        row = index_of("`color`", "hinge", name, mechanism.hinge_names)
+        values[row] = float(np.asarray(value))
+    return values, label
 
 
-def _bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Color]:
-    """A bar of colours beside the axes, and the colour of each hinge."""
+def _color_bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Color]:
+    """Draw a color bar beside the axes.
+
+    Args:
+        axes: The axes.
+        values: A number for each hinge index.
+        label: Label of the color bar.
+
+    Returns:
+        The color of each hinge index.
+    """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
     low = min(0.0, *values.values())
-    # without its lightest, which would be lost on white
+    # The lightest colors are left out, because they are hard to see on white.
     dark = ListedColormap(colormaps["plasma"](np.linspace(0, 0.88, 256)))
     scale = ScalarMappable(Normalize(low, max(values.values())), dark)
     axes.figure.colorbar(scale, ax=axes, label=label, shrink=0.8)
@@ -238,35 +295,49 @@ def _bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Col
     return {row: tuple(map(float, rgba)) for row, rgba in zip(rows, colors, strict=True)}
 
 
-def _label(
-    axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float, marked: bool
+def _label_parts(
+    axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float
 ) -> None:
-    """Names of bodies, below what is marked at their origins; of hinges beside them."""
+    """Label hinges beside their centers, and bodies inside their outlines.
+
+    Args:
+        axes: The axes.
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        unit: Number of units of the axes in a meter.
+    """
+    from .labels import Labels
+
+    labels = Labels.of(axes)
+    middle = np.mean(axes.dataLim.intervalx) / unit
+    for hinge, name in enumerate(mechanism.hinge_names):
+        angle, x, y = np.mean(hinge_frames(mechanism, poses, hinge), axis=0)
+        upright = abs(np.sin(angle)) > abs(np.cos(angle))
+        inward = -1.0 if x > middle else 1.0
+        direction = np.array([inward, 0.0] if upright else [0.0, 1.0])
+        center = unit * np.array([x, y])
+        labels.add(name, center, direction, color="#8c3b00", fontstyle="italic", zorder=5)
     for name, pose, outline in zip(
         mechanism.names, poses, mechanism.outlines, strict=True
     ):
-        place = pose[1:] if outline is None else _inside(placed(pose, outline))
-        axes.annotate(
-            name, tuple(unit * place), xytext=(0, -10 if marked else 0), ha="center",
-            textcoords="offset points", va="center", zorder=5,
-        )  # fmt: skip
-    middle = np.mean(axes.dataLim.intervalx) / unit
-    for hinge, name in enumerate(mechanism.hinge_names):
-        angle, x, y = np.mean(ports(mechanism, poses, hinge), axis=0)
-        upright = abs(np.sin(angle)) > abs(np.cos(angle))
-        inwards = -1 if x > middle else 1
-        axes.annotate(
-            name, (unit * x, unit * y), xytext=(11 * inwards, 0) if upright else (0, 11),
-            ha="center" if not upright else "left" if inwards > 0 else "right",
-            va="center", zorder=5, textcoords="offset points",
-            color="#8c3b00", fontstyle="italic",
-        )  # fmt: skip
+        if outline is None:
+            labels.add(name, unit * pose[1:], np.array([0.0, -1.0]), zorder=5)
+        else:
+            point = unit * _inner_point(to_world(pose, outline))
+            labels.add(name, point, np.zeros(2), zorder=5)
 
 
-def _inside(corners: np.ndarray) -> np.ndarray:
-    """A point well inside a polygon, whatever its shape: the best of a grid.
+def _inner_point(corners: np.ndarray) -> np.ndarray:
+    """Find a point of a grid that is far from the edges of a polygon.
 
-    Of points as far from the edges, that nearest the mean corner.
+    The distance from the mean corner is subtracted with a small weight, so that of points
+    with the same distance from the edges the most central one is found.
+
+    Args:
+        corners: Corners of the polygon, which need not be convex; m.
+
+    Returns:
+        A point inside the polygon; m.
     """
     from matplotlib.path import Path
 
@@ -274,9 +345,10 @@ def _inside(corners: np.ndarray) -> np.ndarray:
     grid = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
     grid = grid[Path(corners).contains_points(grid)]
     start, end = corners, np.roll(corners, -1, axis=0)
-    along = end - start
-    share = np.einsum("gck,ck->gc", grid[:, None] - start, along)
-    share = np.clip(share / np.sum(along**2, axis=1), 0, 1)[..., None]
-    gaps = np.linalg.norm(grid[:, None] - start - share * along, axis=2).min(axis=1)
-    strayed = np.linalg.norm(grid - corners.mean(axis=0), axis=1)
-    return grid[np.argmax(gaps - 0.05 * strayed)]
+    edges = end - start
+    # Position of the closest point on each edge, from 0 at its start to 1 at its end.
+    share = np.einsum("gck,ck->gc", grid[:, None] - start, edges)
+    share = np.clip(share / np.sum(edges**2, axis=1), 0, 1)[..., None]
+    gaps = np.linalg.norm(grid[:, None] - start - share * edges, axis=2).min(axis=1)
+    from_mean = np.linalg.norm(grid - corners.mean(axis=0), axis=1)
+    return grid[np.argmax(gaps - 0.05 * from_mean)]

@@ -1,4 +1,4 @@
-"""What was fitted beside what was measured, and how the errors are spread."""
+"""Comparisons of fits with the data, and distributions of their errors."""
 
 import math
 from collections.abc import Mapping
@@ -7,39 +7,39 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from .canvas import GRAY, INK, ORANGE
+from .canvas import BLACK, GRAY, INK, ORANGE
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-GIVEN = "#202020"
-COLORS = (INK, ORANGE, GRAY)
+_FIT_COLORS = (INK, ORANGE, GRAY)
 
 
 def draw_ranked(
     axes: "Axes",
-    given: Float[np.ndarray, " trials"],
+    data: Float[np.ndarray, " trials"],
     fitted: Mapping[str, Float[np.ndarray, " trials"]],
     unit: str,
 ) -> None:
-    """Draws numbers in the order of their size, and what fits make of each.
+    """Draw energies in ascending order, and their predictions by fits.
 
-    The axes keep to the range of the numbers; the legend counts what lies outside.
+    The limits of the axes follow from the data. The legend counts the predictions that
+    lie outside.
 
     Args:
-        axes: on which to draw.
-        given: the numbers, as measured or exact.
-        fitted: what each fit makes of them, by its name; the first lies on top.
-        unit: of the numbers.
+        axes: The axes.
+        data: Exact or measured energy of each trial.
+        fitted: Predictions by each fit, by its name. The first fit is drawn on top.
+        unit: Unit of the energies.
     """
-    order = np.argsort(given)
-    ranks = np.arange(1, len(given) + 1)
-    spread = np.ptp(given)
-    low, high = given.min() - 0.25 * spread, given.max() + 0.25 * spread
+    order = np.argsort(data)
+    ranks = np.arange(1, len(data) + 1)
+    margin = 0.25 * np.ptp(data)
+    low, high = data.min() - margin, data.max() + margin
     for depth, ((name, values), color) in enumerate(
-        zip(fitted.items(), COLORS, strict=False)
+        zip(fitted.items(), _FIT_COLORS, strict=False)
     ):
         outside = int(np.sum(~((values >= low) & (values <= high))))
         label = f"{name} ({outside} outside)" if outside else name
@@ -47,7 +47,7 @@ def draw_ranked(
             ranks, values[order], ".", color=color, markersize=3, label=label,
             zorder=3 - 0.1 * depth, rasterized=True,
         )  # fmt: skip
-    axes.plot(ranks, given[order], color=GIVEN, linewidth=1, label="exact", zorder=4)
+    axes.plot(ranks, data[order], color=BLACK, linewidth=1, label="exact", zorder=4)
     axes.set_ylim(low, high)
     axes.set_xlabel("trial, by its exact energy")
     axes.set_ylabel(f"energy ({unit})")
@@ -57,14 +57,14 @@ def draw_ranked(
 def draw_distribution(
     axes: "Axes", errors: Mapping[str, Float[np.ndarray, " trials"]], unit: str
 ) -> None:
-    """Draws the share of trials whose error is above each size.
+    """Draw the share of trials whose absolute error exceeds each value.
 
     Args:
-        axes: on which to draw.
-        errors: of each fit, by its name.
-        unit: of the errors.
+        axes: The axes.
+        errors: Errors of each fit, by its name.
+        unit: Unit of the errors.
     """
-    for (name, values), color in zip(errors.items(), COLORS, strict=False):
+    for (name, values), color in zip(errors.items(), _FIT_COLORS, strict=False):
         sizes = np.sort(np.abs(values))[::-1]
         shares = np.arange(1, len(sizes) + 1) / len(sizes)
         axes.step(sizes, shares, color=color, label=name)
@@ -72,35 +72,37 @@ def draw_distribution(
     axes.set_yscale("log")
     axes.grid(alpha=0.3)
     axes.set_xlabel(f"error of the energy ({unit})")
-    axes.set_ylabel("share of trials with a larger one")
+    axes.set_ylabel("share of trials with a larger error")
 
 
 def draw_numbers(
     axes: "Axes",
-    given: Float[np.ndarray, " trials"],
+    data: Float[np.ndarray, " trials"],
     fitted: Mapping[str, Float[np.ndarray, " trials"]],
 ) -> None:
-    """Draws the number that each trial gave, and what fits make of it.
+    """Draw one number for each trial, and its predictions by fits.
 
-    Large ones are drawn by their logarithm, so that those that are far off are seen too.
+    The scale is linear up to the power of ten above the data and logarithmic above it, so
+    that predictions with large errors are visible, too.
 
     Args:
-        axes: on which to draw.
-        given: the numbers, as measured.
-        fitted: what each fit makes of them, by its name.
+        axes: The axes.
+        data: Measured number of each trial.
+        fitted: Predictions by each fit, by its name.
     """
-    places = np.arange(1, len(given) + 1)
+    trials = np.arange(1, len(data) + 1)
     axes.axhline(0, color="#d5d5d5", linewidth=0.8, zorder=0)
     axes.plot(
-        places, given, "o", color=GIVEN, fillstyle="none", markersize=9, label="given"
+        trials, data, "o", color=BLACK, fillstyle="none", markersize=9, label="given"
     )
-    for (name, values), color, mark in zip(fitted.items(), COLORS, ".v^", strict=False):
-        axes.plot(places, values, mark, color=color, label=name)
-    # even up to a power of ten that is above all given ones, and by tenfolds beyond
-    reach = max(np.abs(values).max() for values in (given, *fitted.values()))
-    first, last = (math.ceil(np.log10(size)) for size in (np.abs(given).max(), reach))
+    for (name, values), color, mark in zip(
+        fitted.items(), _FIT_COLORS, ".v^", strict=False
+    ):
+        axes.plot(trials, values, mark, color=color, label=name)
+    largest = max(np.abs(values).max() for values in (data, *fitted.values()))
+    first, last = (math.ceil(np.log10(size)) for size in (np.abs(data).max(), largest))
     decades = 10.0 ** np.arange(first, last + 1)
     axes.set_yscale("symlog", linthresh=decades[0], linscale=2)
     axes.set_yticks([*-decades[::-1], 0.0, *decades])
     axes.set_ylim(-1.5 * decades[-1], 1.5 * decades[-1])
-    axes.set_xticks(places)
+    axes.set_xticks(trials)

@@ -1,4 +1,4 @@
-"""The energy of a hinge and its wrench, as landscapes over its displacement."""
+"""Contour plots of the energy and the wrench of a hinge over its displacement."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from ..energies.base import AbstractEnergy
 from ..energies.validity import WithValidityRange
 from ..geometry.twistors import Displacement
 from ..mechanism.hinge import Hinge
-from .canvas import readable, subplots
+from .canvas import BLACK, prefixed_unit, subplots
 
 
 if TYPE_CHECKING:
@@ -21,135 +21,174 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_TURN = 0.5  # rad
-_NEWTON = 30  # steps along the axis
+_ROTATION = 0.5  # largest rotation by default; rad
+_NEWTON_STEPS = 30  # of the minimization over the axial displacement
 
 
 def draw_energy(
     energy: AbstractEnergy | Hinge,
     *,
-    turn: float | int | None = None,
-    across: float | int | None = None,
-    along: float | int | None = None,
+    rotation: float | int | None = None,
+    transverse: float | int | None = None,
+    axial: float | int | None = None,
     points: int = 61,
 ) -> "Figure":
-    """Draws what a hinge stores and bears, by its turn and its translation across.
+    """Draw the energy and the wrench of a hinge over its displacement.
 
-    Frame b is seen from frame a: turned, and moved along the axes of a. What lies beyond
-    the range of the energy is left white.
+    The coordinates of the plots are the rotation and the transverse displacement of frame
+    b relative to frame a, in the axes of frame a. The plots are blank outside the
+    validity range of the energy.
 
     Args:
-        energy: of a hinge, or the hinge.
-        turn: the largest drawn, either way, by default that of the range; rad.
-        across: the largest translation along axis 2, either way, by default as much as
-            stores what the largest turn does; m.
-        along: the translation along axis 1; by default the hinge is free along it, and
-            takes the one that stores least; m.
-        points: of the grid, each way.
+        energy: The energy of a hinge, or the hinge.
+        rotation: Largest rotation in both directions; rad. By default the limit of the
+            validity range, or 0.5 rad if the energy has none.
+        transverse: Largest displacement along axis 2 in both directions; m. By default
+            the displacement at which the linearized hinge stores the same energy as at
+            the largest rotation.
+        axial: Displacement along axis 1; m. By default the hinge is free along axis 1,
+            and the displacement minimizes the energy.
+        points: Number of grid points in each direction.
 
     Returns:
-        A figure: energy, moment and transverse force, and the travel along the axis, or,
-        where that is given, the axial force.
+        A figure with the energy, the moment, the transverse force, and the axial
+        displacement. If `axial` is given, the axial force replaces the last of them.
 
     Raises:
-        ImportError: matplotlib is not installed.
-        ValueError: `energy` is none; it has no stiffness at rest from which `across`
-            could follow.
+        ImportError: Matplotlib is not installed.
+        ValueError: `energy` is not an energy; or `transverse` is missing and the energy
+            has no stiffness in the reference configuration.
 
     Example:
         >>> from twistorjax import Material
         >>> from twistorjax.flexures import leaf
-        >>> blade = leaf(Material(69e9, 0.33), length=0.01, thickness=1e-3, width=5e-3)
-        >>> figure = draw_energy(blade)
-        >>> [panel.get_title() for panel in figure.axes[:4]]
-        ['energy (mJ)', 'moment (N m)', 'transverse force (N)', 'travel along (µm)']
+        >>> aluminum = Material(modulus=69e9, poisson=0.33)
+        >>> spring = leaf(aluminum, length=0.01, thickness=1e-3, width=5e-3)
+        >>> figure = draw_energy(spring)
+        >>> for axes in figure.axes[:4]:
+        ...     print(axes.get_title())
+        energy (mJ)
+        moment (N m)
+        transverse force (N)
+        axial displacement (µm)
     """
     energy = energy.energy if isinstance(energy, Hinge) else energy
     require_kind("energy", [energy], AbstractEnergy)
-    if turn is None:
-        turn = float(energy.turn) if isinstance(energy, WithValidityRange) else _TURN
-    if across is None:
-        rotation, _, transverse = np.diagonal(np.asarray(energy.tangent_stiffness()))
-        if not (rotation > 0 and transverse > 0):
+    if rotation is None:
+        limited = isinstance(energy, WithValidityRange)
+        rotation = float(energy.rotation) if limited else _ROTATION
+    if transverse is None:
+        rotational, _, translational = np.diagonal(np.asarray(energy.tangent_stiffness()))
+        if not (rotational > 0 and translational > 0):
             raise ValueError(
-                "The energy has no stiffness at rest, from which the range of its "
-                "translation could follow: give `across`, in metres."
+                "The range of transverse displacements cannot be chosen, because the "
+                "energy has no stiffness in the reference configuration. Give "
+                "`transverse`, in meters."
             )
-        across = turn * float(np.sqrt(rotation / transverse))
-    turns = jnp.linspace(-turn, turn, points)
-    shifts = jnp.linspace(-across, across, points)
-    grid = jnp.stack(jnp.meshgrid(turns, shifts, indexing="ij"), -1).reshape(-1, 2)
-    told = _told(energy, grid, jnp.zeros(0) if along is None else jnp.array([along]))
-    told = np.where(np.isfinite(told).all(axis=1, keepdims=True), told, np.nan)
-    told = told.reshape(points, points, -1)
+        transverse = rotation * float(np.sqrt(rotational / translational))
+    rotations = jnp.linspace(-rotation, rotation, points)
+    shifts = jnp.linspace(-transverse, transverse, points)
+    grid = jnp.stack(jnp.meshgrid(rotations, shifts, indexing="ij"), -1).reshape(-1, 2)
+    given = jnp.zeros(0) if axial is None else jnp.array([axial])
+    values = _evaluate(energy, grid, given)
+    values = np.where(np.isfinite(values).all(axis=1, keepdims=True), values, np.nan)
+    values = values.reshape(points, points, -1)
 
     figure, panels = subplots(2, 2, size=(8.4, 6.8), sharex=True, sharey=True)
-    last = ("travel along", "m") if along is None else ("axial force", "N")
-    wanted = {
-        ("energy", "J"): 0,
-        ("moment", "N m"): 1,
-        ("transverse force", "N"): 3,
-        last: 4 if along is None else 2,
-    }
-    factor, unit = readable("m", across)
-    for axes, ((name, kind), column) in zip(panels.flat, wanted.items(), strict=True):
-        _panel(axes, turns, factor * shifts, told[..., column], name, kind)
+    # Name, unit, and column in `values` of each plot.
+    plots = [("energy", "J", 0), ("moment", "N m", 1), ("transverse force", "N", 3)]
+    if axial is None:
+        plots.append(("axial displacement", "m", 4))
+    else:
+        plots.append(("axial force", "N", 2))
+    factor, unit = prefixed_unit("m", transverse)
+    for axes, (name, si_unit, column) in zip(panels.flat, plots, strict=True):
+        _draw_contours(
+            axes, rotations, factor * shifts, values[..., column], name, si_unit
+        )
         axes.label_outer()
     for axes in panels[-1]:
-        axes.set_xlabel("turn (rad)")
+        axes.set_xlabel("rotation (rad)")
     for axes in panels[:, 0]:
-        axes.set_ylabel(f"translation across ({unit})")
+        axes.set_ylabel(f"transverse displacement ({unit})")
     if isinstance(energy, WithValidityRange):
         figure.suptitle(
-            f"known up to {float(energy.turn):.3g} rad and {float(energy.force):.3g} N",
+            f"valid up to {float(energy.rotation):.3g} rad and "
+            f"{float(energy.force):.3g} N",
             fontsize="medium",
         )
     return figure
 
 
-def _panel(
-    axes: "Axes", turns: Array, shifts: Array, values: np.ndarray, name: str, unit: str
+def _draw_contours(
+    axes: "Axes",
+    rotations: Array,
+    shifts: Array,
+    values: np.ndarray,
+    name: str,
+    unit: str,
 ) -> None:
+    """Draw contours of one quantity.
+
+    Args:
+        axes: The axes.
+        rotations: Rotations of the grid; rad.
+        shifts: Transverse displacements of the grid; units of the axes.
+        values: Values of the quantity; SI units.
+        name: Name of the quantity.
+        unit: Its SI unit.
+    """
     from matplotlib.ticker import MaxNLocator
 
     largest = float(np.nanmax(np.abs(values))) if np.any(np.isfinite(values)) else 1.0
-    factor, unit = readable(unit, largest)
+    factor, unit = prefixed_unit(unit, largest)
     values = factor * values.T
     signed = bool(np.nanmin(values, initial=0) < -1e-9 * factor * largest)
     low, high = (-factor * largest if signed else 0.0), factor * largest or 1.0
     levels = MaxNLocator(20, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
-    colors = axes.contourf(
-        np.asarray(turns), np.asarray(shifts), values, levels,
-        cmap="RdBu_r" if signed else "cividis",
-    )  # fmt: skip
-    axes.contour(
-        np.asarray(turns), np.asarray(shifts), values, levels[::2], colors="#202020",
-        linewidths=0.4,
-    )  # fmt: skip
+    x, y = np.asarray(rotations), np.asarray(shifts)
+    color_map = "RdBu_r" if signed else "cividis"
+    colors = axes.contourf(x, y, values, levels, cmap=color_map)
+    axes.contour(x, y, values, levels[::2], colors=BLACK, linewidths=0.4)
     axes.set_title(f"{name} ({unit})", fontsize="medium")
     axes.figure.colorbar(colors, ax=axes)
 
 
 @jax.jit
-def _told(
-    energy: AbstractEnergy, grid: Float[Array, "poses 2"], along: Float[Array, " given"]
+def _evaluate(
+    energy: AbstractEnergy, grid: Float[Array, "poses 2"], axial: Float[Array, " given"]
 ) -> Float[Array, "poses 5"]:
-    """Energy, wrench, and translation along axis 1; NaN beyond the range."""
+    """Compute energy, wrench, and axial displacement at the points of a grid.
 
-    def one(place: Float[Array, "2"]) -> Float[Array, "5"]:
-        turned, across = place
+    Args:
+        energy: The energy.
+        grid: Rotation and transverse displacement of each point; rad, m.
+        axial: The axial displacement. If the array is empty, the axial displacement
+            minimizes the energy; m.
+
+    Returns:
+        Energy (J), moment (N m), axial and transverse force (N), and axial displacement
+        (m) of each point. They are NaN outside the validity range.
+    """
+
+    def at_point(point: Float[Array, "2"]) -> Float[Array, "5"]:
+        rotation, transverse = point
 
         def stored_energy(x: Scalar) -> Scalar:
-            pose = jnp.stack([turned, x, across])
-            return energy.stored_energy(Displacement.of(pose))
+            pose = jnp.stack([rotation, x, transverse])
+            return energy.stored_energy(Displacement.from_pose(pose))
 
-        def nearer(_, x: Scalar) -> Scalar:
-            slope, bend = jax.jvp(jax.grad(stored_energy), (x,), (jnp.ones(()),))
-            return x - jnp.where(bend > 0, slope / jnp.where(bend > 0, bend, 1.0), 0.0)
+        def newton_step(_, x: Scalar) -> Scalar:
+            slope, stiffness = jax.jvp(jax.grad(stored_energy), (x,), (jnp.ones(()),))
+            convex = stiffness > 0
+            step = jnp.where(convex, slope / jnp.where(convex, stiffness, 1.0), 0.0)
+            return x - step
 
-        x = jnp.zeros(())
-        x = along[0] if along.size else jax.lax.fori_loop(0, _NEWTON, nearer, x)
-        pose = jnp.stack([turned, x, across])
+        if axial.size:
+            x = axial[0]
+        else:
+            x = jax.lax.fori_loop(0, _NEWTON_STEPS, newton_step, jnp.zeros(()))
+        pose = jnp.stack([rotation, x, transverse])
         return jnp.concatenate([energy(pose)[None], energy.wrench(pose), x[None]])
 
-    return jax.vmap(one)(grid)
+    return jax.vmap(at_point)(grid)

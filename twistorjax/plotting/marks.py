@@ -1,133 +1,206 @@
-"""What is marked on a drawing: frames, forces and moments, pins and sliders."""
+"""Marks on a drawing: frames, forces and moments, pins and sliders."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
 from ..mechanism.constraints import AbstractConstraint, Pin, Slider
 from ..mechanism.loads import Load, loaded_bodies
 from ..mechanism.mechanism import Mechanism
-from .canvas import BLUE, GREEN, ORANGE, readable, RED
-from .shapes import carried, placed, ports, size_of
+from .canvas import BLACK, BLUE, ORANGE, prefixed_unit
+from .shapes import attached_frame, hinge_frames, mechanism_size, to_world
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# as parts of the mechanism's size
-_LONGEST, _SHORTEST, _ROUND, _FRAME = 0.2, 0.06, 0.06, 0.07
-_LEAST = 1e-3  # of the largest: smaller forces and moments are left out
+# Lengths relative to the size of the mechanism.
+_LONGEST_FORCE, _SHORTEST_FORCE, _MOMENT_RADIUS, _FRAME = 0.2, 0.06, 0.06, 0.07
+_NEGLIGIBLE = 1e-3  # relative to the largest load effect
+
+# Style of the labels of forces and moments.
+_VALUE_STYLE = {
+    "fontsize": "small",
+    "zorder": 7,
+    "bbox": {"boxstyle": "square,pad=0.1", "facecolor": "white", "alpha": 0.7, "lw": 0},
+}
+
+
+class Wrenches(NamedTuple):
+    """Forces and moments that are drawn in one color.
+
+    Args:
+        points: Points of application in world coordinates, one in each row; m.
+        wrenches: Moment and force at each point, in world axes; N m, N, N.
+        color: Color of the arrows and their labels.
+    """
+
+    points: np.ndarray
+    wrenches: np.ndarray
+    color: str
 
 
 def mark_frames(
     axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float
 ) -> None:
-    """Draws the frames of the bodies, and those in which hinges grip them.
+    """Draw the frames of the bodies, and both frames of each hinge.
 
     Args:
-        axes: on which to draw.
-        mechanism: whose frames they are.
-        poses: of its bodies; rad, m, m.
-        unit: how many of the axes' units a metre is.
+        axes: The axes.
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        unit: Number of units of the axes in a meter.
     """
-    size = size_of(mechanism)
+    size = mechanism_size(mechanism)
     for pose in poses:
-        _frame(axes, pose, _FRAME * size, unit, BLUE)
+        _mark_frame(axes, pose, _FRAME * size, unit, BLUE)
     for hinge in range(len(mechanism.hinge_names)):
-        for port in ports(mechanism, poses, hinge):
-            _frame(axes, port, 0.6 * _FRAME * size, unit, ORANGE)
+        for frame in hinge_frames(mechanism, poses, hinge):
+            _mark_frame(axes, frame, 0.6 * _FRAME * size, unit, ORANGE)
 
 
-def _frame(
+def _mark_frame(
     axes: "Axes", pose: np.ndarray, length: float, unit: float, color: str
 ) -> None:
-    corners = unit * placed(pose, length * np.array([[0, 0], [1, 0], [0, 1.0]]))
-    for tip, wide in ((corners[1], 1.6), (corners[2], 0.8)):  # axis 1 is the thicker
-        _arrow(axes, corners[0], tip, color, wide, 8)
+    """Draw the axes of a frame from its pose (rad, m, m) and their length (m)."""
+    corners = unit * to_world(pose, length * np.array([[0, 0], [1, 0], [0, 1.0]]))
+    for tip, width in ((corners[1], 1.6), (corners[2], 0.8)):  # Axis 1 is thicker.
+        _arrow(axes, corners[0], tip, color, width, 8)
 
 
-def mark_loads(
-    axes: "Axes",
-    mechanism: Mechanism,
-    poses: np.ndarray,
-    loads: Sequence[Load],
-    unit: float,
-) -> None:
-    """Draws loads as arrows from where they act, with their sizes.
+def wrenches_of_loads(
+    mechanism: Mechanism, poses: np.ndarray, loads: Sequence[Load], color: str
+) -> Wrenches:
+    """Compute the wrenches of loads in world axes.
 
     Args:
-        axes: on which to draw.
-        mechanism: that they load.
-        poses: of its bodies; rad, m, m.
-        loads: forces and moments.
-        unit: how many of the axes' units a metre is.
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        loads: The loads.
+        color: Color of their arrows.
+
+    Returns:
+        The wrenches at the points where the loads are applied.
     """
-    places, wrenches = [], []
-    for body, load in zip(loaded_bodies(mechanism, loads), loads, strict=True):
+    points, wrenches = np.zeros((len(loads), 2)), np.zeros((len(loads), 3))
+    for row, (body, load) in enumerate(
+        zip(loaded_bodies(mechanism, loads), loads, strict=True)
+    ):
         moment, *force = np.asarray(load.wrench)
-        turned = np.array([poses[body][0] if load.follower else 0.0, 0.0, 0.0])
-        places.append(placed(poses[body], np.asarray(load.at)[None])[0])
-        wrenches.append([moment, *placed(turned, np.array([force]))[0]])
-    _mark(axes, np.array(places), np.array(wrenches), RED, size_of(mechanism), unit)
+        rotation = np.array([poses[body][0] if load.follower else 0.0, 0.0, 0.0])
+        points[row] = to_world(poses[body], np.asarray(load.at)[None])[0]
+        wrenches[row] = [moment, *to_world(rotation, np.array([force]))[0]]
+    return Wrenches(points, wrenches, color)
 
 
-def mark_reactions(
+def mark_wrenches(
     axes: "Axes",
-    mechanism: Mechanism,
-    poses: np.ndarray,
-    reactions: np.ndarray,
-    unit: float,
-) -> None:
-    """Draws what bodies receive from outside where they are held or driven.
-
-    Args:
-        axes: on which to draw.
-        mechanism: that is held.
-        poses: of its bodies; rad, m, m.
-        reactions: about each body's origin; N m, N, N.
-        unit: how many of the axes' units a metre is.
-    """
-    _mark(axes, poses[:, 1:], reactions, GREEN, size_of(mechanism), unit)
-
-
-def _mark(
-    axes: "Axes",
-    places: np.ndarray,
-    wrenches: np.ndarray,
-    color: str,
+    groups: Sequence[Wrenches],
     size: float,
     unit: float,
+    *,
+    hinge_forces: np.ndarray | None = None,
 ) -> None:
-    """Arrows as long as forces are large, and turning ones for moments, behind them."""
-    if not len(places):
-        return
+    """Draw forces as straight arrows and moments as curved arrows, with their values.
+
+    The effect of a wrench is its moment, or its force times the size of the mechanism.
+    The length of a straight arrow is proportional to the effect of the force, down to a
+    shortest length. A force or moment is left out if its effect is below a thousandth of
+    the largest effect on the mechanism, because it may consist of rounding errors.
+
+    Args:
+        axes: The axes.
+        groups: The wrenches to draw.
+        size: Size of the mechanism; m.
+        unit: Number of units of the axes in a meter.
+        hinge_forces: Wrenches of the hinges on each body, which also count as effects on
+            the mechanism; N m, N, N.
+    """
+    effects = [_effects(group.wrenches, size) for group in groups]
+    longest = np.max(np.concatenate(effects), initial=0.0)
+    largest = longest
+    if hinge_forces is not None:
+        largest = np.max(_effects(hinge_forces, size), initial=longest)
+    for group, group_effects in zip(groups, effects, strict=True):
+        for point, (moment, *force), (moment_effect, force_effect) in zip(
+            unit * group.points, group.wrenches, group_effects, strict=True
+        ):
+            arc_direction = np.array([1.0, 0.0])
+            if force_effect > _NEGLIGIBLE * largest:
+                length = max(_SHORTEST_FORCE, _LONGEST_FORCE * force_effect / longest)
+                _mark_force(axes, point, force, unit * size * length, group.color)
+                arc_direction = -np.array(force)
+            if moment_effect > _NEGLIGIBLE * largest:
+                radius = unit * size * _MOMENT_RADIUS
+                _mark_moment(axes, point, moment, radius, arc_direction, group.color)
+
+
+def _effects(wrenches: np.ndarray, size: float) -> np.ndarray:
+    """Compute the effects of wrenches on a mechanism of this size (m), as moments.
+
+    Returns:
+        For each wrench the effect of its moment and that of its force; N m.
+    """
     forces = np.linalg.norm(wrenches[:, 1:], axis=1)
-    moments = np.abs(wrenches[:, 0])
-    # as far as they can be told from nothing
-    shown = forces > _LEAST * forces.max()
-    turning = moments > _LEAST * max(moments.max(), size * forces.max())
-    for k, place in enumerate(unit * places):
-        away = np.array([1.0, 0.0])
-        if shown[k]:
-            along = wrenches[k, 1:] / forces[k]
-            part = max(_SHORTEST, _LONGEST * forces[k] / forces.max())
-            tip, away = place + unit * size * part * along, -along
-            _arrow(axes, place, tip, color, 2.0, 14)
-            factor, name = readable("N", forces[k])
-            _tell(axes, tip, f"{factor * forces[k]:.3g} {name}", color, along)
-        if turning[k]:
-            radius, way = unit * size * _ROUND, np.sign(wrenches[k, 0])
-            middle = np.arctan2(away[1], away[0])
-            start, end = (
-                place + radius * np.array([np.cos(angle), np.sin(angle)])
-                for angle in middle + way * np.radians([-60.0, 60.0])
-            )
-            _arrow(axes, start, end, color, 2.0, 12, f"arc3,rad={0.55 * way}")
-            factor, name = readable("N m", moments[k])
-            text = f"{factor * moments[k]:.3g} {name}"
-            _tell(axes, place + 1.1 * radius * away, text, color, away)
+    return np.stack([np.abs(wrenches[:, 0]), size * forces], axis=1)
+
+
+def _mark_force(
+    axes: "Axes", point: np.ndarray, force: Sequence[float], length: float, color: str
+) -> None:
+    """Draw a force as an arrow from a point.
+
+    Args:
+        axes: The axes.
+        point: The point; units of the axes.
+        force: The force; N.
+        length: Length of the arrow; units of the axes.
+        color: Color of the arrow and its label.
+    """
+    from .labels import Labels
+
+    magnitude = float(np.linalg.norm(force))
+    direction = np.array(force) / magnitude
+    tip = point + length * direction
+    _arrow(axes, point, tip, color, 2.0, 14)
+    factor, name = prefixed_unit("N", magnitude)
+    text = f"{factor * magnitude:.3g} {name}"
+    Labels.of(axes).add(text, tip, direction, color=color, **_VALUE_STYLE)
+
+
+def _mark_moment(
+    axes: "Axes",
+    point: np.ndarray,
+    moment: float,
+    radius: float,
+    direction: np.ndarray,
+    color: str,
+) -> None:
+    """Draw a moment as an arc of 120 degrees about a point.
+
+    Args:
+        axes: The axes.
+        point: The point; units of the axes.
+        moment: The moment; N m.
+        radius: Radius of the arc; units of the axes.
+        direction: Direction from the point to the middle of the arc.
+        color: Color of the arc and its label.
+    """
+    from .labels import Labels
+
+    direction = direction / np.linalg.norm(direction)
+    middle, sense = np.arctan2(direction[1], direction[0]), np.sign(moment)
+    start, end = (
+        point + radius * np.array([np.cos(angle), np.sin(angle)])
+        for angle in middle + sense * np.radians([-60.0, 60.0])
+    )
+    _arrow(axes, start, end, color, 2.0, 12, f"arc3,rad={0.55 * sense}")
+    factor, name = prefixed_unit("N m", abs(moment))
+    text = f"{factor * abs(moment):.3g} {name}"
+    anchor = point + 1.1 * radius * direction
+    Labels.of(axes).add(text, anchor, direction, color=color, **_VALUE_STYLE)
 
 
 def mark_constraints(
@@ -137,34 +210,36 @@ def mark_constraints(
     constraints: Sequence[AbstractConstraint],
     unit: float,
 ) -> None:
-    """Draws pins as rings, sliders as blocks on rails; other constraints have no place.
+    """Draw pins as rings and sliders as blocks on rails.
+
+    Other constraints are not drawn, because they have no position.
 
     Args:
-        axes: on which to draw.
-        mechanism: whose bodies they join.
-        poses: of its bodies; rad, m, m.
-        constraints: on them.
-        unit: how many of the axes' units a metre is.
+        axes: The axes.
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        constraints: Constraints on the bodies.
+        unit: Number of units of the axes in a meter.
     """
     from matplotlib.patches import Circle, Polygon
 
-    size = unit * size_of(mechanism)
-    style = {"facecolor": "white", "edgecolor": "#202020", "linewidth": 1.2, "zorder": 4}
+    size = unit * mechanism_size(mechanism)
+    style = {"facecolor": "white", "edgecolor": BLACK, "linewidth": 1.2, "zorder": 4}
     for constraint in constraints:
         bodies = [mechanism.index(name) for name in constraint.bodies]
         if isinstance(constraint, Pin):
             frame = np.concatenate([[0.0], np.asarray(constraint.at)])
-            x, y = unit * carried(mechanism, poses, bodies[1], frame)[1:]
+            x, y = unit * attached_frame(mechanism, poses, bodies[1], frame)[1:]
             axes.add_patch(Circle((x, y), 0.013 * size, **style))
         elif isinstance(constraint, Slider):
             guide, block = (
-                carried(mechanism, poses, body, constraint.at) * [1, unit, unit]
+                attached_frame(mechanism, poses, body, constraint.at) * [1, unit, unit]
                 for body in bodies
             )
-            rail = placed(guide, size * np.array([[-0.12, 0], [0.12, 0.0]]))
-            axes.plot(*rail.T, color="#202020", linewidth=3, zorder=3.5)
+            rail = to_world(guide, size * np.array([[-0.12, 0], [0.12, 0.0]]))
+            axes.plot(*rail.T, color=BLACK, linewidth=3, zorder=3.5)
             corners = np.array([[-1, -0.6], [1, -0.6], [1, 0.6], [-1, 0.6]])
-            corners = placed(block, 0.03 * size * corners)
+            corners = to_world(block, 0.03 * size * corners)
             axes.add_patch(Polygon(corners, closed=True, **style))
 
 
@@ -173,31 +248,28 @@ def _arrow(
     start: np.ndarray,
     end: np.ndarray,
     color: str,
-    wide: float,
+    width: float,
     head: int,
-    bend: str = "arc3",
+    connection: str = "arc3",
 ) -> None:
+    """Draw an arrow between two points, in units of the axes.
+
+    Args:
+        axes: The axes.
+        start: Start of the arrow.
+        end: Tip of the arrow.
+        color: Color of the arrow.
+        width: Width of the line; points.
+        head: Size of the head; points.
+        connection: Connection style of matplotlib, by default a straight line.
+    """
     from matplotlib.patches import FancyArrowPatch
 
     (x0, y0), (x1, y1) = start, end
     axes.add_patch(
         FancyArrowPatch(
             (x0, y0), (x1, y1), arrowstyle="-|>", mutation_scale=head, color=color,
-            linewidth=wide, shrinkA=0, shrinkB=0, connectionstyle=bend, zorder=6,
+            linewidth=width, shrinkA=0, shrinkB=0, connectionstyle=connection, zorder=6,
         )
     )  # fmt: skip
     axes.update_datalim([(x0, y0), (x1, y1)])
-
-
-def _tell(
-    axes: "Axes", place: np.ndarray, text: str, color: str, along: np.ndarray
-) -> None:
-    """A number beyond the tip of an arrow."""
-    dx, dy = 5 * along / np.linalg.norm(along)
-    sides = "left" if dx > 2 else "right" if dx < -2 else "center"
-    heights = "bottom" if dy > 2 else "top" if dy < -2 else "center"
-    axes.annotate(
-        text, tuple(place), xytext=(dx, dy), textcoords="offset points", color=color,
-        ha=sides, va=heights, zorder=7, fontsize="small",
-        bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "alpha": 0.7, "lw": 0},
-    )  # fmt: skip

@@ -1,7 +1,7 @@
-"""Where the parts of a mechanism are, as polygons in the world.
+"""Outlines of the parts of a mechanism, as polygons in world coordinates.
 
-By NumPy: as operations of JAX, one by one, a frame of a film would take ten times as
-long.
+This module uses NumPy, because single operations of JAX would make a frame of an
+animation ten times slower.
 """
 
 from typing import Literal, NamedTuple
@@ -12,114 +12,165 @@ from .._utils.types import Corners, Pose
 from ..mechanism.mechanism import Mechanism
 
 
-_DOT = 0.015  # radius of a hinge without an outline, as a part of the mechanism's size
+_SPRING_RADIUS = 0.015  # relative to the size of the mechanism
 
 
 class Shape(NamedTuple):
-    """A part of a mechanism.
+    """Outline of a part of a mechanism.
 
     Args:
-        kind: what it is: a body that can move, one that is held altogether, an arm that
-            leads from the origin of a body without an outline to one of its hinges; a
-            hinge with an outline, or without: a spring.
-        corners: in the world, a row each; m.
-        row: of the body or hinge.
+        kind: "body" is a body with an outline, and "fixed" is one whose three coordinates
+            are fixed. "arm" is a line from the origin of a body without an outline to one
+            of its hinges. "hinge" is a hinge with an outline, and "spring" is a hinge
+            without one.
+        corners: Corners in world coordinates; m.
+        row: Index of the body or hinge in the mechanism.
     """
 
-    kind: Literal["body", "held", "arm", "neck", "spring"]
+    kind: Literal["body", "fixed", "arm", "hinge", "spring"]
     corners: np.ndarray
     row: int
 
 
-def size_of(mechanism: Mechanism) -> float:
-    """The longer side of the box around it at rest; m."""
-    places = [np.concatenate([mechanism.reference, mechanism.at])[:, 1:]]
+def mechanism_size(mechanism: Mechanism) -> float:
+    """Compute the size of a mechanism in its reference configuration.
+
+    Args:
+        mechanism: The mechanism.
+
+    Returns:
+        The longer side of the box around origins, hinges and outlines; m. It is 1 m if
+        all of them coincide.
+    """
+    points = [np.concatenate([mechanism.reference, mechanism.at])[:, 1:]]
     for pose, outline in zip(
         np.asarray(mechanism.reference), mechanism.outlines, strict=True
     ):
         if outline is not None:
-            places.append(placed(pose, outline))
-    return float(np.ptp(np.concatenate(places), axis=0).max()) or 1.0
+            points.append(to_world(pose, outline))
+    return float(np.ptp(np.concatenate(points), axis=0).max()) or 1.0
 
 
 def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
-    """The parts of a mechanism, bodies first.
+    """Compute the outlines of all parts of a mechanism.
 
     Args:
-        mechanism: what is drawn.
-        poses: of its bodies; rad, m, m.
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+
+    Returns:
+        The bodies, then the arms of bodies without an outline, then the hinges.
     """
     fixed_dofs = set(mechanism.fixed)
     bodies, arms, hinges = [], [], []
     for body, outline in enumerate(mechanism.outlines):
         fixed = {3 * body, 3 * body + 1, 3 * body + 2} <= fixed_dofs
         if outline is not None:
-            corners = placed(poses[body], outline)
-            bodies.append(Shape("held" if fixed else "body", corners, body))
-    coil = _DOT * size_of(mechanism) * _coil()
+            corners = to_world(poses[body], outline)
+            bodies.append(Shape("fixed" if fixed else "body", corners, body))
+    spiral = _SPRING_RADIUS * mechanism_size(mechanism) * _unit_spiral()
     for hinge, (ends, outline) in enumerate(
         zip(mechanism.hinge_assembly.ends, mechanism.hinge_outlines, strict=True)
     ):
-        both = ports(mechanism, poses, hinge)
+        frames = hinge_frames(mechanism, poses, hinge)
         corners = np.zeros((1, 2)) if outline is None else np.asarray(outline)
-        reach = np.array([corners[:, 0].min(), corners[:, 0].max()])
-        for body, port, along in zip(ends, both, reach, strict=True):
+        extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
+        for body, frame, end in zip(ends, frames, extent, strict=True):
             if mechanism.outlines[body] is None:
-                (grip,) = placed(port, np.array([[along, 0.0]]))
-                arms.append(Shape("arm", np.stack([poses[body][1:], grip]), body))
+                (tip,) = to_world(frame, np.array([[end, 0.0]]))
+                arms.append(Shape("arm", np.stack([poses[body][1:], tip]), body))
         if outline is None:
-            # wound about the one port, and from there to the other
-            way = np.linspace(0, 1, len(coil))[:, None]
-            middle = (1 - way) * both[0][1:] + way * both[1][1:]
-            hinges.append(Shape("spring", middle + coil, hinge))
+            # The spiral starts at the first frame and ends at the second one.
+            share = np.linspace(0, 1, len(spiral))[:, None]
+            center = (1 - share) * frames[0][1:] + share * frames[1][1:]
+            hinges.append(Shape("spring", center + spiral, hinge))
         else:
-            hinges.append(Shape("neck", _bent(*both, reach, corners), hinge))
+            hinges.append(Shape("hinge", _deform(*frames, extent, corners), hinge))
     return bodies + arms + hinges
 
 
-def placed(pose: np.ndarray, corners: np.ndarray | Corners) -> np.ndarray:
-    """Points of a frame, in the world; m."""
+def to_world(pose: np.ndarray, points: np.ndarray | Corners) -> np.ndarray:
+    """Transform points from a frame to world coordinates.
+
+    Args:
+        pose: Pose of the frame; rad, m, m.
+        points: Points in the frame, one in each row; m.
+
+    Returns:
+        The points in world coordinates; m.
+    """
     cos, sin = np.cos(pose[0]), np.sin(pose[0])
-    return pose[1:] + np.asarray(corners) @ np.array([[cos, sin], [-sin, cos]])
+    return pose[1:] + np.asarray(points) @ np.array([[cos, sin], [-sin, cos]])
 
 
-def ports(
+def hinge_frames(
     mechanism: Mechanism, poses: np.ndarray, hinge: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The frames in which a hinge grips its bodies, in the world; rad, m, m."""
+    """Compute the poses of the two frames of a hinge.
+
+    Args:
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        hinge: Index of the hinge.
+
+    Returns:
+        The pose of the frame on the first body and that on the second body; rad, m, m.
+    """
     ends, at = mechanism.hinge_assembly.ends[hinge], np.asarray(mechanism.at)[hinge]
-    first, second = (carried(mechanism, poses, body, at) for body in ends)
+    first, second = (attached_frame(mechanism, poses, body, at) for body in ends)
     return first, second
 
 
-def carried(
+def attached_frame(
     mechanism: Mechanism, poses: np.ndarray, body: int, frame: np.ndarray | Pose
 ) -> np.ndarray:
-    """Where a body has carried a frame that it has at rest; rad, m, m."""
+    """Compute the pose of a frame that is attached to a body.
+
+    Args:
+        mechanism: The mechanism.
+        poses: Poses of its bodies; rad, m, m.
+        body: Index of the body.
+        frame: Pose of the frame in the reference configuration; rad, m, m.
+
+    Returns:
+        The pose of the frame; rad, m, m.
+    """
     reference, frame = np.asarray(mechanism.reference)[body], np.asarray(frame)
-    turned = poses[body] - np.array([reference[0], 0.0, 0.0])
-    (place,) = placed(turned, (frame[1:] - reference[1:])[None])
-    return np.array([frame[0] + turned[0], *place])
+    motion = poses[body] - np.array([reference[0], 0.0, 0.0])
+    (origin,) = to_world(motion, (frame[1:] - reference[1:])[None])
+    return np.array([frame[0] + motion[0], *origin])
 
 
-def _coil() -> np.ndarray:
-    """A spiral of two turns from the origin, its last radius 1."""
-    turn = np.linspace(0, 4 * np.pi, 49)
-    return turn[:, None] / turn[-1] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+def _unit_spiral() -> np.ndarray:
+    """Compute a spiral of two turns that starts at the origin and ends at radius 1."""
+    angle = np.linspace(0, 4 * np.pi, 49)
+    return angle[:, None] / angle[-1] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _bent(
-    first: np.ndarray, second: np.ndarray, reach: np.ndarray, outline: np.ndarray
+def _deform(
+    first: np.ndarray, second: np.ndarray, extent: np.ndarray, outline: np.ndarray
 ) -> np.ndarray:
-    """An outline whose ends are clamped to the two ports, bent as a beam between."""
-    length = reach[1] - reach[0]
-    ends = np.stack([reach, np.zeros(2)], axis=1)
-    start, end = placed(first, ends), placed(second, ends)
-    # Hermite's cubic: where the first end is and the last, and how they point
+    """Deform the outline of a hinge along a cubic center line.
+
+    The center line is the cubic Hermite polynomial whose ends have the positions and the
+    directions that the two frames prescribe.
+
+    Args:
+        first: Pose of the frame on the first body; rad, m, m.
+        second: Pose of the frame on the second body; rad, m, m.
+        extent: Smallest and largest coordinate of the outline along axis 1; m.
+        outline: Undeformed outline in the frame of the hinge; m.
+
+    Returns:
+        The deformed outline in world coordinates; m.
+    """
+    length = extent[1] - extent[0]
+    ends = np.stack([extent, np.zeros(2)], axis=1)
+    start, end = to_world(first, ends), to_world(second, ends)
     a, b = start[0], end[1]
     da, db = start[1] - start[0], end[1] - end[0]
-    u = (outline[:, :1] - reach[0]) / length
-    middle = (
+    u = (outline[:, :1] - extent[0]) / length
+    center = (
         (1 + 2 * u) * (1 - u) ** 2 * a
         + u * (1 - u) ** 2 * da
         + u**2 * (3 - 2 * u) * b
@@ -128,4 +179,4 @@ def _bent(
     slope = 6 * u * (1 - u) * (b - a) + (1 - u) * (1 - 3 * u) * da - u * (2 - 3 * u) * db
     normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return middle + outline[:, 1:] * normal
+    return center + outline[:, 1:] * normal

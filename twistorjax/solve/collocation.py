@@ -24,15 +24,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from .._utils.pytrees import undifferentiated
+from .._utils.pytrees import stop_gradient
 from .._utils.types import Scalar
 from ..mechanism.hinge_forces import product
 from .collocation_schemes import Scheme, scheme
-from .motion_system import Slopes, State, System
+from .motion_system import MotionSystem, Slopes, State
 from .small_matrices import inverse
 
 
-class Memory(NamedTuple):
+class StepHistory(NamedTuple):
     """What one step leaves to the next: polynomials in time, by their coefficients.
 
     Args:
@@ -52,7 +52,7 @@ class Memory(NamedTuple):
     step: Scalar
 
 
-class Within(dfx.AbstractLocalInterpolation):
+class DenseOutput(dfx.AbstractLocalInterpolation):
     """The motion within a step, as the integrals of its accelerations' polynomial.
 
     Args:
@@ -89,7 +89,7 @@ class Within(dfx.AbstractLocalInterpolation):
         once = length * part**degrees / degrees
         twice = length * part * once / (degrees + 1)
         return State(
-            place=self.y0.place
+            position=self.y0.position
             + length * part * self.y0.rate
             + twice @ self.accelerations,
             rate=self.y0.rate + once @ self.accelerations,
@@ -100,13 +100,13 @@ class Within(dfx.AbstractLocalInterpolation):
 class _Collocation(dfx.AbstractSolver):
     """A method of collocation, with a given number of linear solves a step.
 
-    Its equation is `equation`, its arguments a `System`.
+    Its equation is `equation`, its arguments a `MotionSystem`.
     """
 
     sweeps: eqx.AbstractVar[int]
     kind: eqx.AbstractClassVar[Scheme]
     term_structure: ClassVar[Any] = dfx.ODETerm
-    interpolation_cls: ClassVar[Callable[..., Within]] = Within
+    interpolation_cls: ClassVar[Callable[..., DenseOutput]] = DenseOutput
 
     def init(self, terms, t0, t1, y0, args):
         del terms, t1
@@ -177,16 +177,16 @@ _results: Any = dfx.RESULTS
 _UNSETTLED = 1e-2
 
 
-def _first(kind: Scheme, time: Any, state: State, system: System) -> Memory:
+def _first(kind: Scheme, time: Any, state: State, system: MotionSystem) -> StepHistory:
     """What there is to foresee the first step from: that nothing changes."""
-    now = system.instant(time, state.place, state.rate)
-    displacements, _ = system.spread(time, state.place, state.rate)
+    now = system.instant(time, state.position, state.rate)
+    displacements, _ = system.expand(time, state.position, state.rate)
     stretches = system.mechanism.hinge_assembly.stretches(displacements).reshape(-1)
 
     def constant(value: Array) -> Array:
         return jnp.zeros((len(kind.through), value.size)).at[0].set(value)
 
-    return Memory(
+    return StepHistory(
         acceleration=now.acceleration,
         stretches=stretches,
         accelerations=constant(now.acceleration),
@@ -202,50 +202,53 @@ def _step(
     start: Any,
     step: Any,
     state: State,
-    system: System,
-    memory: Memory,
-) -> tuple[State, State | None, dict[str, Any], Memory, dfx.RESULTS]:
+    system: MotionSystem,
+    history: StepHistory,
+) -> tuple[State, State | None, dict[str, Any], StepHistory, dfx.RESULTS]:
     kind = method.kind
-    size, mass = state.place.size, system.mass
+    size, mass = state.position.size, system.mass
     matrix = step * jnp.asarray(kind.matrix)
     twice = step**2 * jnp.asarray(kind.matrix @ kind.matrix)
     times = start + step * jnp.asarray(kind.nodes)
 
     # The stages, foreseen
-    part = 1 + jnp.asarray(kind.nodes) * step / memory.step
+    part = 1 + jnp.asarray(kind.nodes) * step / history.step
     ahead = part[:, None] ** np.arange(len(kind.through), dtype=float)[None]
-    accelerations = product(ahead, memory.accelerations)
-    stretches = product(ahead, memory.stretching)
-    pushes = product(ahead[:, : kind.stages], memory.pushes)
+    accelerations = product(ahead, history.accelerations)
+    stretches = product(ahead, history.stretching)
+    pushes = product(ahead[:, : kind.stages], history.pushes)
 
     def moved(accelerations: Array) -> tuple[Array, Array]:
         rates = state.rate[None] + product(matrix, accelerations)
-        return state.place[None] + product(matrix, rates), rates
+        return state.position[None] + product(matrix, rates), rates
 
     # One tangent, at the middle one of them. How it depends on parameters is left to the
     # residual: it changes the way to an answer, not the answer.
-    places, rates = moved(accelerations)
+    positions, rates = moved(accelerations)
     middle = kind.stages // 2
-    still, *there = undifferentiated((system, times, places, rates, stretches, pushes))
+    still, *there = stop_gradient((system, times, positions, rates, stretches, pushes))
     tangent = still.slopes(*(row[middle] for row in there))
-    into, out_of = jnp.asarray(kind.into), jnp.asarray(kind.out_of)
-    reach = jax.lax.stop_gradient(step).astype(into.dtype)
-    reach = reach * jnp.asarray(kind.reaches)[:, None, None]
-    backwards = _backwards(tangent, reach, still.mass)
+    to_eigenvectors, from_eigenvectors = (
+        jnp.asarray(kind.to_eigenvectors),
+        jnp.asarray(kind.from_eigenvectors),
+    )
+    eigenvalue = jax.lax.stop_gradient(step).astype(to_eigenvectors.dtype)
+    eigenvalue = eigenvalue * jnp.asarray(kind.eigenvalues)[:, None, None]
+    backwards = _backwards(tangent, eigenvalue, still.mass)
 
     def solve(_, found):
         accelerations, stretches, pushes, _ = found
-        places, rates = moved(accelerations)
-        forces = jax.vmap(system.forces)(times, places, rates, stretches, pushes)
+        positions, rates = moved(accelerations)
+        forces = jax.vmap(system.forces)(times, positions, rates, stretches, pushes)
         lacking = forces.net - mass[None] * accelerations
         lacking = lacking - product(forces.excess, tangent.bearing.T)
-        right = product(into, lacking.astype(into.dtype))
+        right = product(to_eigenvectors, lacking.astype(to_eigenvectors.dtype))
         if pushes.size:
-            gap = product(into, forces.violation.astype(into.dtype))
-            gap = -gap / reach[:, 0] ** 2
+            gap = product(to_eigenvectors, forces.violation.astype(to_eigenvectors.dtype))
+            gap = -gap / eigenvalue[:, 0] ** 2
             right = jnp.concatenate([right, gap], axis=1)
         solved = jnp.sum(backwards * right[:, None], axis=-1)
-        solved = jnp.real(product(out_of, solved))
+        solved = jnp.real(product(from_eigenvectors, solved))
         change, more = solved[:, :size], solved[:, size:]
         followed = product(product(twice, change), tangent.stretching)
         stretches = stretches + forces.excess + followed
@@ -254,25 +257,25 @@ def _step(
     found = accelerations, stretches, pushes, jnp.zeros_like(accelerations)
     found = jax.lax.fori_loop(0, method.sweeps, solve, found)
     accelerations, stretches, pushes, change = found
-    places, rates = moved(accelerations)
+    positions, rates = moved(accelerations)
 
     weights = step * jnp.asarray(kind.weights)
-    place = state.place + weights @ rates
+    position = state.position + weights @ rates
     rate = state.rate + weights @ accelerations
-    place, rate = system.project(start + step, place, rate)
+    position, rate = system.project(start + step, position, rate)
     powers = jnp.zeros((kind.stages, state.work.size))
     if state.work.size:
-        powers = jax.vmap(system.instant)(times, places, rates).powers
-    end = State(place, rate, state.work + weights @ powers)
+        powers = jax.vmap(system.instant)(times, positions, rates).powers
+    end = State(position, rate, state.work + weights @ powers)
 
     through = jnp.asarray(kind.through)
     values = accelerations, stretches
     if kind.ends:
         values = (
-            jnp.concatenate([memory.acceleration[None], accelerations]),
-            jnp.concatenate([memory.stretches[None], stretches]),
+            jnp.concatenate([history.acceleration[None], accelerations]),
+            jnp.concatenate([history.stretches[None], stretches]),
         )
-    kept = Memory(
+    kept = StepHistory(
         acceleration=accelerations[-1],
         stretches=stretches[-1],
         accelerations=through @ values[0],
@@ -287,10 +290,10 @@ def _step(
         "powers": jnp.asarray(kind.powers) @ powers,
     }
     # A step that is not finite is tried again with less of it; but not for ever.
-    lost = ~jnp.all(jnp.isfinite(memory.acceleration))
-    broken = ~jnp.all(jnp.isfinite(place)) | ~jnp.all(jnp.isfinite(rate))
+    lost = ~jnp.all(jnp.isfinite(history.acceleration))
+    broken = ~jnp.all(jnp.isfinite(position)) | ~jnp.all(jnp.isfinite(rate))
     lost |= broken & (step < 1e-9 * system.period)
-    left = system.size(
+    left = system.norm(
         State(product(twice, change)[-1], product(matrix, change)[-1], end.work)
     )
     result = _results.where(
@@ -301,8 +304,8 @@ def _step(
     if kind.ends:
         error = _error(
             kind, backwards, tangent,
-            *undifferentiated(
-                (step, state, system, memory, rates, accelerations, change)
+            *stop_gradient(
+                (step, state, system, history, rates, accelerations, change)
             ),
         )  # fmt: skip
         # kept, so that diffrax sees the result
@@ -311,22 +314,22 @@ def _step(
 
 
 def _backwards(
-    tangent: Slopes, reach: Array, mass: Array
+    tangent: Slopes, eigenvalue: Array, mass: Array
 ) -> Complex[Array, "reaches unknowns unknowns"]:
     """Of the matrix of all stages, one direction at a time, constraints included."""
-    inertia, damping, stiffness, normals = (
-        part.astype(reach.dtype)[None]
+    inertia, damping, stiffness, jacobian = (
+        part.astype(eigenvalue.dtype)[None]
         for part in (
-            jnp.diag(mass), tangent.damping, tangent.stiffness, tangent.normals,
+            jnp.diag(mass), tangent.damping, tangent.stiffness, tangent.jacobian,
         )
     )  # fmt: skip
-    matrix = inertia + reach * damping + reach**2 * stiffness
-    count = len(tangent.normals)
+    matrix = inertia + eigenvalue * damping + eigenvalue**2 * stiffness
+    count = len(tangent.jacobian)
     if count:
-        normals = jnp.broadcast_to(normals, (len(reach), *normals.shape[1:]))
-        across = jnp.swapaxes(normals, 1, 2)
-        corner = jnp.zeros((len(reach), count, count), reach.dtype)
-        matrix = jnp.block([[matrix, -across], [normals, corner]])
+        jacobian = jnp.broadcast_to(jacobian, (len(eigenvalue), *jacobian.shape[1:]))
+        across = jnp.swapaxes(jacobian, 1, 2)
+        corner = jnp.zeros((len(eigenvalue), count, count), eigenvalue.dtype)
+        matrix = jnp.block([[matrix, -across], [jacobian, corner]])
     return inverse(matrix)
 
 
@@ -336,8 +339,8 @@ def _error(
     tangent: Slopes,
     step: Scalar,
     state: State,
-    system: System,
-    memory: Memory,
+    system: MotionSystem,
+    history: StepHistory,
     rates: Array,
     accelerations: Array,
     change: Array,
@@ -351,17 +354,20 @@ def _error(
         Hairer and Wanner, equations IV.8.19 and IV.8.20, and the exponent of their
         program RADAU.
     """
-    reach = kind.reaches[kind.real].real
-    lower = _embedded(kind, reach)
-    place = step * (reach * state.rate + lower @ rates)
-    rate = step * (reach * memory.acceleration + lower @ accelerations)
-    reach = reach * step
-    right = system.mass * (reach * rate + place) + reach * tangent.damping @ place
-    size = place.size
+    eigenvalue = kind.eigenvalues[kind.real].real
+    lower = _embedded(kind, eigenvalue)
+    position = step * (eigenvalue * state.rate + lower @ rates)
+    rate = step * (eigenvalue * history.acceleration + lower @ accelerations)
+    eigenvalue = eigenvalue * step
+    right = (
+        system.mass * (eigenvalue * rate + position)
+        + eigenvalue * tangent.damping @ position
+    )
+    size = position.size
     smooth = jnp.real(backwards[kind.real, :size, :size]) @ right
-    estimate = State(smooth, (smooth - place) / reach, state.work * 0)
+    estimate = State(smooth, (smooth - position) / eigenvalue, state.work * 0)
     estimate = jax.tree.map(jnp.abs, estimate)
-    grown = 10**1.5 * jnp.sqrt(system.size(estimate))
+    grown = 10**1.5 * jnp.sqrt(system.norm(estimate))
     weights = step * jnp.asarray(kind.weights)
     late = weights @ change
     last = State(
@@ -372,9 +378,9 @@ def _error(
     return jax.tree.map(lambda a, b: grown * a + b, estimate, last)
 
 
-def _embedded(kind: Scheme, reach: float) -> np.ndarray:
+def _embedded(kind: Scheme, eigenvalue: float) -> np.ndarray:
     """Weights of the lower quadrature, less those of the method, the start's apart."""
     degrees = np.arange(1, kind.stages + 1)
     exact = 1 / degrees
-    exact[0] -= reach
+    exact[0] -= eigenvalue
     return exact @ kind.powers - kind.weights

@@ -13,9 +13,9 @@ class Scheme(NamedTuple):
         nodes: of the stages, as parts of the step.
         matrix: integrals to each node of the polynomials that are one at a node.
         weights: the same to the end of the step.
-        reaches: eigenvalues of the matrix, one of each conjugate pair.
-        into: takes stages to the directions of these eigenvalues.
-        out_of: takes the directions back to stages, as its real part.
+        eigenvalues: eigenvalues of the matrix, one of each conjugate pair.
+        to_eigenvectors: takes stages to the directions of these eigenvalues.
+        from_eigenvectors: takes the directions back to stages, as its real part.
         powers: takes values at the nodes to the coefficients of their polynomial.
         through: the same for all values that are known, that at the start among them
             where the last step has left it.
@@ -25,9 +25,9 @@ class Scheme(NamedTuple):
     nodes: np.ndarray
     matrix: np.ndarray
     weights: np.ndarray
-    reaches: np.ndarray
-    into: np.ndarray
-    out_of: np.ndarray
+    eigenvalues: np.ndarray
+    to_eigenvectors: np.ndarray
+    from_eigenvectors: np.ndarray
     powers: np.ndarray
     through: np.ndarray
     real: int
@@ -61,19 +61,19 @@ def scheme(kind: str, stages: int) -> Scheme:
     powers = np.linalg.inv(np.vander(nodes, increasing=True))
     degrees = np.arange(1, stages + 1)
     matrix = (nodes[:, None] ** degrees / degrees) @ powers
-    reaches, directions = (part.astype(complex) for part in np.linalg.eig(matrix))
-    into = np.linalg.inv(directions)
-    kept = np.imag(reaches) > -1e-12
-    twice = np.where(np.abs(np.imag(reaches)) > 1e-12, 2.0, 1.0)
+    eigenvalues, directions = (part.astype(complex) for part in np.linalg.eig(matrix))
+    to_eigenvectors = np.linalg.inv(directions)
+    kept = np.imag(eigenvalues) > -1e-12
+    twice = np.where(np.abs(np.imag(eigenvalues)) > 1e-12, 2.0, 1.0)
     known = np.append(0.0, nodes) if kind == "radau" else nodes
     return Scheme(
         nodes=nodes,
         matrix=matrix,
         weights=(1 / degrees) @ powers,
-        reaches=reaches[kept],
-        into=into[kept],
-        out_of=(directions * twice)[:, kept],
+        eigenvalues=eigenvalues[kept],
+        to_eigenvectors=to_eigenvectors[kept],
+        from_eigenvectors=(directions * twice)[:, kept],
         powers=powers,
         through=np.linalg.inv(np.vander(known, increasing=True)),
-        real=int(np.argmin(np.abs(np.imag(reaches[kept])))),
+        real=int(np.argmin(np.abs(np.imag(eigenvalues[kept])))),
     )

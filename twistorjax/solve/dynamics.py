@@ -1,4 +1,4 @@
-"""Motion of a mechanism in time, under loads, drives and constraints."""
+"""Motion of a mechanism in time under loads, prescribed displacements, and constraints."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -12,20 +12,29 @@ from jaxtyping import Array, ArrayLike, Float
 from .._utils.types import Poses, PosesLike, Scalar
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
-from ..mechanism.loads import Drive, driven, Load, loaded_bodies
+from ..mechanism.loads import Drive, Load, loaded_bodies, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from . import initial_state as begin, motion_errors
 from .collocation import Gauss, Radau
+from .dofs import DofPartition
+from .initial_state import (
+    check_finite,
+    check_settings,
+    check_times,
+    check_velocities,
+    explain_compilation,
+    initial_value_problem,
+    InitialValueProblem,
+)
 from .motion import Energies, Motion
-from .motion_system import equation, State, System
+from .motion_errors import StartOfMotion
+from .motion_system import equation, MotionSystem, State
 from .projection import Projected
 from .results import raise_failed, RESULTS
-from .static_system import DofPartition
-from .statics import Equilibrium, free_coordinates
+from .statics import Equilibrium
 
 
-# Other solvers than those of this library give up below this share of the slowest period.
-_LEAST_STEP = 1e-12
+# Solvers other than those of this library give up below this share of the slowest period.
+_SMALLEST_STEP = 1e-12
 
 Loading = Sequence[Load] | Callable[[Scalar], Sequence[Load]]
 Driving = Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
@@ -52,56 +61,59 @@ def simulate(
     energies: bool = True,
     throw: bool = True,
 ) -> Motion:
-    """How a mechanism moves under loads, imposed motions and constraints.
+    """Simulate the motion of a mechanism under loads, drives, and constraints.
 
-    Held and driven coordinates are given exactly, and their reactions returned; the
-    driven ones' velocities and accelerations follow by differentiation. The motion has
-    derivatives in reverse, by everything that made the mechanism; forwards with
+    Prescribed displacements are imposed exactly, and the reactions are returned; their
+    velocities and accelerations follow by differentiation. The motion has reverse
+    derivatives by everything that defines the mechanism, and forward derivatives with
     `adjoint=diffrax.ForwardMode()`.
 
     Args:
-        mechanism: its bodies that can move need mass and inertia, about an origin at
-            their centre of mass.
-        times: at which to tell the motion, from its start to its end; s.
-        loads: on its bodies; or a function of time that gives them.
-        drives: of coordinates that are not held; or a function of time that gives them,
-            smooth in it. A new function is compiled anew: define it once.
-        constraints: what else must stay as it is: pins, sliders, any equation.
-        start: poses at the start, by default at rest, or an equilibrium; rad, m, m.
-        velocities: of some bodies at the start, by default none: a mapping from the name
-            to (rate of turning, velocity along x and along y); rad/s, m/s, m/s.
-        tolerance: error that a step may make: in angles, and in displacements and
-            velocities measured by a lever of the mechanism and its slowest period. The
-            error of the whole is larger by some ten times, or by as many as the motion
-            itself magnifies them.
-        solver: by default `Radau()`; `Gauss()` with a `step` for motion without damping;
-            or any other of diffrax.
-        step: of constant length, instead of steps chosen by the tolerance; s.
-        controller: of the steps, in diffrax's sense, instead of the tolerance.
-        saveat: what to keep, in diffrax's sense, instead of the `times` but the first
-            and the last: every step, or the whole as a function of time.
-        event: that ends the motion, in diffrax's sense. Its condition is called with the
-            time and, for the state, `poses` and `velocities`.
-        progress_meter: in diffrax's sense, by default none.
-        adjoint: how to differentiate, in diffrax's sense, by default in reverse.
-        max_steps: of the solver, altogether.
-        energies: whether to account for the work done and dissipated, for a tenth of the
-            time. Without, these are zero.
-        throw: whether a failure is raised, or only told by the answer.
+        mechanism: The mechanism. Bodies that can move need mass and inertia, and the
+            origin of their frame at the center of mass.
+        times: Times at which the motion is reported, from its start to its end; s.
+        loads: Loads on its bodies, or a function of time that returns them.
+        drives: Prescribed displacements of degrees of freedom that are not fixed, or a
+            smooth function of time that returns them. A new function is compiled anew:
+            define it once.
+        constraints: Pins, sliders, and other constraints between its bodies.
+        start: Poses at the start, or an equilibrium; by default the reference
+            configuration; rad, m, m.
+        velocities: Velocities of some bodies at the start, a mapping from the name to
+            (angular velocity, x, y); by default zero; rad/s, m/s, m/s.
+        tolerance: Tolerance on the error of a step, in rotations, and in displacements
+            and velocities divided by a length and the slowest period of the mechanism.
+            The error of the motion is about ten times larger, or as many times as the
+            motion itself amplifies errors.
+        solver: Solver: `Radau()` by default; `Gauss()` with a `step` for motion without
+            damping; or any solver of diffrax.
+        step: Constant length of the steps; by default the tolerance chooses them; s.
+        controller: Step size controller of diffrax, instead of the tolerance.
+        saveat: What is kept, as in diffrax, instead of the `times` between the first and
+            the last: every step, or the motion as a function of time.
+        event: Event of diffrax that ends the motion. Its condition is called with the
+            time and, as the state, an object with `poses`, `displacements`, and
+            `velocities` of the bodies.
+        progress_meter: Progress meter of diffrax; by default none.
+        adjoint: Method of differentiation of diffrax; by default reverse mode.
+        max_steps: Largest number of steps of the solver.
+        energies: Whether dissipation and work are computed, for about a tenth of the run
+            time. Otherwise they are zero.
+        throw: Whether a failure raises an error; otherwise it is reported by `result`.
 
     Returns:
         The motion.
 
     Raises:
-        ValueError: double precision is off; a name is unknown; a coordinate is driven
-            twice, or driven and held; a body that moves has no mass; times do not
-            increase; a drive or a constraint does not fit the start; a shape is wrong or
-            a value not finite.
-        RuntimeError: the motion did not reach its end; the text says why and when. That
-            no hinge is beyond the range of its energy is seen at the times that are kept.
+        ValueError: Double precision is off, a name is unknown, a degree of freedom is
+            prescribed twice or is fixed, a body that moves has no mass, times do not
+            increase, a drive or a constraint does not fit the start, a shape is wrong, or
+            a value is not finite.
+        RuntimeError: The motion did not reach its end; the message says when and why.
+            Validity ranges of hinges are checked at the times that are kept.
 
     Source:
-        Equations 5.24, 5.25 and 6.4 of the dissertation.
+        Equations 5.24, 5.25, and 6.4 of the dissertation.
 
     Example:
         >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
@@ -109,44 +121,45 @@ def simulate(
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)
         >>> mechanism = Mechanism([Body("wall"), block], [hinge], fixed=["wall"])
-        >>> pulled = [[0, 0, 0], [0, 0.1, 0]]
-        >>> swing = simulate(mechanism, [0.0, jnp.pi / 10], start=pulled)
-        >>> swing.displacement("block")[-1, 1]  # half a period later
+        >>> released = [[0, 0, 0], [0, 0.1, 0]]
+        >>> half_period = jnp.pi / 10
+        >>> motion = simulate(mechanism, [0.0, half_period], start=released)
+        >>> motion.displacement("block")[-1, 1]
         Array(-0.1000..., dtype=float64)
     """
     require_float64(mechanism.reference)
-    instants = begin.times(times)
+    instants = check_times(times)
     first = instants[0]
-    begin.limits(tolerance, max_steps, step)
+    check_settings(tolerance, max_steps, step)
     if step is None and controller is None and isinstance(solver, Gauss):
         raise ValueError(
-            "`Gauss()` does not choose its steps: give it a `step`, short against the "
-            "fastest motion that matters."
+            "`Gauss()` does not choose its steps: give it a `step` that is short compared "
+            "with the period of the fastest motion of interest."
         )
-    with begin.compiling(first, drives=drives, loads=loads):
-        now = drives(first) if callable(drives) else drives
-        acting = loads(first) if callable(loads) else loads
-    loaded_bodies(mechanism, acting)
-    places, _ = driven(mechanism, now)
-    free = free_coordinates(len(mechanism.names), mechanism.fixed, places)
-    moved = jnp.zeros_like(mechanism.reference)
+    with explain_compilation(first, drives=drives, loads=loads):
+        first_drives = drives(first) if callable(drives) else drives
+        first_loads = loads(first) if callable(loads) else loads
+    loaded_bodies(mechanism, first_loads)
+    dofs = DofPartition.of(mechanism, prescribed_dofs(mechanism, first_drives)[0])
+    displacements = jnp.zeros_like(mechanism.reference)
     if start is not None:
-        moved = mechanism.displacements(start, "start", one=True)
-        begin.finite("start", moved)
-    rates = begin.velocities(mechanism, velocities, free)
+        displacements = mechanism.displacements(start, "start", one=True)
+        check_finite("start", displacements)
+    rates = check_velocities(mechanism, velocities, dofs.free)
     joints = gather_constraints(mechanism, constraints)
+    beginning = StartOfMotion(
+        mechanism, drives, joints, displacements, first, dofs, rates is not None
+    )
     if throw:
-        motion_errors.refuse(
-            mechanism, drives, joints, moved, first, velocities is not None
-        )
-    with begin.compiling(first, drives=drives, loads=loads):
-        answer = _solve(
+        beginning.check()
+    with explain_compilation(first, drives=drives, loads=loads):
+        motion = _solve(
             mechanism,
             instants,
             loads if callable(loads) else tuple(loads),
             drives if callable(drives) else tuple(drives),
             joints,
-            moved,
+            displacements,
             rates,
             jnp.asarray(tolerance, float),
             None if step is None else jnp.asarray(step, float),
@@ -158,12 +171,9 @@ def simulate(
             dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
             max_steps,
             energies,
-            DofPartition(free, places),
+            dofs,
         )
-    if not throw:
-        return answer
-    why = partial(motion_errors.failure, answer, mechanism, drives, joints, moved, first)
-    return raise_failed(answer, why)
+    return raise_failed(motion, partial(beginning.error, motion)) if throw else motion
 
 
 @eqx.filter_jit
@@ -172,9 +182,9 @@ def _solve(
     times: Float[Array, " times"],
     loads: Loading,
     drives: Driving,
-    joints: ConstraintSet,
-    moved: Poses,
-    given: Poses | None,
+    constraints: ConstraintSet,
+    start: Poses,
+    velocities: Poses | None,
     tolerance: Scalar,
     step: Scalar | None,
     solver: dfx.AbstractSolver,
@@ -185,103 +195,109 @@ def _solve(
     adjoint: dfx.AbstractAdjoint,
     max_steps: int,
     energies: bool,
-    places: DofPartition,
+    dofs: DofPartition,
 ) -> Motion:
-    collocated = isinstance(solver, Radau | Gauss)
-    start = begin.begin(
-        mechanism, times, loads, drives, joints, moved, given, energies, places,
-        tolerance, step, needs_rates=not collocated,
+    """Integrate the equations of motion; see `simulate`."""
+    collocation = isinstance(solver, Radau | Gauss)
+    problem = initial_value_problem(
+        mechanism, times, loads, drives, constraints, start, velocities, energies, dofs,
+        tolerance, step, check_accelerations=not collocation,
     )  # fmt: skip
-    system = start.system
+    system = problem.system
     if controller is None and step is not None:
         controller = dfx.ConstantStepSize()
     elif controller is None:
         controller = dfx.PIDController(
             rtol=0.0,
-            atol=start.tolerance,
-            norm=system.size,
+            atol=problem.tolerance,
+            norm=system.norm,
             pcoeff=0.3,
             icoeff=0.4,
-            # other solvers would shorten steps for ever where a value is not finite
-            dtmin=None if collocated else _LEAST_STEP * system.period,
+            # Other solvers would shorten steps for ever where a value is not finite.
+            dtmin=None if collocation else _SMALLEST_STEP * system.period,
             force_dtmin=False,
         )
-    if joints.size and not collocated:
+    if constraints.size and not collocation:
         solver = Projected(solver)
     solution = dfx.diffeqsolve(
         equation,
         solver,
-        start.times[0],
-        start.times[-1],
-        start.step,
-        start.state,
+        problem.times[0],
+        problem.times[-1],
+        problem.step,
+        problem.state,
         args=system,
-        saveat=_kept(dfx.SaveAt() if saveat is None else saveat, start),
+        saveat=_with_end(dfx.SaveAt() if saveat is None else saveat, problem),
         stepsize_controller=controller,
-        event=None if event is None else _seen(event),
+        event=None if event is None else _with_snapshots(event),
         progress_meter=progress_meter,
         adjoint=adjoint,
         max_steps=max_steps,
         throw=False,
     )
     assert solution.ts is not None and solution.ys is not None
-    ended = RESULTS.promote(solution.result)
-    lost = (ended == RESULTS.nonfinite) | (ended == RESULTS.nonfinite_input)
     final = solution.ys[1]
-    there = jnp.all(jnp.isfinite(final.place)) & jnp.all(jnp.isfinite(final.rate))
-    ended = RESULTS.where(lost | ~there, RESULTS.not_finite, ended)
-    not_converged = ended == RESULTS.nonlinear_divergence
-    ended = RESULTS.where(not_converged, RESULTS.step_too_long, ended)
-    began = start.result == RESULTS.successful
-    result = RESULTS.where(began, ended, start.result)
+    finite = jnp.all(jnp.isfinite(final.position)) & jnp.all(jnp.isfinite(final.rate))
+    result = _result(solution.result, finite)
+    started = problem.result == RESULTS.successful
+    result = RESULTS.where(started, result, problem.result)
     solution = eqx.tree_at(
         lambda solution: (solution.ts, solution.ys),
         solution,
         jax.tree.map(
-            lambda value: jnp.where(began, value, jnp.nan), (solution.ts, solution.ys)
+            lambda value: jnp.where(started, value, jnp.nan), (solution.ts, solution.ys)
         ),
     )
-    at, kept = solution.ts[0], solution.ys[0]
-    there = jnp.isfinite(at)
-    tell = jax.vmap(partial(_told, system))(jnp.where(there, at, start.times[0]), kept)
-    beyond = jax.vmap(mechanism.hinge_assembly.out_of_range)(tell[0])
-    out = jnp.cumsum(there & jnp.any(beyond, axis=1)) > 0
-    ended_well = (result == RESULTS.successful) | (result == RESULTS.event_occurred)
-    left = jnp.any(out)
-    result = RESULTS.where(ended_well & left, RESULTS.out_of_range, result)
-    there = there & ~out
-    last = jnp.max(jnp.where(there, at, times[0]))
-    tell = jax.tree.map(
+    kept_times, states = solution.ts[0], solution.ys[0]
+    valid = jnp.isfinite(kept_times)
+    output = jax.vmap(partial(_output, system))(
+        jnp.where(valid, kept_times, problem.times[0]), states
+    )
+    outside = jax.vmap(mechanism.hinge_assembly.out_of_range)(output[0])
+    left = jnp.cumsum(valid & jnp.any(outside, axis=1)) > 0
+    ended = (result == RESULTS.successful) | (result == RESULTS.event_occurred)
+    result = RESULTS.where(ended & jnp.any(left), RESULTS.out_of_range, result)
+    valid = valid & ~left
+    last = jnp.max(jnp.where(valid, kept_times, times[0]))
+    displacements, rates, reactions, push, energy = jax.tree.map(
         lambda value: jnp.where(
-            there.reshape(-1, *(value.ndim - 1) * (1,)), value, jnp.nan
+            valid.reshape(-1, *(value.ndim - 1) * (1,)), value, jnp.nan
         ),
-        tell,
+        output,
     )
-    displacements, velocities, reactions, pushes, energy = tell
     return Motion(
-        times=jnp.where(there, at, jnp.nan),
+        times=jnp.where(valid, kept_times, jnp.nan),
         displacements=displacements,
-        velocities=velocities,
+        velocities=rates,
         reference=mechanism.reference,
         reactions=reactions,
-        pushes=pushes,
+        constraint_forces=push,
         energies=energy,
-        reached=jnp.where(left | ~began, last, solution.ts[1][-1]),
+        reached=jnp.where(jnp.any(left) | ~started, last, solution.ts[1][-1]),
         steps=solution.stats["num_steps"],
         rejected=solution.stats["num_rejected_steps"],
         result=result,
         solution=solution,
         system=None if solution.interpolation is None else system,
         names=mechanism.names,
-        joints=tuple(joints.owners()),
+        constraint_names=constraints.names(),
     )
 
 
-def _told(system: System, time: Scalar, state: State):
-    """All that is told of an instant."""
-    place, rate = system.project(time, state.place, state.rate)
-    displacements, velocities = system.spread(time, place, rate)
-    now = system.instant(time, place, rate)
+def _result(result: dfx.RESULTS, finite: Array) -> RESULTS:
+    """Convert the result of diffrax; `finite` says whether the final state is finite."""
+    converted = RESULTS.promote(result)
+    lost = (converted == RESULTS.nonfinite) | (converted == RESULTS.nonfinite_input)
+    converted = RESULTS.where(lost | ~finite, RESULTS.not_finite, converted)
+    diverged = converted == RESULTS.nonlinear_divergence
+    return RESULTS.where(diverged, RESULTS.step_too_long, converted)
+
+
+def _output(system: MotionSystem, time: Scalar, state: State):
+    """Compute what is reported of an instant."""
+    position, rate = system.project(time, state.position, state.rate)
+    displacements, velocities = system.expand(time, position, rate)
+    now = system.instant(time, position, rate)
     works = state.work if state.work.size else jnp.zeros(3)
     energy = Energies(
         elastic=system.mechanism.hinge_assembly.energy(displacements),
@@ -293,18 +309,18 @@ def _told(system: System, time: Scalar, state: State):
     return displacements, velocities, now.reactions, now.push, energy
 
 
-def _kept(saveat: dfx.SaveAt, start: begin.Beginning) -> dfx.SaveAt:
-    """What is to be kept, and where it ended."""
-    own = dfx.SubSaveAt(ts=start.times) if saveat.subs is None else saveat.subs
+def _with_end(saveat: dfx.SaveAt, problem: InitialValueProblem) -> dfx.SaveAt:
+    """Add the final state to what is kept."""
+    own = dfx.SubSaveAt(ts=problem.times) if saveat.subs is None else saveat.subs
     if not isinstance(own, dfx.SubSaveAt) or own.fn is not dfx.SubSaveAt(t1=True).fn:
         raise ValueError(
-            "`saveat` has several `subs` or a `fn` of its own, but a motion tells all "
-            "that there is at the times that it keeps: give `ts`, `steps` or `dense`."
+            "`saveat` has several `subs` or a `fn`, but a motion reports all quantities "
+            "at the times that it keeps: give `ts`, `steps` or `dense`."
         )
     if saveat.subs is not None and own.ts is not None:
-        # a motion that cannot begin has no times between which its own could lie
-        began = start.result == RESULTS.successful
-        ts = jnp.where(began, jnp.asarray(own.ts, float), start.times[0])
+        # A motion that cannot start has no times between its first and its last.
+        started = problem.result == RESULTS.successful
+        ts = jnp.where(started, jnp.asarray(own.ts, float), problem.times[0])
         own = eqx.tree_at(lambda own: own.ts, own, ts)
     return dfx.SaveAt(
         subs=[own, dfx.SubSaveAt(t1=True)],
@@ -316,12 +332,12 @@ def _kept(saveat: dfx.SaveAt, start: begin.Beginning) -> dfx.SaveAt:
 
 
 class Snapshot(eqx.Module):
-    """What the condition of an event sees.
+    """State of a motion, as the condition of an event receives it.
 
     Args:
-        poses: of the bodies; rad, m, m.
-        displacements: of the bodies from rest; rad, m, m.
-        velocities: of the bodies; rad/s, m/s, m/s.
+        poses: Poses of the bodies; rad, m, m.
+        displacements: Displacements of the bodies from their reference poses; rad, m, m.
+        velocities: Velocities of the bodies; rad/s, m/s, m/s.
     """
 
     poses: Poses
@@ -329,16 +345,16 @@ class Snapshot(eqx.Module):
     velocities: Poses
 
 
-def _seen(event: dfx.Event) -> dfx.Event:
-    """An event whose conditions see bodies instead of free coordinates."""
+def _with_snapshots(event: dfx.Event) -> dfx.Event:
+    """Convert an event whose conditions receive snapshots to one that receives states."""
 
     def wrapped(condition):
-        def see(t, y, args, **more):
-            displacements, velocities = args.spread(t, y.place, y.rate)
+        def on_state(t, y, args, **more):
+            displacements, velocities = args.expand(t, y.position, y.rate)
             poses = args.mechanism.reference + displacements
             return condition(t, Snapshot(poses, displacements, velocities), args, **more)
 
-        return see
+        return on_state
 
     conditions = jax.tree.map(wrapped, event.cond_fn, is_leaf=callable)
     return dfx.Event(conditions, event.root_finder, event.direction)

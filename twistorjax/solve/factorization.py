@@ -11,6 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from .small_matrices import inverse
+
 
 # A dense factorization takes less time below so many free coordinates, or where so few
 # blocks would be left of the matrix.
@@ -85,6 +87,80 @@ def _resist(
     swaps = jnp.sum(pivots != jnp.broadcast_to(rows, pivots.shape))
     upright = (swaps + jnp.sum(diagonal < 0)) % 2 == 0
     return upright & jnp.all(jnp.abs(diagonal) > 1e-14)
+
+
+def null_space(
+    jacobian: Float[Array, "entries n"],
+) -> tuple[Float[Array, "n entries"], Float[Array, "n allowed"]]:
+    """Compute the pseudo-inverse of a constraint Jacobian, and a basis of its null space.
+
+    The columns of the basis are orthonormal. Both results are differentiable: the basis
+    of one point is projected onto the null space of its neighbors and orthonormalized.
+
+    Args:
+        jacobian: A matrix with linearly independent rows.
+    """
+    entries = len(jacobian)
+    rotation, _ = jnp.linalg.qr(jax.lax.stop_gradient(jacobian).T, mode="complete")
+    basis = rotation[:, entries:]
+    size = jnp.linalg.norm(jacobian, axis=1)
+    size = jnp.where(size > 0, size, 1.0)
+    rows = jacobian / size[:, None]
+    back = rows.T @ inverse(rows @ rows.T)
+    basis = basis - back @ (rows @ basis)
+    if basis.shape[1]:
+        lower = jnp.linalg.cholesky(basis.T @ basis)
+        basis = jax.scipy.linalg.solve_triangular(lower, basis.T, lower=True).T
+    return back / size[None], basis
+
+
+class ConstrainedFactors(NamedTuple):
+    """A stiffness factored on the displacements that constraints allow.
+
+    Solves `[K G^T; G 0]` for displacements and constraint forces by the null-space method
+    (Nocedal and Wright, Numerical Optimization, 2006, section 16.2).
+
+    Args:
+        units: Unit of each degree of freedom; rad, m.
+        stiffness: The stiffness K in these units.
+        back: Pseudo-inverse of the Jacobian G in these units.
+        basis: Orthonormal basis of the null space of G in these units.
+        reduced: Factors of the stiffness on this basis.
+    """
+
+    units: Float[Array, " n"]
+    stiffness: Float[Array, "n n"]
+    back: Float[Array, "n entries"]
+    basis: Float[Array, "n allowed"]
+    reduced: Factors
+
+    @classmethod
+    def of(
+        cls,
+        stiffness: Float[Array, "n n"],
+        jacobian: Float[Array, "entries n"],
+        units: Float[Array, " n"],
+        symmetric: bool,
+    ) -> "ConstrainedFactors":
+        """Factor a stiffness with a constraint Jacobian."""
+        scaled = units[:, None] * stiffness * units[None]
+        back, basis = null_space(jacobian * units[None])
+        reduced = Factors.of(basis.T @ scaled @ basis, symmetric)
+        return cls(units, scaled, back, basis, reduced)
+
+    def solve(self, right: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
+        """Solve for displacements, then constraint forces, of one right-hand side."""
+        count = len(self.units)
+        force, violation = self.units * right[:count], right[count:]
+        moved = self.back @ violation
+        left = self.basis.T @ (force - self.stiffness @ moved)
+        moved = moved + self.basis @ self.reduced.solve(left)
+        push = self.back.T @ (force - self.stiffness @ moved)
+        return jnp.concatenate([self.units * moved, push])
+
+    def resists(self) -> Bool[Array, ""]:
+        """Decide whether every allowed displacement meets resistance; see `Factors`."""
+        return self.reduced.resists() & jnp.all(jnp.isfinite(self.back))
 
 
 class Layout(NamedTuple):

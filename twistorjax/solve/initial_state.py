@@ -1,4 +1,4 @@
-"""How a motion begins, and what is wrong where it cannot."""
+"""Initial state of a motion, and the checks that it can start."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -10,125 +10,150 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from .._utils.pytrees import undifferentiated
+from .._utils.pytrees import stop_gradient
 from .._utils.types import Poses, Scalar
 from .._utils.validation import compilation_error, concrete, index_of, require_row
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
-from .motion_system import State, System
+from .consistency import EXACT, independent_rows
+from .dofs import DofPartition
+from .motion_system import MotionSystem, State
 from .results import RESULTS
 from .small_matrices import inverse
-from .static_system import DofPartition
 
 
-# Violations of the constraints that are taken for rounding errors: of displacements, in
-# rad and in lengths of the mechanism, and of velocities, as a share of the velocities.
-EXACT = 1e-9
-_ALONG = 1e-6
+# Velocities across the constraints up to this share of all velocities are rounding errors.
+_ACROSS = 1e-6
 
 
-def times(given: ArrayLike | Sequence[ArrayLike]) -> Float[Array, " times"]:
-    """The times at which a motion is told, if they increase as far as can be seen."""
-    values = jnp.asarray(given, float)
-    if values.ndim != 1 or len(values) < 2:
+def check_times(given: ArrayLike | Sequence[ArrayLike]) -> Float[Array, " times"]:
+    """Convert the times of a motion to an array and check that they increase.
+
+    Args:
+        given: Times; s.
+
+    Raises:
+        ValueError: There are fewer than two, they do not increase, or one is not finite.
+    """
+    times = jnp.asarray(given, float)
+    if times.ndim != 1 or len(times) < 2:
         raise ValueError(
-            f"`times` has shape {values.shape}, but must be a row of at least two times: "
-            "when the motion begins, and when it ends."
+            f"`times` has shape {times.shape}, but must be a row of at least two times: "
+            "when the motion starts, and when it ends."
         )
-    finite("times", values)
-    seen = concrete(values)
-    if seen is not None:
-        late = np.flatnonzero(np.diff(seen) <= 0)
+    check_finite("times", times)
+    values = concrete(times)
+    if values is not None:
+        late = np.flatnonzero(np.diff(values) <= 0)
         if late.size:
             k = int(late[0])
             raise ValueError(
-                f"`times` must increase, but `times[{k + 1}]` = {seen[k + 1]:g} comes "
-                f"after `times[{k}]` = {seen[k]:g}."
+                f"`times` must increase, but `times[{k + 1}]` = {values[k + 1]:g} comes "
+                f"after `times[{k}]` = {values[k]:g}."
             )
-    return values
+    return times
 
 
-def finite(name: str, value: Array) -> None:
-    """Refuses what can be seen not to be finite."""
-    seen = concrete(value)
-    if seen is not None and not np.all(np.isfinite(seen)):
-        raise ValueError(f"`{name}` must be finite, but has {seen.tolist()}.")
+def check_finite(name: str, array: Array) -> None:
+    """Raise a ValueError if an array that is not traced is not finite."""
+    values = concrete(array)
+    if values is not None and not np.all(np.isfinite(values)):
+        raise ValueError(f"`{name}` must be finite, but has {values.tolist()}.")
 
 
 @contextmanager
-def compiling(now: Array, **functions: Any) -> Iterator[None]:
-    """Tells which function of time it was, where JAX cannot compile one."""
+def explain_compilation(time: Array, **functions: Any) -> Iterator[None]:
+    """Name the function of time that JAX cannot compile, if there is one.
+
+    Args:
+        time: A time at which the functions are tried; s.
+        functions: Functions of time by the names of their arguments.
+    """
     try:
         yield
     except jax.errors.JAXTypeError:
         for name, function in functions.items():
             if callable(function):
-                _compilable(name, function, now)
+                _check_compilable(name, function, time)
         raise
 
 
-def _compilable(name: str, function: Callable, now: Array) -> None:
+def _check_compilable(name: str, function: Callable, time: Array) -> None:
+    """Raise a ValueError if JAX cannot trace a function of time."""
     try:
-        eqx.filter_eval_shape(function, now)
+        eqx.filter_eval_shape(function, time)
     except jax.errors.JAXTypeError as error:
         raise compilation_error(name, "about the time", error) from error
 
 
-def limits(tolerance: ArrayLike, max_steps: int, step: ArrayLike | None) -> None:
-    """Refuses settings that make no sense."""
-    for name, value in (("tolerance", tolerance), ("step", step)):
-        seen = None if value is None else concrete(value)
-        if seen is not None and not np.all((seen > 0) & np.isfinite(seen)):
-            raise ValueError(f"`{name}` is {value!r}, but must be positive and finite.")
+def check_settings(tolerance: ArrayLike, max_steps: int, step: ArrayLike | None) -> None:
+    """Raise a ValueError if a setting of the solver is not positive."""
+    for name, given in (("tolerance", tolerance), ("step", step)):
+        value = None if given is None else concrete(given)
+        if value is not None and not np.all((value > 0) & np.isfinite(value)):
+            raise ValueError(f"`{name}` is {given!r}, but must be positive and finite.")
     if max_steps < 1:
         raise ValueError(f"`max_steps` is {max_steps!r}, but must be at least 1.")
 
 
-def velocities(
+def check_velocities(
     mechanism: Mechanism,
     given: Mapping[str, Sequence[ArrayLike] | Array] | None,
     free: tuple[int, ...],
 ) -> Poses | None:
-    """Velocities at the start, of the bodies that are named; zero for the others."""
+    """Arrange the initial velocities of named bodies; zero for the others.
+
+    Args:
+        mechanism: The mechanism.
+        given: Velocity (angle, x, y) of some bodies by name; rad/s, m/s, m/s.
+        free: Free degrees of freedom; only they can have a velocity.
+
+    Returns:
+        The velocities of all bodies, or None if none is given; rad/s, m/s, m/s.
+
+    Raises:
+        ValueError: It is no mapping, a name is unknown, or a velocity is given to a fixed
+            or prescribed coordinate.
+    """
     if given is None:
         return None
     if not isinstance(given, Mapping):
         raise ValueError(
             f"`velocities` is {given!r}, but must be a mapping from names of bodies to "
-            '(rate of turning, along x, along y): {"link": (0, 1, 0)}.'
+            '(angular velocity, x, y): {"link": (0, 1, 0)}.'
         )
     rows = [jnp.zeros(3)] * len(mechanism.names)
     for name, velocity in given.items():
         body = index_of("`velocities`", "body", name, mechanism.names)
         where = f"`velocities` of the body {name!r}"
-        rows[body] = require_row(where, velocity, "(rate of turning, along x, along y)")
-        seen = concrete(rows[body])
+        rows[body] = require_row(where, velocity, "(angular velocity, x, y)")
+        values = concrete(rows[body])
         for k in range(3):
-            place = 3 * body + k
-            if place not in free and seen is not None and seen[k] != 0:
+            dof = 3 * body + k
+            if dof not in free and values is not None and values[k] != 0:
                 raise ValueError(
-                    f"{where} moves the {mechanism.coordinate(place)}, but that is held "
-                    "or driven: its velocity is given by what holds or drives it."
+                    f"{where} moves the {mechanism.coordinate(dof)}, but that is fixed "
+                    "or prescribed, which determines its velocity."
                 )
     return jnp.stack(rows)
 
 
-class Beginning(NamedTuple):
+class InitialValueProblem(NamedTuple):
     """The initial value problem of a motion.
 
-    Of a motion that cannot begin, the state is zero and the times are equal: no solver
-    takes a step, so that it delays no other motion of its batch.
+    If the motion cannot start, the state is zero and the times are equal, so no solver
+    takes a step, and the other motions of a batch are not delayed.
 
     Args:
-        system: equations of motion.
-        state: at the first time.
-        times: at which the motion is reported; s.
-        step: length of the first step; s.
-        tolerance: of a step's error.
-        result: `successful`, or why the motion cannot begin.
+        system: Equations of motion.
+        state: State at the first time.
+        times: Times at which the motion is reported; s.
+        step: Length of the first step; s.
+        tolerance: Tolerance on the error of a step.
+        result: `successful`, or the reason why the motion cannot start.
     """
 
-    system: System
+    system: MotionSystem
     state: State
     times: Float[Array, " times"]
     step: Scalar
@@ -136,152 +161,156 @@ class Beginning(NamedTuple):
     result: RESULTS
 
 
-def begin(
+def initial_value_problem(
     mechanism: Mechanism,
     times: Float[Array, " times"],
     loads,
     drives,
-    joints: ConstraintSet,
-    moved: Poses,
-    given: Poses | None,
+    constraints: ConstraintSet,
+    start: Poses,
+    velocities: Poses | None,
     energies: bool,
-    places: DofPartition,
+    dofs: DofPartition,
     tolerance: Scalar,
     step: Scalar | None,
-    needs_rates: bool,
-) -> Beginning:
-    """Set up the equations of a motion and check that it can begin.
+    check_accelerations: bool,
+) -> InitialValueProblem:
+    """Set up the equations of a motion and check that it can start.
 
     Args:
-        mechanism: its bodies and hinges.
-        times: at which the motion is reported; s.
-        loads: on its bodies, or a function of time.
-        drives: of its coordinates, or a function of time.
-        joints: its constraints.
-        moved: displacements at the start; rad, m, m.
-        given: velocities at the start, if any; rad/s, m/s, m/s.
-        energies: whether work and dissipation are integrated too.
-        places: of the free and of the driven coordinates.
-        tolerance: of a step's error.
-        step: length of all steps, if it is constant; s.
-        needs_rates: whether accelerations at the start are checked here, because the
-            solver does not do it.
+        mechanism: The mechanism.
+        times: Times at which the motion is reported; s.
+        loads: Loads on its bodies, or a function of time.
+        drives: Prescribed displacements, or a function of time.
+        constraints: Its constraints.
+        start: Displacements at the start; rad, m, m.
+        velocities: Velocities at the start, if they are given; rad/s, m/s, m/s.
+        energies: Whether work and dissipation are integrated.
+        dofs: Partition of the degrees of freedom.
+        tolerance: Tolerance on the error of a step.
+        step: Length of all steps, if it is constant; s.
+        check_accelerations: Whether the accelerations at the start are checked here,
+            because the solver does not do it.
     """
     inertia = mechanism.inertia().reshape(-1)
-    system = System(
+    system = MotionSystem(
         mechanism=mechanism,
         loads=loads,
         drives=drives,
-        joined=joints,
+        constraints=constraints,
         inertia=jnp.where(jnp.isinf(inertia), 0.0, inertia),
         length=jnp.ones(()),
         period=jnp.ones(()),
-        still=moved.reshape(-1),
-        places=places,
+        start=start,
+        dofs=dofs,
     )
-    place = moved.reshape(-1)[system.free]
-    length, period, first = _scales(system, moved, times[-1] - times[0])
+    position = start.reshape(-1)[system.free]
+    length, period, first = _scales(system, start, times[-1] - times[0])
     system = eqx.tree_at(
         lambda system: (system.length, system.period), system, (length, period)
     )
-    rate = jnp.zeros_like(place)
-    if given is not None:
-        rate = given.reshape(-1)[system.free]
+    rate = jnp.zeros_like(position)
+    if velocities is not None:
+        rate = velocities.reshape(-1)[system.free]
 
     settings = [tolerance] if step is None else [tolerance, step]
     positive = jnp.all(jnp.stack([setting > 0 for setting in settings]))
     checks = [
-        (_all_finite(times, place, rate, *settings) & positive, RESULTS.not_finite),
+        (_all_finite(times, position, rate, *settings) & positive, RESULTS.not_finite),
         (~jnp.any(jnp.diff(times) <= 0), RESULTS.times_not_increasing),
     ]
-    where, _, _ = system.driving(times[0])
-    apart = jnp.abs(where - moved.reshape(-1)[np.array(places.driven, int)])
-    unit = jnp.where(np.array(places.driven, int) % 3 == 0, 1.0, system.length)
-    checks.append((~jnp.any(apart > EXACT * unit), RESULTS.drive_jumps))
-    checks.append((~_gives_energy(mechanism), RESULTS.damping_gives_energy))
-    if joints.size:
-        consistent, place, rate = _consistent(
-            system, times[0], place, rate, given is not None
+    targets, _, _ = system.prescribed(times[0])
+    prescribed = np.array(dofs.prescribed, int)
+    jump = jnp.abs(targets - start.reshape(-1)[prescribed])
+    unit = jnp.where(prescribed % 3 == 0, 1.0, system.length)
+    checks.append((~jnp.any(jump > EXACT * unit), RESULTS.drive_jumps))
+    checks.append((~_supplies_energy(mechanism), RESULTS.damping_gives_energy))
+    if constraints.size:
+        consistent, position, rate = _consistent(
+            system, times[0], position, rate, velocities is not None
         )
         checks.append((consistent, RESULTS.inconsistent_constraints))
-    values = [where, place, rate]
-    if needs_rates:
-        values.append(system.instant(times[0], place, rate).acceleration)
-    # what a drive or a constraint has brought in
+    values = [targets, position, rate]
+    if check_accelerations:
+        values.append(system.instant(times[0], position, rate).acceleration)
+    # Drives and constraints may bring in values that are not finite.
     checks.append((_all_finite(*values), RESULTS.not_finite))
     result = RESULTS.successful
-    for fine, item in reversed(checks):
-        result = RESULTS.where(fine, result, item)
-    can = result == RESULTS.successful
+    for passed, item in reversed(checks):
+        result = RESULTS.where(passed, result, item)
+    starts = result == RESULTS.successful
     works = jnp.zeros(3 if energies else 0)
-    return Beginning(
+    position, rate = (jnp.where(starts, value, 0.0) for value in (position, rate))
+    return InitialValueProblem(
         system=system,
-        state=State(jnp.where(can, place, 0.0), jnp.where(can, rate, 0.0), works),
-        times=jnp.where(can, times, 0.0),
-        step=jnp.where(can, first if step is None else step, 1.0),
-        tolerance=jnp.where(can, tolerance, 1.0),
+        state=State(position, rate, works),
+        times=jnp.where(starts, times, 0.0),
+        step=jnp.where(starts, first if step is None else step, 1.0),
+        tolerance=jnp.where(starts, tolerance, 1.0),
         result=result,
     )
 
 
 def _scales(
-    system: System, moved: Poses, longest: Array
+    system: MotionSystem, start: Poses, duration: Array
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Scales of a motion, by which errors and the first step are measured.
+    """Compute the scales by which errors and the first step are measured.
 
     Args:
-        system: equations of motion.
-        moved: displacements at the start; rad, m, m.
-        longest: how long the motion lasts; s.
+        system: Equations of motion.
+        start: Displacements at the start; rad, m, m.
+        duration: Duration of the motion; s.
 
     Returns:
-        The length of a lever: of the hinges' distances from the origins of bodies that
-        move, or, where these are zero, of the rotational against the translational
+        A length: root mean square distance of the hinges from the origins of bodies that
+        move, or, if these are zero, the square root of rotational over translational
         stiffness; m.
-        Nearly the periods of the slowest and of the fastest vibration, over two pi, by
-        the sums of the squares of all periods and frequencies; s.
+        Estimates of the periods of the slowest and of the fastest vibration, over two pi,
+        by the sums of the squares of all periods and of all frequencies; s.
     """
-    system, moved, longest = undifferentiated((system, moved, longest))
-    # the function of a step's tangent, so that it is traced once
-    hinge_assembly, mass = system.mechanism.hinge_assembly, system.mass
-    stretches = hinge_assembly.stretches(moved)
-    still = jnp.zeros_like(moved)
-    stiffness = hinge_assembly.tangent_in_motion(
-        moved, still, system.places.free, stretches
-    ).stiffness
-    diagonal = jnp.diagonal(stiffness)
-    turns = system.free % 3 == 0
-    turning, shifting = (jnp.sum(jnp.where(k, diagonal, 0.0)) for k in (turns, ~turns))
-    lever, stiff = hinge_assembly.lever(system.places.free), jnp.sqrt(turning / shifting)
-    # a lever of rounding errors is none
-    length = jnp.where(jnp.isfinite(stiff) & (lever <= 1e-9 * stiff), stiff, lever)
-    slowest = jnp.sum(jnp.diagonal(inverse(stiffness)) * mass)
+    system, start, duration = stop_gradient((system, start, duration))
+    # The function of the tangent of a step, so that it is traced once.
+    hinges, mass = system.mechanism.hinge_assembly, system.mass
+    stretches = hinges.stretches(start)
+    still = jnp.zeros_like(start)
+    tangent = hinges.tangent_in_motion(start, still, system.dofs.free, stretches)
+    diagonal = jnp.diagonal(tangent.stiffness)
+    rotations = system.free % 3 == 0
+    rotational, translational = (
+        jnp.sum(jnp.where(chosen, diagonal, 0.0)) for chosen in (rotations, ~rotations)
+    )
+    lever = hinges.lever(system.dofs.free)
+    ratio = jnp.sqrt(rotational / translational)
+    # A lever that consists of rounding errors is not used.
+    length = jnp.where(jnp.isfinite(ratio) & (lever <= 1e-9 * ratio), ratio, lever)
+    slowest = jnp.sum(jnp.diagonal(inverse(tangent.stiffness)) * mass)
     fastest = jnp.sum(diagonal / mass)
-    # where nothing holds a body, no period but that of the motion itself
-    slowest = jnp.where((slowest > 0) & (slowest < longest**2), slowest, longest**2)
-    fastest = jnp.where(fastest > 1 / longest**2, fastest, 1 / longest**2)
-    periods = jnp.sqrt(slowest), 1 / jnp.sqrt(fastest)
-    return _finite(length), _finite(periods[0]), _finite(periods[1])
+    # Without stiffness there is no period but the duration of the motion.
+    limited = (slowest > 0) & (slowest < duration**2)
+    slowest = jnp.where(limited, slowest, duration**2)
+    fastest = jnp.where(fastest > 1 / duration**2, fastest, 1 / duration**2)
+    scales = length, jnp.sqrt(slowest), 1 / jnp.sqrt(fastest)
+    # Values that are not finite are reported by the motion.
+    length, slowest, fastest = (
+        jnp.where(jnp.isfinite(scale) & (scale > 0), scale, 1.0) for scale in scales
+    )
+    return length, slowest, fastest
 
 
 def _all_finite(*values: Array) -> Bool[Array, ""]:
+    """Decide whether all entries of all arrays are finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(value)) for value in values]))
 
 
-def _finite(value: Array) -> Array:
-    # what is not finite is told by the motion itself
-    return jnp.where(jnp.isfinite(value) & (value > 0), value, 1.0)
-
-
-def _gives_energy(mechanism: Mechanism) -> Array:
+def _supplies_energy(mechanism: Mechanism) -> Bool[Array, ""]:
+    """Decide whether a damping matrix has a negative eigenvalue, by its minors."""
     wrong = jnp.zeros((), bool)
-    for stack in mechanism.hinge_assembly.groups:
-        if stack.damping is not None:
-            matrix = jax.lax.stop_gradient(stack.damping.damping).reshape(-1, 3, 3)
+    for group in mechanism.hinge_assembly.groups:
+        if group.damping is not None:
+            matrix = jax.lax.stop_gradient(group.damping.damping).reshape(-1, 3, 3)
             size = jnp.sqrt(jnp.abs(jnp.diagonal(matrix, axis1=1, axis2=2)))
             size = jnp.where(size > 0, size, 1.0)
             scaled = matrix / (size[:, :, None] * size[:, None])
-            # positive where each of its minors about the diagonal is
             a, b, c = scaled[:, 0, 1], scaled[:, 0, 2], scaled[:, 1, 2]
             x, y, z = jnp.diagonal(scaled, axis1=1, axis2=2).T
             minors = [x, y, z, x * y - a * a, x * z - b * b, y * z - c * c]
@@ -291,37 +320,36 @@ def _gives_energy(mechanism: Mechanism) -> Array:
 
 
 def _consistent(
-    system: System, time: Array, place: Array, rate: Array, given: bool
-) -> tuple[Array, Array, Array]:
-    """Check the start against the constraints, and project it onto them.
+    system: MotionSystem, time: Array, position: Array, rate: Array, given: bool
+) -> tuple[Bool[Array, ""], Array, Array]:
+    """Check the initial state against the constraints, and project it onto them.
 
-    Each entry of the violation is divided by its largest change when the mechanism moves
-    by one of its own lengths or turns by 1 rad, so that no unit matters. Velocities that
-    are given must be allowed themselves; others are projected.
+    Each violation is divided by its largest change when the mechanism moves by one of its
+    own lengths or rotates by 1 rad, so that no unit matters. Velocities that are given
+    must satisfy the constraints; others are projected.
 
     Args:
-        system: equations of motion.
-        time: s.
-        place: displacements of the free coordinates; rad, m.
-        rate: of the displacements; rad/s, m/s.
-        given: whether the velocities were given.
+        system: Equations of motion.
+        time: Time at the start; s.
+        position: Displacements of the free degrees of freedom; rad, m.
+        rate: Their rates; rad/s, m/s.
+        given: Whether the velocities were given.
 
     Returns:
-        Whether the start is allowed; the nearest allowed displacements; and the nearest
-        allowed velocities.
+        Whether the state is consistent; the projected displacements; and the projected
+        rates.
     """
-    normals = system.normals(time, place)
-    violation = system.violation(time, place)
-    nearest, allowed = system.project(time, place, rate)
+    jacobian = system.jacobian(time, position)
+    violation = system.violation(time, position)
+    nearest, allowed = system.project(time, position, rate)
     unit = jnp.where(system.free % 3 == 0, 1.0, system.length)
-    scaled = normals * unit[None]
-    size = jnp.linalg.norm(scaled, axis=1, keepdims=True)
-    largest = jnp.max(jnp.abs(inverse((scaled / size) @ (scaled / size).T)))
-    apart = (largest < 1e12) & (normals.shape[0] <= normals.shape[1])
-    met = jnp.max(jnp.abs(violation) / size[:, 0]) <= EXACT
+    scaled = jacobian * unit[None]
+    size = jnp.linalg.norm(scaled, axis=1)
+    consistent = independent_rows(scaled)
+    consistent &= jnp.max(jnp.abs(violation) / size) <= EXACT
     if given:
         across = jnp.linalg.norm((allowed - rate) / unit)
-        met &= across <= _ALONG * jnp.linalg.norm(rate / unit)
-    # what is not finite is reported as such
-    seen = jnp.all(jnp.isfinite(normals)) & jnp.all(jnp.isfinite(violation))
-    return (met & apart) | ~seen, nearest, allowed
+        consistent &= across <= _ACROSS * jnp.linalg.norm(rate / unit)
+    # Values that are not finite are reported as such.
+    finite = jnp.all(jnp.isfinite(jacobian)) & jnp.all(jnp.isfinite(violation))
+    return consistent | ~finite, nearest, allowed

@@ -1,37 +1,54 @@
-"""Small displacements: the linear map from what is done to a mechanism to its answer."""
+"""Linearization of a mechanism about an equilibrium."""
 
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._utils.types import Poses, PosesLike
 from .._utils.validation import require_float64
-from ..mechanism.loads import Drive, driven, Load, loaded_bodies, LoadSet
+from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from .factorization import Factors
+from .consistency import independent
+from .dofs import DofPartition
+from .factorization import ConstrainedFactors, Factors
 from .results import RESULTS
-from .static_system import DofPartition, Problem
-from .statics import Equilibrium, free_coordinates, raised, within_range
+from .statics import Equilibrium, raise_error, state_in_range
+from .system import System
 
 
 class Linearization(eqx.Module):
-    """A mechanism near one state, its tangent factored once for many loads and drives.
+    """The linear map from small loads and drives to displacements and reactions.
 
-    Call it with drives of just the coordinates that it was made for, and any loads; it
-    answers with an `Equilibrium` whose displacements and reactions are the changes from
-    the state, to first order, and whose energy is half their product: at rest what the
-    hinges store, about a loaded state the second-order change of the whole potential.
+    The tangent stiffness is factored once. A call returns an `Equilibrium` whose
+    displacements, reactions, and constraint forces are the changes from the state, to
+    first order. Its energy is half the product of displacements and forces: in the
+    reference configuration the energy stored in the hinges, about a loaded state the
+    second-order change of the total potential.
+
+    Args:
+        mechanism: The mechanism.
+        about: Poses of the state; rad, m, m.
+        matrix: Tangent stiffness among all degrees of freedom; N m/rad, N/rad, N/m.
+        jacobian: Derivatives of the constraint violations by all degrees of freedom.
+        factors: Factors of the stiffness of the free degrees of freedom.
+        finite: Whether the matrices are finite.
+        consistent: Whether the constraints are independent.
+        dofs: Partition of the degrees of freedom.
+        constraint_names: Name of the constraint of each constraint entry.
     """
 
     mechanism: Mechanism
     about: Poses
-    matrix: Float[Array, "coordinates coordinates"]
-    factors: Factors
-    places: DofPartition = eqx.field(static=True)
+    matrix: Float[Array, "dofs dofs"]
+    jacobian: Float[Array, "entries dofs"]
+    factors: Factors | ConstrainedFactors
     finite: Bool[Array, ""]
+    consistent: Bool[Array, ""]
+    dofs: DofPartition = eqx.field(static=True)
+    constraint_names: tuple[str, ...] = eqx.field(static=True)
 
     def __call__(
         self,
@@ -40,115 +57,127 @@ class Linearization(eqx.Module):
         drives: Sequence[Drive] = (),
         throw: bool = True,
     ) -> Equilibrium:
-        """The change of displacements and reactions under some loads and drives.
+        """Compute the change of the equilibrium under small loads and drives.
 
         Args:
-            loads: small ones, beside those that act already.
-            drives: of the coordinates that were named to `linearize`, all of them.
-            throw: whether a failure is raised, or only told by `result`.
+            loads: Small loads, in addition to those that act at the state.
+            drives: Small prescribed displacements of the coordinates that were named to
+                `linearize`, all of them.
+            throw: Whether a failure raises an error; otherwise it is reported by
+                `result`.
+
+        Returns:
+            The changes of displacements, reactions, and constraint forces.
 
         Raises:
-            ValueError: the driven coordinates are not those named, or a name is unknown.
-            RuntimeError: the state is not stable, or a value is not finite.
+            ValueError: The prescribed coordinates are not those that were named, or a
+                name is unknown.
+            RuntimeError: The state is not stable, or a value is not finite.
         """
-        mechanism = self.mechanism
-        places, targets = driven(mechanism, drives)
-        if sorted(places) != sorted(self.places.driven):
+        mechanism, count = self.mechanism, len(self.dofs.free)
+        prescribed, targets = prescribed_dofs(mechanism, drives)
+        if sorted(prescribed) != sorted(self.dofs.prescribed):
             raise ValueError(
-                f"`drives` moves {_listed(mechanism, places)}, but this map was made by "
-                f"`linearize` for {_listed(mechanism, self.places.driven)}."
+                f"`drives` prescribes {_listed(mechanism, prescribed)}, but this map was "
+                f"made by `linearize` for {_listed(mechanism, self.dofs.prescribed)}."
             )
-        free = np.array(self.places.free, int)
-        flat = (
-            jnp.zeros(self.about.size)
-            .at[np.array(places, int)]
-            .set(jnp.array(targets, float))
+        loaded_bodies(mechanism, loads)
+        applied, _ = LoadSet.of(loads, mechanism.names, mechanism.reference).apply(
+            self.about - mechanism.reference
         )
-        applied, _ = LoadSet.of(
-            loads, loaded_bodies(mechanism, loads), mechanism.reference
-        ).apply(self.about - mechanism.reference)
         applied = applied.reshape(-1)
-        flat = flat.at[free].set(self.factors.solve((applied - self.matrix @ flat)[free]))
+        given = DofPartition(self.dofs.total, self.dofs.free, prescribed)
+        moved = given.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
+        free = jnp.array(self.dofs.free, int)
+        right = [(applied - self.matrix @ moved)[free], -self.jacobian @ moved]
+        solution = self.factors.solve(jnp.concatenate(right))
+        flat = moved.at[free].set(solution[:count])
+        push = -solution[count:]
         forces = self.matrix @ flat
-        fixed = jnp.ones(flat.size).at[free].set(0.0)
-        result = RESULTS.where(
-            self.factors.resists(), RESULTS.successful, RESULTS.unstable
-        )
-        fine = self.finite & jnp.all(jnp.isfinite(applied))
-        result = RESULTS.where(fine, result, RESULTS.not_finite)
-        shape = self.about.shape
-        answer = Equilibrium(
-            displacements=flat.reshape(shape),
+        stable = self.factors.resists()
+        result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
+        dependent = RESULTS.inconsistent_constraints
+        result = RESULTS.where(self.consistent, result, dependent)
+        finite = self.finite & jnp.all(jnp.isfinite(applied))
+        result = RESULTS.where(finite, result, RESULTS.not_finite)
+        displacements = flat.reshape(self.about.shape)
+        change = Equilibrium(
+            displacements=displacements,
             reference=self.about,
-            reactions=(fixed * (forces - applied)).reshape(shape),
+            reactions=given.reactions(forces - applied - push @ self.jacobian),
+            constraint_forces=push,
             energy=jnp.vdot(flat, forces) / 2,
-            reached=flat.reshape(shape),
+            reached=displacements,
             fraction=jnp.ones(()),
             steps=jnp.zeros((), int),
             result=result,
             names=mechanism.names,
+            constraint_names=self.constraint_names,
         )
-        return raised(answer, mechanism) if throw else answer
+        return raise_error(change) if throw else change
 
 
 def linearize(
     mechanism: Mechanism,
-    driven: Sequence[str] | Mapping[str, Sequence[str]] = (),
+    prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
     about: PosesLike | Equilibrium | None = None,
     loads: Sequence[Load] = (),
+    constraints: Sequence[AbstractConstraint] = (),
 ) -> Linearization:
-    """The answer of a mechanism to small loads and drives, as one factorisation.
+    """Linearize a mechanism about an equilibrium, and factor its tangent stiffness.
 
     Args:
-        mechanism: at rest where nothing loads it.
-        driven: which coordinates will be driven: names of bodies, for all three, or a
-            mapping from names to some of "angle", "x" and "y".
-        about: Equilibrium from which changes count, or its poses, by default rest; rad,
-            m, m.
-        loads: that hold the mechanism there; they add to its stiffness as they turn.
+        mechanism: The mechanism.
+        prescribed: Coordinates whose displacement will be prescribed: names of bodies for
+            all three coordinates, or a mapping from names to some of "angle", "x", "y".
+        about: Equilibrium about which the mechanism is linearized, or its poses; by
+            default the reference configuration; rad, m, m.
+        loads: Loads that act at this equilibrium. They add to the stiffness because
+            their moments and directions depend on the rotations.
+        constraints: Pins, sliders, and other constraints between the bodies.
 
     Returns:
-        A function of loads and drives.
+        The linear map, a function of loads and drives.
 
     Raises:
-        ValueError: double precision is off, or a name is unknown.
+        ValueError: Double precision is off, or a name is unknown.
 
     Example:
         >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])
-        >>> small = linearize(mechanism, driven={"block": ["y"]})
+        >>> small = linearize(mechanism, prescribed={"block": ["y"]})
         >>> small(drives=[Drive("block", y=1e-3)]).reaction("block")
         Array([0.  , 0.  , 0.01], dtype=float64)
     """
     require_float64(mechanism.reference)
-    mechanism.require_support()
-    places = mechanism.coordinates("driven", driven)
-    if both := sorted(set(places) & set(mechanism.fixed)):
+    dofs = mechanism.coordinates("prescribed", prescribed)
+    if both := sorted(set(dofs) & set(mechanism.fixed)):
         raise ValueError(
-            f"`driven` has the {_listed(mechanism, both)}, but that is held already."
+            f"`prescribed` has the {_listed(mechanism, both)}, but that is fixed already."
         )
-    free = free_coordinates(len(mechanism.names), mechanism.fixed, places)
-    every = DofPartition(tuple(range(3 * len(mechanism.names))), ())
-    moved = jnp.zeros_like(mechanism.reference)
-    if about is not None:
-        moved = within_range(mechanism, "about", about)
-    acting = LoadSet.of(loads, loaded_bodies(mechanism, loads), mechanism.reference)
-    whole = Problem(mechanism.hinge_assembly, acting, jnp.zeros(0), every)
-    _, matrix, _ = whole.matrix(moved)
-    rows = np.array(free, int)
+    dofs = DofPartition.of(mechanism, dofs)
+    system = System.of(mechanism, dofs, loads, constraints)
+    mechanism.require_support(system.constraints.bodies)
+    displacements = state_in_range(mechanism, "about", about)
+    matrix, jacobian = system.whole_stiffness(displacements)
+    free = system.free
+    factors = system.factors(matrix[free[:, None], free], jacobian[:, free])
     return Linearization(
         mechanism=mechanism,
-        about=mechanism.reference + moved,
+        about=mechanism.reference + displacements,
         matrix=matrix,
-        factors=Factors.of(matrix[rows[:, None], rows], whole.symmetric),
-        places=DofPartition(free, places),
-        finite=jnp.all(jnp.isfinite(matrix)),
+        jacobian=jacobian,
+        factors=factors,
+        finite=jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(jacobian)),
+        consistent=independent(system, displacements),
+        dofs=dofs,
+        constraint_names=system.constraints.names(),
     )
 
 
-def _listed(mechanism: Mechanism, places: Sequence[int]) -> str:
-    words = [mechanism.coordinate(place) for place in sorted(places)]
-    return " and ".join(words) or "nothing"
+def _listed(mechanism: Mechanism, dofs: Sequence[int]) -> str:
+    """Name coordinates in words."""
+    return " and ".join(mechanism.coordinate(dof) for dof in sorted(dofs)) or "nothing"

@@ -1,4 +1,4 @@
-"""How a mechanism moved, as an answer."""
+"""The motion of a mechanism in time, as a solution."""
 
 import diffrax as dfx
 import equinox as eqx
@@ -7,23 +7,23 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from .._utils.validation import all_concrete
-from .motion_system import System
+from .motion_system import MotionSystem
 from .results import count_results, PoseSolution, result_names, RESULTS
 from .tables import Column, Columns, columns
 
 
 class Energies(eqx.Module):
-    """Where the energy of a motion is, and where it came from; J.
+    """Energy balance of a motion; J.
 
-    What is stored and moving is what it was at the start, and what loads and drives have
-    done since, less what was dissipated.
+    Elastic and kinetic energy are those at the start plus the work of loads and drives
+    since then, minus the dissipated energy.
 
     Args:
-        elastic: stored in the hinges.
-        kinetic: of the bodies.
-        dissipated: in the hinges, since the start.
-        by_loads: done by the loads, since the start.
-        by_drives: done by what drives coordinates and moves constraints, since the start.
+        elastic: Energy stored in the hinges.
+        kinetic: Kinetic energy of the bodies.
+        dissipated: Energy dissipated in the hinges since the start.
+        by_loads: Work of the loads since the start.
+        by_drives: Work of drives and of constraints that depend on time since the start.
     """
 
     elastic: Float[Array, "..."]
@@ -34,34 +34,35 @@ class Energies(eqx.Module):
 
     @property
     def imbalance(self) -> Float[Array, "..."]:
-        """What is there and should not be: the error of the motion, as energy."""
-        fixed = self.elastic + self.kinetic
-        came = self.by_loads + self.by_drives - self.dissipated
-        return (fixed - fixed[..., :1]) - (came - came[..., :1])
+        """Error of the energy balance; J."""
+        stored = self.elastic + self.kinetic
+        supplied = self.by_loads + self.by_drives - self.dissipated
+        return (stored - stored[..., :1]) - (supplied - supplied[..., :1])
 
 
 class Motion(PoseSolution):
-    """How the bodies of a mechanism moved.
+    """The motion of a mechanism.
 
-    Where a motion stopped before its end, the rows of later times are NaN.
+    If a motion stopped before its end, the rows of later times are NaN.
 
     Args:
-        times: s.
-        displacements: of each body from its rest; rad, m, m.
-        velocities: of each body, in world axes; rad/s, m/s, m/s.
-        reference: the poses from which displacements count; rad, m, m.
-        reactions: what held and driven coordinates receive from outside; zero elsewhere.
-            About each body's origin, in world axes; N m, N, N.
-        pushes: of each constraint's entries; N m, N.
-        energies: where the energy is, and where it came from; J.
-        reached: the time up to which it went; s.
-        steps: of the solver, those that were tried again included.
-        rejected: those that were tried again.
-        result: how it ended; `result_names` gives its name.
-        solution: all else that diffrax tells.
-        system: its equations, where the whole of it was kept.
-        names: of the bodies, for their rows.
-        joints: the constraint that each entry of `pushes` belongs to.
+        times: Times; s.
+        displacements: Displacement of each body from its reference pose; rad, m, m.
+        velocities: Velocity of each body, in world axes; rad/s, m/s, m/s.
+        reference: Poses from which displacements are measured; rad, m, m.
+        reactions: External wrench on fixed and prescribed degrees of freedom; zero on
+            free ones. About the origin of each body, in world axes; N m, N, N.
+        constraint_forces: Constraint force of each constraint entry; N m, N.
+        energies: Energy balance; J.
+        reached: Time up to which the motion was computed; s.
+        steps: Number of steps of the solver, rejected ones included.
+        rejected: Number of rejected steps.
+        result: `RESULTS.successful` or the reason of the failure; `result_names` returns
+            its name.
+        solution: The solution that diffrax returned.
+        system: Equations of motion, if the motion is kept as a function of time.
+        names: Names of the bodies.
+        constraint_names: Name of the constraint of each constraint entry.
     """
 
     times: Float[Array, "*batch times"]
@@ -69,88 +70,80 @@ class Motion(PoseSolution):
     velocities: Float[Array, "*batch times bodies 3"]
     reference: Float[Array, "*batch bodies 3"]
     reactions: Float[Array, "*batch times bodies 3"]
-    pushes: Float[Array, "*batch times entries"]
+    constraint_forces: Float[Array, "*batch times entries"]
     energies: Energies
     reached: Float[Array, "*batch"]
     steps: Int[Array, "*batch"]
     rejected: Int[Array, "*batch"]
     result: RESULTS
     solution: dfx.Solution
-    system: System | None
+    system: MotionSystem | None
     names: tuple[str, ...] = eqx.field(static=True)
-    joints: tuple[str, ...] = eqx.field(static=True)
+    constraint_names: tuple[str, ...] = eqx.field(static=True)
 
     def velocity(self, body: str) -> Float[Array, "*batch times 3"]:
-        """How fast a body moves; rad/s, m/s, m/s."""
+        """Return the velocity of a body; rad/s, m/s, m/s."""
         return self.velocities[..., self._row(body), :]
 
     def at(self, time: ArrayLike) -> Float[Array, "bodies 3"]:
-        """The poses at any time of a motion kept as a whole, by `SaveAt(dense=True)`.
+        """Compute the poses at any time, if the motion is kept as a function of time.
 
         Args:
-            time: between its start and its end; s.
+            time: Time between the start and the end; s.
+
+        Returns:
+            The poses of the bodies; rad, m, m.
 
         Raises:
-            ValueError: the motion was not kept as a whole.
+            ValueError: The motion is kept at its times only.
         """
         if self.system is None:
             raise ValueError(
-                "This motion was kept at its times alone. For poses at any time: "
+                "This motion is kept at its times only. For poses at any time, use "
                 "`simulate(..., saveat=diffrax.SaveAt(dense=True))`."
             )
         instant = jnp.asarray(time, float)
         state = self.solution.evaluate(instant)
-        return self.reference + self.system.spread(instant, state.place, state.rate)[0]
-
-    def push(self, constraint: str) -> Float[Array, "*batch times entries"]:
-        """What a constraint exerts, for each of its entries; N m, N."""
-        rows = [k for k, name in enumerate(self.joints) if name == constraint]
-        if not rows:
-            there = ", ".join(map(repr, dict.fromkeys(self.joints))) or "none"
-            raise ValueError(
-                f"`constraint` is {constraint!r}, but the constraints are {there}."
-            )
-        return self.pushes[..., np.array(rows)]
+        moved, _ = self.system.expand(instant, state.position, state.rate)
+        return self.reference + moved
 
     def columns(self) -> Columns:
+        velocity = (
+            ("angular_velocity", "rad/s"),
+            ("velocity_x", "m/s"),
+            ("velocity_y", "m/s"),
+        )
         rows = ("time", "body")
-        told = {
+        found = {
             "time": Column(self.times, ("time",), "s"),
-            **self._by_body(self.poses, "time"),
-            **columns(
-                self.velocities,
-                rows,
-                ("angular_velocity", "rad/s"),
-                ("velocity_x", "m/s"),
-                ("velocity_y", "m/s"),
-                body=self.names,
-            ),
+            **self._body_columns("time"),
+            **columns(self.velocities, rows, *velocity, body=self.names),
         }
-        if self.joints:
-            entries = (("entry", self.joints),)
-            told["push"] = Column(self.pushes, ("time", "entry"), labels=entries)
         for name in ("elastic", "kinetic", "dissipated", "by_loads", "by_drives"):
             energy = getattr(self.energies, name)
-            told[f"energy_{name}"] = Column(energy, ("time",), "J")
-        told["steps"] = Column(self.steps)
-        told["rejected"] = Column(self.rejected)
-        return told
+            found[f"energy_{name}"] = Column(energy, ("time",), "J")
+        return {
+            **found,
+            "steps": Column(self.steps),
+            "rejected": Column(self.rejected),
+        }
 
     def __repr__(self) -> str:
-        ended = result_names(self.result)
-        seen = all_concrete([self.times, self.displacements, self.energies.dissipated])
-        if ended is None or seen is None:
+        names = result_names(self.result)
+        values = all_concrete([self.times, self.displacements, self.energies.dissipated])
+        if names is None or values is None:
             return eqx.tree_pformat(self)
-        if ended.shape:
-            return count_results("motions", ended)
-        times, moved, _ = seen
+        if names.shape:
+            return count_results("motions", names)
+        times, displacements, dissipated = values
         title = (
-            f"{ended}: {float(times[0]):g} to {float(self.reached):.6g} s in "
-            f"{int(self.steps)} steps, {int(self.rejected)} tried again; "
+            f"{names}: {float(times[0]):g} to {float(self.reached):.6g} s in "
+            f"{int(self.steps)} steps, {int(self.rejected)} rejected; "
             f"{times.size} times kept"
         )
-        if np.any(seen[2]):
+        if np.any(dissipated):
             lost = np.nanmax(np.abs(self.energies.imbalance))
-            fixed = np.nanmax(self.energies.elastic + self.energies.kinetic)
-            title += f"\nenergy out of balance by {lost:.2g} J of {fixed:.3g} J"
-        return self._listed(title, "largest", np.nanmax(np.abs(moved), axis=0))
+            stored = np.nanmax(self.energies.elastic + self.energies.kinetic)
+            title += f"\nenergy balance: {lost:.2g} J of {stored:.3g} J"
+        largest = np.nanmax(np.abs(displacements), axis=0)
+        return self._listed(title, "largest", largest)

@@ -1,4 +1,4 @@
-"""The equations of motion of a mechanism: who moves it, and what resists."""
+"""Equations of motion of a mechanism: forces and accelerations at an instant."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -12,304 +12,285 @@ from jaxtyping import Array, Float
 
 from .._utils.types import Poses, Scalar, Wrenches
 from ..mechanism.constraints import ConstraintSet
-from ..mechanism.loads import Drive, driven, Load, loaded_bodies, LoadSet
+from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from .dofs import DofPartition
 from .small_matrices import inverse
-from .static_system import DofPartition
+from .tangents import add_load_stiffness
 
 
 class State(NamedTuple):
-    """Where a mechanism is, and how it moves.
+    """State of a motion.
 
     Args:
-        place: displacements of its free coordinates from rest; rad, m.
-        rate: of the displacements; rad/s, m/s.
-        work: what was dissipated, and what loads and drives have done, or nothing; J.
+        position: Displacements of the free degrees of freedom; rad, m.
+        rate: Their rates; rad/s, m/s.
+        work: Dissipated energy and work of loads and drives, or no entry; J.
     """
 
-    place: Float[Array, " free"]
+    position: Float[Array, " free"]
     rate: Float[Array, " free"]
     work: Float[Array, " works"]
 
 
 class Forces(NamedTuple):
-    """What moves the free coordinates at an instant.
+    """Forces on the free degrees of freedom at an instant.
 
     Args:
-        net: force on each; N m, N.
-        excess: of the hinges' own half-way translations over those they were taken to
-            bear; m.
-        violation: of the constraints; rad, m.
+        net: Net force; N m, N.
+        excess: Difference between the translations of the hinges in their mid-frames and
+            those for which their forces were computed; m.
+        violation: Violation of the constraints; rad, m.
     """
 
     net: Float[Array, " free"]
     excess: Float[Array, " stretches"]
-    violation: Float[Array, " constraints"]
+    violation: Float[Array, " entries"]
 
 
 class Slopes(NamedTuple):
-    """How `Forces` follow the free coordinates.
+    """Derivatives of `Forces` by the free degrees of freedom.
 
     Args:
-        stiffness: by which their net forces fall with displacements.
-        damping: the same with their rates.
-        stretching: of the half-way translations, by displacements.
-        bearing: of what resists, by the half-way translations.
-        normals: of the violations, by displacements.
+        stiffness: Negative derivative of the net forces by displacements.
+        damping: Negative derivative of the net forces by rates.
+        stretching: Derivative of the mid-frame translations by displacements.
+        bearing: Derivative of the resisting forces by the mid-frame translations.
+        jacobian: Derivative of the violations by displacements.
     """
 
     stiffness: Float[Array, "free free"]
     damping: Float[Array, "free free"]
     stretching: Float[Array, "free stretches"]
     bearing: Float[Array, "free stretches"]
-    normals: Float[Array, "constraints free"]
+    jacobian: Float[Array, "entries free"]
 
 
 class Instant(NamedTuple):
-    """What happens at an instant.
+    """Accelerations, forces, and powers at an instant.
 
     Args:
-        acceleration: of the free coordinates; rad/s2, m/s2.
-        push: of each constraint's entries; N m, N.
-        reactions: what held and driven coordinates receive; N m, N, N.
-        powers: what is dissipated, and what loads and drives do; W.
+        acceleration: Acceleration of the free degrees of freedom; rad/s2, m/s2.
+        push: Constraint force of each entry; N m, N.
+        reactions: External wrench on fixed and prescribed degrees of freedom; N m, N, N.
+        powers: Dissipated power, power of the loads, power of drives and constraints; W.
     """
 
     acceleration: Float[Array, " free"]
-    push: Float[Array, " constraints"]
+    push: Float[Array, " entries"]
     reactions: Wrenches
     powers: Float[Array, "3"]
 
 
-class System(eqx.Module):
-    """A mechanism with all that moves it, as forces on its free coordinates.
+class MotionSystem(eqx.Module):
+    """The equations of motion of a mechanism.
 
-    It is the `args` of diffrax's solve, and `equation` its term.
+    It is the `args` of diffrax's solve, and `equation` is the term.
 
     Args:
-        mechanism: its bodies and hinges.
-        loads: on its bodies, or a function of time that gives them.
-        drives: of its coordinates, or a function of time that gives them.
-        joined: its constraints.
-        inertia: of each coordinate, zero where it is held; kg m2, kg, kg.
-        length: of a lever of the mechanism, by which displacements are measured; m.
-        period: of its slowest motion over two pi, by which rates are; s.
-        still: displacements at the start, at which held coordinates stay; rad, m.
-        places: of the free and of the driven coordinates.
+        mechanism: The mechanism.
+        loads: Loads on its bodies, or a function of time that returns them.
+        drives: Prescribed displacements, or a function of time that returns them.
+        constraints: Its constraints.
+        inertia: Inertia of each degree of freedom, zero where it is fixed; kg m2, kg, kg.
+        length: Length of the mechanism by which displacements are scaled; m.
+        period: Period of its slowest motion over two pi, by which rates are scaled; s.
+        start: Displacements at the start, which fixed degrees of freedom keep; rad, m.
+        dofs: Partition of the degrees of freedom.
     """
 
     mechanism: Mechanism
     loads: Sequence[Load] | Callable[[Scalar], Sequence[Load]]
     drives: Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
-    joined: ConstraintSet
-    inertia: Float[Array, " coordinates"]
+    constraints: ConstraintSet
+    inertia: Float[Array, " dofs"]
     length: Scalar
     period: Scalar
-    still: Float[Array, " coordinates"]
-    places: DofPartition = eqx.field(static=True)
+    start: Poses
+    dofs: DofPartition = eqx.field(static=True)
 
     @property
     def free(self) -> np.ndarray:
-        """Places of the free coordinates."""
-        return np.array(self.places.free, int)
+        """Indices of the free degrees of freedom."""
+        return np.array(self.dofs.free, int)
 
     @property
     def mass(self) -> Float[Array, " free"]:
-        """Inertia of each free coordinate; kg m2, kg."""
+        """Inertia of each free degree of freedom; kg m2, kg."""
         return self.inertia[self.free]
 
-    def size(self, error: State) -> Scalar:
-        """How large an error is: in angles, and in parts of the length and the period."""
-        turns = self.free % 3 == 0
-        unit = jnp.where(turns, 1.0, self.length)
-        place, rate = error.place / unit, error.rate * self.period / unit
-        return jnp.sqrt((jnp.sum(place**2) + jnp.sum(rate**2)) / max(1, 2 * place.size))
+    def norm(self, error: State) -> Scalar:
+        """Compute the root mean square of an error: rotations, and scaled translations."""
+        unit = jnp.where(self.free % 3 == 0, 1.0, self.length)
+        position, rate = error.position / unit, error.rate * self.period / unit
+        squares = jnp.sum(position**2) + jnp.sum(rate**2)
+        return jnp.sqrt(squares / max(1, 2 * position.size))
 
-    def targets(self, time: Scalar) -> Float[Array, " driven"]:
-        """Where the driven coordinates are at a time; rad, m."""
+    def targets(self, time: Scalar) -> Float[Array, " prescribed"]:
+        """Compute the prescribed displacements at a time; rad, m."""
         drives = self.drives(time) if callable(self.drives) else self.drives
-        places, targets = driven(self.mechanism, drives)
-        if places != self.places.driven:
+        dofs, targets = prescribed_dofs(self.mechanism, drives)
+        if dofs != self.dofs.prescribed:
             raise ValueError(
                 "`drives` must give the same coordinates in the same order at all times."
             )
         return jnp.array(targets, float)
 
-    def driving(self, time: Scalar) -> tuple[Array, Array, Array]:
-        """Where the driven coordinates are, their velocities and accelerations."""
-        if not callable(self.drives) or not self.places.driven:
-            where = self.targets(time)
-            return where, jnp.zeros_like(where), jnp.zeros_like(where)
+    def prescribed(self, time: Scalar) -> tuple[Array, Array, Array]:
+        """Compute prescribed displacements, their velocities, and their accelerations."""
+        if not callable(self.drives) or not self.dofs.prescribed:
+            targets = self.targets(time)
+            return targets, jnp.zeros_like(targets), jnp.zeros_like(targets)
         one = jnp.ones_like(time)
 
-        def moving(time: Scalar) -> tuple[Array, Array]:
+        def velocity(time: Scalar) -> tuple[Array, Array]:
             return jax.jvp(self.targets, (time,), (one,))
 
-        (where, velocity), (_, gain) = jax.jvp(moving, (time,), (one,))
-        return where, velocity, gain
+        (targets, rates), (_, accelerations) = jax.jvp(velocity, (time,), (one,))
+        return targets, rates, accelerations
 
-    def spread(self, time: Scalar, place: Array, rate: Array) -> tuple[Poses, Poses]:
-        """Displacements and rates of all coordinates."""
-        where, velocity, _ = self.driving(time)
-        return self._placed(place, where), self._whole(rate, velocity)
+    def expand(self, time: Scalar, position: Array, rate: Array) -> tuple[Poses, Poses]:
+        """Compute displacements and velocities of all bodies at a time."""
+        targets, rates, _ = self.prescribed(time)
+        return self._displacements(position, targets), self.dofs.expand(rate, rates)
 
     def forces(
         self,
         time: Scalar,
-        place: Array,
+        position: Array,
         rate: Array,
         stretches: Array | None = None,
         push: Array | None = None,
     ) -> Forces:
-        """What moves the free coordinates.
+        """Compute the forces on the free degrees of freedom.
 
         Args:
-            time: s.
-            place: displacements of the free coordinates; rad, m.
-            rate: of the displacements; rad/s, m/s.
-            stretches: the half-way translations that the hinges are taken to bear, by
-                default their own; m.
-            push: of each constraint, by default none; N m, N.
+            time: Time; s.
+            position: Displacements of the free degrees of freedom; rad, m.
+            rate: Their rates; rad/s, m/s.
+            stretches: Mid-frame translations for which the forces of the hinges are
+                computed; by default their own; m.
+            push: Constraint force of each entry; by default none; N m, N.
         """
-        displacements, rates = self.spread(time, place, rate)
-        borne = None if stretches is None else stretches.reshape(-1, 2)
+        displacements, rates = self.expand(time, position, rate)
+        given = None if stretches is None else stretches.reshape(-1, 2)
         resisting, excess, _ = self.mechanism.hinge_assembly.forces_in_motion(
-            displacements, rates, borne
+            displacements, rates, given
         )
-        applied, _, _ = self.applied(time, displacements)
+        applied, _ = self.load_set(time).apply(displacements)
         net = (applied - resisting).reshape(-1)[self.free]
-        violation, back = jax.vjp(lambda place: self.violation(time, place), place)
+        violation, pull_back = jax.vjp(lambda at: self.violation(time, at), position)
         if push is not None and push.size:
-            net = net + back(push)[0]
+            net = net + pull_back(push)[0]
         return Forces(net, excess.reshape(-1), violation)
 
     def slopes(
-        self, time: Scalar, place: Array, rate: Array, stretches: Array, push: Array
+        self, time: Scalar, position: Array, rate: Array, stretches: Array, push: Array
     ) -> Slopes:
-        """How the `forces` follow the free coordinates, for the same arguments."""
-        displacements, rates = self.spread(time, place, rate)
+        """Compute the derivatives of the `forces`, for the same arguments."""
+        displacements, rates = self.expand(time, position, rate)
+        free = self.dofs.free
         tangent = self.mechanism.hinge_assembly.tangent_in_motion(
-            displacements, rates, self.places.free, stretches.reshape(-1, 2)
+            displacements, rates, free, stretches.reshape(-1, 2)
         )
-        stiffness = tangent.stiffness
-        _, by_angle, bodies = self.applied(time, displacements)
-        pairs = [
-            (row, self.places.free.index(3 * (coordinate // 3)), coordinate)
-            for row, coordinate in enumerate(self.places.free)
-            if coordinate // 3 in bodies and 3 * (coordinate // 3) in self.places.free
-        ]
-        if pairs:  # a load's wrench depends on the angle of its own body alone
-            rows, columns, which = np.array(pairs).T
-            stiffness = stiffness.at[rows, columns].add(-by_angle.reshape(-1)[which])
-        normals = self.normals(time, place)
+        loads = self.load_set(time)
+        _, by_angle = loads.apply(displacements)
+        stiffness = add_load_stiffness(
+            tangent.stiffness, by_angle.reshape(-1), loads.bodies, free, free
+        )
         if push.size:
+            geometric = self.constraints.geometric_stiffness(displacements, time, push)
+            stiffness = stiffness + geometric[self.free[:, None], self.free]
+        return Slopes(stiffness, *tangent[1:], self.jacobian(time, position))
 
-            def pushed(place: Array) -> Array:
-                return jax.vjp(lambda at: self.violation(time, at), place)[1](push)[0]
-
-            stiffness = stiffness - jax.jacfwd(pushed)(place)
-        return Slopes(stiffness, *tangent[1:], normals)
-
-    @eqx.filter_jit  # traced once for the start, the steps, and what is told
-    def instant(self, time: Scalar, place: Array, rate: Array) -> "Instant":
-        """What happens at an instant: equation 5.25, and what follows from it."""
-        displacements, rates = self.spread(time, place, rate)
+    @eqx.filter_jit  # traced once for the start, the steps, and the output
+    def instant(self, time: Scalar, position: Array, rate: Array) -> Instant:
+        """Compute accelerations, forces, and powers: equation 5.25 of the dissertation."""
+        displacements, rates = self.expand(time, position, rate)
         resisting, _, dissipated = self.mechanism.hinge_assembly.forces_in_motion(
             displacements, rates
         )
-        applied, _, _ = self.applied(time, displacements)
+        applied, _ = self.load_set(time).apply(displacements)
         net = (applied - resisting).reshape(-1)
-        push, back, moving = jnp.zeros(0), jnp.zeros_like(net), jnp.zeros(())
-        if self.joined.size:
-            push, back, moving = self._pushed(time, place, rate, displacements, net)
-        acceleration = (net + back)[self.free] / self.mass
-        _, _, gain = self.driving(time)
-        total = self.inertia * self._whole(acceleration, gain).reshape(-1)
-        fixed = np.ones(net.size)
-        fixed[self.free] = 0.0
-        reactions = jnp.asarray(fixed) * (total - net - back)
-        reactions = reactions.reshape(displacements.shape)
-        by_drives = jnp.vdot(reactions, rates) - moving
+        push, constraint, power = jnp.zeros(0), jnp.zeros_like(net), jnp.zeros(())
+        if self.constraints.size:
+            push, constraint, power = self._push(time, position, rate, displacements, net)
+        acceleration = (net + constraint)[self.free] / self.mass
+        _, _, prescribed = self.prescribed(time)
+        total = self.inertia * self.dofs.expand(acceleration, prescribed).reshape(-1)
+        reactions = self.dofs.reactions(total - net - constraint)
+        by_drives = jnp.vdot(reactions, rates) - power
         powers = jnp.stack([dissipated, jnp.vdot(applied, rates), by_drives])
         return Instant(acceleration, push, reactions, powers)
 
-    def _pushed(
-        self, time: Scalar, place: Array, rate: Array, displacements: Poses, net: Array
+    def _push(
+        self, time: Scalar, position: Array, rate: Array, displacements: Poses, net: Array
     ) -> tuple[Array, Array, Scalar]:
-        """Forces of the constraints, these on all coordinates, and the power they take.
+        """Compute constraint forces, their generalized forces, and their power.
 
-        That of constraints which change with time, as a drive does.
+        The power is that of constraints which depend on time, as drives do; W.
         """
         one = jnp.ones_like(time)
 
-        def violation_rate(time: Scalar, place: Array) -> Array:
-            return jax.jvp(self.violation, (time, place), (one, rate))[1]
+        def violation_rate(time: Scalar, position: Array) -> Array:
+            return jax.jvp(self.violation, (time, position), (one, rate))[1]
 
-        _, curving = jax.jvp(violation_rate, (time, place), (one, rate))
-        normals = self.normals(time, place)
-        light = normals / self.mass[None]
-        push = inverse(light @ normals.T) @ (-curving - light @ net[self.free])
-        _, back = jax.vjp(lambda at: self.joined.violation(at, time), displacements)
-        _, moving = jax.jvp(
-            lambda time: self.joined.violation(displacements, time), (time,), (one,)
+        _, bias = jax.jvp(violation_rate, (time, position), (one, rate))
+        jacobian = self.jacobian(time, position)
+        light = jacobian / self.mass[None]
+        push = inverse(light @ jacobian.T) @ (-bias - light @ net[self.free])
+        forces = self.constraints.forces(displacements, time, push)
+        _, by_time = jax.jvp(
+            lambda time: self.constraints.violation(displacements, time), (time,), (one,)
         )
-        return push, back(push)[0].reshape(-1), jnp.vdot(push, moving)
+        return push, forces, jnp.vdot(push, by_time)
 
-    def project(self, time: Scalar, place: Array, rate: Array) -> tuple[Array, Array]:
-        """The nearest place and rate that the constraints allow, as inertia measures."""
-        if not self.joined.size:
-            return place, rate
+    def project(self, time: Scalar, position: Array, rate: Array) -> tuple[Array, Array]:
+        """Project a state onto the constraints, in the metric of the inertia."""
+        if not self.constraints.size:
+            return position, rate
 
-        def nearest(normals: Array, violation: Array) -> Array:
-            light = normals / self.mass[None]
-            return -light.T @ (inverse(light @ normals.T) @ violation)
+        def correction(jacobian: Array, violation: Array) -> Array:
+            light = jacobian / self.mass[None]
+            return -light.T @ (inverse(light @ jacobian.T) @ violation)
 
         for _ in range(2):
-            normals = self.normals(time, place)
-            place = place + nearest(normals, self.violation(time, place))
-        normals = self.normals(time, place)
-        _, drift = jax.jvp(self.violation, (time, place), (jnp.ones_like(time), rate))
-        return place, rate + nearest(normals, drift)
+            jacobian = self.jacobian(time, position)
+            position = position + correction(jacobian, self.violation(time, position))
+        jacobian = self.jacobian(time, position)
+        one = jnp.ones_like(time)
+        _, drift = jax.jvp(self.violation, (time, position), (one, rate))
+        return position, rate + correction(jacobian, drift)
 
-    def violation(self, time: Scalar, place: Array) -> Float[Array, " constraints"]:
-        """By how much the constraints are violated; rad, m."""
-        if not self.joined.size:
+    def violation(self, time: Scalar, position: Array) -> Float[Array, " entries"]:
+        """Compute the violation of the constraints; rad, m."""
+        if not self.constraints.size:
             return jnp.zeros(0)
-        where, _, _ = self.driving(time)
-        return self.joined.violation(self._placed(place, where), time)
+        targets, _, _ = self.prescribed(time)
+        return self.constraints.violation(self._displacements(position, targets), time)
 
-    def normals(self, time: Scalar, place: Array) -> Float[Array, "constraints free"]:
-        """Derivatives of the violation by the free coordinates."""
-        if not self.joined.size:
-            return jnp.zeros((0, place.size))
-        return jax.jacrev(lambda place: self.violation(time, place))(place)
+    def jacobian(self, time: Scalar, position: Array) -> Float[Array, "entries free"]:
+        """Compute the derivatives of the violation by the free degrees of freedom."""
+        if not self.constraints.size:
+            return jnp.zeros((0, position.size))
+        return jax.jacrev(lambda position: self.violation(time, position))(position)
 
-    def applied(
-        self, time: Scalar, displacements: Poses
-    ) -> tuple[Wrenches, Wrenches, tuple[int, ...]]:
-        """What loads apply, its derivatives by each body's angle, and the loaded ones."""
+    def load_set(self, time: Scalar) -> LoadSet:
+        """Gather the loads at a time."""
         loads = self.loads(time) if callable(self.loads) else self.loads
-        bodies = loaded_bodies(self.mechanism, loads)
-        acting = LoadSet.of(loads, bodies, self.mechanism.reference)
-        return *acting.apply(displacements), bodies
+        loaded_bodies(self.mechanism, loads)
+        return LoadSet.of(loads, self.mechanism.names, self.mechanism.reference)
 
-    def _placed(self, free: Array, given: Array) -> Poses:
-        fixed = np.ones(self.inertia.size)
-        fixed[list(self.places.free + self.places.driven)] = 0.0
-        return self._whole(free, given) + (fixed * self.still).reshape(-1, 3)
-
-    def _whole(self, free: Array, given: Array) -> Poses:
-        """Values of the free and of the driven coordinates, and zero for the held."""
-        known = (*self.places.free, *self.places.driven)
-        source = np.full(self.inertia.size, len(known))
-        source[list(known)] = np.arange(len(known))
-        return jnp.concatenate([free, given, jnp.zeros(1)])[source].reshape(-1, 3)
+    def _displacements(self, position: Array, targets: Array) -> Poses:
+        """Arrange displacements by bodies; fixed ones stay where they started."""
+        return self.dofs.expand(position, targets) + self.dofs.fixed_part(self.start)
 
 
-def _rates(time: Any, state: State, system: System) -> State:
-    place, rate, work = state
-    now = system.instant(time, place, rate)
+def _derivative(time: Any, state: State, system: MotionSystem) -> State:
+    """Time derivative of a state."""
+    position, rate, work = state
+    now = system.instant(time, position, rate)
     return State(rate, now.acceleration, now.powers if work.size else work)
 
 
-equation = dfx.ODETerm(_rates)
+equation = dfx.ODETerm(_derivative)

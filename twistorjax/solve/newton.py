@@ -1,23 +1,33 @@
-"""Newton's method along a growing load, and the derivatives of where it ends."""
+"""Newton's method in load increments, and the derivatives of its solution."""
 
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
 from .._utils.types import Poses, Scalar
-from .static_system import Problem
+from .system import System
 
 
-RUNNING, CONVERGED, NOT_FINITE, LOOSE, STUCK, USED_UP = range(6)
+RUNNING, CONVERGED, NOT_FINITE, UNSTABLE, STUCK, USED_UP = range(6)
 
 
-class Settled(NamedTuple):
-    """Where Newton's method ended, and how."""
+class NewtonSolution(NamedTuple):
+    """The last equilibrium that Newton's method found, and why it stopped there.
+
+    Args:
+        displacements: Displacement of each body from its reference pose; rad, m, m.
+        push: Constraint force of each constraint entry; N m, N.
+        fraction: Fraction of the loads and prescribed displacements.
+        steps: Number of Newton steps.
+        status: Reason why the iteration stopped: one of the constants above.
+    """
 
     displacements: Poses
+    push: Float[Array, " entries"]
     fraction: Scalar
     steps: Int[Array, ""]
     status: Int[Array, ""]
@@ -27,243 +37,316 @@ class Settled(NamedTuple):
 # fold may then lie between its two ends. The theorem of Newton and Kantorovich excludes
 # one if h, the first correction times the relative curvature of the equations, is at most
 # 1/2; the second correction is then at most h / (2 (1 - h)) of the first (Deuflhard,
-# Newton Methods for Nonlinear Problems, 2011, sections 2.1 and 5.1). The factor stands
-# for an h of 0.41.
+# Newton Methods for Nonlinear Problems, 2011, sections 2.1 and 5.1). The factor
+# corresponds to h = 0.41.
 _LARGEST_CONTRACTION = 0.35
-# The same if the response to the increment, by the tangents at its two ends, differs by
-# more. This measures h as well, and excludes that a correction is small because it leads
-# to another branch by chance: there the stiffness is another one.
+# An increment is also rejected if the responses to it by the tangents at its two ends
+# differ by more. This measures h as well. It excludes corrections that are small because
+# they lead to another branch by chance, where the stiffness is different.
 _LARGEST_DIFFERENCE = 0.4
-# The share of both bounds at which the length of the next increment aims.
+# The length of the next increment aims at this share of both bounds.
 _GOOD_SHARE = 0.6
 # Corrections below this share of the first one are too small to lead to another branch.
 _SMALL_CORRECTION = 1e-6
-# Corrections below this share of the displacements may consist of rounding errors alone.
+# Corrections below this share of the displacements may consist of rounding errors.
 _ROUNDING = 1e-12
-_LARGEST_TURN = 1.0  # of a body in one increment; rad
-_STEPS_EACH = 12
-_LEAST_STEP = 1e-7  # of the whole load
-_LEAST_SHARE = 1e-5  # of the fraction that has been reached
+_LARGEST_ROTATION = 1.0  # of a body in one increment; rad
+_LARGEST_VIOLATION = 1e-10  # of a constraint; rad, and lengths of the mechanism
+_STEPS_PER_INCREMENT = 12
+_SMALLEST_INCREMENT = 1e-7  # of the whole load
+_SMALLEST_SHARE = 1e-5  # of the fraction that has been reached
 
 
-def settle(
-    problem: Problem, start: Poses, tolerance: ScalarLike, max_steps: ScalarLike
-) -> Settled:
-    """Follow the equilibrium from `start` to the full loads and drives.
+class _State(NamedTuple):
+    """State of the iteration.
+
+    An unknown vector has the displacements of the free degrees of freedom, then the
+    constraint forces.
+
+    Args:
+        displacements: Displacements at the current iterate.
+        push: Constraint forces at the current iterate.
+        predicted: Generalized stress of the hinges that the last step predicted.
+        converged: The first three at the last fraction that converged.
+        fraction: Last fraction that converged.
+        increment: Increment of the fraction that is being tried.
+        tries: Newton steps in this increment.
+        changes: Energy change of the last step, for each unknown.
+        scale: Energy change of the first step of this increment.
+        first: Length of the first correction of this increment.
+        last: Length of the last correction.
+        imbalance: Residual at the start of this increment, with the opposite sign.
+        response: Response to this imbalance and to the prescribed displacements, by the
+            tangent at the start of the increment.
+        nonlinearity: Largest share of the bounds on increments that was observed.
+        steps: Newton steps in total.
+        status: Reason to stop, or `RUNNING`.
+    """
+
+    displacements: Poses
+    push: Array
+    predicted: Array
+    converged: tuple[Poses, Array, Array]
+    fraction: Scalar
+    increment: Scalar
+    tries: Int[Array, ""]
+    changes: Array
+    scale: Scalar
+    first: Scalar
+    last: Scalar
+    imbalance: Array
+    response: Array
+    nonlinearity: Scalar
+    steps: Int[Array, ""]
+    status: Int[Array, ""]
+
+
+def solve_in_increments(
+    system: System, start: Poses, tolerance: ScalarLike, max_steps: ScalarLike
+) -> NewtonSolution:
+    """Follow the equilibrium from `start` to the full loads and prescribed displacements.
 
     Newton's method is applied to a growing fraction of them. The first increment is the
     whole. An increment is accepted only if Newton's corrections contract quickly and the
     tangents at its two ends agree, so that there is no fold between them; otherwise it is
-    shortened. Both are measured over the whole mechanism: a part that hardly moves beside
-    the rest may pass a fold of its own, and so may a symmetric path a bifurcation. The
-    forces that hold
-    the mechanism at `start` fade as the fraction grows: none in the reference
-    configuration, the loads of another equilibrium otherwise. Driven coordinates move in
-    the first Newton step of each increment, together with the first answer of the free
-    ones.
+    shortened. Both criteria are measured over the whole mechanism: a part whose
+    displacements are small beside those of the rest may pass a fold of its own, and a
+    symmetric path may pass a bifurcation. The forces that hold the mechanism at `start`
+    decrease in proportion as the fraction grows: none in the reference configuration, the
+    loads of another equilibrium otherwise. So does a violation of constraints at `start`.
+    Prescribed degrees of freedom move in the first Newton step of each increment,
+    together with the first response of the free ones.
 
     Convergence is measured by the energy that a Newton step changes, relative to the
     energy at work in the hinges. The observed convergence rate predicts the next error,
-    which saves the last step. Contraction is measured in displacements: angles, and
-    translations divided by the length of a lever of the mechanism. In the energy a stiff
-    hinge that is stretched for one step would outweigh all others.
+    which saves the last step. Contraction is measured in displacements: rotations, and
+    translations divided by a length of the mechanism. In the energy, a stiff hinge that
+    is stretched during one step would outweigh all others.
+
+    Args:
+        system: The equations.
+        start: Displacements at which the iteration starts; rad, m, m.
+        tolerance: Relative tolerance on the square root of the Newton energy decrement.
+        max_steps: Largest number of Newton steps in total.
+
+    Returns:
+        The last equilibrium that was found.
     """
-    rows = problem.free
-    begin = start.reshape(-1)[problem.driven]
-    holding = problem.hinge_assembly.forces(start).reshape(-1)[rows]
-    unit = _units(problem)
+    rows, count = system.free, len(system.free)
+    entries = system.constraints.size
+    begin = start.reshape(-1)[system.prescribed]
+    no_push = jnp.zeros(entries)
+    held = jnp.concatenate(
+        [system.hinges.forces(start).reshape(-1)[rows], system.violation(start)]
+    )
+    unit = system.units()
     unit_of_free = unit[rows % 3]
+    unit_of_entries = jnp.ones(0)
+    if entries:
+        jacobian = system.jacobian(start)[:, rows] * unit_of_free[None]
+        size = jnp.linalg.norm(jacobian, axis=1)
+        unit_of_entries = jnp.where(size > 0, size, 1.0)
 
-    class State(NamedTuple):
-        now: Poses
-        borne: Array  # by the hinges there, as the last step foresaw it
-        done: Poses  # at the last fraction that converged
-        done_borne: Array
-        fraction: Scalar  # that converged
-        stride: Scalar  # beyond it
-        tries: Int[Array, ""]  # Newton steps in this stride
-        changes: Float[Array, " free"]  # energy of the last step, by coordinate
-        scale: Scalar  # energy of the first step of this stride
-        first: Scalar  # length of the first correction of this stride
-        last: Scalar  # length of the last correction
-        lacking: Float[Array, " free"]  # forces at the start of this stride
-        response: Float[
-            Array, " free"
-        ]  # to them and the drives, by the tangent at its start
-        curving: Scalar  # how much of the bounds for an increment it takes
-        steps: Int[Array, ""]
-        status: Int[Array, ""]
-
-    def advance(state: State) -> State:
-        goal = state.fraction + state.stride
-        residual, slope, work = problem.tangent(state.now, goal, state.borne)
-        flat = state.now.reshape(-1)
-        given = begin + goal * (problem.targets - begin)
-        move = given - flat[problem.driven]
-        residual = residual[rows] - (1 - goal) * holding
-        right = -(residual + slope.push(move))
-        factors = slope.factors(problem.symmetric)
-        first = state.tries == 0
-        lacking = jnp.where(first, -residual, state.lacking)
-        pushed = lacking - slope.push(state.stride * (problem.targets - begin))
-        step, response = jax.vmap(factors.solve)(jnp.stack([right, pushed]))
-        now = problem.place(
-            problem.place(state.now, free=flat[rows] + step), driven=given
+    def advance(state: _State) -> _State:
+        """Take one Newton step, and decide on the increment."""
+        goal = state.fraction + state.increment
+        residual, tangent, work = system.tangent(
+            state.displacements, goal, state.predicted, state.push
         )
+        flat = state.displacements.reshape(-1)
+        given = begin + goal * (system.targets - begin)
+        move = given - flat[system.prescribed]
+        residual = jnp.concatenate(
+            [residual[rows], system.violation(state.displacements)]
+        )
+        residual = residual - (1 - goal) * held
+        right = -(residual + tangent.push(move))
+        factors = tangent.factors(system.loads.conservative)
+        first = state.tries == 0
+        imbalance = jnp.where(first, -residual, state.imbalance)
+        forcing = imbalance - tangent.push(state.increment * (system.targets - begin))
+        step, response = jax.vmap(factors.solve)(jnp.stack([right, forcing]))
+        displacements = system.place(
+            state.displacements, free=flat[rows] + step[:count], prescribed=given
+        )
+        push = state.push - step[count:]
 
-        def tension(displacements: Poses) -> Float[Array, "3 hinges"]:
-            return problem.hinge_assembly.tension(displacements, state.borne)
+        def stress(at: Poses) -> Float[Array, "3 hinges"]:
+            return system.hinges.generalized_stress(at, state.predicted)
 
-        foreseen = sum(jax.jvp(tension, (state.now,), (now - state.now,)))
+        change = displacements - state.displacements
+        predicted = sum(jax.jvp(stress, (state.displacements,), (change,)))
 
         changes = jnp.abs(step * right)
-        change = jnp.sum(changes)
-        scale = jnp.where(first, change, state.scale)
-        # each coordinate by itself: a soft one converges beside stiff ones that have
+        energy = jnp.sum(changes)
+        scale = jnp.where(first, energy, state.scale)
+        # Each unknown has its own rate: a soft one converges beside stiff ones that have
+        # converged already.
         shares = jnp.where(first, 1.0, changes / state.changes)
-        fast = shares < 0.0625  # the root of which is that of the errors
+        fast = shares < 0.0625  # the square of the ratio of errors
         saved = shares / (1 - jnp.sqrt(jnp.where(fast, shares, 0.0))) ** 2
-        measure = jnp.maximum(scale, work)  # NaN only beside a change that is too
+        measure = jnp.maximum(scale, work)  # NaN only beside an energy that is NaN
         left = jnp.sum(jnp.where(fast, changes * saved, changes))
         expected = jnp.sqrt(left / jnp.where(measure > 0, measure, 1.0))
-        turned = jnp.max(jnp.abs(now - state.done)[:, 0], initial=0.0)
+
+        rotation = jnp.max(jnp.abs(displacements - state.converged[0])[:, 0], initial=0.0)
         resists = factors.resists()
-        length = jnp.sqrt(jnp.sum(((now - state.now) / unit[None]) ** 2))
+        length = jnp.sqrt(jnp.sum((change / unit[None]) ** 2))
         longest = jnp.where(first, length, state.first)
         ratio = jnp.where(first, 0.0, length / state.last)
-        size = jnp.sqrt(jnp.sum((now / unit[None]) ** 2))
-        rounded = length <= _ROUNDING * size
+        distance = jnp.sqrt(jnp.sum((displacements / unit[None]) ** 2))
+        rounded = length <= _ROUNDING * distance
         small = rounded | (length <= _SMALL_CORRECTION * longest)
         share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
         before = jnp.where(first, response, state.response)
-        apart = jnp.sqrt(jnp.sum(((response - before) / unit_of_free) ** 2))
-        apart /= jnp.where(longest > 0, longest, 1.0)
-        share = jnp.maximum(share, apart / _LARGEST_DIFFERENCE)
-        curving = jnp.where(first, 0.0, jnp.maximum(share, state.curving))
+        difference = (response - before)[:count] / unit_of_free
+        difference = jnp.sqrt(jnp.sum(difference**2))
+        difference /= jnp.where(longest > 0, longest, 1.0)
+        share = jnp.maximum(share, difference / _LARGEST_DIFFERENCE)
+        nonlinearity = jnp.where(first, 0.0, jnp.maximum(share, state.nonlinearity))
         contracts = share <= 1
-        sane = resists & jnp.isfinite(change) & (turned <= _LARGEST_TURN) & contracts
-        # a step that drives saw only the slope of the way they take
-        seen = ~first | jnp.all(move == 0)
-        # increments on the way are followed less closely than the last one
+        sane = resists & jnp.isfinite(energy) & (rotation <= _LARGEST_ROTATION)
+        sane &= contracts
+        # The first step of an increment with prescribed displacements used only the
+        # tangent before them.
+        settled = ~first | jnp.all(move == 0)
+        # Intermediate increments are solved less accurately than the last one.
         enough = jnp.where(goal < 1, jnp.sqrt(tolerance), tolerance)
-        # rounding errors, which no longer contract, of a mechanism of many bodies
+        # Rounding errors of a mechanism of many bodies do not contract any more.
         rounded &= ratio > _LARGEST_CONTRACTION
         rounded &= expected <= jnp.sqrt(jnp.finfo(float).eps)
-        converged = sane & seen & ((expected <= enough) | rounded)
+        converged = sane & settled & ((expected <= enough) | rounded)
+        if entries:
+            violation = system.violation(displacements) - (1 - goal) * held[count:]
+            converged &= jnp.all(
+                jnp.abs(violation) <= _LARGEST_VIOLATION * unit_of_entries
+            )
 
-        finite = slope.finite() & jnp.all(jnp.isfinite(right))
-        cut = ~converged & (~sane | (state.tries + 1 >= _STEPS_EACH))
-        # both are proportional to the increment
-        change_of_stride = _GOOD_SHARE / jnp.where(curving > 0, curving, 1.0)
-        shorter = jnp.where(contracts, 0.25, jnp.clip(change_of_stride, 0.1, 0.5))
-        stride = jnp.where(cut, shorter * state.stride, state.stride)
-        least = jnp.maximum(_LEAST_STEP, _LEAST_SHARE * state.fraction)
+        finite = tangent.finite() & jnp.all(jnp.isfinite(right))
+        cut = ~converged & (~sane | (state.tries + 1 >= _STEPS_PER_INCREMENT))
+        # Both criteria are proportional to the increment.
+        factor = _GOOD_SHARE / jnp.where(nonlinearity > 0, nonlinearity, 1.0)
+        shorter = jnp.where(contracts, 0.25, jnp.clip(factor, 0.1, 0.5))
+        increment = jnp.where(cut, shorter * state.increment, state.increment)
+        smallest = jnp.maximum(_SMALLEST_INCREMENT, _SMALLEST_SHARE * state.fraction)
         steps = state.steps + 1
         status = jnp.select(
             [
                 (state.steps == 0) & ~finite,
                 converged & (goal >= 1),
-                # hardly loaded, it is the mechanism itself that does not resist
-                (stride < least) & (state.fraction == 0) & first & ~resists,
-                stride < least,
+                # Almost without load, the mechanism itself has no stiffness.
+                (increment < smallest) & (state.fraction == 0) & first & ~resists,
+                increment < smallest,
                 steps >= max_steps,
             ],
-            [NOT_FINITE, CONVERGED, LOOSE, STUCK, USED_UP],
+            [NOT_FINITE, CONVERGED, UNSTABLE, STUCK, USED_UP],
             RUNNING,
         )
         fraction = jnp.where(converged, goal, state.fraction)
         left = 1 - fraction
-        longer = jnp.where(curving > 0, jnp.clip(change_of_stride, 0.5, 4.0), 4.0)
-        # no last stride so short that only rounding is left of it
-        grown = jnp.where(1.05 * longer * stride > left, left, longer * stride)
-        return State(
-            now=jnp.where(cut, state.done, now),
-            borne=jnp.where(cut, state.done_borne, foreseen),
-            done=jnp.where(converged, now, state.done),
-            done_borne=jnp.where(converged, foreseen, state.done_borne),
+        longer = jnp.where(nonlinearity > 0, jnp.clip(factor, 0.5, 4.0), 4.0)
+        # The last increment is not so short that it consists of rounding.
+        grown = jnp.where(1.05 * longer * increment > left, left, longer * increment)
+        current = displacements, push, predicted
+        kept = [
+            jnp.where(converged, value, old)
+            for value, old in zip(current, state.converged, strict=True)
+        ]
+        current = [
+            jnp.where(cut, old, value)
+            for value, old in zip(current, state.converged, strict=True)
+        ]
+        return _State(
+            *current,
+            converged=(kept[0], kept[1], kept[2]),
             fraction=fraction,
-            stride=jnp.where(converged, grown, stride),
+            increment=jnp.where(converged, grown, increment),
             tries=jnp.where(converged | cut, 0, state.tries + 1),
             changes=changes,
             scale=scale,
             first=longest,
             last=length,
-            lacking=lacking,
+            imbalance=imbalance,
             response=before,
-            curving=jnp.where(converged | cut, 0.0, curving),
+            nonlinearity=jnp.where(converged | cut, 0.0, nonlinearity),
             steps=steps,
             status=status,
         )
 
     zero, none = jnp.zeros(()), jnp.zeros((), int)
-    nothing = jnp.zeros(len(problem.free))
-    borne = problem.hinge_assembly.tension(start)
-    state = State(
-        now=start,
-        borne=borne,
-        done=start,
-        done_borne=borne,
+    unknowns = jnp.zeros(count + entries)
+    predicted = system.hinges.generalized_stress(start)
+    state = _State(
+        displacements=start,
+        push=no_push,
+        predicted=predicted,
+        converged=(start, no_push, predicted),
         fraction=zero,
-        stride=zero + 1,
+        increment=zero + 1,
         tries=none,
-        changes=nothing,
+        changes=unknowns,
         scale=zero,
         first=zero,
         last=zero,
-        lacking=nothing,
-        response=nothing,
-        curving=zero,
+        imbalance=unknowns,
+        response=unknowns,
+        nonlinearity=zero,
         steps=none,
         status=none,
     )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
-    return Settled(state.done, state.fraction, state.steps, state.status)
-
-
-def _units(problem: Problem) -> Float[Array, "3"]:
-    """The units of a body's displacement: 1 rad, and the length of a lever; rad, m, m."""
-    lever = problem.hinge_assembly.lever(problem.places.free)
-    lever = jnp.where(lever > 0, lever, 1.0)
-    return jnp.stack([jnp.ones_like(lever), lever, lever])
+    return NewtonSolution(*state.converged[:2], state.fraction, state.steps, state.status)
 
 
 @jax.custom_jvp
-def follow(
-    problem: Problem,
-    root: Float[Array, " free"],
-    reference: Poses,
-    found: Bool[Array, ""],
-) -> Array:
-    """The free coordinates at equilibrium, as a function of the problem.
+def differentiable_root(
+    system: System, root: Array, start: Poses, found: Bool[Array, ""]
+) -> Float[Array, " unknowns"]:
+    """Return the solution of a system, with derivatives by the system.
 
-    `root` is where they are, found beforehand, and `reference` where the held ones are. The
-    derivative is that of the equilibrium itself, by the implicit function theorem, not of
-    Newton's way to it; being written with `follow` again, it has derivatives of every
-    order. Where no equilibrium was found it is zero, not NaN, which a sum over a batch
-    could not mask.
+    The derivative is that of the equilibrium, by the implicit function theorem. It calls
+    this function again, so it has derivatives of every order. Where no equilibrium was
+    found it is zero and not NaN, which a sum over a batch could not mask. optimistix's
+    `implicit_jvp` would differentiate the residual for the matrix, which takes several
+    times as long to compile as the assembled tangent.
+
+    Args:
+        system: The equations.
+        root: Displacements of the free degrees of freedom, then constraint forces, found
+            beforehand.
+        start: Displacements that the fixed degrees of freedom keep; rad, m, m.
+        found: Whether `root` is a solution.
+
+    Returns:
+        The root.
     """
-    del problem, reference, found
+    del system, start, found
     return root
 
 
-@follow.defjvp
+@differentiable_root.defjvp
 def _(primals, tangents):
-    problem, root, reference, found = primals
+    system, root, start, found = primals
     change, _, moved, _ = tangents
-    free = follow(problem, root, reference, found)
+    root = differentiable_root(system, root, start, found)
+    count = len(system.free)
 
-    def unbalanced(problem: Problem, reference: Poses):
-        displacements = problem.place(reference, free=free, driven=problem.targets)
-        return problem.residual(displacements)[problem.free]
+    def residual(system: System, start: Poses) -> Array:
+        free, push = root[:count], root[count:]
+        displacements = system.place(start, free=free, prescribed=system.targets)
+        forces = system.residual(displacements, push)[system.free]
+        return jnp.concatenate([forces, system.violation(displacements)])
 
-    dynamic, static = eqx.partition(problem, eqx.is_inexact_array)
+    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
     rates = eqx.filter(change, eqx.is_inexact_array)
-    _, pull = jax.jvp(
-        lambda dynamic, reference: unbalanced(eqx.combine(dynamic, static), reference),
-        (dynamic, reference),
+    _, rate = jax.jvp(
+        lambda dynamic, start: residual(eqx.combine(dynamic, static), start),
+        (dynamic, start),
         (rates, moved),
     )
-    displacements = problem.place(reference, free=free, driven=problem.targets)
-    _, slope, _ = problem.tangent(displacements)
-    pull = jnp.where(found, pull, 0.0)
-    return free, -slope.where(found).factors(problem.symmetric).solve(pull)
+    displacements = system.place(start, free=root[:count], prescribed=system.targets)
+    _, tangent, _ = system.tangent(displacements, push=root[count:])
+    rate = jnp.where(found, rate, 0.0)
+    step = tangent.where(found).factors(system.loads.conservative).solve(rate)
+    sign = jnp.where(np.arange(root.size) < count, -1.0, 1.0)
+    return root, sign * step

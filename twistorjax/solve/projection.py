@@ -6,7 +6,7 @@ import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 
-from .motion_system import State, System
+from .motion_system import MotionSystem, State
 
 
 class Projected(dfx.AbstractWrappedSolver):
@@ -59,7 +59,7 @@ class Projected(dfx.AbstractWrappedSolver):
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
 
-    def step(self, terms, t0, t1, y0: State, args: System, solver_state, made_jump):
+    def step(self, terms, t0, t1, y0: State, args: MotionSystem, solver_state, made_jump):
         # What a step leaves to the next belongs to its end before the projection, which
         # is a jump in the sense of diffrax.
         del made_jump
@@ -67,6 +67,6 @@ class Projected(dfx.AbstractWrappedSolver):
             terms, t0, t1, y0, args, solver_state, True
         )
         time = jnp.asarray(t1)
-        place, rate = args.project(time, end.place, end.rate)
-        end = eqx.tree_at(lambda end: (end.place, end.rate), end, (place, rate))
+        position, rate = args.project(time, end.position, end.rate)
+        end = eqx.tree_at(lambda end: (end.position, end.rate), end, (position, rate))
         return end, error, dense, solver_state, result

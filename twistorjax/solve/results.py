@@ -1,4 +1,4 @@
-"""How a solve ended, and what all answers share."""
+"""How a solve ended, and what all solutions have in common."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -10,94 +10,99 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from .._utils.validation import concrete
-from .tables import Columns, columns, Tabular
+from .tables import Column, Columns, columns, Tabular
 
 
 class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
-    """Why a solve stopped. The text is empty where it succeeded.
+    """Reasons why a solve ended. The message of `successful` is empty.
 
-    For equilibria one of `successful`, `not_finite`, `unstable`, `no_equilibrium`,
-    `steps_used_up` and `out_of_range`; for motions `successful`, `event_occurred`,
-    `max_steps_reached`, `not_finite`, `out_of_range`, `step_too_long`, and what is wrong
-    with their start; for fits `successful`, `not_converged` and
-    `no_solution_at_start`. `RESULTS[item]` is its text. Extends the results of diffrax, so
-    that one enumeration serves both.
+    Equilibria end as `successful`, `not_finite`, `unstable`, `no_equilibrium`,
+    `steps_used_up`, `inconsistent_constraints`, or `out_of_range`. Motions end as
+    `successful`, `event_occurred`, `max_steps_reached`, `not_finite`, `out_of_range`,
+    `step_too_long`, or with a reason why they cannot start. Identifications end as
+    `successful`, `not_converged`, or `no_solution_at_start`. `RESULTS[item]` is the
+    message. The enumeration extends that of diffrax.
     """
 
     successful = ""
     not_finite = (
-        "A value of the mechanism, its loads or its drives is not finite: a NaN came in, "
-        "or a dimension of a hinge lies outside the range of its formula."
+        "A value of the mechanism, its loads or its drives is not finite: a NaN was "
+        "given, or a dimension of a hinge lies outside the range of its formula."
     )
     unstable = (
-        "Some body can move without storing energy, or even gives some away, so nothing "
-        "picks out where it rests. Hold it with `fixed`, drive it, add a hinge, or "
-        "stiffen one: the mechanism's `stiffness` there is singular or has a negative "
-        "eigenvalue."
+        "Some body can move without storing energy, or even releases energy, so the "
+        "equilibrium is not determined or not stable. Hold the body with `fixed`, "
+        "prescribe its displacement, add a hinge, or stiffen one: the `stiffness` of the "
+        "mechanism there is singular or has a negative eigenvalue."
     )
     no_equilibrium = (
-        "No equilibrium was found that continues the one at rest up to the full loads "
-        "and drives. `fraction` tells how much of them was reached: there the mechanism "
-        "may buckle or snap, or a hinge be displaced beyond what its energy allows. Take "
-        "smaller loads, drive the motion instead of loading it, or, where a symmetric "
-        "mechanism may give way to either side, choose one by a small load."
+        "No equilibrium was found that is connected to the start up to the full loads "
+        "and drives. `fraction` is the part of them that was reached: there the "
+        "mechanism may buckle or snap through, or a hinge may leave the range of its "
+        "energy. Take smaller loads, prescribe a displacement instead of the load, or, if "
+        "a symmetric mechanism may buckle to either side, choose one by a small load."
     )
     steps_used_up = (
-        "The largest number of Newton steps was reached. `fraction` tells how much of "
-        "the loads and drives was; raise `max_steps`, or start nearer with `start`."
+        "The largest number of Newton steps was reached. `fraction` is the part of the "
+        "loads and drives that was reached; raise `max_steps`, or start closer with "
+        "`start`."
     )
     out_of_range = (
-        "A hinge is displaced beyond the range in which its energy is known: it is "
-        "turned further, or bears a larger force, than it was made for. Make it for a "
-        "wider range, or load the mechanism less."
+        "A hinge is displaced beyond the validity range of its energy: it rotates "
+        "further, or transmits a larger force, than the energy was made for. Make the "
+        "energy for a wider range, or load the mechanism less."
     )
 
     step_too_long = (
-        "The steps of constant length are too long for this motion: the solves of one "
-        "did not settle. Give a shorter `step`, or none, so that steps are chosen."
+        "The steps of constant length are too long for this motion: the equations of one "
+        "step did not converge. Give a shorter `step`, or none, so that the steps are "
+        "chosen by the tolerance."
     )
     times_not_increasing = (
-        "The times do not increase. Give at least two, each later than the one before."
+        "The times do not increase. Give at least two times, each later than the one "
+        "before."
     )
     drive_jumps = (
-        "At the first time a driven coordinate is not where its body starts: it would "
-        "have to jump. Let the drive begin at the start, or start where it begins."
+        "At the first time a prescribed coordinate is not where its body starts, so it "
+        "would have to jump. Start the drive at the start, or start the body at the "
+        "drive."
     )
     damping_gives_energy = (
-        "The damping of a hinge has a negative eigenvalue, so it would give energy to "
-        "the mechanism instead of taking it. Every eigenvalue must be zero or positive."
+        "The damping of a hinge has a negative eigenvalue, so it would supply energy to "
+        "the mechanism instead of dissipating it. Every eigenvalue must be zero or "
+        "positive."
     )
     inconsistent_constraints = (
         "The constraints repeat or contradict one another, or the start violates them."
     )
 
     not_converged = (
-        "The estimates have not settled within the evaluations allowed. Raise "
-        "`max_steps`, start nearer, try `restarts`, or leave out what the readings do "
-        "not determine."
+        "The estimates have not converged within the allowed evaluations. Raise "
+        "`max_steps`, start closer, try `restarts`, or leave out parameters that the "
+        "measurements do not determine."
     )
     no_solution_at_start = (
-        "At the values from which the fit starts a test has no answer. Start from values "
-        "at which every solve succeeds."
+        "At the start values of the parameters, a test has no solution. Start from "
+        "values at which every solve succeeds."
     )
 
 
 def result_names(result: RESULTS) -> np.ndarray | None:
-    """The names of results, in the shape of their batch, or nothing while traced."""
+    """Return the names of results in the shape of their batch; None while traced."""
     index = concrete(result._value)
-    return None if index is None else np.array(_NAMED[index], object)
+    return None if index is None else np.array(_BY_NUMBER[index], object)
 
 
-def count_results(noun: str, ended: np.ndarray) -> str:
-    """How many answers of a batch ended how, in a line."""
-    counts = Counter(map(str, ended.ravel()))
-    told = ", ".join(f"{count:,} {name}" for name, count in counts.items())
-    return f"{ended.size:,} {noun}, of shape {ended.shape}: {told}"
+def count_results(noun: str, names: np.ndarray) -> str:
+    """Count how many solutions of a batch ended in each way, in one line."""
+    counts = Counter(map(str, names.ravel()))
+    words = ", ".join(f"{count:,} {name}" for name, count in counts.items())
+    return f"{names.size:,} {noun}, of shape {names.shape}: {words}"
 
 
 @runtime_checkable
 class HasResult(Protocol):
-    """An answer that says how it ended."""
+    """A solution that reports how it ended."""
 
     @property
     def result(self) -> RESULTS: ...
@@ -106,76 +111,113 @@ class HasResult(Protocol):
     def succeeded(self) -> Bool[Array, "*batch"]: ...
 
 
-Answer = TypeVar("Answer", bound=HasResult)
+Solution = TypeVar("Solution", bound=HasResult)
 
 
 def raise_failed(
-    answer: Answer, failure: Callable[[str, tuple[int, ...]], Exception]
-) -> Answer:
-    """The answer, if it succeeded; otherwise the failure of its first lane is raised.
+    solution: Solution, error: Callable[[str, tuple[int, ...]], Exception]
+) -> Solution:
+    """Return a solution if it succeeded, and raise the error of the first failed one.
 
     Args:
-        answer: of a solve, or of a batch of them.
-        failure: what to raise, from the name of the outcome and the lane of the batch.
+        solution: A solution, or a batch of them.
+        error: Function that returns the error, from the name of the result and the index
+            in the batch.
+
+    Returns:
+        The solution.
     """
-    ended = result_names(answer.result)
-    if ended is None:
-        return answer.result.error_if(answer, ~answer.succeeded)
-    failed = ~np.asarray(answer.succeeded)
+    names = result_names(solution.result)
+    if names is None:
+        return solution.result.error_if(solution, ~solution.succeeded)
+    failed = ~np.asarray(solution.succeeded)
     if np.any(failed):
-        batch_index = tuple(map(int, np.unravel_index(np.argmax(failed), failed.shape)))
-        raise failure(np.asarray(ended)[batch_index], batch_index)
-    return answer
+        index = tuple(map(int, np.unravel_index(np.argmax(failed), failed.shape)))
+        raise error(np.asarray(names)[index], index)
+    return solution
 
 
-def result_message(item: str) -> str:
-    """What an outcome means, by its name."""
-    return RESULTS[getattr(RESULTS, item)]
+def result_message(name: str) -> str:
+    """Return the message of a result, by its name."""
+    return RESULTS[getattr(RESULTS, name)]
 
 
-# of the outcomes, by their numbers
+# by the numbers of the results
 RESULT_NAMES = tuple(
     sorted(RESULTS._name_to_item, key=lambda name: int(getattr(RESULTS, name)._value))
 )
-_NAMED = np.array(RESULT_NAMES, object)
+_BY_NUMBER = np.array(RESULT_NAMES, object)
+
+_WRENCH = ("moment", "N m"), ("force_x", "N"), ("force_y", "N")
+
+
+def _pose_columns(prefix: str) -> tuple[tuple[str, str], ...]:
+    """Names and units of the columns of a pose or a displacement."""
+    return (f"{prefix}angle", "rad"), (f"{prefix}x", "m"), (f"{prefix}y", "m")
 
 
 class BodySolution(Tabular):
-    """What an answer tells of each body, called by its name."""
+    """A solution with displacements and reactions of each body."""
 
     displacements: eqx.AbstractVar[Inexact[Array, "..."]]
     reactions: eqx.AbstractVar[Inexact[Array, "..."]]
+    constraint_forces: eqx.AbstractVar[Inexact[Array, "..."]]
     result: eqx.AbstractVar[RESULTS]
     names: eqx.AbstractVar[tuple[str, ...]]
+    constraint_names: eqx.AbstractVar[tuple[str, ...]]
 
     @property
     def succeeded(self) -> Bool[Array, "*batch"]:
-        """Whether this is an answer."""
+        """Whether the solve succeeded."""
         done = self.result == RESULTS.successful
         return done | (self.result == RESULTS.event_occurred)
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
-        """How far a body has moved from rest; rad, m, m."""
+        """Return the displacement of a body from its reference pose; rad, m, m."""
         return self.displacements[..., self._row(body), :]
 
     def reaction(self, body: str) -> Inexact[Array, "*batch 3"]:
-        """What a body's held and driven coordinates receive from outside; N m, N, N.
+        """Return the external wrench on fixed and prescribed coordinates of a body.
 
-        About the body's origin, in world axes.
+        About the origin of the body, in world axes; N m, N, N.
         """
         return self.reactions[..., self._row(body), :]
 
-    def _by_body(self, poses: Inexact[Array, "*batch bodies 3"], *before: str) -> Columns:
-        """Columns of where the bodies are, and of what holds them."""
-        rows, names = (*before, "body"), {"body": self.names}
-        places = ("angle", "rad"), ("x", "m"), ("y", "m")
-        wrenches = ("moment", "N m"), ("force_x", "N"), ("force_y", "N")
-        return {
-            **columns(poses, rows, *places, **names),
-            **columns(self.reactions, rows, *wrenches, **names),
+    def constraint_force(self, constraint: str) -> Inexact[Array, "*batch entries"]:
+        """Return the constraint force of each entry of a constraint; N m, N.
+
+        Raises:
+            ValueError: The mechanism has no such constraint.
+        """
+        rows = [k for k, name in enumerate(self.constraint_names) if name == constraint]
+        if not rows:
+            names = dict.fromkeys(self.constraint_names)
+            raise ValueError(
+                f"`constraint` is {constraint!r}, but the constraints are "
+                f"{', '.join(map(repr, names)) or 'none'}."
+            )
+        return self.constraint_forces[..., np.array(rows)]
+
+    def _body_columns(self, *axes: str) -> Columns:
+        """Columns of displacements, reactions, and constraint forces.
+
+        Args:
+            axes: Axes before that of the bodies.
+        """
+        rows, names = (*axes, "body"), {"body": self.names}
+        moved = _pose_columns("displacement_")
+        found = {
+            **columns(self.displacements, rows, *moved, **names),
+            **columns(self.reactions, rows, *_WRENCH, **names),
         }
+        if self.constraint_names:
+            entries = (("entry", self.constraint_names),)
+            forces = self.constraint_forces
+            found["constraint_force"] = Column(forces, (*axes, "entry"), labels=entries)
+        return found
 
     def _row(self, body: str) -> int:
+        """Return the index of a body."""
         if body not in self.names:
             raise ValueError(
                 f"`body` is {body!r}, but the bodies are "
@@ -185,23 +227,27 @@ class BodySolution(Tabular):
 
 
 class PoseSolution(BodySolution):
-    """What an answer tells that says where each body is."""
+    """A solution with the pose of each body."""
 
     reference: eqx.AbstractVar[Float[Array, "..."]]
 
     @property
     def poses(self) -> Float[Array, "*batch bodies 3"]:
-        """Where the bodies are; rad, m, m."""
+        """Poses of the bodies; rad, m, m."""
         more = self.displacements.ndim - self.reference.ndim
         shape = (*self.reference.shape[:-2], *more * (1,), *self.reference.shape[-2:])
         return self.reference.reshape(shape) + self.displacements
 
     def pose(self, body: str) -> Float[Array, "*batch 3"]:
-        """Where a body is; rad, m, m."""
+        """Return the pose of a body; rad, m, m."""
         return self.poses[..., self._row(body), :]
 
+    def _body_columns(self, *axes: str) -> Columns:
+        poses = columns(self.poses, (*axes, "body"), *_pose_columns(""), body=self.names)
+        return {**poses, **super()._body_columns(*axes)}
+
     def _listed(self, title: str, head: str, rows: np.ndarray) -> str:
-        """A line for each body, of so many that they fit on a screen."""
+        """Return a title and a line for each body, at most 20 of them."""
         wide = max(map(len, (*self.names, head)))
         lines = [f"{head:<{wide}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}"]
         for name, values in zip(self.names, rows, strict=True):

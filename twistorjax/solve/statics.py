@@ -1,20 +1,23 @@
-"""Equilibrium of a mechanism under loads and imposed motions."""
+"""Static equilibrium of a mechanism under loads and prescribed displacements."""
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
 from .._utils.types import Poses, PosesLike, Scalar, Wrenches
 from .._utils.validation import all_concrete, concrete, require_float64
+from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
-from ..mechanism.loads import Drive, driven, Load, loaded_bodies, LoadSet
+from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from . import newton
+from .consistency import constraint_error, independent
+from .dofs import DofPartition
 from .results import (
     count_results,
     PoseSolution,
@@ -23,60 +26,65 @@ from .results import (
     result_names,
     RESULTS,
 )
-from .static_system import DofPartition, Problem
+from .system import System
 from .tables import Column, Columns
 
 
 class Equilibrium(PoseSolution):
-    """Where the bodies of a mechanism rest, and what holds them there.
+    """A static equilibrium of a mechanism.
 
-    Where none was found, displacements, reactions and energy are NaN, with derivatives of
-    zero, so that a batch can be masked by `succeeded`; `reached` and `fraction` tell how
-    far it went.
+    If no equilibrium was found, displacements, reactions, constraint forces, and energy
+    are NaN and their derivatives are zero, so that a batch can be masked by `succeeded`.
+    `reached` and `fraction` report how far the load increments went.
 
     Args:
-        displacements: of each body from its rest; rad, m, m.
-        reference: the poses from which they count; rad, m, m.
-        reactions: what held and driven coordinates receive from outside; zero elsewhere.
-            About each body's origin, in world axes; N m, N, N.
-        energy: stored in the hinges; J.
-        reached: displacements under that fraction of the loads and drives; rad, m, m.
-        fraction: that was reached: 1, or less where it failed.
-        steps: of Newton's method.
-        result: how it ended: `RESULTS.successful`, or what went wrong; `result_names` gives
+        displacements: Displacement of each body from its reference pose; rad, m, m.
+        reference: Poses from which displacements are measured; rad, m, m.
+        reactions: External wrench on fixed and prescribed degrees of freedom; zero on
+            free ones. About the origin of each body, in world axes; N m, N, N.
+        constraint_forces: Constraint force of each constraint entry; N m, N.
+        energy: Energy stored in the hinges; J.
+        reached: Displacements at the fraction of loads and prescribed displacements that
+            was reached; rad, m, m.
+        fraction: Fraction that was reached: 1, or less if the solve failed.
+        steps: Number of Newton steps.
+        result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
-        names: of the bodies, for its rows.
+        names: Names of the bodies.
+        constraint_names: Name of the constraint of each constraint entry.
     """
 
     displacements: Poses
     reference: Poses
     reactions: Wrenches
+    constraint_forces: Float[Array, " entries"]
     energy: Scalar
     reached: Poses
     fraction: Scalar
     steps: Int[Array, ""]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+    constraint_names: tuple[str, ...] = eqx.field(static=True)
 
     def columns(self) -> Columns:
-        told = self._by_body(self.poses)
-        return {**told, "energy": Column(self.energy, (), "J")}
+        energy = Column(self.energy, (), "J")
+        return {**self._body_columns(), "energy": energy}
 
     def __repr__(self) -> str:
-        ended = result_names(self.result)
-        seen = all_concrete([self.reached, self.energy, self.fraction])
-        if ended is None or seen is None:
+        names = result_names(self.result)
+        values = all_concrete([self.reached, self.energy, self.fraction])
+        if names is None or values is None:
             return eqx.tree_pformat(self)
-        if ended.shape:
-            return count_results("equilibria", ended)
-        moved, energy, fraction = seen
+        if names.shape:
+            return count_results("equilibria", names)
+        displacements, energy, fraction = values
         title = (
-            f"{ended}: {100 * float(fraction):.4g} % of loads and drives, "
+            f"{names}: {100 * float(fraction):.4g} % of loads and drives, "
             f"{int(self.steps)} Newton steps"
         )
         if np.isfinite(energy):
             title += f", {float(energy):.6g} J in the hinges"
-        return self._listed(title, "body", moved)
+        return self._listed(title, "body", displacements)
 
 
 def equilibrium(
@@ -84,189 +92,222 @@ def equilibrium(
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
+    constraints: Sequence[AbstractConstraint] = (),
     start: PosesLike | Equilibrium | None = None,
+    time: ArrayLike = 0.0,
     tolerance: float = 1e-10,
     max_steps: int = 400,
     throw: bool = True,
 ) -> Equilibrium:
-    """Where a mechanism comes to rest under loads and imposed motions.
+    """Compute the static equilibrium of a mechanism under loads and drives.
 
-    Displacements may be large: where the whole load is too much for one solve it is
-    applied in steps, cut and grown as the mechanism allows, so that the answer continues
-    the state at rest. Held and driven coordinates are given exactly, and their reactions
-    returned. The answer has derivatives of every order, forward and reverse, by
-    everything that made the mechanism, its loads and its drives.
-
-    An unstable equilibrium is not an answer. Of loads that follow a body, which have no
-    potential, only the first loss of stability is seen.
+    Displacements may be large. The loads are applied in increments if one Newton solve
+    does not converge, or if a fold may lie between two increments, so the result is the
+    equilibrium that is connected to the reference configuration. Unstable equilibria are
+    rejected. The result has derivatives of every order, forward and reverse, by the
+    implicit function theorem.
 
     Args:
-        mechanism: at rest where nothing loads it.
-        loads: on its bodies.
-        drives: of coordinates that are not held.
-        start: Equilibrium, or poses, from which to begin, by default at rest. Best is an
-            equilibrium whose loads are near the new ones; rad, m, m.
-        tolerance: on the answer, relative: of the energy at work, its root.
-        max_steps: of Newton's method, altogether.
-        throw: whether a failure is raised, or only told by the answer. In a batch a
-            failure of one is raised for all; with `throw=False` the others are unharmed.
+        mechanism: The mechanism. No hinge is loaded in its reference configuration.
+        loads: Loads on its bodies.
+        drives: Prescribed displacements of degrees of freedom that are not fixed.
+        constraints: Pins, sliders, and other constraints between its bodies. Mechanisms
+            with constraints are solved with dense matrices.
+        start: Equilibrium or poses at which the iteration starts; by default the
+            reference configuration. The best start is an equilibrium whose loads are
+            close to the new ones; rad, m, m.
+        time: Time at which constraints are evaluated that depend on it; s.
+        tolerance: Relative tolerance on the square root of the Newton energy decrement.
+        max_steps: Largest number of Newton steps in total.
+        throw: Whether a failure raises an error. In a batch, a failure of one design
+            raises the error for all of them; with `throw=False` the others are not
+            affected.
 
     Returns:
-        The equilibrium; NaN where there is none, with `throw=False`.
+        The equilibrium. If `throw` is False and no equilibrium was found, its arrays are
+        NaN and `result` holds the reason.
 
     Raises:
-        ValueError: double precision is off; a name is unknown; a coordinate is driven
-            twice, or driven and held; a shape is wrong; a setting makes no sense.
-        RuntimeError: no equilibrium was found; the text says why.
+        ValueError: Double precision is off, a name is unknown, a degree of freedom is
+            prescribed twice or is fixed, constraints repeat or contradict one another, a
+            shape is wrong, or a setting is invalid.
+        RuntimeError: No equilibrium was found; the message gives the reason.
 
     Source:
-        Equations 5.25 and 6.4 of the dissertation, with the multipliers eliminated.
+        Equations 5.25 and 6.4 of the dissertation without inertia.
 
     Example:
         >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])
-        >>> solution = equilibrium(mechanism, loads=[Load("block", (0.0, 5.0, 0.0))])
-        >>> solution.displacement("block"), solution.reaction("wall")
+        >>> pushed = equilibrium(mechanism, loads=[Load("block", force=(5.0, 0.0))])
+        >>> pushed.displacement("block"), pushed.reaction("wall")
         (Array([0.  , 0.05, 0.  ], dtype=float64), Array([ 0., -5.,  0.], dtype=float64))
     """
     require_float64(mechanism.reference)
-    mechanism.require_support()
+    joints = gather_constraints(mechanism, constraints)
+    mechanism.require_support(joints.bodies)
     if not 0 < tolerance < 1 or max_steps < 1:
         raise ValueError(
             f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but they "
             "must lie between 0 and 1, and be at least 1."
         )
-    bodies = loaded_bodies(mechanism, loads)
-    places, targets = driven(mechanism, drives)
-    answer = _solve(
+    loaded_bodies(mechanism, loads)
+    prescribed, targets = prescribed_dofs(mechanism, drives)
+    dofs = DofPartition.of(mechanism, prescribed)
+    begin = None
+    if start is not None:
+        begin = mechanism.displacements(start, "start", one=True)
+    solution = _solve(
         mechanism.hinge_assembly,
         mechanism.reference,
-        None if start is None else mechanism.displacements(start, "start", one=True),
+        begin,
         tuple(loads),
+        joints,
         targets,
+        time,
         tolerance,
         max_steps,
-        bodies=bodies,
-        places=DofPartition(
-            free_coordinates(len(mechanism.names), mechanism.fixed, places), places
-        ),
+        dofs=dofs,
         names=mechanism.names,
     )
-    return raised(answer, mechanism) if throw else answer
+    return raise_error(solution, mechanism, joints, dofs) if throw else solution
 
 
-def within_range(
-    mechanism: Mechanism, name: str, state: PosesLike | Equilibrium
+def state_in_range(
+    mechanism: Mechanism, name: str, state: PosesLike | Equilibrium | None
 ) -> Poses:
-    """The displacements of a state, unless a hinge is beyond its range there.
+    """Return the displacements of a state, and check the validity range of the hinges.
 
     Args:
-        mechanism: whose bodies they are.
-        name: what messages call the state.
-        state: an equilibrium, or poses; rad, m, m.
+        mechanism: The mechanism.
+        name: Name of the state in messages.
+        state: An equilibrium, or poses; by default the reference configuration; rad, m, m.
+
+    Returns:
+        The displacements; NaN if a traced state is out of range; rad, m, m.
+
+    Raises:
+        ValueError: A hinge is displaced beyond the validity range of its energy.
     """
-    moved = mechanism.displacements(state, name, one=True)
-    beyond = jnp.any(mechanism.hinge_assembly.out_of_range(moved))
-    if concrete(beyond) is None:
-        return jnp.where(beyond, jnp.nan, moved)
-    if beyond:
+    if state is None:
+        return jnp.zeros_like(mechanism.reference)
+    displacements = mechanism.displacements(state, name, one=True)
+    outside = jnp.any(mechanism.hinge_assembly.out_of_range(displacements))
+    if concrete(outside) is None:
+        return jnp.where(outside, jnp.nan, displacements)
+    if outside:
         raise ValueError(
-            f"`{name}` displaces a hinge beyond the range in which its energy is known. "
-            f"{mechanism.range_messages(mechanism.reference + moved)}"
+            f"`{name}` displaces a hinge beyond the validity range of its energy. "
+            f"{mechanism.range_messages(mechanism.reference + displacements)}"
         )
-    return moved
+    return displacements
 
 
-@lru_cache(maxsize=256)
-def free_coordinates(
-    bodies: int, fixed: tuple[int, ...], driven: tuple[int, ...]
-) -> tuple[int, ...]:
-    """The places of the coordinates that are neither held nor driven."""
-    given = {*fixed, *driven}
-    return tuple(place for place in range(3 * bodies) if place not in given)
-
-
-@partial(jax.jit, static_argnames=("bodies", "places", "names"))
+@partial(jax.jit, static_argnames=("dofs", "names"))
 def _solve(
-    hinge_assembly: HingeAssembly,
+    hinges: HingeAssembly,
     reference: Poses,
     begin: Poses | None,
     loads: tuple[Load, ...],
+    constraints: ConstraintSet,
     targets: tuple[Scalar, ...],
+    time: ScalarLike,
     tolerance: ScalarLike,
     max_steps: ScalarLike,
     *,
-    bodies: tuple[int, ...],
-    places: DofPartition,
+    dofs: DofPartition,
     names: tuple[str, ...],
 ) -> Equilibrium:
-    problem = Problem(
-        hinge_assembly,
-        LoadSet.of(loads, bodies, reference),
+    """Solve for the equilibrium; see `equilibrium`."""
+    system = System(
+        hinges,
+        LoadSet.of(loads, names, reference),
+        constraints,
         jnp.array(targets, float),
-        places,
+        jnp.asarray(time, float),
+        dofs,
     )
     begin = jnp.zeros_like(reference) if begin is None else begin
-    settled = newton.settle(
-        jax.lax.stop_gradient(problem),
-        jax.lax.stop_gradient(begin),
-        tolerance,
-        max_steps,
-    )
-    flat = settled.displacements.reshape(-1)
-    found = settled.status == newton.CONVERGED
-    free = newton.follow(problem, flat[problem.free], begin, found)
-    given = jnp.where(found, problem.targets, flat[problem.driven])
-    displacements = problem.place(begin, free=free, driven=given)
-    beyond = found & jnp.any(hinge_assembly.out_of_range(settled.displacements))
-    sure = found & ~beyond
-    fixed = jnp.ones(flat.size).at[problem.free].set(0.0)
-    reactions = (fixed * problem.residual(displacements)).reshape(reference.shape)
+    fixed_system, start = jax.lax.stop_gradient((system, begin))
+    consistent = independent(fixed_system, start)
+    solution = newton.solve_in_increments(fixed_system, start, tolerance, max_steps)
+    flat = solution.displacements.reshape(-1)
+    converged = (solution.status == newton.CONVERGED) & consistent
+    root = jnp.concatenate([flat[system.free], solution.push])
+    root = newton.differentiable_root(system, root, begin, converged)
+    free, push = root[: len(system.free)], root[len(system.free) :]
+    prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
+    displacements = system.place(begin, free=free, prescribed=prescribed)
+    outside = converged & jnp.any(hinges.out_of_range(solution.displacements))
+    valid = converged & ~outside
     result = RESULTS.successful
     for status, item in (
         (newton.NOT_FINITE, RESULTS.not_finite),
-        (newton.LOOSE, RESULTS.unstable),
+        (newton.UNSTABLE, RESULTS.unstable),
         (newton.STUCK, RESULTS.no_equilibrium),
         (newton.USED_UP, RESULTS.steps_used_up),
     ):
-        result = RESULTS.where(settled.status == status, item, result)
-    result = RESULTS.where(beyond, RESULTS.out_of_range, result)
+        result = RESULTS.where(solution.status == status, item, result)
+    failed = (solution.status != newton.NOT_FINITE) & ~consistent
+    result = RESULTS.where(failed, RESULTS.inconsistent_constraints, result)
+    result = RESULTS.where(outside, RESULTS.out_of_range, result)
     return Equilibrium(
-        displacements=jnp.where(sure, displacements, jnp.nan),
+        displacements=jnp.where(valid, displacements, jnp.nan),
         reference=reference,
-        reactions=jnp.where(sure, reactions, jnp.nan),
-        energy=jnp.where(sure, problem.hinge_assembly.energy(displacements), jnp.nan),
-        reached=settled.displacements,
-        fraction=settled.fraction,
-        steps=settled.steps,
+        reactions=jnp.where(valid, system.reactions(displacements, push), jnp.nan),
+        constraint_forces=jnp.where(valid, push, jnp.nan),
+        energy=jnp.where(valid, hinges.energy(displacements), jnp.nan),
+        reached=solution.displacements,
+        fraction=solution.fraction,
+        steps=solution.steps,
         result=result,
         names=names,
+        constraint_names=constraints.names(),
     )
 
 
-def raised(answer: Equilibrium, mechanism: Mechanism | None = None) -> Equilibrium:
-    """The answer, if it succeeded; otherwise its failure is raised.
+def raise_error(
+    solution: Equilibrium,
+    mechanism: Mechanism | None = None,
+    constraints: ConstraintSet | None = None,
+    dofs: DofPartition | None = None,
+) -> Equilibrium:
+    """Return the solution if it succeeded, and raise its error otherwise.
 
-    Given the mechanism of one answer, its text names the hinges beyond their range.
+    Args:
+        solution: An equilibrium, or a batch of them.
+        mechanism: The mechanism of one equilibrium, so that the message can name hinges
+            that are out of range.
+        constraints: Its constraints, so that the message can name those that repeat or
+            contradict one another.
+        dofs: Partition of its degrees of freedom.
+
+    Returns:
+        The solution.
     """
-    return raise_failed(answer, partial(_failure, answer, mechanism))
 
+    def error(item: str, batch_index: tuple[int, ...]) -> Exception:
+        fraction, steps = (
+            np.asarray(value)[batch_index]
+            for value in (solution.fraction, solution.steps)
+        )
+        where = ""
+        if batch_index:
+            where = f" at index {', '.join(map(str, batch_index))} of the batch"
+        text = result_message(item)
+        if mechanism is not None and not batch_index:
+            if item == "out_of_range":
+                poses = mechanism.reference + solution.reached
+                text += f" {mechanism.range_messages(poses)}"
+            if item == "inconsistent_constraints":
+                assert constraints is not None
+                assert dofs is not None
+                words = constraint_error(constraints, dofs, mechanism, solution.reached)
+                return ValueError(f"{text} {words}")
+        return RuntimeError(
+            f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
+        )
 
-def _failure(
-    answer: Equilibrium,
-    mechanism: Mechanism | None,
-    item: str,
-    batch_index: tuple[int, ...],
-) -> RuntimeError:
-    fraction, steps = (
-        np.asarray(value)[batch_index] for value in (answer.fraction, answer.steps)
-    )
-    where = (
-        f" in lane {', '.join(map(str, batch_index))} of the batch" if batch_index else ""
-    )
-    text = result_message(item)
-    if item == "out_of_range" and mechanism is not None and not batch_index:
-        text += f" {mechanism.range_messages(mechanism.reference + answer.reached)}"
-    return RuntimeError(f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})")
+    return raise_failed(solution, error)

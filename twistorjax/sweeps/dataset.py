@@ -1,4 +1,4 @@
-"""How a sweep's numbers become one dataset."""
+"""Layout of the dataset of a sweep: names, axes and units of its variables."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from ..solve.results import RESULT_NAMES
 from ..solve.tables import Column, Columns
 from .designs import Designs
-from .names import check_columns, check_storable, places_of
+from .names import check_outputs, check_storable, coordinate_names
 from .outputs import StudyOutput
 
 
@@ -18,54 +18,52 @@ if TYPE_CHECKING:
     import xarray
 
 
-# of a design that nothing is known of yet
-UNKNOWN = -1
-# what the numbers of `result` mean, as the CF conventions have it
-OUTCOMES = {
+# value of `result` for a design that has not been evaluated
+NOT_COMPUTED = -1
+# meaning of the numbers of `result`, in the form of the CF conventions
+RESULT_FLAGS = {
     "result": {
-        "flag_values": [*range(len(RESULT_NAMES)), UNKNOWN],
+        "flag_values": [*range(len(RESULT_NAMES)), NOT_COMPUTED],
         "flag_meanings": " ".join([*RESULT_NAMES, "not_computed"]),
     }
 }
 
 
 class Layout:
-    """Names, axes and units of all that a sweep keeps.
+    """Names, axes and units of all variables of a dataset.
 
     Args:
-        lanes: the designs.
-        told: of one chunk of them, as shapes.
-        units: of what does not tell its own, by name.
+        designs: Designs of the sweep.
+        output: Shapes of the outputs of one chunk of designs.
+        units: Units of parameters, and of outputs without a unit of their own, by name.
 
     Raises:
-        ValueError: a name is used twice, or not known; an answer tells another unit than
-            it is given; an axis has two lengths.
+        ValueError: A name is used twice or is unknown; a unit contradicts that of the
+            output; or an axis has two lengths.
+
+    Attributes:
+        parameters: Columns of the parameters.
+        outputs: Columns of the outputs of all designs, whose first axis is `design`.
+            Their values are shapes.
+        coordinates: Names of axes; see `coordinate_names`.
     """
 
-    def __init__(self, designs: Designs, told: StudyOutput, units: Mapping[str, str]):
+    def __init__(self, designs: Designs, output: StudyOutput, units: Mapping[str, str]):
         self.designs = designs
-        self.places = places_of(designs.names, told.columns)
-        kept = {axis: name for name, axis in self.places.items()}
-        own = {kept.get(name, name): column for name, column in told.columns.items()}
-        self._names = tuple(own)
-        check_columns(designs.names, self.grid, told.columns)
-        own |= {"succeeded": Column(told.succeeded), "result": Column(told.result)}
-        for name, unit in units.items():
-            if name in own and own[name].unit not in ("", unit):
-                raise ValueError(
-                    f"`units` gives {name!r} the unit {unit!r}, but the study tells it "
-                    f"in {own[name].unit!r}: leave it out."
-                )
-        units = {**{name: column.unit for name, column in own.items()}, **units}
-        if strange := [name for name in units if name not in (*own, *designs.names)]:
-            there = ", ".join((*designs.names, *self._names))
-            raise ValueError(f"`units` names {strange[0]!r}, but there are {there}.")
-        for whole in self._names:
-            for parameter in designs.names:
-                if (slope := f"{whole}_by_{parameter}") in own and not units[slope]:
-                    units[slope] = _ratio(units.get(whole, ""), units.get(parameter, ""))
-        self.fixed = self._parameters(units)
-        self.by_design = {
+        self.coordinates = coordinate_names(designs.names, output.columns)
+        stored = {axis: name for name, axis in self.coordinates.items()}
+        columns = {
+            stored.get(name, name): column for name, column in output.columns.items()
+        }
+        self._names = tuple(columns)
+        check_outputs(designs.names, self.grid, output.columns)
+        columns |= {
+            "succeeded": Column(output.succeeded),
+            "result": Column(output.result),
+        }
+        units = self._all_units(columns, units)
+        self.parameters = self._parameter_columns(units)
+        self.outputs = {
             name: Column(
                 jax.ShapeDtypeStruct(
                     (len(designs), *column.values.shape[1:]), column.values.dtype
@@ -74,43 +72,58 @@ class Layout:
                 units[name],
                 column.labels,
             )
-            for name, column in own.items()
+            for name, column in columns.items()
         }
-        self._check_axes()
+        self._check_lengths()
 
     def check_storable(self) -> None:
-        """Refuse names that a store cannot keep.
+        """Check that a store can hold all variables.
 
         Raises:
-            ValueError: There is one; the message names it.
+            ValueError: A store cannot hold a name; the message contains it.
         """
-        columns = (self.fixed | self.by_design).values()
+        columns = (self.parameters | self.outputs).values()
         labeled = [axis for column in columns for axis, _ in column.labels]
-        check_storable((*self.fixed, *self.by_design, *self.places.values(), *labeled))
+        axes = self.coordinates.values()
+        check_storable((*self.parameters, *self.outputs, *axes, *labeled))
 
-    def values(self, told: StudyOutput) -> dict[str, np.ndarray]:
-        """The numbers of one chunk, by name."""
-        columns = zip(self._names, told.columns.values(), strict=True)
-        values = {name: np.asarray(column.values) for name, column in columns}
-        return values | {
-            "succeeded": np.asarray(told.succeeded),
-            "result": np.asarray(told.result),
-        }
-
-    def empty(self) -> dict[str, np.ndarray]:
-        """Room for the numbers of all designs."""
-        return {
-            name: np.empty(column.values.shape, column.values.dtype)
-            for name, column in self.by_design.items()
-        }
-
-    def size(self, answers: bool) -> int:
-        """Size of the arrays of the table; bytes.
+    def values(self, output: StudyOutput) -> dict[str, np.ndarray]:
+        """Name the values of one chunk of designs.
 
         Args:
-            answers: Whether answers are counted, or parameters alone.
+            output: Outputs of the chunk.
+
+        Returns:
+            The values, by the name of their variable.
         """
-        columns = self.fixed | (self.by_design if answers else {})
+        columns = zip(self._names, output.columns.values(), strict=True)
+        values = {name: np.asarray(column.values) for name, column in columns}
+        return values | {
+            "succeeded": np.asarray(output.succeeded),
+            "result": np.asarray(output.result),
+        }
+
+    def allocate(self) -> dict[str, np.ndarray]:
+        """Allocate arrays for the outputs of all designs.
+
+        Returns:
+            The arrays, which are not initialized, by the name of their variable.
+        """
+        return {
+            name: np.empty(column.values.shape, column.values.dtype)
+            for name, column in self.outputs.items()
+        }
+
+    def memory_size(self, outputs: bool) -> int:
+        """Compute the size of the arrays of the dataset.
+
+        Args:
+            outputs: Whether outputs are included, or parameters only.
+
+        Returns:
+            The size; bytes.
+        """
+        columns = self.parameters | (self.outputs if outputs else {})
         return sum(
             math.prod(column.values.shape) * np.dtype(column.values.dtype).itemsize
             for column in columns.values()
@@ -118,70 +131,110 @@ class Layout:
 
     @property
     def grid(self) -> tuple[str, ...]:
-        """The parameters whose combinations the designs are, if they are those."""
+        """Names of the parameters of a grid; empty if the designs are not a grid."""
         return () if self.designs.dims == ("design",) else self.designs.dims
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """What the parameters are: coordinates."""
+        """Attributes of a store, by which xarray reads the parameters as coordinates."""
         return {"coordinates": " ".join(self.designs.names)} if not self.grid else {}
 
-    def _parameters(self, units: Mapping[str, str]) -> Columns:
-        designs, told = self.designs, {}
-        for name, array in zip(designs.names, designs.arrays, strict=True):
+    def _all_units(self, columns: Columns, units: Mapping[str, str]) -> dict[str, str]:
+        """Combine the units of the outputs, those of the user, and those of derivatives.
+
+        Args:
+            columns: Columns of the outputs, by name.
+            units: Units that the user specifies, by name.
+
+        Returns:
+            The unit of each output, and of the parameters that have one; an empty string
+            if a unit is unknown.
+        """
+        for name, unit in units.items():
+            if name in columns and columns[name].unit not in ("", unit):
+                raise ValueError(
+                    f"`units` has the unit {unit!r} for {name!r}, but the study returns "
+                    f"it in {columns[name].unit!r}. Remove it from `units`."
+                )
+        combined = {**{name: column.unit for name, column in columns.items()}, **units}
+        for name in combined:
+            if name not in (*columns, *self.designs.names):
+                known = ", ".join((*self.designs.names, *self._names))
+                raise ValueError(
+                    f"`units` names {name!r}, but the parameters and outputs are {known}."
+                )
+        for name in self._names:
+            for parameter in self.designs.names:
+                derivative = f"{name}_by_{parameter}"
+                if derivative in columns and not combined[derivative]:
+                    combined[derivative] = _derivative_unit(
+                        combined.get(name, ""), combined.get(parameter, "")
+                    )
+        return combined
+
+    def _parameter_columns(self, units: Mapping[str, str]) -> Columns:
+        """Create the columns of the parameters, with their units."""
+        columns = {}
+        for name, array in zip(self.designs.names, self.designs.arrays, strict=True):
             axes = ("design", *(f"{name}_{k}" for k in range(array.ndim - 1)))
             if self.grid:
                 axes = (name,)
-            told[name] = Column(array, axes, units.get(name, ""))
-        return told
+            columns[name] = Column(array, axes, units.get(name, ""))
+        return columns
 
-    def _check_axes(self) -> None:
+    def _check_lengths(self) -> None:
+        """Check that each axis has the same length in all variables."""
         lengths: dict[str, int] = {}
-        for name, column in (self.by_design | self.fixed).items():
+        for name, column in (self.outputs | self.parameters).items():
             for axis, length in zip(column.axes, column.values.shape, strict=True):
                 if lengths.setdefault(axis, length) != length:
                     raise ValueError(
-                        f"{name!r} has {length} entries along {axis!r}, where another "
-                        f"has {lengths[axis]}: give one of them axes of other names."
+                        f"{name!r} has {length} entries along {axis!r}, but another "
+                        f"variable has {lengths[axis]}. Rename the axis of one of them."
                     )
 
 
-def finished(
-    table: "xarray.Dataset", grid: Sequence[str], named_places: Mapping[str, str]
+def finish_dataset(
+    table: "xarray.Dataset", grid: Sequence[str], coordinates: Mapping[str, str]
 ) -> "xarray.Dataset":
-    """The table of a sweep, from one that has all designs in a row.
+    """Give the dataset of a sweep its final axes and coordinates.
 
     Args:
-        table: over `design`.
-        grid: parameters of which the designs are all combinations; none where they are
-            no grid.
-        named_places: The names of axes, by the names of their values for each design.
+        table: Dataset in which all outputs have the axis `design`.
+        grid: Names of the parameters of a grid; empty if the designs are not a grid.
+        coordinates: Names of axes; see `coordinate_names`.
+
+    Returns:
+        A dataset in which values along an axis that are the same for all designs are
+        coordinates, and in which the parameters of a grid are axes.
     """
-    for name, plain in named_places.items():
-        known = np.asarray(table["result"]) != UNKNOWN
-        places = table[name] if known.all() else table[name][known]
-        if not known.any():
+    for name, axis in coordinates.items():
+        computed = np.asarray(table["result"]) != NOT_COMPUTED
+        values = table[name] if computed.all() else table[name][computed]
+        if not computed.any():
             continue
-        one = places[0].drop_vars(places.coords)
-        if np.array_equal(places, np.broadcast_to(one, places.shape), equal_nan=True):
-            table = table.drop_vars(name).assign_coords({plain: one})
+        first = values[0].drop_vars(values.coords)
+        if np.array_equal(values, np.broadcast_to(first, values.shape), equal_nan=True):
+            table = table.drop_vars(name).assign_coords({axis: first})
     if grid:
         shape = [table.sizes[name] for name in grid]
 
-        def unrolled(variable: "xarray.DataArray") -> Any:
+        def reshape(variable: "xarray.DataArray") -> Any:
             axes = (*grid, *map(str, variable.dims[1:]))
             values = variable.values.reshape(*shape, *variable.shape[1:])
             return axes, values, variable.attrs
 
-        rows = [name for name in table.data_vars if "design" in table[name].dims]
-        table = table.assign({name: unrolled(table[name]) for name in rows})
+        names = [name for name in table.data_vars if "design" in table[name].dims]
+        table = table.assign({name: reshape(table[name]) for name in names})
     return table
 
 
-def _ratio(above: str, below: str) -> str:
-    """The unit of a slope; nothing where one is not known."""
-    if not above or not below:
+def _derivative_unit(output: str, parameter: str) -> str:
+    """Unit of the derivative of an output by a parameter; empty if one is unknown."""
+    if not output or not parameter:
         return ""
-    if below == "1":
-        return above
-    return f"{above}/({below})" if " " in below or "/" in below else f"{above}/{below}"
+    if parameter == "1":
+        return output
+    if " " in parameter or "/" in parameter:
+        return f"{output}/({parameter})"
+    return f"{output}/{parameter}"

@@ -1,4 +1,4 @@
-"""The designs of a sweep, a lane each."""
+"""Designs of a sweep: the parameter values for which a study is evaluated."""
 
 import math
 import sys
@@ -11,19 +11,19 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Num
 
 from .._utils.pytrees import path_name
-from .names import check_parameters
+from .names import check_parameter_names
 
 
 class Grid:
-    """Every combination of some values of each parameter.
+    """All combinations of given values of each parameter.
 
     Args:
-        values: of each parameter, by its name: a row of numbers. The last changes
-            fastest.
+        values: One-dimensional array of values for each parameter, by name. The last
+            parameter changes fastest.
 
     Raises:
-        ValueError: there is no parameter, or one has no row of numbers, or its name
-            cannot be that of a parameter.
+        ValueError: There is no parameter, the values of a parameter are not a
+            one-dimensional array of numbers, or a parameter has a reserved name.
 
     Example:
         >>> Grid({"length": [5e-3, 10e-3], "thickness": [0.2e-3, 0.4e-3, 0.6e-3]})
@@ -36,36 +36,41 @@ class Grid:
         self,
         values: Mapping[str, Num[ArrayLike, " values"] | Sequence[float | int]],
     ):
-        self.values = {name: _floats(np.asarray(row)) for name, row in values.items()}
+        self.values = {
+            name: _convert_integers(np.asarray(array)) for name, array in values.items()
+        }
         if not self.values:
-            raise ValueError("`values` is empty, but a grid needs a parameter.")
-        check_parameters(tuple(self.values))
-        for name, row in self.values.items():
-            if row.ndim != 1 or not row.size or not np.issubdtype(row.dtype, np.number):
+            raise ValueError(
+                "`values` is empty, but a grid needs at least one parameter."
+            )
+        check_parameter_names(tuple(self.values))
+        for name, array in self.values.items():
+            numeric = np.issubdtype(array.dtype, np.number)
+            if array.ndim != 1 or not array.size or not numeric:
                 raise ValueError(
-                    f"`values[{name!r}]` has shape {row.shape} and type {row.dtype}, but "
-                    "must be a row of numbers."
+                    f"`values[{name!r}]` has shape {array.shape} and type {array.dtype}, "
+                    "but must be a one-dimensional array of numbers."
                 )
 
     def __repr__(self) -> str:
-        parts = (f"{row.size} of {name}" for name, row in self.values.items())
-        total = math.prod(row.size for row in self.values.values())
+        parts = (f"{array.size} of {name}" for name, array in self.values.items())
+        total = math.prod(array.size for array in self.values.values())
         return f"Grid of {total:,} designs: {', '.join(parts)}"
 
 
-def _floats(row: np.ndarray) -> np.ndarray:
-    """Whole numbers as others, so that answers can be differentiated by them."""
-    return row.astype(float) if np.issubdtype(row.dtype, np.integer) else row
+def _convert_integers(array: np.ndarray) -> np.ndarray:
+    """Convert integers to floats, so that outputs can be differentiated by them."""
+    return array.astype(float) if np.issubdtype(array.dtype, np.integer) else array
 
 
-class Kind(NamedTuple):
-    """Of what designs consist: alike for those that one program serves.
+class DesignStructure(NamedTuple):
+    """Structure of one design; designs of the same structure share a compiled program.
 
     Args:
-        tree: what a study takes.
-        order: of its leaves, the place of each among the names.
-        names: of the parameters.
-        shapes: of each for one design, and the type of its numbers.
+        tree: Tree structure of a design, as the study takes it.
+        order: Index of the parameter of each leaf of the tree.
+        names: Names of the parameters.
+        shapes: Shape and number type of each parameter for one design.
     """
 
     tree: Any
@@ -73,48 +78,55 @@ class Kind(NamedTuple):
     names: tuple[str, ...]
     shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]
 
-    def design(self, leaves: Sequence[Array]) -> Any:
-        """One design, as the study takes it, of its parameters by their names."""
-        sorted_out = [jnp.asarray(leaves[place]) for place in self.order]
-        return jax.tree.unflatten(self.tree, sorted_out)
+    def design(self, parameters: Sequence[Array]) -> Any:
+        """Assemble one design, as the study takes it.
+
+        Args:
+            parameters: Parameters of the design, in the order of `names`.
+
+        Returns:
+            The tree of these parameters.
+        """
+        leaves = [jnp.asarray(parameters[index]) for index in self.order]
+        return jax.tree.unflatten(self.tree, leaves)
 
 
 class Designs:
-    """Designs in a row, whatever they were given as.
+    """Designs of a sweep, numbered consecutively.
 
     Args:
-        designs: a `Grid`; or a tree of arrays, such as a mapping from names, each with an
-            entry for each design along its first axis.
+        designs: A `Grid`, or a tree of arrays, such as a mapping from names to arrays.
+            The first axis of each array has one entry for each design.
 
     Raises:
-        ValueError: there is no array; they are of different lengths, or too many to be
-            numbered; a name cannot be that of a parameter.
+        ValueError: There is no array; the arrays have different lengths; there are too
+            many designs; or a parameter has a reserved name.
     """
 
-    kind: Kind
+    structure: DesignStructure
     dims: tuple[str, ...]
     shape: tuple[int, ...]
     arrays: list[np.ndarray]
 
     def __init__(self, designs: Any):
-        self._grid = isinstance(designs, Grid)
+        self._is_grid = isinstance(designs, Grid)
         if isinstance(designs, Grid):
             self.dims = tuple(designs.values)
             self.arrays = list(designs.values.values())
-            self.shape = tuple(row.size for row in self.arrays)
+            self.shape = tuple(array.size for array in self.arrays)
             if (count := math.prod(self.shape)) > sys.maxsize:
                 raise ValueError(
                     f"`designs` is a grid of {count:.3g} designs, but at most "
-                    f"{sys.maxsize:.3g} can be numbered. Use fewer values, or split "
-                    "them into several sweeps."
+                    f"{sys.maxsize:.3g} are possible. Use fewer values, or split the "
+                    "grid into several sweeps."
                 )
-            # of a mapping, whose leaves JAX puts in the order of their names
+            # JAX sorts the leaves of a mapping by name.
             order = tuple(self.dims.index(name) for name in sorted(self.dims))
             tree = jax.tree.structure(designs.values)
-            self.kind = Kind(tree, order, self.dims, self._shapes())
+            self.structure = DesignStructure(tree, order, self.dims, self._shapes())
             return
         if isinstance(designs, Mapping):
-            designs = {name: _array(part) for name, part in designs.items()}
+            designs = {name: _as_array(part) for name, part in designs.items()}
         paths, tree = jax.tree_util.tree_flatten_with_path(designs)
         names: list[str] = []
         self.arrays = []
@@ -123,47 +135,58 @@ class Designs:
             array = np.asarray(leaf)
             if array.ndim < 1 or not np.issubdtype(array.dtype, np.number):
                 raise ValueError(
-                    f"`designs` has {name} of shape {array.shape} and type "
-                    f"{array.dtype}, but it must have a number, or an array of them, for "
-                    "each design along the first axis. What is the same for all belongs "
+                    f"`designs` has the parameter {name!r} of shape {array.shape} and "
+                    f"type {array.dtype}, but each parameter needs a number, or an array "
+                    "of numbers, for each design along the first axis. Constants belong "
                     "in the study."
                 )
             names.append(name)
             self.arrays.append(array)
-        check_parameters(names)
+        check_parameter_names(names)
         lengths = dict(zip(names, map(len, self.arrays), strict=True))
         if len(set(lengths.values())) != 1 or 0 in lengths.values():
-            told = ", ".join(f"{count} of {name}" for name, count in lengths.items())
+            counts = ", ".join(f"{count} of {name}" for name, count in lengths.items())
             raise ValueError(
-                f"`designs` has {told or 'no array'}, but must have as many of each, and "
-                "at least one. For all combinations take a `Grid`."
+                f"`designs` has {counts or 'no array'}, but needs the same number of "
+                "values of each parameter, and at least one. Use a `Grid` for all "
+                "combinations."
             )
         self.dims, self.shape = ("design",), (len(self.arrays[0]),)
-        self.kind = Kind(tree, tuple(range(len(names))), tuple(names), self._shapes())
+        order = tuple(range(len(names)))
+        self.structure = DesignStructure(tree, order, tuple(names), self._shapes())
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
-        return self.kind.names
+        """Names of the parameters."""
+        return self.structure.names
 
     def __len__(self) -> int:
         return math.prod(self.shape)
 
-    def take(self, rows: np.ndarray) -> list[np.ndarray]:
-        """The parameters of some designs, in the order of the names."""
-        if not self._grid:
-            return [array[rows] for array in self.arrays]
-        places = np.unravel_index(rows, self.shape)
-        return [row[place] for row, place in zip(self.arrays, places, strict=True)]
+    def take(self, indices: np.ndarray) -> list[np.ndarray]:
+        """Select designs.
+
+        Args:
+            indices: Indices of the designs.
+
+        Returns:
+            The parameters of these designs, in the order of `names`.
+        """
+        if not self._is_grid:
+            return [array[indices] for array in self.arrays]
+        grid_indices = np.unravel_index(indices, self.shape)
+        return [a[index] for a, index in zip(self.arrays, grid_indices, strict=True)]
 
     def _shapes(self) -> tuple[tuple[tuple[int, ...], np.dtype], ...]:
-        one = self.take(np.zeros(1, int))
+        """Determine the shape and number type of each parameter for one design."""
+        first = self.take(np.zeros(1, int))
         return tuple(
-            (leaf.shape[1:], jax.dtypes.canonicalize_dtype(leaf.dtype)) for leaf in one
+            (array.shape[1:], jax.dtypes.canonicalize_dtype(array.dtype))
+            for array in first
         )
 
 
-def _array(part: Any) -> Any:
-    """A list of numbers as an array; what else there is as it is."""
-    listed = isinstance(part, list | tuple) and part and all(map(np.isscalar, part))
-    return np.asarray(part) if listed else part
+def _as_array(part: Any) -> Any:
+    """Convert a list or tuple of numbers to an array; return anything else unchanged."""
+    is_list = isinstance(part, list | tuple) and part and all(map(np.isscalar, part))
+    return np.asarray(part) if is_list else part

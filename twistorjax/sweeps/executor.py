@@ -1,4 +1,4 @@
-"""A sweep's program, chunk after chunk, on one device or on many."""
+"""Compiled program that evaluates chunks of designs on one or several devices."""
 
 import hashlib
 import re
@@ -11,245 +11,322 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from .designs import Designs, Kind
+from .designs import Designs, DesignStructure
 from .outputs import study_output, StudyOutput
 
 
-# designs that a device takes at once by default: on a processor, on an accelerator
-_CHUNK, _WIDE = 4096, 2**17
-# side by side on a processor: so few that what they are about stays in its cache, and
-# that a batch's slowest design holds up few others
-_SIDE = 128
+# largest default number of designs in a chunk, on a processor and on an accelerator
+_CPU_CHUNK_SIZE, _ACCELERATOR_CHUNK_SIZE = 4096, 2**17
+# On a processor, a chunk is evaluated in batches of this size. The arrays of so few
+# designs stay in the cache, and the slowest design of a batch delays few others.
+_CPU_BATCH_SIZE = 128
 
 
-def chunk_of(count: int, mesh: Mesh | None) -> int:
-    """How many of so many designs a device takes at once, if nothing else is asked."""
+def default_chunk_size(count: int, mesh: Mesh | None) -> int:
+    """Choose the number of designs that each device evaluates in one call.
+
+    Args:
+        count: Number of designs of the sweep.
+        mesh: Devices of the sweep; `None` for the default device.
+
+    Returns:
+        The size of a chunk, which divides the designs evenly among the calls.
+    """
     devices = jax.devices()[:1] if mesh is None else list(mesh.devices.flat)
-    most = -(-count // len(devices))
-    rounds = -(-most // (_CHUNK if devices[0].platform == "cpu" else _WIDE))
-    return -(-most // rounds)
+    per_device = -(-count // len(devices))
+    on_cpu = devices[0].platform == "cpu"
+    calls = -(-per_device // (_CPU_CHUNK_SIZE if on_cpu else _ACCELERATOR_CHUNK_SIZE))
+    return -(-per_device // calls)
 
 
 class Program:
-    """What is done to one chunk of designs, compiled; on each device of a mesh at once.
+    """Compiled program that evaluates one chunk of designs on each device.
 
     Args:
-        study: of one design.
-        kind: of what designs consist.
-        derivatives: names of answers that are differentiated.
-        chunk: how many a device takes at once.
-        memory: that a chunk may take on a device; bytes. Where it would take more the
-            chunk is made smaller.
-        mesh: of devices, or nothing for the default one.
-        fixed: whether the chunk must stay as it is.
+        study: Function of one design.
+        structure: Structure of a design.
+        derivatives: Names of the outputs that are differentiated.
+        chunk_size: Number of designs that a device evaluates in one call.
+        memory: Memory that a chunk may use on a device; bytes.
+        mesh: Devices; `None` for the default device.
+        fixed_chunk_size: Whether the chunk size must stay as it is. Otherwise
+            `fit_memory` reduces it if a chunk needs more than `memory`.
     """
 
     def __init__(
         self,
         study: Callable[[Any], Any],
-        kind: Kind,
+        structure: DesignStructure,
         derivatives: tuple[str, ...],
-        chunk: int,
+        chunk_size: int,
         memory: float | int,
         mesh: Mesh | None,
-        fixed: bool,
+        fixed_chunk_size: bool,
     ):
-        self.kind, self.mesh, self.memory = kind, mesh, memory
-        self._tell, self._side = study_output(study, kind, derivatives), _SIDE
+        self.structure, self.mesh, self.memory = structure, mesh, memory
+        self._evaluate = study_output(study, structure, derivatives)
+        self._batch_size = _CPU_BATCH_SIZE
         self._compiled: Any = None
-        self._fixed, self.chunk = fixed, chunk
+        self._fixed_chunk_size, self.chunk_size = fixed_chunk_size, chunk_size
         self._lower()
 
-    def fit(self) -> None:
-        """Make the chunk as small as the memory asks, unless it must stay as it is.
+    def fit_memory(self) -> None:
+        """Reduce the chunk size until a chunk fits into the memory.
 
-        This compiles the program. A program with a fixed chunk is compiled when it is
-        run, if there is something to do.
+        This compiles the program. A program with a fixed chunk size is compiled when it
+        runs for the first time.
         """
-        while not self._fixed:
+        while not self._fixed_chunk_size:
             needed = self._compile()
-            self._fixed = needed <= self.memory or self.chunk == 1
-            if not self._fixed:
-                self.chunk = max(1, int(0.9 * self.chunk * self.memory / needed))
+            self._fixed_chunk_size = needed <= self.memory or self.chunk_size == 1
+            if not self._fixed_chunk_size:
+                fitting = int(0.9 * self.chunk_size * self.memory / needed)
+                self.chunk_size = max(1, fitting)
                 self._lower()
 
     @property
-    def devices(self) -> int:
-        """How many there are."""
+    def device_count(self) -> int:
+        """Number of devices."""
         return 1 if self.mesh is None else self.mesh.size
 
     @property
     def platform(self) -> str:
-        """Of the devices: "cpu", "gpu"."""
+        """Platform of the devices, such as "cpu" or "gpu"."""
         if self.mesh is None:
             return jax.default_backend()
         return self.mesh.devices.flat[0].platform
 
-    def count(self, designs: Designs) -> int:
-        """How many chunks some designs are."""
-        return -(-len(designs) // self.chunk)
+    def chunk_count(self, designs: Designs) -> int:
+        """Count the chunks into which designs are divided.
 
-    def _lower(self) -> None:
-        """Trace the program for the chunk as it is, which tells what it returns."""
-        while True:
-            lowered = jax.jit(self._all).lower(self._arguments(self.chunk))
-            text = lowered.as_text()
-            if (side := _unshared(text)) >= self._side:
-                break
-            self._side = side
-        self.told: StudyOutput = jax.tree.map(_shape, lowered.out_info)
-        self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
-        self._lowered = lowered
+        Args:
+            designs: Designs of the sweep.
 
-    def _compile(self) -> int:
-        """Makes the program ready, and tells what it takes on a device; bytes."""
-        mesh = self.mesh
-        self._compiled = self._lowered.compile() if mesh is None else self._spread(mesh)
-        return _bytes(self._compiled)
+        Returns:
+            The number of chunks.
+        """
+        return -(-len(designs) // self.chunk_size)
 
     def run(
         self, designs: Designs, chunks: Sequence[int]
     ) -> Iterator[tuple[int, StudyOutput]]:
-        """What is told of some chunks, by their numbers: of those on this process.
+        """Evaluate chunks of designs.
 
-        The next chunks are under way while one is read.
+        The devices evaluate the next chunks while the caller uses the last ones.
+
+        Args:
+            designs: Designs of the sweep.
+            chunks: Numbers of the chunks.
+
+        Yields:
+            The number of each chunk that a device of this process has evaluated, and the
+            outputs of its designs. The last chunk of a sweep is padded with copies of
+            the last design.
 
         Raises:
-            ValueError: a chunk takes more memory than there is to be.
-            RuntimeError: the study raised.
+            ValueError: A chunk needs more than the memory.
+            RuntimeError: A solve in the study raised an error.
         """
         if not chunks:
             return
-        needed = self._compile() if self._compiled is None else _bytes(self._compiled)
+        needed = (
+            self._compile() if self._compiled is None else _memory_size(self._compiled)
+        )
         if needed > self.memory:
-            least = "Give more." if self.chunk == 1 else "Make the chunk smaller."
-            raise ValueError(
-                f"`chunk` is {self.chunk:,}, which takes {needed / 2**20:,.3g} MiB on a "
-                f"device, but `memory` is {self.memory / 2**20:,.3g} MiB. {least}"
+            remedy = (
+                "Increase `memory`."
+                if self.chunk_size == 1
+                else "Reduce `chunk_size`, or increase `memory`."
             )
-        waiting: deque[tuple[tuple[int, ...], StudyOutput]] = deque()
+            raise ValueError(
+                f"`chunk_size` is {self.chunk_size:,}, for which a device needs "
+                f"{needed / 2**20:,.3g} MiB, but `memory` is "
+                f"{self.memory / 2**20:,.3g} MiB. {remedy}"
+            )
+        running: deque[tuple[tuple[int, ...], StudyOutput]] = deque()
         try:
-            for first in range(0, len(chunks), self.devices):
-                group = tuple(chunks[first : first + self.devices])
-                waiting.append((group, self._start(designs, group)))
-                if len(waiting) > 1:
-                    yield from self._read(*waiting.popleft())
-            while waiting:
-                yield from self._read(*waiting.popleft())
+            for first in range(0, len(chunks), self.device_count):
+                group = tuple(chunks[first : first + self.device_count])
+                running.append((group, self._start(designs, group)))
+                if len(running) > 1:
+                    yield from self._collect(*running.popleft())
+            while running:
+                yield from self._collect(*running.popleft())
         except jax.errors.JaxRuntimeError as error:
             if "callback" not in str(error).lower():
                 raise
             raise RuntimeError(
-                "A solve of some design failed within the study and raised, which ends "
-                "the whole sweep. Call it with `throw=False`, and answer its `result` "
-                "too: then that design is marked, and harms no other."
+                "A solve in the study failed for a design and raised an error, which "
+                "stopped the sweep. Call the solver with `throw=False` and return its "
+                "`result`; then a failed design is marked, and the sweep continues."
             ) from error
 
-    def owners(self, designs: Designs) -> np.ndarray:
-        """The number of the process that has each chunk, if all are to be done."""
-        chunks = np.arange(self.count(designs))
+    def chunk_owners(self, designs: Designs) -> np.ndarray:
+        """Determine which process evaluates each chunk of a complete sweep.
+
+        Args:
+            designs: Designs of the sweep.
+
+        Returns:
+            The index of the process of each chunk.
+        """
+        chunks = np.arange(self.chunk_count(designs))
         if self.mesh is None:
             return np.full(len(chunks), jax.process_index())
-        each = np.array([device.process_index for device in self.mesh.devices.flat])
-        return each[chunks % self.devices]
+        owners = np.array([device.process_index for device in self.mesh.devices.flat])
+        return owners[chunks % self.device_count]
 
-    def _start(self, designs: Designs, group: tuple[int, ...]) -> StudyOutput:
-        group += (group[-1],) * (self.devices - len(group))
-        firsts = [chunk * self.chunk for chunk in group]
-        # the last design is repeated where there are no more
-        rows = [
-            np.minimum(np.arange(first, first + self.chunk), len(designs) - 1)
-            for first in firsts
+    def _lower(self) -> None:
+        """Trace the program for the present chunk size, and find what it returns."""
+        while True:
+            arguments = self._arguments(self.chunk_size)
+            lowered = jax.jit(self._evaluate_chunk).lower(arguments)
+            text = lowered.as_text()
+            batch_size = _single_threaded_batch_size(text)
+            if batch_size >= self._batch_size:
+                break
+            self._batch_size = batch_size
+        self.output: StudyOutput = jax.tree.map(_shape, lowered.out_info)
+        self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
+        self._lowered = lowered
+
+    def _compile(self) -> int:
+        """Compile the program, and return the memory that it needs on a device; bytes."""
+        if self.mesh is None:
+            self._compiled = self._lowered.compile()
+        else:
+            self._compiled = self._compile_for_mesh(self.mesh)
+        return _memory_size(self._compiled)
+
+    def _compile_for_mesh(self, mesh: Mesh) -> Any:
+        """Compile a program in which each device evaluates a chunk of its own."""
+        spec, sharding = self._partition, NamedSharding(mesh, self._partition)
+        sharded = jax.shard_map(
+            self._evaluate_chunk, mesh=mesh, in_specs=spec, out_specs=spec,
+            check_vma=False,
+        )  # fmt: skip
+        arguments = [
+            jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
+            for leaf in self._arguments(self.chunk_size * self.device_count)
         ]
-        if self.mesh is None:
-            return self._compiled(designs.take(rows[0]))
-        sharding = NamedSharding(self.mesh, self._split)
-        leaves = designs.take(np.concatenate(rows))
-        return self._compiled(
-            [
-                jax.make_array_from_callback(
-                    leaf.shape, sharding, lambda index, leaf=leaf: leaf[index]
-                )
-                for leaf in leaves
-            ]
-        )
-
-    def _read(
-        self, group: tuple[int, ...], told: StudyOutput
-    ) -> Iterator[tuple[int, StudyOutput]]:
-        if self.mesh is None:
-            yield group[0], jax.tree.map(np.asarray, told)
-            return
-        leaves, tree = jax.tree.flatten(told)
-        here = [shard.index[0].start or 0 for shard in leaves[0].addressable_shards]
-        for place, start in enumerate(here):
-            which = start // self.chunk
-            if which < len(group):
-                parts = [
-                    np.asarray(leaf.addressable_shards[place].data) for leaf in leaves
-                ]
-                yield group[which], jax.tree.unflatten(tree, parts)
-
-    def _all(self, leaves: list[jax.Array]) -> StudyOutput:
-        """What is told of a whole chunk."""
-        count = len(leaves[0])
-        if self.platform != "cpu" or count <= self._side:
-            return jax.vmap(self._tell)(leaves)
-        # filled up with the last, so that no shorter batch is compiled besides
-        more = -count % self._side
-        full = [jnp.concatenate([leaf, leaf[-1:].repeat(more, 0)]) for leaf in leaves]
-        told = jax.lax.map(self._tell, full, batch_size=self._side)
-        return jax.tree.map(lambda leaf: leaf[:count], told)
+        return jax.jit(sharded).lower(arguments).compile()
 
     @property
-    def _split(self) -> PartitionSpec:
-        """Over all axes of the mesh, whatever they are called."""
+    def _partition(self) -> PartitionSpec:
+        """Partition of the designs over all axes of the mesh."""
         assert self.mesh is not None
         return PartitionSpec(tuple(self.mesh.axis_names))
 
     def _arguments(self, count: int) -> list[jax.ShapeDtypeStruct]:
+        """List the shapes and number types of the parameters of so many designs."""
         return [
             jax.ShapeDtypeStruct((count, *shape), dtype)
-            for shape, dtype in self.kind.shapes
+            for shape, dtype in self.structure.shapes
         ]
 
-    def _spread(self, mesh: Mesh) -> Any:
-        """The program on all devices, each with a chunk of its own to the end."""
-        split, sharding = self._split, NamedSharding(mesh, self._split)
-        alone = jax.shard_map(
-            self._all, mesh=mesh, in_specs=split, out_specs=split, check_vma=False
+    def _evaluate_chunk(self, parameters: list[jax.Array]) -> StudyOutput:
+        """Evaluate a chunk of designs, in batches if it runs on a processor."""
+        count = len(parameters[0])
+        if self.platform != "cpu" or count <= self._batch_size:
+            return jax.vmap(self._evaluate)(parameters)
+        # The last batch is padded with the last design, because a shorter batch would
+        # have to be compiled in addition.
+        padding = -count % self._batch_size
+        padded = [jnp.concatenate([p, p[-1:].repeat(padding, 0)]) for p in parameters]
+        output = jax.lax.map(self._evaluate, padded, batch_size=self._batch_size)
+        return jax.tree.map(lambda leaf: leaf[:count], output)
+
+    def _start(self, designs: Designs, group: tuple[int, ...]) -> StudyOutput:
+        """Start the evaluation of a group of chunks, at most one for each device.
+
+        Args:
+            designs: Designs of the sweep.
+            group: Numbers of the chunks.
+
+        Returns:
+            The outputs of all chunks, which the devices may still be computing.
+        """
+        group += (group[-1],) * (self.device_count - len(group))
+        # Indices after the last design are replaced by the last design.
+        indices = [
+            np.minimum(
+                np.arange(chunk * self.chunk_size, (chunk + 1) * self.chunk_size),
+                len(designs) - 1,
+            )
+            for chunk in group
+        ]
+        if self.mesh is None:
+            return self._compiled(designs.take(indices[0]))
+        sharding = NamedSharding(self.mesh, self._partition)
+        parameters = designs.take(np.concatenate(indices))
+        return self._compiled(
+            [
+                jax.make_array_from_callback(
+                    array.shape, sharding, lambda index, array=array: array[index]
+                )
+                for array in parameters
+            ]
         )
-        arguments = [
-            jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)
-            for leaf in self._arguments(self.chunk * self.devices)
-        ]
-        return jax.jit(alone).lower(arguments).compile()
+
+    def _collect(
+        self, group: tuple[int, ...], output: StudyOutput
+    ) -> Iterator[tuple[int, StudyOutput]]:
+        """Wait for a group of chunks, and yield those that this process has evaluated.
+
+        Args:
+            group: Numbers of the chunks.
+            output: Outputs of all chunks of the group.
+
+        Yields:
+            The number of a chunk and its outputs.
+        """
+        if self.mesh is None:
+            yield group[0], jax.tree.map(np.asarray, output)
+            return
+        leaves, tree = jax.tree.flatten(output)
+        starts = [shard.index[0].start or 0 for shard in leaves[0].addressable_shards]
+        for shard_index, start in enumerate(starts):
+            position = start // self.chunk_size
+            if position < len(group):
+                parts = [
+                    np.asarray(leaf.addressable_shards[shard_index].data)
+                    for leaf in leaves
+                ]
+                yield group[position], jax.tree.unflatten(tree, parts)
 
 
-def _unshared(text: str) -> int:
-    """How many designs side by side keep LAPACK from sharing its work among threads.
+def _single_threaded_batch_size(program: str) -> int:
+    """Find the largest batch for which LAPACK calls run in a single thread.
 
-    Batches of matrices that it would share wait for one another in XLA's threads: of two
-    devices of one processor, for ever (jaxlib 0.10). It shares what takes more than 2e5
-    operations.
+    XLA distributes a batch of matrices among threads if the work exceeds about 2e5
+    operations. Two such calls on two devices of one processor wait for each other and
+    deadlock (jaxlib 0.10).
+
+    Args:
+        program: Lowered program, as StableHLO text.
+
+    Returns:
+        The batch size, at most `_CPU_BATCH_SIZE`.
     """
-    most = 0.0
-    for line in text.splitlines():
+    largest = 0.0
+    for line in program.splitlines():
         if not (call := re.search(r"@lapack_.(\w+?)_ffi", line)):
             continue
-        part = {"potrf": 1 / 3, "trsm": 1 / 3, "getrf": 2 / 3}.get(call[1], 25.0)
+        factor = {"potrf": 1 / 3, "trsm": 1 / 3, "getrf": 2 / 3}.get(call[1], 25.0)
         for shape in re.findall(r"tensor<([\dx]+)x[cf]\d+>", line):
             rows, columns = [1, 1, *map(int, shape.split("x"))][-2:]
-            most = max(most, part * rows * columns * max(rows, columns))
-    return max(1, min(_SIDE, int(2e5 / most))) if most else _SIDE
+            largest = max(largest, factor * rows * columns * max(rows, columns))
+    if not largest:
+        return _CPU_BATCH_SIZE
+    return max(1, min(_CPU_BATCH_SIZE, int(2e5 / largest)))
 
 
 def _shape(leaf: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
 
 
-def _bytes(compiled: Any) -> int:
-    """What a program takes on a device while it runs, as far as its backend tells."""
-    told = compiled.memory_analysis()
+def _memory_size(compiled: Any) -> int:
+    """Memory that a program needs on a device, if its backend reports it; bytes."""
+    analysis = compiled.memory_analysis()
     names = ("temp_size_in_bytes", "output_size_in_bytes", "argument_size_in_bytes")
-    return sum(int(getattr(told, name, 0)) for name in names)
+    return sum(int(getattr(analysis, name, 0)) for name in names)

@@ -1,16 +1,18 @@
-"""Memory of the machine, and what a table needs of it."""
+"""Memory of the machine, and check that a dataset fits into it."""
 
 import contextlib
 import os
 from pathlib import Path
 
 
-# `succeeded` and `result` of one design; bytes
-LEAST = 5
+# size of `succeeded` and `result` for one design; bytes
+MINIMUM_OUTPUT_SIZE = 5
 
 
-def need_memory(count: int, needed: int) -> None:
-    """Refuse a table that is larger than the memory of the machine.
+def require_memory(count: int, needed: int) -> None:
+    """Check that the arrays of a dataset fit into the memory of the machine.
+
+    The check is skipped if the system does not report its memory.
 
     Args:
         count: Number of designs.
@@ -19,32 +21,35 @@ def need_memory(count: int, needed: int) -> None:
     Raises:
         ValueError: The machine has less memory.
     """
-    there = _memory()
-    if there is not None and needed > there:
-        raise too_large(count, needed, there)
+    available = _machine_memory()
+    if available is not None and needed > available:
+        raise memory_error(count, needed, available)
 
 
-def too_large(count: int, needed: int, there: int | None = None) -> ValueError:
-    """Make the error for a table that does not fit the memory.
+def memory_error(count: int, needed: int, available: int | None = None) -> ValueError:
+    """Create the error for a dataset that does not fit into the memory.
 
     Args:
         count: Number of designs.
         needed: Size of the arrays that are held in memory; bytes.
-        there: Memory of the machine, if it is known; bytes.
+        available: Memory of the machine, if it is known; bytes.
+
+    Returns:
+        The error, which the caller raises.
     """
-    has = "" if there is None else f" of {there / 2**30:,.3g} GiB"
+    memory = "" if available is None else f" ({available / 2**30:,.3g} GiB)"
     return ValueError(
-        f"The table of {count:,} designs needs at least {needed / 2**30:,.3g} GiB, which "
-        f"the memory of this machine{has} cannot hold. Use fewer designs, or split them "
-        "into several sweeps."
+        f"The dataset of {count:,} designs needs at least {needed / 2**30:,.3g} GiB, "
+        f"which is more than the memory of this machine{memory}. Use fewer designs, or "
+        "split them into several sweeps."
     )
 
 
-def _memory() -> int | None:
-    """Memory that this process may use, as far as the system reports it; bytes."""
-    found = []
-    with contextlib.suppress(AttributeError, ValueError, OSError):  # as on Windows
-        found.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    with contextlib.suppress(ValueError, OSError):  # limit of a container
-        found.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return min((size for size in found if size > 0), default=None)
+def _machine_memory() -> int | None:
+    """Read the memory that this process may use; bytes, or `None` if it is unknown."""
+    sizes = []
+    with contextlib.suppress(AttributeError, ValueError, OSError):  # missing on Windows
+        sizes.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    with contextlib.suppress(ValueError, OSError):  # memory limit of a container
+        sizes.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return min((size for size in sizes if size > 0), default=None)

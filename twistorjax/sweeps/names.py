@@ -1,4 +1,4 @@
-"""Names of parameters and answers that a table, or a store of it, can have."""
+"""Names of parameters, outputs and axes that a dataset or a store can hold."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,137 +7,144 @@ from typing import Any
 from ..solve.tables import Columns
 
 
-# what every table has beside the parameters and answers
-ALWAYS = ("succeeded", "result")
+# variables that every dataset has besides the parameters and outputs
+RESERVED = ("succeeded", "result")
 
 
-def check_parameters(names: Sequence[Any]) -> None:
-    """Refuse names of parameters that a table cannot have.
+def check_parameter_names(names: Sequence[Any]) -> None:
+    """Check that a dataset can hold parameters of these names.
 
     Args:
         names: Names of all parameters.
 
     Raises:
-        ValueError: A name is no text, is empty, occurs twice, or is reserved.
+        ValueError: A name is not a string, is empty, occurs twice, or is reserved.
     """
     for name, count in Counter(names).items():
         if not isinstance(name, str) or not name:
             raise ValueError(
-                f"`designs` has a parameter {name!r}, but its name must be some text."
+                f"`designs` has a parameter {name!r}, but a name must be a string that "
+                "is not empty."
             )
         if count > 1:
             raise ValueError(
                 f"`designs` has {count} parameters {name!r}. Give them different names."
             )
-        if name in ALWAYS:
+        if name in RESERVED:
             raise ValueError(
-                f"`designs` has a parameter {name!r}, but every table has a column of "
-                "that name, which tells how a design ended. Give it another name; any "
-                f"is allowed but {' and '.join(map(repr, ALWAYS))}."
+                f"`designs` has a parameter {name!r}, but this name is reserved. Use "
+                f"another name; only {' and '.join(map(repr, RESERVED))} are reserved."
             )
 
 
-def check_columns(
-    parameters: Iterable[str], grid: Sequence[str], answers: Columns
+def check_outputs(
+    parameters: Iterable[str], grid: Sequence[str], outputs: Columns
 ) -> None:
-    """Refuse names of answers and of their axes that a table cannot have.
+    """Check that a dataset can hold the outputs of a study and their axes.
 
     Args:
         parameters: Names of the parameters.
-        grid: Parameters that are axes of the table; none if the designs are no grid.
-        answers: What the study returns for one design, by name.
+        grid: Names of the parameters that are axes of the dataset; empty if the designs
+            are not a grid.
+        outputs: Outputs for a batch of designs, by name.
 
     Raises:
         ValueError: A name is used twice, or the labels of an axis do not fit it.
     """
-    parameters, axes_of_designs = set(parameters), {"design", *grid}
-    taken = {*parameters, *axes_of_designs, *ALWAYS}
+    parameters, design_axes = set(parameters), {"design", *grid}
+    used = {*parameters, *design_axes, *RESERVED}
     labels: dict[str, tuple[str, ...]] = {}
-    for name, column in answers.items():
-        if name in taken:
+    for name, column in outputs.items():
+        if name in used:
             raise ValueError(
-                f"{name!r} is what the study answers, but that name is taken: by a "
-                "parameter, or by what a table always has. Call it something else."
+                f"The study returns an output {name!r}, but this name is reserved, or is "
+                "the name of a parameter or an axis. Rename the output."
             )
-        if twice := sorted(axes_of_designs & {*column.axes}):
+        if shared := sorted(design_axes & {*column.axes}):
             raise ValueError(
-                f"{name!r} has an axis {twice[0]!r}, but that is an axis of the designs. "
-                "Give the axis another name."
+                f"The output {name!r} has an axis {shared[0]!r}, but this is an axis of "
+                "the designs. Rename the axis."
             )
         if len(column.axes) != len(column.values.shape) - 1:
             raise ValueError(
-                f"{name!r} has shape {column.values.shape[1:]}, but its axes are "
-                f"{column.axes}. Name each axis."
+                f"The output {name!r} has shape {column.values.shape[1:]}, but its axes "
+                f"are {column.axes}. Give one name for each axis."
             )
         lengths = dict(zip(column.axes, column.values.shape[1:], strict=True))
-        for axis, words in column.labels:
-            if len(words) != lengths.get(axis, len(words)):
+        for axis, axis_labels in column.labels:
+            if len(axis_labels) != lengths.get(axis, len(axis_labels)):
                 raise ValueError(
-                    f"{name!r} has {lengths[axis]} entries along {axis!r}, but "
-                    f"{len(words)} labels of them. Give one for each entry."
+                    f"The output {name!r} has {lengths[axis]} entries along {axis!r}, "
+                    f"but {len(axis_labels)} labels. Give one label for each entry."
                 )
-            if labels.setdefault(axis, words) != words:
+            if labels.setdefault(axis, axis_labels) != axis_labels:
                 raise ValueError(
-                    f"The axis {axis!r} of {name!r} has other labels than that of "
-                    "another answer. Give one of the axes another name."
+                    f"The axis {axis!r} of {name!r} has other labels than the same axis "
+                    "of another output. Rename one of the axes."
                 )
-    for axis in (*labels, *(n for n, column in answers.items() if column.axes == (n,))):
-        if axis in parameters or (axis in labels and axis in answers):
+    own_coordinates = (name for name, column in outputs.items() if column.axes == (name,))
+    for axis in (*labels, *own_coordinates):
+        if axis in parameters or (axis in labels and axis in outputs):
             raise ValueError(
-                f"{axis!r} is an axis that has values or labels of its own, but also "
-                "the name of a parameter or of an answer. Give one of them another name."
+                f"{axis!r} is an axis with its own values or labels, but it is also the "
+                "name of a parameter or an output. Rename one of them."
             )
 
 
 def check_storable(names: Iterable[str]) -> None:
-    """Refuse names that a store cannot have, where each is a folder.
+    """Check that a store can hold variables of these names, each of which is a folder.
 
     Args:
-        names: Names of parameters, answers and labelled axes.
+        names: Names of parameters, outputs and labeled axes.
 
     Raises:
-        ValueError: A name has a space, a slash or the like, or is reserved.
+        ValueError: A name contains a space, a slash or a similar character, or is
+            reserved.
     """
     for name in names:
         if (
             not name.isprintable()
-            or any(sign in name for sign in " /\\")
+            or any(character in name for character in " /\\")
             or name.startswith("__")
             or not name.strip(".")
             or name in ("finished", "zarr.json")
         ):
             raise ValueError(
-                f"A `store` cannot keep the name {name!r}: names in it must be without "
-                "spaces, slashes and control characters, must not begin with '__' or "
-                "consist of dots, and must not be 'finished' or 'zarr.json'. Rename it, "
-                "or sweep without a store."
+                f"A `store` cannot hold the name {name!r}. Names in a store must not "
+                "contain spaces, slashes or control characters, must not begin with '__' "
+                "or consist of dots, and must not be 'finished' or 'zarr.json'. Rename "
+                "it, or sweep without a store."
             )
 
 
-def places_of(parameters: Iterable[str], answers: Columns) -> Mapping[str, str]:
-    """Names under which the values along an axis are kept for each design.
+def coordinate_names(parameters: Iterable[str], outputs: Columns) -> Mapping[str, str]:
+    """Name the variables that hold the values along an axis for each design.
 
-    They become coordinates of the table if they are the same for all designs.
+    An output with the name of its own axis, such as the times of a motion, holds the
+    values along this axis. It becomes a coordinate of the dataset if it is the same for
+    all designs. Until then a variable with the additional axis `design` holds it, under
+    another name.
 
     Args:
         parameters: Names of the parameters.
-        answers: What the study returns for one design, by name.
+        outputs: Outputs for a batch of designs, by name.
 
     Returns:
-        The name of the axis, by the name under which its values are kept.
+        The name of the axis for the name of each of these variables, such as "time" for
+        "time_coordinate".
 
     Raises:
-        ValueError: The name is that of a parameter or of an answer.
+        ValueError: A parameter or another output has the name of such a variable.
     """
-    places: dict[str, str] = {}
-    for name, column in answers.items():
-        if column.axes != (name,):
+    names: dict[str, str] = {}
+    for axis, column in outputs.items():
+        if column.axes != (axis,):
             continue
-        kept = f"{name}_places"
-        if kept in {*parameters, *answers}:
+        variable = f"{axis}_coordinate"
+        if variable in {*parameters, *outputs}:
             raise ValueError(
-                f"{kept!r} is the name of a parameter or of an answer, but it is taken "
-                f"by the values along the axis {name!r}. Give it another name."
+                f"A parameter or an output has the name {variable!r}, but this name is "
+                f"used for the values along the axis {axis!r}. Rename it."
             )
-        places[kept] = name
-    return places
+        names[variable] = axis
+    return names

@@ -1,6 +1,6 @@
-"""What a study tells of one design: named columns, derivatives, and how it ended."""
+"""Outputs of a study for one design: named columns, their derivatives, and the result."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -13,20 +13,20 @@ from jaxtyping import Array, Bool, Int
 
 from ..solve.results import RESULTS
 from ..solve.tables import Column, Columns
-from .designs import Kind
+from .designs import DesignStructure
 
 
-# more numbers of a design than these are differentiated in reverse
-_MANY = 32
+# Designs with more numbers than this are differentiated in reverse mode.
+_MAX_FORWARD_SIZE = 32
 
 
 class StudyOutput(eqx.Module):
-    """All that is kept of one design.
+    """Outputs of a study for one design, or for a batch of designs.
 
     Args:
-        columns: what the study answers, and derivatives of it.
-        result: how it ended, the number of an outcome.
-        succeeded: whether that is an answer.
+        columns: Outputs of the study and their derivatives, by name.
+        result: Number of the result; see `RESULTS`.
+        succeeded: Whether the design succeeded.
     """
 
     columns: Columns
@@ -35,190 +35,239 @@ class StudyOutput(eqx.Module):
 
 
 def study_output(
-    study: Callable[[Any], Any], kind: Kind, derivatives: Sequence[str]
+    study: Callable[[Any], Any], structure: DesignStructure, derivatives: Sequence[str]
 ) -> Callable[[list[Array]], StudyOutput]:
-    """The study, as a function of the parameters that tells what is to be kept.
+    """Convert a study to a function of parameter arrays.
 
     Args:
-        study: of one design.
-        kind: of what the designs consist.
-        derivatives: names of the columns that are to be differentiated by all of them.
+        study: Function of one design.
+        structure: Structure of a design.
+        derivatives: Names of the outputs that are differentiated by each parameter.
+
+    Returns:
+        A function that takes the parameters of one design, in the order of
+        `structure.names`, and returns its outputs. The outputs of a failed design are
+        NaN, except for integers and for values along an axis.
     """
 
-    def plain(leaves: list[Array]) -> tuple[Columns, list[RESULTS]]:
-        answer = study(kind.design(leaves))
-        told = dict(_columns(answer, ""))
-        if not told:
+    def evaluate(parameters: list[Array]) -> tuple[Columns, list[RESULTS]]:
+        value = study(structure.design(parameters))
+        columns = dict(_columns(value, ""))
+        if not columns:
             raise ValueError(
-                f"The study answers {answer!r}, but must answer an array, or a tree of "
-                "them."
+                f"The study returns {value!r}, but must return an array or a tree of "
+                "arrays."
             )
-        return told, _results(answer)
+        return columns, _results(value)
 
-    def tell(leaves: list[Array]) -> StudyOutput:
-        told, results = (
-            _differentiated(plain, leaves, kind.names, derivatives)
+    def output(parameters: list[Array]) -> StudyOutput:
+        columns, results = (
+            _with_derivatives(evaluate, parameters, structure.names, derivatives)
             if derivatives
-            else plain(leaves)
+            else evaluate(parameters)
         )
-        slopes = {f"{name}_by_{by}" for name in derivatives for by in kind.names}
+        derivative_names = {
+            f"{name}_by_{parameter}"
+            for name in derivatives
+            for parameter in structure.names
+        }
+        # A derivative may be infinite where its output is finite.
         floats = [
             column.values
-            for name, column in told.items()
-            if name not in slopes and eqx.is_inexact_array(column.values)
+            for name, column in columns.items()
+            if name not in derivative_names and eqx.is_inexact_array(column.values)
         ]
         if results:
             result = results[0]
             for other in results[1:]:
-                result = RESULTS.where(_fine(result), other, result)
-            code, succeeded = result._value, _fine(result)
+                result = RESULTS.where(_is_success(result), other, result)
+            succeeded = _is_success(result)
         else:
             finite = [jnp.all(jnp.isfinite(values)) for values in floats]
             succeeded = jnp.all(jnp.stack(finite)) if finite else jnp.asarray(True)
             result = RESULTS.where(succeeded, RESULTS.successful, RESULTS.not_finite)
-            code = result._value
 
-        def kept(name: str, column: Column) -> Column:
+        def mask(name: str, column: Column) -> Column:
             if not eqx.is_inexact_array(column.values) or column.axes == (name,):
                 return column
             values = jnp.where(succeeded, column.values, jnp.nan)
             return eqx.tree_at(lambda column: column.values, column, values)
 
-        masked = {name: kept(name, column) for name, column in told.items()}
-        return StudyOutput(masked, jnp.asarray(code), succeeded)
+        masked = {name: mask(name, column) for name, column in columns.items()}
+        return StudyOutput(masked, jnp.asarray(result._value), succeeded)
 
-    return tell
+    return output
 
 
-def _fine(result: RESULTS) -> Bool[Array, ""]:
+def _is_success(result: RESULTS) -> Bool[Array, ""]:
     return (result == RESULTS.successful) | (result == RESULTS.event_occurred)
 
 
-def _results(answer: Any) -> list[RESULTS]:
-    """How each part of an answer ended."""
-    if hasattr(answer, "columns") and hasattr(answer, "result"):
-        return [answer.result]  # that of the whole, and not of its parts
-    if isinstance(answer, RESULTS):
-        return [answer]
-    return [result for _, part in _parts(answer) for result in _results(part)]
+def _results(value: Any) -> list[RESULTS]:
+    """Collect the results of all solves whose solutions a study returns."""
+    if hasattr(value, "columns") and hasattr(value, "result"):
+        return [value.result]  # It covers all parts of the solution.
+    if isinstance(value, RESULTS):
+        return [value]
+    return [result for _, part in _parts(value) for result in _results(part)]
 
 
-def _columns(answer: Any, name: str):
-    """The columns of any tree, by the path to each."""
-    if isinstance(answer, Column):
-        yield name or "answer", answer
-    elif callable(getattr(answer, "columns", None)):
-        for inner, column in answer.columns().items():
+def _columns(value: Any, name: str) -> Iterator[tuple[str, Column]]:
+    """Yield the columns of a tree that a study returns, with their names.
+
+    Args:
+        value: The tree.
+        name: Path to the tree, such as "stage.gain"; empty at the root.
+
+    Yields:
+        The path to each column and the column.
+    """
+    if isinstance(value, Column):
+        yield name or "output", value
+    elif callable(getattr(value, "columns", None)):
+        for inner, column in value.columns().items():
             yield f"{name}.{inner}" if name else inner, column
-    elif isinstance(answer, RESULTS):
+    elif isinstance(value, RESULTS):
         return
-    elif eqx.is_array_like(answer):
-        name, array = name or "answer", jnp.asarray(answer)
+    elif eqx.is_array_like(value):
+        name, array = name or "output", jnp.asarray(value)
         axes = tuple(f"{name}_{axis}" for axis in range(array.ndim))
         yield name, Column(array, axes)
     else:
-        parts = _parts(answer)
-        if not (parts or answer is None or isinstance(answer, dict | tuple | list)):
+        parts = _parts(value)
+        if not (parts or value is None or isinstance(value, dict | tuple | list)):
             where = f" as {name!r}" if name else ""
             raise ValueError(
-                f"The study answers {answer!r}{where}, but must answer numbers, arrays, "
+                f"The study returns {value!r}{where}, but must return numbers, arrays, "
                 "or trees of them."
             )
         for inner, part in parts:
             yield from _columns(part, f"{name}.{inner}" if name else inner)
 
 
-def _parts(answer: Any) -> list[tuple[str, Any]]:
-    """What a tree consists of, by names."""
-    if isinstance(answer, dict):
-        return [(str(key), part) for key, part in answer.items()]
-    if isinstance(answer, eqx.Module):
+def _parts(value: Any) -> list[tuple[str, Any]]:
+    """List the children of a node of a tree, with their names."""
+    if isinstance(value, dict):
+        return [(str(key), part) for key, part in value.items()]
+    if isinstance(value, eqx.Module):
         return [
-            (field.name, getattr(answer, field.name))
-            for field in fields(answer)
+            (field.name, getattr(value, field.name))
+            for field in fields(value)
             if not field.metadata.get("static", False)
         ]
-    if hasattr(answer, "_asdict"):
-        return list(answer._asdict().items())
-    if isinstance(answer, tuple | list):
-        return [(str(place), part) for place, part in enumerate(answer)]
+    if hasattr(value, "_asdict"):
+        return list(value._asdict().items())
+    if isinstance(value, tuple | list):
+        return [(str(index), part) for index, part in enumerate(value)]
     return []
 
 
-def _differentiated(
-    plain: Callable[[list[Array]], tuple[Columns, list[RESULTS]]],
-    leaves: list[Array],
+def _with_derivatives(
+    evaluate: Callable[[list[Array]], tuple[Columns, list[RESULTS]]],
+    parameters: list[Array],
     names: Sequence[str],
     derivatives: Sequence[str],
 ) -> tuple[Columns, list[RESULTS]]:
-    """The columns and their derivatives by each parameter, in one pass."""
-    moving = [place for place, leaf in enumerate(leaves) if eqx.is_inexact_array(leaf)]
-    if not moving:
+    """Evaluate a study and its derivatives by each parameter in one pass.
+
+    Args:
+        evaluate: The study, as a function of the parameters.
+        parameters: Parameters of the design.
+        names: Names of the parameters.
+        derivatives: Names of the outputs that are differentiated.
+
+    Returns:
+        The outputs and their derivatives, and the results of the solves. The derivative
+        of `gain` by `web` has the name `gain_by_web`.
+    """
+    real = [k for k, array in enumerate(parameters) if eqx.is_inexact_array(array)]
+    if not real:
         raise ValueError(
-            f"`derivatives` asks for those by {', '.join(names)}, but these are whole "
-            "numbers."
+            f"`derivatives` needs a real parameter, but {', '.join(names)} are integers."
         )
-    row, unravel = ravel_pytree([leaves[place] for place in moving])
+    vector, unravel = ravel_pytree([parameters[index] for index in real])
 
-    def chosen(row: Array) -> tuple[list[Array], tuple[Columns, list[RESULTS]]]:
-        every = list(leaves)
-        for place, leaf in zip(moving, unravel(row), strict=True):
-            every[place] = leaf
-        told, results = plain(every)
+    def selected(vector: Array) -> tuple[list[Array], tuple[Columns, list[RESULTS]]]:
+        changed = list(parameters)
+        for index, array in zip(real, unravel(vector), strict=True):
+            changed[index] = array
+        columns, results = evaluate(changed)
         for name in derivatives:
-            if name not in told or not eqx.is_inexact_array(told[name].values):
-                real = [n for n, c in told.items() if eqx.is_inexact_array(c.values)]
+            if name not in columns or not eqx.is_inexact_array(columns[name].values):
+                differentiable = [
+                    repr(key)
+                    for key, column in columns.items()
+                    if eqx.is_inexact_array(column.values)
+                ]
                 raise ValueError(
-                    f"`derivatives` names {name!r}, but what the study answers and can "
-                    f"be differentiated is {', '.join(map(repr, real)) or 'nothing'}."
+                    f"`derivatives` names {name!r}, but the differentiable outputs of "
+                    f"the study are {', '.join(differentiable) or 'none'}."
                 )
-        return [told[name].values for name in derivatives], (told, results)
+        return [columns[name].values for name in derivatives], (columns, results)
 
-    slopes, (told, results) = _slopes(chosen, row)
-    ends = np.cumsum([leaves[place].size for place in moving])[:-1]
-    told = dict(told)
-    for name, slope in zip(derivatives, slopes, strict=True):
-        whole = told[name]
-        for place, part in zip(moving, jnp.split(slope, ends, -1), strict=True):
-            shape = leaves[place].shape
-            own = tuple(f"{names[place]}_{axis}" for axis in range(len(shape)))
-            values = part.reshape(*slope.shape[:-1], *shape)
-            column = Column(values, (*whole.axes, *own), "", whole.labels)
-            told[f"{name}_by_{names[place]}"] = column
-    return told, results
+    jacobians, (columns, results) = _jacobians(selected, vector)
+    ends = np.cumsum([parameters[index].size for index in real])[:-1]
+    columns = dict(columns)
+    for name, jacobian in zip(derivatives, jacobians, strict=True):
+        output = columns[name]
+        for index, part in zip(real, jnp.split(jacobian, ends, -1), strict=True):
+            shape = parameters[index].shape
+            axes = tuple(f"{names[index]}_{axis}" for axis in range(len(shape)))
+            values = part.reshape(*jacobian.shape[:-1], *shape)
+            column = Column(values, (*output.axes, *axes), "", output.labels)
+            columns[f"{name}_by_{names[index]}"] = column
+    return columns, results
 
 
-def _slopes(function: Callable[[Array], Any], row: Array) -> tuple[list[Array], Any]:
-    """The derivatives of some arrays by a row of numbers, and what is told beside."""
-    if row.size <= _MANY:
+def _jacobians(
+    function: Callable[[Array], tuple[list[Array], Any]], vector: Array
+) -> tuple[list[Array], Any]:
+    """Differentiate the arrays that a function returns by its argument.
+
+    Args:
+        function: Function of a vector that returns arrays, and auxiliary outputs.
+        vector: Argument of the function.
+
+    Returns:
+        The Jacobian of each array, whose last axis is that of the vector, and the
+        auxiliary outputs.
+    """
+    if vector.size <= _MAX_FORWARD_SIZE:
         try:
-            return _forwards(function, row)
-        except TypeError as error:  # of a motion, by default
+            return _forward_jacobians(function, vector)
+        except TypeError as error:
+            # By default, `simulate` can be differentiated in reverse mode only.
             if "custom_vjp" not in str(error):
                 raise
-    return _in_reverse(function, row)
+    return _reverse_jacobians(function, vector)
 
 
-def _forwards(function: Callable[[Array], Any], row: Array) -> tuple[list[Array], Any]:
-    """By one pass for each number."""
+def _forward_jacobians(
+    function: Callable[[Array], tuple[list[Array], Any]], vector: Array
+) -> tuple[list[Array], Any]:
+    """Differentiate in forward mode; see `_jacobians`."""
 
-    def along(direction: Array) -> Any:
-        return jax.jvp(function, (row,), (direction,), has_aux=True)
+    def derivative(tangent: Array) -> Any:
+        return jax.jvp(function, (vector,), (tangent,), has_aux=True)
 
-    _, slopes, beside = jax.vmap(along, out_axes=(None, -1, None))(jnp.eye(row.size))
-    return slopes, beside
+    _, jacobians, auxiliary = jax.vmap(derivative, out_axes=(None, -1, None))(
+        jnp.eye(vector.size)
+    )
+    return jacobians, auxiliary
 
 
-def _in_reverse(function: Callable[[Array], Any], row: Array) -> tuple[list[Array], Any]:
-    """By one pass for each entry of the arrays."""
+def _reverse_jacobians(
+    function: Callable[[Array], tuple[list[Array], Any]], vector: Array
+) -> tuple[list[Array], Any]:
+    """Differentiate in reverse mode; see `_jacobians`."""
 
-    def real(row: Array) -> tuple[list[tuple[Array, ...]], Any]:
-        values, beside = function(row)
+    def real_function(vector: Array) -> tuple[list[tuple[Array, ...]], Any]:
+        values, auxiliary = function(vector)
         parts = [(v.real, v.imag) if jnp.iscomplexobj(v) else (v,) for v in values]
-        return jax.tree.map(lambda part: part.astype(row.dtype), parts), beside
+        return jax.tree.map(lambda part: part.astype(vector.dtype), parts), auxiliary
 
-    values, back, beside = jax.vjp(real, row, has_aux=True)
-    flat, shaped = ravel_pytree(values)
-    rows = jax.vmap(lambda cotangent: back(shaped(cotangent))[0])(jnp.eye(flat.size))
-    slopes = jax.vmap(shaped, in_axes=1, out_axes=-1)(rows)
-    return [s[0] if len(s) == 1 else jax.lax.complex(*s) for s in slopes], beside
+    values, pullback, auxiliary = jax.vjp(real_function, vector, has_aux=True)
+    flat, unravel = ravel_pytree(values)
+    rows = jax.vmap(lambda cotangent: pullback(unravel(cotangent))[0])(jnp.eye(flat.size))
+    parts = jax.vmap(unravel, in_axes=1, out_axes=-1)(rows)
+    return [p[0] if len(p) == 1 else jax.lax.complex(*p) for p in parts], auxiliary

@@ -1,4 +1,4 @@
-"""Stores: what a sweep has found so far, in files that survive its end at any moment."""
+"""Stores: results of a sweep on disk, which remain if the process is killed."""
 
 import contextlib
 import hashlib
@@ -11,28 +11,34 @@ import numpy as np
 from jaxtyping import Bool
 
 from .._utils.validation import require_package
-from .store_creation import FORMAT, nothing
-from .store_files import clear_errors, damage, damaged_files, MANIFEST, read_manifest
+from .store_creation import fill_value, FORMAT
+from .store_files import (
+    clear_errors,
+    damage_error,
+    damaged_files,
+    MANIFEST,
+    read_manifest,
+)
 
 
-# a file is written within seconds, so an older part of one is of a killed process; s
+# age at which an incomplete file is removed; writing a file takes seconds; s
 _ABANDONED_AFTER = 3600.0
 
 
 class Store:
-    """A folder of compressed arrays, in zarr's format, written chunk by chunk.
+    """A folder of compressed arrays in zarr format, which is written chunk by chunk.
 
-    A chunk counts as finished once the checksum of its numbers has been written, after
-    all of these; each file is replaced as a whole. So a process may be killed at any
-    moment, and several processes may write the same chunks.
+    The checksum of a chunk is written after all of its values, and each file is replaced
+    as a whole. Therefore a process may be killed at any moment, and several processes
+    may write the same chunks.
 
     Args:
-        path: Folder of the store. Only its manifest is read, until `open` is called.
+        path: Folder of the store. Only its manifest is read until `open` is called.
 
     Raises:
         ImportError: zarr is not installed.
         FileNotFoundError: The folder does not exist.
-        ValueError: The folder is not a store of a sweep.
+        ValueError: The folder is not a store of a sweep, or has another format.
         OSError: The manifest cannot be read, or is damaged.
     """
 
@@ -42,25 +48,30 @@ class Store:
         if not self.path.exists():
             raise FileNotFoundError(f"There is no store {str(path)!r}.")
         manifest = read_manifest(self.path)
-        if manifest is None or manifest.get("format") != FORMAT:
-            lacks = (
-                f"it has no file {MANIFEST.as_posix()!r}"
-                if manifest is None
-                else "another version of this library wrote it"
-            )
+        if manifest is None:
             raise ValueError(
-                f"{str(path)!r} is no store of a sweep: {lacks}. Give another path."
+                f"{str(path)!r} is not a store of a sweep, because it has no file "
+                f"{MANIFEST.as_posix()!r}. Use another path."
             )
-        self.made_by: dict[str, Any] = manifest["made_by"]
+        if (version := manifest.get("format")) != FORMAT:
+            raise ValueError(
+                f"The store {str(path)!r} has format {version}, but this version of "
+                f"twistorjax uses format {FORMAT}. Use another path, or the version that "
+                "created the store."
+            )
+        self.identity: dict[str, Any] = manifest["identity"]
         self.grid = tuple(manifest["grid"])
-        self.names = tuple(manifest["answers"])
-        self.places: dict[str, str] = manifest["places"]
+        self.output_names = tuple(manifest["outputs"])
+        self.coordinates: dict[str, str] = manifest["coordinates"]
         self._digests: dict[str, str] = manifest["files"]
         self._arrays: dict[str, Any] = {}
-        self._sums: Any = None
+        self._checksums: Any = None
 
     def damaged_files(self) -> list[str]:
         """List the damaged files of coordinates, labels and metadata.
+
+        Returns:
+            Their paths in the folder of the store.
 
         Raises:
             OSError: A file cannot be read.
@@ -68,10 +79,10 @@ class Store:
         return damaged_files(self.path, self._digests)
 
     def open(self, mode: Literal["r", "r+"] = "r+") -> "Store":
-        """Verify coordinates, labels and metadata, and open the arrays of the answers.
+        """Verify coordinates, labels and metadata, and open the arrays of the outputs.
 
         Args:
-            mode: "r" to read only, "r+" to write as well.
+            mode: "r" for reading, "r+" for reading and writing.
 
         Returns:
             This store.
@@ -84,40 +95,42 @@ class Store:
                 "Repeat the sweep with `resume=True`, which writes it again, or delete "
                 "the store."
             )
-            raise damage(self.path, f"its file {damaged[0]!r}", remedy)
+            raise damage_error(self.path, f"its file {damaged[0]!r}", remedy)
         with clear_errors(self.path, "read"):
             zarr = require_package("zarr", "Stores", "data")
             group = zarr.open_group(self.path, mode=mode)
-            self._sums = group["finished/sums"]
-            self._arrays = {name: group[name] for name in self.names}
+            self._checksums = group["finished/sums"]
+            self._arrays = {name: group[name] for name in self.output_names}
         return self
 
-    def check(self, made_by: Mapping[str, Any]) -> None:
-        """Refuse to be continued by another sweep.
+    def check_identity(self, identity: Mapping[str, Any]) -> None:
+        """Check that this store belongs to a sweep.
 
         Args:
-            made_by: What identifies the sweep that is to continue this one.
+            identity: Entries that identify the sweep that is resumed.
 
         Raises:
-            ValueError: Another sweep made the store; the message says what differs.
+            ValueError: Another sweep created the store; the message lists the
+                differences.
         """
-        words = [
-            f"{name} ({was} then, {made_by.get(name)} now)"
-            if not _is_digest(was)
-            else f"the {name}"
-            for name, was in self.made_by.items()
-            if made_by.get(name) != was
+        differences = [
+            f"the {name}"
+            if _is_digest(stored)
+            else f"{name} ({stored} in the store, {identity.get(name)} now)"
+            for name, stored in self.identity.items()
+            if identity.get(name) != stored
         ]
-        if words:
+        if differences:
             raise ValueError(
-                f"`store` is {str(self.path)!r}, which another sweep made: it differs in "
-                f"{', '.join(words)}. Give another path, or sweep what it was made for."
+                f"`store` is {str(self.path)!r}, which another sweep created. It differs "
+                f"in {', '.join(differences)}. Use another path, or repeat the same "
+                "sweep."
             )
 
-    def clear(self) -> None:
-        """Remove parts of files of processes that were killed while they wrote them.
+    def remove_partial_files(self) -> None:
+        """Remove incomplete files of processes that were killed while they wrote them.
 
-        A recent part may belong to a process that is writing it now, and stays.
+        A recent file stays, because a process may still be writing it.
         """
         for path in self.path.rglob("*.partial"):
             with contextlib.suppress(OSError):
@@ -126,32 +139,45 @@ class Store:
                 ):
                     path.unlink()
 
-    def known(self, name: str, chunks: Bool[np.ndarray, " chunks"]) -> np.ndarray:
-        """Read an answer of all designs.
+    def read(self, name: str, chunks: Bool[np.ndarray, " chunks"]) -> np.ndarray:
+        """Read an output of all designs.
 
         Args:
-            name: Name of the answer.
-            chunks: Whether each chunk is read; the others are filled with the value of
-                what has not been computed.
+            name: Name of the output.
+            chunks: Whether each chunk is read. Other chunks are filled with the value
+                of an output that has not been computed.
+
+        Returns:
+            The output, with one entry for each design along the first axis.
         """
         array, parts = self._arrays[name], []
-        for chunk, known in enumerate(chunks):
+        for chunk, selected in enumerate(chunks):
             rows = self._rows(chunk)
             shape = (rows.stop - rows.start, *array.shape[1:])
-            empty = np.full(shape, nothing(name, array.dtype), array.dtype)
+            missing = np.full(shape, fill_value(name, array.dtype), array.dtype)
             with clear_errors(self.path, "read"):
-                parts.append(np.asarray(array[rows]) if known else empty)
+                parts.append(np.asarray(array[rows]) if selected else missing)
         return np.concatenate(parts)
 
-    def written(self) -> np.ndarray:
-        """Whether each chunk has been written, damaged or not."""
-        return self._read_sums() != 0
+    def written_chunks(self) -> Bool[np.ndarray, " chunks"]:
+        """Determine which chunks have been written, without a verification.
 
-    def finished(self) -> np.ndarray:
-        """Whether each chunk has been written and holds what was computed."""
-        sums = self._read_sums()
+        Returns:
+            Whether each chunk has been written.
+        """
+        return self._read_checksums() != 0
+
+    def intact_chunks(self) -> Bool[np.ndarray, " chunks"]:
+        """Determine which chunks have been written and have not changed since then.
+
+        Returns:
+            Whether each chunk is intact.
+        """
         return np.array(
-            [kept != 0 and kept == self._seen(k) for k, kept in enumerate(sums)]
+            [
+                checksum != 0 and checksum == self._compute_checksum(chunk)
+                for chunk, checksum in enumerate(self._read_checksums())
+            ]
         )
 
     def write(self, chunk: int, values: Mapping[str, np.ndarray]) -> None:
@@ -159,52 +185,54 @@ class Store:
 
         Args:
             chunk: Number of the chunk.
-            values: The answers of its designs, by name.
+            values: Outputs of its designs, by name.
 
         Raises:
             OSError: The store cannot be written.
         """
         rows = self._rows(chunk)
         count = rows.stop - rows.start
-        kept = {name: np.ascontiguousarray(part[:count]) for name, part in values.items()}
-        remedy = "Finished chunks are kept; repeat the sweep with `resume=True`."
+        values = {name: np.ascontiguousarray(v[:count]) for name, v in values.items()}
+        remedy = "Finished chunks remain; repeat the sweep with `resume=True`."
         with clear_errors(self.path, "written", remedy):
             for name, array in self._arrays.items():
-                array[rows] = kept[name]
-            self._sums[chunk] = _checksum(chunk, kept)
+                array[rows] = values[name]
+            self._checksums[chunk] = _checksum(chunk, values)
 
     def _rows(self, chunk: int) -> slice:
+        """Return the range of the designs of a chunk."""
         count = next(iter(self._arrays.values())).shape[0]
-        size = self.made_by["chunk"]
+        size = self.identity["chunk_size"]
         return slice(chunk * size, min((chunk + 1) * size, count))
 
-    def _read_sums(self) -> np.ndarray:
-        """Checksums of the chunks; zero for a chunk whose checksum cannot be read."""
-        # a damaged file raises an error whose type depends on the kind of damage
+    def _read_checksums(self) -> np.ndarray:
+        """Read the checksums of all chunks; zero for a checksum that cannot be read."""
+        # A damaged file raises an error whose type depends on the kind of damage.
         with contextlib.suppress(Exception):
-            return np.asarray(self._sums[:])
-        sums = np.zeros(self._sums.shape, self._sums.dtype)
-        for chunk in range(len(sums)):
+            return np.asarray(self._checksums[:])
+        checksums = np.zeros(self._checksums.shape, self._checksums.dtype)
+        for chunk in range(len(checksums)):
             with contextlib.suppress(Exception):
-                sums[chunk] = self._sums[chunk]
-        return sums
+                checksums[chunk] = self._checksums[chunk]
+        return checksums
 
-    def _seen(self, chunk: int) -> int:
-        """Checksum of what the files of a chunk hold; zero if one cannot be read."""
+    def _compute_checksum(self, chunk: int) -> int:
+        """Compute the checksum of the files of a chunk; zero if one cannot be read."""
         rows = self._rows(chunk)
         try:
-            kept = {name: np.asarray(a[rows]) for name, a in self._arrays.items()}
-        except Exception:  # its type depends on the kind of damage
+            values = {name: np.asarray(a[rows]) for name, a in self._arrays.items()}
+        except Exception:  # The type of the error depends on the kind of damage.
             return 0
-        return _checksum(chunk, kept)
+        return _checksum(chunk, values)
 
 
 def _checksum(chunk: int, values: Mapping[str, np.ndarray]) -> int:
+    """Compute the checksum of a chunk, which is never zero: zero means not written."""
     digest = hashlib.blake2b(f"{chunk};".encode(), digest_size=8)
     for name in sorted(values):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(values[name]).tobytes())
-    return int.from_bytes(digest.digest()) | 1  # zero means not written
+    return int.from_bytes(digest.digest()) | 1
 
 
 def _is_digest(value: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Creation of a store: as a whole or not at all, also by several processes at once."""
+"""Creation of stores, as a whole or not at all, also by several processes at once."""
 
 import contextlib
 import errno
@@ -16,52 +16,52 @@ from typing import Any
 import numpy as np
 
 from .._utils.validation import require_package
-from .dataset import Layout, OUTCOMES, UNKNOWN
+from .dataset import Layout, NOT_COMPUTED, RESULT_FLAGS
 from .store_files import clear_errors, MANIFEST, write_manifest
 
 
-FORMAT = 2  # version of the layout of the files
-# a folder of an unfinished creation is removed after this time in any case; s
+FORMAT = 3  # version of the layout of the files
+# age at which the folder of an unfinished creation is removed in any case; s
 _ABANDONED_AFTER = 24 * 3600.0
 
 
-def need_writable(path: Path) -> None:
-    """Refuse a place for a new store that cannot be written, before any work is done.
+def require_writable(path: Path) -> None:
+    """Check, before any work is done, that a new store can be created.
 
     Args:
         path: Folder of the store, which does not exist.
 
     Raises:
-        OSError: The folder in which it is to be created is read-only, or no folder.
+        OSError: The parent folder is read-only or is not a folder.
     """
-    place = next(parent for parent in path.absolute().parents if parent.exists())
-    if not place.is_dir():
+    parent = next(parent for parent in path.absolute().parents if parent.exists())
+    if not parent.is_dir():
         number, reason = errno.ENOTDIR, "is not a folder"
-    elif not os.access(place, os.W_OK | os.X_OK):
+    elif not os.access(parent, os.W_OK | os.X_OK):
         number, reason = errno.EACCES, "is read-only"
     else:
         return
     raise OSError(
         number,
-        f"The store {str(path)!r} cannot be written: {str(place)!r} {reason}. Give "
+        f"The store {str(path)!r} cannot be written: {str(parent)!r} {reason}. Use "
         "another path.",
     )
 
 
 def create_store(
-    path: Path, made_by: Mapping[str, Any], layout: Layout, chunk: int
+    path: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
 ) -> bool:
-    """Create a store without answers.
+    """Create a store without outputs.
 
-    The store is built in a hidden folder beside `path`, which is then renamed. So `path`
-    never holds a part of a store, and of several processes that create the same store
-    at the same time exactly one succeeds, without locks.
+    The store is created in a hidden folder beside `path`, which is then renamed.
+    Therefore `path` never holds an incomplete store. If several processes create the
+    same store at the same time, exactly one of them succeeds, and no locks are needed.
 
     Args:
         path: Folder of the store.
-        made_by: What identifies the sweep.
-        layout: Names, axes and units of all that the store will hold.
-        chunk: Number of designs of a chunk.
+        identity: Entries that identify the sweep.
+        layout: Names, axes and units of all variables of the store.
+        chunk_size: Number of designs of a chunk.
 
     Returns:
         True, or False if another process has created `path` in the meantime.
@@ -72,9 +72,9 @@ def create_store(
     with clear_errors(path, "written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(path)
-        with _built(path, made_by, layout, chunk) as built:
+        with _temporary_store(path, identity, layout, chunk_size) as temporary:
             try:
-                os.rename(built, path)
+                os.rename(temporary, path)
             except OSError:
                 if not path.exists():
                     raise
@@ -82,109 +82,121 @@ def create_store(
     return True
 
 
-def rewrite_fixed_files(
-    path: Path, made_by: Mapping[str, Any], layout: Layout, chunk: int
+def rewrite_static_files(
+    path: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
 ) -> None:
     """Write the coordinates, the labels and all metadata of a damaged store again.
 
-    Chunks of answers stay as they are. The manifest is replaced last, so that the store
-    counts as damaged until all files are whole.
+    Chunks of outputs stay unchanged. The manifest is replaced last, so that the store
+    counts as damaged until all files are intact.
 
     Args:
-        path: Folder of the store, which the same sweep made.
-        made_by: What identifies the sweep.
-        layout: Names, axes and units of all that the store holds.
-        chunk: Number of designs of a chunk.
+        path: Folder of the store, which the same sweep created.
+        identity: Entries that identify the sweep.
+        layout: Names, axes and units of all variables of the store.
+        chunk_size: Number of designs of a chunk.
 
     Raises:
         OSError: The store cannot be written.
     """
     with (
         clear_errors(path, "written"),
-        _built(path, made_by, layout, chunk) as built,
+        _temporary_store(path, identity, layout, chunk_size) as temporary,
     ):
-        files = (file.relative_to(built) for file in built.rglob("*") if file.is_file())
+        files = [
+            file.relative_to(temporary) for file in temporary.rglob("*") if file.is_file()
+        ]
         for file in sorted(files, key=lambda file: file == MANIFEST):
             (path / file).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(built / file, path / file)
+            os.replace(temporary / file, path / file)
 
 
-def nothing(name: str, kind: np.dtype) -> Any:
-    """Value of an answer that has not been computed.
+def fill_value(name: str, dtype: np.dtype) -> Any:
+    """Choose the value of an output that has not been computed.
 
     Args:
-        name: Name of the answer.
-        kind: Type of its numbers.
+        name: Name of the output.
+        dtype: Type of its numbers.
+
+    Returns:
+        NaN for real and complex numbers, -1 for `result`, otherwise zero.
     """
-    return np.nan if kind.kind in "fc" else UNKNOWN if name == "result" else 0
+    return np.nan if dtype.kind in "fc" else NOT_COMPUTED if name == "result" else 0
 
 
 @contextlib.contextmanager
-def _built(
-    path: Path, made_by: Mapping[str, Any], layout: Layout, chunk: int
+def _temporary_store(
+    path: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
 ) -> Iterator[Path]:
-    """A new store in a hidden folder, which is removed unless it has been renamed."""
-    built = path.with_name(
-        f".{path.name}.{_machine()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    """Create a store in a hidden folder, which is removed unless it is renamed."""
+    temporary = path.with_name(
+        f".{path.name}.{_machine_id()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     )
     try:
-        _build(built, made_by, layout, chunk)
-        yield built
+        _write_store(temporary, identity, layout, chunk_size)
+        yield temporary
     finally:
-        shutil.rmtree(built, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _build(folder: Path, made_by: Mapping[str, Any], layout: Layout, chunk: int) -> None:
-    """Write all files of a store without answers."""
+def _write_store(
+    folder: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
+) -> None:
+    """Write all files of a store without outputs."""
     group = require_package("zarr", "Stores", "data").open_group(folder, mode="w")
     labels = {}
-    for name, column in (layout.fixed | layout.by_design).items():
+    for name, column in (layout.parameters | layout.outputs).items():
         labels.update(column.labels)
         units = {"units": column.unit} if column.unit else {}
-        attributes = units | OUTCOMES.get(name, {})
-        known = {"dimension_names": column.axes, "attributes": attributes}
-        if name in layout.fixed:
-            _write_fixed(group, name, np.asarray(column.values), **known)
+        attributes = units | RESULT_FLAGS.get(name, {})
+        metadata = {"dimension_names": column.axes, "attributes": attributes}
+        if name in layout.parameters:
+            _write_static_array(group, name, np.asarray(column.values), **metadata)
             continue
-        shape, kind = column.values.shape, np.dtype(column.values.dtype)
+        shape, dtype = column.values.shape, np.dtype(column.values.dtype)
         group.create_array(
             name,
             shape=shape,
-            chunks=(min(chunk, shape[0]), *(max(1, size) for size in shape[1:])),
-            dtype=kind,
-            fill_value=nothing(name, kind),
-            **known,
+            chunks=(min(chunk_size, shape[0]), *(max(1, size) for size in shape[1:])),
+            dtype=dtype,
+            fill_value=fill_value(name, dtype),
+            **metadata,
         )
     for axis, names in labels.items():
-        words = np.array(names, dtype=np.dtypes.StringDType())
-        _write_fixed(group, axis, words, dimension_names=(axis,))
-    count = len(layout.designs)
+        array = np.array(names, dtype=np.dtypes.StringDType())
+        _write_static_array(group, axis, array, dimension_names=(axis,))
+    chunk_count = -(-len(layout.designs) // chunk_size)
     group.create_group("finished").create_array(
-        "sums", shape=(-(-count // chunk),), chunks=(1,), dtype="uint64", fill_value=0
+        "sums", shape=(chunk_count,), chunks=(1,), dtype="uint64", fill_value=0
     )
-    group.attrs.update({**made_by, **layout.attributes})
+    group.attrs.update({**identity, **layout.attributes})
     contents = {
         "format": FORMAT,
-        "made_by": dict(made_by),
+        "identity": dict(identity),
         "grid": list(layout.grid),
-        "answers": list(layout.by_design),
-        "places": dict(layout.places),
+        "outputs": list(layout.outputs),
+        "coordinates": dict(layout.coordinates),
     }
     write_manifest(folder, contents)
 
 
-def _write_fixed(group: Any, name: str, values: np.ndarray, **settings: Any) -> None:
-    """Write an array of which all chunks are files, so that a missing one is noticed."""
+def _write_static_array(
+    group: Any, name: str, values: np.ndarray, **metadata: Any
+) -> None:
+    """Write an array with a file for each chunk, so that a missing file is detected."""
     config = {"write_empty_chunks": True}
-    group.create_array(name, data=values, config=config, **settings)
+    group.create_array(name, data=values, config=config, **metadata)
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove hidden folders of processes that were killed while they created this store.
+    """Remove hidden folders of processes that were killed while they created a store.
 
-    A folder of a process that runs must stay. Its name has the number of its process,
-    which tells this on the same machine, even where a process is killed without notice.
-    Elsewhere the age decides: creation takes seconds.
+    The folder of a running process must stay. The name of a folder contains the number
+    of its process, which shows on the same machine whether the process still runs. On
+    other machines the age decides, because the creation of a store takes seconds.
+
+    Args:
+        path: Folder of the store.
     """
     pattern = rf"\.{re.escape(path.name)}\.([0-9a-f]{{8}})-(\d+)-[0-9a-f]{{8}}"
     for folder in path.parent.iterdir():
@@ -192,23 +204,29 @@ def _remove_abandoned(path: Path) -> None:
             continue
         with contextlib.suppress(OSError):  # another process removed or renamed it
             old = time.time() - folder.stat().st_mtime > _ABANDONED_AFTER
-            if old or (match[1] == _machine() and not _runs(int(match[2]))):
+            if old or (match[1] == _machine_id() and not _is_running(int(match[2]))):
                 shutil.rmtree(folder, ignore_errors=True)
 
 
-def _machine() -> str:
-    """What distinguishes machines that share a folder, and containers on one machine."""
-    processes = ""
+def _machine_id() -> str:
+    """Compute an identifier of this machine and container.
+
+    It distinguishes machines that share a folder, and containers on one machine.
+
+    Returns:
+        Eight hexadecimal digits.
+    """
+    namespace = ""
     with contextlib.suppress(OSError):
-        processes = os.readlink("/proc/self/ns/pid")
-    text = f"{platform.node()} {processes}"
+        namespace = os.readlink("/proc/self/ns/pid")
+    text = f"{platform.node()} {namespace}"
     return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
 
-def _runs(process: int) -> bool:
-    """Whether a process of this machine runs; True if that cannot be known."""
+def _is_running(process: int) -> bool:
+    """Determine whether a process of this machine runs; True if this is unknown."""
     if os.name != "posix":
-        return True  # on Windows this call would end the process
+        return True  # On Windows, `os.kill` would end the process.
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):

@@ -1,4 +1,4 @@
-"""Files of a store: digests of those that never change, and errors of the file system."""
+"""Files of a store: digests of the files that never change, and file system errors."""
 
 import contextlib
 import errno
@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 
-# within an array of zarr, because zarr warns about foreign files in its groups
+# The manifest is in the folder of an array, because zarr warns about unknown files in the
+# folders of its groups.
 MANIFEST = Path("finished", "sums", "manifest.json")
 
 
 def write_manifest(folder: Path, contents: Mapping[str, Any]) -> None:
-    """Record what a new store is, with a digest of every file that it has so far.
+    """Write the manifest of a new store, with a digest of each file of the store.
 
-    These files hold the coordinates, the labels and all metadata; none of them changes
-    later. Files of answers are written later, and have checksums of their own.
+    These files hold the coordinates, the labels and all metadata. They never change. The
+    files of outputs are written later and have checksums of their own.
 
     Args:
-        folder: Folder of the store, without a manifest.
+        folder: Folder of the store, which has no manifest yet.
         contents: Further entries; anything that JSON can represent.
     """
     files = {
@@ -29,7 +30,7 @@ def write_manifest(folder: Path, contents: Mapping[str, Any]) -> None:
         if path.is_file()
     }
     manifest = {**contents, "files": files}
-    text = json.dumps({"digest": _digest_of(manifest), "manifest": manifest})
+    text = json.dumps({"digest": _manifest_digest(manifest), "manifest": manifest})
     (folder / MANIFEST).write_text(text, encoding="utf-8")
 
 
@@ -40,7 +41,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         folder: Folder of the store.
 
     Returns:
-        Its entries, or `None` if there is no manifest.
+        The entries of the manifest, or `None` if there is no manifest.
 
     Raises:
         OSError: The manifest cannot be read, or is damaged.
@@ -51,19 +52,22 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-        whole = json.loads(content)
-        if whole["digest"] == _digest_of(whole["manifest"]):
-            return whole["manifest"]
+        document = json.loads(content)
+        if document["digest"] == _manifest_digest(document["manifest"]):
+            return document["manifest"]
     name = MANIFEST.as_posix()
-    raise damage(folder, f"its file {name!r}", "Delete the store and sweep again.")
+    raise damage_error(folder, f"its file {name!r}", "Delete the store and sweep again.")
 
 
 def damaged_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
-    """List the files that are missing or do not hold what was written.
+    """List the files that are missing or have changed since they were written.
 
     Args:
         folder: Folder of the store.
-        digests: Digest of each file, by its path within the folder.
+        digests: Digest of each file, by its path in the folder.
+
+    Returns:
+        The paths of the damaged files in the folder.
     """
     damaged = []
     for name, digest in digests.items():
@@ -77,18 +81,21 @@ def damaged_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
     return damaged
 
 
-def damage(folder: Path, what: str, remedy: str) -> OSError:
-    """Make the error for a store with a damaged file.
+def damage_error(folder: Path, what: str, remedy: str) -> OSError:
+    """Create the error for a store with a damaged file.
 
     Args:
         folder: Folder of the store.
         what: What is damaged, such as "its file 'zarr.json'".
         remedy: What the user can do; a sentence.
+
+    Returns:
+        The error, which the caller raises.
     """
     return OSError(
         errno.EIO,
-        f"The store {str(folder)!r} is damaged: {what} is missing or does not hold what "
-        f"was written. {remedy}",
+        f"The store {str(folder)!r} is damaged: {what} is missing, or has changed since "
+        f"it was written. {remedy}",
     )
 
 
@@ -96,19 +103,22 @@ def damage(folder: Path, what: str, remedy: str) -> OSError:
 def clear_errors(
     path: Path, action: Literal["read", "written"], remedy: str = ""
 ) -> Iterator[None]:
-    """Replace an error of the file system by a short one that names the store.
+    """Replace a file system error in the block by a short one that names the store.
 
-    The errors of zarr name neither the store nor a remedy, and end long tracebacks.
+    The errors of zarr contain neither the store nor a remedy, and have long tracebacks.
 
     Args:
         path: Folder of the store.
-        action: What is done with the store.
+        action: What the block does with the store.
         remedy: What the user can do; a sentence.
+
+    Yields:
+        Nothing.
     """
     try:
         yield
     except OSError as error:
-        # with a number, Python chooses the subclass, such as PermissionError
+        # Python selects the subclass, such as PermissionError, by the error number.
         number, reason = error.errno or errno.EIO, error.strerror or str(error)
         text = f"The store {str(path)!r} cannot be {action}: {reason}. {remedy}"
         raise OSError(number, text.rstrip()) from None
@@ -119,6 +129,6 @@ def _file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _digest_of(manifest: Any) -> str:
+def _manifest_digest(manifest: Any) -> str:
     text = json.dumps(manifest, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

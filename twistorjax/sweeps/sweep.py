@@ -1,4 +1,4 @@
-"""Many designs at once: what a study says of each, as one table."""
+"""Evaluation of a study for many designs, with one dataset as the result."""
 
 import hashlib
 import importlib.metadata
@@ -13,18 +13,19 @@ from typing import Any, TYPE_CHECKING
 import jax
 import numpy as np
 
-from .._utils.validation import compilation_error
+from .._utils.validation import compilation_error, require_package
 from ..solve.results import result_message, RESULT_NAMES
-from ..solve.tables import Column, dataset, require_xarray
-from .dataset import finished, Layout, OUTCOMES, UNKNOWN
+from ..solve.tables import Column, dataset
+from .dataset import finish_dataset, Layout, NOT_COMPUTED, RESULT_FLAGS
 from .designs import Designs
-from .executor import chunk_of, Program
-from .memory import LEAST, need_memory, too_large
+from .executor import default_chunk_size, Program
+from .memory import memory_error, MINIMUM_OUTPUT_SIZE, require_memory
 from .names import check_storable
 from .outputs import StudyOutput
+from .processes import gather, synchronize
 from .store import Store
-from .store_creation import create_store, need_writable, rewrite_fixed_files
-from .store_files import clear_errors, damage
+from .store_creation import create_store, require_writable, rewrite_static_files
+from .store_files import clear_errors, damage_error
 
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def sweep(
     *,
     derivatives: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
-    chunk: int | None = None,
+    chunk_size: int | None = None,
     memory: float | int = 2**30,
     mesh: jax.sharding.Mesh | None = None,
     store: str | Path | None = None,
@@ -45,216 +46,289 @@ def sweep(
     settings: Mapping[str, Any] | None = None,
     progress: bool = False,
 ) -> "xarray.Dataset":
-    """What a study says of each of many designs.
+    """Evaluate a study for many designs.
 
-    They are taken in chunks, each side by side in one program. A design that has no
-    answer harms no other: its numbers are NaN, but for whole ones, `succeeded` is false
-    and `result` tells why; a warning counts such designs.
+    The designs are evaluated in chunks, each of which is one vectorized call of a
+    compiled program. If a design fails, its real and complex outputs are NaN, `succeeded`
+    is False and `result` holds the reason; the other designs are unaffected. A warning
+    reports the number of failed designs.
 
     Args:
-        study: of one design, as `designs` has them: builds a mechanism, solves it with
-            `throw=False`, and answers with an equilibrium, vibrations, a motion, a
-            number, an array, or a mapping of these by names. What such a mapping has of
-            type `RESULTS`, as `reference.result`, tells of each design whether it succeeded;
-            otherwise those do whose numbers are finite. It is traced once for all
-            designs, so numbers of `np.random` are the same for all.
-        designs: a mapping from names to arrays, or another tree of them, each with an
-            entry for each design along its first axis; `sample_designs` makes such ones. Or a
-            `Grid`, for all combinations.
-        derivatives: names of answers that are differentiated by each parameter, in the
-            same pass: `gain_by_web`.
-        units: of parameters and answers that do not tell their own, by name.
-        chunk: how many designs a device takes at once, by default up to 4096, on
-            accelerators 131,072, or as few as `memory` allows.
-        memory: that a chunk may take on each device; bytes.
-        mesh: of devices, of this process or of all that `jax.distributed` has joined.
-            Each takes chunks of its own.
-        store: a folder, in zarr's format, in which chunks are kept as they are found, so
-            that nothing of them is lost when the sweep is ended, however it is. Several
-            processes need one that they share. Names in it must be without spaces and
-            slashes.
-        resume: whether to go on with a store, from what it has: chunks that are whole
-            are not computed again. Chunks, coordinates and labels whose files are
-            damaged or missing are written again.
-        settings: more to be kept with the table, and, in a store, to know it by.
-        progress: whether a bar is shown.
+        study: Function of one design, which has the structure of `designs`. It typically
+            builds a mechanism, solves it with `throw=False`, and returns a solution, a
+            number, an array, or a mapping from names to these. If it also returns a
+            `RESULTS`, such as `solution.result`, a design succeeds if this result is a
+            success. Otherwise a design succeeds if all outputs are finite. The study is
+            traced once for all designs, so random numbers from `numpy.random` are the
+            same for all designs.
+        designs: Mapping from names to arrays, or another tree of arrays, whose first axis
+            has one entry for each design; `sample_designs` returns such a tree. A `Grid`
+            contains all combinations of given values.
+        derivatives: Names of the outputs that are differentiated by each parameter in
+            the same pass. The derivative of `gain` by `web` has the name `gain_by_web`.
+        units: Units of parameters, and of outputs without a unit of their own, by name.
+        chunk_size: Number of designs that a device evaluates in one call. The default is
+            at most 4096 on a processor and 131,072 on an accelerator, or less if `memory`
+            requires it.
+        memory: Memory that a chunk may use on each device; bytes.
+        mesh: Devices of this process, or of all processes that `jax.distributed`
+            connects. Each device evaluates chunks of its own. The default is one device.
+        store: Folder in zarr format in which each chunk is saved as soon as it is
+            computed, so that an interrupted sweep can be resumed. Several processes need
+            a common folder. Names in a store must not contain spaces or slashes.
+        resume: Whether an existing store is continued. Intact chunks are not computed
+            again. Damaged or missing files are written again.
+        settings: Further entries for the attributes of the dataset, which JSON can
+            represent. A store is resumed only if they are the same.
+        progress: Whether a progress bar is shown.
 
     Returns:
-        A dataset over `design`, or over the parameters of a grid; of a store as
-        `open_sweep` reads it.
+        A dataset with the axis `design`, or with the parameters of a grid as axes. It
+        holds the parameters, the outputs, `succeeded` and `result`. With a store, it is
+        what `open_sweep` returns.
 
     Raises:
-        ImportError: xarray is not installed, or zarr, for a store.
-        ValueError: the designs are of different lengths; a name is not known, or used
-            twice; an answer is no number; the store is another sweep's, or is there and
-            not to be resumed; the chunk does not fit the memory; the table does not fit
-            the memory of the machine; a name cannot be kept.
+        ImportError: xarray is not installed, or a store is used and zarr is not
+            installed.
+        ValueError: The designs have different lengths; a name is unknown, is used twice
+            or cannot be stored; an output is not numeric; the store exists and `resume`
+            is False; the store belongs to another sweep; a chunk does not fit into
+            `memory`; or the dataset does not fit into the memory of the machine.
         OSError: The store cannot be read or written, or its manifest is damaged.
-        RuntimeError: a solve within the study raised, for want of `throw=False`.
+        RuntimeError: A solve in the study raised an error, because it was called without
+            `throw=False`.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from twistorjax import Body, equilibrium, Hinge, Load, Material
-        >>> from twistorjax.flexures import leaf
-        >>> from twistorjax import Mechanism
-        >>> steel = Material(modulus=210e9, poisson=0.3)
-        >>> def sag(design):
-        ...     spring = leaf(steel, length=0.05, width=0.01, **design)
-        ...     hinge = Hinge("leaf", "wall", "tip", spring, at=(0.0, 0.025, 0.0))
-        ...     bodies = [Body("wall"), Body("tip", (0.0, 0.05, 0.0))]
-        ...     beam = Mechanism(bodies, [hinge], fixed=["wall"])
-        ...     push = Load("tip", (0.0, 0.0, -1.0))
-        ...     bent = equilibrium(beam, loads=[push], throw=False)
-        ...     return {"sag": -bent.displacement("tip")[2], "result": bent.result}
-        >>> thicknesses = jnp.array([0.5e-3, 1e-3])
-        >>> table = sweep(sag, {"thickness": thicknesses}, units={"sag": "m"})
-        >>> table.sag.values
+        >>> import twistorjax as tj
+        >>> steel = tj.Material(modulus=210e9, poisson=0.3)
+        >>> def cantilever(design):
+        ...     leaf = tj.flexures.leaf(
+        ...         steel, length=0.05, thickness=design["thickness"], width=0.01
+        ...     )
+        ...     mechanism = tj.Mechanism(
+        ...         bodies=[tj.Body("wall"), tj.Body("tip", pose=(0.0, 0.05, 0.0))],
+        ...         hinges=[tj.Hinge("leaf", "wall", "tip", leaf, at=(0.0, 0.025, 0.0))],
+        ...         fixed=["wall"],
+        ...     )
+        ...     load = tj.Load("tip", (0.0, 0.0, -1.0))
+        ...     solution = tj.equilibrium(mechanism, loads=[load], throw=False)
+        ...     deflection = -solution.displacement("tip")[2]
+        ...     return {"deflection": deflection, "result": solution.result}
+        >>> thickness = jnp.array([0.5e-3, 1e-3])
+        >>> units = {"thickness": "m", "deflection": "m"}
+        >>> table = tj.sweep(cantilever, {"thickness": thickness}, units=units)
+        >>> table.deflection.values
         array([0.00190..., 0.00023...])
     """
-    require_xarray()
+    require_packages(store)
     if not callable(study):
         raise ValueError(f"`study` is {study!r}, but must be a function of one design.")
     designs = Designs(designs)
     if isinstance(derivatives, str):
         derivatives = (derivatives,)
-    if (chunk is not None and chunk < 1) or not memory > 0:
-        raise ValueError(
-            f"`chunk` is {chunk} and `memory` {memory}, but they must be at least 1, and "
-            "positive."
-        )
+    if chunk_size is not None and chunk_size < 1:
+        raise ValueError(f"`chunk_size` is {chunk_size}, but must be at least 1.")
+    if not memory > 0:
+        raise ValueError(f"`memory` is {memory} bytes, but must be positive.")
     if resume and store is None:
-        raise ValueError("`resume` is given, but no `store` to go on with.")
-    there = None
+        raise ValueError("`resume` is True, but there is no `store`. Specify its path.")
+    existing = None
     if store is not None:
         check_storable(designs.names)
         if Path(store).exists():
-            there = Store(store)  # refused where it is none
+            existing = Store(store)
         else:
-            need_writable(Path(store))
-    # the answers in a store are read as they are used, unless they become a grid
-    fixed = store is None or designs.dims != ("design",)
-    parameters = sum(array.nbytes for array in designs.arrays)
-    need_memory(len(designs), parameters + (LEAST * len(designs) if fixed else 0))
-    _together("looked")  # before the first of them makes it
-    if there is not None and not resume:
+            require_writable(Path(store))
+    # Outputs in a store are read when they are used, except for those of a grid.
+    in_memory = store is None or designs.dims != ("design",)
+    needed = sum(array.nbytes for array in designs.arrays)
+    needed += MINIMUM_OUTPUT_SIZE * len(designs) if in_memory else 0
+    require_memory(len(designs), needed)
+    # Every process must look for the store before the first of them creates it.
+    synchronize("store checked")
+    if existing is not None and not resume:
         raise ValueError(
-            f"`store` is {str(store)!r}, which is there already: go on with it by "
-            "`resume=True`, or give another path."
+            f"`store` is {str(store)!r}, which already exists. Continue it with "
+            "`resume=True`, or use another path."
         )
-    if there is not None and chunk is None:
-        chunk = there.made_by["chunk"]
-    size = chunk_of(len(designs), mesh) if chunk is None else chunk
+    fixed_chunk_size = chunk_size is not None or existing is not None
+    if chunk_size is None:
+        chunk_size = (
+            default_chunk_size(len(designs), mesh)
+            if existing is None
+            else existing.identity["chunk_size"]
+        )
     try:
         program = _program(
-            study, designs.kind, tuple(derivatives), size, memory, mesh, chunk is not None
-        )
+            study, designs.structure, tuple(derivatives), chunk_size, memory, mesh,
+            fixed_chunk_size,
+        )  # fmt: skip
     except jax.errors.JAXTypeError as error:
         raise compilation_error("study", "about the design", error) from error
-    layout = Layout(designs, program.told, dict(units or {}))
+    layout = Layout(designs, program.output, dict(units or {}))
     if store is not None:
         layout.check_storable()
-    needed = layout.size(answers=fixed)
-    need_memory(len(designs), needed)
-    program.fit()
+    needed = layout.memory_size(outputs=in_memory)
+    require_memory(len(designs), needed)
+    program.fit_memory()
     if store is None:
         try:
-            kept = layout.empty()
+            values = layout.allocate()
         except MemoryError:
-            raise too_large(len(designs), needed) from None
-        for number, told in _shown(
-            program, designs, range(program.count(designs)), progress
-        ):
-            first = number * program.chunk
-            for name, values in layout.values(told).items():
-                rows = kept[name][first : first + program.chunk]
-                rows[:] = values[: len(rows)]
+            raise memory_error(len(designs), needed) from None
+        chunks = range(program.chunk_count(designs))
+        for chunk, output in _run(program, designs, chunks, progress):
+            first = chunk * program.chunk_size
+            for name, chunk_values in layout.values(output).items():
+                rows = values[name][first : first + program.chunk_size]
+                rows[:] = chunk_values[: len(rows)]
         attributes = _identity(study, designs, program, units, settings)
-        table = _in_memory(layout, _gathered(kept, designs, program), attributes)
+        owners = np.repeat(program.chunk_owners(designs), program.chunk_size)
+        gathered = gather(values, owners[: len(designs)])
+        table = _assemble(layout, gathered, attributes)
     else:
-        made_by = _identity(study, designs, program, units, settings)
-        keeper = _opened(store, layout, program, made_by, resume)
-        left = np.flatnonzero(~keeper.finished())
-        _together("begun")
-        for number, told in _shown(program, designs, left.tolist(), progress):
-            keeper.write(number, layout.values(told))
-        _together("ended")
+        identity = _identity(study, designs, program, units, settings)
+        opened = _open_store(store, layout, program, identity, resume)
+        missing = np.flatnonzero(~opened.intact_chunks())
+        synchronize("sweep started")
+        for chunk, output in _run(program, designs, missing.tolist(), progress):
+            opened.write(chunk, layout.values(output))
+        synchronize("sweep finished")
         table = open_sweep(store, verify=False)
     warn_of_failures(table)
     return table
 
 
-def _program(*arguments: Any) -> Program:
-    """The program of a study, compiled once for all designs of one kind."""
-    try:
-        hash(arguments)
-    except TypeError:  # as a study that has arrays
-        return Program(*arguments)
-    return _kept(*arguments)
-
-
-_kept = lru_cache(maxsize=32)(Program)
-
-
 def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
-    """What a store has of a sweep; of one that is not at its end, what is there so far.
+    """Open the dataset of a sweep that was saved in a store.
 
-    Designs that have not been looked at are NaN, not `succeeded`, and their `result` is
-    -1; so are those whose files are not whole, which `sweep` computes again. How many
-    chunks are missing so is told by the attribute `chunks_missing`. Coordinates, labels
-    and metadata are verified in any case.
+    The sweep may be incomplete. The outputs of a design that has not been computed, or
+    whose files are damaged, are NaN; its `succeeded` is False and its `result` is -1. The
+    attribute `chunks_missing` holds the number of such chunks, which `sweep` computes if
+    it resumes the store. Coordinates, labels and metadata are always verified.
 
     Args:
-        store: the folder.
-        verify: whether all numbers are read once, to see that they are those that were
-            written. Otherwise they are read as they are used, and a file that was
-            damaged is not seen.
+        store: Folder of the store.
+        verify: Whether all outputs are read once and compared with their checksums.
+            Otherwise they are read when they are used, and damaged files may remain
+            undetected.
+
+    Returns:
+        The dataset, as `sweep` returns it.
 
     Raises:
         ImportError: xarray or zarr is not installed.
-        ValueError: it is no store of a sweep.
-        OSError: it is not there, cannot be read, or its coordinates, labels or metadata
-            are damaged.
+        ValueError: The folder is not a store of a sweep, or has another format.
+        OSError: The store does not exist, cannot be read, or its coordinates, labels or
+            metadata are damaged.
     """
-    xarray, kept = require_xarray(), Store(store).open("r")
-    with clear_errors(kept.path, "read"):
-        table = xarray.open_zarr(kept.path, consolidated=False, chunks=None)
-    table = table[list(kept.names)].assign_coords(table.coords)
-    whole = kept.finished() if verify else kept.written()
-    if not whole.all():
-        known = {n: table[n].copy(data=kept.known(n, whole)) for n in kept.names}
-        table = table.assign(known)
-        table = table.assign_attrs(chunks_missing=int(np.sum(~whole)))
+    require_packages(store)
+    import xarray
+
+    opened = Store(store).open("r")
+    with clear_errors(opened.path, "read"):
+        table = xarray.open_zarr(opened.path, consolidated=False, chunks=None)
+    table = table[list(opened.output_names)].assign_coords(table.coords)
+    available = opened.intact_chunks() if verify else opened.written_chunks()
+    if not available.all():
+        outputs = {
+            name: table[name].copy(data=opened.read(name, available))
+            for name in opened.output_names
+        }
+        table = table.assign(outputs)
+        table = table.assign_attrs(chunks_missing=int(np.sum(~available)))
     try:
-        return finished(table, kept.grid, kept.places)
-    except Exception:  # what is read here may be damaged, unless it has been verified
+        return finish_dataset(table, opened.grid, opened.coordinates)
+    except Exception:  # Without verification, what is read here may be damaged.
         if verify:
             raise
-        raise damage(kept.path, "an answer", "Open it with `verify=True`.") from None
+        remedy = "Open it with `verify=True`."
+        raise damage_error(opened.path, "an output", remedy) from None
 
 
-def _opened(
+def require_packages(store: str | Path | None) -> None:
+    """Check that the packages for datasets and for stores are installed.
+
+    Args:
+        store: Folder of the store; `None` if no store is used.
+
+    Raises:
+        ImportError: A package is not installed; the message contains the pip command.
+    """
+    require_package("xarray", "Sweeps", "data")
+    if store is not None:
+        require_package("zarr", "Stores", "data")
+
+
+def failures(table: "xarray.Dataset") -> dict[str, int]:
+    """Count the failed designs of a dataset.
+
+    Args:
+        table: Dataset of a sweep.
+
+    Returns:
+        The number of failed designs for each result name. Designs that have not been
+        evaluated are not counted.
+    """
+    codes = np.asarray(table["result"])[~np.asarray(table["succeeded"])]
+    names = [RESULT_NAMES[code] for code in codes.ravel() if code != NOT_COMPUTED]
+    return dict(Counter(names))
+
+
+def warn_of_failures(table: "xarray.Dataset") -> None:
+    """Warn if designs of a dataset failed, with their number and the reasons.
+
+    Args:
+        table: Dataset of a sweep.
+    """
+    if not (counts := failures(table)):
+        return
+    reasons = " ".join(
+        f"{count:,} {name}: {result_message(name)}" for name, count in counts.items()
+    )
+    warnings.warn(
+        f"{sum(counts.values()):,} of {table['succeeded'].size:,} designs failed, and "
+        f"their outputs are NaN. {reasons}",
+        stacklevel=3,
+    )
+
+
+def _program(*arguments: Any) -> Program:
+    """Create a program, or find one that was created with the same arguments."""
+    try:
+        hash(arguments)
+    except TypeError:  # A study that contains arrays cannot be hashed.
+        return Program(*arguments)
+    return _cached_program(*arguments)
+
+
+_cached_program = lru_cache(maxsize=32)(Program)
+
+
+def _open_store(
     store: str | Path,
     layout: Layout,
     program: Program,
-    made_by: Mapping[str, Any],
+    identity: Mapping[str, Any],
     resume: bool,
 ) -> Store:
-    """The store of a sweep, found or made."""
+    """Create the store of a sweep, or prepare an existing one, and open it."""
     path = Path(store)
     if jax.process_index() == 0 and (
-        path.exists() or not create_store(path, made_by, layout, program.chunk)
+        path.exists() or not create_store(path, identity, layout, program.chunk_size)
     ):
         if not resume:
             raise ValueError(
-                f"`store` is {str(path)!r}, which another process has created since this "
-                "sweep began: go on with it by `resume=True`, or give another path."
+                f"`store` is {str(path)!r}, which another process created after this "
+                "sweep began. Continue it with `resume=True`, or use another path."
             )
-        kept = Store(path)
-        kept.check(made_by)
-        if kept.damaged_files():
-            rewrite_fixed_files(path, made_by, layout, program.chunk)
-        kept.clear()
-    _together("opened")
+        existing = Store(path)
+        existing.check_identity(identity)
+        if existing.damaged_files():
+            rewrite_static_files(path, identity, layout, program.chunk_size)
+        existing.remove_partial_files()
+    synchronize("store opened")
     return Store(path).open()
 
 
@@ -265,22 +339,22 @@ def _identity(
     units: Mapping[str, str] | None,
     settings: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """What another sweep is told apart by."""
+    """Collect the entries by which sweeps are distinguished."""
     digest = hashlib.sha256()
     for name, array in zip(designs.names, designs.arrays, strict=True):
         digest.update(f"{name} {array.dtype} {array.shape};".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     try:
-        told = json.dumps(dict(settings or {}), sort_keys=True)
+        settings_text = json.dumps(dict(settings or {}), sort_keys=True)
     except TypeError as error:
         raise ValueError(
-            f"`settings` must be numbers, texts, and lists of them: {error}."
+            f"`settings` must contain numbers, strings and lists of these: {error}."
         ) from None
     return {
         "study": getattr(study, "__qualname__", type(study).__qualname__),
-        "settings": told,
+        "settings": settings_text,
         "units": json.dumps(dict(units or {}), sort_keys=True),
-        "chunk": program.chunk,
+        "chunk_size": program.chunk_size,
         "program": program.fingerprint,
         "designs": digest.hexdigest(),
         "twistorjax": importlib.metadata.version("twistorjax"),
@@ -289,71 +363,28 @@ def _identity(
     }
 
 
-def _in_memory(
-    layout: Layout, values: Mapping[str, np.ndarray], attributes: Mapping[str, Any]
-) -> "xarray.Dataset":
-    told = {
-        name: Column(values[name], column.axes, column.unit, column.labels)
-        for name, column in layout.by_design.items()
-    }
-    table = dataset({**layout.fixed, **told}, OUTCOMES)
-    table = table.set_coords(layout.designs.names).assign_attrs(attributes)
-    return finished(table, layout.grid, layout.places)
-
-
-def _shown(
+def _run(
     program: Program, designs: Designs, chunks: Sequence[int], progress: bool
 ) -> Iterator[tuple[int, StudyOutput]]:
-    """The chunks as they are found, with a bar that counts designs."""
+    """Evaluate chunks of designs, with a progress bar that counts designs."""
     from tqdm import tqdm
 
-    count, size = len(designs), program.chunk
-    total = sum(min(size, count - number * size) for number in chunks)
+    count, size = len(designs), program.chunk_size
+    total = sum(min(size, count - chunk * size) for chunk in chunks)
     with tqdm(total=total, unit="design", unit_scale=True, disable=not progress) as bar:
-        for number, told in program.run(designs, chunks):
-            yield number, told
-            bar.update(min(size, count - number * size))
+        for chunk, output in program.run(designs, chunks):
+            yield chunk, output
+            bar.update(min(size, count - chunk * size))
 
 
-def _together(step: str) -> None:
-    """Waits until all processes are there."""
-    if jax.process_count() > 1:
-        from jax.experimental import multihost_utils
-
-        multihost_utils.sync_global_devices(step)
-
-
-def _gathered(
-    kept: dict[str, np.ndarray], designs: Designs, program: Program
-) -> dict[str, np.ndarray]:
-    """The numbers of all processes, of which each has those of its own chunks."""
-    if jax.process_count() == 1:
-        return kept
-    from jax.experimental import multihost_utils
-
-    owner = np.repeat(program.owners(designs), program.chunk)[: len(designs)]
-    rows = np.arange(len(owner))
-    return {
-        name: np.asarray(multihost_utils.process_allgather(values))[owner, rows]
-        for name, values in kept.items()
+def _assemble(
+    layout: Layout, values: Mapping[str, np.ndarray], attributes: Mapping[str, Any]
+) -> "xarray.Dataset":
+    """Assemble the dataset from values in memory."""
+    outputs = {
+        name: Column(values[name], column.axes, column.unit, column.labels)
+        for name, column in layout.outputs.items()
     }
-
-
-def failures(table: "xarray.Dataset") -> dict[str, int]:
-    """How many designs have no answer, by what became of them."""
-    codes = np.asarray(table["result"])[~np.asarray(table["succeeded"])]
-    return dict(Counter(RESULT_NAMES[code] for code in codes.ravel() if code != UNKNOWN))
-
-
-def warn_of_failures(table: "xarray.Dataset") -> None:
-    """Counts the designs that have no answer, and says why."""
-    if not (counts := failures(table)):
-        return
-    why = " ".join(
-        f"{count:,} {name}: {result_message(name)}" for name, count in counts.items()
-    )
-    warnings.warn(
-        f"{sum(counts.values()):,} of {table['succeeded'].size:,} designs have no "
-        f"answer: their numbers are NaN. {why}",
-        stacklevel=3,
-    )
+    table = dataset({**layout.parameters, **outputs}, RESULT_FLAGS)
+    table = table.set_coords(layout.designs.names).assign_attrs(attributes)
+    return finish_dataset(table, layout.grid, layout.coordinates)

@@ -1,4 +1,4 @@
-"""What tolerances of the parameters make of an answer."""
+"""Tolerance analysis: how the uncertainty of parameters propagates to an output."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -8,120 +8,132 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..solve.tables import require_xarray
-from .distributions import DistributionSet, Method
-from .memory import need_memory
-from .sweep import sweep, warn_of_failures
+from .memory import require_memory
+from .sampling import DistributionSet, Method
+from .sweep import require_packages, sweep, warn_of_failures
 
 
 if TYPE_CHECKING:
     import xarray
 
 
-_GROUPS = 8  # samples, each for itself
+# number of independent samples, whose differences give the standard errors
+_REPLICATES = 8
 
 
 class VarianceShare(NamedTuple):
-    """How much of the spread of an answer one parameter brings.
+    """Share of one random variable in the variance of an output.
 
-    Of correlated parameters each has what it brings together with the others, which may
-    be negative, or more than the whole; those that are but one are given equal parts.
+    The shares of correlated variables include their covariance with the others, so they
+    may be negative or exceed 1. Fully correlated variables have equal sampled shares.
 
     Args:
-        name: of the parameter.
-        slope: of the answer by it, at the means.
-        first_order: its part of the variance, by the slopes.
-        sample_designs: its part of the variance of the designs that were drawn, by the linear
-            function of the parameters that fits them best.
+        name: Name of the variable, which is a parameter or an entry of a parameter.
+        derivative: Derivative of the output by the variable, at the means.
+        first_order: Share of the first-order variance.
+        sampled: Share of the variance of the sampled designs, by the linear function of
+            the variables that fits their outputs best.
     """
 
     name: str
-    slope: float
+    derivative: float
     first_order: float
     sampled: float
 
 
 class Tolerances(NamedTuple):
-    """How an answer spreads as its parameters do, found in two ways.
+    """Distribution of an output, to first order and from sampled designs.
+
+    Standard deviations, standard errors and percentiles are in the unit of the output.
 
     Args:
-        answer: its name.
-        unit: of it.
-        nominal: the answer at the means of the parameters.
-        deviation: its standard deviation to first order, by the exact slopes.
-        mean: of the designs that were drawn.
-        mean_error: standard error of that.
-        spread: standard deviation of the designs that were drawn.
-        spread_error: standard error of that.
-        interval: in which 95 % of them lie.
-        shares: what each parameter brings, the largest first.
-        nonlinear: the part of the variance of the designs that were drawn that no linear
-            function of the parameters brings.
-        failed: how many of them have no answer; they take no part.
-        table: all of them, as `sweep` tells.
+        output: Name of the output.
+        unit: Unit of the output; empty if it is unknown.
+        nominal: Output at the means of the parameters.
+        first_order_standard_deviation: Standard deviation to first order, from the exact
+            derivatives at the means.
+        mean: Mean of the sampled designs.
+        mean_standard_error: Standard error of `mean`.
+        standard_deviation: Standard deviation of the sampled designs.
+        standard_deviation_standard_error: Standard error of `standard_deviation`.
+        percentile_interval: 2.5th and 97.5th percentile of the sampled designs.
+        variance_shares: Shares of the random variables in the variance, the largest
+            first.
+        nonlinear_share: Share of the variance of the sampled designs that no linear
+            function of the variables explains.
+        failed_count: Number of sampled designs that failed. They are left out.
+        table: Dataset of the sampled designs, as `sweep` returns it.
     """
 
-    answer: str
+    output: str
     unit: str
     nominal: float
-    deviation: float
+    first_order_standard_deviation: float
     mean: float
-    mean_error: float
-    spread: float
-    spread_error: float
-    interval: tuple[float, float]
-    shares: tuple[VarianceShare, ...]
-    nonlinear: float
-    failed: int
+    mean_standard_error: float
+    standard_deviation: float
+    standard_deviation_standard_error: float
+    percentile_interval: tuple[float, float]
+    variance_shares: tuple[VarianceShare, ...]
+    nonlinear_share: float
+    failed_count: int
     table: "xarray.Dataset"
 
     @property
-    def disagreement(self) -> float:
-        """Of the two standard deviations, relative to the one of the drawn designs.
+    def first_order_error(self) -> float:
+        """Relative error of the first-order standard deviation.
 
-        What of it is beyond `spread_error / spread` shows that the answer is not linear
-        over the tolerances.
+        The reference is the standard deviation of the sampled designs. An error well
+        above `standard_deviation_standard_error / standard_deviation` shows that the
+        output is nonlinear over the tolerances.
         """
-        return self.deviation / self.spread - 1 if self.spread else 0.0
+        if not self.standard_deviation:
+            return 0.0
+        return self.first_order_standard_deviation / self.standard_deviation - 1
 
     @property
-    def shift(self) -> float:
-        """Of the mean from the nominal answer, which no linear map would show."""
+    def mean_shift(self) -> float:
+        """Difference of the mean and the nominal output; zero for a linear study."""
         return self.mean - self.nominal
 
     def __repr__(self) -> str:
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
 
-        def row(what: str, mean: float, deviation: float, digits: int) -> str:
+        def row(label: str, mean: float, deviation: float, digits: int) -> str:
             numbers = f"{mean:>12.{digits + 2}g}  {deviation:>12.{digits}g}"
-            return f"{what:<14}  {numbers}{unit}"
+            return f"{label:<14}  {numbers}{unit}"
 
         count = self.table.sizes["design"]
-        low, high = self.interval
-        apart = 100 * self.disagreement
+        low, high = self.percentile_interval
+        errors = (self.mean_standard_error, self.standard_deviation_standard_error)
         lines = [
-            f"{self.answer} of {count - self.failed:,} designs",
-            f"{'':<14}  {'mean':>12}  {'deviation':>12}",
-            row("first order", self.nominal, self.deviation, 4),
-            row("drawn", self.mean, self.spread, 4),
-            row("± of drawn", self.mean_error, self.spread_error, 2),
-            f"95 % between {low:.6g} and {high:.6g}{unit}; the deviations differ by "
-            f"{apart:.2g} %, the means by {self.shift:.2g}{unit}",
+            f"{self.output} of {count - self.failed_count:,} sampled designs",
+            f"{'':<14}  {'mean':>12}  {'std. dev.':>12}",
+            row("first order", self.nominal, self.first_order_standard_deviation, 4),
+            row("sampled", self.mean, self.standard_deviation, 4),
+            row("standard error", *errors, 2),
+            f"95 % interval: {low:.6g} to {high:.6g}{unit}",
+            f"shift of the mean: {self.mean_shift:.2g}{unit}; error of the first-order "
+            f"std. dev.: {100 * self.first_order_error:.2g} %",
         ]
-        if self.failed:
-            lines.append(f"warning: {self.failed:,} designs have no answer")
-        wide = max(9, *(len(share.name) for share in self.shares))
-        head = f"{'parameter':<{wide}}  {'slope':>12}  {'of variance':>11}  {'drawn':>8}"
-        lines.append(head)
-        for name, slope, first, drawn in self.shares[:20]:
+        if self.failed_count:
+            lines.append(f"warning: {self.failed_count:,} designs failed")
+        width = max(9, *(len(share.name) for share in self.variance_shares))
+        lines += [
+            f"{'':<{width}}  {'':>12}  {'share of variance':>22}",
+            f"{'parameter':<{width}}  {'derivative':>12}  {'first order':>11}  "
+            f"{'sampled':>9}",
+        ]
+        for name, derivative, first_order, sampled in self.variance_shares[:20]:
             lines.append(
-                f"{name:<{wide}}  {slope:>12.5g}  {100 * first:>9.2f} %  "
-                f"{100 * drawn:>6.2f} %"
+                f"{name:<{width}}  {derivative:>12.5g}  {100 * first_order:>9.2f} %  "
+                f"{100 * sampled:>7.2f} %"
             )
-        if len(self.shares) > 20:
-            lines.append(f"... {len(self.shares) - 20} more")
+        if len(self.variance_shares) > 20:
+            lines.append(f"... {len(self.variance_shares) - 20} more")
         lines.append(
-            f"{'not linear':<{wide}}  {'':>12}  {'':>11}  {100 * self.nonlinear:>6.2f} %"
+            f"{'nonlinear':<{width}}  {'':>12}  {'':>11}  "
+            f"{100 * self.nonlinear_share:>7.2f} %"
         )
         return "\n".join(lines)
 
@@ -129,170 +141,229 @@ class Tolerances(NamedTuple):
 def tolerances(
     study: Callable[[Any], Any],
     designs: Any,
-    answer: str = "answer",
+    output: str = "output",
     *,
     count: int = 8192,
     method: Method = "sobol",
-    key: int = 0,
+    seed: int = 0,
     correlation: ArrayLike | None = None,
-    **settings: Any,
+    **sweep_options: Any,
 ) -> Tolerances:
-    """How an answer spreads with the parameters: drawn designs beside first order.
+    """Propagate the uncertainty of parameters to an output of a study.
+
+    Two methods are compared: the first-order formula with the exact derivatives at the
+    means, and a sweep over sampled designs.
 
     Args:
-        study: of one design, as for `sweep`.
-        designs: what it takes, with a `Normal` or a `Uniform` for each parameter that is
-            not known exactly.
-        answer: the name of the number that is looked at; "answer" of a study that gives
-            just a number.
-        count: how many designs are drawn, best a power of two.
-        method: how: see `sample_designs`. Of what fills the space evenly eight samples are
-            drawn, each for itself, whose differences give the standard errors; fewer
-            than 128 designs are one sample, whose errors are told as if each had been
-            drawn for itself, which is too large.
-        key: likewise.
-        correlation: likewise.
-        settings: more for `sweep`: `units` of parameters and answers, a `store`, a bar.
+        study: Function of one design, as for `sweep`.
+        designs: One design as the study takes it, with a `Normal` or a `Uniform` in
+            place of each uncertain parameter.
+        output: Name of the output, which must be a scalar. If the study returns a bare
+            scalar, its name is "output".
+        count: Number of sampled designs; powers of two are best.
+        method: Sampling method; see `sample_designs`. With "sobol" or "latin_hypercube"
+            and at least 128 designs, the standard errors come from the differences of
+            eight independent samples. Fewer designs are one sample, whose standard
+            errors are those of independent designs, which are too large.
+        seed: Seed of the random number generator.
+        correlation: Correlation matrix of all random variables; see `sample_designs`.
+        sweep_options: Further arguments of `sweep`, such as `units`, `store` or
+            `progress`.
+
+    Returns:
+        The distribution of the output.
 
     Raises:
-        ImportError: xarray is not installed.
-        ValueError: double precision is off; nothing spreads; the study does not answer a
-            number of that name; the design of the means, or every design, has no answer;
-            or what `sweep` refuses.
+        ImportError: xarray is not installed, or a store is used and zarr is not
+            installed.
+        ValueError: Double precision is off; no parameter has a distribution; the study
+            does not return a scalar of this name; the design at the means fails; fewer
+            than two sampled designs succeed; or `sweep` rejects an argument.
 
     Source:
-        JCGM 100:2008, Guide to the expression of uncertainty in measurement, section 5;
-        its supplement 1, JCGM 101:2008, for the drawn designs.
+        JCGM 100:2008, Guide to the expression of uncertainty in measurement, section 5,
+        for the first-order formula; JCGM 101:2008, its supplement 1, for sampling.
 
     Example:
-        >>> from twistorjax.sweeps import Normal
+        >>> import twistorjax as tj
         >>> def area(design):
         ...     return design["width"] * design["height"]
-        >>> sides = {"width": Normal(2.0, 0.01), "height": Normal(1.0, 0.01)}
-        >>> seen = tolerances(area, sides)
-        >>> round(seen.deviation, 5), [share.name for share in seen.shares]
-        (0.02236, ['height', 'width'])
+        >>> rectangle = {
+        ...     "width": tj.sweeps.Normal(mean=2.0, standard_deviation=0.01),
+        ...     "height": tj.sweeps.Normal(mean=1.0, standard_deviation=0.01),
+        ... }
+        >>> result = tj.sweeps.tolerances(area, rectangle)
+        >>> round(result.first_order_standard_deviation, 5)
+        0.02236
+        >>> [share.name for share in result.variance_shares]
+        ['height', 'width']
     """
-    require_xarray()
+    require_packages(sweep_options.get("store"))
     if jnp.result_type(float) != jnp.float64:
         raise ValueError(
-            "Small differences need double precision, which JAX has off. Before any "
-            'array is made, write `jax.config.update("jax_enable_x64", True)`.'
+            "Tolerances need double precision, but JAX uses single precision. Before any "
+            'array is created, call `jax.config.update("jax_enable_x64", True)`.'
         )
-    spreads = DistributionSet(designs, correlation)
+    distributions = DistributionSet(designs, correlation)
     if not isinstance(count, int | np.integer) or count < 2:
-        raise ValueError(f"`count` is {count!r}, but must be a whole number from 2.")
-    need_memory(count, 8 * count * len(spreads.names))
-    groups = _GROUPS if method != "random" and count >= 16 * _GROUPS else 1
-    sizes = [count // groups + (k < count % groups) for k in range(groups)]
-    keys = np.random.SeedSequence(key).generate_state(groups) if groups > 1 else [key]
-    drawn = np.concatenate(
+        raise ValueError(f"`count` is {count!r}, but must be an integer of at least 2.")
+    require_memory(count, 8 * count * len(distributions.variable_names))
+    replicates = _REPLICATES if method != "random" and count >= 16 * _REPLICATES else 1
+    sizes = [count // replicates + (k < count % replicates) for k in range(replicates)]
+    seeds = [seed]
+    if replicates > 1:
+        seeds = np.random.SeedSequence(seed).generate_state(replicates)
+    samples = np.concatenate(
         [
-            spreads.drawn(size, method, int(own))
-            for size, own in zip(sizes, keys, strict=True)
+            distributions.sample(size, method, int(replicate_seed))
+            for size, replicate_seed in zip(sizes, seeds, strict=True)
         ]
     )
 
-    # the means are the first design, so that one program serves for all
-    rows = np.concatenate([spreads.means[None], drawn])
-    one = _OfSpread(study, spreads)
+    # The first design has the means as parameters, so that one program serves for both
+    # methods.
+    samples_and_means = np.concatenate([distributions.means[None], samples])
+    sampled_study = _SampledStudy(study, distributions)
     try:
         with warnings.catch_warnings():
-            # told below, of those drawn
-            warnings.filterwarnings("ignore", ".* designs have no answer")
-            whole = sweep(one, spreads.columns(rows), derivatives=(answer,), **settings)
+            # A warning without the first design follows below.
+            warnings.filterwarnings("ignore", ".* designs failed")
+            everything = sweep(
+                sampled_study,
+                distributions.parameters(samples_and_means),
+                derivatives=(output,),
+                **sweep_options,
+            )
     except ValueError as error:
-        text = str(error).replace("`derivatives` names", "`answer` is")
-        raise ValueError(text) from error
-    if whole[answer].ndim != 1:
+        message = str(error).replace("`derivatives` names", "`output` is")
+        raise ValueError(message) from error
+    if everything[output].ndim != 1:
         raise ValueError(
-            f"{answer!r} has shape {whole[answer].shape[1:]} for each design, but must "
-            "be a number."
+            f"{output!r} has shape {everything[output].shape[1:]} for each design, but "
+            "must be a scalar."
         )
-    center, table = whole.isel(design=0), whole.isel(design=slice(1, None))
-    if not bool(center["succeeded"]):
-        raise ValueError("The design at the means of the parameters has no answer.")
+    nominal, table = everything.isel(design=0), everything.isel(design=slice(1, None))
+    if not bool(nominal["succeeded"]):
+        raise ValueError("The study fails for the design at the means of the parameters.")
     warn_of_failures(table)
-    slopes = np.concatenate(
-        [np.ravel(center[f"{answer}_by_{name}"]) for name in spreads.parameters]
+
+    standard_deviations = distributions.standard_deviations
+    derivatives = np.concatenate(
+        [np.ravel(nominal[f"{output}_by_{p}"]) for p in distributions.parameter_names]
     )
-    moved = slopes * spreads.deviations
-    brought = moved * (spreads.correlation @ moved)
-    variance = float(brought.sum())
-    fine = np.asarray(table["succeeded"])
-    values = np.asarray(table[answer])[fine]
+    effects = derivatives * standard_deviations
+    variances = effects * (distributions.correlation @ effects)
+    variance = float(variances.sum())
+    succeeded = np.asarray(table["succeeded"])
+    values = np.asarray(table[output])[succeeded]
     if len(values) < 2:
-        raise ValueError(f"Only {len(values)} of {count:,} drawn designs have an answer.")
-    spread = float(values.std(ddof=1))
-    seen = _brought(drawn[fine], values, spreads.deviations)
+        raise ValueError(
+            f"Only {len(values)} of {count:,} sampled designs succeed, but at least two "
+            "are needed."
+        )
+    standard_deviation = float(values.std(ddof=1))
+    sampled_shares = _sampled_shares(samples[succeeded], values, standard_deviations)
     shares = [
-        VarianceShare(name, float(slope), float(first), float(other))
-        for name, slope, first, other in zip(
-            spreads.names, slopes, brought / (variance or 1.0), seen, strict=True
+        VarianceShare(name, float(derivative), float(first_order), float(sampled))
+        for name, derivative, first_order, sampled in zip(
+            distributions.variable_names,
+            derivatives,
+            variances / (variance or 1.0),
+            sampled_shares,
+            strict=True,
         )
     ]
-    samples = np.split(np.asarray(table[answer]), np.cumsum(sizes)[:-1])
-    mean_error, spread_error = _errors([s[np.isfinite(s)] for s in samples])
+    replicate_values = np.split(np.asarray(table[output]), np.cumsum(sizes)[:-1])
+    mean_standard_error, standard_deviation_standard_error = _standard_errors(
+        [replicate[np.isfinite(replicate)] for replicate in replicate_values]
+    )
+    low, high = np.quantile(values, 0.025), np.quantile(values, 0.975)
+    nonlinear_share = max(0.0, 1 - sampled_shares.sum()) if standard_deviation else 0.0
     return Tolerances(
-        answer=answer,
-        unit=table[answer].attrs.get("units", ""),
-        nominal=float(center[answer]),
-        deviation=float(np.sqrt(variance)),
+        output=output,
+        unit=table[output].attrs.get("units", ""),
+        nominal=float(nominal[output]),
+        first_order_standard_deviation=float(np.sqrt(variance)),
         mean=float(values.mean()),
-        mean_error=mean_error,
-        spread=spread,
-        spread_error=spread_error,
-        interval=(float(np.quantile(values, 0.025)), float(np.quantile(values, 0.975))),
-        shares=tuple(sorted(shares, key=lambda share: -abs(share.first_order))),
-        nonlinear=float(max(0.0, 1 - seen.sum())) if spread else 0.0,
-        failed=int(np.sum(~fine)),
+        mean_standard_error=mean_standard_error,
+        standard_deviation=standard_deviation,
+        standard_deviation_standard_error=standard_deviation_standard_error,
+        percentile_interval=(float(low), float(high)),
+        variance_shares=tuple(sorted(shares, key=lambda share: -abs(share.first_order))),
+        nonlinear_share=float(nonlinear_share),
+        failed_count=int(np.sum(~succeeded)),
         table=table,
     )
 
 
-class _OfSpread:
-    """A study as a function of what spreads; equal if it does the same.
+class _SampledStudy:
+    """A study as a function of its uncertain parameters.
 
-    So that what was compiled of it is found again.
+    Two instances are equal if they have the same study and the same constant parameters,
+    so that `sweep` reuses the compiled program.
+
+    Args:
+        study: Function of one design.
+        distributions: Distributions of the uncertain parameters.
     """
 
-    def __init__(self, study: Callable[[Any], Any], spreads: DistributionSet):
-        self._study, self._spreads = study, spreads
-        self._known = (study, *spreads.known)
+    def __init__(self, study: Callable[[Any], Any], distributions: DistributionSet):
+        self._study, self._distributions = study, distributions
+        self._signature = (study, *distributions.signature)
         self.__qualname__ = getattr(study, "__qualname__", type(study).__qualname__)
 
     def __call__(self, parameters: Mapping[str, Array]) -> Any:
-        return self._study(self._spreads.design(parameters))
+        return self._study(self._distributions.design(parameters))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OfSpread) and self._known == other._known
+        return isinstance(other, _SampledStudy) and self._signature == other._signature
 
     def __hash__(self) -> int:
-        return hash(self._known)
+        return hash(self._signature)
 
 
-def _brought(
-    drawn: Float[np.ndarray, "designs numbers"],
+def _sampled_shares(
+    samples: Float[np.ndarray, "designs variables"],
     values: Float[np.ndarray, " designs"],
-    deviations: Float[np.ndarray, " numbers"],
-) -> Float[np.ndarray, " numbers"]:
-    """What each number brings of the variance, by the linear function that fits best."""
-    # by their deviations, lest one that is small in its unit be taken for nothing
-    apart = (drawn - drawn.mean(axis=0)) / np.where(deviations > 0, deviations, 1.0)
-    moved = values - values.mean()
-    slopes = np.linalg.lstsq(apart, moved, rcond=None)[0]
-    whole = moved @ moved
-    return slopes * (apart.T @ moved) / (whole or 1.0)
+    standard_deviations: Float[np.ndarray, " variables"],
+) -> Float[np.ndarray, " variables"]:
+    """Compute the shares of the random variables in the variance of an output.
+
+    Args:
+        samples: Value of each random variable for each design.
+        values: Output of each design.
+        standard_deviations: Standard deviations of the random variables.
+
+    Returns:
+        The shares of the variance by the linear least-squares fit of the output. Their
+        sum is the coefficient of determination of the fit.
+    """
+    # Scaled variables, because `lstsq` would drop a variable whose unit makes it small.
+    scales = np.where(standard_deviations > 0, standard_deviations, 1.0)
+    deviations = (samples - samples.mean(axis=0)) / scales
+    value_deviations = values - values.mean()
+    slopes = np.linalg.lstsq(deviations, value_deviations, rcond=None)[0]
+    total = value_deviations @ value_deviations
+    return slopes * (deviations.T @ value_deviations) / (total or 1.0)
 
 
-def _errors(samples: list[np.ndarray]) -> tuple[float, float]:
-    """Standard errors of the mean and of the deviation: of one sample, or of several."""
-    if len(samples) == 1:
-        (values,) = samples
-        spread = values.std(ddof=1)
-        fourth = np.mean((values - values.mean()) ** 4)
-        error = np.sqrt(max(fourth - spread**4, 0.0) / len(values)) / (2 * spread or 1.0)
-        return float(spread / np.sqrt(len(values))), float(error)
-    told = np.array([(v.mean(), v.std(ddof=1)) for v in samples if len(v) > 1])
-    mean, spread = told.std(axis=0, ddof=1) / np.sqrt(len(told))
-    return float(mean), float(spread)
+def _standard_errors(replicates: list[np.ndarray]) -> tuple[float, float]:
+    """Compute the standard errors of the mean and of the standard deviation.
+
+    Args:
+        replicates: Outputs of each independent sample, in any unit. The designs of a
+            single sample are taken as independent.
+
+    Returns:
+        The standard errors of the mean and of the standard deviation, in the same unit.
+    """
+    if len(replicates) == 1:
+        (values,) = replicates
+        deviation = values.std(ddof=1)
+        fourth_moment = np.mean((values - values.mean()) ** 4)
+        error = np.sqrt(max(fourth_moment - deviation**4, 0.0) / len(values))
+        error = error / (2 * deviation or 1.0)
+        return float(deviation / np.sqrt(len(values))), float(error)
+    statistics = np.array([(v.mean(), v.std(ddof=1)) for v in replicates if len(v) > 1])
+    mean, deviation = statistics.std(axis=0, ddof=1) / np.sqrt(len(statistics))
+    return float(mean), float(deviation)

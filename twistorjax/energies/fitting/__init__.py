@@ -1,7 +1,8 @@
 """Linear least-squares fits of energies to measured displacements and wrenches.
 
-Start reading in `polynomial`, which holds `fit_energy`. `trials` holds the measured data,
-`report` the result of a fit, and `rational` fits of quotients of polynomials.
+Start reading in `polynomial`, which contains `fit_energy`, the fit of polynomial and
+mixed energies. `rational` contains the fit of rational energies, `trials` the measured
+data, and `report` the result of a fit. All fits use the solvers in `least_squares`.
 """
 
 from .polynomial import fit_energy as fit_energy

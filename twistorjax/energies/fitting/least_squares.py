@@ -1,131 +1,227 @@
-"""Linear least squares under conditions, with what it says of its own error."""
+"""Linear least squares with equality constraints and an estimate of the error."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 
-RIDGES = (0.0, *10.0 ** np.arange(-15.0, -3.0))
-_BEYOND = 1e-13  # singular values below this part of the largest are rounding
+_RIDGES = (0.0, *10.0 ** np.arange(-15.0, -3.0))
+_RELATIVE_RANK_TOLERANCE = 1e-13  # smaller singular values are rounding errors
 
 
-class Solved(NamedTuple):
-    """Least squares under conditions, by the singular values of what is left free."""
+class ConstrainedSolution(NamedTuple):
+    """Solution of a linear least-squares problem with equality constraints.
+
+    Args:
+        coefficients: The coefficients.
+        residuals: Measured minus fitted values, a row for each trial, in standard
+            deviations.
+        left_out: Residuals of each trial for the fit to all other trials.
+        rank: Number of coefficients, or combinations of them, that are determined.
+        free: Number of coefficients that the constraints leave free.
+        condition: Ratio of the largest singular value to the smallest significant one.
+        ridge: Ridge parameter, relative to the square of the largest singular value.
+        covariance: Covariance of the coefficients for measurements of unit variance.
+        undetermined: Directions of coefficients that the trials do not determine, in
+            columns.
+    """
 
     coefficients: np.ndarray
-    residual: np.ndarray
-    left_out: np.ndarray  # residual of each trial in a fit to all others
+    residuals: np.ndarray
+    left_out: np.ndarray
     rank: int
     free: int
     condition: float
     ridge: float
-    spread: np.ndarray  # of the coefficients, for errors of one
-    unseen: np.ndarray  # directions, in columns
+    covariance: np.ndarray
+    undetermined: np.ndarray
 
 
-def solve(
+def solve_constrained(
     rows: np.ndarray,
-    right: np.ndarray,
-    conditions: np.ndarray,
+    targets: np.ndarray,
+    constraints: np.ndarray,
     values: np.ndarray,
     ridge: float | None,
-) -> Solved:
-    """The coefficients that meet equations best, and some conditions exactly.
+) -> ConstrainedSolution:
+    """Solve a linear least-squares problem with equality constraints.
 
     Args:
-        rows: a block for each trial: what a unit of each coefficient adds to each number.
-        right: the numbers, in standard deviations.
-        conditions: what a unit of each coefficient adds to what must be exact.
-        values: that this must be.
-        ridge: weight that draws coefficients to zero, as a part of the largest singular
-            value's square; by default that of the least error of left-out trials.
+        rows: Design matrix, a block of rows for each trial and a column for each
+            coefficient.
+        targets: Measured values, a row for each trial, in standard deviations.
+        constraints: Matrix of the equality constraints.
+        values: Values that the constraints require.
+        ridge: Ridge parameter, relative to the square of the largest singular value. By
+            default the one with the smallest leave-one-out error.
+
+    Returns:
+        The solution.
     """
-    trials, each, terms = rows.shape
-    matrix, target = rows.reshape(-1, terms), right.reshape(-1)
-    # Conditions first: what they leave free is spanned by `free`
-    size = _sizes(matrix)
-    matrix, conditions = matrix / size, conditions / size
-    start, free = np.zeros(terms), np.eye(terms)
-    if len(conditions):
-        u, s, v = np.linalg.svd(conditions)
-        kept = int(np.sum(s > 1e-12 * s[0])) if s[0] > 0 else 0
-        start = v[:kept].T @ ((u[:, :kept].T @ values) / s[:kept])
-        free = v[kept:].T
-    target = target - matrix @ start
-    u, s, v = np.linalg.svd(matrix @ free, full_matrices=False)
-    largest = s[0] if s.size else 1.0  # none, where the conditions leave nothing free
-    seen = s > _BEYOND * largest
-    rank = int(np.sum(seen))
-    within = u.T @ target
+    trials, block_size, terms = rows.shape
+    matrix, target = rows.reshape(-1, terms), targets.reshape(-1)
+    norms = _column_norms(matrix)
+    matrix, constraints = matrix / norms, constraints / norms
+    particular, null_space = np.zeros(terms), np.eye(terms)
+    if len(constraints):
+        u, s, v = np.linalg.svd(constraints)
+        count = int(np.sum(s > 1e-12 * s[0])) if s[0] > 0 else 0
+        particular = v[:count].T @ ((u[:, :count].T @ values) / s[:count])
+        null_space = v[count:].T
+    target = target - matrix @ particular
+    u, s, v = np.linalg.svd(matrix @ null_space, full_matrices=False)
+    largest = s[0] if s.size else 1.0  # empty if the constraints fix all coefficients
+    significant = s > _RELATIVE_RANK_TOLERANCE * largest
+    rank = int(np.sum(significant))
+    projected = u.T @ target
 
-    def filtered(ridge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        squares = np.where(seen, s, 1.0) ** 2
-        gains = np.where(seen, squares / (squares + ridge * largest**2), 0.0)
-        residual = target - u @ (gains * within)
-        blocks = u.reshape(trials, each, u.shape[1])
-        hat = (blocks * gains) @ np.swapaxes(blocks, 1, 2)
+    def residuals_for(ridge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return filter factors, residuals and leave-one-out residuals for a ridge."""
+        squares = np.where(significant, s, 1.0) ** 2
+        filters = np.where(significant, squares / (squares + ridge * largest**2), 0.0)
+        residuals = target - u @ (filters * projected)
+        blocks = u.reshape(trials, block_size, u.shape[1])
+        leverage = (blocks * filters) @ np.swapaxes(blocks, 1, 2)
         with np.errstate(all="ignore"):
-            gap = np.eye(each) - hat
-            sure = np.linalg.det(gap) > 1e-9**each
-            gap[~sure] = np.eye(each)
-            left_out = np.linalg.solve(gap, residual.reshape(trials, each, 1))[..., 0]
-        left_out[~sure] = np.inf
-        return gains, residual.reshape(trials, each), left_out
+            complement = np.eye(block_size) - leverage
+            regular = np.linalg.det(complement) > 1e-9**block_size
+            complement[~regular] = np.eye(block_size)
+            left_out = np.linalg.solve(
+                complement, residuals.reshape(trials, block_size, 1)
+            )[..., 0]
+        left_out[~regular] = np.inf
+        return filters, residuals.reshape(trials, block_size), left_out
 
-    choices = RIDGES if ridge is None else (ridge,)
-    tried = [filtered(choice) for choice in choices]
-    scores = [np.mean(left_out**2) for _, _, left_out in tried]
+    ridges = _RIDGES if ridge is None else (ridge,)
+    results = [residuals_for(candidate) for candidate in ridges]
+    scores = [np.mean(left_out**2) for _, _, left_out in results]
     best = int(np.argmin(scores)) if np.any(np.isfinite(scores)) else 0
-    gains, residual, left_out = tried[best]
-    inverse = np.where(seen, gains / np.where(seen, s, 1.0), 0.0)
-    coefficients = (start + free @ (v.T @ (inverse * within))) / size
-    shape = (free @ v.T) * inverse / size[:, None]
-    return Solved(
+    filters, residuals, left_out = results[best]
+    inverse = np.where(significant, filters / np.where(significant, s, 1.0), 0.0)
+    coefficients = (particular + null_space @ (v.T @ (inverse * projected))) / norms
+    root = (null_space @ v.T) * inverse / norms[:, None]
+    undetermined = _undetermined_directions(null_space, v, significant)
+    return ConstrainedSolution(
         coefficients=coefficients,
-        residual=residual,
+        residuals=residuals,
         left_out=left_out,
         rank=rank,
-        free=free.shape[1],
-        condition=float(largest / s[seen][-1]) if rank else np.inf,
-        ridge=float(choices[best]),
-        spread=shape @ shape.T,
-        unseen=_unseen(free, v, seen) / size[:, None],
+        free=null_space.shape[1],
+        condition=float(largest / s[significant][-1]) if rank else np.inf,
+        ridge=float(ridges[best]),
+        covariance=root @ root.T,
+        undetermined=undetermined / norms[:, None],
     )
 
 
-def least(
-    rows: np.ndarray, right: np.ndarray, even: bool = True
-) -> tuple[np.ndarray, int, float]:
-    """The coefficients that meet equations best, and of such the smallest.
+def solve_stable(
+    rows: np.ndarray,
+    targets: np.ndarray,
+    constraints: np.ndarray,
+    curvature: np.ndarray,
+    ridge: float | None,
+) -> ConstrainedSolution:
+    """Solve a least-squares problem so that a matrix of second derivatives is positive.
+
+    If the solution without this condition has a matrix with a negative eigenvalue, the
+    problem is solved again with the nearest positive definite matrix as a constraint.
 
     Args:
-        rows: what a unit of each coefficient adds to each number.
-        right: the numbers.
-        even: whether coefficients are measured by what they add, or as they stand.
+        rows: Design matrix, a block of rows for each trial and a column for each
+            coefficient.
+        targets: Measured values, a row for each trial, in standard deviations.
+        constraints: Matrix of linear combinations of the coefficients that must vanish.
+        curvature: Contribution of each coefficient to the symmetric matrix, in the last
+            axis.
+        ridge: Ridge parameter; see `solve_constrained`.
 
     Returns:
-        The coefficients; how many of them the equations tell apart; and the ratio of the
-        largest singular value to the smallest that counts.
+        The solution.
+    """
+    values = np.zeros(len(constraints))
+    solution = solve_constrained(rows, targets, constraints, values, ridge)
+    matrix = _nearest_positive_definite(
+        np.einsum("ijk,k->ij", curvature, solution.coefficients)
+    )
+    if matrix is None:
+        return solution
+    upper = np.triu_indices(3)
+    constraints = np.concatenate([constraints, curvature[upper]])
+    values = np.concatenate([values, matrix[upper]])
+    return solve_constrained(rows, targets, constraints, values, ridge)
+
+
+def solve_minimum_norm(
+    rows: np.ndarray, targets: np.ndarray, normalize: bool = True
+) -> tuple[np.ndarray, int, float]:
+    """Solve a linear least-squares problem; the solution has the smallest norm.
+
+    Args:
+        rows: Design matrix, a column for each coefficient.
+        targets: Values to be fitted.
+        normalize: Divide each column by its norm, so that the norm of the coefficients
+            does not depend on their units.
+
+    Returns:
+        The coefficients, the rank of the matrix, and the ratio of the largest singular
+        value to the smallest significant one.
 
     Example:
-        >>> least(np.array([[1.0, 0.0], [0.0, 2.0]]), np.array([3.0, 8.0]))
-        (array([3., 4.]), 2, 1.0)
+        >>> rows = np.array([[1.0, 0.0], [0.0, 2.0]])
+        >>> targets = np.array([3.0, 8.0])
+        >>> coefficients, rank, condition = solve_minimum_norm(rows, targets)
+        >>> print(coefficients, rank, condition)
+        [3. 4.] 2 1.0
     """
-    size = _sizes(rows) if even else np.ones(rows.shape[1])
-    coefficients, _, rank, s = np.linalg.lstsq(rows / size, right, rcond=_BEYOND)
+    norms = _column_norms(rows) if normalize else np.ones(rows.shape[1])
+    coefficients, _, rank, s = np.linalg.lstsq(
+        rows / norms, targets, rcond=_RELATIVE_RANK_TOLERANCE
+    )
     condition = float(s[0] / s[rank - 1]) if rank else np.inf
-    return coefficients / size, int(rank), condition
+    return coefficients / norms, int(rank), condition
 
 
-def _sizes(matrix: np.ndarray) -> np.ndarray:
-    """The length of each column, by which all come to count alike; one, where it is 0."""
-    size = np.linalg.norm(matrix, axis=0)
-    return np.where(size > 0, size, 1.0)
+def _column_norms(matrix: np.ndarray) -> np.ndarray:
+    """Return the norm of each column, or one for a column of zeros."""
+    norms = np.linalg.norm(matrix, axis=0)
+    return np.where(norms > 0, norms, 1.0)
 
 
-def _unseen(free: np.ndarray, v: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """What the rows see nothing of, among what the conditions leave free."""
-    whole = np.linalg.svd(v[seen], full_matrices=True)[2] if np.any(seen) else None
-    if whole is None:
-        return free
-    return free @ whole[int(np.sum(seen)) :].T
+def _undetermined_directions(
+    null_space: np.ndarray, v: np.ndarray, significant: np.ndarray
+) -> np.ndarray:
+    """Find the directions in the constraints' null space that the trials leave open.
+
+    Args:
+        null_space: Basis of the null space of the constraints, in columns.
+        v: Right singular vectors in this basis, in rows.
+        significant: Whether each singular value is significant.
+
+    Returns:
+        An orthonormal basis of these directions, in columns.
+    """
+    if not np.any(significant):
+        return null_space
+    basis = np.linalg.svd(v[significant], full_matrices=True)[2]
+    return null_space @ basis[int(np.sum(significant)) :].T
+
+
+def _nearest_positive_definite(matrix: np.ndarray) -> np.ndarray | None:
+    """Replace the eigenvalues of a symmetric matrix that are not positive.
+
+    The matrix is scaled by its diagonal first, because its entries have different units.
+
+    Args:
+        matrix: Symmetric matrix.
+
+    Returns:
+        The positive definite matrix, or `None` if `matrix` itself is positive definite.
+    """
+    size = np.sqrt(np.abs(np.diagonal(matrix)))
+    size = np.where(size > 0, size, 1.0)
+    scaled = matrix / np.outer(size, size)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    if values[0] > 0:
+        return None
+    values = np.maximum(values, 1e-6 * max(values[-1], 1e-300))
+    return (vectors * values) @ vectors.T * np.outer(size, size)

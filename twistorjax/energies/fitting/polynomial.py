@@ -1,8 +1,7 @@
-"""Energies from measurements: linear least squares for the coefficients of polynomials.
+"""Fit of polynomial and mixed energies to trials, by linear least squares.
 
-Sections 3.6, 4.7 and 7.1 of the dissertation, in the three physical components of the
-wrench instead of its four generalised forces, and with an account of what the trials do
-and do not tell.
+Sections 3.6, 4.7 and 7.1 of the dissertation. Here the equations are those of the three
+components of the wrench, instead of the dissertation's four generalized forces.
 """
 
 import warnings
@@ -15,21 +14,27 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.validation import require_choice, require_float64
+from ..evaluation import term_wrenches
 from ..mixed import MixedEnergy
-from ..monomials import columns, monomials, Powers, resting, Symmetry, VARIABLES
+from ..monomials import monomials, Powers, reference_values, Symmetry, VARIABLES
 from ..polynomial import Polynomial
 from ..strains import Coordinates
-from . import mixed
-from .least_squares import solve, Solved
-from .report import EnergyFit, in_words, interpolation, variables_of
-from .trials import compared, Errors, measured, Trials
+from .least_squares import ConstrainedSolution, solve_constrained, solve_stable
+from .mixed import fit_mixed
+from .report import (
+    coordinates_of,
+    describe_direction,
+    EnergyFit,
+    interpolation_warning,
+)
+from .trials import Errors, errors_of_predictions, errors_of_residuals, Trials
 
 
 def fit_energy(
     trials: Trials,
     order: int | None = None,
     *,
-    coordinates: Coordinates | Literal["tension"] = "twistor",
+    coordinates: Coordinates | Literal["mixed"] = "twistor",
     symmetry: Symmetry | Sequence[Symmetry] = (),
     redundant: bool = False,
     reference: Literal["stable", "unstressed", "free"] = "stable",
@@ -38,40 +43,47 @@ def fit_energy(
     hold_out: float = 0.0,
     seed: int = 0,
 ) -> EnergyFit:
-    """A polynomial energy from trials, and what it can be trusted with.
+    """Fit the energy of a hinge to trials, and estimate its error at new trials.
 
     Args:
-        trials: measured, or computed by finite elements.
-        order: of the polynomial, by default that of the least expected error.
-        coordinates: "twistor" or "twist"; or "tension", for a `MixedEnergy` energy of turn,
-            translation across and tension: for flexures, which are stiff along axis 1, it
-            is by far the best.
-        symmetry: of the hinge, as for `monomials`: the more it has, the fewer trials are
-            needed.
-        redundant: with the powers of sigma above the first, as the dissertation has them.
-        reference: what is required of the hinge at rest: that it bears no wrench there
-            ("unstressed"), and has a positive stiffness besides ("stable"), or nothing.
-        ridge: weight that draws coefficients to zero, as a part of the largest singular
-            value's square; by default that of the least expected error.
-        scale: the length in parts of which translations are raised to powers, by default
-            the largest there is; m.
-        hold_out: the part of the trials that are held back to check the fit to the
-            others; the energy itself is fitted to all.
-        seed: of the choice of these.
+        trials: Measured or computed trials.
+        order: Order of the polynomial, by default the one with the smallest expected
+            error.
+        coordinates: "twistor" or "twist" for a `Polynomial`, or "mixed" for a
+            `MixedEnergy`. A mixed energy is by far the most accurate for flexures, which
+            are stiff along axis 1.
+        symmetry: Symmetries of the hinge; see `monomials`. A fit with more symmetry needs
+            fewer trials.
+        redundant: Use the powers of sigma above the first, like the dissertation; see
+            `monomials`.
+        reference: Condition in the reference configuration. "unstressed": the wrench is
+            zero; "stable": the wrench is zero and the stiffness is positive definite;
+            "free": no condition.
+        ridge: Ridge parameter, relative to the square of the largest singular value. By
+            default the one with the smallest expected error.
+        scale: Length by which the translations are divided, by default the largest
+            translation; m.
+        hold_out: Fraction of the trials that are held out. A fit to the others is checked
+            with them; the returned energy is fitted to all trials.
+        seed: Seed of the random choice of the held-out trials.
+
+    Returns:
+        The energy with its errors.
 
     Raises:
-        ValueError: double precision is off; there are too few trials; a setting makes no
-            sense.
+        ValueError: Double precision is disabled; there are too few trials; the trials do
+            not have the wrenches, or the axial compliance, that a mixed energy needs; an
+            argument is out of its limits.
 
     Source:
-        Sections 4.7 and 7.1 of the dissertation. The expected error: Allen, The
+        Sections 4.7 and 7.1 of the dissertation. The expected error is that of Allen, The
         relationship between variable selection and data augmentation and a method for
         prediction, Technometrics 16, 1974.
 
     Example:
         >>> from twistorjax import Quadratic
-        >>> poses = jax.random.normal(jax.random.key(0), (20, 3)) * 0.1
         >>> spring = Quadratic(jnp.diag(jnp.array([2.0, 30.0, 9.0])))
+        >>> poses = 0.1 * jax.random.normal(jax.random.key(0), (20, 3))
         >>> trials = Trials(poses, wrenches=jax.vmap(spring.wrench)(poses))
         >>> fit = fit_energy(trials, order=2, symmetry="leaf")
         >>> jnp.diag(fit.energy.tangent_stiffness())
@@ -79,7 +91,7 @@ def fit_energy(
     """
     require_float64(trials.poses)
     for values in jax.tree.leaves(trials):
-        if np.max(np.abs(values)) > 1e100:  # its powers would not be numbers
+        if np.max(np.abs(values)) > 1e100:  # powers of such values overflow
             raise ValueError(
                 f"`trials` have a value of {np.max(np.abs(values)):g}, but a fit needs "
                 "values of at most 1e100."
@@ -87,31 +99,32 @@ def fit_energy(
     require_choice("`reference`", reference, ("stable", "unstressed", "free"))
     if not 0 <= hold_out < 1:
         raise ValueError(
-            f"`hold_out` is {hold_out!r}, but must be a part of the trials: from 0 to "
-            "below 1."
+            f"`hold_out` is {hold_out!r}, but must be a fraction of the trials: at least "
+            "0 and less than 1."
         )
     if ridge is not None and not 0 <= ridge < np.inf:
         raise ValueError(f"`ridge` is {ridge!r}, but must be finite and not negative.")
     settings = _Settings(coordinates, reference, redundant, symmetry, ridge, scale)
     orders = (order,) if order is not None else range(2, 13)
-    best = _best(trials, orders, settings)
+    best = _best_candidate(trials, orders, settings)
     held_out = None
     if hold_out:
         count = max(1, round(hold_out * len(trials)))
         if count >= len(trials):
             raise ValueError(
-                f"There are {len(trials)} trials: too few to hold {hold_out:g} of them "
-                "back."
+                f"There are only {len(trials)} trials, too few to hold out a fraction of "
+                f"{hold_out:g}. Use a smaller `hold_out` or more trials."
             )
-        drawn = np.random.default_rng(seed).permutation(len(trials))
-        back, others = trials[np.sort(drawn[:count])], trials[np.sort(drawn[count:])]
-        held_out = _compared(_best(others, (best.order,), settings).energy, back)
-    fit = best.told(trials, held_out)
+        shuffled = np.random.default_rng(seed).permutation(len(trials))
+        others = trials[np.sort(shuffled[count:])]
+        energy = _best_candidate(others, (best.order,), settings).energy
+        held_out = _errors(energy, trials[np.sort(shuffled[:count])])
+    fit = best.report(trials, held_out)
     if np.any(np.isnan(fit.training.wrench)) and trials.wrenches is not None:
         raise ValueError(
-            "These trials are not those of a flexure that gives along axis 1 as it is "
-            "pulled: no tension belongs to some of them in the energy that fits best. "
-            "Take the coordinates 'twistor' or 'twist', or another order."
+            "These trials are not those of a flexure with an axial compliance: with the "
+            "best fit, some displacements have no axial force. Use the coordinates "
+            "'twistor' or 'twist', or another order."
         )
     if fit.warning:
         warnings.warn(fit.warning, stacklevel=2)
@@ -119,7 +132,9 @@ def fit_energy(
 
 
 class _Settings(NamedTuple):
-    coordinates: Coordinates | Literal["tension"]
+    """Arguments of `fit_energy` that are the same for all orders."""
+
+    coordinates: Coordinates | Literal["mixed"]
     reference: str
     redundant: bool
     symmetry: Symmetry | Sequence[Symmetry]
@@ -128,49 +143,68 @@ class _Settings(NamedTuple):
 
 
 class _Candidate(NamedTuple):
+    """Fit of one order."""
+
     order: int
     energy: Polynomial | MixedEnergy
-    solved: Solved
+    solution: ConstrainedSolution
 
     @property
     def interpolates(self) -> bool:
-        solved = self.solved
-        return solved.rank >= solved.residual.size and solved.ridge == 0
+        solution = self.solution
+        return solution.rank >= solution.residuals.size and solution.ridge == 0
 
-    def told(self, trials: Trials, held_out: Errors | None) -> EnergyFit:
-        solved = self.solved
-        equations = solved.residual.size
-        over = max(1, equations - solved.rank)
-        variance = np.sum(solved.residual**2) / over
+    def report(self, trials: Trials, held_out: Errors | None) -> EnergyFit:
+        """Return the result of `fit_energy`.
+
+        Args:
+            trials: Trials of the fit.
+            held_out: Errors at the held-out trials, if there are any.
+        """
+        solution = self.solution
+        equations = solution.residuals.size
+        degrees_of_freedom = max(1, equations - solution.rank)
+        variance = np.sum(solution.residuals**2) / degrees_of_freedom
         warning = None
         if self.interpolates:
-            warning = interpolation(solved.free, equations)
-        names = VARIABLES[variables_of(self.energy)]
+            warning = interpolation_warning(solution.free, equations)
+        names = VARIABLES[coordinates_of(self.energy)]
         forces = np.full((1, 2), np.nan)
         if trials.wrenches is not None:
             forces = np.asarray(trials.wrenches[:, 1:])
         return EnergyFit(
             energy=self.energy,
-            training=_compared(self.energy, trials),
-            expected=measured(trials, solved.left_out),
+            training=_errors(self.energy, trials),
+            expected=errors_of_residuals(trials, solution.left_out),
             held_out=held_out,
             equations=equations,
-            terms=solved.free,
-            rank=solved.rank,
-            condition=solved.condition,
-            ridge=solved.ridge,
-            covariance=variance * solved.spread,
-            unseen=tuple(
-                in_words(direction, self.energy.powers, names)
-                for direction in solved.unseen.T[:5]
+            terms=solution.free,
+            rank=solution.rank,
+            condition=solution.condition,
+            ridge=solution.ridge,
+            covariance=variance * solution.covariance,
+            undetermined=tuple(
+                describe_direction(direction, self.energy.powers, names)
+                for direction in solution.undetermined.T[:5]
             ),
             warning=warning,
-            turn=float(np.abs(trials.poses[:, 0]).max()),
+            rotation=float(np.abs(trials.poses[:, 0]).max()),
             force=float(np.linalg.norm(forces, axis=1).max()),
         )
 
 
-def _best(trials: Trials, orders: Sequence[int], settings: _Settings) -> _Candidate:
+def _best_candidate(
+    trials: Trials, orders: Sequence[int], settings: _Settings
+) -> _Candidate:
+    """Fit energies of several orders and return that with the smallest expected error.
+
+    Orders with more than 0.8 coefficients for each measured value are left out.
+
+    Args:
+        trials: Trials of the fit.
+        orders: Orders in ascending sequence.
+        settings: Arguments of the fit.
+    """
     candidates = []
     for order in orders:
         powers = tuple(
@@ -183,202 +217,119 @@ def _best(trials: Trials, orders: Sequence[int], settings: _Settings) -> _Candid
             )
             if any(row)
         )
-        each = 3 * (trials.wrenches is not None) + (trials.energies is not None)
-        equations = each * len(trials)
+        values = 3 * (trials.wrenches is not None) + (trials.energies is not None)
+        equations = values * len(trials)
         if len(orders) > 1 and candidates:
             if len(powers) > 0.8 * equations:
                 break
-            if powers == candidates[-1].energy.powers:  # of even order alone
+            # a symmetry may exclude all new terms of an odd order
+            if powers == candidates[-1].energy.powers:
                 continue
         candidates.append(_candidate(trials, order, powers, settings))
-    scores = [np.mean(candidate.solved.left_out**2) for candidate in candidates]
+    scores = [np.mean(candidate.solution.left_out**2) for candidate in candidates]
     return candidates[int(np.nanargmin(np.where(np.isfinite(scores), scores, 1e300)))]
 
 
 def _candidate(
     trials: Trials, order: int, powers: Powers, settings: _Settings
 ) -> _Candidate:
-    if settings.coordinates == "tension":
-        return _by_tension(trials, order, powers, settings)
-    scale = settings.scale or trials.reach
-    rows, right = _equations(trials, powers, settings.coordinates, scale)
-    conditions, slopes = np.zeros((0, len(powers))), np.zeros((3, 3, len(powers)))
-    if settings.reference != "free":
-        conditions, slopes = _at_rest(powers, settings.coordinates, scale)
-    solved = _solved(rows, right, conditions, slopes, settings)
-    energy = Polynomial(solved.coefficients, powers, settings.coordinates, scale)
-    return _Candidate(order, energy, solved)
-
-
-def _by_tension(
-    trials: Trials, order: int, powers: Powers, settings: _Settings
-) -> _Candidate:
-    """By turn, translation across and tension.
-
-    Linear but for what an error of the length is as one of the wrench: that follows from
-    a first fit, and from another.
-    """
-    if trials.wrenches is None:
-        raise ValueError(
-            "`trials` have energies alone, but a fit by tension needs the wrench of "
-            "each: the tension is a part of it. Take 'twistor' or 'twist'."
+    """Fit an energy with given powers."""
+    coordinates, reference, ridge = (
+        settings.coordinates,
+        settings.reference,
+        settings.ridge,
+    )
+    if coordinates == "mixed":
+        energy, solution = fit_mixed(
+            trials, powers, reference=reference, ridge=ridge, scale=settings.scale
         )
-    if settings.reference != "free":
-        powers = tuple(row for row in powers if sum(row) > 1)
-    twists, turning = map(np.asarray, jax.vmap(mixed.by_twist)(trials.poses))
-    wrenches = np.asarray(trials.wrenches)
-    pulls = np.einsum("sij,sj->si", turning, wrenches)
-    tensions = pulls[:, 1]
-    length = settings.scale or _largest(twists[:, 2])
-    force = _largest(tensions)
-    adds = mixed.terms(powers, jnp.asarray(twists), jnp.asarray(tensions), length, force)
-    adds = jax.tree.map(np.asarray, adds)
-    back = np.linalg.inv(turning) / np.asarray(trials.wrench_deviations)[:, :, None]
-    at_rest = _curvature_at_rest(powers, length, force)
-
-    def fitted(give: np.ndarray, leaning: Sequence[np.ndarray]) -> Solved:
-        # the error of the tension at a pose, and through it those of the others
-        rows = np.stack([adds.moment, -adds.length / give[:, None], adds.shear], axis=1)
-        right = np.stack([pulls[:, 0], -twists[:, 1] / give, pulls[:, 2]], axis=1)
-        for place, lean in zip((0, 2), leaning, strict=True):
-            rows[:, place] += lean[:, None] * rows[:, 1]
-            right[:, place] += lean * right[:, 1]
-        rows, right = back @ rows, np.einsum("sij,sj->si", back, right)
-        if trials.energies is not None:
-            deviations = np.asarray(trials.energy_deviations)[:, None]
-            above = np.asarray(trials.energies) - tensions * twists[:, 1]
-            rows = np.concatenate([rows, (adds.energy / deviations)[:, None]], axis=1)
-            right = np.concatenate([right, above[:, None] / deviations], axis=1)
-        none = np.zeros((0, len(powers)))
-        return _solved(rows, right, none, at_rest, settings)
-
-    first = np.std(twists[:, 1]) / (np.sqrt(np.mean(tensions**2)) or 1.0) or 1.0
-    still = np.zeros(len(trials))
-    solved = fitted(still + first, (still, still))
-    for _ in range(3):
-        give = adds.give @ solved.coefficients
-        give = np.maximum(give, 1e-3 * np.median(np.abs(give)))
-        solved = fitted(give, [lean @ solved.coefficients for lean in adds.leaning])
-    energy = MixedEnergy(solved.coefficients, powers, length=length, force=force)
-    return _Candidate(order, energy, solved)
-
-
-def _largest(values: np.ndarray) -> float:
-    """The largest absolute value; one, where its square is too small for a number."""
-    largest = float(np.abs(values).max())
-    return largest if largest > 1e-150 else 1.0
-
-
-def _curvature_at_rest(powers: Powers, length: float, force: float) -> np.ndarray:
-    """What must be positive definite of W at rest, by the coefficients.
-
-    Its second derivatives by turn and translation across, and less that by tension.
-    """
-    curvature = np.zeros((3, 3, len(powers)))
-    for row, places, value in (
-        ((2, 0, 0), [(0, 0)], 2.0),
-        ((1, 1, 0), [(0, 2), (2, 0)], 1 / length),
-        ((0, 2, 0), [(2, 2)], 2 / length**2),
-        ((0, 0, 2), [(1, 1)], -2 / force**2),
-    ):
-        if row in powers:
-            for place in places:
-                curvature[*place, powers.index(row)] = value
-    return curvature
-
-
-def _solved(
-    rows: np.ndarray,
-    right: np.ndarray,
-    conditions: np.ndarray,
-    curvature: np.ndarray,
-    settings: _Settings,
-) -> Solved:
-    """The coefficients, the curvature at rest positive definite where that is asked.
-
-    Args:
-        rows: what a unit of each coefficient adds to each number, a block for each trial.
-        right: the numbers.
-        conditions: what a unit of each adds to what must vanish.
-        curvature: what it adds to the stiffness at rest, or what stands for it.
-        settings: of the fit.
-    """
-    values = np.zeros(len(conditions))
-    solved = solve(rows, right, conditions, values, settings.ridge)
-    if settings.reference != "stable":
-        return solved
-    mended = _positive(np.einsum("ijk,k->ij", curvature, solved.coefficients))
-    if mended is None:
-        return solved
-    upper = np.triu_indices(3)
-    conditions = np.concatenate([conditions, curvature[upper]])
-    values = np.concatenate([values, mended[upper]])
-    return solve(rows, right, conditions, values, settings.ridge)
-
-
-def _positive(stiffness: np.ndarray) -> np.ndarray | None:
-    """The nearest matrix without a negative eigenvalue, unless this has none."""
-    size = np.sqrt(np.abs(np.diagonal(stiffness)))
-    size = np.where(size > 0, size, 1.0)
-    scaled = stiffness / np.outer(size, size)
-    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-    if values[0] > 0:
-        return None
-    values = np.maximum(values, 1e-6 * max(values[-1], 1e-300))
-    return (vectors * values) @ vectors.T * np.outer(size, size)
+        return _Candidate(order, energy, solution)
+    scale = settings.scale or trials.largest_translation
+    rows, targets = _equations(trials, powers, coordinates, scale)
+    if reference == "free":
+        no_constraints = np.zeros((0, len(powers)))
+        solution = solve_constrained(rows, targets, no_constraints, np.zeros(0), ridge)
+    else:
+        wrench, stiffness = _reference_terms(powers, coordinates, scale)
+        if reference == "stable":
+            solution = solve_stable(rows, targets, wrench, stiffness, ridge)
+        else:
+            values = np.zeros(len(wrench))
+            solution = solve_constrained(rows, targets, wrench, values, ridge)
+    energy = Polynomial(solution.coefficients, powers, coordinates, scale)
+    return _Candidate(order, energy, solution)
 
 
 def _equations(
     trials: Trials, powers: Powers, coordinates: Coordinates, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a unit of each coefficient adds to what was measured, and that; weighted.
+    """Set up the linear equations for the coefficients of a polynomial.
 
-    A block for each trial, a row in it for each number.
+    Args:
+        trials: Trials of the fit.
+        powers: Powers of each term.
+        coordinates: "twist" or "twistor".
+        scale: Length by which the translations are divided; m.
+
+    Returns:
+        The design matrix and the measured values, in standard deviations: a block for
+        each trial, with a row for each measured value.
     """
     wrenches, energies = map(
-        np.asarray, columns(trials.poses, jnp.asarray(scale), powers, coordinates)
+        np.asarray, term_wrenches(trials.poses, jnp.asarray(scale), powers, coordinates)
     )
-    rows, right = [], []
+    rows, targets = [], []
     if trials.wrenches is not None:
         deviations = np.asarray(trials.wrench_deviations)
         rows.append(wrenches / deviations[:, :, None])
-        right.append(np.asarray(trials.wrenches) / deviations)
+        targets.append(np.asarray(trials.wrenches) / deviations)
     if trials.energies is not None:
         deviations = np.asarray(trials.energy_deviations)[:, None]
-        rows.append(((energies - resting(powers)) / deviations)[:, None])
-        right.append(np.asarray(trials.energies)[:, None] / deviations)
-    return np.concatenate(rows, axis=1), np.concatenate(right, axis=1)
+        rows.append(((energies - reference_values(powers)) / deviations)[:, None])
+        targets.append(np.asarray(trials.energies)[:, None] / deviations)
+    return np.concatenate(rows, axis=1), np.concatenate(targets, axis=1)
 
 
-def _at_rest(
+def _reference_terms(
     powers: Powers, coordinates: Coordinates, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrench and stiffness at rest, by the coefficients."""
+    """Compute the wrench and the stiffness of each term in the reference configuration.
 
-    def wrench(step: Array) -> Array:
-        return columns(step[None], jnp.asarray(scale), powers, coordinates)[0][0]
+    Args:
+        powers: Powers of each term.
+        coordinates: "twist" or "twistor".
+        scale: Length by which the translations are divided; m.
 
-    reference = jnp.zeros(3)
-    slopes = jax.jacfwd(wrench)(reference)
-    return np.asarray(wrench(reference)), np.moveaxis(np.asarray(slopes), 2, 1)
+    Returns:
+        The wrenches (N m, N, N) and the stiffnesses (N m/rad, N/rad, N/m) for
+        coefficients of one joule, for each term in the last axis.
+    """
+
+    def wrench(pose: Array) -> Array:
+        return term_wrenches(pose[None], jnp.asarray(scale), powers, coordinates)[0][0]
+
+    pose = jnp.zeros(3)
+    stiffness = jax.jacfwd(wrench)(pose)
+    return np.asarray(wrench(pose)), np.moveaxis(np.asarray(stiffness), 2, 1)
 
 
-def _compared(energy: Polynomial | MixedEnergy, trials: Trials) -> Errors:
-    """How far an energy is from trials."""
+def _errors(energy: Polynomial | MixedEnergy, trials: Trials) -> Errors:
+    """Compute the errors of an energy at trials."""
     if isinstance(energy, MixedEnergy):
-        wrenches, energies = map(np.asarray, _of_slender(energy, trials.poses))
-        return compared(trials, wrenches, energies)
+        wrenches, energies = map(np.asarray, _mixed_predictions(energy, trials.poses))
+        return errors_of_predictions(trials, wrenches, energies)
     wrenches, energies = map(
         np.asarray,
-        columns(trials.poses, energy.scale, energy.powers, energy.coordinates),
+        term_wrenches(trials.poses, energy.scale, energy.powers, energy.coordinates),
     )
     coefficients = np.asarray(energy.coefficients)
-    above = energies - resting(energy.powers)
-    return compared(trials, wrenches @ coefficients, above @ coefficients)
+    energies = energies - reference_values(energy.powers)
+    return errors_of_predictions(trials, wrenches @ coefficients, energies @ coefficients)
 
 
 @jax.jit
-def _of_slender(
+def _mixed_predictions(
     energy: MixedEnergy, poses: Float[Array, "trials 3"]
 ) -> tuple[Float[Array, "trials 3"], Float[Array, " trials"]]:
+    """Compute wrenches (N m, N, N) and energies (J) of a mixed energy at many poses."""
     return jax.vmap(energy.wrench)(poses), jax.vmap(energy)(poses)

@@ -1,4 +1,4 @@
-"""What a fit to trials tells: the energy, and how far it can be trusted."""
+"""Result of the fit of an energy to trials."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -16,26 +16,27 @@ from .trials import Errors
 
 
 class EnergyFit(eqx.Module):
-    """An energy fitted to trials, and how far it can be trusted.
+    """Energy fitted to trials, with estimates of its error.
 
     Args:
-        energy: fitted to all of the trials.
-        training: how far it is from them.
-        expected: how far from fresh trials of the same kind: what each trial's error
-            would be, were it left out of the fit. Infinite where the fit interpolates.
-        held_out: how far from trials that were held back a fit to the others was, or
-            nothing, where none were.
-        equations: numbers that were measured, less those held back.
-        terms: coefficients that were free.
-        rank: how many of these the trials tell apart.
-        condition: ratio of the largest singular value to the smallest that counts.
-        ridge: weight that draws coefficients to zero, as a part of the largest singular
-            value's square; chosen for the least expected error.
-        covariance: of the coefficients; J^2.
-        unseen: combinations of terms of which the trials tell nothing, in words.
-        warning: what to beware of, or nothing.
-        turn: the largest of the trials; rad.
-        force: the largest of the trials; N. NaN where none was measured.
+        energy: Energy, fitted to all trials.
+        training: Errors at the trials.
+        expected: Expected errors at new trials of the same distribution: the
+            leave-one-out errors, in which each trial is compared with the fit to all
+            others. Infinite if the fit interpolates the trials.
+        held_out: Errors at the held-out trials of a fit to the others, or `None` if no
+            trials were held out.
+        equations: Number of measured values.
+        terms: Number of free coefficients.
+        rank: Number of coefficients, or combinations of them, that the trials determine.
+        condition: Ratio of the largest singular value to the smallest significant one.
+        ridge: Ridge parameter, relative to the square of the largest singular value.
+        covariance: Covariance of the coefficients; J^2.
+        undetermined: Descriptions of combinations of terms that the trials do not
+            determine, at most five.
+        warning: Warning about the fit, or `None`.
+        rotation: Largest rotation of the trials; rad.
+        force: Largest force of the trials, NaN without measured wrenches; N.
     """
 
     energy: Polynomial | MixedEnergy
@@ -48,81 +49,104 @@ class EnergyFit(eqx.Module):
     condition: float
     ridge: float
     covariance: Float[np.ndarray, "terms terms"]
-    unseen: tuple[str, ...]
+    undetermined: tuple[str, ...]
     warning: str | None
-    turn: float
+    rotation: float
     force: float
 
     @property
     def with_validity_range(self) -> WithValidityRange:
-        """The energy as a hinge that is refused beyond the trials, with its error.
+        """The energy with the range of the trials and its expected relative error.
 
         Raises:
-            ValueError: the trials have no wrenches, or the fit interpolates them.
+            ValueError: The trials have no wrenches, or the fit interpolates them.
         """
         if not np.all(np.isfinite(self.expected.relative)):
             raise ValueError(
-                "This fit cannot be certified: it foretells nothing of wrenches at other "
-                "trials. It needs some with wrenches, and more of them than it has "
+                "This fit has no validity range, because its error at new trials is "
+                "unknown. Fit to trials with wrenches, and to more measured values than "
                 "coefficients."
             )
         return WithValidityRange(
-            self.energy, self.turn, self.force, self.expected.relative
+            self.energy, self.rotation, self.force, self.expected.relative
         )
 
     def __repr__(self) -> str:
         energy = self.energy
         lines = [
-            f"{variables_of(energy)} polynomial of order {energy.order}: {self.terms} "
+            f"{coordinates_of(energy)} polynomial of order {energy.order}: {self.terms} "
             f"free coefficients from {self.equations} numbers, rank {self.rank}, "
             f"condition {self.condition:.1e}, ridge {self.ridge:.0e}",
-            f"{'rms error':<22}  {'moment (N m)':>20}  {'force 1 (N)':>20}  "
+            f"{'rms error':<24}  {'moment (N m)':>20}  {'force 1 (N)':>20}  "
             f"{'force 2 (N)':>20}",
         ]
         kinds = (
             ("training", self.training),
-            ("expected of fresh ones", self.expected),
+            ("expected (leave-one-out)", self.expected),
             ("held out", self.held_out),
         )
         for name, errors in kinds:
             if errors is not None:
                 cells = [
-                    f"{f'{size:.3g} ({100 * share:.2g} %)':>20}"
-                    for size, share in zip(errors.wrench, errors.relative, strict=True)
+                    f"{f'{error:.3g} ({100 * relative:.2g} %)':>20}"
+                    for error, relative in zip(
+                        errors.wrench, errors.relative, strict=True
+                    )
                 ]
-                lines.append(f"{name:<22}  {'  '.join(cells)}")
-        if self.unseen:
-            lines.append(f"unseen: {'; '.join(self.unseen)}")
+                lines.append(f"{name:<24}  {'  '.join(cells)}")
+        if self.undetermined:
+            lines.append(f"undetermined: {'; '.join(self.undetermined)}")
         if self.warning:
             lines.append(f"warning: {self.warning}")
         return "\n".join(lines)
 
 
-def variables_of(energy: Polynomial | MixedEnergy) -> Coordinates | Literal["tension"]:
-    """The variables of which it is a polynomial."""
-    return "tension" if isinstance(energy, MixedEnergy) else energy.coordinates
+def coordinates_of(
+    energy: Polynomial | MixedEnergy,
+) -> Coordinates | Literal["mixed"]:
+    """Return the coordinates of an energy, as `fit_energy` takes them."""
+    return "mixed" if isinstance(energy, MixedEnergy) else energy.coordinates
 
 
-def interpolation(terms: int, equations: int) -> str:
-    """What to beware of where there are coefficients for all numbers."""
+def interpolation_warning(terms: int, equations: int) -> str:
+    """Return the warning about a fit that interpolates.
+
+    Args:
+        terms: Number of free coefficients.
+        equations: Number of measured values.
+
+    Returns:
+        The text.
+    """
     return (
-        f"the fit interpolates: {terms} coefficients for {equations} numbers. That it "
-        "meets the trials says nothing of others. Take a lower order, more symmetry, or "
-        "more trials."
+        f"the fit interpolates: {terms} coefficients for {equations} numbers. Its errors "
+        "at the trials say nothing about its errors elsewhere. Use a lower order, more "
+        "symmetry, or more trials."
     )
 
 
-def in_words(direction: np.ndarray, powers: Powers, names: Sequence[str]) -> str:
-    """A combination of terms, the largest three."""
-    share = direction / np.abs(direction).max()
-    most = np.argsort(-np.abs(share), kind="stable")[:3]
+def describe_direction(
+    direction: np.ndarray, powers: Powers, names: Sequence[str]
+) -> str:
+    """Describe a linear combination of terms by its three largest terms.
+
+    Args:
+        direction: Coefficient of each term.
+        powers: Powers of each term.
+        names: Names of the variables.
+
+    Returns:
+        The text, such as "+1 xi^2 -0.5 x1 x2".
+    """
+    relative = direction / np.abs(direction).max()
+    largest = np.argsort(-np.abs(relative), kind="stable")[:3]
     parts = []
-    for term in most:
-        if abs(share[term]) > 0.1:
+    for term in largest:
+        if abs(relative[term]) > 0.1:
             factors = [
                 name if power == 1 else f"{name}^{power}"
                 for name, power in zip(names, powers[term], strict=True)
                 if power
             ]
-            parts.append(f"{share[term]:+.2g} {' '.join(factors) or '1'}")
-    return " ".join(parts) + (" ..." if np.sum(np.abs(share) > 0.1) > 3 else "")
+            parts.append(f"{relative[term]:+.2g} {' '.join(factors) or '1'}")
+    return " ".join(parts) + (" ..." if np.sum(np.abs(relative) > 0.1) > 3 else "")

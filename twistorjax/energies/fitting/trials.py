@@ -1,4 +1,4 @@
-"""What was measured of a hinge: displacements, what they took, and errors against it."""
+"""Measured displacements, wrenches and energies of a hinge, and errors of an energy."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..._utils.csv_files import Columns
+from ..._utils.csv_files import CsvFile
 from ..._utils.validation import shorten
 
 
@@ -18,24 +18,27 @@ _ENERGY = "energy_J"
 
 
 class Trials(eqx.Module):
-    """Displacements of a hinge, with the wrench or the energy that each took, or both.
+    """Measured displacements of a hinge, with the wrench or the energy of each, or both.
 
     Args:
-        poses: frame b seen from frame a, a row for each trial; rad, m, m.
-        wrenches: that body B exerted on the hinge there: about the displaced origin of b,
-            in its axes; N m, N, N.
-        energies: stored there; J.
-        wrench_deviations: standard deviation of each wrench, or one row for all. By
-            default the components' own root mean squares, so that each counts alike;
-            N m, N, N.
-        energy_deviations: standard deviation of each energy, or one for all; J.
+        poses: Poses of frame b relative to frame a, a row for each trial; rad, m, m.
+        wrenches: Wrenches that body B exerts on the hinge, about the displaced origin of
+            frame b and in its axes; N m, N, N.
+        energies: Stored energies; J.
+        wrench_deviations: Standard deviations of the wrenches, one row for each trial or
+            one row for all. By default the rms value of each component, so that all
+            components have the same weight; N m, N, N.
+        energy_deviations: Standard deviations of the energies, one for each trial or one
+            for all. By default the rms value; J.
 
     Raises:
-        ValueError: there is neither a wrench nor an energy; shapes do not fit; a value is
-            not finite, or a standard deviation not positive.
+        ValueError: There are neither wrenches nor energies; the shapes do not match; a
+            value is not finite; a standard deviation is not positive.
 
     Example:
-        >>> trials = Trials([[0.1, 0.0, 0.0]], wrenches=[[0.2, 0.0, 0.0]])
+        >>> pose = [0.1, 0.0, 0.0]  # rad, m, m
+        >>> wrench = [0.2, 0.0, 0.0]  # N m, N, N
+        >>> trials = Trials(poses=[pose], wrenches=[wrench])
         >>> len(trials)
         1
     """
@@ -62,55 +65,56 @@ class Trials(eqx.Module):
         | None = None,
     ):
         if wrenches is None and energies is None:
-            raise ValueError("`Trials` need `wrenches` or `energies`, or both.")
-        self.poses = _finite("poses", poses, None)
+            raise ValueError("`Trials` need `wrenches` or `energies` or both.")
+        self.poses = _finite_array("poses", poses, None)
         count = len(self.poses)
         self.wrenches = self.energies = None
         self.wrench_deviations = self.energy_deviations = None
         if wrenches is not None:
-            self.wrenches = _finite("wrenches", wrenches, (count, 3))
+            self.wrenches = _finite_array("wrenches", wrenches, (count, 3))
             if wrench_deviations is None:
-                wrench_deviations = _size(self.wrenches)
+                wrench_deviations = _root_mean_square(self.wrenches)
             self.wrench_deviations = _deviations("wrench", wrench_deviations, (count, 3))
         if energies is not None:
-            self.energies = _finite("energies", energies, (count,))
+            self.energies = _finite_array("energies", energies, (count,))
             if energy_deviations is None:
-                energy_deviations = _size(self.energies)
+                energy_deviations = _root_mean_square(self.energies)
             self.energy_deviations = _deviations("energy", energy_deviations, (count,))
 
     def __len__(self) -> int:
         return len(self.poses)
 
     @property
-    def reach(self) -> float:
-        """The largest translation; one, where there is none; m."""
-        far = np.linalg.norm(np.asarray(self.poses[:, 1:]), axis=1)
-        return float(far.max()) or 1.0
+    def largest_translation(self) -> float:
+        """Largest magnitude of a translation, or one if all translations are zero; m."""
+        distances = np.linalg.norm(np.asarray(self.poses[:, 1:]), axis=1)
+        return float(distances.max()) or 1.0
 
     def __getitem__(self, rows: np.ndarray) -> "Trials":
-        """Some of the trials."""
+        """Select some of the trials."""
 
-        def some(values: Array | None) -> Array | None:
+        def select(values: Array | None) -> Array | None:
             return None if values is None else values[rows]
 
         return Trials(
             self.poses[rows],
-            some(self.wrenches),
-            some(self.energies),
-            wrench_deviations=some(self.wrench_deviations),
-            energy_deviations=some(self.energy_deviations),
+            select(self.wrenches),
+            select(self.energies),
+            wrench_deviations=select(self.wrench_deviations),
+            energy_deviations=select(self.energy_deviations),
         )
 
 
 class Errors(eqx.Module):
-    """How far an energy is from trials.
+    """Errors of an energy at trials.
 
     Args:
-        wrench: root mean square by component; N m, N, N. NaN where none was measured.
-        largest: the same of the single largest; N m, N, N.
-        relative: root mean square over that of what was measured.
-        energy: root mean square; J. NaN where none was measured.
-        largest_energy: the largest; J.
+        wrench: Rms error of each component of the wrench, NaN without measured wrenches;
+            N m, N, N.
+        largest: Largest error of each component of the wrench; N m, N, N.
+        relative: Rms error divided by the rms value of the measured component.
+        energy: Rms error of the energy, NaN without measured energies; J.
+        largest_energy: Largest error of the energy; J.
     """
 
     wrench: Float[np.ndarray, "3"]
@@ -120,90 +124,111 @@ class Errors(eqx.Module):
     largest_energy: float
 
 
-def compared(
+def errors_of_predictions(
     trials: Trials,
     wrenches: Float[np.ndarray, "trials 3"],
     energies: Float[np.ndarray, " trials"],
 ) -> Errors:
-    """How far from trials is what an energy says at their poses.
+    """Compare predicted wrenches and energies with trials.
+
+    Predictions of quantities that were not measured are ignored.
 
     Args:
-        trials: measured.
-        wrenches: of the energy at their poses; N m, N, N.
-        energies: there; J. Those of what was not measured are left aside.
+        trials: The trials.
+        wrenches: Predicted wrenches at the poses of the trials; N m, N, N.
+        energies: Predicted energies at these poses; J.
+
+    Returns:
+        The errors.
 
     Example:
-        >>> trials = Trials([[0.1, 0.0, 0.0]], energies=[2.0])
-        >>> compared(trials, np.zeros((1, 3)), np.array([1.5])).energy
+        >>> trials = Trials(poses=[[0.1, 0.0, 0.0]], energies=[2.0])
+        >>> wrenches, energies = np.zeros((1, 3)), np.array([1.5])
+        >>> errors_of_predictions(trials, wrenches, energies).energy
         0.5
     """
-    left = []
+    residuals = []
     if trials.wrenches is not None:
-        gap = np.asarray(trials.wrenches) - wrenches
-        left.append(gap / np.asarray(trials.wrench_deviations))
+        difference = np.asarray(trials.wrenches) - wrenches
+        residuals.append(difference / np.asarray(trials.wrench_deviations))
     if trials.energies is not None:
-        gap = np.asarray(trials.energies) - energies
-        left.append((gap / np.asarray(trials.energy_deviations))[:, None])
-    return measured(trials, np.concatenate(left, axis=1))
+        difference = np.asarray(trials.energies) - energies
+        residuals.append((difference / np.asarray(trials.energy_deviations))[:, None])
+    return errors_of_residuals(trials, np.concatenate(residuals, axis=1))
 
 
-def measured(trials: Trials, residual: Float[np.ndarray, "trials numbers"]) -> Errors:
-    """Errors in their units, from those in standard deviations.
+def errors_of_residuals(
+    trials: Trials, residuals: Float[np.ndarray, "trials values"]
+) -> Errors:
+    """Convert residuals in standard deviations to errors.
 
     Args:
-        trials: whose deviations these are.
-        residual: of each trial: of its wrench, and last of its energy, as measured.
+        trials: The trials, with their standard deviations.
+        residuals: A row for each trial: the residuals of the wrench, then of the energy,
+            as far as these were measured.
+
+    Returns:
+        The errors.
     """
     wrench, largest, relative = (np.full(3, np.nan) for _ in range(3))
     energy = largest_energy = np.nan
     if trials.wrenches is not None:
-        error = residual[:, :3] * np.asarray(trials.wrench_deviations)
+        error = residuals[:, :3] * np.asarray(trials.wrench_deviations)
         wrench = np.sqrt(np.mean(error**2, axis=0))
         largest = np.max(np.abs(error), axis=0)
         size = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
         relative = wrench / np.where(size > 0, size, np.nan)
     if trials.energies is not None:
-        error = residual[:, -1] * np.asarray(trials.energy_deviations)
+        error = residuals[:, -1] * np.asarray(trials.energy_deviations)
         energy = float(np.sqrt(np.mean(error**2)))
         largest_energy = float(np.max(np.abs(error)))
     return Errors(wrench, largest, relative, energy, largest_energy)
 
 
 def read_trials(path: str | Path) -> Trials:
-    """Reads trials from a file of separated values, a trial a line.
+    """Read trials from a text file with a header line and a line for each trial.
+
+    The columns are separated by commas, semicolons or tabs. The header names them:
+
+    * `angle_rad`, `px_m`, `py_m`: the pose;
+    * `moment_Nm`, `fx_N`, `fy_N`: the wrench; or `energy_J`: the energy; or both;
+    * `sd_moment_Nm`, `sd_fx_N`, `sd_fy_N`, `sd_energy_J`: standard deviations, optional.
+
+    Other columns are ignored.
 
     Args:
-        path: of the file. Its first line names the columns: angle_rad, px_m, py_m for the
-            pose; moment_Nm, fx_N, fy_N for the wrench, energy_J for the energy, one of
-            these or both; and their standard deviations where they are known, as
-            sd_moment_Nm, sd_fx_N, sd_fy_N, sd_energy_J. Others are left aside.
+        path: Path of the file.
+
+    Returns:
+        The trials.
 
     Raises:
-        ValueError: a column is missing or named twice, a row is too short or too long, an
-            entry is no finite number; the text names the line, the first being 1.
-        OSError: the file cannot be read.
+        ValueError: A column is missing or given twice, a line is too short or too long,
+            or an entry is not a finite number. The message names the line; the header is
+            line 1.
+        OSError: The file cannot be read.
     """
-    file = Columns(path)
+    file = CsvFile(path)
     has_wrench = any(name in file.names for name in _WRENCH)
-    wanted = [*_POSE, *(_WRENCH if has_wrench else ())]
+    required = [*_POSE, *(_WRENCH if has_wrench else ())]
     if not has_wrench or _ENERGY in file.names:
-        wanted.append(_ENERGY)
-    spreads = [f"sd_{name}" for name in _WRENCH]
-    has_spreads = any(name in file.names for name in spreads)
-    wanted += spreads if has_spreads else ()
-    if missing := [name for name in wanted if name not in file.names]:
+        required.append(_ENERGY)
+    deviations = [f"sd_{name}" for name in _WRENCH]
+    has_deviations = any(name in file.names for name in deviations)
+    required += deviations if has_deviations else ()
+    if missing := [name for name in required if name not in file.names]:
         raise ValueError(
-            f"{path} lacks the column {', '.join(missing)}: its first line is "
+            f"{path} lacks the column {', '.join(missing)}. Its first line is "
             f"{shorten(', '.join(file.names), 300) or 'empty'}, but must name "
-            f"{', '.join(_POSE)}, and "
-            f"{', '.join(_WRENCH)} or {_ENERGY} or all of them; standard deviations of "
-            "the wrench for all three components, or for none."
+            f"{', '.join(_POSE)}, and {', '.join(_WRENCH)} or {_ENERGY} or all of these. "
+            "Standard deviations of the wrench must be given for all three components or "
+            "for none."
         )
     if f"sd_{_ENERGY}" in file.names:
-        wanted.append(f"sd_{_ENERGY}")
+        required.append(f"sd_{_ENERGY}")
     if not len(file):
-        raise ValueError(f"{path} has no trials: only the line of names.")
-    columns = {name: file.numbers(name) for name in wanted}
+        raise ValueError(f"{path} has no trials, only a header line.")
+    columns = {name: file.numbers(name) for name in required}
 
     def block(names: Sequence[str]) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=1)
@@ -213,14 +238,15 @@ def read_trials(path: str | Path) -> Trials:
             block(_POSE),
             block(_WRENCH) if has_wrench else None,
             columns.get(_ENERGY),
-            wrench_deviations=block(spreads) if has_spreads else None,
+            wrench_deviations=block(deviations) if has_deviations else None,
             energy_deviations=columns.get(f"sd_{_ENERGY}"),
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _finite(name: str, given, shape: tuple[int, ...] | None) -> Array:
+def _finite_array(name: str, given, shape: tuple[int, ...] | None) -> Array:
+    """Convert an argument to a finite array of this shape, by default of poses."""
     values = jnp.asarray(given, float)
     if shape is None and (values.ndim != 2 or values.shape[1] != 3 or not len(values)):
         raise ValueError(
@@ -238,19 +264,21 @@ def _finite(name: str, given, shape: tuple[int, ...] | None) -> Array:
     return values
 
 
-def _size(values: Array) -> Array:
-    """The root mean square of each column; one, where all are zero."""
+def _root_mean_square(values: Array) -> Array:
+    """Compute the rms value of each column, or one for a column of zeros."""
     size = jnp.sqrt(jnp.mean(values**2, axis=0))
     return jnp.where(size > 0, size, 1.0)
 
 
 def _deviations(name: str, given, shape: tuple[int, ...]) -> Array:
+    """Convert standard deviations to an array of this shape; all must be positive."""
     values = jnp.asarray(given, float)
     try:
         values = jnp.broadcast_to(values, shape)
     except ValueError:
         raise ValueError(
-            f"`{name}_deviations` has shape {values.shape}, but must fit {shape}."
+            f"`{name}_deviations` has shape {values.shape}, but must have shape {shape} "
+            "or be one row for all trials."
         ) from None
     if not np.all((values > 0) & np.isfinite(values)):
         raise ValueError(f"`{name}_deviations` must be positive and finite.")

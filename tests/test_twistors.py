@@ -1,4 +1,4 @@
-"""Twistors against the geometric algebra itself, of the `clifford` library."""
+"""Twistors against the geometric algebra of the library `clifford`."""
 
 import clifford
 import jax
@@ -24,7 +24,7 @@ def multivector(twistor):
 
 
 def homogeneous(point):
-    """A point of the horosphere, equation 2.40 with e . e* = -1."""
+    """Return a point of the homogeneous model: equation 2.40 with e . e* = -1."""
     x, y = map(float, point)
     return x * E1 + y * E2 + (x**2 + y**2) / 2 * INFINITY + ORIGIN
 
@@ -33,16 +33,16 @@ def assert_same(actual, expected):
     np.testing.assert_allclose(actual.value, expected.value, atol=1e-12)
 
 
-def test_the_basis_is_null_and_its_points_are_too():
+def test_the_basis_vectors_and_the_points_are_null_vectors():
     for null in (INFINITY, ORIGIN, homogeneous([0.3, -0.7])):
         assert (null * null).value == pytest.approx(0)
     assert float((INFINITY | ORIGIN)[()]) == pytest.approx(-1)
 
 
-def test_the_printed_sign_of_the_basis_carries_translations_backwards():
+def test_the_printed_sign_of_the_basis_reverses_translations():
     infinity = -INFINITY  # equation 2.24: e . e* = 1
-    shift = 1 + 0.5 * E1 * infinity  # equation 2.155: by 1 along x
-    moved = ~shift * ORIGIN * shift
+    translation = 1 + 0.5 * E1 * infinity  # equation 2.155: by 1 along x
+    moved = ~translation * ORIGIN * translation
     assert_same(moved, -1 * E1 - 0.5 * infinity + ORIGIN)  # equation 2.40 at x = -1
 
 
@@ -64,13 +64,13 @@ def test_product_is_the_geometric_product():
         assert_same(multivector(tc.product(first, second)), expected)
 
 
-def test_conjugate_is_the_reverse():
+def test_conjugate_is_the_reverse_of_the_multivector():
     for pose in some_poses(0):
         twistor = tc.twistor(pose)
         assert_same(multivector(tc.conjugate(twistor)), ~multivector(twistor))
 
 
-def test_move_is_the_sandwich_on_points_of_the_homogeneous_model():
+def test_move_is_the_product_with_a_point_of_the_homogeneous_model():
     point = jnp.array([0.3, -0.7])
     for pose in some_poses(0):
         q = multivector(tc.twistor(pose))
@@ -81,29 +81,29 @@ def test_move_is_the_sandwich_on_points_of_the_homogeneous_model():
 
 def test_composition_is_the_product_with_the_first_displacement_on_the_left():
     for outer, inner in zip(some_poses(0), some_poses(1), strict=True):
-        together = tc.twistor(se2.compose(outer, inner))
-        assert_close(tc.product(tc.twistor(inner), tc.twistor(outer)), together)
+        total = tc.twistor(se2.compose(outer, inner))
+        assert_close(tc.product(tc.twistor(inner), tc.twistor(outer)), total)
 
 
-def test_pose_undoes_twistor_within_a_full_turn():
+def test_pose_inverts_twistor_within_a_full_turn():
     poses = some_poses(0)
     assert_close(jax.vmap(lambda pose: tc.pose(tc.twistor(pose)))(poses), poses)
 
 
-def test_the_way_back_is_the_same_twistor_but_for_its_sign():
+def test_the_twistor_of_the_inverse_pose_is_the_conjugate():
     for pose in some_poses(0):
-        back = tc.twistor(se2.inverse(pose))
-        assert_close(back, tc.conjugate(tc.twistor(pose)))
+        inverse = tc.twistor(se2.inverse(pose))
+        assert_close(inverse, tc.conjugate(tc.twistor(pose)))
 
 
 def test_the_three_ways_of_section_2_7_4_agree():
     root = np.sqrt(3)
-    turn = jnp.array([root / 2, 0.5, 0.0, 0.0])
+    rotation = jnp.array([root / 2, 0.5, 0.0, 0.0])
     expected = jnp.array([root / 2, 0.5, root, 1.0])
-    turn_then_shift = tc.product(turn, jnp.array([1.0, 0.0, 1.0, root]))
-    shift_then_turn = tc.product(jnp.array([1.0, 0.0, 2.0, 0.0]), turn)
-    about_pole = tc.twistor(jnp.array([np.pi / 3, 2.0, 2 * root]))
-    for twistor in (turn_then_shift, shift_then_turn, about_pole):
+    rotation_first = tc.product(rotation, jnp.array([1.0, 0.0, 1.0, root]))
+    translation_first = tc.product(jnp.array([1.0, 0.0, 2.0, 0.0]), rotation)
+    about_the_pole = tc.twistor(jnp.array([np.pi / 3, 2.0, 2 * root]))
+    for twistor in (rotation_first, translation_first, about_the_pole):
         assert_close(twistor, expected)
     assert_close(se2.pole(tc.pose(expected)), jnp.array([-2.0, 2 * root]))
 
@@ -115,23 +115,23 @@ def test_the_printed_order_of_equation_2_159_does_not_give_its_printed_value():
 
 
 @pytest.mark.parametrize("order", [0, 1, 2, 3])
-def test_half_turn_has_the_derivatives_of_cosine_and_sine(order):
+def test_half_angle_cos_sin_has_the_derivatives_of_cosine_and_sine(order):
     angle = jnp.array(0.8)
-    known = jnp.cos(angle / 2), jnp.sin(angle / 2)
+    values = jnp.cos(angle / 2), jnp.sin(angle / 2)
 
-    def given(angle):
-        return jnp.stack(tc.half_turn(angle, *known))
+    def reused(angle):
+        return jnp.stack(tc.half_angle_cos_sin(angle, *values))
 
     def computed(angle):
         return jnp.stack([jnp.cos(angle / 2), jnp.sin(angle / 2)])
 
     for _ in range(order):
-        given, computed = jax.jacfwd(given), jax.jacfwd(computed)
-    assert_close(given(angle), computed(angle), digits=15)
+        reused, computed = jax.jacfwd(reused), jax.jacfwd(computed)
+    assert_close(reused(angle), computed(angle), digits=15)
 
 
-def test_a_displacement_measures_the_same_twist_as_its_pose():
+def test_a_displacement_has_the_twist_and_the_twistor_of_its_pose():
     for pose in some_poses(0):
-        seen = tc.Displacement.of(pose)
-        assert_close(seen.twist(), se2.twist(pose))
-        assert_close(seen.strain()[1:] / 2, tc.twistor(pose)[2:])
+        displacement = tc.Displacement.from_pose(pose)
+        assert_close(displacement.twist(), se2.twist(pose))
+        assert_close(displacement.strain()[1:] / 2, tc.twistor(pose)[2:])

@@ -1,4 +1,4 @@
-"""Stiffnesses of leaves and notches against integrals, listings and published values."""
+"""Stiffness and stress of leaves and notches against integrals and published values."""
 
 import jax
 import jax.numpy as jnp
@@ -11,17 +11,18 @@ from helpers import assert_close
 import twistorjax as tj
 
 
-ALUMINIUM = tj.Material(modulus=69e9, poisson=0.33)
-SOFT = tj.Material(modulus=0.05 * 69e9, poisson=0.3)
+ALUMINUM = tj.Material(modulus=69e9, poisson=0.33)
+POLYMER = tj.Material(modulus=0.05 * 69e9, poisson=0.3)
 
 
 def diagonal(energy):
+    """Return the diagonal of a stiffness without coupling."""
     assert_close(energy.stiffness, np.diag(np.diagonal(energy.stiffness)))
     return np.diagonal(energy.stiffness)
 
 
-def beam_notch(web, hole=3e-3, width=0.02, modulus=69e9):
-    """Rotation, axial and transverse stiffness of a neck, by quadrature."""
+def neck_stiffness(web, hole=3e-3, width=0.02, modulus=69e9):
+    """Integrate the rotational, axial and transverse stiffness of a neck as a beam."""
     radius = hole / 2
 
     def integral(power, moment):
@@ -41,16 +42,16 @@ def beam_notch(web, hole=3e-3, width=0.02, modulus=69e9):
     )
 
 
-def test_leaf_of_the_four_bar():
-    leaf = tj.flexures.leaf(SOFT, length=0.01, thickness=0.001, width=0.005)
+def test_the_stiffness_of_the_leaf_of_the_four_bar():
+    leaf = tj.flexures.leaf(POLYMER, length=0.01, thickness=0.001, width=0.005)
     assert_close(diagonal(leaf), [0.14375, 1.725e6, 17250.0])
 
 
-def test_leaf_has_the_compliance_of_a_cantilever_at_its_tip():
-    """From the middle to the tip: L / EI, L^2 / 2 EI, L^3 / 3 EI."""
+def test_a_leaf_has_the_compliance_of_a_cantilever_at_its_tip():
+    """The compliances at the tip are L / EI, L^2 / 2 EI and L^3 / 3 EI."""
     length, bending = 0.03, 69e9 * 0.01 * 0.0005**3 / 12
-    leaf = tj.flexures.leaf(ALUMINIUM, length=length, thickness=0.0005, width=0.01)
-    tip = jnp.array([0.0, -length / 2, 0.0])  # the middle, seen from the tip
+    leaf = tj.flexures.leaf(ALUMINUM, length=length, thickness=0.0005, width=0.01)
+    tip = jnp.array([0.0, -length / 2, 0.0])  # pose of the middle relative to the tip
     compliance = np.linalg.inv(tj.geometry.se2.transform_stiffness(tip, leaf.stiffness))
     expected = [length / bending, length**2 / 2 / bending, length**3 / 3 / bending]
     np.testing.assert_allclose(
@@ -58,46 +59,48 @@ def test_leaf_has_the_compliance_of_a_cantilever_at_its_tip():
     )
 
 
-def test_leaf_that_shears_has_the_compliance_of_timoshenko():
+def test_a_leaf_with_shear_has_the_transverse_compliance_of_timoshenko():
     sizes = {"length": 0.01, "thickness": 0.002, "width": 0.005}
     shear = 5 / 6 * 69e9 / (2 * 1.33) * 0.002 * 0.005
     bending = 69e9 * 0.005 * 0.002**3 / 12
     expected = 1 / (0.01**3 / (12 * bending) + 0.01 / shear)
     assert_close(
-        diagonal(tj.flexures.leaf(ALUMINIUM, theory="timoshenko", **sizes))[2] / expected,
+        diagonal(tj.flexures.leaf(ALUMINUM, theory="timoshenko", **sizes))[2] / expected,
         1.0,
     )
 
 
-@pytest.mark.parametrize(("theory", "share"), [("euler-bernoulli", 0.1),
+@pytest.mark.parametrize(("theory", "limit"), [("euler-bernoulli", 0.1),
                                                ("timoshenko", 0.25)])  # fmt: skip
-def test_leaf_refuses_to_be_stout(theory, share):
-    tj.flexures.leaf(SOFT, length=3e-3, thickness=share * 3e-3, width=1e-3, theory=theory)
-    with pytest.raises(ValueError, match=f"holds to {share}: take a thinner or longer"):
+def test_a_leaf_that_is_too_thick_raises_an_error(theory, limit):
+    tj.flexures.leaf(
+        POLYMER, length=3e-3, thickness=limit * 3e-3, width=1e-3, theory=theory
+    )
+    with pytest.raises(ValueError, match=f"is valid up to {limit}. Use a thinner"):
         tj.flexures.leaf(
-            SOFT, length=1e-2, thickness=1.001 * share * 1e-2, width=1, theory=theory
+            POLYMER, length=1e-2, thickness=1.001 * limit * 1e-2, width=1, theory=theory
         )
 
 
-def test_notch_of_the_stage():
-    """The values printed in section 6.2.2, and the listing's to all digits."""
-    notch = diagonal(tj.flexures.notch(ALUMINIUM, hole=3e-3, web=0.25e-3, width=0.02))
+def test_the_stiffness_of_the_notch_of_the_stage():
+    """The values are those of the listing, and rounded those of section 6.2.2."""
+    notch = diagonal(tj.flexures.notch(ALUMINUM, hole=3e-3, web=0.25e-3, width=0.02))
     expected = [2.50965124679121, 158837017.472332, 16607476.7591281]
     np.testing.assert_allclose(notch, expected, rtol=1e-14)
     np.testing.assert_allclose(notch, [2.5096, 1.588e8, 1.661e7], rtol=3e-4)
 
 
-@pytest.mark.parametrize("share", [0.01, 0.0833, 0.2, 0.25])
-def test_paros_and_weisbord_integrate_the_beam_exactly(share):
-    web = share * 3e-3
+@pytest.mark.parametrize("ratio", [0.01, 0.0833, 0.2, 0.25])
+def test_paros_weisbord_is_the_exact_integral_of_a_beam(ratio):
+    web = ratio * 3e-3
     notch = tj.flexures.notch(
-        ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
+        ALUMINUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
     )
-    np.testing.assert_allclose(diagonal(notch), beam_notch(web), rtol=1e-9)
+    np.testing.assert_allclose(diagonal(notch), neck_stiffness(web), rtol=1e-9)
 
 
-def test_paros_and_weisbord_full_rotation_is_their_published_formula():
-    """Their angular compliance, with beta = t / 2 R and gamma = 1 + beta."""
+def test_the_rotational_stiffness_of_paros_weisbord_is_the_published_formula():
+    """It is the angular compliance with beta = t / 2 R and gamma = 1 + beta."""
     radius, web, scale = 1.5e-3, 0.25e-3, 69e9 * 0.02
     beta = web / (2 * radius)
     span = 2 * beta + beta**2
@@ -105,30 +108,30 @@ def test_paros_and_weisbord_full_rotation_is_their_published_formula():
     bracket += 6 * (1 + beta) / span**1.5 * np.arctan(np.sqrt((2 + beta) / beta))
     compliance = 3 / (2 * scale * radius**2) / span * bracket
     notch = tj.flexures.notch(
-        ALUMINIUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
+        ALUMINUM, hole=3e-3, web=web, width=0.02, formula="paros-weisbord"
     )
     assert_close(diagonal(notch)[0] * compliance, 1.0, digits=10)
 
 
-def test_paros_and_weisbord_simplified_is_equation_6_2():
-    """Evaluated: 2.4907 N m/rad. The text prints 2.4919."""
+def test_the_simplified_rotational_stiffness_is_equation_6_2():
+    """Its value is 2.4907 N m/rad; the text prints 2.4919 N m/rad."""
     simplified = "paros-weisbord-simplified"
     notch = tj.flexures.notch(
-        ALUMINIUM, hole=3e-3, web=0.25e-3, width=0.02, formula=simplified
+        ALUMINUM, hole=3e-3, web=0.25e-3, width=0.02, formula=simplified
     )
     expected = 2 * 69e9 * 0.02 * 0.25e-3**2.5 / (9 * np.pi * np.sqrt(1.5e-3))
     assert_close(diagonal(notch)[0], expected)
     assert abs(expected - 2.4907) < 5e-5
 
 
-@pytest.mark.parametrize(("share", "within"), [(1e-4, 0.01), (0.1, 0.23)])
-def test_simplified_tends_to_full_for_thin_webs(share, within):
-    sizes = {"hole": 3e-3, "web": share * 3e-3, "width": 0.02}
-    full = diagonal(tj.flexures.notch(ALUMINIUM, formula="paros-weisbord", **sizes))
-    thin = diagonal(
-        tj.flexures.notch(ALUMINIUM, formula="paros-weisbord-simplified", **sizes)
+@pytest.mark.parametrize(("ratio", "tolerance"), [(1e-4, 0.01), (0.1, 0.23)])
+def test_the_simplified_formula_approaches_the_full_one_for_thin_webs(ratio, tolerance):
+    sizes = {"hole": 3e-3, "web": ratio * 3e-3, "width": 0.02}
+    full = diagonal(tj.flexures.notch(ALUMINUM, formula="paros-weisbord", **sizes))
+    simplified = diagonal(
+        tj.flexures.notch(ALUMINUM, formula="paros-weisbord-simplified", **sizes)
     )
-    np.testing.assert_allclose(thin, full, rtol=within)
+    np.testing.assert_allclose(simplified, full, rtol=tolerance)
 
 
 @pytest.mark.parametrize(
@@ -136,26 +139,26 @@ def test_simplified_tends_to_full_for_thin_webs(share, within):
     [("fitted", 0.05, 0.5), ("paros-weisbord", None, 0.25),
      ("paros-weisbord-simplified", None, 0.1)],
 )  # fmt: skip
-def test_notch_says_where_its_formula_ends(formula, low, high):
-    def notch(share):
-        sizes = {"hole": 3e-3, "web": share * 3e-3, "width": 0.02}
-        return tj.flexures.notch(ALUMINIUM, formula=formula, **sizes)
+def test_a_web_outside_the_range_of_the_formula_raises_an_error(formula, low, high):
+    def notch(ratio):
+        sizes = {"hole": 3e-3, "web": ratio * 3e-3, "width": 0.02}
+        return tj.flexures.notch(ALUMINUM, formula=formula, **sizes)
 
-    for share in (low, high):
-        if share is not None:
-            assert np.all(diagonal(notch(share)) > 0)
-    for share in (0.999 * (low or -1), 1.001 * high):
+    for ratio in (low, high):
+        if ratio is not None:
+            assert np.all(diagonal(notch(ratio)) > 0)
+    for ratio in (0.999 * (low or -1), 1.001 * high):
         with pytest.raises(ValueError, match=r"`web( / hole)?` is .*, but"):
-            notch(share)
+            notch(ratio)
 
 
-def test_a_web_out_of_range_harms_its_own_lane_alone():
+def test_a_traced_web_out_of_range_gives_nan_for_this_design_only():
     def stiffness(web):
-        return tj.flexures.notch(ALUMINIUM, hole=3e-3, web=web, width=0.02).stiffness
+        return tj.flexures.notch(ALUMINUM, hole=3e-3, web=web, width=0.02).stiffness
 
-    lanes = jax.vmap(stiffness)(jnp.array([1e-6, 0.25e-3]))
-    assert np.all(np.isnan(np.diagonal(lanes[0])))
-    assert_close(lanes[1], stiffness(0.25e-3))
+    designs = jax.vmap(stiffness)(jnp.array([1e-6, 0.25e-3]))
+    assert np.all(np.isnan(np.diagonal(designs[0])))
+    assert_close(designs[1], stiffness(0.25e-3))
 
 
 @pytest.mark.parametrize(
@@ -172,7 +175,7 @@ def test_a_web_out_of_range_harms_its_own_lane_alone():
     ],
 )
 @pytest.mark.untyped
-def test_refuses_what_is_no_material(values, message):
+def test_invalid_values_of_a_material_raise_an_error(values, message):
     with pytest.raises(ValueError, match=message):
         tj.Material(**values)
 
@@ -186,8 +189,8 @@ def test_outlines_have_the_size_of_the_hinge():
     assert_close(np.ptp(leaf, axis=0), [0.01, 0.001])
 
 
-def chain(count, energy):
-    """A cantilever of unit length and stiffness, of so many like hinges."""
+def cantilever(count, energy):
+    """Return a cantilever of unit length that is divided into equal hinges."""
     part = 1 / count
     bodies = [tj.Body("0")]
     bodies += [tj.Body(f"{k}", (0.0, k * part, 0.0)) for k in range(1, count + 1)]
@@ -198,8 +201,8 @@ def chain(count, energy):
     return tj.Mechanism(bodies, hinges, fixed=["0"])
 
 
-def test_a_quartic_leaf_bends_as_the_elastica_and_a_chain_to_fourth_order():
-    """Under P L^2 / E I = 1: angle, travel along and across; errors at most 0.3 %."""
+def test_quartic_leaves_converge_to_the_elastica_with_the_fourth_order():
+    """At P L^2 / E I = 1, the errors of angle and displacements are at most 0.3 %."""
     exact = np.array([0.461351949712, -0.0564332362834, 0.3017207738])
     unit, thickness = tj.Material(modulus=1.0, poisson=0.3), 1e-2
     errors = []
@@ -209,28 +212,28 @@ def test_a_quartic_leaf_bends_as_the_elastica_and_a_chain_to_fourth_order():
         )
         tip = f"{count}"
         load = [tj.Load(tip, (0.0, 0.0, 1.0))]
-        moved = tj.equilibrium(chain(count, energy), loads=load).displacement(tip)
-        errors.append(np.abs(moved / exact - 1))
+        solution = tj.equilibrium(cantilever(count, energy), loads=load)
+        errors.append(np.abs(solution.displacement(tip) / exact - 1))
     np.testing.assert_array_less(errors[0], 3e-3)
     assert np.log2(errors[0][0] / errors[1][0]) > 3.9
     assert np.all(errors[1] < 3e-4)
 
 
-def test_a_quartic_leaf_is_at_rest_the_leaf():
+def test_a_quartic_leaf_has_the_stiffness_of_a_leaf():
     sizes = {"length": 10e-3, "thickness": 0.8e-3, "width": 5e-3}
-    soft = tj.Material(modulus=3.45e9, poisson=0.3)
+    polymer = tj.Material(modulus=3.45e9, poisson=0.3)
     for theory in ("euler-bernoulli", "timoshenko"):
-        curved = tj.flexures.quartic_leaf(soft, theory=theory, **sizes)
-        straight = tj.flexures.leaf(soft, theory=theory, **sizes).stiffness
+        quartic = tj.flexures.quartic_leaf(polymer, theory=theory, **sizes)
+        expected = tj.flexures.leaf(polymer, theory=theory, **sizes).stiffness
         np.testing.assert_allclose(
-            jnp.diag(curved.tangent_stiffness()), jnp.diag(straight), rtol=1e-12
+            jnp.diag(quartic.tangent_stiffness()), jnp.diag(expected), rtol=1e-12
         )
 
 
-def test_the_stress_of_a_cantilever_is_that_of_its_clamp():
-    """6 P L / w t^2 where the tip is pushed across, and P / w t where it is pulled."""
+def test_the_largest_stress_of_a_cantilever_is_at_its_clamp():
+    """It is 6 P L / w t^2 for a transverse force, and P / w t for an axial force."""
     size = {"length": 0.05, "thickness": 1e-3, "width": 0.01}
-    energy = tj.flexures.leaf(ALUMINIUM, **size)
+    energy = tj.flexures.leaf(ALUMINUM, **size)
     bodies = [tj.Body("wall"), tj.Body("tip", (0.0, 0.05, 0.0))]
     hinge = tj.Hinge("leaf", "wall", "tip", energy, at=(0.0, 0.025, 0.0))
     beam = tj.Mechanism(bodies, [hinge], fixed=["wall"])
@@ -244,22 +247,22 @@ def test_the_stress_of_a_cantilever_is_that_of_its_clamp():
 
 
 @pytest.mark.parametrize("web", [1e-9, 1e-5, 2.9e-6, 3.1e-6, 0.25e-3, 1.5e-3])
-def test_the_stress_of_a_neck_is_that_of_a_beam_where_it_is_thin(web):
-    """Beyond by what is published of necks between holes: (1 + web / hole)^(9/20), bent.
+def test_the_stress_concentration_of_a_neck_is_the_published_one(web):
+    """The factor in bending is (1 + web / hole)^(9/20), a published fit to 2 %.
 
-    That is a fit, within two per cent. The formula itself by mpmath, whose digits bear
-    the differences of a thin neck.
+    The formulas are evaluated by mpmath, whose digits allow the small differences of a
+    thin neck.
     """
     size = {"hole": 3e-3, "web": web, "width": 0.02}
-    bent = tj.flexures.notch_stress((0.01, 0.0, 0.0), **size) / (
+    bending = tj.flexures.notch_stress((0.01, 0.0, 0.0), **size) / (
         6 * 0.01 / (0.02 * web**2)
     )
-    np.testing.assert_allclose(bent, (1 + web / 3e-3) ** 0.45, rtol=0.02)
+    np.testing.assert_allclose(bending, (1 + web / 3e-3) ** 0.45, rtol=0.02)
     with mpmath.workdps(40):
         ratio = mpmath.mpf(web) / mpmath.mpf(3e-3)
-        root, turn = mpmath.sqrt(ratio), mpmath.atan(mpmath.sqrt(ratio))
-        exact = 4 * ratio * root / (3 * (root + (ratio - 1) * turn))
-        np.testing.assert_allclose(bent, float(exact), rtol=1e-9)
-        pulled = tj.flexures.notch_stress((0.0, 5.0, 0.0), **size) / (5.0 / (0.02 * web))
-        exact = 2 * (ratio + 1) * root / ((ratio + 1) * turn + root)
-        np.testing.assert_allclose(pulled, float(exact), rtol=1e-9)
+        root, angle = mpmath.sqrt(ratio), mpmath.atan(mpmath.sqrt(ratio))
+        exact = 4 * ratio * root / (3 * (root + (ratio - 1) * angle))
+        np.testing.assert_allclose(bending, float(exact), rtol=1e-9)
+        tension = tj.flexures.notch_stress((0.0, 5.0, 0.0), **size) / (5.0 / (0.02 * web))
+        exact = 2 * (ratio + 1) * root / ((ratio + 1) * angle + root)
+        np.testing.assert_allclose(tension, float(exact), rtol=1e-9)

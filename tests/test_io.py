@@ -1,4 +1,4 @@
-"""Mechanisms in files, read by others."""
+"""Files of mechanisms and energies, and scripts for other programs."""
 
 import errno
 import json
@@ -26,25 +26,28 @@ MECHANISMS = {
 }
 
 
-def leaves(mechanism):
-    return jax.tree.leaves(mechanism)
+def assert_same_mechanism(mechanism, expected):
+    """The two mechanisms have the same structure and exactly the same numbers."""
+    assert repr(mechanism) == repr(expected)
+    leaves, expected_leaves = jax.tree.leaves(mechanism), jax.tree.leaves(expected)
+    for leaf, expected_leaf in zip(leaves, expected_leaves, strict=True):
+        np.testing.assert_array_equal(leaf, expected_leaf)
 
 
 @pytest.mark.parametrize("name", ["stage", "linkage"])
-def test_a_mechanism_is_read_as_it_was_written(tmp_path, name):
-    """To the last bit, and to the same file again."""
-    written = MECHANISMS[name]()
-    tj.io.save_mechanism(written, tmp_path / "one.json")
-    read = tj.io.load_mechanism(tmp_path / "one.json")
-    assert repr(read) == repr(written)
-    for one, other in zip(leaves(written), leaves(read), strict=True):
-        np.testing.assert_array_equal(one, other)
-    tj.io.save_mechanism(read, tmp_path / "two.json")
-    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
+def test_a_mechanism_is_written_and_read_without_rounding(tmp_path, name):
+    """The mechanism that was read is written to an identical file."""
+    mechanism = MECHANISMS[name]()
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    tj.io.save_mechanism(mechanism, first)
+    loaded = tj.io.load_mechanism(first)
+    assert_same_mechanism(loaded, mechanism)
+    tj.io.save_mechanism(loaded, second)
+    assert first.read_bytes() == second.read_bytes()
 
 
-def test_a_mechanism_may_have_little(tmp_path):
-    """No outlines, no masses; a leaf that shortens, damped by the rates of its twist."""
+def test_masses_and_outlines_are_optional(tmp_path):
+    """A quartic leaf with viscous damping of the twist, between bodies without mass."""
     spring = tj.flexures.quartic_leaf(
         tj.Material(69e9, 0.3), length=1.0, thickness=0.1, width=1
     )
@@ -52,12 +55,11 @@ def test_a_mechanism_may_have_little(tmp_path):
     hinge = tj.Hinge("h", "wall", "block", spring, at=(0.3, 0.2, 0.1), damping=damping)
     bodies = [tj.Body("wall"), tj.Body("block", (0.3, 0.1, 0.2))]
     fixed = {"wall": ["angle", "x", "y"], "block": ["y"]}
-    written = tj.Mechanism(bodies, [hinge], fixed=fixed)
-    tj.io.save_mechanism(written, tmp_path / "h.json")
-    read = tj.io.load_mechanism(tmp_path / "h.json")
-    assert repr(read) == repr(written) and read.masses == (None, None)
-    for one, other in zip(leaves(written), leaves(read), strict=True):
-        np.testing.assert_array_equal(one, other)
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=fixed)
+    tj.io.save_mechanism(mechanism, tmp_path / "h.json")
+    loaded = tj.io.load_mechanism(tmp_path / "h.json")
+    assert_same_mechanism(loaded, mechanism)
+    assert loaded.masses == (None, None)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +95,7 @@ def test_a_mechanism_may_have_little(tmp_path):
         (lambda m: m["bodies"][1].update(mass=-1), "`mass` of the body '2' is -1"),
     ],
 )
-def test_a_file_that_is_no_mechanism_is_refused(tmp_path, change, message):
+def test_a_file_with_invalid_entries_is_rejected(tmp_path, change, message):
     path = tmp_path / "stage.json"
     tj.io.save_mechanism(stage.microstage(), path)
     record = json.loads(path.read_text())
@@ -104,7 +106,7 @@ def test_a_file_that_is_no_mechanism_is_refused(tmp_path, change, message):
     assert message in str(error.value) and str(path) in str(error.value)
 
 
-BROKEN = "a\\ud800"  # half of a surrogate pair, as JSON writes it
+INVALID_TEXT = "a\\ud800"  # half of a surrogate pair, as JSON writes it
 
 
 @pytest.mark.parametrize(
@@ -123,10 +125,10 @@ BROKEN = "a\\ud800"  # half of a surrogate pair, as JSON writes it
             '"pose": ["0"',
             'bodies[0].pose[0]` is "0", but must be a number',
         ),
-        ('"name": "b"', f'"name": "{BROKEN}"', "bodies[0].name` has the text"),
+        ('"name": "b"', f'"name": "{INVALID_TEXT}"', "bodies[0].name` has the text"),
         (
             '"fixed": {',
-            f'"fixed": {{"{BROKEN}": ["x"], ',
+            f'"fixed": {{"{INVALID_TEXT}": ["x"], ',
             "`mechanism.fixed` has the text",
         ),
         ('"fixed": {', '"fixed": {"c": 5, ', "`fixed.c` has 5, but must be a list"),
@@ -158,7 +160,7 @@ BROKEN = "a\\ud800"  # half of a surrogate pair, as JSON writes it
         ("[5.0, 0.0, 0.0]", "[5.0, 0.0]", "stiffness[0]` is a list of 2 entries, but"),
     ],
 )
-def test_a_damaged_entry_is_named(tmp_path, old, new, message):
+def test_the_message_names_a_damaged_entry(tmp_path, old, new, message):
     energy = tj.Quadratic(np.diag([5.0, 6.0, 7.0])) + tj.energies.Polynomial(
         [1.0], [(2, 0, 0)], "twist"
     )
@@ -177,7 +179,7 @@ def test_a_damaged_entry_is_named(tmp_path, old, new, message):
     assert "\n" not in str(error.value) and len(str(error.value)) < 500
 
 
-def test_a_file_that_cannot_be_text_is_refused(tmp_path):
+def test_a_file_that_is_not_json_is_rejected(tmp_path):
     path = tmp_path / "model.json"
     for content, message in (
         (b"", "is empty"),
@@ -191,59 +193,59 @@ def test_a_file_that_cannot_be_text_is_refused(tmp_path):
         tj.io.load_mechanism(tmp_path)
 
 
-def small(name="b", **settings):
-    """A body on a spring."""
+def body_on_a_spring(name="b", **settings):
     hinge = tj.Hinge("h", "a", name, tj.Quadratic(np.eye(3)), at=(0, 0, 0))
     bodies = [tj.Body("a"), tj.Body(name, **settings)]
     return tj.Mechanism(bodies, [hinge], fixed=["a"])
 
 
-def test_what_could_not_be_read_again_is_not_written(tmp_path):
-    """The older file stays as it was, and nothing lies beside it."""
+def test_a_mechanism_that_cannot_be_read_again_is_not_written(tmp_path):
+    """The older file is not changed, and no temporary file remains."""
     path = tmp_path / "model.json"
-    tj.io.save_mechanism(small(), path)
+    tj.io.save_mechanism(body_on_a_spring(), path)
     before = path.read_bytes()
     with pytest.raises(ValueError, match=r"bodies\[1\]\.name` has the text"):
-        tj.io.save_mechanism(small("b\ud800"), path)
-    infinite = eqx.tree_at(lambda m: m.reference, small(), jnp.full((2, 3), jnp.inf))
+        tj.io.save_mechanism(body_on_a_spring("b\ud800"), path)
+    finite = body_on_a_spring()
+    infinite = eqx.tree_at(lambda m: m.reference, finite, jnp.full((2, 3), jnp.inf))
     with pytest.raises(ValueError, match=r"bodies\[0\]\.pose\[0\]` is Infinity"):
         tj.io.save_mechanism(infinite, path)
     energy = eqx.tree_at(lambda e: e.stiffness, tj.Quadratic(np.eye(3)), jnp.ones(3))
     with pytest.raises(ValueError, match=r"`energy\.stiffness"):
         tj.io.save_energy(energy, path)
-    deep = spring = tj.Quadratic(np.eye(3))
+    nested = spring = tj.Quadratic(np.eye(3))
     for _ in range(150):
-        deep = deep + spring
+        nested = nested + spring
     with pytest.raises(ValueError, match="nested"):
-        tj.io.save_energy(deep, path)
+        tj.io.save_energy(nested, path)
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_is_replaced_as_a_whole(tmp_path, monkeypatch):
-    """Also where the disk is full; links and the mode of the file are kept."""
+def test_a_file_is_replaced_only_when_the_new_one_is_complete(tmp_path, monkeypatch):
+    """This holds if the disk is full, too. Links and the file mode are preserved."""
     path, link = tmp_path / "model.json", tmp_path / "link.json"
-    tj.io.save_mechanism(small(), path)
+    tj.io.save_mechanism(body_on_a_spring(), path)
     path.chmod(0o640)
     link.symlink_to(path)
-    tj.io.save_mechanism(small("c"), link)
+    tj.io.save_mechanism(body_on_a_spring("c"), link)
     assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
     assert tj.io.load_mechanism(path).names == ("a", "c")
     before = path.read_bytes()
 
-    def full(*_):
+    def raise_disk_full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", full)
+    monkeypatch.setattr("os.fsync", raise_disk_full)
     with pytest.raises(OSError, match="No space left on device") as error:
-        tj.io.save_mechanism(small("d"), path)
+        tj.io.save_mechanism(body_on_a_spring("d"), path)
     assert error.value.filename == str(path)
     assert path.read_bytes() == before and set(tmp_path.iterdir()) == {path, link}
-    tj.io.save_mechanism(small(), "/dev/null")
+    tj.io.save_mechanism(body_on_a_spring(), "/dev/null")
     assert pathlib.Path("/dev/null").is_char_device()
 
 
 @pytest.mark.untyped
-def test_outlines_and_powers_are_not_rounded():
+def test_invalid_outlines_and_powers_are_rejected():
     with pytest.raises(ValueError, match=r"`outline` of the body 'b' has \[.*nan"):
         tj.Body("b", outline=[[0, 0], [1, 0], [0, np.nan]])
     spring = tj.Quadratic(np.eye(3))
@@ -254,10 +256,10 @@ def test_outlines_and_powers_are_not_rounded():
             tj.energies.Polynomial([1.0], [(power, 0, 0)], "twist")
 
 
-def test_a_file_of_another_kind_or_version_is_refused(tmp_path):
+def test_a_file_of_another_kind_or_version_is_rejected(tmp_path):
     path = tmp_path / "energy.json"
     tj.io.save_energy(tj.Quadratic(np.eye(3)), path)
-    with pytest.raises(ValueError, match="must have `twistorjax` and `mechanism` alone"):
+    with pytest.raises(ValueError, match="must have only `twistorjax` and `mechanism`"):
         tj.io.load_mechanism(path)
     path.write_text("[]")
     with pytest.raises(ValueError, match="is a list of 0 entries, but must be"):
@@ -267,14 +269,14 @@ def test_a_file_of_another_kind_or_version_is_refused(tmp_path):
         tj.io.load_mechanism(path)
 
 
-def drawn_area(mechanism):
-    """Of bodies and hinges, which touch and do not overlap; mm2."""
+def total_area(mechanism):
+    """Area of bodies and hinges, which touch and do not overlap; mm2."""
     parts = [*mechanism.outlines, *mechanism.hinge_outlines]
     return sum(Polygon(1e3 * np.asarray(part)).area for part in parts)
 
 
-def test_what_is_cut_is_one_piece(tmp_path):
-    """The stage is cut from one plate, by lines around what its parts fill."""
+def test_the_outline_to_be_cut_encloses_one_piece(tmp_path):
+    """The lines on the layer `cut` enclose the area of all bodies and hinges."""
     mechanism = stage.microstage()
     tj.io.save_outline(mechanism, tmp_path / "stage.dxf")
     drawing = ezdxf.readfile(tmp_path / "stage.dxf")
@@ -283,14 +285,14 @@ def test_what_is_cut_is_one_piece(tmp_path):
     assert all(line.closed for line in lines)
     cut = [line for line in lines if line.dxf.layer == "cut"]
     areas = sorted(Polygon([p[:2] for p in line]).area for line in cut)
-    # the frame and all that hangs on it, less the holes that it encloses
-    assert_close(areas[-1] - sum(areas[:-1]), drawn_area(mechanism), digits=3)
+    # The largest line is the outer boundary; the others are the holes.
+    assert_close(areas[-1] - sum(areas[:-1]), total_area(mechanism), digits=3)
     layers = [line.dxf.layer for line in lines]
-    assert [layers.count(name) for name in ("body", "held", "neck")] == [5, 1, 7]
+    assert [layers.count(name) for name in ("body", "fixed", "hinge")] == [5, 1, 7]
 
 
-def test_an_svg_shows_the_same_upright_and_moved(tmp_path):
-    """Its y points down; the linkage as it is moved."""
+def test_an_svg_shows_the_displaced_bodies_upright(tmp_path):
+    """The y axis of an SVG points down."""
     linkage = four_bar.four_bar()
     poses = linkage.reference.at[2].add(jnp.array([0.0, 0.0, 4e-3]))
     tj.io.save_outline(linkage, tmp_path / "linkage.svg", poses)
@@ -300,15 +302,15 @@ def test_an_svg_shows_the_same_upright_and_moved(tmp_path):
     top = 1e3 * (np.asarray(linkage.outlines[2]) + np.asarray(poses[2, 1:]))
     parts, cut = root
     assert (parts.attrib["id"], cut.attrib["id"], len(cut)) == ("parts", "cut", 1)
-    told = parts[2].attrib["d"]
-    corners = [pair.split(",") for pair in told.strip("MZ ").split(" L ")]
+    commands = parts[2].attrib["d"]
+    corners = [pair.split(",") for pair in commands.strip("MZ ").split(" L ")]
     assert_close(np.array(corners, float), np.asarray(top) * [1, -1], digits=8)
 
 
 @pytest.mark.parametrize(
     ("name", "message"), [("a.pdf", "must end with .dxf or .svg"), ("a.svg", "No body")]
 )
-def test_an_outline_that_cannot_be_is_refused(tmp_path, name, message):
+def test_an_outline_that_cannot_be_written_is_rejected(tmp_path, name, message):
     spring = tj.Quadratic(np.eye(3))
     bodies = [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))]
     hinge = tj.Hinge("h", "a", "b", spring, at=(0.0, 0.5, 0.0))
@@ -317,19 +319,18 @@ def test_an_outline_that_cannot_be_is_refused(tmp_path, name, message):
         tj.io.save_outline(mechanism, tmp_path / name)
 
 
-def test_a_script_for_exudyn_is_whole(tmp_path):
-    """It compiles, and has what was given; run where EXUDYN is installed."""
+def test_a_script_for_exudyn_contains_the_mechanism_and_its_loads():
     linkage = four_bar.four_bar()
     loads = [tj.Load("3", (0.0, 0.002, -0.001), at=(0.01, 0.0))]
     script = tj.io.exudyn_script(linkage, loads=loads, drives=[tj.Drive("2", angle=1e-4)])
     compile(script, "linkage.py", "exec")
     scope = {}
-    for name in ("BODIES", "HINGES", "GIVEN", "LOADS"):
+    for name in ("BODIES", "HINGES", "PRESCRIBED", "LOADS"):
         start = script.index(f"{name} = ")
         end = script.index("\n\n" if name == "LOADS" else "\n#", start)
         exec(script[start:end], scope)
     np.testing.assert_array_equal(list(scope["BODIES"].values()), linkage.reference)
-    assert ("2", 0, 1e-4) in scope["GIVEN"] and len(scope["GIVEN"]) == 4
+    assert ("2", 0, 1e-4) in scope["PRESCRIBED"] and len(scope["PRESCRIBED"]) == 4
     assert scope["LOADS"] == [("3", [0.0, 0.002, -0.001], [0.01, 0.0], False)]
     first, second, at, stiffness = scope["HINGES"]["B"]
     assert (first, second) == ("2", "3")
@@ -338,18 +339,17 @@ def test_a_script_for_exudyn_is_whole(tmp_path):
 
 
 def test_exudyn_finds_the_same_small_displacements(tmp_path):
-    """With loads and drives so small that its linear springs are the same."""
+    """The loads are so small that its linear springs agree with the hinges."""
     pytest.importorskip("exudyn")
     linkage = four_bar.four_bar("mixed")
-    given = {
-        "loads": [tj.Load("3", (0.0, 2e-6, -1e-6), at=(0.01, 0.0))],
-        "drives": [tj.Drive("2", angle=1e-7)],
-    }
+    loads = [tj.Load("3", (0.0, 2e-6, -1e-6), at=(0.01, 0.0))]
+    drives = [tj.Drive("2", angle=1e-7)]
     path = tmp_path / "linkage.py"
-    path.write_text(tj.io.exudyn_script(linkage, **given))
-    done = subprocess.run([sys.executable, path], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    rows = [line.split()[1:] for line in done.stdout.splitlines()[1:]]
-    found = np.array(rows, float)
-    moved = np.asarray(tj.equilibrium(linkage, **given).displacements)
-    np.testing.assert_allclose(found, moved, rtol=1e-5, atol=1e-5 * np.abs(moved).max())
+    path.write_text(tj.io.exudyn_script(linkage, loads=loads, drives=drives))
+    process = subprocess.run([sys.executable, path], capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    rows = [line.split()[1:] for line in process.stdout.splitlines()[1:]]
+    solution = tj.equilibrium(linkage, loads=loads, drives=drives)
+    expected = np.asarray(solution.displacements)
+    tolerance = 1e-5 * np.abs(expected).max()
+    np.testing.assert_allclose(np.array(rows, float), expected, rtol=1e-5, atol=tolerance)

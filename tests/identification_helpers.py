@@ -1,0 +1,106 @@
+"""Small designs and experiments on which identification is tested."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+import twistorjax as tj
+from twistorjax.identification import (
+    AbstractTest,
+    BodySensor,
+    MotionTest,
+    Parameter,
+    StaticTest,
+)
+
+
+TRUE = {"rotation": 1.0, "along": 100.0, "across": 400.0}
+
+
+def spring(k):
+    """Block on a spring with the stiffnesses of rotation, along x and along y.
+
+    Stiffnesses that are not given have their values in `TRUE`.
+    """
+    diagonal = [
+        jnp.asarray(k.get(name, TRUE[name]), float)
+        for name in ("rotation", "along", "across")
+    ]
+    energy = tj.Quadratic(jnp.diag(jnp.stack(diagonal)))
+    hinge = tj.Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
+    block = tj.Body("block", mass=2.0, inertia=0.1)
+    return tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
+
+
+def springs_in_series(k):
+    """Two springs in series along x, with the stiffnesses a and b."""
+    matrices = [jnp.diag(jnp.stack([1.0 + 0 * k[n], k[n], k[n]])) for n in ("a", "b")]
+    first, second = (tj.Quadratic(matrix) for matrix in matrices)
+    bodies = [tj.Body("wall"), tj.Body("middle"), tj.Body("end")]
+    hinges = [
+        tj.Hinge("a", "wall", "middle", first, at=(0, 0, 0)),
+        tj.Hinge("b", "middle", "end", second, at=(0, 0, 0)),
+    ]
+    return tj.Mechanism(bodies, hinges, fixed=["wall"])
+
+
+def positive(value, unit=""):
+    return Parameter(value, unit, lower=0)
+
+
+def push(force, standard_deviation=1e-4):
+    """Test that pushes the block along x and measures its displacement along x."""
+    sensor = BodySensor("block", "x", standard_deviation)
+    return StaticTest([[tj.Load("block", force=(force, 0.0))]], [sensor])
+
+
+def push_series(forces, standard_deviation):
+    """Test with one trial for each force along x."""
+    sensor = BodySensor("block", "x", standard_deviation)
+    trials = [[tj.Load("block", force=(force, 0.0))] for force in forces]
+    return StaticTest(trials, [sensor])
+
+
+def free_vibration(times, sensors, *, velocity, tolerance):
+    """Test that releases the block with a velocity (angular, along x, along y)."""
+    return MotionTest(times, sensors, velocities={"block": velocity}, tolerance=tolerance)
+
+
+class FormulaTest(AbstractTest):
+    """Test whose readings are a function of the two coordinates of a body."""
+
+    function: Callable = eqx.field(static=True)
+    sizes: jax.Array
+
+    @property
+    def columns(self):
+        return ("value",)
+
+    @property
+    def units(self):
+        return ("",)
+
+    @property
+    def standard_deviations(self):
+        return self.sizes[:, None]
+
+    def predict(self, mechanism, *, forward=True, throw=True):
+        return self.function(mechanism.reference[1, 1:])[:, None]
+
+
+def body_at(parameters):
+    """Mechanism with a body whose coordinates are the parameters a and b."""
+    body = tj.Body("block", pose=(0.0, parameters["a"], parameters["b"]))
+    energy = tj.Quadratic(jnp.eye(3))
+    hinge = tj.Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
+    return tj.Mechanism([tj.Body("wall"), body], [hinge], fixed=["wall"])
+
+
+def minimize_formula(function, sizes, start, **settings):
+    """Minimize the residuals of a formula, divided by their standard deviations."""
+    sizes = jnp.asarray(sizes, float)
+    parameters = {name: Parameter(value) for name, value in start.items()}
+    data = FormulaTest(function, sizes).measurement(jnp.zeros((len(sizes), 1)))
+    return tj.identify(body_at, parameters, [data], **settings)

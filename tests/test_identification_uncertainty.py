@@ -1,0 +1,188 @@
+"""Uncertainty of estimates: undetermined directions, intervals, outliers, warnings."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from helpers import assert_close
+from identification_helpers import (
+    body_at,
+    FormulaTest,
+    minimize_formula,
+    positive,
+    push,
+    push_series,
+    spring,
+    springs_in_series,
+)
+
+import twistorjax as tj
+from twistorjax.identification import BodySensor, Parameter, posterior, StaticTest
+
+
+def test_a_stiffness_that_is_never_loaded_is_not_determined():
+    """It stays at its initial value, and its standard error is infinite."""
+    test = StaticTest(
+        [[tj.Load("block", moment=0.2)]], [BodySensor("block", "angle", 1e-3)]
+    )
+    start = {"rotation": positive(0.5, "N m/rad"), "along": positive(77.0, "N/m")}
+    result = tj.identify(spring, start, [test.measurement([[0.2]])])
+    assert_close(result.estimates["along"], 77.0)
+    assert result.standard_errors["along"] == jnp.inf
+    assert np.isfinite(result.standard_errors["rotation"])
+    (direction,) = result.undetermined_directions
+    assert "along" in direction and "rotation" not in direction
+    assert "along" in repr(result) and "N/m  not determined" in repr(result)
+    low, high = result.confidence_interval()
+    assert low["along"] == 0.0 and high["along"] == jnp.inf
+
+
+def test_of_two_springs_in_series_only_the_compliance_is_determined():
+    """Stiffening one spring and softening the other does not change the readings."""
+    test = StaticTest(
+        [[tj.Load("end", force=(1.0, 0.0))]], [BodySensor("end", "x", 1e-5)]
+    )
+    start = {"a": positive(100.0), "b": positive(300.0)}
+    result = tj.identify(springs_in_series, start, [test.measurement([[0.02]])])
+    a, b = result.estimates["a"], result.estimates["b"]
+    assert_close(1 / a + 1 / b, 0.02, digits=7)
+    (description,) = result.undetermined_directions
+    # The compliance 1/a + 1/b is constant if d ln a / a = - d ln b / b.
+    direction = np.linalg.svd(np.asarray(result.jacobian))[2][-1]
+    assert_close(direction[0] / direction[1], -a / b, digits=6)
+    assert "a by" in description and "b by" in description
+    assert "together" in description
+
+
+def test_a_parameter_with_a_small_effect_on_the_readings_is_not_determined():
+    weak = push(1e-3, standard_deviation=1e-3)
+    data = [weak.measurement([[1e-5]])]
+    result = tj.identify(spring, {"along": positive(100.0)}, data)
+    (direction,) = result.undetermined_directions
+    assert "along by +1 % changes the readings by 0.0001 standard" in direction
+    assert "not determined" in repr(result)
+
+
+def test_hubers_loss_reduces_the_effect_of_an_outlier():
+    forces = np.linspace(1.0, 5.0, 9)
+    readings = forces / 100 + 1e-4 * np.array([0, 1, -1, 0.5, 300, -0.5, 1, -1, 0])
+    data = [push_series(forces, 1e-4).measurement(readings[:, None])]
+    start = {"along": positive(80.0)}
+    plain = tj.identify(spring, start, data)
+    robust = tj.identify(spring, start, data, huber_threshold=1.345)
+    assert abs(plain.estimates["along"] - 100) > 5
+    assert abs(robust.estimates["along"] - 100) < 0.3
+    too_large = "times as large as the standard deviations"
+    assert any(too_large in text for text in plain.warnings)
+
+    def huber_loss(k):
+        size = np.abs(forces / k - readings) / 1e-4
+        return np.sum(np.where(size < 1.345, size**2 / 2, 1.345 * (size - 1.345 / 2)))
+
+    peer = scipy.optimize.minimize_scalar(huber_loss, (90, 100, 110), tol=1e-12)
+    assert_close(robust.estimates["along"], peer.x, digits=5)
+    assert_close(robust.loss, peer.fun, digits=8)
+    outlier = "outliers, in standard deviations: block.x in row 4 (-3"
+    assert any(outlier in text for text in robust.warnings)
+    assert not any("times as large" in text for text in robust.warnings)
+    residual = (forces[4] / peer.x - readings[4]) / 1e-4
+    assert_close(robust.residuals[0][4, 0], residual, digits=5)
+
+
+def test_standard_errors_of_hubers_loss_are_at_least_those_of_least_squares():
+    """This holds even if all residuals are large, or all are zero."""
+    readings = jnp.array([1.0, 1.01, 2.0, 2.01])
+
+    def function(u):
+        return jnp.concatenate([readings - u[0], jnp.stack([u[1] - 1.0, u[1] - 1.0])])
+
+    sizes, start = 6 * [0.1], {"a": 1.2, "b": 1.1}
+    plain = minimize_formula(function, sizes, start)
+    robust = minimize_formula(function, sizes, start, huber_threshold=1.345)
+    for name in start:
+        assert robust.standard_errors[name] > 0.999 * plain.standard_errors[name] > 0.04
+
+
+def test_confidence_intervals_contain_the_true_value_as_often_as_their_level():
+    """The share in 400 repetitions lies within three of its standard deviations."""
+    forces = jnp.linspace(1.0, 5.0, 5)
+    test = push_series(forces, 1e-3)
+
+    def contains_true_value(key):
+        noise = 1e-3 * jax.random.normal(key, (5, 1))
+        data = test.measurement(forces[:, None] / 100.0 + noise)
+        result = tj.identify(spring, {"along": positive(70.0)}, [data], throw=False)
+        low, high = result.confidence_interval()
+        return (low["along"] < 100.0) & (high["along"] > 100.0), result.succeeded
+
+    keys = jax.random.split(jax.random.key(5), 400)
+    contained, succeeded = jax.jit(jax.vmap(contains_true_value))(keys)
+    assert jnp.all(succeeded)
+    share = np.mean(np.asarray(contained))
+    assert abs(share - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 400)
+
+
+def test_intervals_of_hubers_loss_have_their_level_with_few_readings():
+    """One of ten readings of a line has a sixfold error: 300 repetitions."""
+    x = jnp.linspace(0.0, 1.0, 12)
+
+    def contains_true_value(key):
+        noise_key, outlier_key = jax.random.split(key)
+        size = jnp.where(jax.random.uniform(outlier_key, (12,)) < 0.1, 6.0, 1.0)
+        values = 1.0 + 2.0 * x + 0.1 * size * jax.random.normal(noise_key, (12,))
+        test = FormulaTest(lambda u: u[0] + u[1] * x, 0.1 * jnp.ones(12))
+        start = {"a": Parameter(1.3), "b": Parameter(1.7)}
+        data = [test.measurement(values[:, None])]
+        result = tj.identify(body_at, start, data, huber_threshold=1.345, throw=False)
+        low, high = result.confidence_interval()
+        return (low["b"] < 2.0) & (high["b"] > 2.0)
+
+    keys = jax.random.split(jax.random.key(1), 300)
+    share = np.mean(np.asarray(jax.jit(jax.vmap(contains_true_value))(keys)))
+    assert abs(share - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
+
+
+def test_a_confidence_interval_depends_on_its_level():
+    data = [push(5.0).measurement([[0.05]])]
+    result = tj.identify(spring, {"along": positive(80.0)}, data)
+    low, high = result.confidence_interval(0.6826894921)
+    size = result.standard_errors["along"] / 100.0
+    assert_close(low["along"], 100 * np.exp(-size), digits=6)
+    assert_close(high["along"], 100 * np.exp(size), digits=6)
+    with pytest.raises(ValueError, match=r"`level` is 95.0, but must be between 0 and 1"):
+        result.confidence_interval(95.0)
+
+
+def test_large_residuals_of_held_out_readings_are_reported():
+    data = [push(5.0).measurement([[0.04]])]
+    held_out = [push(10.0).measurement([[0.09]])]  # the model predicts 10 / 125 = 0.08
+    result = tj.identify(spring, {"along": positive(60.0)}, data, held_out=held_out)
+    assert_close(result.held_out_residuals[0][0, 0], -0.01 / 1e-4, digits=6)
+    text = "RMS residual of the held-out readings is 100 standard deviations"
+    assert any(text in warning for warning in result.warnings)
+
+
+@pytest.mark.slow
+def test_samples_have_the_mean_and_standard_deviation_of_the_posterior():
+    """The reading is linear in the compliance, so both are known in closed form."""
+    pytest.importorskip("blackjax")
+
+    def design(k):
+        one = jnp.ones(())
+        return spring({"rotation": one, "along": 1 / k["compliance"], "across": one})
+
+    test = push_series([1.0, 1.0, 1.0], 1e-3)
+    readings = np.array([[0.0095], [0.0105], [0.0112]])
+    start = {"compliance": Parameter(0.01, "m/N", scale=0.01)}
+    data = [test.measurement(readings)]
+    result = tj.identify(design, start, data)
+    samples = posterior(result, draws=500, tune=200, chains=2)
+    values = np.asarray(samples.posterior["compliance"])
+    assert values.shape == (2, 500)
+    standard_deviation = 1e-3 / np.sqrt(3)
+    assert abs(values.mean() - readings.mean()) < 0.2 * standard_deviation
+    assert abs(values.std() / standard_deviation - 1) < 0.15
+    robust = tj.identify(design, start, data, huber_threshold=1.345)
+    with pytest.raises(ValueError, match="Huber's loss is not"):
+        posterior(robust)

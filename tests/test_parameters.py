@@ -1,0 +1,74 @@
+"""Parameters of an identification: bounds, scales, and trees of parameters."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+from identification_helpers import positive, push, spring
+
+import twistorjax as tj
+from twistorjax.identification import BodySensor, Parameter, StaticTest
+
+
+def test_values_stay_within_their_bounds_and_start_at_the_initial_value():
+    for bounds in ({"lower": 0}, {"upper": 3}, {"lower": -1, "upper": 3}, {}):
+        parameter = Parameter(2.0, **bounds)
+        assert_close(parameter.value_at(jnp.zeros(())), 2.0, digits=12)
+        derivative = jax.grad(parameter.value_at)(jnp.zeros(()))
+        assert_close(derivative, parameter.initial_scale(), digits=9)
+        for normalized in (-30.0, 30.0):
+            value = parameter.value_at(jnp.asarray(normalized))
+            assert value >= bounds.get("lower", -jnp.inf)
+            assert value <= bounds.get("upper", jnp.inf)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (((1.0,), {"lower": 4, "upper": 0}), "are the bounds exchanged"),
+        (((-1.0,), {"lower": 0}), "is -1.0, but must be above 0"),
+        (((0.0,), {"lower": 0}), "must be above 0"),
+        (((4.0,), {"lower": 0, "upper": 4}), "must be above 0 and below 4"),
+        (((jnp.nan,), {}), "must be finite"),
+        (((0.0,), {}), "typical change is not known: give it as `scale`"),
+        (((1.0,), {"lower": 0, "scale": 1.0}), "leave out `scale`"),
+        (((np.ones(2), ("N",)), {}), "`unit` has 1 entries"),
+    ],
+)
+def test_wrong_parameters_are_rejected(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Parameter(*arguments[0], **arguments[1])
+
+
+def test_the_parameters_may_be_leaves_of_any_tree():
+    """An energy with unknown coefficients is a tree, too."""
+    powers = [(2, 0, 0), (0, 2, 0), (0, 0, 2)]
+    energy = tj.energies.Polynomial([0.7, 40.0, 250.0], powers, coordinates="twist")
+    coefficients = Parameter(energy.coefficients, "J")
+    start = eqx.tree_at(lambda energy: energy.coefficients, energy, coefficients)
+
+    def design(energy):
+        hinge = tj.Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
+        bodies = [tj.Body("wall"), tj.Body("block")]
+        return tj.Mechanism(bodies, [hinge], fixed=["wall"])
+
+    wrenches = [(0.1, 0, 0), (0, 1.0, 0), (0, 0, 1.0)]
+    sensors = [BodySensor("block", name, 1e-5) for name in ("angle", "x", "y")]
+    test = StaticTest([[tj.Load("block", wrench)] for wrench in wrenches], sensors)
+    data = test.measurement(np.diag([0.1, 0.01, 0.0025]))
+    result = tj.identify(design, start, [data])
+    assert isinstance(result.estimates, tj.energies.Polynomial)
+    expected = jnp.array([0.5, 50.0, 200.0])
+    assert_close(result.estimates.coefficients, expected, digits=7)
+    assert result.names == ("coefficients[0]", "coefficients[1]", "coefficients[2]")
+
+
+def test_numbers_beside_parameters_are_constants():
+    data = [push(5.0).measurement([[0.04]])]
+    result = tj.identify(spring, {"along": positive(80.0), "across": 300.0}, data)
+    assert result.names == ("along",)
+    assert result.estimates["across"] == 300.0
+    result = tj.identify(spring, {"along": 80, "across": 300.0}, data)
+    assert result.names == ("across", "along")

@@ -1,0 +1,377 @@
+"""Drawings, animations and charts, checked by their artists in matplotlib."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+
+mpl.use("agg")
+
+import matplotlib.pyplot as plt
+from helpers import assert_close
+from matplotlib.colors import to_hex
+from matplotlib.patches import Circle, FancyArrowPatch, Polygon
+
+import twistorjax as tj
+from twistorjax.examples import four_bar, stage
+from twistorjax.plotting import canvas
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    plt.close("all")
+
+
+def polygons(axes):
+    return [patch for patch in axes.patches if isinstance(patch, Polygon)]
+
+
+def test_a_body_is_drawn_at_its_magnified_displacement_in_millimeters():
+    mechanism = stage.microstage()
+    poses = mechanism.reference.at[5].add(jnp.array([0.0, 1e-3, 0.0]))
+    axes = tj.draw(mechanism, poses, reference=False, magnify=2.0)
+    corners = polygons(axes)[5].get_xy()[:-1]
+    outline = np.asarray(mechanism.outlines[5] + mechanism.reference[5, 1:][None])
+    assert_close(corners, 1e3 * outline + np.array([2.0, 0.0]))
+    assert "magnified 2 times" in axes.get_title()
+
+
+def test_a_hinge_is_drawn_between_its_two_bodies():
+    """The ends of a notch hinge move with the bodies that it joins."""
+    mechanism = stage.microstage()
+    solution = stage.amplification(mechanism).equilibrium
+    axes = tj.draw(mechanism, solution.poses, reference=False, magnify=80.0)
+    hinge = polygons(axes)[len(mechanism.names)].get_xy()[:-1]  # hinge a: bodies 2 and 6
+    outline = np.asarray(mechanism.hinge_outlines[0])
+    for end, name in ((outline[:, 0].argmin(), "2"), (outline[:, 0].argmax(), "6")):
+        reference = mechanism.reference[mechanism.index(name)]
+        corner = mechanism.at[0, 1:] + outline[end]
+        pose = reference + 80 * solution.displacement(name)
+        expected = tj.geometry.se2.act(pose, corner - reference[1:])
+        assert_close(hinge[end], 1e3 * expected, digits=10)
+
+
+def test_the_reference_configuration_is_drawn_behind_the_deformed_one():
+    mechanism = stage.microstage()
+    solution = stage.amplification(mechanism).equilibrium
+    both = tj.draw(mechanism, solution.poses)
+    deformed = tj.draw(mechanism, solution.poses, reference=False)
+    assert len(polygons(both)) == len(polygons(deformed)) + len(mechanism.names)
+
+
+def test_bodies_and_hinges_without_outlines_are_drawn_as_arms_and_springs():
+    spring = tj.Quadratic(jnp.eye(3))
+    mechanism = tj.Mechanism(
+        [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))],
+        [tj.Hinge("h", "a", "b", spring, at=(0.0, 0.5, 0.0))],
+        fixed=["a"],
+    )
+    axes = tj.draw(mechanism)
+    assert len(polygons(axes)) == 3  # two arms and a spring
+    assert {text.get_text() for text in axes.texts} == {"a", "b", "h"}
+
+
+def test_names_can_be_left_out():
+    assert not tj.draw(stage.microstage(), names=False).texts
+
+
+def double_parallelogram():
+    """A shuttle on two frames: eight leaves with long names, and no outlines."""
+    spring = tj.Quadratic(jnp.diag(jnp.array([0.1, 1e6, 1e3])))
+    rows = {"outer left": -0.05, "outer right": 0.05, "left": -0.03, "right": 0.03}
+    bodies = [tj.Body("ground"), tj.Body("shuttle", (0.0, 0.0, 0.06))]
+    hinges = []
+    for name, x in rows.items():
+        bodies.append(tj.Body(f"{name} bar", (0.0, x, 0.03)))
+        lower = f"lower {name}", "ground", f"{name} bar"
+        upper = f"upper {name}", f"{name} bar", "shuttle"
+        hinges.append(tj.Hinge(*lower, spring, at=(jnp.pi / 2, x, 0.01)))
+        hinges.append(tj.Hinge(*upper, spring, at=(jnp.pi / 2, x, 0.05)))
+    return tj.Mechanism(bodies, hinges, fixed=["ground"])
+
+
+def drawn_stage(**settings):
+    mechanism = stage.microstage()
+    solution = stage.amplification(mechanism).equilibrium
+    return tj.draw(mechanism, solution, reactions=True, magnify=80, **settings)
+
+
+DRAWINGS = {
+    "stage": lambda axes: tj.draw(stage.microstage(), axes=axes),
+    "reactions": lambda axes: drawn_stage(axes=axes),
+    "frames": lambda axes: drawn_stage(axes=axes, frames=True),
+    "long names": lambda axes: tj.draw(double_parallelogram(), axes=axes),
+}
+
+
+@pytest.mark.parametrize(
+    ("draw", "size"),
+    [
+        *(("stage", 7.0), ("stage", 3.0), ("reactions", 3.0), ("frames", 3.0)),
+        *(("long names", 7.0), ("long names", 4.5)),
+    ],
+)
+def test_labels_do_not_overlap(draw, size):
+    """Labels of bodies, hinges and reactions do not overlap, and stay in the axes."""
+    figure, axes = plt.subplots(figsize=(size, size), layout="constrained")
+    axes.text(0.5, 0.5, "a text of the user", transform=axes.transAxes, ha="center")
+    DRAWINGS[draw](axes)
+    figure.canvas.draw()
+    boxes = [(text.get_text(), text.get_window_extent()) for text in axes.texts]
+    assert len(boxes) >= 14
+    for (name, box), (other, other_box) in itertools.combinations(boxes, 2):
+        assert not box.overlaps(other_box), (name, other)
+    frame = axes.get_window_extent()
+    for name, box in boxes:
+        assert frame.x0 <= box.x0 and box.x1 <= frame.x1, name
+        assert frame.y0 <= box.y0 and box.y1 <= frame.y1, name
+
+
+def test_labels_are_placed_at_the_same_positions_each_time():
+    positions = []
+    for _ in range(2):
+        axes = drawn_stage()
+        for _ in range(2):
+            axes.figure.canvas.draw()
+            positions.append([text.xyann for text in axes.texts])
+    for other in positions[1:]:
+        assert_close(positions[0], other, digits=10)
+
+
+def arrows(axes, color):
+    """Start and tip of each arrow of a color; mm."""
+    return [
+        np.array(patch._posA_posB)
+        for patch in axes.patches
+        if isinstance(patch, FancyArrowPatch)
+        and to_hex(patch.get_edgecolor()) == canvas.__dict__[color]
+    ]
+
+
+def test_loads_are_drawn_as_arrows_from_their_points_of_application():
+    """A follower load rotates with its body. The longest arrow is a fifth of the size."""
+    linkage = four_bar.four_bar()
+    loads = [
+        tj.Load("3", (0.0, 4.0, 0.0), at=(0.02, 0.0)),
+        tj.Load("2", (0.0, 0.0, 3.0), follower=True),
+    ]
+    solution = tj.equilibrium(linkage, loads=loads)
+    axes = tj.draw(linkage, solution, loads=loads, names=False)
+    constant, follower = arrows(axes, "RED")
+    point = tj.geometry.se2.act(solution.pose("3"), jnp.array([0.02, 0.0]))
+    assert_close(constant[0], 1e3 * point)
+    size = 70.0  # from the bottom of the ground link to the top of link 3; mm
+    assert_close(constant[1] - constant[0], [0.2 * size, 0.0])
+    angle = float(solution.pose("2")[0])
+    direction = np.array([-np.sin(angle), np.cos(angle)])
+    assert_close(follower[1] - follower[0], 0.75 * 0.2 * size * direction)
+    assert {text.get_text() for text in axes.texts} == {"4 N", "3 N"}
+
+
+def test_reactions_are_drawn_in_balance():
+    """The reactions on the frame and on the input of the stage are opposite."""
+    mechanism = stage.microstage()
+    solution = stage.amplification(mechanism).equilibrium
+    axes = tj.draw(mechanism, solution, reactions=True, names=False)
+    frame, _, pushed = arrows(axes, "GREEN")  # the second is the moment on the frame
+    assert_close(frame[1] - frame[0], pushed[0] - pushed[1], digits=6)
+    with pytest.raises(ValueError, match="`poses` has no reactions"):
+        tj.draw(mechanism, solution.poses, reactions=True)
+
+
+def test_a_force_of_rounding_size_is_not_drawn_beside_a_moment():
+    """Under a moment alone, the reaction is a moment, and its force is a rounding error.
+
+    Forces are compared with moments by the size of the mechanism, 0.07 m: a force of
+    1 mN is left out beside a moment of 0.1 N m, and one of 2 mN is drawn.
+    """
+    linkage = four_bar.four_bar()
+    loads = [tj.Load("3", (0.05, 0.0, 0.0))]
+    solution = tj.equilibrium(linkage, loads=loads)
+    assert 0 < np.abs(solution.reactions[0, 1:]).max() < 1e-9
+    axes = tj.draw(linkage, solution, loads=loads, reactions=True, names=False)
+    assert [text.get_text() for text in axes.texts] == 2 * ["50 mN m"]
+    assert len(arrows(axes, "GREEN")) == 1
+    for force, labels in ((1e-3, {"100 mN m"}), (2e-3, {"100 mN m", "2 mN"})):
+        loads = [tj.Load("3", (0.1, force, 0.0))]
+        axes = tj.draw(linkage, loads=loads, names=False)
+        assert {text.get_text() for text in axes.texts} == labels
+
+
+def test_a_moment_of_rounding_size_is_not_drawn_beside_a_force():
+    linkage = four_bar.four_bar()
+    for moment, labels in ((6e-5, {"1 N"}), (8e-5, {"1 N", "80 \N{MICRO SIGN}N m"})):
+        loads = [tj.Load("3", (moment, 1.0, 0.0))]
+        axes = tj.draw(linkage, loads=loads, names=False)
+        assert {text.get_text() for text in axes.texts} == labels
+
+
+def test_reactions_of_rounding_size_are_not_drawn_under_balanced_loads():
+    """Opposite moments cause no reaction. They need not be drawn for the comparison."""
+    linkage = four_bar.four_bar()
+    loads = [tj.Load("2", (0.05, 0.0, 0.0)), tj.Load("4", (-0.05, 0.0, 0.0))]
+    solution = tj.equilibrium(linkage, loads=loads)
+    assert 0 < np.abs(solution.reactions).max() < 1e-9
+    for drawn_loads in (loads, ()):
+        axes = tj.draw(linkage, solution, loads=drawn_loads, reactions=True, names=False)
+        assert not arrows(axes, "GREEN")
+
+
+def test_hinges_are_colored_by_their_energies():
+    mechanism = stage.microstage()
+    solution = stage.amplification(mechanism).equilibrium
+    axes = tj.draw(mechanism, solution, color="energy", names=False)
+    bar = axes.figure.axes[1]
+    assert bar.get_ylabel() == "energy (µJ)"
+    energies = {
+        name: mechanism.hinge_assembly.energy_of(k)(
+            mechanism.displacement_of(name, solution.poses)
+        )
+        for k, name in enumerate(mechanism.hinge_names)
+    }
+    assert_close(sum(energies.values()), solution.energy)
+    assert_close(bar.get_ylim()[1], 1e6 * max(energies.values()))
+    hinges = polygons(axes)[-7:]
+    brightest = max(range(7), key=lambda k: sum(hinges[k].get_facecolor()[:2]))
+    assert "abcdefg"[brightest] == max(energies, key=energies.get)
+    with pytest.raises(ValueError, match="`color` names the hinge 'h'"):
+        tj.draw(mechanism, solution, color={"h": 1.0})
+
+
+def test_pins_and_sliders_are_drawn_on_the_displaced_bodies():
+    linkage = four_bar.four_bar()
+    poses = linkage.reference.at[2].add(jnp.array([0.0, 5e-3, 0.0]))
+    constraints = [
+        tj.Pin("pin", "1", "3", at=(0.01, 0.065)),
+        tj.Slider("rail", "1", "3", at=(0.0, 0.0, 0.065)),
+    ]
+    axes = tj.draw(linkage, poses, constraints=constraints, reference=False)
+    (pin,) = [patch for patch in axes.patches if isinstance(patch, Circle)]
+    assert_close(pin.center, [15.0, 65.0])
+    assert_close(polygons(axes)[-1].get_xy()[:-1].mean(axis=0), [5.0, 65.0])
+
+
+def test_frames_of_bodies_and_hinges_can_be_drawn():
+    linkage = four_bar.four_bar()
+    axes = tj.draw(linkage, frames=True)
+    assert len(arrows(axes, "BLUE")) == 2 * 4  # two axes of each body
+    assert len(arrows(axes, "ORANGE")) == 2 * 2 * 4  # two axes of both frames of a hinge
+
+
+@pytest.mark.parametrize(
+    ("length", "unit"), [(1e-7, "nm"), (1e-2, "mm"), (1.0, "mm"), (30.0, "m")]
+)
+def test_the_unit_of_the_axes_depends_on_the_size_of_the_mechanism(length, unit):
+    spring = tj.Quadratic(jnp.eye(3))
+    bodies = [tj.Body("a"), tj.Body("b", (0.0, length, 0.0))]
+    hinge = tj.Hinge("h", "a", "b", spring, at=(0.0, length / 2, 0.0))
+    axes = tj.draw(tj.Mechanism(bodies, [hinge], fixed=["a"]))
+    assert axes.get_xlabel() == f"x ({unit})"
+
+
+def test_a_batch_and_a_failed_solution_are_rejected():
+    linkage = four_bar.four_bar()
+    solutions = jax.vmap(lambda x: tj.equilibrium(linkage, drives=[tj.Drive("3", x=x)]))(
+        jnp.linspace(0.0, 1e-3, 3)
+    )
+    with pytest.raises(ValueError, match=r"batch of results, of shape \(3,\)"):
+        tj.draw(linkage, solutions)
+    with pytest.raises(ValueError, match="not finite"):
+        tj.draw(linkage, linkage.reference * jnp.nan)
+
+
+def test_a_batch_of_equilibria_is_animated_in_sequence():
+    linkage = four_bar.four_bar()
+    solutions = jax.vmap(lambda x: tj.equilibrium(linkage, drives=[tj.Drive("3", x=x)]))(
+        jnp.linspace(0.0, 5e-3, 4)
+    )
+    animation = tj.animate(linkage, solutions)
+    patches = animation._func(3)
+    axes = patches[0].axes
+    assert axes.get_title() == "4 of 4"
+    last = tj.draw(linkage, solutions.poses[3], reference=False, names=False)
+    for animated, drawn in zip(patches, polygons(last), strict=True):
+        assert_close(animated.get_xy(), drawn.get_xy())
+    animation._draw_was_started = True  # prevents the warning that it was not rendered
+    solution = tj.equilibrium(linkage, drives=[tj.Drive("3", x=1e-3)])
+    with pytest.raises(ValueError, match="one equilibrium"):
+        tj.animate(linkage, solution)
+
+
+def test_a_vibration_is_animated_in_its_mode_shape():
+    linkage = four_bar.four_bar()
+    vibrations = tj.vibrations(linkage)
+    animation = tj.animate(linkage, vibrations, mode=1, frames=8)
+    centers = [  # of link 2
+        animation._func(frame)[1].get_xy()[:-1].mean(axis=0) for frame in (0, 2, 4, 6)
+    ]
+    animation._draw_was_started = True
+    shape = vibrations.shapes[1, 1, 1:]
+    amplitude = centers[1] - centers[0]
+    assert_close(amplitude / np.linalg.norm(amplitude), shape / jnp.linalg.norm(shape))
+    assert_close(centers[2], centers[0])
+    assert_close(centers[3] - centers[0], -amplitude)
+    with pytest.raises(ValueError, match="`mode` is 9"):
+        tj.animate(linkage, vibrations, mode=9)
+
+
+def test_contours_show_the_energy_within_its_validity_range():
+    """A leaf stores half the stiffness times the rotation squared; blank out of range."""
+    alloy = tj.Material(69e9, 0.33)
+    leaf = tj.flexures.leaf(
+        alloy, length=0.01, thickness=1e-3, width=5e-3, coordinates="twist"
+    )
+    stiffness = float(leaf.stiffness[0, 0])
+    limited = tj.energies.WithValidityRange(
+        leaf, rotation=0.2, force=1e9, error=[0.0, 0.0, 0.0]
+    )
+    panel = tj.plotting.draw_energy(limited, rotation=0.4).axes[0]
+    assert panel.get_title() == "energy (mJ)"
+    contours = panel.collections[0]
+
+    for rotation in (0.05, 0.1, 0.19):
+        energy = 1e3 * stiffness * rotation**2 / 2  # mJ
+        (band,) = [
+            k
+            for k, (low, high) in enumerate(itertools.pairwise(contours.levels))
+            if low <= energy < high
+        ]
+        assert contours.get_paths()[band].contains_point((rotation, 1e-4))
+    assert not any(path.contains_point((0.25, 0.0)) for path in contours.get_paths())
+
+
+def test_outputs_of_a_sweep_are_drawn_over_one_or_two_parameters():
+    """A line over one parameter, colors over two; other outputs are rejected."""
+    from twistorjax.plotting.charts import chart
+
+    def study(design):
+        energy = tj.solve.Column(design["a"] * design["b"], unit="J")
+        return {"energy": energy, "row": jnp.ones(3) * design["a"]}
+
+    grid = tj.Grid({"a": np.linspace(1e-3, 2e-3, 5), "b": np.linspace(1.0, 3.0, 4)})
+    table = tj.sweep(study, grid, units={"a": "m"})
+    (panel, bar) = chart(table, ["energy"]).axes
+    assert panel.get_ylabel() == "a (mm)" and bar.get_ylabel() == "energy (mJ)"
+    line = chart(table.isel(b=0), ["energy"]).axes[0].lines[0]
+    np.testing.assert_allclose(line.get_xdata(), np.linspace(1.0, 2.0, 5))
+    np.testing.assert_allclose(line.get_ydata(), np.linspace(1.0, 2.0, 5))
+    rows = tj.sweep(study, {"a": np.linspace(1, 2, 6), "b": np.ones(6)})
+    with pytest.raises(ValueError, match="differ in 2 parameters"):
+        chart(rows, ["energy"])
+    with pytest.raises(ValueError, match="'row' cannot be drawn"):
+        chart(table, ["row"])
+
+
+def test_the_outline_of_a_notch_is_no_higher_than_its_bodies():
+    """It is as wide as its holes, and cut off where these exceed the bodies."""
+    plain = tj.flexures.notch_outline(hole=8e-3, web=0.5e-3)
+    cut = tj.flexures.notch_outline(hole=8e-3, web=0.5e-3, height=5e-3)
+    assert_close(jnp.abs(cut[:, 1]).max(), 2.5e-3)
+    assert_close(jnp.abs(cut[:, 0]).max(), 4e-3)
+    inside = np.abs(plain[:, 1]) < 2.5e-3
+    np.testing.assert_array_equal(cut[inside], plain[inside])

@@ -1,0 +1,188 @@
+"""A store holds the same bits as a dataset in memory, and only its sweep resumes it."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sweep_helpers import area, assert_same_dataset, SIDES
+
+import twistorjax as tj
+
+
+xarray = pytest.importorskip("xarray")
+pytest.importorskip("zarr")
+
+
+def modification_times(path):
+    """When each file with outputs was written."""
+    return {
+        file: file.stat().st_mtime_ns
+        for file in sorted(path.rglob("*"))
+        if file.is_file() and "/c/" in str(file)
+    }
+
+
+def test_a_store_has_the_bits_of_a_dataset_and_is_not_computed_again(tmp_path):
+    path, units = tmp_path / "s.zarr", {"a": "m"}
+    in_memory = tj.sweep(area, SIDES, chunk_size=128, units=units)
+    stored = tj.sweep(area, SIDES, chunk_size=128, units=units, store=path)
+    assert_same_dataset(stored, in_memory)
+    before = modification_times(path)
+    resumed = tj.sweep(area, SIDES, units=units, store=path, resume=True)
+    assert_same_dataset(resumed, in_memory)
+    assert modification_times(path) == before
+
+
+def test_xarray_reads_a_store_without_this_library(tmp_path):
+    path = tmp_path / "s.zarr"
+    tj.sweep(area, SIDES, chunk_size=128, units={"a": "m"}, store=path)
+    table = xarray.open_zarr(path, consolidated=False)
+    np.testing.assert_array_equal(table.twice, 2 * SIDES["a"])
+    assert "a" in table.coords and table.a.attrs["units"] == "m"
+
+
+def test_a_grid_in_a_store_is_opened_as_a_grid(tmp_path):
+    grid = tj.Grid({"b": [1.0, 2.0, 3.0], "a": [0.5, 0.25]})
+    stored = tj.sweep(area, grid, chunk_size=4, store=tmp_path / "s.zarr")
+    assert stored.area.dims == ("b", "a")
+    opened = tj.sweeps.open_sweep(tmp_path / "s.zarr")
+    assert_same_dataset(opened, tj.sweep(area, grid))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "deleted", "exchanged"])
+def test_only_a_damaged_chunk_is_computed_again(tmp_path, damage):
+    path = tmp_path / "s.zarr"
+    stored = tj.sweep(area, SIDES, chunk_size=128, store=path).load()
+    chunk = path / "area" / "c" / "3"
+    content = chunk.read_bytes()
+    if damage == "truncated":
+        chunk.write_bytes(content[: len(content) // 2])
+    elif damage == "deleted":
+        chunk.unlink()
+    else:
+        chunk.write_bytes((path / "area" / "c" / "4").read_bytes())
+    before = modification_times(path)
+    assert_same_dataset(tj.sweep(area, SIDES, store=path, resume=True), stored)
+    after = modification_times(path)
+    changed = {file.name for file in after if after[file] != before.get(file)}
+    assert changed == {"3"}
+    assert chunk.read_bytes() == content
+
+
+def other_area(design):
+    return {"area": jnp.cos(design["a"]) * design["b"], "twice": 2.0 * design["a"]}
+
+
+@pytest.mark.parametrize(
+    ("study", "designs", "options", "message"),
+    [
+        (
+            other_area,
+            SIDES,
+            {},
+            "differs in study (area in the store, other_area now), the program",
+        ),
+        (area, {**SIDES, "b": SIDES["b"] + 1}, {}, "differs in the designs"),
+        (area, SIDES, dict(chunk_size=64), "chunk_size (128 in the store, 64 now)"),
+        (
+            area,
+            SIDES,
+            dict(settings={"by": "me"}),
+            'settings ({} in the store, {"by": "me"} now)',
+        ),
+    ],
+)
+def test_a_store_of_another_sweep_is_rejected(tmp_path, study, designs, options, message):
+    path = tmp_path / "s.zarr"
+    tj.sweep(area, SIDES, chunk_size=128, store=path)
+    before = modification_times(path)
+    with pytest.raises(ValueError) as error:
+        tj.sweep(study, designs, store=path, resume=True, **options)
+    assert message in str(error.value)
+    assert modification_times(path) == before
+
+
+def test_a_store_is_rejected_if_a_constant_of_the_study_has_changed(tmp_path):
+    def scaled(factor):
+        return lambda design: design["a"] * factor
+
+    path = tmp_path / "s.zarr"
+    tj.sweep(scaled(jnp.arange(2000.0)), SIDES, chunk_size=128, store=path)
+    changed = jnp.arange(2000.0).at[1234].set(0.0)
+    with pytest.raises(ValueError, match="differs in the program"):
+        tj.sweep(scaled(changed), SIDES, store=path, resume=True)
+
+
+def test_a_store_is_rejected_if_units_have_changed(tmp_path):
+    path = tmp_path / "s.zarr"
+    tj.sweep(area, SIDES, store=path)
+    with pytest.raises(ValueError, match="differs in units"):
+        tj.sweep(area, SIDES, store=path, resume=True, units={"a": "m"})
+
+
+def test_a_store_of_another_format_is_rejected(tmp_path, monkeypatch):
+    path = tmp_path / "s.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr("twistorjax.sweeps.store_creation.FORMAT", 2)
+        patch.setattr("twistorjax.sweeps.store.FORMAT", 2)
+        tj.sweep(area, SIDES, store=path)
+    before = modification_times(path)
+    for use in (
+        lambda: tj.sweeps.open_sweep(path),
+        lambda: tj.sweep(area, SIDES, store=path, resume=True),
+    ):
+        with pytest.raises(ValueError) as error:
+            use()
+        assert f"The store '{path}' has format 2, but this version" in str(error.value)
+        assert "Use another path, or the version that created" in str(error.value)
+    assert modification_times(path) == before
+
+
+def test_an_existing_store_is_not_overwritten(tmp_path):
+    tj.sweep(area, SIDES, store=tmp_path / "s.zarr")
+    with pytest.raises(ValueError, match="which already exists"):
+        tj.sweep(area, SIDES, store=tmp_path / "s.zarr")
+    (tmp_path / "other").mkdir()
+    with pytest.raises((ValueError, OSError)):
+        tj.sweep(area, SIDES, store=tmp_path / "other", resume=True)
+
+
+def test_chunks_that_are_not_computed_are_marked(tmp_path):
+    path = tmp_path / "s.zarr"
+    tj.sweep(area, SIDES, chunk_size=128, store=path)
+    (path / "finished" / "sums" / "c" / "2").unlink()
+    table = tj.sweeps.open_sweep(path)
+    assert table.attrs["chunks_missing"] == 1
+    computed = np.arange(len(SIDES["a"])) // 128 != 2
+    np.testing.assert_array_equal(table.succeeded, computed)
+    np.testing.assert_array_equal(np.isfinite(table.area), computed)
+    names = table.result.attrs["flag_meanings"].split()
+    assert {names[code] for code in table.result.values[~computed]} == {"not_computed"}
+
+
+@pytest.mark.parametrize("content", [b"", bytes(1000)])
+def test_a_damaged_file_is_not_read_as_an_output(tmp_path, content):
+    path = tmp_path / "s.zarr"
+    stored = tj.sweep(area, SIDES, chunk_size=128, store=path).load()
+    (path / "area" / "c" / "1").write_bytes(content)
+    table = tj.sweeps.open_sweep(path)
+    assert table.attrs["chunks_missing"] == 1
+    assert not table.succeeded[128:256].any() and table.succeeded[256:].all()
+    assert_same_dataset(tj.sweep(area, SIDES, store=path, resume=True), stored)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_folder_that_is_not_a_store_is_rejected(tmp_path, resume):
+    with pytest.raises(ValueError, match="is not a store of a sweep"):
+        tj.sweep(area, SIDES, store=tmp_path, resume=resume)
+    with pytest.raises(ValueError, match="is not a store of a sweep"):
+        tj.sweeps.open_sweep(tmp_path)
+    with pytest.raises(FileNotFoundError, match="There is no store"):
+        tj.sweeps.open_sweep(tmp_path / "nowhere")
+
+
+def test_settings_are_attributes_in_json(tmp_path):
+    settings = {"material": "6061", "temperature": 20.0}
+    table = tj.sweep(area, SIDES, settings=settings, store=tmp_path / "s.zarr")
+    assert json.loads(table.attrs["settings"]) == settings

@@ -1,0 +1,256 @@
+"""Equations of the fit of a rational energy, and their solution.
+
+A fit sets up the equations at the trials with `rational_equations` and solves them with
+`solve_rational`.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..evaluation import term_wrenches
+from ..monomials import Powers, VARIABLES
+from ..polynomial import Polynomial
+from ..strains import Coordinates
+from .least_squares import solve_minimum_norm
+from .trials import Trials
+
+
+_SMALLEST_RATIO = 0.1  # of denominator to base; the ridge grows until this is exceeded
+
+
+def require_base(
+    trials: Trials,
+    base: Polynomial | None,
+    coordinates: Coordinates,
+    scale: float | None,
+) -> Polynomial:
+    """Check the base of the denominator, and rewrite it for another scale.
+
+    Args:
+        trials: Trials of the fit.
+        base: Argument of `fit_rational`.
+        coordinates: Argument of `fit_rational`.
+        scale: Argument of `fit_rational`; m.
+
+    Returns:
+        The base.
+
+    Raises:
+        ValueError: The base has other coordinates, or a power of sigma above the first.
+    """
+    if base is None:
+        constant = (0,) * len(VARIABLES[coordinates])
+        scale = scale or trials.largest_translation
+        return Polynomial([1.0], [constant], coordinates, scale)
+    if base.coordinates != coordinates:
+        raise ValueError(
+            f"`base` is a polynomial of the {base.coordinates}, but must be one of the "
+            f"{coordinates}, like `coordinates`."
+        )
+    if coordinates == "twistor" and any(row[0] > 1 for row in base.powers):
+        raise ValueError(
+            "`base` has a power of sigma above the first: write sigma^2 as 1 - xi^2."
+        )
+    if scale is None:
+        return base
+    factors = np.array(
+        [(scale / float(base.scale)) ** sum(row[-2:]) for row in base.powers]
+    )
+    coefficients = np.asarray(base.coefficients) * factors
+    return Polynomial(coefficients, base.powers, coordinates, scale)
+
+
+class RationalTerms(NamedTuple):
+    """Values and wrenches of the terms and of the base of the denominator at many poses.
+
+    Args:
+        wrenches: Wrench of each term, for a coefficient of one.
+        energies: Value of each term.
+        base_wrenches: Wrench of the base.
+        base: Value of the base.
+    """
+
+    wrenches: Float[np.ndarray, "poses 3 terms"]
+    energies: Float[np.ndarray, "poses terms"]
+    base_wrenches: Float[np.ndarray, "poses 3"]
+    base: Float[np.ndarray, " poses"]
+
+    def ratio(self, denominator: np.ndarray) -> np.ndarray:
+        """Return the ratio of the denominator to its base.
+
+        Args:
+            denominator: Coefficients of the polynomial that is added to the base.
+        """
+        return 1 + self.energies @ denominator / self.base
+
+    def quotient(
+        self, numerator: np.ndarray, denominator: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the wrenches (N m, N, N) and the energies (J) of the rational energy.
+
+        Args:
+            numerator: Coefficients of the numerator; J.
+            denominator: Coefficients of the polynomial that is added to the base.
+        """
+        with np.errstate(all="ignore"):  # division by zero at a pole
+            total = self.base + self.energies @ denominator
+            energies = self.energies @ numerator / total
+            slope = self.base_wrenches + self.wrenches @ denominator
+            difference = self.wrenches @ numerator - energies[:, None] * slope
+            return difference / total[:, None], energies
+
+
+def evaluate_terms(
+    poses: list[Array], powers: Powers, base: Polynomial
+) -> list[RationalTerms]:
+    """Evaluate the terms and the base at several sets of poses.
+
+    Args:
+        poses: Sets of poses; rad, m, m.
+        powers: Powers of the terms.
+        base: Base of the denominator.
+
+    Returns:
+        The terms at each set of poses.
+
+    Raises:
+        ValueError: The base is not positive at a pose.
+    """
+    all_poses = jnp.concatenate(poses)
+
+    def evaluate(powers: Powers) -> tuple[np.ndarray, np.ndarray]:
+        wrenches, values = term_wrenches(all_poses, base.scale, powers, base.coordinates)
+        return np.asarray(wrenches), np.asarray(values)
+
+    coefficients = np.asarray(base.coefficients)
+    base_wrenches, base_values = (
+        values @ coefficients for values in evaluate(base.powers)
+    )
+    if not np.all(base_values > 0):
+        row = int(np.argmin(base_values))
+        raise ValueError(
+            f"`base` is {base_values[row]:g} at the pose {np.asarray(all_poses[row])}, "
+            "but must be positive at all trials and poses. Use another base, or leave "
+            "this pose out."
+        )
+    ends = np.cumsum([len(part) for part in poses])[:-1]
+    arrays = (*evaluate(powers), base_wrenches, base_values)
+    split = (np.split(values, ends) for values in arrays)
+    return [RationalTerms(*parts) for parts in zip(*split, strict=True)]
+
+
+def largest_base_term(base: Polynomial, powers: Powers, at_trials: RationalTerms) -> int:
+    """Return the index in `powers` of the base's term that is largest at the trials."""
+    indices = [powers.index(row) for row in base.powers]
+    values = at_trials.energies[:, indices] * np.asarray(base.coefficients)
+    squares = np.sum((values / at_trials.base[:, None]) ** 2, axis=0)
+    return indices[int(np.argmax(squares))]
+
+
+def rational_equations(
+    trials: Trials, terms: RationalTerms, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Set up the linear equations for the coefficients.
+
+    The numerator minus the measured energy times the free part of the denominator equals
+    the measured energy times the base. The derivatives of both sides are equal, too.
+
+    Args:
+        trials: Trials of the fit.
+        terms: Terms at the trials.
+        free: Whether the denominator has each term, in addition to its base.
+
+    Returns:
+        The design matrix and the right-hand side, in standard deviations.
+    """
+    energies = np.asarray(trials.energies)[:, None]
+    weights = 1 / (terms.base[:, None] * np.asarray(trials.energy_deviations)[:, None])
+    parts = [terms.energies, -(energies * terms.energies)[:, free]]
+    rows = [weights * np.concatenate(parts, axis=1)]
+    targets = [weights[:, 0] * energies[:, 0] * terms.base]
+    if trials.wrenches is not None:
+        wrenches = np.asarray(trials.wrenches)
+        weights = 1 / (terms.base[:, None] * np.asarray(trials.wrench_deviations))
+        derivatives = wrenches[:, :, None] * terms.energies[:, None]
+        derivatives = derivatives + energies[:, None] * terms.wrenches
+        parts = [terms.wrenches, -derivatives[:, :, free]]
+        block = weights[:, :, None] * np.concatenate(parts, axis=2)
+        rows.append(block.reshape(-1, block.shape[2]))
+        base_derivative = wrenches * terms.base[:, None] + energies * terms.base_wrenches
+        targets.append((weights * base_derivative).reshape(-1))
+    return np.concatenate(rows), np.concatenate(targets)
+
+
+class RationalSolution(NamedTuple):
+    """Solution of the least-squares problem.
+
+    Args:
+        numerator: Coefficients of the numerator; J.
+        denominator: Coefficients of the polynomial that is added to the base.
+        rank: Rank of the design matrix.
+        condition: Ratio of its largest to its smallest significant singular value.
+        ridge: Ridge parameter that was used.
+    """
+
+    numerator: np.ndarray
+    denominator: np.ndarray
+    rank: int
+    condition: float
+    ridge: float
+
+
+def solve_rational(
+    rows: np.ndarray,
+    targets: np.ndarray,
+    free: np.ndarray,
+    pole_free: list[RationalTerms],
+    ridge: float,
+    normalize_columns: bool,
+) -> RationalSolution:
+    """Solve the equations with the smallest ridge that keeps the denominator positive.
+
+    Args:
+        rows: Design matrix.
+        targets: Measured values, in standard deviations.
+        free: Whether the denominator has each term, in addition to its base.
+        pole_free: Terms at the trials and at the pole-free poses.
+        ridge: First ridge parameter. It is tripled until the denominator is positive; if
+            it is zero, it remains zero.
+        normalize_columns: See `solve_minimum_norm`.
+    """
+    terms = len(free)
+    at_trials, at_pole_free = pole_free
+    penalty = (at_pole_free.energies / at_pole_free.base[:, None])[:, free]
+    penalty = np.pad(penalty, ((0, 0), (terms, 0)))
+    penalty *= np.sqrt(len(at_trials.base) / len(at_pole_free.base))
+    if not np.any(free):
+        ridge = 0.0
+    while True:
+        ridge_rows = ridge * penalty if ridge else penalty[:0]
+        all_rows = np.concatenate([rows, ridge_rows])
+        all_targets = np.concatenate([targets, np.zeros(len(ridge_rows))])
+        coefficients, rank, condition = solve_minimum_norm(
+            all_rows, all_targets, normalize_columns
+        )
+        denominator = np.zeros(terms)
+        denominator[free] = coefficients[terms:]
+        smallest_ratio = min(np.min(part.ratio(denominator)) for part in pole_free)
+        # with this order of the comparison, NaN ends the loop
+        if ridge == 0 or not smallest_ratio <= _SMALLEST_RATIO:
+            return RationalSolution(
+                coefficients[:terms], denominator, rank, condition, float(ridge)
+            )
+        ridge *= 3.0
+
+
+def add_to_base(base: Polynomial, denominator: np.ndarray, powers: Powers) -> Polynomial:
+    """Return the sum of the base and of a polynomial with these coefficients."""
+    coefficients = dict(zip(base.powers, np.asarray(base.coefficients), strict=True))
+    for row, coefficient in zip(powers, denominator, strict=True):
+        if coefficient:
+            coefficients[row] = coefficients.get(row, 0.0) + coefficient
+    values = np.array(list(coefficients.values()))
+    return Polynomial(values, tuple(coefficients), base.coordinates, base.scale)

@@ -1,0 +1,107 @@
+"""The mixed potential W of a flexure as a function of its axial force.
+
+At a fixed rotation and transverse displacement, the potential W of a `MixedEnergy` is a
+polynomial of the relative axial force, the axial force divided by a reference force.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from .._utils.types import Scalar
+
+
+# Coefficients of the powers of the relative axial force, from the power zero on; J
+ForceSeries = tuple[Scalar, ...]
+
+
+def mixed_potential(
+    series: ForceSeries, force_ratio: Scalar, derivative: int = 0
+) -> Scalar:
+    """Evaluate W or its first or second derivative with respect to the relative force.
+
+    Args:
+        series: Coefficients of the powers of the relative axial force; J.
+        force_ratio: Axial force divided by the reference force. Between minus one and one
+            W is the polynomial, outside it is a parabola.
+        derivative: Order of the derivative.
+
+    Returns:
+        W or its derivative; J.
+    """
+    inside = jnp.clip(force_ratio, -1.0, 1.0)
+    outside = force_ratio - inside
+
+    def polynomial(derivative: int) -> Scalar:
+        total = jnp.zeros_like(inside)
+        for power in reversed(range(derivative, len(series))):
+            total = total * inside + math.perm(power, derivative) * series[power]
+        return total
+
+    if derivative == 2:
+        return polynomial(2)
+    if derivative == 1:
+        return polynomial(1) + outside * polynomial(2)
+    return polynomial(0) + outside * (polynomial(1) + outside * polynomial(2) / 2)
+
+
+@jax.custom_jvp
+def maximum_over_force(series: ForceSeries, axial: Scalar) -> Scalar:
+    """Compute the stored energy, the maximum of `n t1 + W` over the axial force n.
+
+    Args:
+        series: Coefficients of the powers of the relative axial force; J.
+        axial: Axial displacement times the reference force; J.
+
+    Returns:
+        The maximum; J.
+    """
+    force_ratio = axial_force_ratio(series, axial)
+    return axial * force_ratio + mixed_potential(series, force_ratio)
+
+
+@maximum_over_force.defjvp
+def _(primals, tangents):
+    # at the maximum the derivative with respect to the axial force vanishes
+    series, axial = primals
+    series_rates, axial_rate = tangents
+    force_ratio = axial_force_ratio(series, axial)
+    value = axial * force_ratio + mixed_potential(series, force_ratio)
+    rate = force_ratio * axial_rate + mixed_potential(series_rates, force_ratio)
+    return value, rate
+
+
+@jax.custom_jvp
+def axial_force_ratio(series: ForceSeries, axial: Scalar) -> Scalar:
+    """Compute the relative axial force that belongs to an axial displacement.
+
+    Each Newton iteration starts between minus one and one. The last iteration is exact
+    outside of this interval, because W is a parabola there.
+
+    Args:
+        series: Coefficients of the powers of the relative axial force; J.
+        axial: Axial displacement times the reference force; J.
+
+    Returns:
+        Axial force divided by the reference force. NaN if the stationary value is not a
+        maximum.
+    """
+
+    def newton_step(_, force_ratio: Scalar) -> Scalar:
+        inside = jnp.clip(force_ratio, -1.0, 1.0)
+        residual = axial + mixed_potential(series, inside, 1)
+        return inside - residual / mixed_potential(series, inside, 2)
+
+    force_ratio = jax.lax.fori_loop(0, 6, newton_step, jnp.zeros_like(axial))
+    is_maximum = mixed_potential(series, force_ratio, 2) < 0
+    return jnp.where(is_maximum, force_ratio, jnp.nan)
+
+
+@axial_force_ratio.defjvp
+def _(primals, tangents):
+    series, axial = primals
+    series_rates, axial_rate = tangents
+    force_ratio = axial_force_ratio(series, axial)
+    residual_rate = axial_rate + mixed_potential(series_rates, force_ratio, 1)
+    return force_ratio, -residual_rate / mixed_potential(series, force_ratio, 2)

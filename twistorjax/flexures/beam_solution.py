@@ -1,0 +1,247 @@
+"""The deformed state of a beam under a load.
+
+A cross-section moves and rotates as a rigid body; its strains are stretch, shear and
+curvature. The equations are those of Reissner, On one-dimensional finite-strain beam
+theory: the plane problem, ZAMP 23, 1972.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .._utils.types import Pose, Scalar, Wrench
+from .._utils.validation import require_positive
+from ..geometry import se2
+from .beam import Beam, load_units
+from .cross_section import section_strains, Strains
+
+
+class BeamSolution(eqx.Module):
+    """The deformed state of a beam.
+
+    Args:
+        pose: Pose of frame b relative to frame a; rad, m, m.
+        wrench: Wrench that body B exerts on the beam, about the displaced origin of frame
+            b and in its axes; N m, N, N.
+        energy: Stored energy; J.
+        centerline: Poses of the cross-sections relative to frame a, from the first end of
+            the beam to the second; rad, m, m.
+        stress: Normal stress in the two outermost fibers of each cross-section, first on
+            the side to which axis 2 points, then on the opposite side; Pa. It is signed:
+            positive in tension and negative in compression. `largest_stress` returns its
+            largest magnitude. For the law "saint-venant-kirchhoff" it is the second
+            Piola-Kirchhoff stress.
+    """
+
+    pose: Pose
+    wrench: Wrench
+    energy: Scalar
+    centerline: Float[Array, "sections 3"]
+    stress: Float[Array, "sections 2"]
+
+
+class SectionState(NamedTuple):
+    """Position of a cross-section and energy of the beam up to it, dimensionless."""
+
+    angle: Scalar
+    x: Scalar
+    y: Scalar
+    energy: Scalar
+
+
+def beam_under_load(beam: Beam, load: Wrench, sections: int = 21) -> BeamSolution:
+    """Compute the deformed state of a beam under a load on body B. Body A is fixed.
+
+    Args:
+        beam: The beam.
+        load: Wrench that body B exerts on the beam, about the origin of frame a and in
+            the axes of frame a; N m, N, N.
+        sections: Number of cross-sections of the result, including both ends.
+
+    Returns:
+        The deformed state. It is NaN if a cross-section cannot carry its bending moment:
+        with the law "saint-venant-kirchhoff" the moment has a maximum of
+        `0.7 E I / thickness`.
+
+    Source:
+        The equations of Reissner (1972), integrated from one end to the other as an
+        initial value problem.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
+        >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
+        >>> moment = beam.bending_stiffness * 1.0  # bends the beam to an arc of 1 rad
+        >>> solution = beam_under_load(beam, jnp.array([moment, 0.0, 0.0]))
+        >>> solution.pose[0]
+        Array(1., dtype=float64)
+    """
+    units = load_units(beam)
+    parameters = jnp.asarray(np.linspace(-1.0, 1.0, sections))
+    states = _integrate(beam, load / units, dfx.SaveAt(ts=parameters))
+    length = beam.length
+    pose, wrench = pose_and_wrench(beam, load, _last(states))
+    return BeamSolution(
+        pose=pose,
+        wrench=wrench,
+        energy=units[0] * states.energy[-1],
+        centerline=jnp.stack(
+            [states.angle, length * states.x, length * states.y], axis=1
+        ),
+        stress=jax.vmap(partial(_stress, beam, load / units))(parameters, states),
+    )
+
+
+def largest_rotation(beam: Beam, stress: ArrayLike) -> Scalar:
+    """Compute the rotation by a pure moment at which a beam reaches a given stress.
+
+    The stress is that of linear bending in the thinnest section, `6 M / (w t^2)`. Forces
+    add to it; see `largest_stress`.
+
+    Args:
+        beam: A beam of any outline.
+        stress: Allowable stress of its material; Pa.
+
+    Returns:
+        The rotation; rad.
+
+    Raises:
+        ValueError: The stress is not positive.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
+        >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
+        >>> largest_rotation(beam, stress=40e6)  # 2 (length / thickness) (stress / E)
+        Array(0.23188406, dtype=float64)
+    """
+    allowable = require_positive("`stress`", stress)
+    positions = beam.length * jnp.asarray(np.linspace(-0.5, 0.5, 201))
+    thinnest = jnp.min(jax.vmap(beam.profile)(positions))
+    moment = allowable * beam.width * thinnest**2 / 6
+    return beam_under_load(beam, jnp.stack([moment, 0 * moment, 0 * moment])).pose[0]
+
+
+def end_section(beam: Beam, load: Wrench) -> SectionState:
+    """Compute the state of the second end of a beam under a dimensionless load.
+
+    Args:
+        beam: The beam.
+        load: Load about the origin of frame a and in its axes, over `load_units`.
+
+    Returns:
+        The state of the cross-section at the second end, dimensionless.
+    """
+    return _last(_integrate(beam, load, dfx.SaveAt(t1=True)))
+
+
+def pose_and_wrench(beam: Beam, load: Wrench, end: SectionState) -> tuple[Pose, Wrench]:
+    """Compute the pose of frame b, and the wrench on the beam in frame b.
+
+    Args:
+        beam: The beam.
+        load: Load about the origin of frame a and in its axes; N m, N, N.
+        end: State of the second end, dimensionless.
+
+    Returns:
+        The pose of frame b relative to frame a; rad, m, m. The wrench that body B exerts,
+        about the displaced origin of frame b and in its axes; N m, N, N.
+    """
+    length = beam.length
+    half = jnp.stack([length / 2, jnp.zeros(())])
+    origin = length * jnp.stack([end.x, end.y]) - se2.rotate(end.angle, half)
+    moment = load[0] - se2.cross(origin, load[1:])
+    force = se2.rotate(-end.angle, load[1:])
+    return (
+        jnp.concatenate([end.angle[None], origin]),
+        jnp.concatenate([moment[None], force]),
+    )
+
+
+def _last(states: SectionState) -> SectionState:
+    """Return the last of several states."""
+    return jax.tree.map(lambda values: values[-1], states)
+
+
+def _position(parameter: Scalar) -> tuple[Scalar, Scalar]:
+    """Map the parameter of integration to the position along the axis.
+
+    The positions are denser at the ends, where the outline of a notch is steep.
+
+    Args:
+        parameter: From -1 to 1.
+
+    Returns:
+        The position over the length, from -1/2 to 1/2, and its derivative.
+    """
+    half = jnp.pi / 2
+    return jnp.sin(half * parameter) / 2, half * jnp.cos(half * parameter) / 2
+
+
+def _section(
+    beam: Beam, load: Wrench, parameter: Scalar, state: SectionState
+) -> tuple[tuple[Scalar, Scalar], Strains, Scalar]:
+    """Compute (cos, sin) of the angle, strains and energy density of a cross-section.
+
+    Load, state and results are dimensionless. The strains are stretch, shear, curvature.
+    """
+    position, _ = _position(parameter)
+    moment = load[0] - (state.x * load[2] - state.y * load[1])
+    cos, sin = jnp.cos(state.angle), jnp.sin(state.angle)
+    axial, shear = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
+    return (cos, sin), *section_strains(beam, position, (axial, shear, moment))
+
+
+def _integrate(beam: Beam, load: Wrench, saveat: dfx.SaveAt) -> SectionState:
+    """Integrate the equations of a beam from its first end, all dimensionless."""
+
+    def derivative(
+        parameter: Any, state: SectionState, args: tuple[Beam, Wrench]
+    ) -> SectionState:
+        _, rate = _position(parameter)
+        (cos, sin), (stretch, shear, curvature), density = _section(
+            *args, parameter, state
+        )
+        return SectionState(
+            rate * curvature,
+            rate * (cos * (1 + stretch) - sin * shear),
+            rate * (sin * (1 + stretch) + cos * shear),
+            rate * density,
+        )
+
+    zero = jnp.zeros_like(load[0])
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(derivative),
+        dfx.Dopri8(),
+        -1.0,
+        1.0,
+        2.0 / beam.steps,
+        SectionState(zero, zero - 0.5, zero, zero),
+        args=(beam, load),
+        saveat=saveat,
+        stepsize_controller=dfx.ConstantStepSize(),
+        adjoint=dfx.DirectAdjoint(),
+        max_steps=beam.steps + 1,
+        throw=False,
+    )
+    assert solution.ys is not None
+    return solution.ys
+
+
+def _stress(
+    beam: Beam, load: Wrench, parameter: Scalar, state: SectionState
+) -> Float[Array, "2"]:
+    """Compute the signed stress of the two outermost fibers of a cross-section; Pa."""
+    _, (stretch, shear, curvature), _ = _section(beam, load, parameter, state)
+    position, _ = _position(parameter)
+    half_height = beam.profile(position * beam.length) / beam.length / 2
+    strain = stretch + jnp.stack([-half_height, half_height]) * curvature
+    if beam.law == "saint-venant-kirchhoff":
+        strain = strain + (strain**2 + shear**2) / 2
+    return beam.material.modulus * strain

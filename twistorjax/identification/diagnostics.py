@@ -1,0 +1,246 @@
+"""Texts on an identification: summary, warnings, and undetermined directions."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..solve.results import result_message, result_names, RESULTS
+from .measurement import Measurement
+from .optimizer import exceeds_rounding
+
+
+if TYPE_CHECKING:
+    from .report import Identification
+
+
+# A direction is undetermined if the standard error of its relative change is larger.
+_UNDETERMINED = 1.0
+# Pairs of estimates with a larger absolute correlation are reported.
+_HIGH_CORRELATION = 0.999
+# Larger residuals are outliers, in standard deviations of the readings.
+_OUTLIER = 5.0
+# A parameter is at its bound if its normalized value is larger: its distance to the bound
+# is then exp(-12) of the initial distance.
+_AT_BOUND = 12.0
+
+
+def count_readings(data: Sequence[Measurement]) -> int:
+    """Number of readings of measurements, without the missing ones."""
+    return int(sum(np.sum(np.isfinite(np.asarray(part.values))) for part in data))
+
+
+def summary(identification: "Identification") -> str:
+    """Table of the estimates and their standard errors, followed by the warnings."""
+    names, problem = identification.names, identification.problem
+    rms = _rms(identification.residuals, problem.data)
+    title = (
+        f"{result_names(identification.result)}: {_plural(len(names), 'parameter')} from "
+        f"{_plural(identification.reading_count, 'reading')} in "
+        f"{_plural(int(identification.steps), 'evaluation')}; RMS residual {rms:.3g} "
+        "standard deviations"
+    )
+    if identification.held_out_residuals:
+        held_out_rms = _rms(identification.held_out_residuals, problem.held_out)
+        title += f", {held_out_rms:.3g} of the held-out readings"
+    width = max(map(len, (*names, "parameter")))
+    lines = [title, f"{'parameter':<{width}}  {'estimate':>15}  {'± standard error':>18}"]
+    errors = np.sqrt(np.diagonal(np.asarray(identification.covariance)))
+    relative = np.sqrt(np.diagonal(np.asarray(identification.normalized_covariance)))
+    relative = relative / np.asarray(_full_changes(identification))
+    values = np.asarray(identification.values)
+    rows = zip(names, values, errors, relative, identification.units, strict=True)
+    for name, value, error, relative_error, unit in rows:
+        uncertainty = f"± {error:.2g} {unit}".rstrip()
+        digits = 3
+        if relative_error > _UNDETERMINED:
+            uncertainty = f"{unit}  not determined".strip()
+        elif error > 0 and value != 0:  # as many digits as the standard error has
+            digits = min(10, max(3, 2 - int(np.floor(np.log10(error / abs(value))))))
+        lines.append(f"{name:<{width}}  {value:>15.{digits}g}  {uncertainty}")
+    lines += [f"warning: {text}" for text in warnings(identification)]
+    return "\n".join(lines)
+
+
+def warnings(identification: "Identification") -> tuple[str, ...]:
+    """Reasons to doubt the estimates or their standard errors."""
+    names, problem = identification.names, identification.problem
+    undetermined = undetermined_directions(identification)
+    texts = [f"not determined: {text}" for text in undetermined]
+    result = str(result_names(identification.result))
+    if result != "successful":
+        texts.append(result_message(result))
+    texts += _warnings_on_residuals(identification)
+    is_high = np.triu(np.abs(np.asarray(identification.correlation)), 1)
+    is_high = is_high > _HIGH_CORRELATION
+    is_high &= not undetermined  # the undetermined directions show it already
+    for row, column in np.argwhere(is_high):
+        texts.append(
+            f"the estimates of {names[row]} and {names[column]} have the correlation "
+            f"{identification.correlation[row, column]:.6f}: only a combination of them "
+            "is known well"
+        )
+    if identification.held_out_residuals:
+        rms = _rms(identification.residuals, problem.data)
+        held_out_rms = _rms(identification.held_out_residuals, problem.held_out)
+        if held_out_rms > 2 * max(rms, 1.0):
+            texts.append(
+                f"the RMS residual of the held-out readings is {held_out_rms:.3g} "
+                f"standard deviations, that of the fitted readings {rms:.3g}"
+            )
+    texts += [f"{names[k]} is at its bound" for k in _at_bounds(identification)]
+    losses = np.asarray(identification.losses)
+    if losses.size > 1:
+        best = np.sum(losses <= losses.min() * 1.001 + 1e-9)
+        if best < losses.size:
+            texts.append(
+                f"{losses.size - best} of {losses.size} starts ended with a larger loss "
+                "than the best one"
+            )
+    return tuple(texts)
+
+
+def undetermined_directions(identification: "Identification") -> tuple[str, ...]:
+    """Descriptions of the changes of the parameters that the readings do not show."""
+    result = identification.result
+    if not bool(identification.succeeded | (result == RESULTS.not_converged)):
+        return ()
+    sizes, directions = _sensitivities(identification)
+    texts = []
+    for size, direction in zip(sizes, directions, strict=True):
+        if size <= 1e-15 * sizes.max(initial=0.0):
+            change = _describe_direction(identification, direction)
+            texts.append(f"changing {change} changes no reading")
+        elif 1 / size > _UNDETERMINED:
+            change = _describe_direction(identification, direction)
+            effect = 0.01 * size / np.abs(direction).max()
+            texts.append(
+                f"changing {change} changes the readings by {effect:.1g} standard "
+                "deviations"
+            )
+    return tuple(texts)
+
+
+def _warnings_on_residuals(identification: "Identification") -> list[str]:
+    """Warnings on missing degrees of freedom, large residuals and outliers."""
+    problem = identification.problem
+    readings = identification.reading_count
+    sizes, _ = _sensitivities(identification)
+    rank = int(np.sum(exceeds_rounding(jnp.asarray(sizes))))
+    degrees_of_freedom = readings - rank
+    texts = []
+    if degrees_of_freedom <= 0:
+        texts.append(
+            f"{_plural(readings, 'reading')} for {_plural(rank, 'parameter')}: there are "
+            "no degrees of freedom left, so small residuals do not confirm the model"
+        )
+    else:
+        size = _rms(identification.residuals, problem.data)
+        if problem.huber_threshold is not None:
+            size = _median_size(identification)
+        ratio = size * np.sqrt(readings / degrees_of_freedom)
+        if ratio > 1 + 4 / np.sqrt(2 * degrees_of_freedom):
+            texts.append(
+                f"the residuals are {ratio:.3g} times as large as the standard "
+                "deviations of the readings: the model does not describe the mechanism, "
+                "or the sensors have larger errors. The standard errors of the estimates "
+                "are too small, at least by this factor"
+            )
+    if problem.huber_threshold is not None and (outliers := _outliers(identification)):
+        texts.append(f"outliers, in standard deviations: {', '.join(outliers)}")
+    return texts
+
+
+def _rms(tables: Sequence[Array], data: Sequence[Measurement]) -> float:
+    """Root mean square of residuals; those of missing readings are zero."""
+    squares = sum(float(np.sum(np.square(table))) for table in tables)
+    return float(np.sqrt(squares / max(1, count_readings(data))))
+
+
+def _median_size(identification: "Identification") -> float:
+    """Standard deviation of the residuals, estimated from the median of their sizes.
+
+    Outliers hardly affect it. For a normal distribution the standard deviation is 1.4826
+    times the median of the absolute values.
+    """
+    sizes = [
+        np.abs(np.asarray(table))[np.isfinite(np.asarray(part.values))]
+        for table, part in zip(
+            identification.residuals, identification.problem.data, strict=True
+        )
+    ]
+    return float(1.4826 * np.median(np.concatenate(sizes)))
+
+
+def _outliers(identification: "Identification") -> list[str]:
+    """Descriptions of the largest outliers, at most five."""
+    found = [
+        (abs(value), f"{part.test.columns[column]} in row {row} ({value:.3g})")
+        for table, part in zip(
+            identification.residuals, identification.problem.data, strict=True
+        )
+        for (row, column), value in np.ndenumerate(np.asarray(table))
+        if abs(value) > _OUTLIER
+    ]
+    return [text for _, text in sorted(found, reverse=True)[:5]]
+
+
+def _full_changes(identification: "Identification") -> Float[Array, " parameters"]:
+    """Changes of the normalized parameters that change each value by 100 %."""
+    parameters = identification.problem.parameters
+    derivatives = jnp.abs(parameters.derivatives(identification.normalized))
+    derivatives = jnp.where(derivatives > 0, derivatives, 1.0)
+    return parameters.scales(identification.normalized) / derivatives
+
+
+def _at_bounds(identification: "Identification") -> list[int]:
+    """Indices of the parameters that are at a bound."""
+    bounded = identification.problem.parameters.bounded
+    normalized = np.asarray(identification.normalized)
+    return [
+        k
+        for k, name in enumerate(identification.names)
+        if name in bounded and abs(normalized[k]) > _AT_BOUND
+    ]
+
+
+def _sensitivities(identification: "Identification") -> tuple[np.ndarray, np.ndarray]:
+    """Singular value decomposition of the derivatives with respect to relative changes.
+
+    Parameters at a bound are left out, because the readings do not depend on their
+    normalized values.
+
+    Returns:
+        The singular values, one for each parameter; and the right singular vectors, one
+        in each row.
+    """
+    changes = np.asarray(_full_changes(identification))
+    matrix = np.asarray(identification.jacobian) * changes[None]
+    matrix = np.delete(matrix, _at_bounds(identification), axis=1)
+    _, sizes, directions = np.linalg.svd(matrix, full_matrices=True)
+    return np.pad(sizes, (0, matrix.shape[1] - sizes.size)), directions
+
+
+def _describe_direction(identification: "Identification", direction: np.ndarray) -> str:
+    """Describe relative changes of parameters; the largest one is an increase by 1 %.
+
+    Args:
+        identification: Identification, for the names.
+        direction: Change of each parameter that is not at a bound.
+    """
+    at_bounds = _at_bounds(identification)
+    names = [name for k, name in enumerate(identification.names) if k not in at_bounds]
+    shares = direction / direction[np.argmax(np.abs(direction))]
+    order = np.argsort(-np.abs(shares), kind="stable")
+    parts = [f"{names[k]} by {shares[k]:+.2g} %" for k in order if abs(shares[k]) >= 0.05]
+    if len(parts) > 4:
+        parts = [*parts[:4], f"{len(parts) - 4} more"]
+    if len(parts) == 1:
+        return parts[0]
+    return f"{', '.join(parts[:-1])} and {parts[-1]} together"
+
+
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -1,0 +1,208 @@
+"""Harmonic response of a mechanism about an equilibrium."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Complex, Float
+
+from .._utils.types import Poses, PosesLike
+from .._utils.validation import require_float64
+from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
+from ..mechanism.mechanism import Mechanism
+from .consistency import independent
+from .dofs import DofPartition
+from .factorization import null_space
+from .results import BodySolution, raise_failed, RESULTS
+from .statics import Equilibrium, state_in_range
+from .system import System
+from .tables import Column, Columns
+
+
+_LARGEST_CONDITION = 1e13  # of the dynamic stiffness; beyond, it is a resonance
+
+
+class FrequencyResponse(BodySolution):
+    """Complex amplitudes of a mechanism at each frequency.
+
+    The response to an excitation `cos(2 pi f t)` is the real part of the amplitude times
+    `exp(2 pi i f t)`.
+
+    Args:
+        frequencies: Frequencies of the excitation; Hz.
+        displacements: Amplitude of each body about the equilibrium; rad, m, m.
+        reactions: Amplitude of the external wrench on fixed and prescribed coordinates;
+            N m, N, N.
+        constraint_forces: Amplitude of the constraint force of each entry; N m, N.
+        result: `RESULTS.successful` or the reason of the failure; `result_names` returns
+            its name.
+        names: Names of the bodies.
+        constraint_names: Name of the constraint of each constraint entry.
+    """
+
+    frequencies: Float[Array, " frequencies"]
+    displacements: Complex[Array, "frequencies bodies 3"]
+    reactions: Complex[Array, "frequencies bodies 3"]
+    constraint_forces: Complex[Array, "frequencies entries"]
+    result: RESULTS
+    names: tuple[str, ...] = eqx.field(static=True)
+    constraint_names: tuple[str, ...] = eqx.field(static=True)
+
+    def columns(self) -> Columns:
+        frequency = Column(self.frequencies, ("frequency",), "Hz")
+        return {"frequency": frequency, **self._body_columns("frequency")}
+
+
+def frequency_response(
+    mechanism: Mechanism,
+    frequencies: Float[ArrayLike, " frequencies"] | Sequence[ArrayLike],
+    *,
+    loads: Sequence[Load] = (),
+    drives: Sequence[Drive] = (),
+    about: PosesLike | Equilibrium | None = None,
+    static_loads: Sequence[Load] = (),
+    constraints: Sequence[AbstractConstraint] = (),
+    throw: bool = True,
+) -> FrequencyResponse:
+    """Compute the response of a mechanism to small harmonic loads and drives.
+
+    Args:
+        mechanism: The mechanism. Bodies that can move need mass and inertia; hinges may
+            be damped.
+        frequencies: Frequencies of the excitation; Hz.
+        loads: Amplitudes of the loads.
+        drives: Amplitudes of the prescribed displacements.
+        about: Equilibrium about which the mechanism vibrates, or its poses; by default
+            the reference configuration; rad, m, m.
+        static_loads: Loads that act at this equilibrium. They add to the stiffness.
+        constraints: Pins, sliders, and other constraints between the bodies.
+        throw: Whether a failure raises an error; otherwise it is reported by `result`.
+
+    Returns:
+        The complex amplitudes.
+
+    Raises:
+        ValueError: Double precision is off, a name is unknown, a coordinate is prescribed
+            twice or is fixed, or a body that moves has no mass.
+        RuntimeError: A frequency is a resonance without damping, or a value is not
+            finite.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 400.0, 100.0])))
+        >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+        >>> block = Body("block", mass=1.0, inertia=0.1)
+        >>> mechanism = Mechanism([Body("wall"), block], [hinge], fixed=["wall"])
+        >>> push = Load("block", force=(1.0, 0.0))
+        >>> response = frequency_response(mechanism, [0.0], loads=[push])
+        >>> abs(response.displacement("block")[0, 1])  # 1 N over 400 N/m
+        Array(0.0025, dtype=float64)
+    """
+    require_float64(mechanism.reference)
+    values = jnp.asarray(frequencies, float)
+    if values.ndim != 1:
+        raise ValueError(
+            f"`frequencies` has shape {values.shape}, but must be a row of them: "
+            "[100.0], or jnp.linspace(0, 100, 11)."
+        )
+    prescribed, targets = prescribed_dofs(mechanism, drives)
+    dofs = DofPartition.of(mechanism, prescribed)
+    loaded_bodies(mechanism, loads)
+    response = _frequency_response(
+        mechanism,
+        System.of(mechanism, dofs, static_loads, constraints),
+        values,
+        tuple(loads),
+        targets,
+        state_in_range(mechanism, "about", about),
+    )
+
+    def error(name: str, batch_index: tuple[int, ...]) -> RuntimeError:
+        del name, batch_index
+        return RuntimeError(
+            "At some frequency the response is not finite: there is a resonance without "
+            "damping, the constraints repeat one another, or a value of the mechanism is "
+            "not finite. Give the hinges `damping`, or leave the frequency out."
+        )
+
+    return raise_failed(response, error) if throw else response
+
+
+@eqx.filter_jit
+def _frequency_response(
+    mechanism: Mechanism,
+    system: System,
+    frequencies: Array,
+    loads: tuple[Load, ...],
+    targets: tuple[Array, ...],
+    displacements: Poses,
+) -> FrequencyResponse:
+    """Solve the harmonic equations; see `frequency_response`."""
+    dofs, free = system.dofs, system.free
+    every = tuple(range(dofs.total))
+    still = jnp.zeros_like(displacements)
+    damping = system.hinges.tangent_in_motion(displacements, still, every).damping
+    stiffness, jacobian = system.whole_stiffness(displacements)
+    inertia = mechanism.inertia().reshape(-1)
+    inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
+    applied, _ = LoadSet.of(loads, mechanism.names, mechanism.reference).apply(
+        displacements
+    )
+    force = applied.reshape(-1).astype(complex)
+    amplitudes = jnp.array(targets, float).astype(complex)
+    prescribed = dofs.expand(jnp.zeros(len(free), complex), amplitudes).reshape(-1)
+    jacobian = jacobian.astype(complex)
+    back, basis = jnp.zeros((len(free), 0), complex), None
+    if system.constraints.size:
+        units = system.units()[free % 3]
+        back, basis = null_space(jnp.real(jacobian[:, free]) * units[None])
+        back = (units[:, None] * back).astype(complex)
+        basis = (units[:, None] * basis).astype(complex)
+        # Constraints transmit prescribed displacements to the free coordinates.
+        prescribed = prescribed.at[free].set(-back @ (jacobian @ prescribed))
+
+    def at(frequency: Array) -> tuple[Array, Array, Array]:
+        """Amplitudes, reactions, and constraint forces at one frequency; Hz."""
+        omega = 2 * jnp.pi * frequency
+        real = stiffness - omega**2 * jnp.diag(inertia)
+        matrix = jax.lax.complex(real, omega * damping)
+        right = (force - matrix @ prescribed)[free]
+        reduced = matrix[free[:, None], free]
+        # Each row and column is scaled by its own size, so that units do not matter.
+        size = (
+            jnp.diagonal(stiffness) + omega**2 * inertia + omega * jnp.diagonal(damping)
+        )[free]
+        if basis is not None:
+            right, reduced = basis.T @ right, basis.T @ reduced @ basis
+            size = jnp.sum(jnp.abs(basis) ** 2 * jnp.abs(size)[:, None], axis=0)
+        size = jnp.sqrt(jnp.abs(size))
+        size = jnp.where(size > 0, size, 1.0).astype(complex)
+        scaled = reduced / (size[:, None] * size[None])
+        inverse = jnp.linalg.inv(scaled)
+        condition = jnp.linalg.norm(scaled) * jnp.linalg.norm(inverse)
+        solved = inverse @ (right / size) / size
+        solved = jnp.where(condition < _LARGEST_CONDITION, solved, jnp.nan)
+        if basis is not None:
+            solved = basis @ solved
+        amplitude = prescribed.at[free].add(solved)
+        unbalanced = matrix @ amplitude - force
+        push = back.T @ unbalanced[free]
+        return (
+            amplitude.reshape(still.shape),
+            dofs.reactions(unbalanced - push @ jacobian),
+            push,
+        )
+
+    amplitudes, reactions, push = jax.vmap(at)(frequencies)
+    valid = jnp.all(jnp.isfinite(amplitudes)) & independent(system, displacements)
+    return FrequencyResponse(
+        frequencies=frequencies,
+        displacements=amplitudes,
+        reactions=reactions,
+        constraint_forces=push,
+        result=RESULTS.where(valid, RESULTS.successful, RESULTS.not_finite),
+        names=mechanism.names,
+        constraint_names=system.constraints.names(),
+    )

@@ -6,6 +6,7 @@ import sys
 
 import jax.numpy as jnp
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -40,7 +41,7 @@ def run_page(monkeypatch, tmp_path):
         variables: dict = {}
         for block in code_of((MANUAL / f"{name}.md").read_text()):
             exec(block, variables)
-        mpl.pyplot.close("all")
+        plt.close("all")
         return variables
 
     yield run

@@ -36,7 +36,7 @@ def independent(system: System, displacements: Poses) -> Bool[Array, ""]:
     if not system.constraints.size:
         return jnp.ones((), bool)
     units = system.units()[system.free % 3]
-    return independent_rows(system.jacobian(displacements)[:, system.free] * units)
+    return independent_rows(system.jacobian(displacements)[:, system.free] * units[None])
 
 
 def lever_of(mechanism: Mechanism) -> float:
@@ -68,7 +68,7 @@ def constraint_error(
     violation = np.asarray(constraints.violation(displacements, now))
     units = np.where(np.array(dofs.free) % 3 == 0, 1.0, lever_of(mechanism))
     jacobian = np.asarray(constraints.jacobian(displacements, now))
-    jacobian = jacobian[:, list(dofs.free)] * units
+    jacobian = jacobian[:, list(dofs.free)] * units[None]
     size = np.linalg.norm(jacobian, axis=1)
     size = np.where(size > 0, size, 1.0)
     jacobian, share = jacobian / size[:, None], np.abs(violation) / size

@@ -1,5 +1,6 @@
 """Newton's method in load increments, and the derivatives of its solution."""
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -298,17 +299,16 @@ def solve_in_increments(
     return NewtonSolution(*state.converged[:2], state.fraction, state.steps, state.status)
 
 
-@jax.custom_jvp
 def differentiable_root(
     system: System, root: Array, start: Poses, found: Bool[Array, ""]
 ) -> Float[Array, " unknowns"]:
     """Return the solution of a system, with derivatives by the system.
 
-    The derivative is that of the equilibrium, by the implicit function theorem. It calls
-    this function again, so it has derivatives of every order. Where no equilibrium was
-    found it is zero and not NaN, which a sum over a batch could not mask. optimistix's
-    `implicit_jvp` would differentiate the residual for the matrix, which takes several
-    times as long to compile as the assembled tangent.
+    The derivative is that of the equilibrium, by the implicit function theorem, and has
+    derivatives of every order itself. Where no equilibrium was found it is zero and not
+    NaN, which a sum over a batch could not mask. optimistix's `implicit_jvp` would
+    differentiate the residual to obtain the matrix; the assembled tangent compiles
+    faster.
 
     Args:
         system: The equations.
@@ -320,30 +320,32 @@ def differentiable_root(
     Returns:
         The root.
     """
-    del system, start, found
+    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
+    return _root(static, dynamic, root, start, found)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _root(static: System, dynamic: System, root, start, found):
+    """Return the root; see `differentiable_root`."""
+    del static, dynamic, start, found
     return root
 
 
-@differentiable_root.defjvp
-def _(primals, tangents):
-    system, root, start, found = primals
+@_root.defjvp
+def _(static, primals, tangents):
+    dynamic, root, start, found = primals
     change, _, moved, _ = tangents
-    root = differentiable_root(system, root, start, found)
+    root = _root(static, dynamic, root, start, found)
+    system = eqx.combine(dynamic, static)
     count = len(system.free)
 
-    def residual(system: System, start: Poses) -> Array:
-        free, push = root[:count], root[count:]
-        displacements = system.place(start, free=free, prescribed=system.targets)
-        forces = system.residual(displacements, push)[system.free]
+    def residual(dynamic: System, start: Poses) -> Array:
+        system = eqx.combine(dynamic, static)
+        displacements = system.place(start, free=root[:count], prescribed=system.targets)
+        forces = system.residual(displacements, root[count:])[system.free]
         return jnp.concatenate([forces, system.violation(displacements)])
 
-    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
-    rates = eqx.filter(change, eqx.is_inexact_array)
-    _, rate = jax.jvp(
-        lambda dynamic, start: residual(eqx.combine(dynamic, static), start),
-        (dynamic, start),
-        (rates, moved),
-    )
+    _, rate = jax.jvp(residual, (dynamic, start), (change, moved))
     displacements = system.place(start, free=root[:count], prescribed=system.targets)
     _, tangent, _ = system.tangent(displacements, push=root[count:])
     rate = jnp.where(found, rate, 0.0)

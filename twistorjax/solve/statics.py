@@ -1,14 +1,14 @@
 """Static equilibrium of a mechanism under loads and prescribed displacements."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, Int
 
+from .._utils.pytrees import stop_gradient
 from .._utils.types import Poses, PosesLike, Scalar, Wrenches
 from .._utils.validation import all_concrete, concrete, require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
@@ -159,16 +159,18 @@ def equilibrium(
     begin = None
     if start is not None:
         begin = mechanism.displacements(start, "start", one=True)
-    solution = _solve(
+    # `jax.jit` starts a program faster, but constraints may hold functions.
+    solve = _solve_with_functions if joints.size else _solve
+    solution = solve(
         mechanism.hinge_assembly,
         mechanism.reference,
         begin,
         tuple(loads),
         joints,
         targets,
-        time,
-        tolerance,
-        max_steps,
+        jnp.asarray(time, float),
+        jnp.asarray(tolerance, float),
+        jnp.asarray(max_steps),
         dofs=dofs,
         names=mechanism.names,
     )
@@ -205,17 +207,16 @@ def state_in_range(
     return displacements
 
 
-@partial(jax.jit, static_argnames=("dofs", "names"))
-def _solve(
+def _solve_uncompiled(
     hinges: HingeAssembly,
     reference: Poses,
     begin: Poses | None,
     loads: tuple[Load, ...],
     constraints: ConstraintSet,
     targets: tuple[Scalar, ...],
-    time: ScalarLike,
-    tolerance: ScalarLike,
-    max_steps: ScalarLike,
+    time: Scalar,
+    tolerance: Scalar,
+    max_steps: Int[Array, ""],
     *,
     dofs: DofPartition,
     names: tuple[str, ...],
@@ -226,11 +227,11 @@ def _solve(
         LoadSet.of(loads, names, reference),
         constraints,
         jnp.array(targets, float),
-        jnp.asarray(time, float),
+        time,
         dofs,
     )
     begin = jnp.zeros_like(reference) if begin is None else begin
-    fixed_system, start = jax.lax.stop_gradient((system, begin))
+    fixed_system, start = stop_gradient((system, begin))
     consistent = independent(fixed_system, start)
     solution = newton.solve_in_increments(fixed_system, start, tolerance, max_steps)
     flat = solution.displacements.reshape(-1)
@@ -266,6 +267,10 @@ def _solve(
         names=names,
         constraint_names=constraints.names(),
     )
+
+
+_solve = jax.jit(_solve_uncompiled, static_argnames=("dofs", "names"))
+_solve_with_functions = eqx.filter_jit(_solve_uncompiled)
 
 
 def raise_error(

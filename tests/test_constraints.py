@@ -1,0 +1,202 @@
+"""Pins, sliders, and general constraints in statics, vibrations, and harmonic response."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from helpers import assert_close
+
+import twistorjax as tj
+from twistorjax.examples import stage
+from twistorjax.mechanism.constraints import AbstractConstraint
+
+
+LENGTH, STIFFNESS, MASS, INERTIA = 0.3, 2.0, 1.5, 0.1
+PIN = tj.Pin("pin", "wall", "arm", at=(0.0, 0.0))
+
+
+def pendulum(stiffness=STIFFNESS):
+    """An arm on a torsion spring that has no translational stiffness."""
+    spring = tj.Quadratic(stiffness * jnp.diag(jnp.array([1.0, 0.0, 0.0])), "twist")
+    arm = tj.Body("arm", pose=(0.0, LENGTH, 0.0), mass=MASS, inertia=INERTIA)
+    hinge = tj.Hinge("spring", "wall", "arm", spring, at=(0.0, 0.0, 0.0))
+    return tj.Mechanism([tj.Body("wall"), arm], [hinge], fixed=["wall"])
+
+
+def push(force):
+    return tj.Load("arm", force=(0.0, force))
+
+
+def angle(force, stiffness=STIFFNESS):
+    """Root of the moment balance about the pin."""
+    return scipy.optimize.brentq(
+        lambda t: stiffness * t - force * LENGTH * np.cos(t), 0.0, np.pi / 2, xtol=1e-15
+    )
+
+
+@pytest.mark.parametrize("force", [0.5, 5.0, 30.0])
+def test_a_pinned_arm_balances_its_moments(force):
+    arm = tj.equilibrium(pendulum(), loads=[push(force)], constraints=[PIN])
+    t = angle(force)
+    moved = [t, LENGTH * (np.cos(t) - 1), LENGTH * np.sin(t)]
+    assert_close(arm.displacement("arm"), moved, digits=10)
+    assert_close(arm.constraint_force("pin"), [0.0, -force], digits=10)
+    moment = -force * LENGTH * np.cos(t)
+    assert_close(arm.reaction("wall"), [moment, 0.0, -force], digits=10)
+
+
+@pytest.mark.slow
+def test_equilibria_with_constraints_have_derivatives():
+    def rotation(force):
+        arm = tj.equilibrium(pendulum(), loads=[push(force)], constraints=[PIN])
+        return arm.displacement("arm")[0]
+
+    t = angle(5.0)
+    slope = LENGTH * np.cos(t) / (STIFFNESS + 5.0 * LENGTH * np.sin(t))
+    assert_close(jax.grad(rotation)(5.0), slope, digits=10)
+    step = 1e-5
+    second = (jax.grad(rotation)(5.0 + step) - jax.grad(rotation)(5.0 - step)) / (
+        2 * step
+    )
+    assert_close(jax.jacfwd(jax.jacfwd(rotation))(5.0), second, digits=6)
+    forces = np.array([1.0, 3.0, 5.0])
+    batch = jax.jit(jax.vmap(rotation))(forces)
+    assert_close(batch, [angle(force) for force in forces], digits=10)
+
+
+def test_the_linearization_about_a_loaded_state_is_the_derivative():
+    """The constraint force contributes to the stiffness as the arm rotates."""
+    mechanism, loads = pendulum(), [push(5.0)]
+    state = tj.equilibrium(mechanism, loads=loads, constraints=[PIN])
+    small = tj.linearize(mechanism, about=state, loads=loads, constraints=[PIN])
+    change = small(loads=[push(1.0)])
+    t = angle(5.0)
+    slope = LENGTH * np.cos(t) / (STIFFNESS + 5.0 * LENGTH * np.sin(t))
+    assert_close(change.displacement("arm")[0], slope, digits=10)
+    assert_close(change.constraint_force("pin"), [0.0, -1.0], digits=10)
+
+
+def test_a_pinned_arm_vibrates_and_responds_as_a_physical_pendulum():
+    mechanism, loads = pendulum(), [push(5.0)]
+    state = tj.equilibrium(mechanism, loads=loads, constraints=[PIN])
+    found = tj.vibrations(mechanism, about=state, loads=loads, constraints=[PIN])
+    t = angle(5.0)
+    stiffness = STIFFNESS + 5.0 * LENGTH * np.sin(t)
+    inertia = INERTIA + MASS * LENGTH**2
+    assert found.frequencies.shape == (1,)
+    assert_close(found.frequencies[0], np.sqrt(stiffness / inertia) / (2 * np.pi))
+    shape = found.shapes[0, 1]
+    assert_close(jnp.vdot(shape, jnp.array([INERTIA, MASS, MASS]) * shape), 1.0)
+    omega = 2 * np.pi * 0.3
+    response = tj.frequency_response(
+        mechanism, [0.3], about=state, static_loads=loads, loads=[push(1.0)],
+        constraints=[PIN],
+    )  # fmt: skip
+    amplitude = LENGTH * np.cos(t) / (stiffness - omega**2 * inertia)
+    assert_close(response.displacement("arm")[0, 0], amplitude, digits=9)
+    force = -1.0 - omega**2 * MASS * LENGTH * np.cos(t) * amplitude
+    assert_close(response.constraint_force("pin")[0, 1], force, digits=9)
+
+
+@pytest.mark.slow
+def test_frequencies_with_constraints_have_derivatives():
+    def frequency(stiffness):
+        return tj.vibrations(pendulum(stiffness), constraints=[PIN]).frequencies[0]
+
+    value = frequency(STIFFNESS)
+    assert_close(jax.grad(frequency)(STIFFNESS), value / (2 * STIFFNESS))
+
+
+def test_a_slider_transmits_a_prescribed_displacement():
+    """The arm is moved along x and follows a guide that rises by 0.2 rad."""
+    guide = tj.Slider("guide", "wall", "arm", at=(0.2, LENGTH, 0.0))
+    rise = 1e-3 * np.tan(0.2)
+    drive = tj.Drive("arm", x=1e-3)
+    moved = tj.equilibrium(pendulum(), drives=[drive], constraints=[guide])
+    assert_close(moved.displacement("arm"), [0.0, 1e-3, rise])
+    small = tj.linearize(pendulum(), {"arm": ["x"]}, constraints=[guide])
+    assert_close(small(drives=[drive]).displacement("arm"), [0.0, 1e-3, rise])
+    response = tj.frequency_response(
+        pendulum(), [0.0], drives=[drive], constraints=[guide]
+    )
+    assert_close(response.displacement("arm")[0], [0.0, 1e-3, rise])
+
+
+def test_a_general_constraint_depends_on_the_time():
+    def lead(pose, time):
+        return pose[1] - LENGTH - 0.01 * time
+
+    along = tj.Constraint("along x", ["arm"], lead)
+    across = tj.Constraint("across", ["arm"], lambda pose, time: pose[2])
+    found = tj.equilibrium(pendulum(), constraints=[along, across], time=2.0)
+    assert_close(found.displacement("arm"), [0.0, 0.02, 0.0])
+
+
+def test_the_stage_of_rigid_levers_on_pins_has_their_gain():
+    """Pseudo-rigid-body stage: 328 / 9, whatever the stiffness of its pivots.
+
+    The hinges a, b, c on body 2 lie on a line, so only one of them restrains it along this
+    line; at a and b the bodies are joined across the line only.
+    """
+    flexible = stage.microstage()
+    bodies = [
+        tj.Body(name, pose=flexible.reference[row])
+        for row, name in enumerate(flexible.names)
+    ]
+    pivot = tj.Quadratic(jnp.diag(jnp.array([3.0, 0.0, 0.0])))
+    hinges, joints = [], []
+    for row, name in enumerate(flexible.hinge_names):
+        first, second = (flexible.names[k] for k in flexible.hinge_assembly.ends[row])
+        frame = flexible.at[row]
+        hinges.append(tj.Hinge(name, first, second, pivot, at=frame))
+        pin = tj.Pin(f"pin {name}", first, second, at=frame[1:])
+        joints.append(AcrossLine(f"joint {name}", pin) if name in "ab" else pin)
+    fixed = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
+    rigid = tj.Mechanism(bodies, hinges, fixed)
+    travel = 1e-9
+    drive = tj.Drive("6", x=travel)
+    moved = tj.equilibrium(rigid, drives=[drive], constraints=joints)
+    assert_close(abs(moved.displacement("4")[1]) / travel, 328 / 9, digits=6)
+    small = tj.linearize(rigid, {"6": ["x"]}, constraints=joints)(drives=[drive])
+    assert_close(abs(small.displacement("4")[1]) / travel, 328 / 9)
+
+
+class AcrossLine(AbstractConstraint):
+    """The part of a pin along x."""
+
+    name: str = eqx.field(static=True)
+    pin: tj.Pin
+
+    @property
+    def bodies(self):
+        return self.pin.bodies
+
+    def violation(self, poses, references, time):
+        return self.pin.violation(poses, references, time)[:1]
+
+
+def test_redundant_and_contradictory_constraints_are_named():
+    again = tj.Pin("again", "wall", "arm", at=(0.0, 0.0))
+    with pytest.raises(ValueError, match="'again' is redundant: 2 of its 2 entries"):
+        tj.equilibrium(pendulum(), constraints=[PIN, again])
+    found = tj.equilibrium(pendulum(), constraints=[PIN, again], throw=False)
+    assert tj.result_names(found.result) == "inconsistent_constraints"
+    assert np.all(np.isnan(found.displacements))
+    with pytest.raises(RuntimeError):
+        tj.linearize(pendulum(), constraints=[PIN, again])(loads=[push(1.0)])
+
+
+def test_a_body_may_be_held_by_constraints_alone():
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
+    bodies = [tj.Body("wall"), tj.Body("block"), tj.Body("rider", (0.0, 0.1, 0.0))]
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.0, 0.0, 0.0))
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    rail = tj.Slider("rail", "block", "rider", at=(np.pi / 2, 0.1, 0.0))
+    stop = tj.Constraint("stop", ["rider"], lambda pose, time: pose[2])
+    load = tj.Load("rider", force=(2.0, 0.0))
+    found = tj.equilibrium(mechanism, loads=[load], constraints=[rail, stop])
+    assert_close(found.displacement("rider"), [0.0, 0.02, 0.0])
+    with pytest.raises(ValueError, match="Nothing holds 'rider'"):
+        tj.equilibrium(mechanism, loads=[load])

@@ -8,7 +8,7 @@ from helpers import some_stiffness
 
 import twistorjax as tj
 from twistorjax.solve.dofs import DofPartition
-from twistorjax.solve.factorization import block_layout
+from twistorjax.solve.block_factorization import block_layout
 from twistorjax.solve.system import System
 
 

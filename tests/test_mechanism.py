@@ -100,7 +100,7 @@ def test_a_plate_has_the_inertia_of_its_shape():
     turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     steel = tj.Material(modulus=210e9, poisson=0.3, density=7800.0)
     for order in (corners, corners[::-1]):
-        bar = tj.plate("bar", order @ turn.T + [0.3, 0.7], width=0.004, of=steel)
+        bar = tj.plate("bar", order @ turn.T + [0.3, 0.7], width=0.004, material=steel)
         mass = 7800 * 0.04 * 0.005 * 0.004
         assert_close(bar.mass, mass)
         assert_close(bar.inertia / (mass * (0.04**2 + 0.005**2) / 12), 1.0)
@@ -113,7 +113,7 @@ def test_a_plate_does_not_feel_how_its_outline_is_told():
     base, height = 0.03, 0.02
     corners = np.array([[0, 0], [0.001, 0], [base, 0], [0, height]])
     steel = tj.Material(modulus=210e9, poisson=0.3, density=7800.0)
-    plate = tj.plate("wedge", corners, width=0.004, of=steel)
+    plate = tj.plate("wedge", corners, width=0.004, material=steel)
     mass = 7800 * 0.004 * base * height / 2
     assert_close(plate.pose, [0.0, base / 3, height / 3])
     assert_close(plate.inertia / mass, (base**2 + height**2) / 18)
@@ -329,4 +329,4 @@ def test_refuses_unknown_names():
 def test_refuses_what_is_no_plate(corners, density, message):
     material = tj.Material(modulus=1.0, poisson=0.3, density=density)
     with pytest.raises(ValueError, match=message):
-        tj.plate("p", corners, width=1.0, of=material)
+        tj.plate("p", corners, width=1.0, material=material)

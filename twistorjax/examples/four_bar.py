@@ -309,4 +309,6 @@ def _link(
     corners = jnp.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) / 2
     size = jnp.stack([jnp.asarray(width, float), jnp.asarray(height, float)])
     center = jnp.stack([jnp.asarray(x, float), jnp.asarray(y, float)])
-    return plate(name, center[None] + corners * size[None], width=_WIDTH, of=material)
+    return plate(
+        name, center[None] + corners * size[None], width=_WIDTH, material=material
+    )

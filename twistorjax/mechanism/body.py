@@ -1,4 +1,4 @@
-"""The rigid bodies of a mechanism."""
+"""Rigid bodies of a mechanism."""
 
 from collections.abc import Sequence
 
@@ -9,8 +9,7 @@ from jaxtyping import ArrayLike, Float
 from .._utils.types import Corners, Pose, Scalar
 from .._utils.validation import (
     concrete,
-    require_corners as need_corners,
-    require_kind,
+    require_corners,
     require_positive,
     require_row,
     require_text,
@@ -19,19 +18,21 @@ from ..flexures.material import Material
 
 
 class Body(eqx.Module):
-    """A rigid body, known by its name.
+    """A rigid body with a name.
 
     Args:
-        name: by which hinges, loads and answers call it.
-        pose: where its frame stands when nothing is loaded; rad, m, m. Motion needs the
-            frame at the centre of mass; for statics alone it may be anywhere.
-        mass: needed for motion alone; kg.
-        inertia: about the frame's origin, needed for motion alone; kg m2.
-        outline: a closed polygon in the body's frame, for drawing; m.
+        name: Name of the body.
+        pose: Pose of its frame in the world, in the reference configuration; rad, m, m.
+            For motion, the origin of the frame must be the center of mass. For statics,
+            the frame may be anywhere.
+        mass: Mass; needed for motion and vibrations only; kg.
+        inertia: Moment of inertia about the origin of the frame; needed for motion and
+            vibrations only; kg m2.
+        outline: Corners of a closed polygon in the frame of the body, for drawing; m.
 
     Raises:
-        ValueError: a mass or inertia is not positive; a value is not finite; a shape is
-            wrong.
+        ValueError: A mass or a moment of inertia is not positive, a value is not finite,
+            or a shape is wrong.
     """
 
     name: str = eqx.field(static=True)
@@ -49,16 +50,15 @@ class Body(eqx.Module):
         outline: Float[ArrayLike, "corners 2"] | None = None,
     ):
         self.name = require_text("The name of a body", name)
-        self.pose = require_row(f"`pose` of the body {name!r}", pose, "(angle, x, y)")
+        owner = f"of the body {name!r}"
+        self.pose = require_row(f"`pose` {owner}", pose, "(angle, x, y)")
         self.mass, self.inertia = (
-            None
-            if value is None
-            else require_positive(f"`{what}` of the body {name!r}", value)
-            for what, value in (("mass", mass), ("inertia", inertia))
+            None if value is None else require_positive(f"`{argument}` {owner}", value)
+            for argument, value in (("mass", mass), ("inertia", inertia))
         )
         self.outline = None
         if outline is not None:
-            self.outline = need_corners(f"`outline` of the body {name!r}", outline)
+            self.outline = require_corners(f"`outline` {owner}", outline)
 
 
 def plate(
@@ -66,59 +66,62 @@ def plate(
     corners: Float[ArrayLike, "corners 2"] | Sequence[Sequence[ArrayLike]],
     *,
     width: ArrayLike,
-    of: Material,
+    material: Material,
 ) -> Body:
-    """A body cut from a plate: mass, inertia and frame follow from its outline.
+    """Create a body that is cut from a plate.
+
+    Mass, moment of inertia, and center of mass follow from the outline.
 
     Args:
-        name: of the body.
-        corners: of its outline, in order, where they are when nothing is loaded; m.
-        width: out of the plane: thickness of the plate; m.
-        of: the material, with its density.
+        name: Name of the body.
+        corners: Corners of the outline in the world, in order, in the reference
+            configuration; m.
+        width: Thickness of the plate, perpendicular to the plane of motion; m.
+        material: Material of the plate, with its density.
 
     Returns:
-        A body whose frame, parallel to the world's, sits at the centre of mass.
+        The body. The origin of its frame is the center of mass, and its axes are parallel
+        to those of the world.
 
     Raises:
-        ValueError: the outline encloses no area, or the material has no density.
+        ValueError: The outline encloses no area, or the material has no density.
 
     Example:
         >>> steel = Material(modulus=210e9, poisson=0.3, density=7.8e3)
         >>> square = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]]
-        >>> bar = plate("bar", square, width=0.01, of=steel)
+        >>> bar = plate("bar", square, width=0.01, material=steel)
         >>> bar.pose, bar.mass
         (Array([0.  , 0.05, 0.05], dtype=float64), Array(0.78, dtype=float64))
     """
-    require_kind("of", [of], Material)
-    if of.density is None:
+    if not isinstance(material, Material):
+        raise ValueError(
+            f"`material` of the plate {name!r} is a {type(material).__name__}, but must "
+            "be a Material."
+        )
+    if material.density is None:
         raise ValueError(
             f"The plate {name!r} needs the `density` of its material to have a mass: "
             "give one to `Material`."
         )
-    points = jnp.asarray(corners, float)
-    if points.ndim != 2 or points.shape[0] < 3 or points.shape[1] != 2:
-        raise ValueError(
-            f"`corners` of the plate {name!r} has shape {points.shape}, but must have a "
-            "row (x, y) for each of three corners or more."
-        )
-    # Green's theorem on triangles from the mean corner, which keeps the digits of an
-    # outline far from the origin
+    points = require_corners(f"`corners` of the plate {name!r}", corners)
+    # Area and moments follow from Green's theorem, on triangles from the mean of the
+    # corners. This keeps the digits of an outline far from the origin.
     middle = jnp.mean(points, axis=0)
     start = points - middle[None]
     end = jnp.roll(start, -1, axis=0)
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     area = jnp.sum(cross) / 2
-    seen = concrete(area)
-    if seen is not None and not abs(seen) > 0:
+    known_area = concrete(area)
+    if known_area is not None and not abs(known_area) > 0:
         raise ValueError(f"`corners` of the plate {name!r} enclose no area.")
     center = jnp.sum((start + end) * cross[:, None], axis=0) / (6 * area)
     squares = jnp.sum(start**2 + start * end + end**2, axis=1)
-    per_area = jnp.sum(squares * cross) / (12 * area) - jnp.sum(center**2)
-    mass = of.density * width * jnp.abs(area)
+    gyration_squared = jnp.sum(squares * cross) / (12 * area) - jnp.sum(center**2)
+    mass = material.density * width * jnp.abs(area)
     return Body(
         name,
         pose=jnp.concatenate([jnp.zeros(1), middle + center]),
         mass=mass,
-        inertia=mass * per_area,
+        inertia=mass * gyration_squared,
         outline=start - center[None],
     )

@@ -1,4 +1,4 @@
-"""One elastic coupling between two bodies."""
+"""Elastic connection of two bodies."""
 
 from collections.abc import Sequence
 
@@ -22,27 +22,28 @@ from ..geometry import se2
 
 
 class Hinge(eqx.Module):
-    """An elastic coupling between a frame on one body and a frame on another.
+    """An elastic connection of frame a on body A and frame b on body B.
 
-    Give the place of the hinge either once, as it stands in the world when nothing is
-    loaded, or as the two frames in which it grips its bodies.
+    In the reference configuration both frames coincide and the hinge is not loaded. Give
+    their pose there by `at`, or give their poses on the two bodies by `ports`.
 
     Args:
-        name: by which answers call it.
-        first: name of body A, on which frame a sits.
-        second: name of body B, on which frame b sits.
-        energy: what it stores at a displacement of b against a.
-        at: both frames at rest, in the world; rad, m, m. Axis 1 of a leaf or a notch
-            lies along it and leads from the first body to the second: from base to table
-            upwards its angle is pi / 2.
-        ports: frame a in the frame of body A, and b in that of B; rad, m, m.
-        damping: what it dissipates as it moves: a `ViscousDamping`, or the time by which its
-            stiffness at rest is multiplied to give one; by default nothing; s.
-        outline: a closed polygon in the frame of the hinge, for drawing; m.
+        name: Name of the hinge.
+        first: Name of body A.
+        second: Name of body B.
+        energy: Elastic energy as a function of the displacement of frame b against
+            frame a.
+        at: Pose of both frames in the world, in the reference configuration; rad, m, m.
+            Axis 1 of a leaf or a notch lies along it and points from the first body to
+            the second. If the first body is below the second, the angle is pi / 2.
+        ports: Pose of frame a on body A, and pose of frame b on body B; rad, m, m.
+        damping: A `ViscousDamping`, or the time by which the stiffness in the reference
+            configuration is multiplied to obtain one; by default none; s.
+        outline: Corners of a closed polygon in the frame of the hinge, for drawing; m.
 
     Raises:
-        ValueError: both or neither of `at` and `ports` are given; a hinge joins a body
-            to itself; a shape is wrong or a value not finite; the damping time is
+        ValueError: Both or neither of `at` and `ports` are given, a hinge connects a body
+            to itself, a shape is wrong, a value is not finite, or the damping time is
             negative.
     """
 
@@ -80,45 +81,56 @@ class Hinge(eqx.Module):
             raise ValueError(f"The hinge {name!r} joins the body {first!r} to itself.")
         if (at is None) == (ports is None):
             raise ValueError(
-                f"The hinge {name!r} needs either `at`, its frame in the world at rest, "
-                "or `ports`, its frames in both bodies: "
+                f"The hinge {name!r} needs either `at`, its pose in the world, or "
+                "`ports`, its poses on both bodies: "
                 + ("neither is given." if at is None else "both are given.")
             )
-        place = f"of the hinge {name!r}"
+        owner = f"of the hinge {name!r}"
         self.at = (
-            None if at is None else require_row(f"`at` {place}", at, "(angle, x, y)")
+            None if at is None else require_row(f"`at` {owner}", at, "(angle, x, y)")
         )
         if ports is None:
             self.ports = None
         else:
-            in_first, in_second = (
-                require_row(f"`ports[{k}]` {place}", port, "(angle, x, y)")
+            on_first, on_second = (
+                require_row(f"`ports[{k}]` {owner}", port, "(angle, x, y)")
                 for k, port in enumerate(ports)
             )
-            self.ports = in_first, in_second
-        self.damping = _damping(f"`damping` {place}", damping)
+            self.ports = on_first, on_second
+        self.damping = _check_damping(f"`damping` {owner}", damping)
         self.outline = (
-            None if outline is None else require_corners(f"`outline` {place}", outline)
+            None if outline is None else require_corners(f"`outline` {owner}", outline)
         )
 
 
-def _damping(
-    name: str, given: ViscousDamping | ArrayLike | None
+def _check_damping(
+    name: str, damping: ViscousDamping | ArrayLike | None
 ) -> ViscousDamping | Scalar | None:
-    if given is None or isinstance(given, ViscousDamping):
-        return given
-    needed = "must be a `ViscousDamping`, or a time that is finite and not negative"
-    # from zero on: a sweep over times starts there
-    return require_interval(
-        name, given, -np.finfo(float).tiny, np.finfo(float).max, needed
-    )
+    """Return a damping, or the time of a proportional damping; s.
+
+    Args:
+        name: Name of the argument, for the message.
+        damping: The damping, or the time; s.
+
+    Raises:
+        ValueError: The time is negative or not finite.
+    """
+    if damping is None or isinstance(damping, ViscousDamping):
+        return damping
+    requirement = "must be a `ViscousDamping`, or a time that is finite and not negative"
+    # Zero is allowed, because a sweep over times may start there.
+    smallest = -np.finfo(float).tiny
+    return require_interval(name, damping, smallest, np.finfo(float).max, requirement)
 
 
 def check_energy(hinge: Hinge) -> None:
-    """Refuse an energy whose values cannot be used.
+    """Check the values of the energy of a hinge.
+
+    Args:
+        hinge: The hinge.
 
     Raises:
-        ValueError: A value is not finite, or the energy reports a fault.
+        ValueError: A value is not finite, or the energy has a validation error.
     """
     if error := validation_error(hinge.energy):
         raise ValueError(
@@ -134,15 +146,18 @@ def check_energy(hinge: Hinge) -> None:
 
 
 def frame_of(hinge: Hinge, first: Pose, second: Pose) -> Pose:
-    """Find the frame of a hinge at rest, in the world; rad, m, m.
+    """Compute the pose of the frames of a hinge in the reference configuration.
 
     Args:
         hinge: The hinge.
-        first: Pose of body A at rest; rad, m, m.
-        second: Pose of body B at rest; rad, m, m.
+        first: Reference pose of body A; rad, m, m.
+        second: Reference pose of body B; rad, m, m.
+
+    Returns:
+        The pose of both frames in the world; rad, m, m.
 
     Raises:
-        ValueError: Its two ports do not coincide.
+        ValueError: The two ports do not coincide.
     """
     if hinge.ports is None:
         assert hinge.at is not None
@@ -151,16 +166,16 @@ def frame_of(hinge: Hinge, first: Pose, second: Pose) -> Pose:
         se2.compose(body, port)
         for body, port in zip((first, second), hinge.ports, strict=True)
     )
-    seen = all_concrete([se2.between(a, b), a, b, *hinge.ports])
-    if seen is not None:
-        gap, *places = seen
-        scale = 1e-12 + max(np.max(np.abs(place[1:])) for place in places)
-        apart = np.abs(gap) > 1e-9 * np.array([1.0, scale, scale])
-        if np.any(apart):
+    known = all_concrete([se2.between(a, b), a, b, *hinge.ports])
+    if known is not None:
+        gap, *poses = known
+        length = 1e-12 + max(np.max(np.abs(pose[1:])) for pose in poses)
+        too_large = np.abs(gap) > 1e-9 * np.array([1.0, length, length])
+        if np.any(too_large):
             raise ValueError(
-                f"The ports of the hinge {hinge.name!r} do not coincide at rest: seen "
-                f"from port a on {hinge.first!r}, port b on {hinge.second!r} is turned "
-                f"by {gap[0]:.6g} rad and shifted by ({gap[1]:.6g}, {gap[2]:.6g}) m. A "
-                "hinge is unstressed at rest: move a port or a body, or give `at`."
+                f"The ports of the hinge {hinge.name!r} do not coincide in the reference "
+                f"configuration. Seen from port a on {hinge.first!r}, port b on "
+                f"{hinge.second!r} is rotated by {gap[0]:.6g} rad and shifted by "
+                f"({gap[1]:.6g}, {gap[2]:.6g}) m. Move a port or a body, or give `at`."
             )
     return a

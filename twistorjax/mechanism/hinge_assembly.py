@@ -213,7 +213,7 @@ class HingeAssembly(eqx.Module):
     ) -> tuple[
         Float[Array, "rows free"], Float[Array, " rows"], Float[Array, "free free"]
     ]:
-        """Compute the stiffness of the `tangent` among some degrees of freedom in factors.
+        """Compute the stiffness among some degrees of freedom in factors.
 
         Args:
             displacements: Displacement of each body from its reference pose; rad, m, m.
@@ -221,7 +221,8 @@ class HingeAssembly(eqx.Module):
 
         Returns:
             Three rows for each term of each hinge; the stiffness against each row; and
-            the remainder. The stiffness is `rows.T diag(stiffness) rows + remainder`.
+            the remainder. The matrix of the `tangent` is
+            `rows.T diag(stiffness) rows + remainder`.
         """
         local = self._evaluate(_elastic(hinge_forces.factored), displacements)
         source, target = row_entries(self.ends, self._order(), free, 3)
@@ -352,7 +353,7 @@ class HingeAssembly(eqx.Module):
         return jax.tree.map(lambda *values: jnp.concatenate(values), *parts)
 
     def _map(self, function, group: HingeGroup, displacements: Poses, *more):
-        """Evaluate a function of one hinge for the members of a group; see `_evaluate`."""
+        """Evaluate a function of one hinge for all members of a group."""
         members = np.array(group.members)
         first, second = np.array(self.ends)[members].T
         angle, x, y = displacements.T

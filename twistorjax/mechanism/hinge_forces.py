@@ -222,7 +222,8 @@ def slopes_of(
     """Differentiate an energy by the three coordinates of the hinge, and linearize.
 
     Returns:
-        The derivatives; N m, N, N; and the product of the second derivatives and a vector.
+        The derivatives; N m, N, N. A function that multiplies the second derivatives by a
+        vector.
     """
 
     def stored_energy(angle: Scalar, y1: Scalar, y2: Scalar) -> Scalar:

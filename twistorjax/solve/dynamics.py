@@ -1,4 +1,4 @@
-"""Motion of a mechanism in time under loads, prescribed displacements, and constraints."""
+"""Motion of a mechanism under loads, prescribed displacements, and constraints."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -133,8 +133,8 @@ def simulate(
     check_settings(tolerance, max_steps, step)
     if step is None and controller is None and isinstance(solver, Gauss):
         raise ValueError(
-            "`Gauss()` does not choose its steps: give it a `step` that is short compared "
-            "with the period of the fastest motion of interest."
+            "`Gauss()` does not choose its steps: give it a `step` that is short "
+            "compared with the period of the fastest motion of interest."
         )
     with explain_compilation(first, drives=drives, loads=loads):
         first_drives = drives(first) if callable(drives) else drives

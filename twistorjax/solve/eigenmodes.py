@@ -1,4 +1,4 @@
-"""Vibrations as an eigenvalue problem, accurate to small ones and differentiable."""
+"""Eigenvalue problem of vibrations, accurate for small eigenvalues and differentiable."""
 
 from typing import NamedTuple
 
@@ -8,37 +8,39 @@ import numpy as np
 from jaxtyping import Array, Float
 
 
-# Frequencies that differ by less, relative to both, are taken for equal.
+# Two frequencies are treated as equal if their relative difference is at most this.
 _EQUAL = 1e-8
-# Jacobi's method ends where entries beside the diagonal are below this, relative to those
-# on it, for eigenvalues change by their squares; or after so many sweeps, of which it
-# takes six to ten.
-_SMALL = 1e-10
-_SWEEPS = 30
+# Jacobi's method stops if the off-diagonal entries are below this, relative to those on
+# the diagonal. The relative errors of the eigenvalues are then the square of it.
+_LARGEST_OFF_DIAGONAL = 1e-10
+_MOST_SWEEPS = 30  # Jacobi's method needs six to ten of them
 
 
 class Stiffness(NamedTuple):
-    """A stiffness divided by inertia, in factors: `rows.T diag(weights) rows + reference`.
+    """Mass-normalized stiffness in factors: `rows.T diag(weights) rows + remainder`.
+
+    Each displacement is multiplied by the square root of its inertia.
 
     Args:
-        rows: combinations of displacements that hinges resist.
-        weights: stiffness against each of them.
-        reference: of the forces that hinges and loads bear; symmetric.
+        rows: Linear combinations of displacements that the hinges resist.
+        weights: Stiffness against each of these combinations.
+        remainder: Geometric stiffness, stiffness of the loads, and what of the stiffness
+            of the hinges is not positive.
     """
 
     rows: Float[Array, "rows n"]
     weights: Float[Array, " rows"]
-    rest: Float[Array, "n n"]
+    remainder: Float[Array, "n n"]
 
 
 class Modes(NamedTuple):
-    """Square root of a stiffness, in the axes in which it is diagonal.
+    """Eigenvectors of a stiffness, and its square root in their basis.
 
     Args:
-        root: diagonal matrix of angular frequencies, the smallest first; rad/s. Negative
-            where the stiffness is. Its derivative has entries beside the diagonal, among
-            equal frequencies.
-        vectors: orthonormal, a column for each frequency.
+        root: Diagonal matrix of the angular frequencies, the smallest first; rad/s. It is
+            negative where the stiffness is negative. Its derivative has off-diagonal
+            entries among equal frequencies.
+        vectors: Orthonormal eigenvectors, one in each column.
     """
 
     root: Float[Array, "n n"]
@@ -47,97 +49,114 @@ class Modes(NamedTuple):
 
 @jax.custom_jvp
 def modes(stiffness: Stiffness) -> Modes:
-    """Compute angular frequencies and shapes.
+    """Compute angular frequencies and mass-normalized mode shapes.
 
-    Small frequencies keep their digits beside large ones, because the factors are not
-    multiplied before the axes are known. The eigenvalues of the stiffness as one matrix
-    have errors in proportion to the largest of them.
+    Small frequencies are as accurate as large ones, relative to themselves, because the
+    factors are multiplied in a basis that is close to the eigenvectors. An eigenvalue
+    solver for the assembled matrix would have errors in proportion to the largest
+    eigenvalue.
 
-    First derivatives of equal frequencies, and of their vectors, are those in one of the
-    possible systems of axes. Symmetric functions of them have their first derivatives,
-    and their sum, the trace of the root, its second ones as well.
+    Of equal frequencies and their vectors, the first derivatives are those for one of the
+    possible bases. Symmetric functions of equal frequencies have correct first
+    derivatives. Their sum, the trace of `root`, has correct second derivatives as well.
+
+    Args:
+        stiffness: The stiffness in factors.
+
+    Returns:
+        Frequencies and eigenvectors; NaN if the stiffness is not finite.
 
     Source:
         Demmel and Veselic, Jacobi's method is more accurate than QR, SIAM J. Matrix Anal.
         Appl. 13, 1992.
     """
-    rows, weights, rest = stiffness
-    whole = rows.T @ (weights[:, None] * rows) + (rest + rest.T) / 2
-    finite = jnp.all(jnp.isfinite(whole))
-    _, first = jnp.linalg.eigh(jnp.where(finite, whole, jnp.eye(len(whole))))
-    # The axes of the product are those of the stiffness up to rounding. Along them the
-    # factors are multiplied again, by which small entries beside large ones keep digits.
-    own = rows @ first
-    left = first.T @ rest @ first
-    matrix = own.T @ (weights[:, None] * own) + (left + left.T) / 2
-    squares, vectors = _diagonalized(jnp.where(finite, matrix, jnp.eye(len(whole))))
+    rows, weights, remainder = stiffness
+    matrix = rows.T @ (weights[:, None] * rows) + (remainder + remainder.T) / 2
+    finite = jnp.all(jnp.isfinite(matrix))
+    _, basis = jnp.linalg.eigh(jnp.where(finite, matrix, jnp.eye(len(matrix))))
+    # The basis is that of the eigenvectors, up to rounding errors of the assembled
+    # matrix. If the factors are multiplied in this basis, small entries beside large ones
+    # keep their digits.
+    rows = rows @ basis
+    remainder = basis.T @ remainder @ basis
+    matrix = rows.T @ (weights[:, None] * rows) + (remainder + remainder.T) / 2
+    matrix = jnp.where(finite, matrix, jnp.eye(len(matrix)))
+    squares, vectors = _jacobi_eigenvalues(matrix)
     root = jnp.sign(squares) * jnp.sqrt(jnp.abs(squares))
-    lost = jnp.where(finite, 0.0, jnp.nan)
-    return Modes(jnp.diag(root + lost), first @ vectors + lost)
+    nan_if_failed = jnp.where(finite, 0.0, jnp.nan)
+    return Modes(jnp.diag(root + nan_if_failed), basis @ vectors + nan_if_failed)
 
 
-def _diagonalized(
+def _jacobi_eigenvalues(
     matrix: Float[Array, "n n"],
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
-    """Find eigenvalues and eigenvectors of a symmetric matrix, the smallest first.
+    """Compute eigenvalues and eigenvectors of a symmetric matrix by Jacobi's method.
 
-    By Jacobi's rotations, which keep the digits of small eigenvalues beside large ones
-    where the matrix is nearly diagonal. They rotate all coordinates at once, in pairs:
-    the first half with the second, after which the coordinates change places as the
-    players of a tournament do. Where entries beside the diagonal are so small that their
-    squares are lost in those on it, there is no rotation.
+    If the matrix is nearly diagonal, small eigenvalues beside large ones keep their
+    digits. Each step rotates all coordinates in pairs, those of the first half with those
+    of the second, and then permutes them, so that every pair occurs once in a sweep. This
+    is the schedule of a round-robin tournament.
+
+    Args:
+        matrix: The matrix.
+
+    Returns:
+        The eigenvalues, the smallest first, and the eigenvectors, one in each column.
     """
     size = len(matrix)
     half = (size + 1) // 2
-    full = jnp.zeros((2 * half, 2 * half)).at[:size, :size].set(matrix)
+    padded = jnp.zeros((2 * half, 2 * half)).at[:size, :size].set(matrix)
     if size % 2:
-        full = full.at[size, size].set(1.0)  # a coordinate by itself
-    seats = np.arange(2 * half)
+        padded = padded.at[size, size].set(1.0)  # a coordinate without coupling
+    permutation = np.arange(2 * half)
     if half > 1:
         first = [0, half, *range(1, half - 1)]
-        seats = np.array([*first, *range(half + 1, 2 * half), half - 1])
+        permutation = np.array([*first, *range(half + 1, 2 * half), half - 1])
 
-    def rotate(_, both: tuple[Array, Array]) -> tuple[Array, Array]:
+    def rotate_pairs(_, both: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Set the entries that couple the two coordinates of each pair to zero."""
         matrix, vectors = both
         p, q = np.arange(half), half + np.arange(half)
         a, b, c = matrix[p, p], matrix[q, q], matrix[p, q]
-        some = c != 0
-        lean = (b - a) / jnp.where(some, 2 * c, 1.0)
-        sign = jnp.where(lean < 0, -1.0, 1.0)
-        tangent = sign / (jnp.abs(lean) + jnp.sqrt(1 + lean**2))
-        tangent = jnp.where(some, tangent, 0.0)
+        coupled = c != 0
+        cotangent = (b - a) / jnp.where(coupled, 2 * c, 1.0)  # of twice the angle
+        sign = jnp.where(cotangent < 0, -1.0, 1.0)
+        tangent = sign / (jnp.abs(cotangent) + jnp.sqrt(1 + cotangent**2))
+        tangent = jnp.where(coupled, tangent, 0.0)
         cos = 1 / jnp.sqrt(1 + tangent**2)
         sin = tangent * cos
 
-        def turned(rows: Array) -> Array:
-            above, below = rows[:half], rows[half:]
-            first = cos[:, None] * above - sin[:, None] * below
-            second = sin[:, None] * above + cos[:, None] * below
+        def rotate_rows(rows: Array) -> Array:
+            upper, lower = rows[:half], rows[half:]
+            first = cos[:, None] * upper - sin[:, None] * lower
+            second = sin[:, None] * upper + cos[:, None] * lower
             return jnp.concatenate([first, second])
 
-        matrix = turned(turned(matrix).T)
+        matrix = rotate_rows(rotate_rows(matrix).T)
         matrix = matrix.at[p, p].set(a - tangent * c).at[q, q].set(b + tangent * c)
         matrix = matrix.at[p, q].set(0.0).at[q, p].set(0.0)
-        return matrix[seats][:, seats], turned(vectors)[seats]
+        return matrix[permutation][:, permutation], rotate_rows(vectors)[permutation]
 
-    def apart(matrix: Array) -> Array:
-        """Decide whether an entry beside the diagonal is still too large."""
+    def unfinished(state: tuple[Array, Array, Array]) -> Array:
+        """Decide whether an off-diagonal entry is still too large."""
+        matrix, _, sweeps = state
         diagonal = jnp.abs(jnp.diagonal(matrix))
         unit = jnp.sqrt(diagonal[:, None]) * jnp.sqrt(diagonal[None])
-        beside = jnp.abs(matrix - jnp.diag(jnp.diagonal(matrix)))
-        return jnp.any(beside > _SMALL * unit)
+        off_diagonal = jnp.abs(matrix - jnp.diag(jnp.diagonal(matrix)))
+        too_large = jnp.any(off_diagonal > _LARGEST_OFF_DIAGONAL * unit)
+        return too_large & (sweeps < _MOST_SWEEPS)
 
     def sweep(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        matrix, vectors, count = state
-        rounds = max(1, 2 * half - 1)  # after which all are where they began
-        matrix, vectors = jax.lax.fori_loop(0, rounds, rotate, (matrix, vectors))
-        return matrix, vectors, count + 1
+        """Rotate every pair once."""
+        matrix, vectors, sweeps = state
+        # The permutations of one sweep return all coordinates to their first order.
+        steps = max(1, 2 * half - 1)
+        matrix, vectors = jax.lax.fori_loop(0, steps, rotate_pairs, (matrix, vectors))
+        return matrix, vectors, sweeps + 1
 
-    state = full, jnp.eye(2 * half), jnp.zeros((), int)
-    full, vectors, _ = jax.lax.while_loop(
-        lambda state: apart(state[0]) & (state[2] < _SWEEPS), sweep, state
-    )
-    values = jnp.diagonal(full)[:size]
+    state = padded, jnp.eye(2 * half), jnp.zeros((), int)
+    diagonalized, vectors, _ = jax.lax.while_loop(unfinished, sweep, state)
+    values = jnp.diagonal(diagonalized)[:size]
     order = jnp.argsort(values)
     return values[order], vectors[:size, :size].T[:, order]
 
@@ -146,35 +165,42 @@ def _diagonalized(
 def _(primals, tangents):
     (stiffness,), (change,) = primals, tangents
     rows, weights, _ = stiffness
-    found = modes(stiffness)
-    root, vectors = found
-    own, moved = rows @ vectors, change.rows @ vectors
-    mixed = own.T @ (weights[:, None] * moved)
-    slope = mixed + mixed.T + own.T @ (change.weights[:, None] * own)
-    slope = slope + vectors.T @ change.rest @ vectors
-    slope = _halved(root, slope)
+    solution = modes(stiffness)
+    root, vectors = solution
+    rows, row_changes = rows @ vectors, change.rows @ vectors
+    half = rows.T @ (weights[:, None] * row_changes)
+    derivative = half + half.T + rows.T @ (change.weights[:, None] * rows)
+    derivative = derivative + vectors.T @ change.remainder @ vectors
+    derivative = _root_derivative(root, derivative)
     frequencies = jnp.diagonal(root)
-    apart = frequencies[None] - frequencies[:, None]
+    difference = frequencies[None] - frequencies[:, None]
     size = jnp.abs(frequencies[None]) + jnp.abs(frequencies[:, None])
-    equal = jnp.abs(apart) <= _EQUAL * size
-    turning = jnp.where(equal, 0.0, slope / jnp.where(equal, 1.0, apart))
-    return found, Modes(jnp.where(equal, slope, 0.0), vectors @ turning)
+    equal = jnp.abs(difference) <= _EQUAL * size
+    rotation = jnp.where(equal, 0.0, derivative / jnp.where(equal, 1.0, difference))
+    return solution, Modes(jnp.where(equal, derivative, 0.0), vectors @ rotation)
 
 
-def _halved(root: Float[Array, "n n"], slope: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Solve `root X + X root = slope` for X, the slope of a square root.
+def _root_derivative(
+    root: Float[Array, "n n"], derivative: Float[Array, "n n"]
+) -> Float[Array, "n n"]:
+    """Compute the derivative X of the square root of a matrix.
 
-    Zero where both frequencies are zero, for there the square root has no slope. The root
-    is diagonal, but its derivative is not, so that the equation itself is differentiated.
+    It solves `root X + X root = derivative`. Where two frequencies are zero, the square
+    root has no derivative and X is set to zero. The root is diagonal, but its derivative
+    is not, so the equation itself is differentiated for second derivatives.
+
+    Args:
+        root: Square root of the matrix, a diagonal matrix; rad/s.
+        derivative: Derivative of the matrix.
     """
 
-    def apply(half: Array) -> Array:
-        return root @ half + half @ root
+    def apply(x: Array) -> Array:
+        return root @ x + x @ root
 
     def solve(_, right: Array) -> Array:
         frequencies = jnp.diagonal(root)
         total = frequencies[None] + frequencies[:, None]
-        none = total == 0
-        return jnp.where(none, 0.0, right / jnp.where(none, 1.0, total))
+        singular = total == 0
+        return jnp.where(singular, 0.0, right / jnp.where(singular, 1.0, total))
 
-    return jax.lax.custom_linear_solve(apply, slope, solve, symmetric=True)
+    return jax.lax.custom_linear_solve(apply, derivative, solve, symmetric=True)

@@ -188,7 +188,10 @@ def _frequency_response(
             solved = basis @ solved
         amplitude = prescribed.at[free].add(solved)
         unbalanced = matrix @ amplitude - force
-        push = back.T @ unbalanced[free]
+        push = jnp.zeros(0, complex)
+        if basis is not None:
+            push = back.T @ unbalanced[free]
+            unbalanced = unbalanced - push @ jacobian
         return (
             amplitude.reshape(still.shape),
             dofs.reactions(unbalanced - push @ jacobian),

@@ -22,7 +22,8 @@ from .results import RESULTS
 from .small_matrices import inverse
 
 
-# Velocities across the constraints up to this share of all velocities are rounding errors.
+# Velocities across the constraints up to this share of all velocities are rounding
+# errors.
 _ACROSS = 1e-6
 
 

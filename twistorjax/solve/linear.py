@@ -89,10 +89,15 @@ class Linearization(eqx.Module):
         given = DofPartition(self.dofs.total, self.dofs.free, prescribed)
         moved = given.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
         free = jnp.array(self.dofs.free, int)
-        right = [(applied - self.matrix @ moved)[free], -self.jacobian @ moved]
-        solution = self.factors.solve(jnp.concatenate(right))
+        right = (applied - self.matrix @ moved)[free]
+        push, constraint = jnp.zeros(0), jnp.zeros_like(moved)
+        if self.constraint_names:
+            right = jnp.concatenate([right, -self.jacobian @ moved])
+        solution = self.factors.solve(right)
         flat = moved.at[free].set(solution[:count])
-        push = -solution[count:]
+        if self.constraint_names:
+            push = -solution[count:]
+            constraint = push @ self.jacobian
         forces = self.matrix @ flat
         stable = self.factors.resists()
         result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
@@ -104,7 +109,7 @@ class Linearization(eqx.Module):
         change = Equilibrium(
             displacements=displacements,
             reference=self.about,
-            reactions=given.reactions(forces - applied - push @ self.jacobian),
+            reactions=given.reactions(forces - applied - constraint),
             constraint_forces=push,
             energy=jnp.vdot(flat, forces) / 2,
             reached=displacements,

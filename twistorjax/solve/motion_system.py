@@ -120,7 +120,7 @@ class MotionSystem(eqx.Module):
         return self.inertia[self.free]
 
     def norm(self, error: State) -> Scalar:
-        """Compute the root mean square of an error: rotations, and scaled translations."""
+        """Compute the root mean square of an error; translations and rates are scaled."""
         unit = jnp.where(self.free % 3 == 0, 1.0, self.length)
         position, rate = error.position / unit, error.rate * self.period / unit
         squares = jnp.sum(position**2) + jnp.sum(rate**2)
@@ -205,7 +205,7 @@ class MotionSystem(eqx.Module):
 
     @eqx.filter_jit  # traced once for the start, the steps, and the output
     def instant(self, time: Scalar, position: Array, rate: Array) -> Instant:
-        """Compute accelerations, forces, and powers: equation 5.25 of the dissertation."""
+        """Compute accelerations, forces, and powers; dissertation, equation 5.25."""
         displacements, rates = self.expand(time, position, rate)
         resisting, _, dissipated = self.mechanism.hinge_assembly.forces_in_motion(
             displacements, rates

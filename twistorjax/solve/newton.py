@@ -21,14 +21,14 @@ class NewtonSolution(NamedTuple):
 
     Args:
         displacements: Displacement of each body from its reference pose; rad, m, m.
-        push: Constraint force of each constraint entry; N m, N.
+        push: Constraint force of each constraint entry; None without constraints; N m, N.
         fraction: Fraction of the loads and prescribed displacements.
         steps: Number of Newton steps.
         status: Reason why the iteration stopped: one of the constants above.
     """
 
     displacements: Poses
-    push: Float[Array, " entries"]
+    push: Float[Array, " entries"] | None
     fraction: Scalar
     steps: Int[Array, ""]
     status: Int[Array, ""]
@@ -85,9 +85,9 @@ class _State(NamedTuple):
     """
 
     displacements: Poses
-    push: Array
+    push: Array | None
     predicted: Array
-    converged: tuple[Poses, Array, Array]
+    converged: tuple[Poses, Array | None, Array]
     fraction: Scalar
     increment: Scalar
     tries: Int[Array, ""]
@@ -136,10 +136,8 @@ def solve_in_increments(
     rows, count = system.free, len(system.free)
     entries = system.constraints.size
     begin = start.reshape(-1)[system.prescribed]
-    no_push = jnp.zeros(entries)
-    held = jnp.concatenate(
-        [system.hinges.forces(start).reshape(-1)[rows], system.violation(start)]
-    )
+    no_push = jnp.zeros(entries) if entries else None
+    held = _residual(system, system.hinges.forces(start).reshape(-1), start)
     unit = system.units()
     unit_of_free = unit[rows % 3]
     unit_of_entries = jnp.ones(0)
@@ -157,9 +155,7 @@ def solve_in_increments(
         flat = state.displacements.reshape(-1)
         given = begin + goal * (system.targets - begin)
         move = given - flat[system.prescribed]
-        residual = jnp.concatenate(
-            [residual[rows], system.violation(state.displacements)]
-        )
+        residual = _residual(system, residual, state.displacements)
         residual = residual - (1 - goal) * held
         right = -(residual + tangent.push(move))
         factors = tangent.factors(system.loads.conservative)
@@ -170,7 +166,7 @@ def solve_in_increments(
         displacements = system.place(
             state.displacements, free=flat[rows] + step[:count], prescribed=given
         )
-        push = state.push - step[count:]
+        push = None if state.push is None else state.push - step[count:]
 
         def stress(at: Poses) -> Float[Array, "3 hinges"]:
             return system.hinges.generalized_stress(at, state.predicted)
@@ -249,17 +245,15 @@ def solve_in_increments(
         # The last increment is not so short that it consists of rounding.
         grown = jnp.where(1.05 * longer * increment > left, left, longer * increment)
         current = displacements, push, predicted
-        kept = [
-            jnp.where(converged, value, old)
-            for value, old in zip(current, state.converged, strict=True)
-        ]
-        current = [
-            jnp.where(cut, old, value)
-            for value, old in zip(current, state.converged, strict=True)
-        ]
+        kept = jax.tree.map(
+            lambda new, old: jnp.where(converged, new, old), current, state.converged
+        )
+        current = jax.tree.map(
+            lambda new, old: jnp.where(cut, old, new), current, state.converged
+        )
         return _State(
             *current,
-            converged=(kept[0], kept[1], kept[2]),
+            converged=kept,
             fraction=fraction,
             increment=jnp.where(converged, grown, increment),
             tries=jnp.where(converged | cut, 0, state.tries + 1),
@@ -297,6 +291,20 @@ def solve_in_increments(
     )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
     return NewtonSolution(*state.converged[:2], state.fraction, state.steps, state.status)
+
+
+def _residual(
+    system: System, forces: Float[Array, " dofs"], displacements: Poses
+) -> Float[Array, " unknowns"]:
+    """Join the free forces and the violations; without arrays of size zero.
+
+    Zero-size arrays make XLA lose the type of LAPACK calls in large programs (jaxlib
+    0.10.2: "No registered implementation for untyped custom call").
+    """
+    forces = forces[system.free]
+    if not system.constraints.size:
+        return forces
+    return jnp.concatenate([forces, system.violation(displacements)])
 
 
 def differentiable_root(
@@ -342,8 +350,8 @@ def _(static, primals, tangents):
     def residual(dynamic: System, start: Poses) -> Array:
         system = eqx.combine(dynamic, static)
         displacements = system.place(start, free=root[:count], prescribed=system.targets)
-        forces = system.residual(displacements, root[count:])[system.free]
-        return jnp.concatenate([forces, system.violation(displacements)])
+        forces = system.residual(displacements, root[count:])
+        return _residual(system, forces, displacements)
 
     _, rate = jax.jvp(residual, (dynamic, start), (change, moved))
     displacements = system.place(start, free=root[:count], prescribed=system.targets)

@@ -1,14 +1,14 @@
-"""How far a motion has come, on the terminal."""
+"""Progress of a motion on the terminal."""
 
 import diffrax as dfx
 from tqdm import tqdm
 
 
 class ProgressBar(dfx.TqdmProgressMeter):
-    """A bar for `simulate(progress_meter=...)`, shown where a run exceeds a second.
+    """Progress bar for `simulate(progress_meter=...)`, shown after one second.
 
     Args:
-        refresh_steps: how many steps of the solver it waits before it looks again.
+        refresh_steps: Number of steps of the solver between two updates of the bar.
 
     Example:
         >>> ProgressBar().refresh_steps

@@ -10,16 +10,16 @@ from .motion_system import MotionSystem, State
 
 
 class Projected(dfx.AbstractWrappedSolver):
-    """A solver of diffrax whose every step ends on the constraints.
+    """A solver of diffrax that projects the end of each step onto the constraints.
 
-    The equations of motion keep the second derivative of the constraints at zero. A
-    solver that integrates them lets the constraints themselves drift, so that a pin moves
-    away from its place without any sign of it. Here each step is followed by the
-    projection of its displacements and velocities, as inertia measures the distance. The
-    order of the method stays the same.
+    The equations of motion keep the second time derivative of the constraints at zero. A
+    solver that integrates them does not keep the constraints themselves: a pin would
+    slowly drift apart without a warning. Therefore the displacements and velocities are
+    projected after each step, in the metric of the inertia. The order of the solver does
+    not change.
 
     Args:
-        solver: any solver for ordinary differential equations.
+        solver: A solver for ordinary differential equations.
 
     Source:
         Hairer, Lubich and Wanner, Geometric Numerical Integration, algorithm IV.4.2.
@@ -41,7 +41,7 @@ class Projected(dfx.AbstractWrappedSolver):
 
     @property
     def root_finder(self) -> Any:
-        """Of an implicit solver; diffrax sets its tolerances."""
+        """Root finder of an implicit solver, whose tolerances diffrax sets."""
         return cast(dfx.AbstractImplicitSolver, self.solver).root_finder
 
     def order(self, terms):
@@ -60,8 +60,8 @@ class Projected(dfx.AbstractWrappedSolver):
         return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0: State, args: MotionSystem, solver_state, made_jump):
-        # What a step leaves to the next belongs to its end before the projection, which
-        # is a jump in the sense of diffrax.
+        # The state of the solver belongs to the end of the last step before its
+        # projection. For diffrax the projection is a jump.
         del made_jump
         end, error, dense, solver_state, result = self.solver.step(
             terms, t0, t1, y0, args, solver_state, True

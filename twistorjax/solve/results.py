@@ -39,8 +39,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "No equilibrium was found that is connected to the start up to the full loads "
         "and drives. `fraction` is the part of them that was reached: there the "
         "mechanism may buckle or snap through, or a hinge may leave the range of its "
-        "energy. Take smaller loads, prescribe a displacement instead of the load, or, if "
-        "a symmetric mechanism may buckle to either side, choose one by a small load."
+        "energy. Take smaller loads, prescribe a displacement instead of the load, or, "
+        "if a symmetric mechanism may buckle to either side, choose one by a small load."
     )
     steps_used_up = (
         "The largest number of Newton steps was reached. `fraction` is the part of the "

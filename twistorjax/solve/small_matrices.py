@@ -1,4 +1,4 @@
-"""Inverses of small matrices, by the thousand."""
+"""Inverses of small matrices in large batches."""
 
 import jax
 import jax.numpy as jnp
@@ -6,15 +6,19 @@ from jaxtyping import Array, Inexact
 
 
 def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
-    """By elimination down the diagonal, without a search for pivots.
+    """Invert matrices by Gauss-Jordan elimination without pivoting.
 
-    For matrices whose symmetric part is positive, or is so in blocks that lean on one
-    another, as inertia and constraints do. For small ones it takes less time than
-    LAPACK's; and batches of LAPACK's wait for one another in XLA's threads, two of them
-    for ever (jaxlib 0.10, where two run side by side on two cores).
+    Pivoting is not needed if the symmetric part of a matrix is positive definite, nor for
+    matrices [M, -G^T; G, 0] of inertia and independent constraints, whose Schur
+    complement has this property. For small matrices this is faster than LAPACK. Besides,
+    batches of LAPACK calls wait for each other in the threads of XLA, and two of them
+    that run on two cores may wait forever (jaxlib 0.10).
 
     Args:
-        matrix: one or many of them; where it has no inverse the answer is not finite.
+        matrix: The matrix, or a batch of matrices.
+
+    Returns:
+        The inverse; not finite if there is none.
 
     Example:
         >>> inverse(jnp.array([[2.0, 1.0], [1.0, 1.0]]))
@@ -25,15 +29,16 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
     if not size:
         return matrix
 
-    def eliminate(k: Array, reference: Array) -> Array:
-        down = jax.lax.dynamic_index_in_dim(reference, k, 2, keepdims=True)
-        along = jax.lax.dynamic_index_in_dim(reference, k, 1, keepdims=True)
-        over = 1 / jax.lax.dynamic_index_in_dim(along, k, 2, keepdims=True)
-        along = along * over
-        here = jnp.arange(size) == k
-        row, column = here[None, :, None], here[None, None]
-        found = jnp.where(column, -down * over, reference - down * along)
-        return jnp.where(row, jnp.where(column, over, along), found)
+    def eliminate(k: Array, remaining: Array) -> Array:
+        """Eliminate one unknown, and write the inverse over its row and column."""
+        column = jax.lax.dynamic_index_in_dim(remaining, k, 2, keepdims=True)
+        row = jax.lax.dynamic_index_in_dim(remaining, k, 1, keepdims=True)
+        factor = 1 / jax.lax.dynamic_index_in_dim(row, k, 2, keepdims=True)
+        row = row * factor
+        eliminated = jnp.arange(size) == k
+        in_row, in_column = eliminated[None, :, None], eliminated[None, None]
+        others = jnp.where(in_column, -column * factor, remaining - column * row)
+        return jnp.where(in_row, jnp.where(in_column, factor, row), others)
 
     flat = matrix.reshape(-1, size, size)
     return jax.lax.fori_loop(0, size, eliminate, flat).reshape(matrix.shape)

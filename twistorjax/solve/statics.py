@@ -185,7 +185,8 @@ def state_in_range(
     Args:
         mechanism: The mechanism.
         name: Name of the state in messages.
-        state: An equilibrium, or poses; by default the reference configuration; rad, m, m.
+        state: An equilibrium, or poses; by default the reference configuration; rad, m,
+            m.
 
     Returns:
         The displacements; NaN if a traced state is out of range; rad, m, m.
@@ -236,9 +237,14 @@ def _solve_uncompiled(
     solution = newton.solve_in_increments(fixed_system, start, tolerance, max_steps)
     flat = solution.displacements.reshape(-1)
     converged = (solution.status == newton.CONVERGED) & consistent
-    root = jnp.concatenate([flat[system.free], solution.push])
+    root, push = flat[system.free], jnp.zeros(0)
+    if solution.push is not None:
+        root = jnp.concatenate([root, solution.push])
     root = newton.differentiable_root(system, root, begin, converged)
-    free, push = root[: len(system.free)], root[len(system.free) :]
+    free = root
+    if solution.push is not None:
+        free, push = jnp.split(root, [len(system.free)])
+        push = jnp.where(converged, push, jnp.nan)
     prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
     displacements = system.place(begin, free=free, prescribed=prescribed)
     outside = converged & jnp.any(hinges.out_of_range(solution.displacements))
@@ -258,7 +264,7 @@ def _solve_uncompiled(
         displacements=jnp.where(valid, displacements, jnp.nan),
         reference=reference,
         reactions=jnp.where(valid, system.reactions(displacements, push), jnp.nan),
-        constraint_forces=jnp.where(valid, push, jnp.nan),
+        constraint_forces=push,
         energy=jnp.where(valid, hinges.energy(displacements), jnp.nan),
         reached=solution.displacements,
         fraction=solution.fraction,

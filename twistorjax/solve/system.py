@@ -1,8 +1,8 @@
 """The equations of a mechanism: residual, tangent stiffness, loads, and constraints.
 
-Statics, linearization, vibrations, frequency response, and motion assemble their equations
-here. The unknowns are the displacements of the free degrees of freedom and the constraint
-forces.
+Statics, linearization, vibrations, frequency response, and motion assemble their
+equations here. The unknowns are the displacements of the free degrees of freedom and the
+constraint forces.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,9 @@ from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_co
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Load, loaded_bodies, LoadSet
 from ..mechanism.mechanism import Mechanism
+from .block_factorization import block_layout
 from .dofs import DofPartition
-from .factorization import block_layout, ConstrainedFactors, Factors
+from .factorization import ConstrainedFactors, Factors
 from .tangents import (
     add_load_stiffness,
     BlockTangent,
@@ -233,7 +234,7 @@ class System(eqx.Module):
     def factors(
         self, stiffness: Float[Array, "free free"], jacobian: Float[Array, "entries free"]
     ) -> Factors | ConstrainedFactors:
-        """Factor the stiffness of the free degrees of freedom, with constraints if any."""
+        """Factor the stiffness of the free degrees of freedom, and of the constraints."""
         symmetric = self.loads.conservative
         if not self.constraints.size:
             return Factors.of(stiffness, symmetric)

@@ -1,4 +1,4 @@
-"""Answers as labelled tables, with their units."""
+"""Solutions as labeled tables with units."""
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -16,14 +16,15 @@ if TYPE_CHECKING:
 
 
 class Column(eqx.Module):
-    """One quantity of an answer, with its unit and what its axes are.
+    """One quantity of a solution, with its unit and the names of its axes.
 
     Args:
-        values: an axis for each name; more come before them in a batch.
-        axes: what they are: "body", "time". A column that is named as its axis holds the
-            places along it.
-        unit: "1" where there is none; nothing where it is not known.
-        labels: what the entries of an axis are called, in pairs of the axis and these.
+        values: Values, with one axis for each name in `axes`. In a batch, the axes of the
+            batch precede them.
+        axes: Names of the axes, such as "body" or "time". A column that has the name of
+            its only axis holds the coordinates along this axis.
+        unit: Unit of the values; "1" if they have none; empty if it is unknown.
+        labels: Names of the entries along an axis, as pairs of the axis and the names.
     """
 
     values: Shaped[Any, "..."]
@@ -41,61 +42,72 @@ def columns(
     *names_and_units: tuple[str, str],
     **labels: Sequence[str],
 ) -> Columns:
-    """The entries of the last axis, each as a column.
+    """Split the last axis of an array into columns.
 
     Args:
-        values: with the axes, and one more for the entries.
-        axes: what the others are.
-        names_and_units: of each entry.
-        labels: what the entries of an axis are called.
+        values: The array.
+        axes: Names of all axes but the last.
+        names_and_units: Name and unit of each entry of the last axis.
+        labels: Names of the entries along some of the other axes.
+
+    Returns:
+        A column for each entry of the last axis, by name.
     """
-    kept = tuple((axis, tuple(names)) for axis, names in labels.items())
+    names = tuple((axis, tuple(entries)) for axis, entries in labels.items())
     return {
-        name: Column(values[..., place], tuple(axes), unit, kept)
-        for place, (name, unit) in enumerate(names_and_units)
+        name: Column(values[..., index], tuple(axes), unit, names)
+        for index, (name, unit) in enumerate(names_and_units)
     }
 
 
 class Tabular(eqx.Module):
-    """An answer that can be told as a table."""
+    """A solution that can be converted to a table."""
 
     @abstractmethod
     def columns(self) -> Columns:
-        """Its quantities, by name."""
+        """Return the quantities of the table, by name."""
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The answer as a dataset, with names and units.
+        """Convert the solution to an xarray dataset with names and units.
+
+        Returns:
+            The dataset.
 
         Raises:
             ImportError: xarray is not installed.
-            ValueError: this is a batch of answers.
+            ValueError: This is a batch of solutions.
         """
-        told = self.columns()
-        for column in told.values():
+        table = self.columns()
+        for column in table.values():
             shape = np.shape(column.values)
             if batch := shape[: len(shape) - len(column.axes)]:
                 raise ValueError(
-                    f"This is a batch of answers, of shape {batch}: make a table of one, "
-                    "`jax.tree.map(lambda array: array[0], answer)`."
+                    f"This is a batch of solutions of shape {batch}. Convert them one by "
+                    "one: `jax.tree.map(lambda array: array[0], solution)` is the first."
                 )
-        return dataset(told)
+        return dataset(table)
 
 
 def dataset(
-    told: Columns, attributes: Mapping[str, Mapping[str, Any]] | None = None
+    table: Columns, attributes: Mapping[str, Mapping[str, Any]] | None = None
 ) -> "xarray.Dataset":
-    """Columns as a dataset; those that are named as their axis as its coordinates.
+    """Convert columns to an xarray dataset.
+
+    A column that has the name of its only axis becomes a coordinate.
 
     Args:
-        told: the columns.
-        attributes: more of them, beside their units, by name.
+        table: The columns.
+        attributes: Attributes of some variables beside their units, by name.
+
+    Returns:
+        The dataset.
 
     Raises:
         ImportError: xarray is not installed.
     """
-    xarray = require_xarray()
+    xarray = require_package("xarray", "Tables", "data")
     variables, coordinates = {}, {}
-    for name, column in told.items():
+    for name, column in table.items():
         more = dict((attributes or {}).get(name, {}))
         if column.unit:
             more["units"] = column.unit
@@ -103,12 +115,3 @@ def dataset(
         (coordinates if column.axes == (name,) else variables)[name] = variable
         coordinates.update({axis: list(labels) for axis, labels in column.labels})
     return xarray.Dataset(variables, coordinates)
-
-
-def require_xarray():
-    """xarray, where it is installed.
-
-    Raises:
-        ImportError: it is not.
-    """
-    return require_package("xarray", "Tables", "data")

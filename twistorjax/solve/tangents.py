@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool, Float
 
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.scatter import sum_entries
+from .block_factorization import BlockFactors, Layout
 from .dofs import DofPartition
-from .factorization import BlockFactors, ConstrainedFactors, Factors, Layout
+from .factorization import ConstrainedFactors, Factors
 
 
 def add_load_stiffness(
@@ -171,7 +172,7 @@ class BlockTangent(eqx.Module):
         row[list(self.dofs.free)] = np.arange(len(self.dofs.free))
         rows, columns = row[dofs]
         source = np.flatnonzero((rows >= 0) & (columns >= 0))
-        return source, self.layout.places(rows[source], columns[source])
+        return source, self.layout.flat_indices(rows[source], columns[source])
 
 
 Tangent = DenseTangent | ConstrainedTangent | BlockTangent

@@ -146,24 +146,24 @@ def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> V
     """Solve the eigenvalue problem; see `vibrations`."""
     free = system.free
     root = jnp.sqrt(mechanism.inertia().reshape(-1)[free])
-    rows, weights, rest = system.hinges.factored(displacements, system.dofs.free)
+    rows, weights, remainder = system.hinges.factored(displacements, system.dofs.free)
     _, by_angle = system.loads.apply(displacements)
     # Loads that are no follower loads have moments that depend on angles, and no more.
-    rest = rest - jnp.diag(by_angle.reshape(-1)[free])
+    remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
     consistent = independent(system, displacements)
     if system.constraints.size:
         push = system.constraint_forces(displacements)
         geometric = system.constraints.geometric_stiffness(
             displacements, system.time, push
         )
-        rest = rest + geometric[free[:, None], free]
-    rows, rest = rows / root[None], rest / (root[:, None] * root[None])
+        remainder = remainder + geometric[free[:, None], free]
+    rows, remainder = rows / root[None], remainder / (root[:, None] * root[None])
     basis = None
     if system.constraints.size:
         jacobian = system.jacobian(displacements)[:, free]
         _, basis = null_space(jacobian / root[None])
-        rows, rest = rows @ basis, basis.T @ rest @ basis
-    angular, vectors = modes(Stiffness(rows, weights, rest))
+        rows, remainder = rows @ basis, basis.T @ remainder @ basis
+    angular, vectors = modes(Stiffness(rows, weights, remainder))
     angular = jnp.diagonal(angular)
     if basis is not None:
         vectors = basis @ vectors

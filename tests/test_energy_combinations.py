@@ -1,0 +1,170 @@
+"""Optional properties of energies, inside of every sum, multiple, and validity range."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+
+import twistorjax as tj
+from twistorjax.energies import solver_protocols
+from twistorjax.energies.base import (
+    AbstractEnergy,
+    AbstractWrapper,
+    out_of_range,
+    validation_error,
+)
+from twistorjax.geometry.twistors import Displacement
+
+
+POSE = jnp.array([0.2, 1e-3, 0.05])
+RATES = (jnp.array(0.3), jnp.array(0.02), jnp.array(-0.4))
+STIFFNESS = np.diag([2.0, 300.0, 40.0])
+
+
+class Quartic(AbstractEnergy):
+    """An energy as a user writes it, with one method."""
+
+    stiffness: jax.Array
+
+    def stored_energy(self, displacement):
+        lengths = displacement.angle**2 + displacement.x1**2 + displacement.x2**2
+        return self.stiffness * (lengths + lengths**2)
+
+
+class Renamed(AbstractWrapper):
+    """A wrapper as a user writes it: it forwards nothing."""
+
+    energy: AbstractEnergy
+    label: str = eqx.field(static=True)
+
+
+def mixed():
+    powers = [(2, 0, 0), (0, 2, 0), (0, 2, 1), (0, 0, 2)]
+    return tj.energies.MixedEnergy([1.0, 6.0, 0.6, -5e-4], powers, length=1.0, force=1.0)
+
+
+POLYNOMIAL = tj.energies.Polynomial(
+    [0.5, 200.0, 30.0], [(2, 0, 0), (0, 2, 0), (0, 0, 2)], "twist"
+)
+SQUARES = tj.energies.SumOfSquares([[0.1, 0.7]], [(1, 0, 0), (0, 0, 1)], "twist")
+ENERGIES = {
+    "quadratic of the twist": tj.Quadratic(STIFFNESS, "twist"),
+    "quadratic of the twistor": tj.Quadratic(STIFFNESS, "twistor"),
+    "polynomial": POLYNOMIAL,
+    "polynomial in other frames": tj.energies.Polynomial(
+        [0.5, 200.0, 30.0], [(0, 2, 0, 0), (0, 0, 2, 0), (0, 0, 0, 2)], "twistor"
+    ).change_frames(jnp.array([0.1, 0.2, 0.3]), jnp.array([0.1, 0.2, 0.3])),
+    "rational": tj.energies.Rational(POLYNOMIAL, SQUARES),
+    "mixed": mixed(),
+    "point charges": tj.energies.PointCharges(
+        [1e-6, -1e-6], [[0.0, 0.1], [0.3, 0.0]], [1e-6], [[0.5, 0.5]]
+    ),
+    "of a user": Quartic(jnp.array(3.0)),
+}
+EACH = pytest.mark.parametrize("energy", ENERGIES.values(), ids=ENERGIES)
+
+
+def limited(energy, rotation=1.0):
+    return tj.energies.WithValidityRange(energy, rotation, 1e9, [1e-3, 1e-3, 1e-3])
+
+
+def combinations(energy):
+    """The same energy, in different words."""
+    zero = tj.Quadratic(np.zeros((3, 3)))
+    return {
+        "multiple": 0.5 * (2.0 * energy),
+        "range": limited(energy),
+        "multiple of a range": 0.5 * limited(2.0 * energy),
+        "sum with zero": energy + zero,
+        "sum of halves": 0.5 * energy + 0.5 * energy,
+        "multiple of a sum": 2.0 * (0.25 * energy + 0.25 * energy),
+        "range of a sum": limited(0.5 * energy + zero + 0.5 * energy),
+        "wrapper of a user": Renamed(energy, "leaf"),
+        "range of a wrapper": limited(Renamed(2.0 * Renamed(0.5 * energy, "a"), "b")),
+    }
+
+
+COMBINATIONS = pytest.mark.parametrize("name", combinations(tj.Quadratic(STIFFNESS)))
+
+
+@EACH
+@COMBINATIONS
+def test_a_combination_has_the_same_energy_and_wrench(energy, name):
+    combined = combinations(energy)[name]
+    assert_close(combined(POSE), energy(POSE))
+    assert_close(combined.wrench(POSE), energy.wrench(POSE))
+
+
+@EACH
+@COMBINATIONS
+def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, name):
+    """Scale of translations, model for Newton's method, damping, and resisted rates."""
+    terms = solver_protocols.parallel_terms(combinations(energy)[name])
+    at = Displacement.from_pose(POSE)
+    force = jnp.array(2.5)
+    forces, damping, model, resisted = [], [], [], []
+    for term in terms:
+        if not np.any(term.tangent_stiffness()):
+            continue  # the zero of the sum, or a validity range
+        share = term(POSE) / energy(POSE)
+        forces.append(share)
+        scale = solver_protocols.translation_scale(term, at)
+        assert_close(scale, solver_protocols.translation_scale(energy, at))
+        model.append(solver_protocols.newton_model(term, share * force)(POSE))
+        if not isinstance(
+            energy, tj.energies.PointCharges
+        ):  # which are not in equilibrium
+            time = jnp.array(0.1)
+            damping.append(solver_protocols.proportional_damping(term, time).damping)
+        rates = jnp.stack(solver_protocols.resisted_rates(term, at, RATES))
+        resisted.append(rates)
+        assert solver_protocols.has_resisted_rates(
+            term
+        ) == solver_protocols.has_resisted_rates(energy)
+    assert_close(sum(forces), 1.0)
+    assert_close(sum(model), solver_protocols.newton_model(energy, force)(POSE))
+    if damping:
+        whole = solver_protocols.proportional_damping(energy, jnp.array(0.1)).damping
+        assert_close(sum(damping), whole)
+    expected = jnp.stack(solver_protocols.resisted_rates(energy, at, RATES))
+    for rates in resisted:
+        assert_close(rates, expected)
+
+
+@EACH
+@COMBINATIONS
+def test_the_validity_range_is_that_of_the_energy_and_of_the_combination(energy, name):
+    """A twist is undefined at a full rotation; a range of 1 rad is exceeded before."""
+    combined = combinations(energy)[name]
+    for rotation in (0.5, 1.5, 7.0):
+        at = Displacement.from_pose(jnp.array([rotation, 0.0, 0.0]))
+        own = out_of_range(energy, at)
+        expected = bool(own) if own is not None else False
+        if "range" in name:
+            expected |= rotation > 1.0
+        found = out_of_range(combined, at)
+        assert (bool(found) if found is not None else False) == expected
+
+
+def test_an_invalid_value_is_found_at_any_depth():
+    wrong = -1.0 * tj.Quadratic(STIFFNESS)
+    for combined in combinations(wrong).values():
+        assert "not negative" in validation_error(combined)
+    for combined in combinations(tj.Quadratic(STIFFNESS)).values():
+        assert validation_error(combined) is None
+
+
+@pytest.mark.slow
+@COMBINATIONS
+def test_a_combination_takes_as_many_newton_steps_as_the_energy(name):
+    """A thin flexure, loaded to a large displacement, by its model for Newton's method."""
+
+    def steps(energy):
+        hinge = tj.Hinge("flexure", "wall", "tip", energy, at=(0.0, 0.0, 0.0))
+        mechanism = tj.Mechanism([tj.Body("wall"), tj.Body("tip")], [hinge], ["wall"])
+        load = tj.Load("tip", force=(0.0, 2.0))
+        return int(tj.equilibrium(mechanism, loads=[load]).steps)
+
+    assert steps(combinations(mixed())[name]) == steps(mixed())

@@ -65,8 +65,7 @@ def main(
         except importlib.metadata.PackageNotFoundError:
             continue
     machine = (
-        f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, "
-        f"{jax.devices()[0].device_kind}"
+        f"{os.cpu_count()} cores, {platform.machine()}, {jax.devices()[0].device_kind}"
     )
     table.caption = (
         f"medians on {machine}; {datetime.date.today()}; "

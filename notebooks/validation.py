@@ -21,10 +21,10 @@ says otherwise. A test fails if its error exceeds its limit.
 
 """
 
-TAIL = """The tests also check that wrenches as derivatives of the energy agree
-to rounding with the closed forms that use the matrix Λ (equations 3.53 and
-4.35 of the dissertation), that the algebra agrees with the package `clifford`,
-and that all derivatives agree with finite differences.
+TAIL = """The tests also check that wrenches as derivatives of the energy
+agree to rounding with the closed forms that use the matrix Λ (equations 3.53
+and 4.35 of the dissertation), that the algebra agrees with that of the
+package `clifford`, and that all derivatives agree with finite differences.
 """
 
 

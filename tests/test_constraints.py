@@ -1,4 +1,4 @@
-"""Pins, sliders, and general constraints in statics, vibrations, and harmonic response."""
+"""Pins, sliders, and general constraints in statics, vibrations, and response."""
 
 import equinox as eqx
 import jax
@@ -137,8 +137,8 @@ def test_a_general_constraint_depends_on_the_time():
 def test_the_stage_of_rigid_levers_on_pins_has_their_gain():
     """Pseudo-rigid-body stage: 328 / 9, whatever the stiffness of its pivots.
 
-    The hinges a, b, c on body 2 lie on a line, so only one of them restrains it along this
-    line; at a and b the bodies are joined across the line only.
+    The hinges a, b, and c of body 2 lie on a line; only one of them restrains it along
+    this line; at a and b the bodies are joined across the line only.
     """
     flexible = stage.microstage()
     bodies = [

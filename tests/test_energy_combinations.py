@@ -159,7 +159,7 @@ def test_an_invalid_value_is_found_at_any_depth():
 @pytest.mark.slow
 @COMBINATIONS
 def test_a_combination_takes_as_many_newton_steps_as_the_energy(name):
-    """A thin flexure, loaded to a large displacement, by its model for Newton's method."""
+    """A thin flexure at a large displacement, by its model for Newton's method."""
 
     def steps(energy):
         hinge = tj.Hinge("flexure", "wall", "tip", energy, at=(0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""A hinge between two bodies: balance, indifference, and exact derivatives."""
+"""A hinge between two bodies: balance, invariance, and exact derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 from helpers import assert_close, some_poses, some_stiffness
 
 import twistorjax as tj
-from twistorjax.geometry import se2
+from twistorjax.geometry import se2, twistors
 from twistorjax.mechanism import hinge_kinematics
 
 
@@ -15,11 +15,11 @@ pytestmark = pytest.mark.slow
 
 
 class Quartic(tj.AbstractEnergy):
-    """An energy of no special form, with every coupling."""
+    """An energy of no special form that couples all components of the twist."""
 
     def stored_energy(self, displacement):
-        turn, along, across = displacement.twist()
-        return turn**2 + along**2 + across**2 + turn**2 * along + turn * across**3
+        angle, along, across = displacement.twist()
+        return angle**2 + along**2 + across**2 + angle**2 * along + angle * across**3
 
 
 QUADRATIC = [tj.Quadratic(some_stiffness(7), "twist"), tj.Quadratic(some_stiffness(7))]
@@ -27,118 +27,120 @@ every_energy = pytest.mark.parametrize(
     "energy", [*QUADRATIC, Quartic()], ids=["twist", "twistor", "quartic"]
 )
 
-REST = jnp.array([[0.4, 0.1, -0.2], [-0.7, 0.5, 0.3]])
+REFERENCE = jnp.array([[0.4, 0.1, -0.2], [-0.7, 0.5, 0.3]])
 AT = jnp.array([0.9, 0.3, 0.2])
 
 
-def pair(energy, at=AT, reference=REST, first="a", second="b"):
-    bodies = [tj.Body("a", reference[0]), tj.Body("b", reference[1])]
-    return tj.Mechanism(bodies, [tj.Hinge("h", first, second, energy, at)], fixed=["a"])
+def two_bodies(energy, at=AT, first="a", second="b", damping=None):
+    """Return two bodies that one hinge connects."""
+    bodies = [tj.Body("a", REFERENCE[0]), tj.Body("b", REFERENCE[1])]
+    hinge = tj.Hinge("h", first, second, energy, at, damping=damping)
+    return tj.Mechanism(bodies, [hinge], fixed=["a"])
 
 
-def states(seed, count=24):
-    """Poses of both bodies; those at which charts break are those of the hinge."""
+def random_states(seed, count=24):
+    """Return random poses of both bodies, some with angles where formulas may fail."""
     return jnp.stack([some_poses(seed, count), some_poses(seed + 1, count) / 2], axis=1)
 
 
 def frames(poses):
-    """Both frames of the hinge in the world, carried along by their bodies."""
+    """Return both frames of the hinge in the world, which move with their bodies."""
     return [
         se2.compose(pose, se2.between(reference, AT))
-        for pose, reference in zip(poses, REST, strict=True)
+        for pose, reference in zip(poses, REFERENCE, strict=True)
     ]
 
 
 @every_energy
-def test_stores_the_energy_of_its_relative_pose(energy):
-    """By composing frames, as section 5.1 does."""
-    mechanism = pair(energy)
-    for poses in states(0):
+def test_energy_is_that_of_the_relative_pose_of_both_frames(energy):
+    """The frames are composed as in section 5.1 of the dissertation."""
+    mechanism = two_bodies(energy)
+    for poses in random_states(0):
         a, b = frames(poses)
         assert_close(mechanism.energy(poses), energy(se2.between(a, b)), digits=10)
 
 
 @every_energy
-def test_the_forces_are_the_slope_of_the_energy(energy):
-    mechanism = pair(energy)
-    slope = jax.jit(jax.vmap(jax.grad(mechanism.energy)))(states(0))
-    assert_close(-jax.vmap(mechanism.wrenches)(states(0)), slope, digits=10)
+def test_forces_are_the_gradient_of_the_energy(energy):
+    mechanism, states = two_bodies(energy), random_states(0)
+    gradient = jax.jit(jax.vmap(jax.grad(mechanism.energy)))(states)
+    assert_close(-jax.vmap(mechanism.wrenches)(states), gradient, digits=10)
 
 
 @every_energy
-def test_the_stiffness_is_the_slope_of_the_forces(energy):
-    mechanism = pair(energy)
-    slope = jax.jit(jax.vmap(jax.hessian(mechanism.energy)))(states(0))
-    stiffness = jax.vmap(mechanism.stiffness)(states(0))
-    scale = jnp.max(jnp.abs(slope))
-    assert_close(stiffness / scale, slope / scale, digits=12)
+def test_stiffness_is_the_hessian_of_the_energy(energy):
+    mechanism, states = two_bodies(energy), random_states(0)
+    hessian = jax.jit(jax.vmap(jax.hessian(mechanism.energy)))(states)
+    stiffness = jax.vmap(mechanism.stiffness)(states)
+    scale = jnp.max(jnp.abs(hessian))
+    assert_close(stiffness / scale, hessian / scale, digits=12)
 
 
 @every_energy
-def test_does_not_feel_where_the_observer_stands(energy):
-    mechanism = pair(energy)
-    for poses, moved in zip(states(0), some_poses(3, 24), strict=True):
-        elsewhere = jax.vmap(se2.compose, (None, 0))(moved, poses)
-        assert_close(mechanism.energy(elsewhere), mechanism.energy(poses), digits=10)
+def test_energy_does_not_depend_on_the_frame_of_the_observer(energy):
+    mechanism = two_bodies(energy)
+    for poses, observer in zip(random_states(0), some_poses(3, 24), strict=True):
+        observed = jax.vmap(se2.compose, (None, 0))(observer, poses)
+        assert_close(mechanism.energy(observed), mechanism.energy(poses), digits=10)
 
 
 @pytest.mark.parametrize("energy", QUADRATIC, ids=["twist", "twistor"])
-def test_does_not_feel_which_body_is_called_first(energy):
-    """As no energy does that is even in the displacement."""
-    mechanism, turned = pair(energy), pair(energy, first="b", second="a")
-    for poses in states(0):
-        assert_close(turned.energy(poses), mechanism.energy(poses), digits=11)
+def test_even_energy_does_not_depend_on_the_order_of_the_bodies(energy):
+    mechanism = two_bodies(energy)
+    exchanged = two_bodies(energy, first="b", second="a")
+    for poses in random_states(0):
+        assert_close(exchanged.energy(poses), mechanism.energy(poses), digits=11)
 
 
 @every_energy
-def test_wrenches_on_the_two_bodies_balance(energy):
-    mechanism = pair(energy)
-    for poses in states(0):
-        on_a, on_b = mechanism.wrenches(poses)
-        at_origin = [
+def test_wrenches_on_both_bodies_balance(energy):
+    mechanism = two_bodies(energy)
+    for poses in random_states(0):
+        wrenches = mechanism.wrenches(poses)
+        about_origin = [
             se2.transform_wrench(pose.at[0].set(0.0), wrench)
-            for pose, wrench in zip(poses, (on_a, on_b), strict=True)
+            for pose, wrench in zip(poses, wrenches, strict=True)
         ]
-        scale = 1 + np.abs(on_b).max()
-        assert_close(sum(at_origin) / scale, np.zeros(3), digits=13)
+        scale = 1 + np.abs(wrenches[1]).max()
+        assert_close(sum(about_origin) / scale, np.zeros(3), digits=13)
 
 
 @every_energy
-def test_the_wrench_on_b_is_that_of_the_energy_carried_to_the_body(energy):
-    mechanism = pair(energy)
-    for poses in states(0):
+def test_wrench_on_body_b_is_the_transformed_wrench_of_the_energy(energy):
+    mechanism = two_bodies(energy)
+    for poses in random_states(0):
         a, b = frames(poses)
-        in_world = se2.transform_wrench(b, energy.wrench(se2.between(a, b)))  # by body B
-        at_body = se2.transform_wrench(se2.inverse(poses[1].at[0].set(0.0)), -in_world)
-        assert_close(mechanism.wrenches(poses)[1], at_body, digits=9)
+        by_body_b = se2.transform_wrench(b, energy.wrench(se2.between(a, b)))
+        origin = poses[1].at[0].set(0.0)
+        on_body_b = se2.transform_wrench(se2.inverse(origin), -by_body_b)
+        assert_close(mechanism.wrenches(poses)[1], on_body_b, digits=9)
 
 
-def test_tiny_displacements_lose_no_digits():
-    """A picometre at a hinge that lies metres away; sums of poses would round it off."""
+def test_energy_of_tiny_displacements_is_accurate():
+    """The hinge is meters away and displaced by a picometer, which a pose cannot hold."""
     far = jnp.array([0.0, 5.0, 7.0])
-    mechanism = pair(tj.Quadratic(jnp.eye(3)), at=far)
-    hinge_assembly = mechanism.hinge_assembly
-    tiny = jnp.array([[0.0, 0.0, 0.0], [1e-13, 1e-12, -2e-12]])
-    lever = far[1:] - REST[1, 1:]
-    moved = [1e-12 - 1e-13 * lever[1], -2e-12 + 1e-13 * lever[0]]
-    expected = (1e-13**2 + moved[0] ** 2 + moved[1] ** 2) / 2
-    np.testing.assert_allclose(hinge_assembly.energy(tiny), expected, rtol=1e-11)
+    mechanism = two_bodies(tj.Quadratic(jnp.eye(3)), at=far)
+    displacements = jnp.array([[0.0, 0.0, 0.0], [1e-13, 1e-12, -2e-12]])
+    arm = far[1:] - REFERENCE[1, 1:]
+    x, y = 1e-12 - 1e-13 * arm[1], -2e-12 + 1e-13 * arm[0]
+    energy = mechanism.hinge_assembly.energy(displacements)
+    np.testing.assert_allclose(energy, (1e-13**2 + x**2 + y**2) / 2, rtol=1e-11)
 
 
 @every_energy
-def test_has_derivatives_of_third_order(energy):
-    mechanism = pair(energy)
-    poses = states(0)[8]
+def test_wrenches_have_third_derivatives(energy):
+    mechanism = two_bodies(energy)
+    poses = random_states(0)[8]
+    direction = jnp.array([[0.3, -0.1, 0.2], [0.5, 0.4, -0.6]])
 
-    def along(step):
-        direction = jnp.array([[0.3, -0.1, 0.2], [0.5, 0.4, -0.6]])
+    def moment(step):
         return mechanism.wrenches(poses + step * direction)[1, 0]
 
-    second = jax.jit(jax.jacfwd(jax.jacfwd(along)))
+    second = jax.jit(jax.jacfwd(jax.jacfwd(moment)))
     step = 1e-4
-    expected = (second(jnp.array(step)) - second(jnp.array(-step))) / (2 * step)
-    actual = jax.jit(jax.jacfwd(second))(jnp.array(0.0))
-    assert_close(actual / expected, 1.0, digits=6)
+    difference = (second(jnp.array(step)) - second(jnp.array(-step))) / (2 * step)
+    third = jax.jit(jax.jacfwd(second))(jnp.array(0.0))
+    assert_close(third / difference, 1.0, digits=6)
 
 
 @pytest.mark.parametrize(
@@ -154,14 +156,14 @@ def test_has_derivatives_of_third_order(energy):
         ({"at": (0.0, np.nan, 0.0)}, "`at` of the hinge 'h' is .*, but must be finite"),
     ],
 )
-def test_refuses_what_is_no_hinge(arguments, message):
+def test_invalid_arguments_of_a_hinge_are_reported(arguments, message):
     arguments = {"first": "a", "second": "b", "energy": Quartic(), **arguments}
     with pytest.raises(ValueError, match=message):
         tj.Hinge("h", **arguments)
 
 
-def test_the_frame_half_way_is_that_of_the_twistor():
-    """By products of half angles, against the pose's own Clifford parameters."""
+def test_displacement_in_the_mid_frame_is_the_twistor():
+    """Products of half angles agree with the Clifford parameters of the relative pose."""
     first, second = some_poses(5)[9], some_poses(6)[9]
 
     def end(pose):
@@ -169,50 +171,47 @@ def test_the_frame_half_way_is_that_of_the_twistor():
         zero = jnp.zeros(())
         return hinge_kinematics.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
 
-    half = hinge_kinematics.mid_frame(
-        end(first), end(second), (jnp.ones(()), jnp.zeros(()))
-    )
-    seen = half.displacement
-    actual = jnp.stack([seen.sigma, seen.xi, seen.x1, seen.x2])
-    assert_close(actual, tj.geometry.twistors.twistor(se2.between(first, second)))
+    axis = jnp.ones(()), jnp.zeros(())
+    middle = hinge_kinematics.mid_frame(end(first), end(second), axis)
+    at = middle.displacement
+    actual = jnp.stack([at.sigma, at.xi, at.x1, at.x2])
+    assert_close(actual, twistors.twistor(se2.between(first, second)))
 
 
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 @every_energy
-def test_the_tangent_of_a_moving_hinge_is_the_slope_of_its_forces(energy, coordinates):
-    """With a damping of every coupling, by displacements and by their rates."""
+def test_tangent_in_motion_is_the_derivative_of_the_forces(energy, coordinates):
+    """Derivatives by displacements and by rates, with a full damping matrix."""
     damping = tj.energies.ViscousDamping(some_stiffness(5), coordinates)
-    hinge = tj.Hinge("h", "a", "b", energy, AT, damping=damping)
-    bodies = [tj.Body("a", REST[0]), tj.Body("b", REST[1])]
-    hinge_assembly = tj.Mechanism(bodies, [hinge], fixed=["a"]).hinge_assembly
-    every = tuple(range(6))
-    for place, rate in zip(0.4 * states(0, 8), states(5, 8), strict=True):
-        place = place - 0.4 * REST
+    hinge_assembly = two_bodies(energy, damping=damping).hinge_assembly
+    dofs = tuple(range(6))
 
-        def forces(place, rate):
-            return hinge_assembly.forces_in_motion(place, rate)[0]
+    def forces(displacements, rates):
+        return hinge_assembly.forces_in_motion(displacements, rates)[0]
 
-        found = hinge_assembly.tangent_in_motion(place, rate, every)
-        slopes = jax.jacfwd(forces, argnums=(0, 1))(place, rate)
-        for mine, slope in zip((found.stiffness, found.damping), slopes, strict=True):
-            scale = jnp.max(jnp.abs(slope))
-            assert_close(mine / scale, slope.reshape(6, 6) / scale, digits=11)
+    states = zip(0.4 * random_states(0, 8), random_states(5, 8), strict=True)
+    for scaled_poses, rates in states:
+        displacements = scaled_poses - 0.4 * REFERENCE
+        tangent = hinge_assembly.tangent_in_motion(displacements, rates, dofs)
+        expected = jax.jacfwd(forces, argnums=(0, 1))(displacements, rates)
+        computed = tangent.stiffness, tangent.damping
+        for matrix, derivative in zip(computed, expected, strict=True):
+            scale = jnp.max(jnp.abs(derivative))
+            assert_close(matrix / scale, derivative.reshape(6, 6) / scale, digits=11)
 
 
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
-def test_drag_is_the_viscous_wrench_and_takes_its_power(coordinates):
-    """Equations 3.62 to 3.66, carried to the bodies; the power is that of the forces."""
+def test_viscous_forces_dissipate_the_power_of_the_viscous_wrench(coordinates):
+    """Equations 3.62 to 3.66; the power is that of the forces on both bodies."""
     damping = tj.energies.ViscousDamping(some_stiffness(5), coordinates)
-    none = tj.Quadratic(jnp.zeros((3, 3)))
-    hinge = tj.Hinge("h", "a", "b", none, AT, damping=damping)
-    bodies = [tj.Body("a", REST[0]), tj.Body("b", REST[1])]
-    hinge_assembly = tj.Mechanism(bodies, [hinge], fixed=["a"]).hinge_assembly
-    for poses, rates in zip(states(0, 8), states(5, 8), strict=True):
-        drag, _, power = hinge_assembly.forces_in_motion(poses - REST, rates)
-        assert_close(power, jnp.sum(drag * rates), digits=10)
+    no_spring = tj.Quadratic(jnp.zeros((3, 3)))
+    hinge_assembly = two_bodies(no_spring, damping=damping).hinge_assembly
 
-        def apart(poses):
-            return se2.between(*frames(poses))
+    def relative_pose(poses):
+        return se2.between(*frames(poses))
 
-        pose, rate = jax.jvp(apart, (poses,), (rates,))
-        assert_close(power, 2 * damping(pose, rate), digits=10)
+    for poses, rates in zip(random_states(0, 8), random_states(5, 8), strict=True):
+        forces, _, power = hinge_assembly.forces_in_motion(poses - REFERENCE, rates)
+        assert_close(power, jnp.sum(forces * rates), digits=10)
+        pose, pose_rate = jax.jvp(relative_pose, (poses,), (rates,))
+        assert_close(power, 2 * damping(pose, pose_rate), digits=10)

@@ -1,7 +1,8 @@
-"""What a mechanism is made of, and what it refuses."""
+"""Mechanisms, bodies, and plates: assembly, invariance, and invalid arguments."""
 
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,13 +10,16 @@ import pytest
 from helpers import assert_close, some_stiffness
 
 import twistorjax as tj
+from twistorjax.geometry import se2
 
 
 SPRING = tj.Quadratic(some_stiffness(1))
+STEEL = tj.Material(modulus=210e9, poisson=0.3, density=7800.0)
+BASE = tj.Body("base")
 
 
-class Even(tj.AbstractEnergy):
-    """Another kind of energy, with a parameter."""
+class Axial(tj.AbstractEnergy):
+    """Another class of energy, with a parameter."""
 
     factor: jax.Array
 
@@ -31,202 +35,187 @@ def bodies(*names):
     return [tj.Body(name) for name in names]
 
 
-def test_hinges_of_every_kind_add_up():
-    """Three kinds of energy, one of them twice, in an order that stacking must mend."""
-    kinds = [Even(jnp.array(2.0)), SPRING, Even(jnp.array(3.0)), SPRING + SPRING]
-    places = [(0.1, 0.2, 0.3), (0.4, -0.2, 0.1), (-0.6, 0.0, 0.5), (0.0, 0.3, 0.0)]
-    pairs = [("a", "b"), ("b", "c"), ("c", "a"), ("b", "a")]
-    names = bodies("a", "b", "c")
-    single = [
-        tj.Mechanism(names, [hinge("h", *pair, kind, at)], fixed=["a", "b", "c"])
-        for pair, kind, at in zip(pairs, kinds, places, strict=True)
-    ]
-    together = tj.Mechanism(
-        names,
-        [
-            hinge(str(k), *pair, kind, at)
-            for k, (pair, kind, at) in enumerate(zip(pairs, kinds, places, strict=True))
-        ],
-        fixed=["a"],
+def mechanism_of(names=("a", "b"), hinges=None, fixed=("a",)):
+    hinges = [hinge("h", "a", "b")] if hinges is None else hinges
+    return tj.Mechanism(bodies(*names), hinges, fixed)
+
+
+def block_on_spring(at, pose=(0.0, 0.0, 0.0), **inertia):
+    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
+    block = tj.Body("block", pose, **inertia)
+    return tj.Mechanism(
+        [BASE, block], [hinge("h", "base", "block", energy, at)], ["base"]
     )
+
+
+def test_energy_forces_and_stiffness_are_sums_over_hinges():
+    """There are three classes of energy, one of them twice, in mixed order."""
+    energies = [Axial(jnp.array(2.0)), SPRING, Axial(jnp.array(3.0)), SPRING + SPRING]
+    frames = [(0.1, 0.2, 0.3), (0.4, -0.2, 0.1), (-0.6, 0.0, 0.5), (0.0, 0.3, 0.0)]
+    pairs = [("a", "b"), ("b", "c"), ("c", "a"), ("b", "a")]
+    hinges = [
+        hinge(str(k), *pairs[k], energies[k], frames[k]) for k in range(len(energies))
+    ]
+    names = "a", "b", "c"
+    single = [mechanism_of(names, [one], fixed=names) for one in hinges]
+    mechanism = mechanism_of(names, hinges)
     poses = jax.random.normal(jax.random.key(0), (3, 3))
     for quantity in ("energy", "wrenches", "stiffness"):
-        parts = [getattr(mechanism, quantity)(poses) for mechanism in single]
-        assert_close(getattr(together, quantity)(poses), sum(parts))
+        parts = [getattr(each, quantity)(poses) for each in single]
+        assert_close(getattr(mechanism, quantity)(poses), sum(parts))
 
 
-def test_ports_and_place_say_the_same():
-    solution = jnp.array([[0.4, 0.1, -0.2], [-0.7, 0.5, 0.3]])
+def test_ports_and_pose_of_a_hinge_are_equivalent():
+    reference = jnp.array([[0.4, 0.1, -0.2], [-0.7, 0.5, 0.3]])
     at = jnp.array([0.9, 0.3, 0.2])
-    ports = [tj.geometry.se2.between(pose, at) for pose in solution]
-    names = [tj.Body("a", solution[0]), tj.Body("b", solution[1])]
-    by_place = tj.Mechanism(names, [tj.Hinge("h", "a", "b", SPRING, at)], fixed=["a"])
-    by_ports = tj.Mechanism(
-        names, [tj.Hinge("h", "a", "b", SPRING, ports=ports)], fixed=["a"]
-    )
+    ports = [se2.between(pose, at) for pose in reference]
+    both = [tj.Body("a", reference[0]), tj.Body("b", reference[1])]
+    by_at = tj.Mechanism(both, [tj.Hinge("h", "a", "b", SPRING, at)], ["a"])
+    by_ports = tj.Mechanism(both, [tj.Hinge("h", "a", "b", SPRING, ports=ports)], ["a"])
     poses = jax.random.normal(jax.random.key(0), (2, 3))
-    assert_close(by_ports.energy(poses), by_place.energy(poses))
+    assert_close(by_ports.energy(poses), by_at.energy(poses))
 
 
-def test_shared_energies_are_kept_once():
-    shared = tj.Mechanism(bodies("a", "b"), [hinge(k, "a", "b") for k in "123"], ["a"])
+def test_energy_that_hinges_share_is_stored_once():
+    shared = mechanism_of(hinges=[hinge(k, "a", "b") for k in "123"])
     assert shared.hinge_assembly.groups[0].energy.stiffness.shape == (3, 3)
-    apart = [hinge(k, "a", "b", tj.Quadratic(SPRING.stiffness)) for k in "12"]
-    stacked = tj.Mechanism(bodies("a", "b"), apart, ["a"]).hinge_assembly.groups
-    assert len(stacked) == 1
+    equal = [hinge(k, "a", "b", tj.Quadratic(SPRING.stiffness)) for k in "12"]
+    assert len(mechanism_of(hinges=equal).hinge_assembly.groups) == 1
 
 
-def test_tells_how_far_a_hinge_is_displaced():
-    names = [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))]
-    mechanism = tj.Mechanism(names, [hinge("h", "a", "b", at=(np.pi / 2, 0.5, 0.0))],
-                             fixed=["a"])  # fmt: skip
+def test_displacement_of_a_hinge_is_in_its_own_axes():
+    """Axis 1 of the hinge points along y."""
+    both = [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))]
+    mechanism = tj.Mechanism(
+        both, [hinge("h", "a", "b", at=(np.pi / 2, 0.5, 0.0))], ["a"]
+    )
     poses = jnp.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.2]])
-    # the hinge's axis 1 points along y
     assert_close(mechanism.displacement_of("h", poses), [0.0, 0.2, 0.0])
 
 
-def test_inertia_is_asked_of_moving_bodies_only():
+def test_only_bodies_that_move_need_inertia():
     moving = tj.Body("b", mass=2.0, inertia=3.0)
-    mechanism = tj.Mechanism([tj.Body("a"), moving], [hinge("h", "a", "b")], fixed=["a"])
+    mechanism = tj.Mechanism([tj.Body("a"), moving], [hinge("h", "a", "b")], ["a"])
     assert_close(mechanism.inertia(), [[np.inf] * 3, [3.0, 2.0, 2.0]])
-    weightless = tj.Mechanism(bodies("a", "b"), [hinge("h", "a", "b")], fixed=["a"])
     with pytest.raises(ValueError, match="The body 'b' moves, but has no `mass`"):
-        weightless.inertia()
+        mechanism_of().inertia()
 
 
-def test_a_plate_has_the_inertia_of_its_shape():
-    """A rectangle of 40 by 5 mm, away from the origin and turned: closed form."""
-    corners = np.array([[-20, -2.5], [20, -2.5], [20, 2.5], [-20, 2.5]]) * 1e-3
-    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
-    steel = tj.Material(modulus=210e9, poisson=0.3, density=7800.0)
+def test_inertia_of_a_rectangular_plate_is_the_closed_form():
+    """It is rotated and lies away from the origin."""
+    length, height, width = 0.04, 0.005, 0.004
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length / 2, height / 2]
+    rotation = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     for order in (corners, corners[::-1]):
-        bar = tj.plate("bar", order @ turn.T + [0.3, 0.7], width=0.004, material=steel)
-        mass = 7800 * 0.04 * 0.005 * 0.004
+        outline = order @ rotation.T + [0.3, 0.7]
+        bar = tj.plate("bar", outline, width=width, material=STEEL)
+        mass = 7800 * length * height * width
         assert_close(bar.mass, mass)
-        assert_close(bar.inertia / (mass * (0.04**2 + 0.005**2) / 12), 1.0)
+        assert_close(bar.inertia / (mass * (length**2 + height**2) / 12), 1.0)
         assert_close(bar.pose, [0.0, 0.3, 0.7])
         assert_close(np.asarray(bar.outline).mean(axis=0), [0.0, 0.0])
 
 
-def test_a_plate_does_not_feel_how_its_outline_is_told():
-    """A right triangle with a needless corner: inertia b h (b^2 + h^2) / 36 an area."""
-    base, height = 0.03, 0.02
+def test_inertia_of_a_triangular_plate_is_the_closed_form():
+    """An additional corner on an edge does not matter."""
+    base, height, width = 0.03, 0.02, 0.004
     corners = np.array([[0, 0], [0.001, 0], [base, 0], [0, height]])
-    steel = tj.Material(modulus=210e9, poisson=0.3, density=7800.0)
-    plate = tj.plate("wedge", corners, width=0.004, material=steel)
-    mass = 7800 * 0.004 * base * height / 2
-    assert_close(plate.pose, [0.0, base / 3, height / 3])
-    assert_close(plate.inertia / mass, (base**2 + height**2) / 18)
+    wedge = tj.plate("wedge", corners, width=width, material=STEEL)
+    mass = 7800 * width * base * height / 2
+    assert_close(wedge.pose, [0.0, base / 3, height / 3])
+    assert_close(wedge.inertia / mass, (base**2 + height**2) / 18)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-15, 1e-12])
-def test_wrenches_keep_the_digits_of_small_displacements(size):
-    """A block 40 mm away that moves by less than its position has digits for."""
-    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
-    hinge = tj.Hinge("h", "wall", "block", energy, at=(0.3, 40e-3, 30e-3))
-    bodies = [tj.Body("wall"), tj.Body("block", (0.0, 40e-3, 30e-3))]
-    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
-    force = size * jnp.array([0.0, 250.0, -170.0])
-    pushed = tj.equilibrium(mechanism, loads=[tj.Load("block", force)])
-    wrench = mechanism.wrench_of("h", pushed)
-    assert_close(
-        wrench / size, [0.0, *(tj.geometry.se2.rotate(-0.3, force[1:]) / size)], digits=11
-    )
-    moved = pushed.displacement("block")
-    across = mechanism.displacement_of("h", pushed)
-    assert_close(
-        across[1:] / size, tj.geometry.se2.rotate(-0.3, moved[1:]) / size, digits=11
-    )
+def test_wrenches_of_tiny_displacements_are_accurate(size):
+    """The block moves by less than the rounding error of its position, which is 40 mm."""
+    mechanism = block_on_spring((0.3, 40e-3, 30e-3), pose=(0.0, 40e-3, 30e-3))
+    force = size * jnp.array([250.0, -170.0])
+    solution = tj.equilibrium(mechanism, loads=[tj.Load("block", force=force)])
+    wrench = mechanism.wrench_of("h", solution)
+    expected = [0.0, *(se2.rotate(-0.3, force) / size)]
+    assert_close(wrench / size, expected, digits=11)
+    translation = solution.displacement("block")[1:]
+    of_hinge = mechanism.displacement_of("h", solution)[1:]
+    assert_close(of_hinge / size, se2.rotate(-0.3, translation) / size, digits=11)
 
 
 @pytest.mark.slow
-def test_a_motion_has_a_wrench_at_each_time():
-    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
-    hinge = tj.Hinge("h", "wall", "block", energy, at=(0.0, 0.0, 0.0))
-    bodies = [tj.Body("wall"), tj.Body("block", mass=1.0, inertia=1.0)]
-    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
-    swing = tj.simulate(mechanism, [0.0, 0.1, 0.2], velocities={"block": (0, 1.0, 0)})
-    wrenches = mechanism.wrench_of("h", swing)
-    assert_close(wrenches[:, 1], 300.0 * swing.displacement("block")[:, 1])
+def test_wrench_of_a_hinge_has_a_row_for_each_time_of_a_motion():
+    mechanism = block_on_spring((0.0, 0.0, 0.0), mass=1.0, inertia=1.0)
+    velocities = {"block": (0, 1.0, 0)}
+    motion = tj.simulate(mechanism, [0.0, 0.1, 0.2], velocities=velocities)
+    wrenches = mechanism.wrench_of("h", motion)
+    assert_close(wrenches[:, 1], 300.0 * motion.displacement("block")[:, 1])
 
 
 @pytest.mark.slow
 @pytest.mark.untyped
-def test_an_equilibrium_is_a_state_wherever_poses_are():
-    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
-    hinge = tj.Hinge("h", "wall", "block", energy, at=(0.0, 0.1, 0.0))
-    mechanism = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])
+def test_equilibrium_is_accepted_instead_of_poses():
+    mechanism = block_on_spring((0.0, 0.1, 0.0))
     load = tj.Load("block", (0.1, 1.0, 2.0))
-    pushed = tj.equilibrium(mechanism, loads=[load])
-    again = tj.equilibrium(mechanism, loads=[load], start=pushed)
-    assert_close(again.displacements, pushed.displacements)
-    more = tj.Load("block", (0.0, 1.0, 0.0))
-    small = [
-        tj.linearize(mechanism, about=about, loads=[load])(loads=[more])
-        for about in (pushed, pushed.poses)
-    ]
-    assert_close(small[0].displacements, small[1].displacements)
-    motion = {
-        "displacements": pushed.displacements[None],
-        "reference": mechanism.reference,
-    }
-    for wrong, words in (
+    solution = tj.equilibrium(mechanism, loads=[load])
+    again = tj.equilibrium(mechanism, loads=[load], start=solution)
+    assert_close(again.displacements, solution.displacements)
+    change = tj.Load("block", force=(1.0, 0.0))
+    linear, by_poses = (
+        tj.linearize(mechanism, about=about, loads=[load])(loads=[change])
+        for about in (solution, solution.poses)
+    )
+    assert_close(linear.displacements, by_poses.displacements)
+    # The displacements of a linear solution count from the reference, not from `about`.
+    displacements = mechanism.displacements(linear)
+    assert_close(displacements, linear.poses - mechanism.reference)
+    motion = SimpleNamespace(
+        displacements=solution.displacements[None], reference=mechanism.reference
+    )
+    for wrong, message in (
         ("poses", "`start` is 'poses', but must be an equilibrium, or poses"),
-        (SimpleNamespace(**motion), r"`start` has shape \(1, 2, 3\), but"),
+        (motion, r"`start` has shape \(1, 2, 3\), but"),
     ):
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(ValueError, match=message):
             tj.equilibrium(mechanism, start=wrong)
-    other = tj.Mechanism([tj.Body("block"), tj.Body("wall")], [hinge], fixed=["wall"])
-    with pytest.raises(
-        ValueError, match="`start` is of a mechanism with the bodies wall"
-    ):
-        tj.equilibrium(other, start=pushed)
-    # changes from a loaded state are displacements from rest as well
-    assert_close(mechanism.displacements(small[0]), small[0].poses - mechanism.reference)
+    spring = hinge("h", "base", "block")
+    exchanged = tj.Mechanism([tj.Body("block"), BASE], [spring], ["base"])
+    message = "`start` is of a mechanism with the bodies base"
+    with pytest.raises(ValueError, match=message):
+        tj.equilibrium(exchanged, start=solution)
 
 
-def test_the_wrench_of_a_hinge_is_what_balances_a_load():
-    mechanism = tj.Mechanism(
-        bodies("a", "b"), [hinge("h", "a", "b", at=(np.pi / 2, 0.0, 0.0))], fixed=["a"]
-    )
+def test_wrench_of_a_hinge_balances_the_load():
+    spring = hinge("h", "a", "b", at=(np.pi / 2, 0.0, 0.0))
+    mechanism = mechanism_of(hinges=[spring])
     solution = tj.equilibrium(mechanism, loads=[tj.Load("b", (0.1, 0.2, -0.3))])
-    _, port = mechanism.ports("h", solution.poses)
+    _, frame_b = mechanism.ports("h", solution.poses)
     wrench = mechanism.wrench_of("h", solution.poses)
-    at_body = tj.geometry.se2.transform_wrench(
-        port.at[1:].add(-solution.pose("b")[1:]), wrench
-    )  # from frame b to the body's origin, in world axes
-    assert_close(at_body, [0.1, 0.2, -0.3], digits=9)
+    # The wrench is transformed from frame b to the origin of the body, in world axes.
+    from_origin = frame_b.at[1:].add(-solution.pose("b")[1:])
+    on_body = se2.transform_wrench(from_origin, wrench)
+    assert_close(on_body, [0.1, 0.2, -0.3], digits=9)
 
 
-def test_prints_what_it_is():
-    names = bodies("frame", "stage")
-    mechanism = tj.Mechanism(
-        names, [hinge("leaf", "frame", "stage")], {"frame": ("x",), "stage": ("y",)}
-    )
-    assert repr(mechanism) == (
+def test_mechanism_is_printed_in_one_line():
+    leaf = hinge("leaf", "frame", "stage")
+    fixed = {"frame": ("x",), "stage": ("y",)}
+    assert repr(mechanism_of(("frame", "stage"), [leaf], fixed)) == (
         "Mechanism of 2 bodies (frame, stage), 1 hinge (leaf); fixed: x of frame, "
         "y of stage"
     )
 
 
-def built(names=("a", "b"), hinges=None, fixed=("a",)):
-    hinges = [hinge("h", "a", "b")] if hinges is None else hinges
-    return tj.Mechanism(bodies(*names), hinges, fixed)
-
-
 @pytest.mark.untyped
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("create", "message"),
     [
-        (lambda: built(("a", "a")), "The body 'a' is given twice"),
-        (lambda: built(("a", "")), "The name of a body is ''"),
+        (lambda: mechanism_of(("a", "a")), "The body 'a' is given twice"),
+        (lambda: mechanism_of(("a", "")), "The name of a body is ''"),
         (
-            lambda: built(hinges=[hinge("h", "a", "b")] * 2),
+            lambda: mechanism_of(hinges=[hinge("h", "a", "b")] * 2),
             "The hinge 'h' is given twice",
         ),
         (
-            lambda: built(hinges=[hinge("h", "a", "c")]),
+            lambda: mechanism_of(hinges=[hinge("h", "a", "c")]),
             "`second` of the hinge 'h' names the body 'c', but the bodies are 'a', 'b'",
         ),
         (lambda: hinge("h", tj.Body("a"), "b"), "`first` of the hinge 'h' is Body"),
@@ -235,18 +224,21 @@ def built(names=("a", "b"), hinges=None, fixed=("a",)):
             "`energy` of the hinge 'h' is a ndarray, but must be an energy",
         ),
         (lambda: tj.Mechanism(["a"], []), r"`bodies\[0\]` is a str, but must be a Body"),
-        (lambda: built(hinges=[]), "`hinges` is empty, but a mechanism needs"),
-        (lambda: built(fixed=["c"]), "`fixed` names the body 'c', but the bodies are"),
-        (lambda: built(fixed="a"), r"`fixed` is the string 'a'.*\['a'\]"),
+        (lambda: mechanism_of(hinges=[]), "`hinges` is empty, but a mechanism needs"),
         (
-            lambda: built(fixed={"a": ("z",)}),
+            lambda: mechanism_of(fixed=["c"]),
+            "`fixed` names the body 'c', but the bodies are",
+        ),
+        (lambda: mechanism_of(fixed="a"), r"`fixed` is the string 'a'.*\['a'\]"),
+        (
+            lambda: mechanism_of(fixed={"a": ("z",)}),
             "`fixed` of the body 'a' names the coordinate 'z', but the coordinates are",
         ),
         (
-            lambda: tj.equilibrium(built(("a", "b", "c", "d"))),
+            lambda: tj.equilibrium(mechanism_of(("a", "b", "c", "d"))),
             "Nothing holds 'c' and 'd': no chain of hinges",
         ),
-        (lambda: tj.linearize(built(fixed=())), "Nothing holds 'a' and 'b'"),
+        (lambda: tj.linearize(mechanism_of(fixed=())), "Nothing holds 'a' and 'b'"),
         (
             lambda: tj.Body("stage", mass=0.0),
             "`mass` of the body 'stage' is 0, but must be positive",
@@ -264,58 +256,66 @@ def built(names=("a", "b"), hinges=None, fixed=("a",)):
             r"`pose` of the body 'stage' has shape \(2,\), but must be \(angle, x, y\)",
         ),
         (
-            lambda: built(hinges=[hinge("h", "a", "b", Even(jnp.array(jnp.nan)))]),
+            lambda: mechanism_of(
+                hinges=[hinge("h", "a", "b", Axial(jnp.array(jnp.nan)))]
+            ),
             "The energy of the hinge 'h' has a value that is not finite",
         ),
         (
-            lambda: built(hinges=[hinge("h", "a", "b", (-1.0) * SPRING)]),
+            lambda: mechanism_of(hinges=[hinge("h", "a", "b", (-1.0) * SPRING)]),
             "The energy of the hinge 'h' cannot be used: its factor",
+        ),
+        (
+            lambda: tj.plate("p", np.eye(3)[:, :2], width=1.0, material="steel"),
+            "`material` of the plate 'p' is a str, but must be a Material",
         ),
     ],
 )
-def test_refuses_by_name(make, message):
+def test_invalid_arguments_are_reported_by_name(create, message):
     with pytest.raises(ValueError, match=message):
-        make()
+        create()
 
 
-def test_refuses_a_stiffness_gone_wrong_by_the_name_of_its_hinge():
-    import equinox as eqx
-
-    broken = eqx.tree_at(lambda e: e.stiffness, SPRING, jnp.diag(jnp.array([1.0, -1, 1])))
-    with pytest.raises(
-        ValueError, match="hinge 'h' cannot be used: `stiffness` has a neg"
-    ):
-        built(hinges=[hinge("h", "a", "b", broken)])
+def test_invalid_stiffness_is_reported_with_the_name_of_its_hinge():
+    indefinite = jnp.diag(jnp.array([1.0, -1, 1]))
+    broken = eqx.tree_at(lambda energy: energy.stiffness, SPRING, indefinite)
+    message = "hinge 'h' cannot be used: `stiffness` has a neg"
+    with pytest.raises(ValueError, match=message):
+        mechanism_of(hinges=[hinge("h", "a", "b", broken)])
 
 
-@pytest.mark.parametrize("gap", [(1e-6, 0, 0), (0, 1e-6, 0)])
-def test_refuses_ports_that_do_not_coincide_at_rest(gap):
-    ports = (0.0, 1.0, 0.0), np.array([0.0, 0.0, 0.0]) + gap
-    names = [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))]
-    with pytest.raises(
-        ValueError, match="ports of the hinge 'h' do not coincide at rest"
-    ):
-        tj.Mechanism(names, [tj.Hinge("h", "a", "b", SPRING, ports=ports)], fixed=["a"])
+def mechanism_with_ports(on_a, on_b):
+    both = [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))]
+    by_ports = tj.Hinge("h", "a", "b", SPRING, ports=(on_a, on_b))
+    return tj.Mechanism(both, [by_ports], ["a"])
 
 
-def test_accepts_ports_that_coincide_to_rounding():
-    ports = (0.0, 1.0, 0.0), (1e-12, 1e-12, 0.0)
-    names = [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))]
-    tj.Mechanism(names, [tj.Hinge("h", "a", "b", SPRING, ports=ports)], fixed=["a"])
+@pytest.mark.parametrize("gap", [(1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0)])
+def test_ports_must_coincide_in_the_reference_configuration(gap):
+    message = "ports of the hinge 'h' do not coincide in the reference configuration"
+    with pytest.raises(ValueError, match=message):
+        mechanism_with_ports((0.0, 1.0, 0.0), gap)
+
+
+def test_ports_may_differ_by_rounding_errors():
+    mechanism_with_ports((0.0, 1.0, 0.0), (1e-12, 1e-12, 0.0))
 
 
 @pytest.mark.untyped
-def test_refuses_poses_of_another_mechanism():
-    with pytest.raises(ValueError, match=r"has shape \(3, 3\), but a mechanism with the "
-                       r"bodies a, b has poses of shape \(2, 3\)"):  # fmt: skip
-        built().energy(jnp.zeros((3, 3)))
+def test_poses_of_another_mechanism_are_reported():
+    message = (
+        r"has shape \(3, 3\), but a mechanism with the bodies a, b has poses of shape "
+        r"\(2, 3\)"
+    )
+    with pytest.raises(ValueError, match=message):
+        mechanism_of().energy(jnp.zeros((3, 3)))
 
 
-def test_refuses_unknown_names():
+def test_unknown_names_are_reported():
     with pytest.raises(ValueError, match="names the hinge 'k', but the hinges are 'h'"):
-        built().displacement_of("k", jnp.zeros((2, 3)))
+        mechanism_of().displacement_of("k", jnp.zeros((2, 3)))
     with pytest.raises(ValueError, match="names the body 'k', but the bodies are 'a'"):
-        built().index("k")
+        mechanism_of().index("k")
 
 
 @pytest.mark.parametrize(
@@ -326,7 +326,7 @@ def test_refuses_unknown_names():
         (np.eye(3)[:, :2], None, "needs the `density` of its material"),
     ],
 )
-def test_refuses_what_is_no_plate(corners, density, message):
+def test_invalid_plates_are_reported(corners, density, message):
     material = tj.Material(modulus=1.0, poisson=0.3, density=density)
     with pytest.raises(ValueError, match=message):
         tj.plate("p", corners, width=1.0, material=material)

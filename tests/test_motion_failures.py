@@ -1,12 +1,16 @@
-"""Motions that cannot begin or cannot continue, and constraints that must not drift."""
+"""Motions that cannot start or continue, and invalid arguments."""
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import assert_close
+from motion_helpers import oscillator
 
 import twistorjax as tj
+from twistorjax.examples import four_bar
 
 
 pytestmark = pytest.mark.slow
@@ -14,166 +18,194 @@ pytestmark = pytest.mark.slow
 GRAVITY = 9.81
 
 
-def pendulum(length=0.5, spring=1e-3, inertia=0.01, mass=1.0):
-    """A bob that a weak spring holds at its pivot, where a pin may hold it as well."""
-    hinge = tj.Hinge(
-        "spring", "wall", "bob", tj.Quadratic(spring * jnp.eye(3)), at=(0.0, 0.0, 0.0)
-    )
-    bob = tj.Body("bob", (0.0, length, 0.0), mass=mass, inertia=inertia)
+def pendulum(spring=1e-3):
+    """Return a bob on a weak spring at its pivot, where a pin may be added."""
+    energy = tj.Quadratic(spring * jnp.eye(3))
+    hinge = tj.Hinge("spring", "wall", "bob", energy, at=(0.0, 0.0, 0.0))
+    bob = tj.Body("bob", (0.0, 0.5, 0.0), mass=1.0, inertia=0.01)
     return tj.Mechanism([tj.Body("wall"), bob], [hinge], fixed=["wall"])
 
 
-def test_a_motion_that_cannot_begin_takes_no_step():
-    """One program for a batch of eight motions, seven of which have a bad value."""
+def test_motions_that_cannot_start_take_no_step():
+    """A batch of nine motions, eight of which have an invalid value."""
 
-    def swing(values):
+    def simulate(values):
         mechanism = pendulum(spring=values["spring"])
-        start = mechanism.reference.at[1, 0].add(values["turn"])
         return tj.simulate(
-            mechanism, [0.0, 1.0],
-            start=start,
+            mechanism,
+            [0.0, 1.0],
+            start=mechanism.reference.at[1, 0].add(values["rotation"]),
             velocities={"bob": (values["rate"], 0.0, 0.5 * values["rate"])},
-            loads=[tj.Load("bob", (0.0, 0.0, -GRAVITY))],
+            loads=[tj.Load("bob", force=(0.0, -GRAVITY))],
             constraints=[tj.Pin("pin", "wall", "bob", at=(values["pin"], 0.0))],
             tolerance=values["tolerance"],
             throw=False,
-        )  # fmt: skip
+        )
 
-    usual = {"spring": 1e-3, "turn": 0.0, "rate": 1.0, "pin": 0.0, "tolerance": 1e-4}
-    bad = [
+    usual = {"spring": 1e-3, "rotation": 0.0, "rate": 1.0, "pin": 0.0, "tolerance": 1e-4}
+    cases = [
         ({}, "successful"),
-        ({"turn": np.nan}, "not_finite"),
+        ({"rotation": np.nan}, "not_finite"),
         ({"rate": np.inf}, "not_finite"),
         ({"pin": np.nan}, "not_finite"),
         ({"tolerance": np.nan}, "not_finite"),
         ({"tolerance": np.inf}, "not_finite"),
         ({"tolerance": -1e-4}, "not_finite"),
-        ({"turn": 0.1}, "inconsistent_constraints"),
+        ({"rotation": 0.1}, "inconsistent_constraints"),
         ({"spring": np.nan}, "not_finite"),
     ]
-    rows = [usual | change for change, _ in bad]
+    rows = [usual | change for change, _ in cases]
     values = {name: jnp.array([row[name] for row in rows]) for name in usual}
-    moved = jax.jit(jax.vmap(swing))(values)
-    assert tj.result_names(moved.result).tolist() == [item for _, item in bad]
-    # A mechanism that is not finite is seen in the first step, all else before it.
-    assert moved.steps[0] > 3
-    np.testing.assert_array_equal(moved.steps[1:-1], 0)
-    assert moved.steps[-1] <= 1
-    assert np.all(np.isfinite(moved.displacements[0]))
-    assert np.all(np.isnan(moved.displacements[1:-1]))
-    assert np.all(np.isnan(moved.solution.ys[1].position[1:-1]))
+    motions = jax.jit(jax.vmap(simulate))(values)
+    assert tj.result_names(motions.result).tolist() == [result for _, result in cases]
+    # A mechanism that is not finite is found in the first step, all else before it.
+    assert motions.steps[0] > 3
+    np.testing.assert_array_equal(motions.steps[1:-1], 0)
+    assert motions.steps[-1] <= 1
+    assert np.all(np.isfinite(motions.displacements[0]))
+    assert np.all(np.isnan(motions.displacements[1:-1]))
+    assert np.all(np.isnan(motions.solution.ys[1].position[1:-1]))
 
 
-def test_a_drive_that_jumps_or_ends_in_nothing_delays_no_other_motion():
+def test_failed_motion_does_not_affect_the_rest_of_a_batch():
+    def simulate(mass):
+        mechanism, velocities = oscillator(mass=mass), {"block": (0, 1.0, 0)}
+        return tj.simulate(mechanism, [0.0, 0.5], velocities=velocities, throw=False)
+
+    batch = jax.vmap(simulate)(jnp.array([2.0, -1.0, 3.0]))
+    names = tj.result_names(batch.result).tolist()
+    assert names == ["successful", "not_finite", "successful"]
+    alone = simulate(3.0).displacement("block")
+    assert_close(batch.displacement("block")[2], alone, digits=9)
+    assert np.all(np.isnan(batch.displacement("block")[1]))
+
+
+def test_invalid_drives_do_not_delay_the_rest_of_a_batch():
+    """The second drive jumps at the start; the third becomes NaN."""
     spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
     hinge = tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
     block = tj.Body("block", mass=1.0, inertia=0.1)
     mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
 
-    def follow(values):
+    def simulate(values):
         jump, end = values
 
-        def drive(time):
+        def drives(time):
             late = jnp.where(time > 0.05, end, 0.0)
             return [tj.Drive("block", x=jump + 1e-3 * time**2 + late)]
 
-        return tj.simulate(mechanism, [0.0, 0.1], drives=drive, throw=False)
+        return tj.simulate(mechanism, [0.0, 0.1], drives=drives, throw=False)
 
-    moved = jax.vmap(follow)(jnp.array([[0.0, 0.0], [1e-3, 0.0], [0.0, np.nan]]))
-    names = tj.result_names(moved.result).tolist()
+    motions = jax.vmap(simulate)(jnp.array([[0.0, 0.0], [1e-3, 0.0], [0.0, np.nan]]))
+    names = tj.result_names(motions.result).tolist()
     assert names == ["successful", "drive_jumps", "not_finite"]
-    assert moved.steps[1] == 0
-    assert moved.steps[2] < 100
+    assert motions.steps[1] == 0
+    assert motions.steps[2] < 100
 
 
 @pytest.mark.parametrize(
     "solver", [dfx.Tsit5(), tj.solve.Radau()], ids=["tsit5", "radau"]
 )
 def test_every_solver_stops_where_a_load_is_not_finite(solver):
-    mechanism = pendulum()
+    def loads(time):
+        return [tj.Load("bob", force=(0.0, jnp.where(time > 0.1, jnp.nan, 1.0)))]
 
-    def gust(time):
-        return [tj.Load("bob", (0.0, 0.0, jnp.where(time > 0.1, jnp.nan, 1.0)))]
-
-    moved = tj.simulate(
-        mechanism, [0.0, 0.2], loads=gust, solver=solver, tolerance=1e-4, throw=False
+    motion = tj.simulate(
+        pendulum(), [0.0, 0.2], loads=loads, solver=solver, tolerance=1e-4, throw=False
     )
-    assert not moved.succeeded
-    assert 0.05 < moved.reached < 0.1 + 1e-6
-    assert moved.steps < 100
+    assert not motion.succeeded
+    assert 0.05 < motion.reached < 0.1 + 1e-6
+    assert motion.steps < 100
 
 
-@pytest.mark.parametrize(
-    "solver",
-    [dfx.Tsit5(), pytest.param(dfx.Kvaerno5(), marks=pytest.mark.long)],
-    ids=["tsit5", "kvaerno5"],
-)
-def test_a_pin_stays_where_it_is_with_solvers_of_diffrax(solver):
-    """Twenty swings to and fro: the bob stays on its circle, and keeps its energy."""
-    mechanism, length = pendulum(spring=1e-9), 0.5
-    moved = tj.simulate(
-        mechanism, np.linspace(0, 30.0, 31),
-        loads=[tj.Load("bob", (0.0, 0.0, -GRAVITY))],
-        constraints=[tj.Pin("pin", "wall", "bob", at=(0.0, 0.0))],
-        solver=solver,
-        tolerance=1e-4,
-    )  # fmt: skip
-    # as it was integrated, before a report projects it
-    angle, x, y = moved.solution.ys[0].position.T
-    away = np.hypot(length + x - length * np.cos(angle), y - length * np.sin(angle))
-    assert np.max(away) < 1e-5
-    fallen = GRAVITY * length * np.sin(angle)
-    rate = moved.velocity("bob")[:, 0]
-    energy = (0.01 + length**2) * rate**2 / 2 + fallen
-    assert np.max(np.abs(energy)) < 1e-3 * GRAVITY * length
-
-
-def test_what_a_constraint_allows_does_not_depend_on_the_size():
-    for size in (1e-7, 1.0, 1e3):
-        start_on_a_rail(size)
-
-
-def start_on_a_rail(size):
-    """A block on a rail, with times and masses that scale with its size."""
-    spring = tj.Quadratic(jnp.diag(jnp.array([size**2, 1.0, 1.0])))
-    block = tj.Body("block", (0.0, size, 0.0), mass=1.0, inertia=size**2)
-    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.0, size / 2, 0.0))
-    mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
-    rail = tj.Slider("rail", "wall", "block", at=(0.0, size, 0.0))
-
-    def move(off=0.0, across=0.0, along=0.0):
-        return tj.simulate(
-            mechanism, [0.0, 1.0],
-            start=mechanism.reference.at[1, 2].add(off),
-            velocities={"block": (0.0, along, across)},
-            constraints=[rail],
-        )  # fmt: skip
-
-    assert move(off=1e-11 * size, along=0.1 * size).succeeded
-    with pytest.raises(ValueError, match="'rail' is violated by"):
-        move(off=1e-5 * size)
-    for share in (1.0, 5e-6):
-        with pytest.raises(ValueError, match="velocities at the start violate"):
-            move(across=share * size)
-    with pytest.raises(ValueError, match="velocities at the start violate"):
-        move(across=1e-5 * size, along=size)
-
-
-def test_errors_are_measured_by_bodies_that_move():
-    """The origin of a held body may be anywhere, and rounding errors are no lever."""
+def test_errors_are_measured_with_the_moving_bodies_only():
+    """The origin of a fixed body may be anywhere, and rounding errors are no length."""
     size = 1e-6
     spring = tj.Quadratic(jnp.diag(jnp.array([size**2, 1.0, 1.0])))
 
-    def shifted(wall, arm):
+    def simulate(wall, arm):
         hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.0, size, 0.0))
         block = tj.Body("block", (0.0, size + arm, 0.0), mass=1.0, inertia=size**2)
         bodies = [tj.Body("wall", (0.0, wall, 0.0)), block]
         mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
         start = mechanism.reference.at[1, 1].add(0.1 * size)
-        swing = tj.simulate(mechanism, [0.0, np.pi], start=start)  # half a period
-        return swing.displacement("block")[1, 1] / size, swing.steps
+        half_period = [0.0, np.pi]
+        motion = tj.simulate(mechanism, half_period, start=start)
+        return motion.displacement("block")[1, 1] / size, motion.steps
 
     for wall, arm in ((0.0, 0.5 * size), (10.0, 0.5 * size), (0.0, 1e-22)):
-        end, steps = shifted(wall, arm)
+        end, steps = simulate(wall, arm)
         assert abs(end + 0.1) < 1e-4
         assert steps < 200
+
+
+INVALID_ARGUMENTS = {
+    "increase": dict(times=[0.0, 1.0, 1.0]),
+    "comes after `times[1]` = 2": dict(times=[0.0, 2.0, 1.0]),
+    "a row of at least two times": dict(times=[0.0]),
+    "`times` must be finite": dict(times=[0.0, np.nan]),
+    "The x of 'block' starts at 0, but 0.1 is prescribed.": dict(
+        drives=[tj.Drive("block", x=0.1)]
+    ),
+    "names the body 'blok'": dict(velocities={"blok": (0, 0, 0)}),
+    "but must be a mapping": dict(velocities=[0, 0, 0]),
+    "moves the x of 'wall', but that is fixed": dict(velocities={"wall": (0, 1, 0)}),
+    "must be finite": dict(velocities={"block": (0, np.nan, 0)}),
+    "`tolerance` is 0": dict(tolerance=0),
+    "'q' is redundant: 2 of its 2 entries": dict(
+        constraints=[tj.Pin(name, "wall", "block", (0, 0)) for name in "pq"]
+    ),
+    "'c' is violated by 0.1": dict(
+        constraints=[tj.Constraint("c", ["block"], lambda pose, time: pose[0] - 0.1)]
+    ),
+    "'q' contradicts": dict(
+        constraints=[
+            tj.Pin("p", "wall", "block", (0, 0)),
+            tj.Constraint("q", ["block"], lambda pose, time: pose[1] - 0.1),
+        ]
+    ),
+    "names the body 'no'": dict(constraints=[tj.Pin("p", "wall", "no", (0, 0))]),
+    "several `subs` or a `fn`": dict(saveat=dfx.SaveAt(t1=True, fn=lambda t, y, a: t)),
+}
+
+
+@pytest.mark.parametrize("message", INVALID_ARGUMENTS)
+@pytest.mark.untyped
+def test_invalid_arguments_are_reported(message):
+    settings = {"times": [0.0, 0.1], **INVALID_ARGUMENTS[message]}
+    with pytest.raises(ValueError) as error:
+        tj.simulate(oscillator(0.1), settings.pop("times"), **settings)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "drives",
+    [
+        lambda time: [tj.Drive("2", angle=0.1 if time > 1 else 0.0)],
+        lambda time: [tj.Drive("2", angle=np.sin(time))],
+    ],
+)
+def test_drives_that_jax_cannot_compile_are_reported(drives):
+    with pytest.raises(ValueError, match="`drives` is a function that JAX cannot comp"):
+        tj.simulate(four_bar.four_bar(), [0.0, 0.1], drives=drives)
+
+
+def test_error_of_a_stopped_motion_names_time_and_hinge():
+    times, velocities = np.linspace(0, 9, 99), {"block": (0, 1.0, 0)}
+    with pytest.raises(RuntimeError, match=r"It reached t = .* in 10 steps.*'spring'"):
+        tj.simulate(oscillator(), times, velocities=velocities, max_steps=10)
+
+
+def test_error_of_a_mass_that_is_not_finite_names_its_body():
+    broken = eqx.tree_at(lambda m: m.masses[1], oscillator(), jnp.array(jnp.nan))
+    with pytest.raises(RuntimeError, match="body 'block'"):
+        tj.simulate(broken, [0.0, 1.0])
+
+
+def test_damping_that_supplies_energy_is_an_error():
+    with pytest.raises(ValueError, match="negative eigenvalue"):
+        tj.energies.ViscousDamping(-jnp.eye(3))
+    damping = tj.energies.ViscousDamping(jnp.eye(3))
+    wrong = eqx.tree_at(lambda damping: damping.damping, damping, -jnp.eye(3))
+    with pytest.raises(ValueError, match="supply energy"):
+        tj.simulate(oscillator(wrong), [0.0, 1.0])

@@ -1,7 +1,10 @@
 """Structure of the package; `lint-imports` checks that imports run one way."""
 
 import ast
+import importlib
+import inspect
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -12,6 +15,7 @@ import twistorjax as tj
 
 PACKAGE = pathlib.Path(tj.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
+GEOMETRY = ["lines", "se2", "twistors"]
 PACKAGES = [path for path in FILES if path.name == "__init__.py"]
 
 
@@ -39,3 +43,49 @@ def test_importing_changes_nothing():
         "assert not {'matplotlib', 'msgspec'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def _public():
+    """Functions, classes, and methods that users call, with their names."""
+    namespaces = [tj, *(getattr(tj, name) for name in tj.__all__)]
+    namespaces = [space for space in namespaces if inspect.ismodule(space)]
+    parts = [importlib.import_module(f"twistorjax.geometry.{name}") for name in GEOMETRY]
+    parts += [
+        space
+        for space in vars(tj.examples).values()
+        if inspect.ismodule(space) and space.__name__.startswith("twistorjax")
+    ]
+    found = {}
+    for space in [*namespaces, *parts]:
+        for name, value in vars(space).items():
+            home = getattr(value, "__module__", "")
+            ours = home == space.__name__ if space in parts else "twistorjax" in home
+            if name.startswith("_") or not callable(value) or not ours:
+                continue
+            found[f"{home}.{name}"] = value
+            for part in inspect.getmro(value) if inspect.isclass(value) else ():
+                if part.__module__.startswith("twistorjax"):
+                    found |= _methods(part)
+    return found
+
+
+def _methods(part):
+    members = {
+        f"{part.__module__}.{part.__name__}.{name}": getattr(
+            value, "fget", getattr(value, "__func__", value)
+        )
+        for name, value in vars(part).items()
+        if name == "__init__" or not name.startswith("_")
+    }
+    return {
+        name: value
+        for name, value in members.items()
+        if callable(value) and not inspect.isclass(value)
+    }
+
+
+def test_signatures_print_the_names_of_types():
+    shown = {name: str(inspect.signature(value)) for name, value in _public().items()}
+    assert len(shown) > 300
+    long = [name for name, text in shown.items() if re.search(r"Union\[|jaxlib", text)]
+    assert not long

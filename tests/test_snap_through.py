@@ -12,94 +12,98 @@ pytestmark = pytest.mark.slow
 
 
 def shallow_arch():
-    """Two stiff bars on soft hinges, with the apex at a tenth of their length."""
+    """Return two stiff bars on soft hinges, with a rise of a tenth of their length."""
     soft = tj.Quadratic(jnp.diag(jnp.array([0.05, 8e3, 8e3])), "twist")
     bodies = [
         tj.Body("wall"),
-        tj.Body("l", (0, -0.5, 0.05)),
-        tj.Body("r", (0, 0.5, 0.05)),
+        tj.Body("left", (0, -0.5, 0.05)),
+        tj.Body("right", (0, 0.5, 0.05)),
     ]
     hinges = [
-        tj.Hinge("1", "wall", "l", soft, (0, -1, 0)),
-        tj.Hinge("2", "l", "r", soft, (0, 0, 0.1)),
-        tj.Hinge("3", "r", "wall", soft, (0, 1, 0)),
+        tj.Hinge("1", "wall", "left", soft, (0, -1, 0)),
+        tj.Hinge("2", "left", "right", soft, (0, 0, 0.1)),
+        tj.Hinge("3", "right", "wall", soft, (0, 1, 0)),
     ]
     return tj.Mechanism(bodies, hinges, fixed=["wall"])
 
 
-def test_no_load_beyond_its_limit_leads_through_the_snap_of_an_arch():
-    """The limit is that of the arch as it sinks, driven, where its force is largest."""
+def test_loads_above_the_limit_load_of_an_arch_have_no_equilibrium():
+    """The limit load is the largest reaction while the arch is driven downwards."""
     arch = shallow_arch()
 
-    def force(sinking):
-        drive = tj.Drive("r", y=-sinking / 2)  # half way along the bar
-        return -tj.equilibrium(arch, drives=[drive]).reaction("r")[2]
+    def reaction(apex):
+        # The middle of a bar moves by half the displacement of the apex.
+        drive = tj.Drive("right", y=-apex / 2)
+        return -tj.equilibrium(arch, drives=[drive]).reaction("right")[2]
 
-    sinkings = jnp.linspace(0.001, 0.1, 100)
-    weight = np.asarray(jax.vmap(force)(sinkings))
-    limit = (
-        weight[: np.argmax(np.diff(weight) < 0) + 1].max() / 2
-    )  # of a load at the apex
+    reactions = np.asarray(jax.vmap(reaction)(jnp.linspace(0.001, 0.1, 100)))
+    largest = reactions[: np.argmax(np.diff(reactions) < 0) + 1].max()
+    limit = largest / 2  # of a load at the apex
 
-    def push(load):
-        down = tj.Load("r", (0, 0, -load), at=(-0.5, 0.05))
-        return tj.equilibrium(arch, loads=[down], throw=False)
+    def solve(force):
+        load = tj.Load("right", force=(0, -force), at=(-0.5, 0.05))
+        return tj.equilibrium(arch, loads=[load], throw=False)
 
-    loads = jnp.array([0.5 * limit, 0.99 * limit, 1.01 * limit, 3.0, 20.0, 40.0, 100.0])
-    pushed = jax.vmap(push)(loads)
-    assert pushed.succeeded.tolist() == [True, True, *5 * [False]]
-    assert set(tj.result_names(pushed.result)[2:]) == {"no_equilibrium"}
-    np.testing.assert_allclose(pushed.fraction[2:] * loads[2:], limit, rtol=2e-3)
+    forces = jnp.array([0.5 * limit, 0.99 * limit, 1.01 * limit, 3.0, 20.0, 40.0, 100.0])
+    solutions = jax.vmap(solve)(forces)
+    assert solutions.succeeded.tolist() == [True, True, *5 * [False]]
+    assert set(tj.result_names(solutions.result)[2:]) == {"no_equilibrium"}
+    np.testing.assert_allclose(solutions.fraction[2:] * forces[2:], limit, rtol=2e-3)
 
 
-def test_a_truss_is_not_thrown_over_by_any_load():
-    """Also by loads whose first Newton step happens to lead to the other side."""
+def test_no_load_lets_a_truss_jump_to_its_other_side():
+    """This includes loads whose first Newton step happens to lead to the other side."""
     soft = tj.Quadratic(jnp.diag(jnp.array([1e-3, 1e5, 1e5])))
     foot, top = (0.2, 0.0), (0.0, 0.02)
     hinges = [
-        tj.Hinge("1", "wall", "l", soft, (0, -foot[0], 0)),
-        tj.Hinge("2", "l", "apex", soft, (0, *top)),
-        tj.Hinge("3", "r", "apex", soft, (0, *top)),
-        tj.Hinge("4", "wall", "r", soft, (0, *foot)),
+        tj.Hinge("1", "wall", "left", soft, (0, -foot[0], 0)),
+        tj.Hinge("2", "left", "apex", soft, (0, *top)),
+        tj.Hinge("3", "right", "apex", soft, (0, *top)),
+        tj.Hinge("4", "wall", "right", soft, (0, *foot)),
     ]
-    bodies = [tj.Body("wall"), tj.Body("l", (0, -0.2, 0)), tj.Body("r", (0, 0.2, 0))]
-    truss = tj.Mechanism(
-        [*bodies, tj.Body("apex", (0, 0, 0.02))],
-        hinges,
-        fixed={"wall": ("angle", "x", "y"), "apex": ("angle",)},
-    )
+    bodies = [
+        tj.Body("wall"),
+        tj.Body("left", (0, -0.2, 0)),
+        tj.Body("right", (0, 0.2, 0)),
+        tj.Body("apex", (0, 0, 0.02)),
+    ]
+    fixed = {"wall": ("angle", "x", "y"), "apex": ("angle",)}
+    truss = tj.Mechanism(bodies, hinges, fixed)
 
-    def press(load):
-        return tj.equilibrium(
-            truss, loads=[tj.Load("apex", (0.0, 0.0, -load))], throw=False
-        )
+    def solve(force):
+        load = tj.Load("apex", force=(0.0, -force))
+        return tj.equilibrium(truss, loads=[load], throw=False)
 
     limit = 3.8307
-    pressed = jax.vmap(press)(limit * jnp.geomspace(0.5, 1e3, 2000))
-    found = np.asarray(pressed.succeeded)
-    apex = np.asarray(pressed.displacement("apex"))[:, 2]
+    solutions = jax.vmap(solve)(limit * jnp.geomspace(0.5, 1e3, 2000))
+    found = np.asarray(solutions.succeeded)
+    apex = np.asarray(solutions.displacement("apex"))[:, 2]
     assert np.all(apex[found] > -0.02)
-    assert 150 < found.sum() < 200  # those below the limit
+    assert 150 < found.sum() < 200  # those below the limit load
 
 
-def bars(count, coordinates, frame):
-    """Bars in a row between two supports, as a function of points and stiffnesses.
+def row_of_bars(count, coordinates, frame):
+    """Return a function that builds bars in a row between two supports from a design.
 
-    Of a frame the last support is another spring than the other hinges, and the bars are
-    steeper.
+    Args:
+        count: Number of bars.
+        coordinates: Coordinates of the hinge energies.
+        frame: Whether the last support has a spring of its own; otherwise it is like the
+            other hinges.
     """
     names = [f"bar {k}" for k in range(count)]
 
     def build(design):
         points, angles = design["points"], design["angles"]
         spring = tj.Quadratic(jnp.diag(design["stiffness"]), coordinates)
-        foot = tj.Quadratic(jnp.diag(design["stiffness"] * design["foot"]), coordinates)
+        support_stiffness = design["stiffness"] * design["support"]
+        support = tj.Quadratic(jnp.diag(support_stiffness), coordinates)
         middles = (points[:-1] + points[1:]) / 2
         bodies = [tj.Body("wall")] + [
             tj.Body(name, (0.0, x, y))
             for name, (x, y) in zip(names, middles, strict=True)
         ]
-        energies = [spring] * count + [foot if frame else spring]
+        energies = [spring] * count + [support if frame else spring]
         ends = list(zip(["wall", *names], [*names, "wall"], strict=True))
         hinges = [
             tj.Hinge(str(k), *ends[k], energies[k], (angles[k], *points[k]))
@@ -112,104 +116,124 @@ def bars(count, coordinates, frame):
 
 
 def random_design(rng, count, frame):
+    """Draw an arch, or a frame, whose bars are steeper."""
     rise = rng.uniform(0.05, 0.8) if frame else rng.uniform(0.01, 0.25)
-    along = np.linspace(-1, 1, count + 1)
-    up = rise * (1 - along**2) + rng.normal(0, 0.1 * rise, count + 1)
-    up[[0, -1]] = 0, rng.uniform(-0.3, 0.3) if frame else 0
+    x = np.linspace(-1, 1, count + 1)
+    y = rise * (1 - x**2) + rng.normal(0, 0.1 * rise, count + 1)
+    y[[0, -1]] = 0, rng.uniform(-0.3, 0.3) if frame else 0
     stiffness = 10 ** np.array(
         [rng.uniform(-3, 0), rng.uniform(2.5, 5), rng.uniform(2.5, 5)]
     )
     direction = [0.1 * rng.normal(), 0.3 * rng.normal(), -1.0]
     size = 20 * stiffness[0] * 10 ** rng.uniform(-2, 2.5)
     return {
-        "points": np.stack([along, up], 1),
+        "points": np.stack([x, y], 1),
         "stiffness": stiffness,
         "angles": rng.uniform(-0.3, 0.3, count + 1),
-        "foot": np.array([rng.uniform(0, 1), *10 ** rng.uniform(-3, 0, 2)]),
+        "support": np.array([rng.uniform(0, 1), *10 ** rng.uniform(-3, 0, 2)]),
         "wrench": size * np.array(direction),
         "at": rng.uniform(-0.2, 0.2),
     }
 
 
-def small_steps(mechanism, load, rise):
-    """Follow the path by increments so small that no body moves by 3 % of the rise.
+def path_in_small_steps(mechanism, load, rise):
+    """Follow the equilibrium in load increments that move no body by 3 % of the rise.
 
-    Returns the fraction of the load up to which it is stable, and where it ends. Forces
-    and stiffnesses are derivatives of the energy of the mechanism.
+    Forces and stiffnesses are derivatives of the energy of the mechanism.
+
+    Returns:
+        The displacements at the end of the stable path, and the fraction of the load
+        there.
     """
     free = np.arange(3, mechanism.reference.size)
     body = mechanism.index(load.body)
 
-    def potential(moved, fraction):
-        moved = jnp.zeros(mechanism.reference.size).at[free].set(moved).reshape(-1, 3)
-        turn, shift = moved[body, 0], moved[body, 1:]
-        arm = tj.geometry.se2.rotate(mechanism.reference[body, 0] + turn, load.at)
-        work = load.wrench[0] * turn + load.wrench[1:] @ (shift + arm)
-        return mechanism.energy(mechanism.reference + moved) - fraction * work
+    def potential(unknowns, fraction):
+        displacements = jnp.zeros(mechanism.reference.size).at[free].set(unknowns)
+        displacements = displacements.reshape(-1, 3)
+        rotation, translation = displacements[body, 0], displacements[body, 1:]
+        angle = mechanism.reference[body, 0] + rotation
+        arm = tj.geometry.se2.rotate(angle, load.at)
+        work = load.wrench[0] * rotation + load.wrench[1:] @ (translation + arm)
+        return mechanism.energy(mechanism.reference + displacements) - fraction * work
 
-    slope, curvature = jax.grad(potential), jax.hessian(potential)
+    gradient, hessian = jax.grad(potential), jax.hessian(potential)
 
     def advance(state):
-        here, fraction, step, count = state
-        goal = jnp.minimum(fraction + step, 1.0)
+        start, fraction, increment, count = state
+        goal = jnp.minimum(fraction + increment, 1.0)
 
-        def newton(_, moved):
-            matrix = curvature(moved, goal)
-            return moved - jnp.linalg.solve(matrix, slope(moved, goal))
+        def newton_step(_, unknowns):
+            matrix = hessian(unknowns, goal)
+            return unknowns - jnp.linalg.solve(matrix, gradient(unknowns, goal))
 
-        there = jax.lax.fori_loop(0, 5, newton, here)
-        matrix = curvature(there, goal)
+        end = jax.lax.fori_loop(0, 5, newton_step, start)
+        matrix = hessian(end, goal)
         size = jnp.sqrt(jnp.abs(jnp.diagonal(matrix)))
         triangle = jnp.linalg.cholesky(matrix / (size[:, None] * size[None]))
-        left = jnp.max(jnp.abs(jnp.linalg.solve(matrix, slope(there, goal))))
-        way = jnp.max(jnp.abs(there - here)) / (0.03 * rise)
-        fine = jnp.all(jnp.isfinite(triangle)) & (left < 1e-8) & (way < 1)
-        longer = jnp.where(fine, jnp.where(way < 0.7, 1.5, 1.0), 0.5) * step
-        here = jnp.where(fine, there, here)
-        return here, jnp.where(fine, goal, fraction), longer, count + 1
+        error = jnp.max(jnp.abs(jnp.linalg.solve(matrix, gradient(end, goal))))
+        distance = jnp.max(jnp.abs(end - start)) / (0.03 * rise)
+        stable = jnp.all(jnp.isfinite(triangle))
+        accepted = stable & (error < 1e-8) & (distance < 1)
+        factor = jnp.where(accepted, jnp.where(distance < 0.7, 1.5, 1.0), 0.5)
+        return (
+            jnp.where(accepted, end, start),
+            jnp.where(accepted, goal, fraction),
+            factor * increment,
+            count + 1,
+        )
 
-    def going_on(state):
-        _, fraction, step, count = state
-        least = 1e-9 * jnp.maximum(fraction, 1e-4)
-        return (fraction < 1) & (step > least) & (count < 20_000)
+    def unfinished(state):
+        _, fraction, increment, count = state
+        smallest = 1e-9 * jnp.maximum(fraction, 1e-4)
+        return (fraction < 1) & (increment > smallest) & (count < 20_000)
 
     zero = jnp.zeros(())
-    begin = jnp.zeros(free.size), zero, zero + 1e-6, jnp.zeros((), int)
-    moved, fraction, _, _ = jax.lax.while_loop(going_on, advance, begin)
-    return moved.reshape(-1, 3), fraction
+    state = jnp.zeros(free.size), zero, zero + 1e-6, jnp.zeros((), int)
+    unknowns, fraction, _, _ = jax.lax.while_loop(unfinished, advance, state)
+    return unknowns.reshape(-1, 3), fraction
 
 
-def compared(seed, count, coordinates, frame, designs):
-    """How often an equilibrium is another one than the path leads to, or is not found."""
-    build, rng = bars(count, coordinates, frame), np.random.default_rng(seed)
+def count_errors(seed, count, coordinates, frame, designs):
+    """Compare equilibria of random designs with paths in small steps.
+
+    Returns:
+        The number of equilibria to which the path does not lead, the number of equilibria
+        that were not found, and the number that were found.
+    """
+    build = row_of_bars(count, coordinates, frame)
+    rng = np.random.default_rng(seed)
     drawn = [random_design(rng, count, frame) for _ in range(designs)]
     design = jax.tree.map(lambda *rows: jnp.array(np.stack(rows), float), *drawn)
 
-    def both(design):
+    def solve(design):
         mechanism, load = build(design)
-        found = tj.equilibrium(mechanism, loads=[load], throw=False)
+        solution = tj.equilibrium(mechanism, loads=[load], throw=False)
         rise = jnp.max(jnp.abs(design["points"][:, 1]))
-        moved, fraction = small_steps(mechanism, load, rise)
-        apart = jnp.max(jnp.abs(found.displacements[1:] - moved))
-        return found.succeeded, fraction, apart
+        expected, fraction = path_in_small_steps(mechanism, load, rise)
+        difference = jnp.max(jnp.abs(solution.displacements[1:] - expected))
+        return solution.succeeded, fraction, difference
 
-    found, fraction, apart = map(np.asarray, jax.jit(jax.vmap(both))(design))
-    # At a load within a thousandth of the limit either answer is right.
-    jumped = found & ((fraction < 0.999) | ((fraction >= 1) & (apart > 1e-6)))
-    return int(np.sum(jumped)), int(np.sum(~found & (fraction >= 1))), int(np.sum(found))
+    found, fraction, difference = map(np.asarray, jax.jit(jax.vmap(solve))(design))
+    # Near the limit load, within one part in a thousand, both results are accepted.
+    other_branch = (fraction < 0.999) | ((fraction >= 1) & (difference > 1e-6))
+    wrong, missed = found & other_branch, ~found & (fraction >= 1)
+    return int(np.sum(wrong)), int(np.sum(missed)), int(np.sum(found))
 
 
-def test_random_arches_do_not_jump():
-    jumped, refused, found = compared(1, 2, "twistor", False, 40)
-    assert (jumped, refused) == (0, 0)
-    assert 20 < found < 35  # so that there was something to find and something to refuse
+def test_equilibria_of_random_arches_are_connected_to_the_reference():
+    wrong, missed, found = count_errors(1, 2, "twistor", False, 40)
+    assert (wrong, missed) == (0, 0)
+    assert 20 < found < 35  # some designs have an equilibrium, and some have none
 
 
 @pytest.mark.release
 @pytest.mark.parametrize("frame", [False, True], ids=["arch", "frame"])
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 @pytest.mark.parametrize("count", [2, 3, 4, 6])
-def test_a_thousand_arches_and_frames_do_not_jump(count, coordinates, frame):
-    jumped, refused, _ = compared(count, count, coordinates, frame, 63)
-    assert jumped == 0
-    assert refused <= 1
+def test_equilibria_of_a_thousand_designs_are_connected_to_the_reference(
+    count, coordinates, frame
+):
+    wrong, missed, _ = count_errors(count, count, coordinates, frame, 63)
+    assert wrong == 0
+    assert missed <= 1

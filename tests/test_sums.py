@@ -1,4 +1,4 @@
-"""Energies that are sums: damped, solved and saved as their terms side by side."""
+"""Sums of energies, which are solved, damped, and saved as parallel hinges."""
 
 import jax
 import jax.numpy as jnp
@@ -20,98 +20,92 @@ def leaf(thickness=0.5e-3):
 
 
 def table(energy, damping=None):
-    """A table on two upright hinges, which sinks as it is pushed."""
-    names = {"left": -40e-3, "right": 40e-3}
+    """Return a table on two upright hinges, which can move sideways."""
     hinges = [
-        tj.Hinge(
-            name, "base", "table", energy, (np.pi / 2, x, 0.0), damping=damping
-        )
-        for name, x in names.items()
-    ]  # fmt: skip
-    top = tj.Body("table", (0.0, 0.0, 30e-3), mass=0.1, inertia=1e-4)
-    return tj.Mechanism([tj.Body("base"), top], hinges, fixed=["base"])
-
-
-def pushed(energy, force=5.0):
-    return tj.equilibrium(table(energy), loads=[tj.Load("table", (0.0, force, 0.0))])
+        tj.Hinge(name, "base", "table", energy, (np.pi / 2, x, 0.0), damping=damping)
+        for name, x in (("left", -40e-3), ("right", 40e-3))
+    ]
+    body = tj.Body("table", (0.0, 0.0, 30e-3), mass=0.1, inertia=1e-4)
+    return tj.Mechanism([tj.Body("base"), body], hinges, fixed=["base"])
 
 
 SUMS = {
-    "leaf and nothing": lambda leaf: leaf + ZERO,
-    "nothing and leaf": lambda leaf: ZERO + leaf,
-    "three shares": lambda leaf: 0.2 * leaf + (0.3 * leaf + 0.5 * leaf),
-    "a multiple of a sum": lambda leaf: 2.0 * (0.25 * leaf + 0.25 * leaf),
-    "a range of a sum": lambda leaf: tj.energies.WithValidityRange(
+    "leaf and zero": lambda leaf: leaf + ZERO,
+    "zero and leaf": lambda leaf: ZERO + leaf,
+    "three parts": lambda leaf: 0.2 * leaf + (0.3 * leaf + 0.5 * leaf),
+    "multiple of a sum": lambda leaf: 2.0 * (0.25 * leaf + 0.25 * leaf),
+    "sum with a validity range": lambda leaf: tj.energies.WithValidityRange(
         0.5 * leaf + 0.5 * leaf, rotation=1.0, force=1e6, error=[0.0, 0.0, 0.0]
     ),
 }
-every_sum = pytest.mark.parametrize("add", SUMS.values(), ids=SUMS.keys())
 
 
-@every_sum
-def test_a_sum_takes_the_newton_steps_of_its_terms(add):
-    """A cantilever of a thousandth of its length, bent by 16 degrees."""
+@pytest.mark.parametrize("add", SUMS.values(), ids=SUMS.keys())
+def test_sum_takes_as_many_newton_steps_as_its_terms(add):
+    """A cantilever of a thousandth of its length in thickness is bent by 16 degrees."""
     thin, length = leaf(0.05e-3), 50e-3
     force = 0.5 * 210e9 * 10e-3 * 0.05e-3**3 / 12 / length**2
 
-    def bent(energy):
+    def bend(energy):
         hinge = tj.Hinge("leaf", "wall", "tip", energy, (0.0, length / 2, 0.0))
         bodies = [tj.Body("wall"), tj.Body("tip", (0.0, length, 0.0))]
         beam = tj.Mechanism(bodies, [hinge], fixed=["wall"])
-        return tj.equilibrium(beam, loads=[tj.Load("tip", (0.0, 0.0, force))])
+        return tj.equilibrium(beam, loads=[tj.Load("tip", force=(0.0, force))])
 
-    alone, added = bent(thin), bent(add(thin))
-    assert_close(added.displacements, alone.displacements, digits=9)
-    assert added.steps <= alone.steps + 1
+    single, added = bend(thin), bend(add(thin))
+    assert_close(added.displacements, single.displacements, digits=9)
+    assert added.steps <= single.steps + 1
 
 
-def released(energy, damping):
-    """A table that is let go from where it is pushed."""
-    start = pushed(leaf(), 20.0)
+def release(energy, damping):
+    """Simulate a table that is released from an equilibrium under a force."""
+    load = tj.Load("table", force=(20.0, 0.0))
+    start = tj.equilibrium(table(leaf()), loads=[load])
     return tj.simulate(table(energy, damping), [0.0, 0.02], start=start)
 
 
-def test_a_sum_moves_and_is_damped_as_its_terms():
-    alone = released(leaf(), 1e-4)
-    added = released(SUMS["a range of a sum"](leaf()), 1e-4)
-    np.testing.assert_allclose(added.displacements, alone.displacements, atol=1e-7)
-    assert abs(int(added.steps) - int(alone.steps)) <= 0.1 * int(alone.steps)
-    lost = added.energies.dissipated, alone.energies.dissipated
-    np.testing.assert_allclose(*lost, rtol=1e-4, atol=1e-9)
+def test_sum_moves_and_is_damped_as_its_terms():
+    single = release(leaf(), 1e-4)
+    added = release(SUMS["sum with a validity range"](leaf()), 1e-4)
+    np.testing.assert_allclose(added.displacements, single.displacements, atol=1e-7)
+    assert abs(int(added.steps) - int(single.steps)) <= 0.1 * int(single.steps)
+    dissipated = added.energies.dissipated, single.energies.dissipated
+    np.testing.assert_allclose(*dissipated, rtol=1e-4, atol=1e-9)
 
 
-def test_a_damping_as_such_acts_once_on_what_the_flexure_resists():
-    """It is that of the time that it is made of."""
+def test_viscous_damping_of_a_sum_acts_once():
+    """It acts on the rates that the flexure among the terms resists."""
     damping = tj.energies.ViscousDamping(
         1e-4 * leaf().tangent_stiffness(), "twist", resisted=True
     )
-    alone, added = released(leaf(), damping), released(ZERO + leaf(), damping)
-    np.testing.assert_allclose(added.displacements, alone.displacements, atol=1e-7)
+    single, added = release(leaf(), damping), release(ZERO + leaf(), damping)
+    np.testing.assert_allclose(added.displacements, single.displacements, atol=1e-7)
 
 
-def test_the_range_of_a_sum_is_seen():
+def test_validity_range_of_a_sum_is_checked():
     narrow = tj.energies.WithValidityRange(
         leaf() + leaf(), rotation=1e-4, force=1e6, error=[0.0, 0.0, 0.0]
     )
-    asked = [tj.Drive("table", angle=2e-4)]
-    answer = tj.equilibrium(table(narrow), drives=asked, throw=False)
-    assert str(tj.result_names(answer.result)) == "out_of_range"
+    drives = [tj.Drive("table", angle=2e-4)]
+    solution = tj.equilibrium(table(narrow), drives=drives, throw=False)
+    assert str(tj.result_names(solution.result)) == "out_of_range"
     with pytest.raises(RuntimeError, match=r"'left': its rotation is 0\.0002 rad"):
-        tj.equilibrium(table(narrow), drives=asked)
+        tj.equilibrium(table(narrow), drives=drives)
 
 
-def test_a_mechanism_of_sums_is_saved_as_it_is(tmp_path):
+def test_mechanism_with_sums_is_saved_and_loaded_unchanged(tmp_path):
     energy = tj.energies.WithValidityRange(
         2.0 * (leaf() + ZERO), rotation=1.0, force=1e6, error=[0.0, 0.0, 0.0]
     )
-    made = table(energy, damping=1e-4)
-    tj.io.save_mechanism(made, tmp_path / "table.json")
+    saved = table(energy, damping=1e-4)
+    tj.io.save_mechanism(saved, tmp_path / "table.json")
     loaded = tj.io.load_mechanism(tmp_path / "table.json")
     pose = jnp.array([0.01, 1e-6, 1e-4])
     for row in range(2):
-        both = made.hinge_assembly.energy_of(row), loaded.hinge_assembly.energy_of(row)
-        assert type(both[1]) is tj.energies.WithValidityRange
-        assert_close(both[0](pose), both[1](pose))
-    ours, theirs = (jax.tree.leaves(each.hinge_assembly) for each in (made, loaded))
-    for mine, other in zip(ours, theirs, strict=True):
-        np.testing.assert_array_equal(mine, other)
+        before = saved.hinge_assembly.energy_of(row)
+        after = loaded.hinge_assembly.energy_of(row)
+        assert type(after) is tj.energies.WithValidityRange
+        assert_close(before(pose), after(pose))
+    before, after = (jax.tree.leaves(each.hinge_assembly) for each in (saved, loaded))
+    for value, other in zip(before, after, strict=True):
+        np.testing.assert_array_equal(value, other)

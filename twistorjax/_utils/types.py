@@ -3,26 +3,154 @@
 The rotation is always the first entry. Angles are real numbers and are never wrapped.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Inexact, Int
+from typing_extensions import TypeAliasType
 
 
-Scalar = Float[Array, ""]
+# Arguments as a user may write them, for example as nested lists. Each is an alias with a
+# name, which `help` prints instead of a long union.
 
-Point = Float[Array, "2"]  # (x, y); m
-Pose = Float[Array, "3"]  # (angle, x, y); rad, m, m
-Twist = Float[Array, "3"]  # (rotation, along axis 1, along axis 2); rad, m, m
-Twistor = Float[Array, "4"]  # (sigma, xi, x1, x2); -, -, m, m
-Wrench = Float[Array, "3"]  # (moment, fx, fy); N m, N, N
-Matrix = Float[Array, "3 3"]  # a linear map between twists and wrenches
+NumberLike = TypeAliasType("NumberLike", ArrayLike)
+# One number, or a list of numbers.
+NumbersLike = TypeAliasType("NumbersLike", ArrayLike | Sequence[ArrayLike])
+# Numbers by name, such as the parameters of a design.
+NamedNumbers = TypeAliasType("NamedNumbers", Mapping[str, NumberLike])
+ArrayOfNumbers = TypeAliasType("ArrayOfNumbers", ArrayLike)  # of any shape
+KeyLike = TypeAliasType("KeyLike", Array | int)  # a key or a seed of `jax.random`
 
-Poses = Float[Array, "bodies 3"]  # a row (angle, x, y) for each body
-# Poses as a user may write them, for example as nested lists.
-PosesLike = Float[ArrayLike, "bodies 3"] | Sequence[Sequence[ArrayLike]]
-Wrenches = Float[Array, "bodies 3"]  # a row (moment, fx, fy) for each body
-Corners = Float[Array, "corners 2"]  # a closed polygon, in order; m
+# (x, y); m
+PointLike = TypeAliasType("PointLike", Float[ArrayLike, "2"] | Sequence[ArrayLike])
+# (fx, fy); N
+ForceLike = TypeAliasType("ForceLike", Float[ArrayLike, "2"] | Sequence[ArrayLike])
+# (angle, x, y); rad, m, m
+PoseLike = TypeAliasType("PoseLike", Float[ArrayLike, "3"] | Sequence[ArrayLike])
+# (rotation, x, y) per second; rad/s, m/s, m/s
+VelocityLike = TypeAliasType("VelocityLike", Array | Sequence[ArrayLike])
+# (moment, fx, fy); N m, N, N
+WrenchLike = TypeAliasType("WrenchLike", Float[ArrayLike, "3"] | Sequence[ArrayLike])
+# A linear map from twists to wrenches; N m, N/m, and N, or times s for damping
+MatrixLike = TypeAliasType("MatrixLike", Float[ArrayLike, "3 3"])
+# A row (angle, x, y) for each body; rad, m, m
+PosesLike = TypeAliasType(
+    "PosesLike", Float[ArrayLike, "bodies 3"] | Sequence[Sequence[ArrayLike]]
+)
+# A closed polygon, in order; m
+CornersLike = TypeAliasType(
+    "CornersLike", Float[ArrayLike, "corners 2"] | Sequence[Sequence[ArrayLike]]
+)
+OutlineLike = TypeAliasType("OutlineLike", Float[ArrayLike, "corners 2"])  # m
+TimesLike = TypeAliasType("TimesLike", Float[ArrayLike, " times"] | Sequence[ArrayLike])
+# Hz
+FrequenciesLike = TypeAliasType(
+    "FrequenciesLike", Float[ArrayLike, " frequencies"] | Sequence[ArrayLike]
+)
+# A coefficient for each term of a series; the units are those of the energy.
+CoefficientsLike = TypeAliasType(
+    "CoefficientsLike", Float[ArrayLike, " terms"] | Sequence[ArrayLike]
+)
+# A row (angle, x, y) or (moment, fx, fy) for each trial; rad, m, m or N m, N, N
+TrialsLike = TypeAliasType(
+    "TrialsLike", Float[ArrayLike, "trials 3"] | Sequence[Sequence[ArrayLike]]
+)
+# A number for each trial; J
+EnergiesLike = TypeAliasType(
+    "EnergiesLike", Float[ArrayLike, " trials"] | Sequence[ArrayLike]
+)
+# One standard deviation, or one for each trial; J or N m, N, N
+EnergyDeviationsLike = TypeAliasType(
+    "EnergyDeviationsLike", Float[ArrayLike, "*trials"] | Sequence[ArrayLike]
+)
+WrenchDeviationsLike = TypeAliasType(
+    "WrenchDeviationsLike", Float[ArrayLike, "*trials 3"] | Sequence[ArrayLike]
+)
+# A row for each trial or time, with a number for each sensor
+TableLike = TypeAliasType(
+    "TableLike", Float[ArrayLike, "rows columns"] | Sequence[Sequence[ArrayLike]]
+)
+TableDeviationsLike = TypeAliasType(
+    "TableDeviationsLike", Float[ArrayLike, "*rows columns"]
+)
+
+# Arrays, as functions take and return them.
+
+Key = TypeAliasType("Key", Array)  # a key of `jax.random`
+AnyArray = TypeAliasType("AnyArray", Array)  # of any shape and dtype
+Scalar = TypeAliasType("Scalar", Float[Array, ""])
+Flag = TypeAliasType("Flag", Bool[Array, ""])
+Count = TypeAliasType("Count", Int[Array, ""])
+Numbers = TypeAliasType("Numbers", Float[Array, "..."])  # of any shape
+
+Point = TypeAliasType("Point", Float[Array, "2"])  # (x, y); m
+Pose = TypeAliasType("Pose", Float[Array, "3"])  # (angle, x, y); rad, m, m
+# (rotation, along axis 1, along axis 2); rad, m, m
+Twist = TypeAliasType("Twist", Float[Array, "3"])
+Twistor = TypeAliasType("Twistor", Float[Array, "4"])  # (sigma, xi, x1, x2); -, -, m, m
+Wrench = TypeAliasType("Wrench", Float[Array, "3"])  # (moment, fx, fy); N m, N, N
+# A linear map between twists and wrenches
+Matrix = TypeAliasType("Matrix", Float[Array, "3 3"])
+
+# A row (angle, x, y) for each body; rad, m, m
+Poses = TypeAliasType("Poses", Float[Array, "bodies 3"])
+# A row (moment, fx, fy) for each body; N m, N, N
+Wrenches = TypeAliasType("Wrenches", Float[Array, "bodies 3"])
+# A closed polygon, in order; m
+Corners = TypeAliasType("Corners", Float[Array, "corners 2"])
+# A linear map from the displacements of all bodies to wrenches on them; N m, N/m, N
+BodiesMatrix = TypeAliasType("BodiesMatrix", Float[Array, "bodies 3 bodies 3"])
+Entries = TypeAliasType("Entries", Float[Array, " entries"])  # of all constraints
+Readings = TypeAliasType("Readings", Float[Array, "*rows"])  # of one sensor
+Times = TypeAliasType("Times", Float[Array, " times"])  # s
+# x and y at each time; m
+PointPath = TypeAliasType("PointPath", Float[Array, "2 times"])
+# A row (angle, x, y) for each point of a path; rad, m, m
+PosePath = TypeAliasType("PosePath", Float[Array, "points 3"])
+# (x, y) as an array or a pair; m
+Arm = TypeAliasType("Arm", Point | tuple[Scalar, Scalar])
+Table = TypeAliasType("Table", Float[Array, "rows columns"])  # of readings
+
+# Arrays of results, with axes in front for a batch of designs.
+
+BatchScalar = TypeAliasType("BatchScalar", Float[Array, "*batch"])
+BatchFlag = TypeAliasType("BatchFlag", Bool[Array, "*batch"])
+BatchCount = TypeAliasType("BatchCount", Int[Array, "*batch"])
+BatchPose = TypeAliasType("BatchPose", Float[Array, "*batch 3"])  # rad, m, m
+BatchWrench = TypeAliasType("BatchWrench", Float[Array, "*batch 3"])  # N m, N, N
+BatchPoses = TypeAliasType("BatchPoses", Float[Array, "*batch bodies 3"])  # rad, m, m
+# A displacement or a reaction of one body: real, or a complex amplitude
+BatchRow = TypeAliasType("BatchRow", Inexact[Array, "*batch 3"])
+BatchEntries = TypeAliasType("BatchEntries", Inexact[Array, "*batch entries"])
+BatchTable = TypeAliasType("BatchTable", Float[Array, "*batch rows columns"])
+# Normalized, without a unit
+BatchParameters = TypeAliasType("BatchParameters", Float[Array, "*batch parameters"])
+# Derivatives of residuals
+BatchSensitivities = TypeAliasType(
+    "BatchSensitivities", Float[Array, "*batch readings parameters"]
+)
+BatchLosses = TypeAliasType("BatchLosses", Float[Array, "*batch restarts"])
+Parameters = TypeAliasType("Parameters", Float[Array, " parameters"])
+ParameterMatrix = TypeAliasType("ParameterMatrix", Float[Array, "parameters parameters"])
+# s
+BatchTimes = TypeAliasType("BatchTimes", Float[Array, "*batch times"])
+# A row for each body at each time: displacements, velocities, or reactions
+BatchHistory = TypeAliasType("BatchHistory", Float[Array, "*batch times bodies 3"])
+BatchRowHistory = TypeAliasType("BatchRowHistory", Float[Array, "*batch times 3"])
+BatchEntryHistory = TypeAliasType(
+    "BatchEntryHistory", Float[Array, "*batch times entries"]
+)
+# Hz
+BatchFrequencies = TypeAliasType("BatchFrequencies", Float[Array, "*batch modes"])
+BatchShapes = TypeAliasType("BatchShapes", Float[Array, "*batch modes bodies 3"])
+# Hz
+Frequencies = TypeAliasType("Frequencies", Float[Array, " frequencies"])
+# A row for each body at each frequency
+Amplitudes = TypeAliasType("Amplitudes", Complex[Array, "frequencies bodies 3"])
+EntryAmplitudes = TypeAliasType("EntryAmplitudes", Complex[Array, "frequencies entries"])
+DofsMatrix = TypeAliasType("DofsMatrix", Float[Array, "dofs dofs"])
+# Derivatives of the constraints by all displacements
+EntriesMatrix = TypeAliasType("EntriesMatrix", Float[Array, "entries dofs"])
 
 
 @runtime_checkable
@@ -38,3 +166,7 @@ class Displaced(Protocol):
     def reference(self) -> Poses:
         """Poses of the bodies in the reference configuration; rad, m, m."""
         ...
+
+
+# A result with displacements, or poses of the bodies; rad, m, m
+PosesOrResult = TypeAliasType("PosesOrResult", Displaced | PosesLike)

@@ -12,7 +12,9 @@ from typing import Any, TypeVar
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+
+from .types import NumberLike, Numbers, NumbersLike
 
 
 Choice = TypeVar("Choice", bound=str)
@@ -188,8 +190,8 @@ def require_kind(name: str, values: Sequence[Any], kind: type) -> None:
 
 
 def require_interval(
-    name: str, value: ArrayLike, low: float, high: float, requirement: str
-) -> Float[Array, "..."]:
+    name: str, value: NumberLike, low: float, high: float, requirement: str
+) -> Numbers:
     """Require a number above `low` and not above `high`.
 
     Args:
@@ -217,7 +219,7 @@ def require_interval(
     return jnp.asarray(value, float)
 
 
-def require_positive(name: str, value: ArrayLike) -> Float[Array, "..."]:
+def require_positive(name: str, value: NumberLike) -> Numbers:
     """Require a positive, finite number.
 
     Args:
@@ -235,7 +237,7 @@ def require_positive(name: str, value: ArrayLike) -> Float[Array, "..."]:
 
 
 def require_corners(
-    name: str, value: ArrayLike | Sequence[Any]
+    name: str, value: NumberLike | Sequence[Any]
 ) -> Float[Array, "corners 2"]:
     """Require the corners of a polygon.
 
@@ -263,7 +265,7 @@ def require_corners(
 
 
 def require_row(
-    name: str, value: ArrayLike | Sequence[ArrayLike], entries: str, size: int = 3
+    name: str, value: NumbersLike, entries: str, size: int = 3
 ) -> Float[Array, " size"]:
     """Require a vector of a given size.
 

@@ -14,9 +14,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool
+from jaxtyping import Array
 
-from .._utils.types import Matrix, Pose, Scalar, Twist, Wrench
+from .._utils.types import Flag, Matrix, NumberLike, Pose, Scalar, Twist, Wrench
 from .._utils.validation import concrete
 from ..geometry import se2
 from ..geometry.twistors import Displacement
@@ -118,7 +118,7 @@ class AbstractEnergy(eqx.Module):
             return NotImplemented
         return Sum((self, other))
 
-    def __rmul__(self, factor: ArrayLike) -> "Scaled":
+    def __rmul__(self, factor: NumberLike) -> "Scaled":
         array = jnp.asarray(factor, float)
         if array.shape:
             raise ValueError(
@@ -207,8 +207,8 @@ class Scaled(AbstractWrapper):
 class HasValidityRange(Protocol):
     """An energy that holds only in a range of displacements."""
 
-    def out_of_range(self, displacement: Displacement) -> Bool[Array, ""] | None:
-        """Decide whether a displacement is beyond the range; None if there is no range."""
+    def out_of_range(self, displacement: Displacement) -> Flag | None:
+        """Decide whether a displacement is beyond the range; None without a range."""
         ...
 
     def range_message(self, displacement: Displacement) -> str:
@@ -235,9 +235,7 @@ def nested(energy: AbstractEnergy) -> Iterator[AbstractEnergy]:
                 yield from nested(part)
 
 
-def out_of_range(
-    energy: AbstractEnergy, displacement: Displacement
-) -> Bool[Array, ""] | None:
+def out_of_range(energy: AbstractEnergy, displacement: Displacement) -> Flag | None:
     """Decide whether a displacement is beyond the validity range of an energy.
 
     Args:

@@ -3,9 +3,9 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import ArrayLike, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.types import Matrix, Pose, Scalar, Twist, Wrench
+from .._utils.types import Matrix, MatrixLike, NumberLike, Pose, Scalar, Twist, Wrench
 from .._utils.validation import require_choice
 from ..geometry import se2
 from ..geometry.twistors import Displacement
@@ -43,7 +43,7 @@ class ViscousDamping(eqx.Module):
 
     def __init__(
         self,
-        damping: Float[ArrayLike, "3 3"],
+        damping: MatrixLike,
         coordinates: Coordinates = "twistor",
         *,
         resisted: bool = False,
@@ -106,3 +106,7 @@ class ViscousDamping(eqx.Module):
             return self(pose, jnp.concatenate([angular_rate[None], linear_rate]))
 
         return jax.grad(dissipation)(velocity_b)
+
+
+# Damping of a hinge, or the time by which its stiffness is multiplied (s)
+DampingLike = TypeAliasType("DampingLike", ViscousDamping | NumberLike)

@@ -11,9 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import Scalar
+from .._utils.types import CoefficientsLike, NumberLike, Scalar
 from .._utils.validation import concrete, require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
@@ -82,11 +82,11 @@ class MixedEnergy(CoordinateEnergy):
 
     def __init__(
         self,
-        coefficients: Float[ArrayLike, " terms"] | Sequence[ArrayLike],
+        coefficients: CoefficientsLike,
         powers: Sequence[Sequence[int]],
         *,
-        length: ArrayLike,
-        force: ArrayLike,
+        length: NumberLike,
+        force: NumberLike,
     ):
         self.powers = require_powers(powers, VARIABLES["mixed"])
         self.coefficients = jnp.asarray(coefficients, float)

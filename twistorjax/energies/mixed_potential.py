@@ -78,6 +78,9 @@ def axial_force_ratio(series: ForceSeries, axial: Scalar) -> Scalar:
 
     Each Newton iteration starts between minus one and one. The last iteration is exact
     outside of this interval, because W is a parabola there.
+    `optimistix.root_find` takes five times as long to compile and twice as long to run
+    (100,000 values and derivatives), so the small Newton iterations of this library are
+    loops of fixed length.
 
     Args:
         series: Coefficients of the powers of the relative axial force; J.

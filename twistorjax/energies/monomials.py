@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
 from .._utils.validation import require_choice
 from .strains import Coordinates
@@ -21,6 +22,8 @@ from .strains import Coordinates
 
 Powers = tuple[tuple[int, ...], ...]  # a row for each term, an entry for each variable
 Symmetry = Literal["leaf", "mirror", "ends", "exchange", "sign"]
+Symmetries = TypeAliasType("Symmetries", Symmetry | Sequence[Symmetry])  # one or several
+FitCoordinates = TypeAliasType("FitCoordinates", Coordinates | Literal["mixed"])
 
 VARIABLES = {
     "twist": ("tau", "t1", "t2"),
@@ -39,9 +42,9 @@ _ODD_VARIABLES = {
 
 def monomials(
     order: int,
-    coordinates: Coordinates | Literal["mixed"] = "twistor",
+    coordinates: FitCoordinates = "twistor",
     *,
-    symmetry: Symmetry | Sequence[Symmetry] = (),
+    symmetry: Symmetries = (),
     redundant: bool = False,
 ) -> Powers:
     """List the powers of all monomials up to an order, in the dissertation's sequence.

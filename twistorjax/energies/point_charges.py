@@ -10,14 +10,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.types import Point, Scalar
+from .._utils.types import NumberLike, Point, Scalar
 from .._utils.validation import concrete, require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 
 
 VACUUM = 8.9875517862e9  # 1 / (4 pi epsilon_0); N m^2 / C^2
+
+
+# Charges (C) and a row (x, y) for each of them (m), on bodies A and B
+ChargesALike = TypeAliasType("ChargesALike", Float[ArrayLike, " a"] | Sequence[ArrayLike])
+SitesALike = TypeAliasType(
+    "SitesALike", Float[ArrayLike, "a 2"] | Sequence[Sequence[ArrayLike]]
+)
+ChargesBLike = TypeAliasType("ChargesBLike", Float[ArrayLike, " b"] | Sequence[ArrayLike])
+SitesBLike = TypeAliasType(
+    "SitesBLike", Float[ArrayLike, "b 2"] | Sequence[Sequence[ArrayLike]]
+)
 
 
 class PointCharges(AbstractEnergy):
@@ -66,12 +78,12 @@ class PointCharges(AbstractEnergy):
 
     def __init__(
         self,
-        charges_a: Float[ArrayLike, " a"] | Sequence[ArrayLike],
-        sites_a: Float[ArrayLike, "a 2"] | Sequence[Sequence[ArrayLike]],
-        charges_b: Float[ArrayLike, " b"] | Sequence[ArrayLike] | None = None,
-        sites_b: Float[ArrayLike, "b 2"] | Sequence[Sequence[ArrayLike]] | None = None,
+        charges_a: ChargesALike,
+        sites_a: SitesALike,
+        charges_b: ChargesBLike | None = None,
+        sites_b: SitesBLike | None = None,
         *,
-        constant: ArrayLike = VACUUM,
+        constant: NumberLike = VACUUM,
     ):
         if (charges_b is None) != (sites_b is None):
             names = ("charges_b", "sites_b")

@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.types import Pose, Scalar
+from .._utils.types import CoefficientsLike, NumberLike, Pose, Scalar
 from .._utils.validation import concrete, require_choice, require_positive, shorten
 from ..geometry import se2, twistors
 from ..geometry.twistors import Displacement
@@ -88,10 +89,10 @@ class Polynomial(_MonomialEnergy):
 
     def __init__(
         self,
-        coefficients: Float[ArrayLike, " terms"] | Sequence[ArrayLike],
+        coefficients: CoefficientsLike,
         powers: Sequence[Sequence[int]],
         coordinates: Coordinates = "twistor",
-        scale: ArrayLike = 1.0,
+        scale: NumberLike = 1.0,
     ):
         self.coordinates = require_choice(
             "`coordinates`", coordinates, get_args(Coordinates)
@@ -198,6 +199,12 @@ class Rational(AbstractEnergy):
         return translation_scale(self.numerator, displacement)
 
 
+# A row of coefficients for each square
+SquaresLike = TypeAliasType(
+    "SquaresLike", Float[ArrayLike, "squares terms"] | Sequence[Sequence[ArrayLike]]
+)
+
+
 class SumOfSquares(_MonomialEnergy):
     """Denominator without zeros: one plus a sum of squares of polynomials.
 
@@ -219,10 +226,10 @@ class SumOfSquares(_MonomialEnergy):
 
     def __init__(
         self,
-        coefficients: Float[ArrayLike, "squares terms"] | Sequence[Sequence[ArrayLike]],
+        coefficients: SquaresLike,
         powers: Sequence[Sequence[int]],
         coordinates: Coordinates = "twistor",
-        scale: ArrayLike = 1.0,
+        scale: NumberLike = 1.0,
     ):
         self.coordinates = require_choice(
             "`coordinates`", coordinates, get_args(Coordinates)

@@ -2,9 +2,8 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float
 
-from .._utils.types import Matrix, Scalar
+from .._utils.types import Flag, Matrix, MatrixLike, Scalar
 from .._utils.validation import concrete, require_choice
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
@@ -25,7 +24,7 @@ class CoordinateEnergy(AbstractEnergy):
         """Compute the ratio of the translations of the coordinates to mid-frame ones."""
         return stretch(displacement, self.coordinates)
 
-    def out_of_range(self, displacement: Displacement) -> Bool[Array, ""] | None:
+    def out_of_range(self, displacement: Displacement) -> Flag | None:
         """Decide whether the twist is undefined at a displacement."""
         if self.coordinates == "twistor":
             return None
@@ -74,7 +73,7 @@ class Quadratic(CoordinateEnergy):
 
     def __init__(
         self,
-        stiffness: Float[ArrayLike, "3 3"],
+        stiffness: MatrixLike,
         coordinates: Coordinates = "twistor",
     ):
         self.stiffness = jnp.asarray(stiffness, float)

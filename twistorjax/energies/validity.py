@@ -1,13 +1,11 @@
 """Energies with a validity range and an error estimate."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import Scalar
+from .._utils.types import Flag, NumberLike, Scalar, WrenchLike
 from .._utils.validation import all_concrete, require_positive, require_row
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
@@ -52,9 +50,9 @@ class WithValidityRange(AbstractWrapper):
     def __init__(
         self,
         energy: AbstractEnergy,
-        rotation: ArrayLike,
-        force: ArrayLike,
-        error: Float[ArrayLike, "3"] | Sequence[ArrayLike],
+        rotation: NumberLike,
+        force: NumberLike,
+        error: WrenchLike,
     ):
         if not isinstance(energy, AbstractEnergy):
             raise ValueError(
@@ -67,7 +65,7 @@ class WithValidityRange(AbstractWrapper):
             "`error`", error, "one number for each of (moment, force 1, force 2)"
         )
 
-    def out_of_range(self, displacement: Displacement) -> Bool[Array, ""]:
+    def out_of_range(self, displacement: Displacement) -> Flag:
         """Return whether the rotation or the force exceeds the validity range."""
         # The limits allow for rounding, and for the error of the force itself.
         slack = 1 + 1e-9

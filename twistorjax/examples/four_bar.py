@@ -13,17 +13,16 @@ replaces it. The listing also fixes the x coordinate of link 2; the text does no
 here it is free.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Literal, NamedTuple, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
 
-from .._utils.types import Corners, Scalar
+from .._utils.types import Corners, NumberLike, Scalar, TimesLike
 from .._utils.validation import index_of
 from ..energies.base import AbstractEnergy
-from ..energies.damping import ViscousDamping
+from ..energies.damping import DampingLike
 from ..energies.strains import Coordinates
 from ..flexures import leaf, leaf_outline, Material, notch, notch_outline
 from ..mechanism.body import Body, plate
@@ -56,26 +55,26 @@ class _Flexure(NamedTuple):
     """The energy of a hinge, its length along axis 1 (m), and its outline (m)."""
 
     energy: AbstractEnergy
-    length: ArrayLike
+    length: NumberLike
     outline: Corners
 
 
 class _Heights(NamedTuple):
     """Heights along an upright link, above the center line of link 1; m."""
 
-    lower_hinge: ArrayLike
-    link: ArrayLike
-    upper_hinge: ArrayLike
-    top: ArrayLike
+    lower_hinge: NumberLike
+    link: NumberLike
+    upper_hinge: NumberLike
+    top: NumberLike
 
 
 def four_bar(
     hinges: Hinges = "identical",
     *,
     coordinates: Coordinates = "twistor",
-    damping: ViscousDamping | ArrayLike | None = DRIVEN_DAMPING,
-    length: ArrayLike = 10e-3,
-    thickness: ArrayLike = 1e-3,
+    damping: DampingLike | None = DRIVEN_DAMPING,
+    length: NumberLike = 10e-3,
+    thickness: NumberLike = 1e-3,
     energies: Mapping[str, AbstractEnergy] | None = None,
 ) -> Mechanism:
     """Build a four-bar linkage with elastic hinges.
@@ -113,7 +112,7 @@ def four_bar(
     aluminum = Material(modulus=69e9, poisson=0.3, density=2.7e3)
     soft = Material(modulus=69e9 / 20, poisson=0.3)
 
-    def leaf_flexure(length: ArrayLike) -> _Flexure:
+    def leaf_flexure(length: NumberLike) -> _Flexure:
         energy = leaf(
             soft,
             length=length,
@@ -138,7 +137,7 @@ def four_bar(
     right = _heights(flexures["D"].length, _LENGTH, flexures["C"].length)
     height_3 = (left.top + right.top) / 2 + _WIDTH / 2
 
-    def hinge(name: str, first: str, second: str, x: float, y: ArrayLike) -> Hinge:
+    def hinge(name: str, first: str, second: str, x: float, y: NumberLike) -> Hinge:
         flexure = flexures[name]
         return Hinge(
             name,
@@ -189,7 +188,7 @@ def crank_rotation(time: Scalar) -> list[Drive]:
 
 def driven_motion(
     linkage: Mechanism,
-    times: Float[ArrayLike, " times"] | Sequence[ArrayLike] = FIGURE_TIMES,
+    times: TimesLike = FIGURE_TIMES,
     **settings,
 ) -> Motion:
     """Simulate a linkage that is driven by the rotation of link 2.
@@ -215,8 +214,8 @@ def driven_motion(
 
 def released_motion(
     linkage: Mechanism,
-    times: Float[ArrayLike, " times"] | Sequence[ArrayLike],
-    speed: ArrayLike = RELEASE_SPEED,
+    times: TimesLike,
+    speed: NumberLike = RELEASE_SPEED,
     **settings,
 ) -> Motion:
     """Simulate a linkage that is released with an initial velocity of link 3 along x.
@@ -276,7 +275,7 @@ def plot(linkage: Mechanism, motion: Motion) -> "Figure":
     return figure
 
 
-def _heights(lower: ArrayLike, link: ArrayLike, upper: ArrayLike) -> _Heights:
+def _heights(lower: NumberLike, link: NumberLike, upper: NumberLike) -> _Heights:
     """Compute the heights along an upright link from the lengths of its parts.
 
     Args:
@@ -299,10 +298,10 @@ def _heights(lower: ArrayLike, link: ArrayLike, upper: ArrayLike) -> _Heights:
 
 def _link(
     name: str,
-    x: ArrayLike,
-    y: ArrayLike,
-    width: ArrayLike,
-    height: ArrayLike,
+    x: NumberLike,
+    y: NumberLike,
+    width: NumberLike,
+    height: NumberLike,
     material: Material,
 ) -> Body:
     """Make a rectangular link with its center at (x, y); all lengths in m."""

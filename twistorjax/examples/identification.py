@@ -6,13 +6,13 @@ The estimates can therefore be compared with the true values. The measurements o
 stage are real.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
 
+from .._utils.types import Key, NamedNumbers, TimesLike
 from ..energies.base import AbstractEnergy
 from ..energies.mixed import MixedEnergy
 from ..energies.quadratic import Quadratic
@@ -47,7 +47,7 @@ LEAF_THICKNESS = 0.5e-3
 LEAF_WIDTH = 10e-3
 
 
-def linkage(stiffnesses: Mapping[str, ArrayLike]) -> Mechanism:
+def linkage(stiffnesses: NamedNumbers) -> Mechanism:
     """Build the four-bar linkage of section 5.2 with given stiffnesses of hinge A.
 
     Args:
@@ -67,7 +67,7 @@ def linkage(stiffnesses: Mapping[str, ArrayLike]) -> Mechanism:
 
 
 def release_test(
-    times: Float[ArrayLike, " times"] = CAMERA_TIMES,
+    times: TimesLike = CAMERA_TIMES,
     *,
     angle_deviation: float = 1e-5,
     position_deviation: float = 1e-6,
@@ -100,7 +100,7 @@ def release_test(
 
 
 def identify_hinge_a(
-    key: Array | None = None,
+    key: Key | None = None,
     *,
     angle_deviation: float = 1e-5,
     position_deviation: float = 1e-6,
@@ -133,7 +133,7 @@ def identify_hinge_a(
     return identify(linkage, start, [data], **settings)
 
 
-def stage_model(parameters: Mapping[str, ArrayLike]) -> Mechanism:
+def stage_model(parameters: NamedNumbers) -> Mechanism:
     """Build the micropositioning stage with other webs or another Young's modulus.
 
     Args:
@@ -219,7 +219,7 @@ def steel() -> Material:
     return Material(modulus=210e9, poisson=0.3)
 
 
-def scaled_leaf_bench(factors: Mapping[str, ArrayLike]) -> Mechanism:
+def scaled_leaf_bench(factors: NamedNumbers) -> Mechanism:
     """Build the `leaf_bench` with leaves whose energy has five scaled coefficients.
 
     Args:
@@ -253,7 +253,7 @@ def scaled_leaf_bench(factors: Mapping[str, ArrayLike]) -> Mechanism:
     return leaf_bench(energy)
 
 
-def identify_leaf(key: Array | None = None, **settings: Any) -> Identification:
+def identify_leaf(key: Key | None = None, **settings: Any) -> Identification:
     """Identify the coefficients of a leaf's energy from static tests on the bench.
 
     The synthetic data are those of geometrically exact beams. The vertical displacement
@@ -292,7 +292,7 @@ def identify_leaf(key: Array | None = None, **settings: Any) -> Identification:
     return identify(scaled_leaf_bench, start, [data], **settings)
 
 
-def mixed_linkage(stiffnesses: Mapping[str, Array]) -> Mechanism:
+def mixed_linkage(stiffnesses: NamedNumbers) -> Mechanism:
     """Build the four-bar linkage of section 5.3 with given stiffnesses of all hinges.
 
     Args:
@@ -307,7 +307,7 @@ def mixed_linkage(stiffnesses: Mapping[str, Array]) -> Mechanism:
 
 
 def identify_twelve_stiffnesses(
-    key: Array | None = None, **settings: Any
+    key: Key | None = None, **settings: Any
 ) -> Identification:
     """Identify all stiffnesses of the mixed linkage from its driven motion.
 

@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
 
-from .._utils.types import Corners, Scalar
-from ..energies.damping import ViscousDamping
+from .._utils.types import Corners, NumberLike, Scalar
+from ..energies.damping import DampingLike
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..flexures import Material, notch, notch_outline
@@ -78,14 +77,14 @@ def aluminum() -> Material:
 
 
 def microstage(
-    web: ArrayLike = WEB,
+    web: NumberLike = WEB,
     *,
-    hole: ArrayLike = 3e-3,
+    hole: NumberLike = 3e-3,
     width: float = 20e-3,
     material: Material | None = None,
     formula: Formula = "fitted",
     coordinates: Coordinates = "twistor",
-    damping: ViscousDamping | ArrayLike | None = None,
+    damping: DampingLike | None = None,
 ) -> Mechanism:
     """Build the micropositioning stage.
 
@@ -119,7 +118,7 @@ def microstage(
     """
     material = aluminum() if material is None else material
 
-    def neck(web: ArrayLike) -> tuple[Quadratic, Corners]:
+    def neck(web: NumberLike) -> tuple[Quadratic, Corners]:
         energy = notch(
             material,
             hole=hole,
@@ -195,7 +194,7 @@ class Amplification(Tabular):
 
 
 def amplification(
-    stage: Mechanism, travel: ArrayLike = TRAVEL, *, throw: bool = True
+    stage: Mechanism, travel: NumberLike = TRAVEL, *, throw: bool = True
 ) -> Amplification:
     """Compute how a stage amplifies a displacement of its input.
 
@@ -232,7 +231,7 @@ def amplification(
 
 @partial(jax.jit, static_argnames="coordinates")
 def amplification_and_slope(
-    web: ArrayLike, travel: ArrayLike, coordinates: Coordinates = "twistor"
+    web: NumberLike, travel: NumberLike, coordinates: Coordinates = "twistor"
 ) -> tuple[Amplification, Scalar]:
     """Compute the amplification and the derivative of the gain by the web.
 

@@ -3,14 +3,14 @@
 Start reading in `transient_response`.
 """
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import NumberLike, PointPath, Scalar, Times, TimesLike
 from ..geometry import se2
 from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
@@ -40,10 +40,10 @@ class FilteredInput(eqx.Module):
         displacement, so it would return the input to zero.
     """
 
-    travel: ArrayLike
-    filter_time: ArrayLike
+    travel: NumberLike
+    filter_time: NumberLike
 
-    def __call__(self, time: Float[Array, ""]) -> list[Drive]:
+    def __call__(self, time: Scalar) -> list[Drive]:
         ratio = time / self.filter_time
         # 1 - (1 + ratio) exp(-ratio), without loss of digits at the start
         return [
@@ -63,24 +63,24 @@ class TransientResponse(eqx.Module):
     """
 
     motion: Motion
-    output: Float[Array, " times"]
-    hinge_a: Float[Array, "2 times"]
-    gain: Float[Array, ""]
-    static_gain: Float[Array, ""]
+    output: Times
+    hinge_a: PointPath
+    gain: Scalar
+    static_gain: Scalar
 
     @property
-    def compression(self) -> Float[Array, ""]:
+    def compression(self) -> Scalar:
         """The compression of hinge a at the last time, as in `Amplification`; m."""
         return self.hinge_a[1, -1] - self.hinge_a[0, -1]
 
 
 def transient_response(
     stage: Mechanism,
-    times: Float[ArrayLike, " times"] | Sequence[ArrayLike] = TIMES,
+    times: TimesLike = TIMES,
     *,
-    travel: ArrayLike = TRAVEL,
-    filter_time: ArrayLike | None = FILTER_TIME,
-    tolerance: ArrayLike = 1e-10,
+    travel: NumberLike = TRAVEL,
+    filter_time: NumberLike | None = FILTER_TIME,
+    tolerance: NumberLike = 1e-10,
     **settings,
 ) -> TransientResponse:
     """Simulate a stage whose input is displaced, until its output is at rest.

@@ -1,10 +1,8 @@
 """Studies of one design of the stage or of a linkage, for `twistorjax.sweep`."""
 
-from collections.abc import Mapping
-
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
 
+from .._utils.types import NamedNumbers
 from ..solve.results import RESULTS
 from ..solve.tables import Column
 from ..solve.vibrations import vibrations
@@ -15,7 +13,7 @@ from .stage import Amplification, amplification, microstage, TRAVEL, WEB
 _TIMES = tuple(0.01 * k for k in range(21))  # one cycle of the driven linkage; s
 
 
-def stage_gain(design: Mapping[str, ArrayLike]) -> Amplification:
+def stage_gain(design: NamedNumbers) -> Amplification:
     """Compute the amplification of a stage.
 
     Args:
@@ -34,7 +32,7 @@ def stage_gain(design: Mapping[str, ArrayLike]) -> Amplification:
     return amplification(stage, values["travel"], throw=False)
 
 
-def driven_linkage(design: Mapping[str, ArrayLike]) -> dict[str, Column | RESULTS]:
+def driven_linkage(design: NamedNumbers) -> dict[str, Column | RESULTS]:
     """Simulate one cycle of a driven linkage with four identical leaves.
 
     Args:

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.types import PosePath
 from ..energies.fitting.rational import fit_rational, RationalFit
 from ..energies.fitting.trials import Errors, Trials
 from ..energies.point_charges import PointCharges
@@ -58,9 +59,7 @@ def molecules() -> PointCharges:
     return PointCharges(CHARGES, SITES, constant=1.0)
 
 
-def poses(
-    angle_range: float, points: int, seed: int | Sequence[int]
-) -> Float[Array, "points 3"]:
+def poses(angle_range: float, points: int, seed: int | Sequence[int]) -> PosePath:
     """Draw random poses of the second molecule relative to the first.
 
     Args:
@@ -382,8 +381,8 @@ def plot(study: Study) -> "Figure":
 
 @jax.jit
 def _exact(
-    poses: Float[Array, "points 3"],
-) -> tuple[Float[Array, " points"], Float[Array, "points 3"]]:
+    poses: PosePath,
+) -> tuple[Float[Array, " points"], PosePath]:
     """Compute the exact energies and wrenches at some poses, in the module's units."""
     energy = molecules()
     return jax.vmap(energy)(poses), jax.vmap(energy.wrench)(poses)

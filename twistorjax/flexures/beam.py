@@ -11,14 +11,19 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.types import Scalar
+from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_choice, require_kind, require_positive
 from .material import Material
 
 
 Law = Literal["linear", "saint-venant-kirchhoff"]
+
+
+# One number, or a function of the arc length; m
+ThicknessLike = TypeAliasType("ThicknessLike", NumberLike | Callable[[Scalar], Scalar])
 
 
 class Beam(eqx.Module):
@@ -69,11 +74,11 @@ class Beam(eqx.Module):
         self,
         material: Material,
         *,
-        length: ArrayLike,
-        thickness: ArrayLike | Callable[[Scalar], Scalar],
-        width: ArrayLike,
+        length: NumberLike,
+        thickness: ThicknessLike,
+        width: NumberLike,
         law: Law = "linear",
-        shear_factor: ArrayLike | None = 5 / 6,
+        shear_factor: NumberLike | None = 5 / 6,
         steps: int = 16,
     ):
         require_kind("material", [material], Material)

@@ -13,13 +13,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.types import Pose, Scalar, Wrench
+from .._utils.types import NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import require_positive
 from ..geometry import se2
 from .beam import Beam, load_units
 from .cross_section import section_strains, Strains
+
+
+# Poses of the cross sections; rad, m, m
+SectionPoses = TypeAliasType("SectionPoses", Float[Array, "sections 3"])
+# Stresses at both edges of the cross sections; Pa
+SectionStresses = TypeAliasType("SectionStresses", Float[Array, "sections 2"])
 
 
 class BeamSolution(eqx.Module):
@@ -42,8 +49,8 @@ class BeamSolution(eqx.Module):
     pose: Pose
     wrench: Wrench
     energy: Scalar
-    centerline: Float[Array, "sections 3"]
-    stress: Float[Array, "sections 2"]
+    centerline: SectionPoses
+    stress: SectionStresses
 
 
 class SectionState(NamedTuple):
@@ -98,7 +105,7 @@ def beam_under_load(beam: Beam, load: Wrench, sections: int = 21) -> BeamSolutio
     )
 
 
-def largest_rotation(beam: Beam, stress: ArrayLike) -> Scalar:
+def largest_rotation(beam: Beam, stress: NumberLike) -> Scalar:
     """Compute the rotation by a pure moment at which a beam reaches a given stress.
 
     The stress is that of linear bending in the thinnest section, `6 M / (w t^2)`. Forces

@@ -3,9 +3,8 @@
 from typing import Literal
 
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
 
-from .._utils.types import Corners
+from .._utils.types import Corners, NumberLike
 from .._utils.validation import (
     require_choice,
     require_interval,
@@ -24,9 +23,9 @@ Theory = Literal["euler-bernoulli", "timoshenko"]
 def leaf(
     material: Material,
     *,
-    length: ArrayLike,
-    thickness: ArrayLike,
-    width: ArrayLike,
+    length: NumberLike,
+    thickness: NumberLike,
+    width: NumberLike,
     theory: Theory = "euler-bernoulli",
     coordinates: Coordinates = "twistor",
 ) -> Quadratic:
@@ -94,9 +93,9 @@ def leaf(
 def quartic_leaf(
     material: Material,
     *,
-    length: ArrayLike,
-    thickness: ArrayLike,
-    width: ArrayLike,
+    length: NumberLike,
+    thickness: NumberLike,
+    width: NumberLike,
     theory: Theory = "euler-bernoulli",
 ) -> MixedEnergy:
     """Create the energy of a leaf hinge up to the fourth order of its displacement.
@@ -152,7 +151,9 @@ def quartic_leaf(
     )
 
 
-def leaf_outline(*, length: ArrayLike, thickness: ArrayLike, points: int = 24) -> Corners:
+def leaf_outline(
+    *, length: NumberLike, thickness: NumberLike, points: int = 24
+) -> Corners:
     """Compute the outline of a leaf in its frame, for drawing.
 
     Args:

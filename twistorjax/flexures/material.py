@@ -1,9 +1,8 @@
 """Elastic material of a plate."""
 
 import equinox as eqx
-from jaxtyping import ArrayLike
 
-from .._utils.types import Scalar
+from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_interval, require_positive
 
 
@@ -30,7 +29,7 @@ class Material(eqx.Module):
     density: Scalar | None
 
     def __init__(
-        self, modulus: ArrayLike, poisson: ArrayLike, density: ArrayLike | None = None
+        self, modulus: NumberLike, poisson: NumberLike, density: NumberLike | None = None
     ):
         self.modulus = require_positive("`modulus`", modulus)
         requirement = "must be above -1 and at most 0.5"

@@ -4,9 +4,8 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
 
-from .._utils.types import Corners, Scalar
+from .._utils.types import Corners, NumberLike, Scalar
 from .._utils.validation import (
     require_choice,
     require_interval,
@@ -31,9 +30,9 @@ _RANGES = {
 def notch(
     material: Material,
     *,
-    hole: ArrayLike,
-    web: ArrayLike,
-    width: ArrayLike,
+    hole: NumberLike,
+    web: NumberLike,
+    width: NumberLike,
     formula: Formula = "fitted",
     coordinates: Coordinates = "twistor",
 ) -> Quadratic:
@@ -106,7 +105,7 @@ def notch(
     return Quadratic(jnp.diag(units * jnp.stack(stiffnesses)), coordinates)
 
 
-def notch_profile(*, hole: ArrayLike, web: ArrayLike) -> jax.tree_util.Partial:
+def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial:
     """Return the thickness of the neck of a notch as a function of the position.
 
     Use it as the `thickness` of a `Beam` with the length `hole`. In a neck as short as
@@ -142,7 +141,11 @@ def _neck_thickness(hole: Scalar, web: Scalar, position: Scalar) -> Scalar:
 
 
 def notch_outline(
-    *, hole: ArrayLike, web: ArrayLike, height: ArrayLike | None = None, points: int = 24
+    *,
+    hole: NumberLike,
+    web: NumberLike,
+    height: NumberLike | None = None,
+    points: int = 24,
 ) -> Corners:
     """Compute the outline of the neck of a notch in its frame, for drawing.
 

@@ -1,16 +1,13 @@
 """The largest stress in a flexure, from its wrench or from its deformed state."""
 
-from collections.abc import Sequence
-
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
 
-from .._utils.types import Scalar
+from .._utils.types import BatchScalar, NumberLike, Scalar, WrenchLike
 from .._utils.validation import require_positive, require_row
 from .beam_solution import BeamSolution
 
 
-def largest_stress(solution: BeamSolution) -> Float[Array, "*batch"]:
+def largest_stress(solution: BeamSolution) -> BatchScalar:
     """Compute the largest magnitude of the stress in a deformed beam.
 
     The field `stress` of the solution is signed, so its maximum is the largest tension.
@@ -40,11 +37,11 @@ def largest_stress(solution: BeamSolution) -> Float[Array, "*batch"]:
 
 
 def leaf_stress(
-    wrench: Float[ArrayLike, "3"] | Sequence[ArrayLike],
+    wrench: WrenchLike,
     *,
-    length: ArrayLike,
-    thickness: ArrayLike,
-    width: ArrayLike,
+    length: NumberLike,
+    thickness: NumberLike,
+    width: NumberLike,
 ) -> Scalar:
     """Compute the largest stress along a leaf, at the surface of one of its ends.
 
@@ -81,11 +78,11 @@ def leaf_stress(
 
 
 def notch_stress(
-    wrench: Float[ArrayLike, "3"] | Sequence[ArrayLike],
+    wrench: WrenchLike,
     *,
-    hole: ArrayLike,
-    web: ArrayLike,
-    width: ArrayLike,
+    hole: NumberLike,
+    web: NumberLike,
+    width: NumberLike,
 ) -> Scalar:
     """Compute the largest stress in the neck of a notch, at its thinnest section.
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import Matrix, Pose, Scalar, Wrench
+from .._utils.types import Matrix, NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import (
     all_concrete,
     concrete,
@@ -35,8 +35,8 @@ _SAMPLES = 800  # for the fit; half as many more are for the error estimate
 def surrogate(
     beam: Beam,
     *,
-    rotation: ArrayLike,
-    force: ArrayLike | None = None,
+    rotation: NumberLike,
+    force: NumberLike | None = None,
     error: float = 1e-3,
     order: int | None = None,
 ) -> WithValidityRange:

@@ -13,13 +13,12 @@ Corrections to section 2.4: the resultant `(6 + 3 sqrt(3), F, F)` with
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from .._utils.types import Point, Scalar, Wrench
 from .se2 import cross
 
 
-def line(start: Point, end: Point) -> Float[Array, "3"]:
+def line(start: Point, end: Point) -> Wrench:
     """Compute the line vector from one point to another.
 
     Args:

@@ -7,9 +7,8 @@ to 2.6 of the dissertation.
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array
 
-from .._utils.types import Matrix, Point, Pose, Scalar, Twist, Wrench
+from .._utils.types import AnyArray, Arm, Matrix, Point, Pose, Scalar, Twist, Wrench
 
 
 def compose(outer: Pose, inner: Pose) -> Pose:
@@ -280,8 +279,8 @@ def rotate(angle: Scalar, vector: Point) -> Point:
 
 
 def rotation_displacement(
-    arm: Point | tuple[Scalar, Scalar], cos: Array, sin: Array
-) -> tuple[Array, Array]:
+    arm: Arm, cos: AnyArray, sin: AnyArray
+) -> tuple[AnyArray, AnyArray]:
     """Compute the displacement `(R - 1) arm` of a point that rotates about a center.
 
     It is computed from the half angle, because `cos(angle) - 1` loses digits at small

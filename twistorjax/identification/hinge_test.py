@@ -1,12 +1,11 @@
 """Tests on a single hinge of a mechanism."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import Table, TrialsLike, WrenchLike
 from .._utils.validation import index_of
 from ..energies.fitting.trials import Trials
 from ..mechanism.mechanism import Mechanism
@@ -38,8 +37,8 @@ class HingeTest(AbstractTest):
     def __init__(
         self,
         hinge: str,
-        poses: Float[ArrayLike, "trials 3"] | Sequence[Sequence[ArrayLike]],
-        standard_deviation: Float[ArrayLike, "3"] | Sequence[ArrayLike],
+        poses: TrialsLike,
+        standard_deviation: WrenchLike,
     ):
         self.hinge = hinge
         self.poses = jnp.asarray(poses, float)
@@ -82,13 +81,13 @@ class HingeTest(AbstractTest):
         return ("N m", "N", "N")
 
     @property
-    def standard_deviations(self) -> Float[Array, "rows columns"]:
+    def standard_deviations(self) -> Table:
         """Standard deviations of the readings, equal in all trials; N m, N, N."""
         return jnp.broadcast_to(self.standard_deviation, self.poses.shape)
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
-    ) -> Float[Array, "rows columns"]:
+    ) -> Table:
         del forward, throw
         row = index_of("`hinge`", "hinge", self.hinge, mechanism.hinge_names)
         return jax.vmap(mechanism.hinge_assembly.energy_of(row).wrench)(self.poses)

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import optimistix as optx
-from jaxtyping import Array
 
+from .._utils.types import KeyLike
 from .._utils.validation import (
     all_concrete,
     compilation_error,
@@ -43,7 +43,7 @@ def identify(
     huber_threshold: float | None = None,
     restarts: int = 0,
     restart_standard_deviation: float = 0.5,
-    key: Array | int | None = None,
+    key: KeyLike | None = None,
     tolerance: float = 1e-8,
     max_steps: int | None = None,
     reverse: bool | None = None,

@@ -4,8 +4,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import Flag, Scalar
 from .optimizer import AbstractOptimizer, constant, Evaluation, exceeds_rounding, ROUNDING
 
 
@@ -28,14 +29,14 @@ class _LinearModel(eqx.Module):
     """
 
     point: Float[Array, " parameters"]
-    loss: Float[Array, ""]
+    loss: Scalar
     components: Float[Array, " rank"]
     singular_values: Float[Array, " rank"]
     directions: Float[Array, "rank parameters"]
-    damping: Float[Array, ""]
-    reduction: Float[Array, ""]
-    has_failed: Bool[Array, ""]
-    predicted_decrease: Float[Array, ""]
+    damping: Scalar
+    reduction: Scalar
+    has_failed: Flag
+    predicted_decrease: Scalar
 
 
 class LevenbergMarquardt(AbstractOptimizer):
@@ -83,7 +84,7 @@ class LevenbergMarquardt(AbstractOptimizer):
         point: Float[Array, " parameters"],
         evaluation: Evaluation,
         state: _LinearModel,
-    ) -> tuple[Float[Array, " parameters"], _LinearModel, Bool[Array, ""]]:
+    ) -> tuple[Float[Array, " parameters"], _LinearModel, Flag]:
         decrease = state.loss - evaluation.loss
         accepted = jnp.isfinite(evaluation.loss)
         accepted &= decrease > 1e-3 * state.predicted_decrease

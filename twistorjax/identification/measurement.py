@@ -8,9 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._utils.pytrees import group_by_structure
+from .._utils.types import KeyLike, Table, TableDeviationsLike, TableLike
 from .._utils.validation import all_concrete, concrete
 from ..mechanism.mechanism import Mechanism
 from .compilation import fast_compile
@@ -26,7 +27,7 @@ class AbstractTest(eqx.Module):
     @abstractmethod
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
-    ) -> Float[Array, "rows columns"]:
+    ) -> Table:
         """Compute the readings of a mechanism, without measurement errors.
 
         Args:
@@ -51,13 +52,13 @@ class AbstractTest(eqx.Module):
 
     @property
     @abstractmethod
-    def standard_deviations(self) -> Float[Array, "rows columns"]:
+    def standard_deviations(self) -> Table:
         """Standard deviations of the readings, in `units`."""
 
     def measurement(
         self,
-        values: Float[ArrayLike, "rows columns"] | Sequence[Sequence[ArrayLike]],
-        standard_deviations: Float[ArrayLike, "*rows columns"] | None = None,
+        values: TableLike,
+        standard_deviations: TableDeviationsLike | None = None,
     ) -> "Measurement":
         """Combine the test with the values that were measured.
 
@@ -111,7 +112,7 @@ class AbstractTest(eqx.Module):
         return Measurement(self, array, sizes)
 
     def synthetic_data(
-        self, mechanism: Mechanism, key: Array | int | None = None
+        self, mechanism: Mechanism, key: KeyLike | None = None
     ) -> "Measurement":
         """Simulate the test on a mechanism whose parameters are known.
 
@@ -149,12 +150,10 @@ class Measurement(eqx.Module):
     """
 
     test: AbstractTest
-    values: Float[Array, "rows columns"]
-    standard_deviations: Float[Array, "rows columns"]
+    values: Table
+    standard_deviations: Table
 
-    def residuals(
-        self, mechanism: Mechanism, *, forward: bool = True
-    ) -> Float[Array, "rows columns"]:
+    def residuals(self, mechanism: Mechanism, *, forward: bool = True) -> Table:
         """Compute the differences between predicted and measured values.
 
         Args:
@@ -180,12 +179,12 @@ class Measurement(eqx.Module):
 
 
 @fast_compile
-def _predict(test: AbstractTest, mechanism: Mechanism) -> Float[Array, "rows columns"]:
+def _predict(test: AbstractTest, mechanism: Mechanism) -> Table:
     """Compute the readings of a mechanism; NaN if a solve fails."""
     return test.predict(mechanism, throw=False)
 
 
-def random_key(key: Array | int) -> Array:
+def random_key(key: KeyLike) -> Array:
     """Make a random key from an integer seed; a key is returned unchanged.
 
     Raises:

@@ -5,15 +5,22 @@ from collections.abc import Mapping, Sequence
 import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import PosesLike, Scalar
+from .._utils.types import (
+    NumberLike,
+    Poses,
+    Scalar,
+    Table,
+    TimesLike,
+    VelocityLike,
+)
 from .._utils.validation import concrete
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
 from ..solve.dynamics import Driving, Loading, simulate
 from ..solve.initial_state import check_times
-from ..solve.statics import Equilibrium
+from ..solve.statics import Equilibrium, StateLike
 from .measurement import as_pytree
 from .sensor_test import require_sensors, SensorTest
 from .sensors import AbstractSensor
@@ -55,21 +62,21 @@ class MotionTest(SensorTest):
     loads: Loading
     drives: Driving
     constraints: tuple[AbstractConstraint, ...]
-    start: Float[Array, "bodies 3"] | None
+    start: Poses | None
     velocities: dict[str, tuple[Scalar, ...]] | None
     tolerance: Scalar
 
     def __init__(
         self,
-        times: Float[ArrayLike, " times"] | Sequence[ArrayLike],
+        times: TimesLike,
         sensors: Sequence[AbstractSensor],
         *,
         loads: Loading = (),
         drives: Driving = (),
         constraints: Sequence[AbstractConstraint] = (),
-        start: PosesLike | Equilibrium | None = None,
-        velocities: Mapping[str, Sequence[ArrayLike] | Array] | None = None,
-        tolerance: ArrayLike = 1e-8,
+        start: StateLike | None = None,
+        velocities: Mapping[str, VelocityLike] | None = None,
+        tolerance: NumberLike = 1e-8,
     ):
         self.times = check_times(times)
         self.sensors = require_sensors(sensors)
@@ -100,7 +107,7 @@ class MotionTest(SensorTest):
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
-    ) -> Float[Array, "rows columns"]:
+    ) -> Table:
         motion = simulate(
             mechanism,
             self.times,

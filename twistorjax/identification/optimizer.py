@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._utils.types import Flag, Scalar
+
 
 # Sensitivities below this fraction of the largest one are rounding errors.
 ROUNDING = 1e-10
@@ -44,7 +46,7 @@ class Evaluation(eqx.Module):
     derivatives: Float[Array, "*readings parameters"]
 
     @property
-    def loss(self) -> Float[Array, ""]:
+    def loss(self) -> Scalar:
         """Half the sum of the squared residuals; infinite if a solve fails."""
         loss = jnp.sum(self.residuals**2) / 2
         return jnp.where(jnp.isfinite(loss), loss, jnp.inf)
@@ -73,7 +75,7 @@ class AbstractOptimizer(eqx.Module):
     @abstractmethod
     def step(
         self, point: Float[Array, " parameters"], evaluation: Evaluation, state: Any
-    ) -> tuple[Float[Array, " parameters"], Any, Bool[Array, ""]]:
+    ) -> tuple[Float[Array, " parameters"], Any, Flag]:
         """Choose the next point.
 
         Args:

@@ -14,9 +14,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._utils.pytrees import entry_names, path_name
+from .._utils.types import ArrayOfNumbers, Numbers
 from .._utils.validation import concrete
 
 
@@ -44,20 +45,20 @@ class Parameter(eqx.Module):
         Parameter(0.00025 m, above 0)
     """
 
-    value: Float[Array, "..."]
+    value: Numbers
     unit: str | tuple[str, ...] = eqx.field(static=True)
     lower: float | None = eqx.field(static=True)
     upper: float | None = eqx.field(static=True)
-    scale: Float[Array, "..."] | None
+    scale: Numbers | None
 
     def __init__(
         self,
-        value: ArrayLike,
+        value: ArrayOfNumbers,
         unit: str | Sequence[str] = "",
         *,
         lower: float | int | None = None,
         upper: float | int | None = None,
-        scale: ArrayLike | None = None,
+        scale: ArrayOfNumbers | None = None,
     ):
         self.value = jnp.asarray(value, float)
         self.unit = unit if isinstance(unit, str) else tuple(unit)
@@ -101,7 +102,7 @@ class Parameter(eqx.Module):
                 "change is not known: give it as `scale`."
             )
 
-    def initial_scale(self) -> Float[Array, "..."]:
+    def initial_scale(self) -> Numbers:
         """Derivative of the value with respect to the normalized parameter, at zero.
 
         Returns:
@@ -119,7 +120,7 @@ class Parameter(eqx.Module):
             return jnp.where(size > 0, size, jnp.max(size))
         return jnp.broadcast_to(self.scale, self.value.shape)
 
-    def value_at(self, normalized: Float[Array, "..."]) -> Float[Array, "..."]:
+    def value_at(self, normalized: Numbers) -> Numbers:
         """Compute the value from the normalized parameter.
 
         Args:

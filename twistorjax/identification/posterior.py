@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._utils.types import KeyLike
 from .._utils.validation import require_package
 from .compilation import fast_compile
 from .measurement import random_key
@@ -24,7 +25,7 @@ def posterior(
     tune: int = 500,
     chains: int = 2,
     prior_standard_deviation: float = 3.0,
-    key: Array | int = 0,
+    key: KeyLike = 0,
 ) -> "arviz.InferenceData":
     """Draw samples of the posterior distribution by Hamiltonian Monte Carlo.
 

@@ -6,8 +6,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 
+from .._utils.types import (
+    BatchCount,
+    BatchFlag,
+    BatchLosses,
+    BatchParameters,
+    BatchScalar,
+    BatchSensitivities,
+    BatchTable,
+    ParameterMatrix,
+    Parameters,
+    Scalar,
+)
 from .._utils.validation import all_concrete
 from ..solve.results import result_names, RESULTS
 from . import diagnostics
@@ -38,18 +49,18 @@ class Identification(eqx.Module):
     """
 
     estimates: Any
-    normalized: Float[Array, "*batch parameters"]
-    jacobian: Float[Array, "*batch readings parameters"]
-    residuals: tuple[Float[Array, "*batch rows columns"], ...]
-    held_out_residuals: tuple[Float[Array, "*batch rows columns"], ...]
-    loss: Float[Array, "*batch"]
-    losses: Float[Array, "*batch restarts"]
-    steps: Int[Array, "*batch"]
+    normalized: BatchParameters
+    jacobian: BatchSensitivities
+    residuals: tuple[BatchTable, ...]
+    held_out_residuals: tuple[BatchTable, ...]
+    loss: BatchScalar
+    losses: BatchLosses
+    steps: BatchCount
     result: RESULTS
     problem: IdentificationProblem
 
     @property
-    def succeeded(self) -> Bool[Array, "*batch"]:
+    def succeeded(self) -> BatchFlag:
         """Whether the search has converged."""
         return self.result == RESULTS.successful
 
@@ -64,12 +75,12 @@ class Identification(eqx.Module):
         return self.problem.parameters.units
 
     @property
-    def values(self) -> Float[Array, " parameters"]:
+    def values(self) -> Parameters:
         """Estimated values as a vector, in the order of `names`."""
         return self.problem.parameters.vector(self.normalized)
 
     @property
-    def normalized_covariance(self) -> Float[Array, "parameters parameters"]:
+    def normalized_covariance(self) -> ParameterMatrix:
         """Covariance of the normalized parameters.
 
         The variance of a parameter that the readings do not determine is infinite. For
@@ -88,7 +99,7 @@ class Identification(eqx.Module):
         diagonal = jnp.where(undetermined, jnp.inf, jnp.diagonal(covariance))
         return jnp.where(jnp.eye(diagonal.size, dtype=bool), diagonal[None], covariance)
 
-    def _huber_correction(self, threshold: float) -> Float[Array, ""]:
+    def _huber_correction(self, threshold: float) -> Scalar:
         """Factor by which Huber's loss increases the covariance, at least 1.
 
         Args:
@@ -111,7 +122,7 @@ class Identification(eqx.Module):
         return jnp.maximum(small_sample**2 * variance / share**2, 1.0)
 
     @property
-    def covariance(self) -> Float[Array, "parameters parameters"]:
+    def covariance(self) -> ParameterMatrix:
         """Covariance of the estimates, in the products of their units.
 
         The variance of a parameter that the readings do not determine is infinite.
@@ -128,7 +139,7 @@ class Identification(eqx.Module):
         return self.problem.parameters.unflatten(standard_errors)
 
     @property
-    def correlation(self) -> Float[Array, "parameters parameters"]:
+    def correlation(self) -> ParameterMatrix:
         """Correlation matrix of the estimates."""
         covariance = self.normalized_covariance
         size = jnp.sqrt(jnp.diagonal(covariance))

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.types import Table
 from .._utils.validation import require_kind
 from ..mechanism.mechanism import Mechanism
 from .measurement import AbstractTest
@@ -39,7 +40,7 @@ class SensorTest(AbstractTest):
         return tuple(sensor.unit for sensor in self.sensors)
 
     @property
-    def standard_deviations(self) -> Float[Array, "rows columns"]:
+    def standard_deviations(self) -> Table:
         """Standard deviations of the sensors, in `units`; equal in all rows."""
         row = jnp.stack([sensor.standard_deviation for sensor in self.sensors])
         return jnp.broadcast_to(row, (self.row_count, len(self.sensors)))

@@ -1,13 +1,14 @@
 """Sensors on the bodies and hinges of a mechanism."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, get_args, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import AnyArray, NumberLike, PointLike, Readings, Scalar
 from .._utils.validation import (
     concrete,
     index_of,
@@ -58,10 +59,10 @@ class AbstractSensor(eqx.Module):
 
     name: eqx.AbstractVar[str]
     unit: eqx.AbstractVar[str]
-    standard_deviation: eqx.AbstractVar[Float[Array, ""]]
+    standard_deviation: eqx.AbstractVar[Scalar]
 
     @abstractmethod
-    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
         """Compute the reading, without measurement error.
 
         Args:
@@ -110,7 +111,7 @@ class BodySensor(AbstractSensor):
 
     body: str = eqx.field(static=True)
     quantity: BodyQuantity = eqx.field(static=True)
-    standard_deviation: Float[Array, ""]
+    standard_deviation: Scalar
     at: Float[Array, "2"] | None
     absolute: bool = eqx.field(static=True)
 
@@ -118,9 +119,9 @@ class BodySensor(AbstractSensor):
         self,
         body: str,
         quantity: BodyQuantity,
-        standard_deviation: ArrayLike,
+        standard_deviation: NumberLike,
         *,
-        at: Float[ArrayLike, "2"] | Sequence[ArrayLike] | None = None,
+        at: PointLike | None = None,
         absolute: bool = False,
     ):
         self.body = body
@@ -151,7 +152,7 @@ class BodySensor(AbstractSensor):
         """SI unit of the quantity."""
         return UNITS[self.quantity]
 
-    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
         index = get_args(BodyQuantity).index(self.quantity)
         if index >= 6:
             return solution.reaction(self.body)[..., index - 6]
@@ -206,10 +207,10 @@ class HingeSensor(AbstractSensor):
 
     hinge: str = eqx.field(static=True)
     quantity: HingeQuantity = eqx.field(static=True)
-    standard_deviation: Float[Array, ""]
+    standard_deviation: Scalar
 
     def __init__(
-        self, hinge: str, quantity: HingeQuantity, standard_deviation: ArrayLike
+        self, hinge: str, quantity: HingeQuantity, standard_deviation: NumberLike
     ):
         self.hinge = hinge
         self.quantity = require_choice("`quantity`", quantity, get_args(HingeQuantity))
@@ -227,7 +228,7 @@ class HingeSensor(AbstractSensor):
         """SI unit of the quantity."""
         return UNITS[self.quantity]
 
-    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
         index_of("The sensor", "hinge", self.hinge, mechanism.hinge_names)
         index = get_args(HingeQuantity).index(self.quantity)
         compute = mechanism.displacement_of if index < 3 else mechanism.wrench_of
@@ -255,17 +256,17 @@ class FunctionSensor(AbstractSensor):
         FunctionSensor(energy, to 0.001 J)
     """
 
-    function: Callable[[Mechanism, Any], Array] = eqx.field(static=True)
+    function: Callable[[Mechanism, Any], AnyArray] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
-    standard_deviation: Float[Array, ""]
+    standard_deviation: Scalar
 
     def __init__(
         self,
-        function: Callable[[Mechanism, Any], Array],
+        function: Callable[[Mechanism, Any], AnyArray],
         name: str,
         unit: str,
-        standard_deviation: ArrayLike,
+        standard_deviation: NumberLike,
     ):
         self.function = function
         self.name = name
@@ -279,7 +280,7 @@ class FunctionSensor(AbstractSensor):
         """True, because the function may use the energy balance of a motion."""
         return True
 
-    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
+    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
         return self.function(mechanism, solution)
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.types import Table
 from .._utils.validation import concrete
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
@@ -63,7 +64,7 @@ class StaticTest(SensorTest):
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
-    ) -> Float[Array, "rows columns"]:
+    ) -> Table:
         del forward
 
         def read_trial(trial: _Trial) -> Float[Array, " columns"]:

@@ -6,13 +6,19 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import Poses, PosesLike
+from .._utils.types import (
+    NumbersLike,
+    Poses,
+    Table,
+    TableDeviationsLike,
+    TableLike,
+)
 from .._utils.validation import concrete
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from ..solve.statics import Equilibrium
+from ..solve.statics import Equilibrium, StateLike
 from ..solve.vibrations import vibrations
 from .measurement import AbstractTest, expand_standard_deviation, Measurement
 
@@ -47,10 +53,10 @@ class VibrationTest(AbstractTest):
     def __init__(
         self,
         count: int,
-        standard_deviation: ArrayLike | Sequence[ArrayLike],
+        standard_deviation: NumbersLike,
         *,
         prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
-        about: PosesLike | Equilibrium | None = None,
+        about: StateLike | None = None,
         loads: Sequence[Load] = (),
     ):
         if count < 1:
@@ -69,8 +75,8 @@ class VibrationTest(AbstractTest):
 
     def measurement(
         self,
-        values: Float[ArrayLike, "rows columns"] | Sequence[Sequence[ArrayLike]],
-        standard_deviations: Float[ArrayLike, "*rows columns"] | None = None,
+        values: TableLike,
+        standard_deviations: TableDeviationsLike | None = None,
     ) -> Measurement:
         """Combine the test with the frequencies that were measured.
 
@@ -104,13 +110,13 @@ class VibrationTest(AbstractTest):
         return ("Hz",)
 
     @property
-    def standard_deviations(self) -> Float[Array, "rows columns"]:
+    def standard_deviations(self) -> Table:
         """Standard deviation of each frequency; Hz."""
         return self.standard_deviation[:, None]
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True
-    ) -> Float[Array, "rows columns"]:
+    ) -> Table:
         del forward
         prescribed: Any = self.prescribed
         if prescribed and isinstance(prescribed[0], tuple):

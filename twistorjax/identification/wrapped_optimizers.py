@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import optax
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import Flag, Scalar
 from .optimizer import AbstractOptimizer, constant, Evaluation
 
 
@@ -39,7 +40,7 @@ class GradientDescent(AbstractOptimizer):
 
     def step(
         self, point: Float[Array, " parameters"], evaluation: Evaluation, state: Any
-    ) -> tuple[Float[Array, " parameters"], Any, Bool[Array, ""]]:
+    ) -> tuple[Float[Array, " parameters"], Any, Flag]:
         previous, inner, initial_norm = state
         evaluation, initial_norm = _scale_to_unit_norm(evaluation, initial_norm)
         failed = ~jnp.isfinite(evaluation.loss)
@@ -87,7 +88,7 @@ class OptimistixSolver(AbstractOptimizer):
 
     def step(
         self, point: Float[Array, " parameters"], evaluation: Evaluation, state: Any
-    ) -> tuple[Float[Array, " parameters"], Any, Bool[Array, ""]]:
+    ) -> tuple[Float[Array, " parameters"], Any, Flag]:
         del point
         inner, accepted, initial_norm = state
         evaluation, initial_norm = _scale_to_unit_norm(evaluation, initial_norm)
@@ -108,8 +109,8 @@ class OptimistixSolver(AbstractOptimizer):
 
 
 def _scale_to_unit_norm(
-    evaluation: Evaluation, initial_norm: Float[Array, ""]
-) -> tuple[Evaluation, Float[Array, ""]]:
+    evaluation: Evaluation, initial_norm: Scalar
+) -> tuple[Evaluation, Scalar]:
     """Divide the residuals by their norm at the start.
 
     Learning rates and tolerances of optax and optimistix assume losses of order one.

@@ -1,12 +1,17 @@
 """Rigid bodies of a mechanism."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import ArrayLike, Float
 
-from .._utils.types import Corners, Pose, Scalar
+from .._utils.types import (
+    Corners,
+    CornersLike,
+    NumberLike,
+    OutlineLike,
+    Pose,
+    PoseLike,
+    Scalar,
+)
 from .._utils.validation import (
     concrete,
     require_corners,
@@ -44,10 +49,10 @@ class Body(eqx.Module):
     def __init__(
         self,
         name: str,
-        pose: Float[ArrayLike, "3"] | Sequence[ArrayLike] = (0.0, 0.0, 0.0),
-        mass: ArrayLike | None = None,
-        inertia: ArrayLike | None = None,
-        outline: Float[ArrayLike, "corners 2"] | None = None,
+        pose: PoseLike = (0.0, 0.0, 0.0),
+        mass: NumberLike | None = None,
+        inertia: NumberLike | None = None,
+        outline: OutlineLike | None = None,
     ):
         self.name = require_text("The name of a body", name)
         owner = f"of the body {name!r}"
@@ -63,9 +68,9 @@ class Body(eqx.Module):
 
 def plate(
     name: str,
-    corners: Float[ArrayLike, "corners 2"] | Sequence[Sequence[ArrayLike]],
+    corners: CornersLike,
     *,
-    width: ArrayLike,
+    width: NumberLike,
     material: Material,
 ) -> Body:
     """Create a body that is cut from a plate.

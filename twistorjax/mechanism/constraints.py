@@ -7,9 +7,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import Point, Pose, Poses, Scalar
+from .._utils.types import (
+    Entries,
+    Numbers,
+    Point,
+    PointLike,
+    Pose,
+    PoseLike,
+    Poses,
+    Scalar,
+)
 from .._utils.validation import index_of, require_kind, require_row, require_text
 from ..geometry import se2
 from .mechanism import Mechanism
@@ -26,9 +35,7 @@ class AbstractConstraint(eqx.Module):
     bodies: eqx.AbstractVar[tuple[str, ...]]
 
     @abstractmethod
-    def violation(
-        self, poses: Poses, references: Poses, time: Scalar
-    ) -> Float[Array, "..."]:
+    def violation(self, poses: Poses, references: Poses, time: Scalar) -> Numbers:
         """Compute the values that must be zero; rad or m.
 
         Args:
@@ -63,11 +70,9 @@ class Constraint(AbstractConstraint):
 
     name: str = eqx.field(static=True)
     bodies: tuple[str, ...] = eqx.field(static=True)
-    zero: Callable[..., Float[Array, "..."]]
+    zero: Callable[..., Numbers]
 
-    def __init__(
-        self, name: str, bodies: Sequence[str], zero: Callable[..., Float[Array, "..."]]
-    ):
+    def __init__(self, name: str, bodies: Sequence[str], zero: Callable[..., Numbers]):
         self.name = require_text("The name of a constraint", name)
         if isinstance(bodies, str):
             raise ValueError(
@@ -82,9 +87,7 @@ class Constraint(AbstractConstraint):
             )
         self.zero = zero
 
-    def violation(
-        self, poses: Poses, references: Poses, time: Scalar
-    ) -> Float[Array, "..."]:
+    def violation(self, poses: Poses, references: Poses, time: Scalar) -> Numbers:
         del references
         entries = jnp.asarray(self.zero(*poses, time))
         return entries[None] if entries.ndim == 0 else entries
@@ -119,15 +122,13 @@ class Pin(AbstractConstraint):
         name: str,
         first: str,
         second: str,
-        at: Float[ArrayLike, "2"] | Sequence[ArrayLike],
+        at: PointLike,
     ):
         self.name = require_text("The name of a pin", name)
         self.bodies = _two_bodies("pin", name, first, second)
         self.at = require_row(f"`at` of the pin {name!r}", at, "(x, y)", 2)
 
-    def violation(
-        self, poses: Poses, references: Poses, time: Scalar
-    ) -> Float[Array, "2"]:
+    def violation(self, poses: Poses, references: Poses, time: Scalar) -> Point:
         del time
         frame = jnp.concatenate([jnp.zeros(1), self.at])
         first, second = _carried(frame, poses, references)
@@ -165,15 +166,13 @@ class Slider(AbstractConstraint):
         name: str,
         first: str,
         second: str,
-        at: Float[ArrayLike, "3"] | Sequence[ArrayLike],
+        at: PoseLike,
     ):
         self.name = require_text("The name of a slider", name)
         self.bodies = _two_bodies("slider", name, first, second)
         self.at = require_row(f"`at` of the slider {name!r}", at, "(angle, x, y)")
 
-    def violation(
-        self, poses: Poses, references: Poses, time: Scalar
-    ) -> Float[Array, "2"]:
+    def violation(self, poses: Poses, references: Poses, time: Scalar) -> Point:
         del time
         gap = se2.between(*_carried(self.at, poses, references))
         return jnp.stack([gap[0], gap[2]])
@@ -202,7 +201,7 @@ class ConstraintSet(eqx.Module):
         """Number of entries: the degrees of freedom that the constraints remove."""
         return sum(self.sizes)
 
-    def violation(self, displacements: Poses, time: Scalar) -> Float[Array, " entries"]:
+    def violation(self, displacements: Poses, time: Scalar) -> Entries:
         """Compute the violation of all constraints; rad or m.
 
         Args:
@@ -228,7 +227,7 @@ class ConstraintSet(eqx.Module):
         return jacobian.reshape(self.size, -1)
 
     def forces(
-        self, displacements: Poses, time: Scalar, push: Float[Array, " entries"]
+        self, displacements: Poses, time: Scalar, push: Entries
     ) -> Float[Array, " dofs"]:
         """Compute the generalized forces that the constraint forces exert; N m, N.
 
@@ -243,7 +242,7 @@ class ConstraintSet(eqx.Module):
         return pull_back(push)[0].reshape(-1)
 
     def geometric_stiffness(
-        self, displacements: Poses, time: Scalar, push: Float[Array, " entries"]
+        self, displacements: Poses, time: Scalar, push: Entries
     ) -> Float[Array, "dofs dofs"]:
         """Compute the negative derivative of the `forces` by all degrees of freedom.
 

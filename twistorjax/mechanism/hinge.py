@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, Float
 
-from .._utils.types import Corners, Pose, Scalar
+from .._utils.types import Corners, OutlineLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
     all_concrete,
     concrete,
@@ -17,7 +16,7 @@ from .._utils.validation import (
     require_text,
 )
 from ..energies.base import AbstractEnergy, validation_error
-from ..energies.damping import ViscousDamping
+from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
 
 
@@ -62,11 +61,11 @@ class Hinge(eqx.Module):
         first: str,
         second: str,
         energy: AbstractEnergy,
-        at: Float[ArrayLike, "3"] | Sequence[ArrayLike] | None = None,
+        at: PoseLike | None = None,
         *,
-        ports: Sequence[Float[ArrayLike, "3"] | Sequence[ArrayLike]] | None = None,
-        damping: ViscousDamping | ArrayLike | None = None,
-        outline: Float[ArrayLike, "corners 2"] | None = None,
+        ports: Sequence[PoseLike] | None = None,
+        damping: DampingLike | None = None,
+        outline: OutlineLike | None = None,
     ):
         self.name = require_text("The name of a hinge", name)
         self.first = require_text(f"`first` of the hinge {name!r}", first)
@@ -104,7 +103,7 @@ class Hinge(eqx.Module):
 
 
 def _check_damping(
-    name: str, damping: ViscousDamping | ArrayLike | None
+    name: str, damping: DampingLike | None
 ) -> ViscousDamping | Scalar | None:
     """Return a damping, or the time of a proportional damping; s.
 

@@ -11,9 +11,9 @@ from typing import Any, cast, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Inexact
+from jaxtyping import Array, Float, Inexact
 
-from .._utils.types import Scalar
+from .._utils.types import Flag, Scalar
 from ..energies import solver_protocols
 from ..energies.base import AbstractEnergy
 from ..geometry.twistors import Displacement, half_angle_cos_sin
@@ -175,7 +175,7 @@ def factored(
     return Factored(product(rows, motions.T), weights, remainder)
 
 
-def _ratio(above: Scalar, below: Scalar, valid: Bool[Array, ""]) -> Scalar:
+def _ratio(above: Scalar, below: Scalar, valid: Flag) -> Scalar:
     """Divide, or return zero where the ratio is not valid or the divisor is zero."""
     valid = valid & (below != 0)
     return jnp.where(valid, above / jnp.where(valid, below, 1.0), 0.0)

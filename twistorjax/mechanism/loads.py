@@ -5,9 +5,19 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import Point, Poses, Scalar, Wrench, Wrenches
+from .._utils.types import (
+    ForceLike,
+    NumberLike,
+    Point,
+    PointLike,
+    Poses,
+    Scalar,
+    Wrench,
+    Wrenches,
+    WrenchLike,
+)
 from .._utils.validation import concrete, index_of, require_kind, require_row
 from .mechanism import COORDINATES, Mechanism
 
@@ -43,11 +53,11 @@ class Load(eqx.Module):
     def __init__(
         self,
         body: str,
-        wrench: Float[ArrayLike, "3"] | Sequence[ArrayLike] | None = None,
-        at: Float[ArrayLike, "2"] | Sequence[ArrayLike] = (0.0, 0.0),
+        wrench: WrenchLike | None = None,
+        at: PointLike = (0.0, 0.0),
         *,
-        force: Float[ArrayLike, "2"] | Sequence[ArrayLike] | None = None,
-        moment: ArrayLike | None = None,
+        force: ForceLike | None = None,
+        moment: NumberLike | None = None,
         follower: bool = False,
     ):
         self.body = body
@@ -97,9 +107,9 @@ class Drive(eqx.Module):
         self,
         body: str,
         *,
-        angle: ArrayLike | None = None,
-        x: ArrayLike | None = None,
-        y: ArrayLike | None = None,
+        angle: NumberLike | None = None,
+        x: NumberLike | None = None,
+        y: NumberLike | None = None,
     ):
         self.body = body
         values = dict(zip(COORDINATES, (angle, x, y), strict=True))
@@ -241,7 +251,7 @@ def prescribed_dofs(
     return tuple(values), tuple(values.values())
 
 
-def _number(name: str, value: ArrayLike) -> Scalar:
+def _number(name: str, value: NumberLike) -> Scalar:
     """Convert a value to an array and check that it is one finite number."""
     number = concrete(value)
     if number is not None and not (

@@ -9,13 +9,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import (
+    BatchPose,
+    BatchPoses,
+    BatchWrench,
+    BodiesMatrix,
     Corners,
     Displaced,
     Pose,
     Poses,
-    PosesLike,
+    PosesOrResult,
     Scalar,
-    Wrench,
     Wrenches,
 )
 from .._utils.validation import (
@@ -142,7 +145,7 @@ class Mechanism(eqx.Module):
         """
         return -self.hinge_assembly.forces(self.displacements(poses))
 
-    def stiffness(self, poses: Poses) -> Float[Array, "bodies 3 bodies 3"]:
+    def stiffness(self, poses: Poses) -> BodiesMatrix:
         """Compute the second derivative of the energy by the poses; N m/rad, N/rad, N/m.
 
         Args:
@@ -193,9 +196,7 @@ class Mechanism(eqx.Module):
             sentences.append(f"The hinge {self.hinge_names[row]!r}: {message}.")
         return " ".join(sentences)
 
-    def displacement_of(
-        self, hinge: str, at: Poses | Displaced
-    ) -> Float[Array, "*batch 3"]:
+    def displacement_of(self, hinge: str, at: PosesOrResult) -> BatchPose:
         """Compute the displacement of frame b of a hinge, seen from its frame a.
 
         Args:
@@ -214,7 +215,7 @@ class Mechanism(eqx.Module):
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
         return self._of_hinge(at, lambda moved: self._hinge_pose(row, moved))
 
-    def wrench_of(self, hinge: str, at: Poses | Displaced) -> Float[Array, "*batch 3"]:
+    def wrench_of(self, hinge: str, at: PosesOrResult) -> BatchWrench:
         """Compute the wrench that body B exerts on a hinge, about frame b, in its axes.
 
         Args:
@@ -231,12 +232,8 @@ class Mechanism(eqx.Module):
                 of its bodies, or the hinge is beyond the validity range of its energy.
         """
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        energy = self.hinge_assembly.energy_of(row)
-
-        def wrench(moved: Poses) -> Wrench:
-            return energy.wrench(self._hinge_pose(row, moved))
-
-        return self._of_hinge(at, wrench)
+        wrench = self.hinge_assembly.energy_of(row).wrench
+        return self._of_hinge(at, lambda moved: wrench(self._hinge_pose(row, moved)))
 
     def _hinge_pose(self, row: int, displacements: Poses) -> Pose:
         """Compute frame b of a hinge, seen from its frame a; rad, m, m."""
@@ -244,16 +241,14 @@ class Mechanism(eqx.Module):
         x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
         return jnp.stack([at.angle, 2 * x, 2 * y])
 
-    def _of_hinge(
-        self, at: Poses | Displaced, function: Callable[[Poses], Float[Array, "3"]]
-    ) -> Float[Array, "*batch 3"]:
+    def _of_hinge(self, at: PosesOrResult, of: Callable[[Poses], Pose]) -> BatchPose:
         """Evaluate a function of displacements for each of a batch of them."""
         displacements = self.displacements(at, "at")
         flat = displacements.reshape(-1, *self.reference.shape)
         shape = (*displacements.shape[:-2], 3)
         if len(flat) == 1:  # not traced, so that a value out of range raises an error
-            return function(flat[0]).reshape(shape)
-        return jax.vmap(function)(flat).reshape(shape)
+            return of(flat[0]).reshape(shape)
+        return jax.vmap(of)(flat).reshape(shape)
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
         """Compute the two frames of a hinge in the world; rad, m, m.
@@ -303,8 +298,8 @@ class Mechanism(eqx.Module):
         return index_of(where, "body", name, self.names)
 
     def displacements(
-        self, at: PosesLike | Displaced, name: str = "poses", *, one: bool = False
-    ) -> Float[Array, "*batch bodies 3"]:
+        self, at: PosesOrResult, name: str = "poses", *, one: bool = False
+    ) -> BatchPoses:
         """Compute the displacements of the bodies from their reference poses; rad, m, m.
 
         Args:

@@ -5,6 +5,7 @@ from typing import cast, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
+from typing_extensions import TypeAliasType
 
 from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
@@ -34,9 +35,15 @@ class _Frames(NamedTuple):
     interval: float  # ms
 
 
+# What can be animated; poses in rad, m, m
+Animated = TypeAliasType(
+    "Animated", Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"]
+)
+
+
 def animate(
     mechanism: Mechanism,
-    motion: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
+    motion: Animated,
     *,
     mode: int = 0,
     magnify: float | int = 1.0,
@@ -126,7 +133,7 @@ def _html(animation: "FuncAnimation", figure: "Figure") -> str:
 
 def _frames(
     mechanism: Mechanism,
-    motion: Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"],
+    motion: Animated,
     mode: int,
     magnify: float | int,
     slower: float | int,

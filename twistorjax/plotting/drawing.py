@@ -5,9 +5,9 @@ from typing import Literal, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from typing_extensions import TypeAliasType
 
-from .._utils.types import PosesLike
+from .._utils.types import NamedNumbers, PosesLike
 from .._utils.validation import index_of
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
@@ -32,9 +32,15 @@ if TYPE_CHECKING:
 Color = tuple[float, ...]  # red, green, blue, opacity
 
 
+# What can be drawn; poses in rad, m, m
+Drawn = TypeAliasType("Drawn", PosesLike | Equilibrium | Motion)
+# The stored energy (J), or a number for each hinge
+HingeColors = TypeAliasType("HingeColors", Literal["energy"] | NamedNumbers)
+
+
 def draw(
     mechanism: Mechanism,
-    poses: PosesLike | Equilibrium | Motion | None = None,
+    poses: Drawn | None = None,
     *,
     magnify: float | int = 1.0,
     reference: bool = True,
@@ -43,7 +49,7 @@ def draw(
     loads: Sequence[Load] = (),
     reactions: bool = False,
     constraints: Sequence[AbstractConstraint] = (),
-    color: Literal["energy"] | Mapping[str, ArrayLike] | None = None,
+    color: HingeColors | None = None,
     label: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
@@ -197,9 +203,7 @@ def _draw_shape(
     axes.add_patch(Polygon(unit * shape.corners, **style))
 
 
-def _displacements(
-    mechanism: Mechanism, poses: PosesLike | Equilibrium | Motion | None
-) -> np.ndarray:
+def _displacements(mechanism: Mechanism, poses: Drawn | None) -> np.ndarray:
     """Return the displacements of the bodies that are drawn; rad, m, m."""
     if poses is None:
         return np.zeros(mechanism.reference.shape)
@@ -220,7 +224,7 @@ def _displacements(
     return displacements
 
 
-def _reactions(poses: PosesLike | Equilibrium | Motion | None) -> np.ndarray:
+def _reactions(poses: Drawn | None) -> np.ndarray:
     """Return the reactions on the bodies that are drawn; N m, N, N."""
     if isinstance(poses, Equilibrium):
         return np.asarray(poses.reactions)
@@ -235,7 +239,7 @@ def _reactions(poses: PosesLike | Equilibrium | Motion | None) -> np.ndarray:
 def _hinge_values(
     mechanism: Mechanism,
     poses: np.ndarray,
-    color: Literal["energy"] | Mapping[str, ArrayLike] | None,
+    color: HingeColors | None,
     label: str,
 ) -> tuple[dict[int, float], str]:
     """Compute the numbers by which hinges are colored.

@@ -7,10 +7,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from .._utils.types import Flag
 from .factorization import diagonal_scale, Factors, factors_resist
 
 
@@ -194,6 +195,6 @@ class BlockFactors(eqx.Module):
         _, solution = jax.lax.scan(backward, zero, (above, solution), reverse=True)
         return (self.scale * solution).reshape(-1)[order]
 
-    def resists(self) -> Bool[Array, ""]:
+    def resists(self) -> Flag:
         """Decide whether the stiffness resists every displacement; see `Factors`."""
         return factors_resist(self.triangles, self.pivots)

@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from .._utils.types import Poses, Scalar
+from .._utils.types import Flag, Poses, Scalar
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
 from .dofs import DofPartition
@@ -18,7 +18,7 @@ EXACT = 1e-9
 _LARGEST_INVERSE = 1e12  # of the Gram matrix of independent constraints
 
 
-def independent_rows(jacobian: Float[Array, "entries n"]) -> Bool[Array, ""]:
+def independent_rows(jacobian: Float[Array, "entries n"]) -> Flag:
     """Decide whether the rows of a constraint Jacobian are linearly independent.
 
     Args:
@@ -31,7 +31,7 @@ def independent_rows(jacobian: Float[Array, "entries n"]) -> Bool[Array, ""]:
     return jnp.max(jnp.abs(inverse(rows @ rows.T)), initial=0.0) < _LARGEST_INVERSE
 
 
-def independent(system: System, displacements: Poses) -> Bool[Array, ""]:
+def independent(system: System, displacements: Poses) -> Flag:
     """Decide whether the constraints of a system are independent at displacements."""
     if not system.constraints.size:
         return jnp.ones((), bool)

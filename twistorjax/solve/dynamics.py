@@ -7,9 +7,10 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.types import Poses, PosesLike, Scalar
+from .._utils.types import NumberLike, Poses, Scalar, TimesLike, VelocityLike
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.loads import Drive, Load, loaded_bodies, prescribed_dofs
@@ -30,28 +31,29 @@ from .motion_errors import StartOfMotion
 from .motion_system import equation, MotionSystem, State
 from .projection import Projected
 from .results import raise_failed, RESULTS
-from .statics import Equilibrium
+from .statics import StateLike
 
 
 # Solvers other than those of this library give up below this share of the slowest period.
 _SMALLEST_STEP = 1e-12
 
-Loading = Sequence[Load] | Callable[[Scalar], Sequence[Load]]
-Driving = Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
+# Given once, or as a function of time (s)
+Loading = TypeAliasType("Loading", Sequence[Load] | Callable[[Scalar], Sequence[Load]])
+Driving = TypeAliasType("Driving", Sequence[Drive] | Callable[[Scalar], Sequence[Drive]])
 
 
 def simulate(
     mechanism: Mechanism,
-    times: Float[ArrayLike, " times"] | Sequence[ArrayLike],
+    times: TimesLike,
     *,
     loads: Loading = (),
     drives: Driving = (),
     constraints: Sequence[AbstractConstraint] = (),
-    start: PosesLike | Equilibrium | None = None,
-    velocities: Mapping[str, Sequence[ArrayLike] | Array] | None = None,
-    tolerance: ArrayLike = 1e-6,
+    start: StateLike | None = None,
+    velocities: Mapping[str, VelocityLike] | None = None,
+    tolerance: NumberLike = 1e-6,
     solver: dfx.AbstractSolver | None = None,
-    step: ArrayLike | None = None,
+    step: NumberLike | None = None,
     controller: dfx.AbstractStepSizeController | None = None,
     saveat: dfx.SaveAt | None = None,
     event: dfx.Event | None = None,

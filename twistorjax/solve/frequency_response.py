@@ -5,9 +5,15 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Complex, Float
+from jaxtyping import Array
 
-from .._utils.types import Poses, PosesLike
+from .._utils.types import (
+    Amplitudes,
+    EntryAmplitudes,
+    Frequencies,
+    FrequenciesLike,
+    Poses,
+)
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
@@ -16,7 +22,7 @@ from .consistency import independent
 from .dofs import DofPartition
 from .factorization import null_space
 from .results import BodySolution, raise_failed, RESULTS
-from .statics import Equilibrium, state_in_range
+from .statics import state_in_range, StateLike
 from .system import System
 from .tables import Column, Columns
 
@@ -42,10 +48,10 @@ class FrequencyResponse(BodySolution):
         constraint_names: Name of the constraint of each constraint entry.
     """
 
-    frequencies: Float[Array, " frequencies"]
-    displacements: Complex[Array, "frequencies bodies 3"]
-    reactions: Complex[Array, "frequencies bodies 3"]
-    constraint_forces: Complex[Array, "frequencies entries"]
+    frequencies: Frequencies
+    displacements: Amplitudes
+    reactions: Amplitudes
+    constraint_forces: EntryAmplitudes
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
@@ -57,11 +63,11 @@ class FrequencyResponse(BodySolution):
 
 def frequency_response(
     mechanism: Mechanism,
-    frequencies: Float[ArrayLike, " frequencies"] | Sequence[ArrayLike],
+    frequencies: FrequenciesLike,
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
-    about: PosesLike | Equilibrium | None = None,
+    about: StateLike | None = None,
     static_loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
     throw: bool = True,

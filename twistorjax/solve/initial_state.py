@@ -1,6 +1,6 @@
 """Initial state of a motion, and the checks that it can start."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -8,10 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Float
 
 from .._utils.pytrees import stop_gradient
-from .._utils.types import Poses, Scalar
+from .._utils.types import Flag, NumberLike, NumbersLike, Poses, Scalar, VelocityLike
 from .._utils.validation import compilation_error, concrete, index_of, require_row
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
@@ -27,7 +27,7 @@ from .small_matrices import inverse
 _ACROSS = 1e-6
 
 
-def check_times(given: ArrayLike | Sequence[ArrayLike]) -> Float[Array, " times"]:
+def check_times(given: NumbersLike) -> Float[Array, " times"]:
     """Convert the times of a motion to an array and check that they increase.
 
     Args:
@@ -87,7 +87,9 @@ def _check_compilable(name: str, function: Callable, time: Array) -> None:
         raise compilation_error(name, "about the time", error) from error
 
 
-def check_settings(tolerance: ArrayLike, max_steps: int, step: ArrayLike | None) -> None:
+def check_settings(
+    tolerance: NumberLike, max_steps: int, step: NumberLike | None
+) -> None:
     """Raise a ValueError if a setting of the solver is not positive."""
     for name, given in (("tolerance", tolerance), ("step", step)):
         value = None if given is None else concrete(given)
@@ -99,7 +101,7 @@ def check_settings(tolerance: ArrayLike, max_steps: int, step: ArrayLike | None)
 
 def check_velocities(
     mechanism: Mechanism,
-    given: Mapping[str, Sequence[ArrayLike] | Array] | None,
+    given: Mapping[str, VelocityLike] | None,
     free: tuple[int, ...],
 ) -> Poses | None:
     """Arrange the initial velocities of named bodies; zero for the others.
@@ -298,12 +300,12 @@ def _scales(
     return length, slowest, fastest
 
 
-def _all_finite(*values: Array) -> Bool[Array, ""]:
+def _all_finite(*values: Array) -> Flag:
     """Decide whether all entries of all arrays are finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(value)) for value in values]))
 
 
-def _supplies_energy(mechanism: Mechanism) -> Bool[Array, ""]:
+def _supplies_energy(mechanism: Mechanism) -> Flag:
     """Decide whether a damping matrix has a negative eigenvalue, by its minors."""
     wrong = jnp.zeros((), bool)
     for group in mechanism.hinge_assembly.groups:
@@ -322,7 +324,7 @@ def _supplies_energy(mechanism: Mechanism) -> Bool[Array, ""]:
 
 def _consistent(
     system: MotionSystem, time: Array, position: Array, rate: Array, given: bool
-) -> tuple[Bool[Array, ""], Array, Array]:
+) -> tuple[Flag, Array, Array]:
     """Check the initial state against the constraints, and project it onto them.
 
     Each violation is divided by its largest change when the mechanism moves by one of its

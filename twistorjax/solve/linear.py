@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 
-from .._utils.types import Poses, PosesLike
+from .._utils.types import DofsMatrix, EntriesMatrix, Flag, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
@@ -15,7 +14,7 @@ from .consistency import independent
 from .dofs import DofPartition
 from .factorization import ConstrainedFactors, Factors
 from .results import RESULTS
-from .statics import Equilibrium, raise_error, state_in_range
+from .statics import Equilibrium, raise_error, state_in_range, StateLike
 from .system import System
 
 
@@ -42,11 +41,11 @@ class Linearization(eqx.Module):
 
     mechanism: Mechanism
     about: Poses
-    matrix: Float[Array, "dofs dofs"]
-    jacobian: Float[Array, "entries dofs"]
+    matrix: DofsMatrix
+    jacobian: EntriesMatrix
     factors: Factors | ConstrainedFactors
-    finite: Bool[Array, ""]
-    consistent: Bool[Array, ""]
+    finite: Flag
+    consistent: Flag
     dofs: DofPartition = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
 
@@ -126,7 +125,7 @@ def linearize(
     mechanism: Mechanism,
     prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
-    about: PosesLike | Equilibrium | None = None,
+    about: StateLike | None = None,
     loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
 ) -> Linearization:

@@ -4,8 +4,19 @@ import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
 
+from .._utils.types import (
+    BatchCount,
+    BatchEntryHistory,
+    BatchHistory,
+    BatchPoses,
+    BatchRowHistory,
+    BatchScalar,
+    BatchTimes,
+    NumberLike,
+    Numbers,
+    Poses,
+)
 from .._utils.validation import all_concrete
 from .motion_system import MotionSystem
 from .results import count_results, PoseSolution, result_names, RESULTS
@@ -26,14 +37,14 @@ class Energies(eqx.Module):
         by_drives: Work of drives and of constraints that depend on time since the start.
     """
 
-    elastic: Float[Array, "..."]
-    kinetic: Float[Array, "..."]
-    dissipated: Float[Array, "..."]
-    by_loads: Float[Array, "..."]
-    by_drives: Float[Array, "..."]
+    elastic: Numbers
+    kinetic: Numbers
+    dissipated: Numbers
+    by_loads: Numbers
+    by_drives: Numbers
 
     @property
-    def imbalance(self) -> Float[Array, "..."]:
+    def imbalance(self) -> Numbers:
         """Error of the energy balance; J."""
         stored = self.elastic + self.kinetic
         supplied = self.by_loads + self.by_drives - self.dissipated
@@ -65,27 +76,27 @@ class Motion(PoseSolution):
         constraint_names: Name of the constraint of each constraint entry.
     """
 
-    times: Float[Array, "*batch times"]
-    displacements: Float[Array, "*batch times bodies 3"]
-    velocities: Float[Array, "*batch times bodies 3"]
-    reference: Float[Array, "*batch bodies 3"]
-    reactions: Float[Array, "*batch times bodies 3"]
-    constraint_forces: Float[Array, "*batch times entries"]
+    times: BatchTimes
+    displacements: BatchHistory
+    velocities: BatchHistory
+    reference: BatchPoses
+    reactions: BatchHistory
+    constraint_forces: BatchEntryHistory
     energies: Energies
-    reached: Float[Array, "*batch"]
-    steps: Int[Array, "*batch"]
-    rejected: Int[Array, "*batch"]
+    reached: BatchScalar
+    steps: BatchCount
+    rejected: BatchCount
     result: RESULTS
     solution: dfx.Solution
     system: MotionSystem | None
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
 
-    def velocity(self, body: str) -> Float[Array, "*batch times 3"]:
+    def velocity(self, body: str) -> BatchRowHistory:
         """Return the velocity of a body; rad/s, m/s, m/s."""
         return self.velocities[..., self._row(body), :]
 
-    def at(self, time: ArrayLike) -> Float[Array, "bodies 3"]:
+    def at(self, time: NumberLike) -> Poses:
         """Compute the poses at any time, if the motion is kept as a function of time.
 
         Args:

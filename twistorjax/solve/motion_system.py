@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Poses, Scalar, Wrenches
+from .._utils.types import Entries, Poses, Scalar, Wrenches
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -45,7 +45,7 @@ class Forces(NamedTuple):
 
     net: Float[Array, " free"]
     excess: Float[Array, " stretches"]
-    violation: Float[Array, " entries"]
+    violation: Entries
 
 
 class Slopes(NamedTuple):
@@ -77,7 +77,7 @@ class Instant(NamedTuple):
     """
 
     acceleration: Float[Array, " free"]
-    push: Float[Array, " entries"]
+    push: Entries
     reactions: Wrenches
     powers: Float[Array, "3"]
 
@@ -262,7 +262,7 @@ class MotionSystem(eqx.Module):
         _, drift = jax.jvp(self.violation, (time, position), (one, rate))
         return position, rate + correction(jacobian, drift)
 
-    def violation(self, time: Scalar, position: Array) -> Float[Array, " entries"]:
+    def violation(self, time: Scalar, position: Array) -> Entries:
         """Compute the violation of the constraints; rad, m."""
         if not self.constraints.size:
             return jnp.zeros(0)

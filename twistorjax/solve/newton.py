@@ -7,9 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, ScalarLike
+from jaxtyping import Array, Float, ScalarLike
 
-from .._utils.types import Poses, Scalar
+from .._utils.types import Count, Entries, Flag, Poses, Scalar
 from .system import System
 
 
@@ -28,10 +28,10 @@ class NewtonSolution(NamedTuple):
     """
 
     displacements: Poses
-    push: Float[Array, " entries"] | None
+    push: Entries | None
     fraction: Scalar
-    steps: Int[Array, ""]
-    status: Int[Array, ""]
+    steps: Count
+    status: Count
 
 
 # A load increment is rejected if Newton's corrections shrink by less than this factor: a
@@ -90,7 +90,7 @@ class _State(NamedTuple):
     converged: tuple[Poses, Array | None, Array]
     fraction: Scalar
     increment: Scalar
-    tries: Int[Array, ""]
+    tries: Count
     changes: Array
     scale: Scalar
     first: Scalar
@@ -98,8 +98,8 @@ class _State(NamedTuple):
     imbalance: Array
     response: Array
     nonlinearity: Scalar
-    steps: Int[Array, ""]
-    status: Int[Array, ""]
+    steps: Count
+    status: Count
 
 
 def solve_in_increments(
@@ -308,15 +308,17 @@ def _residual(
 
 
 def differentiable_root(
-    system: System, root: Array, start: Poses, found: Bool[Array, ""]
+    system: System, root: Array, start: Poses, found: Flag
 ) -> Float[Array, " unknowns"]:
     """Return the solution of a system, with derivatives by the system.
 
     The derivative is that of the equilibrium, by the implicit function theorem, and has
     derivatives of every order itself. Where no equilibrium was found it is zero and not
-    NaN, which a sum over a batch could not mask. optimistix's `implicit_jvp` would
-    differentiate the residual to obtain the matrix; the assembled tangent compiles
-    faster.
+    NaN, which a sum over a batch could not mask.
+
+    `optimistix.root_find` with its implicit adjoint would differentiate the residual to
+    obtain the matrix. For the gain of the stage and its derivative it takes 1.4 times as
+    long to compile, and 3 times as long for 4096 designs.
 
     Args:
         system: The equations.

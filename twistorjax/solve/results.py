@@ -7,8 +7,16 @@ from typing import Protocol, runtime_checkable, TypeVar
 import diffrax as dfx
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float, Inexact
+from jaxtyping import Array, Inexact
 
+from .._utils.types import (
+    BatchEntries,
+    BatchFlag,
+    BatchPose,
+    BatchPoses,
+    BatchRow,
+    Numbers,
+)
 from .._utils.validation import concrete
 from .tables import Column, Columns, columns, Tabular
 
@@ -108,7 +116,7 @@ class HasResult(Protocol):
     def result(self) -> RESULTS: ...
 
     @property
-    def succeeded(self) -> Bool[Array, "*batch"]: ...
+    def succeeded(self) -> BatchFlag: ...
 
 
 Solution = TypeVar("Solution", bound=HasResult)
@@ -167,23 +175,23 @@ class BodySolution(Tabular):
     constraint_names: eqx.AbstractVar[tuple[str, ...]]
 
     @property
-    def succeeded(self) -> Bool[Array, "*batch"]:
+    def succeeded(self) -> BatchFlag:
         """Whether the solve succeeded."""
         done = self.result == RESULTS.successful
         return done | (self.result == RESULTS.event_occurred)
 
-    def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
+    def displacement(self, body: str) -> BatchRow:
         """Return the displacement of a body from its reference pose; rad, m, m."""
         return self.displacements[..., self._row(body), :]
 
-    def reaction(self, body: str) -> Inexact[Array, "*batch 3"]:
+    def reaction(self, body: str) -> BatchRow:
         """Return the external wrench on fixed and prescribed coordinates of a body.
 
         About the origin of the body, in world axes; N m, N, N.
         """
         return self.reactions[..., self._row(body), :]
 
-    def constraint_force(self, constraint: str) -> Inexact[Array, "*batch entries"]:
+    def constraint_force(self, constraint: str) -> BatchEntries:
         """Return the constraint force of each entry of a constraint; N m, N.
 
         Raises:
@@ -229,16 +237,16 @@ class BodySolution(Tabular):
 class PoseSolution(BodySolution):
     """A solution with the pose of each body."""
 
-    reference: eqx.AbstractVar[Float[Array, "..."]]
+    reference: eqx.AbstractVar[Numbers]
 
     @property
-    def poses(self) -> Float[Array, "*batch bodies 3"]:
+    def poses(self) -> BatchPoses:
         """Poses of the bodies; rad, m, m."""
         more = self.displacements.ndim - self.reference.ndim
         shape = (*self.reference.shape[:-2], *more * (1,), *self.reference.shape[-2:])
         return self.reference.reshape(shape) + self.displacements
 
-    def pose(self, body: str) -> Float[Array, "*batch 3"]:
+    def pose(self, body: str) -> BatchPose:
         """Return the pose of a body; rad, m, m."""
         return self.poses[..., self._row(body), :]
 

@@ -6,10 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from typing_extensions import TypeAliasType
 
 from .._utils.pytrees import stop_gradient
-from .._utils.types import Poses, PosesLike, Scalar, Wrenches
+from .._utils.types import Count, Entries, NumberLike, Poses, PosesLike, Scalar, Wrenches
 from .._utils.validation import all_concrete, concrete, require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
@@ -57,11 +57,11 @@ class Equilibrium(PoseSolution):
     displacements: Poses
     reference: Poses
     reactions: Wrenches
-    constraint_forces: Float[Array, " entries"]
+    constraint_forces: Entries
     energy: Scalar
     reached: Poses
     fraction: Scalar
-    steps: Int[Array, ""]
+    steps: Count
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
@@ -87,14 +87,18 @@ class Equilibrium(PoseSolution):
         return self._listed(title, "body", displacements)
 
 
+# An equilibrium, or poses of the bodies; rad, m, m
+StateLike = TypeAliasType("StateLike", PosesLike | Equilibrium)
+
+
 def equilibrium(
     mechanism: Mechanism,
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
     constraints: Sequence[AbstractConstraint] = (),
-    start: PosesLike | Equilibrium | None = None,
-    time: ArrayLike = 0.0,
+    start: StateLike | None = None,
+    time: NumberLike = 0.0,
     tolerance: float = 1e-10,
     max_steps: int = 400,
     throw: bool = True,
@@ -177,9 +181,7 @@ def equilibrium(
     return raise_error(solution, mechanism, joints, dofs) if throw else solution
 
 
-def state_in_range(
-    mechanism: Mechanism, name: str, state: PosesLike | Equilibrium | None
-) -> Poses:
+def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> Poses:
     """Return the displacements of a state, and check the validity range of the hinges.
 
     Args:
@@ -217,7 +219,7 @@ def _solve_uncompiled(
     targets: tuple[Scalar, ...],
     time: Scalar,
     tolerance: Scalar,
-    max_steps: Int[Array, ""],
+    max_steps: Count,
     *,
     dofs: DofPartition,
     names: tuple[str, ...],

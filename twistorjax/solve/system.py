@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Poses, Scalar, Wrenches
+from .._utils.types import Entries, Poses, Scalar, Wrenches
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Load, loaded_bodies, LoadSet
@@ -102,7 +103,7 @@ class System(eqx.Module):
             flat = flat.at[self.prescribed].set(prescribed)
         return flat.reshape(displacements.shape)
 
-    def violation(self, displacements: Poses) -> Float[Array, " entries"]:
+    def violation(self, displacements: Poses) -> Entries:
         """Compute the violation of the constraints; rad or m."""
         return self.constraints.violation(displacements, self.time)
 
@@ -110,9 +111,7 @@ class System(eqx.Module):
         """Compute the derivatives of the violation by all degrees of freedom."""
         return self.constraints.jacobian(displacements, self.time)
 
-    def residual(
-        self, displacements: Poses, push: Float[Array, " entries"]
-    ) -> Float[Array, " dofs"]:
+    def residual(self, displacements: Poses, push: Entries) -> Float[Array, " dofs"]:
         """Compute the forces that are not in equilibrium; N m, N.
 
         On fixed and prescribed degrees of freedom they are the reactions.
@@ -127,26 +126,27 @@ class System(eqx.Module):
             return residual
         return residual - self.constraints.forces(displacements, self.time, push)
 
-    def reactions(self, displacements: Poses, push: Float[Array, " entries"]) -> Wrenches:
+    def reactions(self, displacements: Poses, push: Entries) -> Wrenches:
         """Compute the reactions on fixed and prescribed degrees of freedom; N m, N, N."""
         return self.dofs.reactions(self.residual(displacements, push))
 
-    def constraint_forces(self, displacements: Poses) -> Float[Array, " entries"]:
+    def constraint_forces(self, displacements: Poses) -> Entries:
         """Compute the constraint forces of an equilibrium by least squares; N m, N."""
         if not self.constraints.size:
             return jnp.zeros(0)
         residual = self.residual(displacements, jnp.zeros(self.constraints.size))
         units = self.units()[self.free % 3]
         scaled = self.jacobian(displacements)[:, self.free] * units[None]
-        right = scaled @ (units * residual[self.free])
-        return jnp.linalg.solve(scaled @ scaled.T, right)
+        problem = lx.MatrixLinearOperator(scaled.T)
+        right = units * residual[self.free]
+        return lx.linear_solve(problem, right, lx.QR(), throw=False).value
 
     def tangent(
         self,
         displacements: Poses,
         fraction: Scalar | float = 1.0,
         predicted: Float[Array, "3 hinges"] | None = None,
-        push: Float[Array, " entries"] | None = None,
+        push: Entries | None = None,
     ) -> tuple[Float[Array, " dofs"], Tangent, Scalar]:
         """Compute the residual under a fraction of the loads, and its derivatives.
 
@@ -246,7 +246,7 @@ class System(eqx.Module):
         displacements: Poses,
         residual: Float[Array, " dofs"],
         matrix: Float[Array, "free columns"],
-        push: Float[Array, " entries"],
+        push: Entries,
     ) -> tuple[Float[Array, " dofs"], ConstrainedTangent]:
         """Add the constraint forces to the residual, and their derivatives."""
         columns = np.array(self.dofs.free + self.dofs.prescribed, int)

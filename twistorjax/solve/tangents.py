@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import Flag
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.scatter import sum_entries
 from .block_factorization import BlockFactors, Layout
@@ -61,11 +62,11 @@ class DenseTangent(eqx.Module):
         """Factor the stiffness of the free degrees of freedom."""
         return Factors.of(self.matrix[:, : len(self.matrix)], symmetric)
 
-    def finite(self) -> Bool[Array, ""]:
+    def finite(self) -> Flag:
         """Decide whether all entries are finite."""
         return jnp.all(jnp.isfinite(self.matrix))
 
-    def where(self, found: Bool[Array, ""]) -> "DenseTangent":
+    def where(self, found: Flag) -> "DenseTangent":
         """Replace the matrix by an identity matrix if no solution was found."""
         return DenseTangent(jnp.where(found, self.matrix, _identity(self.matrix)))
 
@@ -102,12 +103,12 @@ class ConstrainedTangent(eqx.Module):
             self.stiffness[:, :count], self.jacobian[:, :count], self.units, symmetric
         )
 
-    def finite(self) -> Bool[Array, ""]:
+    def finite(self) -> Flag:
         """Decide whether all entries are finite."""
         stiffness = jnp.all(jnp.isfinite(self.stiffness))
         return stiffness & jnp.all(jnp.isfinite(self.jacobian))
 
-    def where(self, found: Bool[Array, ""]) -> "ConstrainedTangent":
+    def where(self, found: Flag) -> "ConstrainedTangent":
         """Replace both matrices by identity matrices if no solution was found."""
         stiffness, jacobian = (
             jnp.where(found, matrix, _identity(matrix))
@@ -150,11 +151,11 @@ class BlockTangent(eqx.Module):
         shape = (3, layout.blocks, layout.size, layout.size)
         return BlockFactors.of(blocks.reshape(shape), layout, symmetric)
 
-    def finite(self) -> Bool[Array, ""]:
+    def finite(self) -> Flag:
         """Decide whether all entries are finite."""
         return jnp.all(jnp.isfinite(self.pairs)) & jnp.all(jnp.isfinite(self.by_angle))
 
-    def where(self, found: Bool[Array, ""]) -> "BlockTangent":
+    def where(self, found: Flag) -> "BlockTangent":
         """Replace the stiffness by that of unit springs if no solution was found."""
         pairs = jnp.where(found, self.pairs, jnp.asarray(np.eye(6)[:, :, None]))
         by_angle = jnp.where(found, self.by_angle, 0.0)

@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
-from .._utils.types import Poses, PosesLike
+from .._utils.types import BatchFlag, BatchFrequencies, BatchShapes, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
@@ -17,7 +16,7 @@ from .dofs import DofPartition
 from .eigenmodes import modes, Stiffness
 from .factorization import null_space
 from .results import count_results, raise_failed, result_message, result_names, RESULTS
-from .statics import Equilibrium, state_in_range
+from .statics import state_in_range, StateLike
 from .system import System
 from .tables import Column, Columns, columns, Tabular
 
@@ -36,8 +35,8 @@ class Vibrations(Tabular):
         names: Names of the bodies.
     """
 
-    frequencies: Float[Array, "*batch modes"]
-    shapes: Float[Array, "*batch modes bodies 3"]
+    frequencies: BatchFrequencies
+    shapes: BatchShapes
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -50,7 +49,7 @@ class Vibrations(Tabular):
         }
 
     @property
-    def succeeded(self) -> Bool[Array, "*batch"]:
+    def succeeded(self) -> BatchFlag:
         """Whether the equilibrium is stable, so that all modes vibrate."""
         return self.result == RESULTS.successful
 
@@ -73,7 +72,7 @@ def vibrations(
     mechanism: Mechanism,
     prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
-    about: PosesLike | Equilibrium | None = None,
+    about: StateLike | None = None,
     loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
     throw: bool = True,

@@ -9,9 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Num
+from typing_extensions import TypeAliasType
 
 from .._utils.pytrees import path_name
 from .names import check_parameter_names
+
+
+# Values of one parameter, in its SI unit
+GridValues = TypeAliasType(
+    "GridValues", Num[ArrayLike, " values"] | Sequence[float | int]
+)
 
 
 class Grid:
@@ -34,7 +41,7 @@ class Grid:
 
     def __init__(
         self,
-        values: Mapping[str, Num[ArrayLike, " values"] | Sequence[float | int]],
+        values: Mapping[str, GridValues],
     ):
         self.values = {
             name: _convert_integers(np.asarray(array)) for name, array in values.items()

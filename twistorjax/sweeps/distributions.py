@@ -1,13 +1,13 @@
 """Probability distributions of uncertain parameters."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import Numbers, NumbersLike
 from .._utils.validation import concrete
 
 
@@ -21,8 +21,8 @@ class AbstractDistribution(eqx.Module):
         standard_deviation: Standard deviation of each entry.
     """
 
-    mean: eqx.AbstractVar[Float[Array, "..."]]
-    standard_deviation: eqx.AbstractVar[Float[Array, "..."]]
+    mean: eqx.AbstractVar[Numbers]
+    standard_deviation: eqx.AbstractVar[Numbers]
 
     @abstractmethod
     def quantile(
@@ -55,13 +55,13 @@ class Normal(AbstractDistribution):
         Normal(mean=0.00025, standard_deviation=1e-05)
     """
 
-    mean: Float[Array, "..."]
-    standard_deviation: Float[Array, "..."]
+    mean: Numbers
+    standard_deviation: Numbers
 
     def __init__(
         self,
-        mean: ArrayLike | Sequence[ArrayLike],
-        standard_deviation: ArrayLike | Sequence[ArrayLike],
+        mean: NumbersLike,
+        standard_deviation: NumbersLike,
     ):
         self.mean, self.standard_deviation = _broadcast(
             "mean", mean, "standard_deviation", standard_deviation
@@ -100,13 +100,13 @@ class Uniform(AbstractDistribution):
         Uniform(low=0.0002, high=0.0003)
     """
 
-    low: Float[Array, "..."]
-    high: Float[Array, "..."]
+    low: Numbers
+    high: Numbers
 
     def __init__(
         self,
-        low: ArrayLike | Sequence[ArrayLike],
-        high: ArrayLike | Sequence[ArrayLike],
+        low: NumbersLike,
+        high: NumbersLike,
     ):
         self.low, self.high = _broadcast("low", low, "high", high)
         width = concrete(self.high - self.low)
@@ -116,12 +116,12 @@ class Uniform(AbstractDistribution):
             )
 
     @property
-    def mean(self) -> Float[Array, "..."]:
+    def mean(self) -> Numbers:
         """Mean of the two bounds."""
         return (self.low + self.high) / 2
 
     @property
-    def standard_deviation(self) -> Float[Array, "..."]:
+    def standard_deviation(self) -> Numbers:
         """Standard deviation, which is the width divided by the square root of 12."""
         return (self.high - self.low) / np.sqrt(12)
 
@@ -136,9 +136,9 @@ class Uniform(AbstractDistribution):
 
 def _broadcast(
     first_name: str,
-    first: ArrayLike | Sequence[ArrayLike],
+    first: NumbersLike,
     second_name: str,
-    second: ArrayLike | Sequence[ArrayLike],
+    second: NumbersLike,
 ) -> tuple[Array, Array]:
     """Broadcast two arguments to one shape, and check that concrete values are finite."""
     arrays = jnp.asarray(first, float), jnp.asarray(second, float)

@@ -11,6 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Int
 
+from .._utils.types import Flag
 from ..solve.results import RESULTS
 from ..solve.tables import Column, Columns
 from .designs import DesignStructure
@@ -99,7 +100,7 @@ def study_output(
     return output
 
 
-def _is_success(result: RESULTS) -> Bool[Array, ""]:
+def _is_success(result: RESULTS) -> Flag:
     return (result == RESULTS.successful) | (result == RESULTS.event_occurred)
 
 

@@ -5,9 +5,10 @@ from typing import Any, get_args, Literal
 
 import jax
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._utils.pytrees import entry_names, path_name
+from .._utils.types import ArrayOfNumbers
 from .._utils.validation import require_choice
 from .distributions import AbstractDistribution, Uniform
 from .memory import require_memory
@@ -35,7 +36,7 @@ class DistributionSet:
             correlation matrix of the right size.
     """
 
-    def __init__(self, designs: Any, correlation: ArrayLike | None = None):
+    def __init__(self, designs: Any, correlation: ArrayOfNumbers | None = None):
         paths, self._tree = jax.tree_util.tree_flatten_with_path(
             designs, is_leaf=_is_distribution
         )
@@ -246,7 +247,7 @@ def sample_designs(
     *,
     method: Method = "sobol",
     seed: int = 0,
-    correlation: ArrayLike | None = None,
+    correlation: ArrayOfNumbers | None = None,
 ) -> Any:
     """Sample designs from the distributions of their parameters.
 

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
+from .._utils.types import ArrayOfNumbers
 from .memory import require_memory
 from .sampling import DistributionSet, Method
 from .sweep import require_packages, sweep, warn_of_failures
@@ -146,7 +147,7 @@ def tolerances(
     count: int = 8192,
     method: Method = "sobol",
     seed: int = 0,
-    correlation: ArrayLike | None = None,
+    correlation: ArrayOfNumbers | None = None,
     **sweep_options: Any,
 ) -> Tolerances:
     """Propagate the uncertainty of parameters to an output of a study.

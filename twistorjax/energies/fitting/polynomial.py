@@ -16,7 +16,14 @@ from jaxtyping import Array, Float
 from ..._utils.validation import require_choice, require_float64
 from ..evaluation import term_wrenches
 from ..mixed import MixedEnergy
-from ..monomials import monomials, Powers, reference_values, Symmetry, VARIABLES
+from ..monomials import (
+    FitCoordinates,
+    monomials,
+    Powers,
+    reference_values,
+    Symmetries,
+    VARIABLES,
+)
 from ..polynomial import Polynomial
 from ..strains import Coordinates
 from .least_squares import ConstrainedSolution, solve_constrained, solve_stable
@@ -34,8 +41,8 @@ def fit_energy(
     trials: Trials,
     order: int | None = None,
     *,
-    coordinates: Coordinates | Literal["mixed"] = "twistor",
-    symmetry: Symmetry | Sequence[Symmetry] = (),
+    coordinates: FitCoordinates = "twistor",
+    symmetry: Symmetries = (),
     redundant: bool = False,
     reference: Literal["stable", "unstressed", "free"] = "stable",
     ridge: float | None = None,
@@ -134,10 +141,10 @@ def fit_energy(
 class _Settings(NamedTuple):
     """Arguments of `fit_energy` that are the same for all orders."""
 
-    coordinates: Coordinates | Literal["mixed"]
+    coordinates: FitCoordinates
     reference: str
     redundant: bool
-    symmetry: Symmetry | Sequence[Symmetry]
+    symmetry: Symmetries
     ridge: float | None
     scale: float | None
 

@@ -12,9 +12,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
+from typing_extensions import TypeAliasType
 
 from ..._utils.validation import require_choice, require_float64
-from ..monomials import monomials, Symmetry
+from ..monomials import monomials, Symmetries
 from ..polynomial import Polynomial, Rational
 from ..strains import Coordinates
 from .rational_equations import (
@@ -96,19 +97,23 @@ class RationalFit(eqx.Module):
         return "\n".join(lines)
 
 
+# A row (angle, x, y) for each pose; rad, m, m
+PoleFreePoses = TypeAliasType(
+    "PoleFreePoses", Float[ArrayLike, "poses 3"] | Sequence[Sequence[ArrayLike]]
+)
+
+
 def fit_rational(
     trials: Trials,
     order: int,
     *,
     coordinates: Coordinates = "twistor",
-    symmetry: Symmetry | Sequence[Symmetry] = (),
+    symmetry: Symmetries = (),
     denominator: Literal["free", "base"] = "free",
     base: Polynomial | None = None,
     scale: float | None = None,
     ridge: float = 1e-4,
-    pole_free_poses: Float[ArrayLike, "poses 3"]
-    | Sequence[Sequence[ArrayLike]]
-    | None = None,
+    pole_free_poses: PoleFreePoses | None = None,
     normalize_columns: bool = True,
     held_out: Trials | None = None,
 ) -> RationalFit:

@@ -1,16 +1,14 @@
 """Result of the fit of an energy to trials."""
 
 from collections.abc import Sequence
-from typing import Literal
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ..mixed import MixedEnergy
-from ..monomials import Powers
+from ..monomials import FitCoordinates, Powers
 from ..polynomial import Polynomial
-from ..strains import Coordinates
 from ..validity import WithValidityRange
 from .trials import Errors
 
@@ -103,7 +101,7 @@ class EnergyFit(eqx.Module):
 
 def coordinates_of(
     energy: Polynomial | MixedEnergy,
-) -> Coordinates | Literal["mixed"]:
+) -> FitCoordinates:
     """Return the coordinates of an energy, as `fit_energy` takes them."""
     return "mixed" if isinstance(energy, MixedEnergy) else energy.coordinates
 

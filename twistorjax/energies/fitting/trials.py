@@ -6,9 +6,15 @@ from pathlib import Path
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from ..._utils.csv_files import CsvFile
+from ..._utils.types import (
+    EnergiesLike,
+    EnergyDeviationsLike,
+    TrialsLike,
+    WrenchDeviationsLike,
+)
 from ..._utils.validation import shorten
 
 
@@ -51,18 +57,12 @@ class Trials(eqx.Module):
 
     def __init__(
         self,
-        poses: Float[ArrayLike, "trials 3"] | Sequence[Sequence[ArrayLike]],
-        wrenches: Float[ArrayLike, "trials 3"]
-        | Sequence[Sequence[ArrayLike]]
-        | None = None,
-        energies: Float[ArrayLike, " trials"] | Sequence[ArrayLike] | None = None,
+        poses: TrialsLike,
+        wrenches: TrialsLike | None = None,
+        energies: EnergiesLike | None = None,
         *,
-        wrench_deviations: Float[ArrayLike, "*trials 3"]
-        | Sequence[ArrayLike]
-        | None = None,
-        energy_deviations: Float[ArrayLike, "*trials"]
-        | Sequence[ArrayLike]
-        | None = None,
+        wrench_deviations: WrenchDeviationsLike | None = None,
+        energy_deviations: EnergyDeviationsLike | None = None,
     ):
         if wrenches is None and energies is None:
             raise ValueError("`Trials` need `wrenches` or `energies` or both.")

@@ -1,0 +1,149 @@
+"""Derivatives and batches of equilibria."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+from helpers import assert_close, some_stiffness
+from statics_helpers import block_on_spring, cantilever
+
+import twistorjax as tj
+
+
+pytestmark = pytest.mark.slow
+
+
+def test_derivatives_by_a_stiffness_are_those_of_the_closed_form():
+    def displacement(k):
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+        load = tj.Load("block", force=(2.0, 0.0))
+        solution = tj.equilibrium(block_on_spring(stiffness), loads=[load])
+        return solution.displacement("block")[1]
+
+    k = jnp.array(8.0)
+    for derivative in (jax.grad, jax.jacfwd, lambda f: jax.grad(jax.jit(f))):
+        assert_close(derivative(displacement)(k), -2.0 / k**2)
+    assert_close(jax.jit(jax.grad(jax.grad(displacement)))(k), 4.0 / k**3)
+
+
+PARAMETERS = jnp.array([2.0, 0.4, 0.7, 0.3])
+
+
+def chain(parameters):
+    """Return a result of a bent chain whose every argument depends on the parameters."""
+    stiffness, force, angle, position = parameters
+    spring = tj.Quadratic(some_stiffness(3) * stiffness)
+    poses = [(0.0, 0.0, 0.0), (0.3, 1.0, position), (0.6, 1.8, 0.5)]
+    bodies = [tj.Body(str(k), pose) for k, pose in enumerate(poses)]
+    at = jnp.stack([jnp.array(0.1), position, position])
+    hinges = [
+        tj.Hinge("h", "0", "1", spring, at),
+        tj.Hinge("i", "1", "2", spring, (0.2, 1.5, 0.2)),
+    ]
+    solution = tj.equilibrium(
+        tj.Mechanism(bodies, hinges, fixed=["0"]),
+        loads=[
+            tj.Load("1", (0.1, force, 0.5), at=(0.2, 0.1)),
+            tj.Load("1", force=(0.0, force), at=(0.1, 0.2), follower=True),
+        ],
+        drives=[tj.Drive("2", angle=angle)],
+    )
+    weights = jax.random.normal(jax.random.key(1), (3, 3))
+    return (
+        jnp.vdot(weights, solution.poses)
+        + jnp.vdot(weights, solution.reactions)
+        + solution.energy
+    )
+
+
+def central_differences(function, step=1e-5):
+    return jnp.stack(
+        [
+            (function(PARAMETERS + step * e) - function(PARAMETERS - step * e))
+            / (2 * step)
+            for e in jnp.eye(4)
+        ]
+    )
+
+
+def test_derivatives_by_all_arguments_agree_with_differences():
+    gradient = jax.grad(chain)(PARAMETERS)
+    assert_close(gradient, central_differences(chain), digits=6)
+    assert_close(jax.jacfwd(chain)(PARAMETERS), gradient, digits=9)
+
+
+def test_second_derivatives_agree_with_differences_of_first_ones():
+    differences = central_differences(jax.jit(jax.grad(chain)))
+    hessian = jax.jit(jax.hessian(chain))(PARAMETERS)
+    assert_close(hessian, differences, digits=5)
+
+
+def test_start_determines_where_fixed_bodies_are():
+    """The solution depends on the start by the poses of fixed bodies."""
+    mechanism = cantilever(2)
+    loads = [tj.Load("2", force=(0.0, 0.5))]
+
+    def tip(shift):
+        start = mechanism.reference.at[0, 2].add(shift)
+        solution = tj.equilibrium(mechanism, loads=loads, start=start)
+        return jnp.concatenate([solution.displacement("2"), solution.reaction("0")])
+
+    derivative = jax.jacfwd(tip)(jnp.array(0.0))
+    step = 1e-5
+    assert_close(derivative, (tip(step) - tip(-step)) / (2 * step), digits=6)
+    # The whole beam moves with its clamped end.
+    assert_close(derivative[2], 1.0, digits=8)
+
+
+def solve_block(k, force=2.0):
+    """Solve for a block on a spring of stiffness k, without raising errors."""
+    stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+    load = tj.Load("block", force=(force, 0.0))
+    return tj.equilibrium(block_on_spring(stiffness), loads=[load], throw=False)
+
+
+def test_gradient_of_a_batch_is_zero_for_a_failed_design():
+    def displacement(k):
+        return solve_block(k).displacement("block")[1]
+
+    gradients = jax.vmap(jax.grad(displacement))(jnp.array([4.0, 0.0]))
+    assert_close(gradients, jnp.array([-2 / 16, 0.0]))
+
+
+def test_failed_design_is_nan_and_can_be_masked_in_a_gradient():
+    """Its derivative is zero. A derivative of NaN would spoil the masked sum."""
+
+    def total(stiffness):
+        def solve(factor):
+            return solve_block(factor * stiffness)
+
+        batch = jax.vmap(solve)(jnp.array([1.0, 0.0, 2.0]))
+        all_nan = jnp.isnan(batch.displacements[1]).all() & jnp.isnan(batch.energy[1])
+        displacements = batch.displacement("block")[:, 1]
+        return jnp.sum(jnp.where(batch.succeeded, displacements, 0.0)), all_nan
+
+    (value, all_nan), gradient = jax.value_and_grad(total, has_aux=True)(jnp.array(4.0))
+    assert all_nan
+    assert_close(value, 2 / 4 + 2 / 8)
+    assert_close(gradient, -2 / 16 - 2 / 32)
+
+
+def test_batch_has_the_same_solutions_as_single_solves():
+    """The batch has designs that need few and many load increments."""
+    mechanism = cantilever(6)
+
+    def tip(force):
+        load = tj.Load("6", force=(0.0, force))
+        return tj.equilibrium(mechanism, loads=[load]).displacement("6")
+
+    forces = jnp.array([1e-3, 1.0, 20.0])
+    single = jnp.stack([tip(force) for force in forces])
+    assert_close(jax.vmap(tip)(forces), single, digits=10)
+
+
+def test_failed_designs_do_not_affect_the_rest_of_a_batch():
+    stiffnesses = jnp.array([4.0, 0.0, jnp.nan, 4.0])
+    forces = jnp.array([2.0, 2.0, 2.0, jnp.nan])
+    batch = jax.vmap(solve_block)(stiffnesses, forces)
+    names = list(tj.result_names(batch.result))
+    assert names == ["successful", "unstable", "not_finite", "not_finite"]
+    assert_close(batch.displacements[0, 1], [0.0, 0.5, 0.0])

@@ -1,0 +1,128 @@
+"""Equilibria that do not exist, and invalid arguments of statics."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+from statics_helpers import block_on_spring, cantilever
+
+import twistorjax as tj
+from twistorjax.solve.statics import raise_error
+
+
+pytestmark = pytest.mark.slow
+
+
+def test_error_of_a_batch_names_the_failed_design():
+    def solve(k):
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+        return tj.equilibrium(block_on_spring(stiffness), throw=False)
+
+    batch = jax.vmap(solve)(jnp.array([4.0, 0.0]))
+    with pytest.raises(RuntimeError, match="index 1 of the batch"):
+        raise_error(batch)
+
+
+@pytest.mark.parametrize("traced", [False, True])
+def test_block_without_stiffness_in_one_direction_has_no_equilibrium(traced):
+    def solve():
+        return tj.equilibrium(block_on_spring(np.diag([1.0, 0.0, 1.0]))).poses
+
+    with pytest.raises(Exception, match="can move without storing energy"):
+        (jax.jit(solve) if traced else solve)()
+
+
+def test_largest_moment_of_a_twistor_spring_is_its_stiffness():
+    """The moment is k sin(angle), at most k at 90 degrees."""
+    mechanism, load = block_on_spring(np.eye(3)), tj.Load("block", moment=1.25)
+    with pytest.raises(RuntimeError, match="No equilibrium was found that is connected"):
+        tj.equilibrium(mechanism, loads=[load])
+    solution = tj.equilibrium(mechanism, loads=[load], throw=False)
+    assert_close(solution.fraction, 0.8, digits=3)
+    assert_close(solution.reached[1, 0], np.pi / 2, digits=1)
+
+
+def test_too_small_number_of_steps_is_an_error():
+    load = tj.Load("10", force=(0.0, 5.0))
+    with pytest.raises(RuntimeError, match="number of Newton steps was reached"):
+        tj.equilibrium(cantilever(10), loads=[load], max_steps=5)
+
+
+def test_single_precision_is_an_error():
+    with jax.enable_x64(False):
+        with pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
+            tj.equilibrium(block_on_spring(np.eye(3)))
+        with pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
+            tj.linearize(block_on_spring(np.eye(3)))
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"loads": [tj.Load("anvil", force=(1.0, 0.0))]},
+            r"`loads\[0\]` names the body 'anvil', but the bodies are 'wall', 'block'",
+        ),
+        (
+            {"drives": [tj.Drive("anvil", x=1.0)]},
+            r"`drives\[0\]` names the body 'anvil'",
+        ),
+        ({"tolerance": 0.0}, "`tolerance` is 0.0 and `max_steps` is 400, but they"),
+        ({"max_steps": 0}, "`max_steps` is 0, but they"),
+        ({"start": jnp.zeros((3, 3))}, r"`start` has shape \(3, 3\), but a mechanism"),
+        (
+            {"loads": tj.Load("block", force=(1, 0))},
+            "`loads` is one Load: put it in a list",
+        ),
+        (
+            {"loads": [tj.Drive("block", x=1.0)]},
+            r"`loads\[0\]` is a Drive, but must be a Load",
+        ),
+        (
+            {"drives": [tj.Drive("wall", x=1.0)]},
+            r"`drives\[0\]` prescribes the x of 'wall', which is fixed already",
+        ),
+        (
+            {"drives": [tj.Drive("block", x=1.0), tj.Drive("block", x=1.0)]},
+            r"`drives\[1\]` prescribes the x of 'block', which is prescribed already",
+        ),
+    ],
+)
+def test_invalid_arguments_of_equilibrium_are_reported(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        tj.equilibrium(block_on_spring(np.eye(3)), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("create", "message"),
+    [
+        (lambda: tj.Drive("b"), "The drive of 'b' prescribes nothing"),
+        (
+            lambda: tj.Drive("b", x=np.nan),
+            "`x` of the drive of 'b' is nan, but must be",
+        ),
+        (
+            lambda: tj.Load("b", (1.0, 2.0)),
+            r"`wrench` of the load on 'b' has shape \(2,\)",
+        ),
+        (
+            lambda: tj.Load("b", (1.0, 2.0, np.inf)),
+            "`wrench` of the load on 'b' is .*inf.*, but must be finite",
+        ),
+        (
+            lambda: tj.Load("b", (1.0, 2.0, 3.0), at=(0.0,)),
+            r"`at` of the load on 'b' has shape \(1,\), but must be \(x, y\)",
+        ),
+    ],
+)
+def test_invalid_loads_and_drives_are_reported(create, message):
+    with pytest.raises(ValueError, match=message):
+        create()
+
+
+def test_unknown_body_is_reported():
+    solution = tj.equilibrium(block_on_spring(np.eye(3)))
+    with pytest.raises(ValueError, match="`body` is 'anvil', but the bodies are 'wall'"):
+        solution.displacement("anvil")

@@ -15,7 +15,6 @@ os.environ.setdefault(
 )
 
 import jax
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -23,13 +22,6 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
-
-
-@pytest.fixture(autouse=True)
-def _annotations(request):
-    """Check annotations in all tests except those of messages about wrong types."""
-    untyped = request.node.get_closest_marker("untyped") is not None
-    jaxtyping.config.update("jaxtyping_disable", untyped)
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 
-pytest_plugins = ["command_line_fixtures"]
 pytestmark = pytest.mark.slow
 
 REFERENCE = pathlib.Path(__file__).parent / "reference"

@@ -7,7 +7,6 @@ import sys
 import pytest
 
 
-pytest_plugins = ["command_line_fixtures"]
 pytestmark = pytest.mark.slow
 
 REFERENCE = pathlib.Path(__file__).parent / "reference"

@@ -28,7 +28,7 @@ def test_twist_energy_is_undefined_beyond_a_full_turn():
     """The twistor energy is defined there."""
     spring = np.diag([1.0, 100.0, 10.0])
     beyond = [tj.Drive("block", angle=6.5)]
-    with pytest.raises(RuntimeError, match=r"'spring': it is turned by 6\.5 rad"):
+    with pytest.raises(RuntimeError, match=r"'spring': it is rotated by 6\.5 rad"):
         tj.equilibrium(block_on_spring(spring, "twist"), drives=beyond)
     assert tj.equilibrium(block_on_spring(spring, "twistor"), drives=beyond).succeeded
     below = [tj.Drive("block", angle=6.2)]

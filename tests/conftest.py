@@ -1,12 +1,10 @@
-"""Fixtures that run the command line, for the tests that name this plugin."""
+"""Fixtures that run the command line."""
 
 import os
 import subprocess
 import sys
 
 import pytest
-
-from twistorjax.cli.app import main
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +30,9 @@ def run(tmp_path_factory):
 @pytest.fixture
 def run_here(monkeypatch, capsys):
     """Run `twistorjax` in this process, which is faster."""
+
+    # Not before the plugin of jaxtyping has prepared the import of the package.
+    from twistorjax.cli.app import main
 
     def run_here(*arguments):
         monkeypatch.setattr(sys, "argv", ["twistorjax", *arguments])

@@ -58,7 +58,7 @@ def test_motions_that_cannot_start_take_no_step():
     values = {name: jnp.array([row[name] for row in rows]) for name in usual}
     motions = jax.jit(jax.vmap(simulate))(values)
     assert tj.result_names(motions.result).tolist() == [result for _, result in cases]
-    # A mechanism that is not finite is found in the first step, all else before it.
+    # A mechanism that is not finite is found in the first step, other values before it.
     assert motions.steps[0] > 3
     np.testing.assert_array_equal(motions.steps[1:-1], 0)
     assert motions.steps[-1] <= 1

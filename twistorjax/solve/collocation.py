@@ -80,8 +80,8 @@ class Radau(_Collocation, dfx.AbstractAdaptiveSolver):
 
     Its order is five; it is stiffly accurate and L-stable. A step linearizes the
     equations of motion once and inverts two matrices of the size of the free degrees of
-    freedom, M + h g D + (h g)^2 K, with the step h and a real or a complex eigenvalue g.
-    Constraints are satisfied at each stage.
+    freedom, M + h g D + (h g)^2 K, where h is the step and g is the real or the complex
+    eigenvalue of the collocation matrix. Constraints are satisfied at each stage.
 
     Args:
         iterations: Number of Newton iterations in a step.

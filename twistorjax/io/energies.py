@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from . import schemas
 
 
-VERSION = 1
+VERSION = 2
 _CLASSES = {
     energy_class.__name__: energy_class
     for energy_class in (

@@ -32,7 +32,7 @@ def energies(thickness: float, turn: float, shear_factor: float | None) -> Energ
     return {
         "leaf": tj.flexures.leaf(UNIT, theory=theory, coordinates="twist", **size),
         "quartic_leaf": tj.flexures.quartic_leaf(UNIT, theory=theory, **size),
-        "distilled": tj.flexures.surrogate(beam(thickness, shear_factor), rotation=turn),
+        "surrogate": tj.flexures.surrogate(beam(thickness, shear_factor), rotation=turn),
     }
 
 
@@ -73,8 +73,8 @@ def _under_loads() -> Iterator[Row]:
             errors = 100 * jnp.sqrt(jnp.mean(gap**2, axis=0)) / size
             what = f"{name}, turns to {degrees} deg: rms error, worst component"
             worst = float(jnp.max(errors))
-            sure = name == "distilled"
-            yield at_most(what, worst, "%", asked) if sure else Row(what, worst, "%")
+            in_range = name == "surrogate"
+            yield at_most(what, worst, "%", asked) if in_range else Row(what, worst, "%")
 
 
 def _mechanisms() -> Iterator[Row]:
@@ -110,7 +110,7 @@ def _mechanisms() -> Iterator[Row]:
                 error = 100 * (float(seen[quantity]) / exact - 1)
                 limit = 0.1 if case.startswith("cantilever") else 1.0
                 what = f"{case}: {quantity}, error of {name}"
-                if name == "distilled":
+                if name == "surrogate":
                     yield at_most(what, abs(error), "%", limit)
                 else:
                     yield Row(what, error, "%")
@@ -123,7 +123,7 @@ def _costs() -> Iterator[Row]:
         tj.flexures.surrogate(beam(0.09, 5 / 6), rotation=0.8)
     )
     again = time.perf_counter() - start
-    yield Row("a leaf distilled, its kind compiled before", again, "s")
+    yield Row("surrogate of a leaf, its kind compiled before", again, "s")
     powers = tj.energies.monomials(8)
     numbers = jax.random.normal(jax.random.key(0), (len(powers),))
     full = tj.energies.Polynomial(numbers, powers)
@@ -132,7 +132,7 @@ def _costs() -> Iterator[Row]:
     count = f"{DISPLACEMENTS:,} displacements"
     for name, energy in (
         (f"polynomial of order 8, {len(powers)} terms", full),
-        (f"distilled leaf, {len(surrogate.energy.powers)} terms", surrogate.energy),
+        (f"surrogate of a leaf, {len(surrogate.energy.powers)} terms", surrogate.energy),
     ):
         for what, function in (
             ("energies", energy),

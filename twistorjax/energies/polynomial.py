@@ -7,7 +7,7 @@ because the twistors of different frames are linear functions of each other.
 import operator
 from collections.abc import Sequence
 from functools import partial
-from typing import get_args
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
@@ -44,6 +44,24 @@ class _MonomialEnergy(CoordinateEnergy):
     scale: eqx.AbstractVar[Scalar]
     powers: eqx.AbstractVar[Powers]
     coordinates: eqx.AbstractVar[Coordinates]
+
+    def _set(
+        self,
+        coefficients: ArrayLike | Sequence[Any],
+        powers: Sequence[Sequence[int]],
+        coordinates: Coordinates,
+        scale: NumberLike,
+        *,
+        dimensions: int,
+    ) -> None:
+        """Check the arguments of a subclass and set its fields; see `Polynomial`."""
+        self.coordinates = require_choice(
+            "`coordinates`", coordinates, get_args(Coordinates)
+        )
+        self.powers = require_powers(powers, VARIABLES[coordinates])
+        self.coefficients = jnp.asarray(coefficients, float)
+        self.scale = require_positive("`scale`", scale)
+        require_coefficients(self, self.coefficients, self.powers, dimensions)
 
     def validation_error(self) -> str | None:
         """Return a message about the first coefficient that is not finite, or `None`."""
@@ -94,13 +112,7 @@ class Polynomial(_MonomialEnergy):
         coordinates: Coordinates = "twistor",
         scale: NumberLike = 1.0,
     ):
-        self.coordinates = require_choice(
-            "`coordinates`", coordinates, get_args(Coordinates)
-        )
-        self.powers = require_powers(powers, VARIABLES[coordinates])
-        self.coefficients = jnp.asarray(coefficients, float)
-        self.scale = require_positive("`scale`", scale)
-        require_coefficients(self, self.coefficients, self.powers)
+        self._set(coefficients, powers, coordinates, scale, dimensions=1)
 
     @property
     def order(self) -> int:
@@ -231,13 +243,7 @@ class SumOfSquares(_MonomialEnergy):
         coordinates: Coordinates = "twistor",
         scale: NumberLike = 1.0,
     ):
-        self.coordinates = require_choice(
-            "`coordinates`", coordinates, get_args(Coordinates)
-        )
-        self.powers = require_powers(powers, VARIABLES[coordinates])
-        self.coefficients = jnp.asarray(coefficients, float)
-        self.scale = require_positive("`scale`", scale)
-        require_coefficients(self, self.coefficients, self.powers, dimensions=2)
+        self._set(coefficients, powers, coordinates, scale, dimensions=2)
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         """Evaluate the denominator, which is dimensionless."""

@@ -35,7 +35,7 @@ def independent(system: System, displacements: Poses) -> Flag:
     """Decide whether the constraints of a system are independent at displacements."""
     if not system.constraints.size:
         return jnp.ones((), bool)
-    units = system.units()[system.free % 3]
+    units = system.free_units()
     return independent_rows(system.jacobian(displacements)[:, system.free] * units[None])
 
 

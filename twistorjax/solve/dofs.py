@@ -35,12 +35,6 @@ class DofPartition(NamedTuple):
         free = tuple(dof for dof in range(count) if dof not in given)
         return cls(count, free, tuple(prescribed))
 
-    @classmethod
-    def whole(cls, mechanism: Mechanism) -> "DofPartition":
-        """The partition in which every degree of freedom is free."""
-        count = 3 * len(mechanism.names)
-        return cls(count, tuple(range(count)))
-
     def expand(
         self,
         free: Inexact[Array, " free"],

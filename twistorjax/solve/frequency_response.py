@@ -162,7 +162,7 @@ def _frequency_response(
     jacobian = jacobian.astype(complex)
     back, basis = jnp.zeros((len(free), 0), complex), None
     if system.constraints.size:
-        units = system.units()[free % 3]
+        units = system.free_units()
         back, basis = null_space(jnp.real(jacobian[:, free]) * units[None])
         back = (units[:, None] * back).astype(complex)
         basis = (units[:, None] * basis).astype(complex)

@@ -1,7 +1,7 @@
 """Error messages of motions that cannot start, or that did not reach their end."""
 
 from collections.abc import Sequence
-from typing import Any, cast, TYPE_CHECKING
+from typing import Any, cast, NamedTuple, TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .motion import Motion
 
 
-class StartOfMotion:
+class StartOfMotion(NamedTuple):
     """What a motion starts from, for messages about it.
 
     Args:
@@ -34,19 +34,13 @@ class StartOfMotion:
         has_velocities: Whether velocities at the start are given.
     """
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        drives: Any,
-        constraints: ConstraintSet,
-        displacements: Poses,
-        time: Array,
-        dofs: DofPartition,
-        has_velocities: bool,
-    ):
-        self.mechanism, self.drives, self.constraints = mechanism, drives, constraints
-        self.displacements, self.time, self.dofs = displacements, time, dofs
-        self.has_velocities = has_velocities
+    mechanism: Mechanism
+    drives: Any
+    constraints: ConstraintSet
+    displacements: Poses
+    time: Array
+    dofs: DofPartition
+    has_velocities: bool
 
     def check(self) -> None:
         """Raise a ValueError if the start is invalid, before anything is compiled."""

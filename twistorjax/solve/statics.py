@@ -246,11 +246,12 @@ def _solve_uncompiled(
     free = root
     if solution.push is not None:
         free, push = jnp.split(root, [len(system.free)])
-        push = jnp.where(converged, push, jnp.nan)
     prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
     displacements = system.place(begin, free=free, prescribed=prescribed)
     outside = converged & jnp.any(hinges.out_of_range(solution.displacements))
     valid = converged & ~outside
+    if solution.push is not None:  # no array of size zero; see `newton`
+        push = jnp.where(valid, push, jnp.nan)
     result = RESULTS.successful
     for status, item in (
         (newton.NOT_FINITE, RESULTS.not_finite),

@@ -89,6 +89,10 @@ class System(eqx.Module):
         lever = jnp.where(lever > 0, lever, 1.0)
         return jnp.stack([jnp.ones_like(lever), lever, lever])
 
+    def free_units(self) -> Float[Array, " free"]:
+        """Unit of the displacement of each free degree of freedom; rad, m."""
+        return self.units()[self.free % 3]
+
     def place(
         self,
         displacements: Poses,
@@ -135,11 +139,16 @@ class System(eqx.Module):
         if not self.constraints.size:
             return jnp.zeros(0)
         residual = self.residual(displacements, jnp.zeros(self.constraints.size))
-        units = self.units()[self.free % 3]
+        units = self.free_units()
         scaled = self.jacobian(displacements)[:, self.free] * units[None]
         problem = lx.MatrixLinearOperator(scaled.T)
         right = units * residual[self.free]
         return lx.linear_solve(problem, right, lx.QR(), throw=False).value
+
+    def constraint_stiffness(self, displacements: Poses) -> Float[Array, "dofs dofs"]:
+        """Compute the geometric stiffness of the constraint forces of an equilibrium."""
+        push = self.constraint_forces(displacements)
+        return self.constraints.geometric_stiffness(displacements, self.time, push)
 
     def tangent(
         self,
@@ -227,8 +236,7 @@ class System(eqx.Module):
         whole = replace(self, dofs=DofPartition(count, tuple(range(count))))
         _, matrix, _ = whole.matrix(displacements, whole.dofs.free)
         if self.constraints.size:
-            push = self.constraint_forces(displacements)
-            matrix += self.constraints.geometric_stiffness(displacements, self.time, push)
+            matrix += self.constraint_stiffness(displacements)
         return matrix, self.jacobian(displacements)
 
     def factors(
@@ -238,7 +246,7 @@ class System(eqx.Module):
         symmetric = self.loads.conservative
         if not self.constraints.size:
             return Factors.of(stiffness, symmetric)
-        units = self.units()[self.free % 3]
+        units = self.free_units()
         return ConstrainedFactors.of(stiffness, jacobian, units, symmetric)
 
     def _constrained(
@@ -255,6 +263,6 @@ class System(eqx.Module):
         tangent = ConstrainedTangent(
             stiffness=matrix + geometric[self.free[:, None], columns],
             jacobian=jacobian[:, columns],
-            units=self.units()[self.free % 3],
+            units=self.free_units(),
         )
         return residual - push @ jacobian, tangent

@@ -150,17 +150,14 @@ def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> V
     # Loads that are no follower loads have moments that depend on angles, and no more.
     remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
     consistent = independent(system, displacements)
-    if system.constraints.size:
-        push = system.constraint_forces(displacements)
-        geometric = system.constraints.geometric_stiffness(
-            displacements, system.time, push
-        )
-        remainder = remainder + geometric[free[:, None], free]
-    rows, remainder = rows / root[None], remainder / (root[:, None] * root[None])
     basis = None
     if system.constraints.size:
+        geometric = system.constraint_stiffness(displacements)
+        remainder = remainder + geometric[free[:, None], free]
         jacobian = system.jacobian(displacements)[:, free]
         _, basis = null_space(jacobian / root[None])
+    rows, remainder = rows / root[None], remainder / (root[:, None] * root[None])
+    if basis is not None:
         rows, remainder = rows @ basis, basis.T @ remainder @ basis
     angular, vectors = modes(Stiffness(rows, weights, remainder))
     angular = jnp.diagonal(angular)

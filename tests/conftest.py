@@ -7,24 +7,29 @@ import sys
 import pytest
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Run `twistorjax` in a process of its own, with a cache of its own."""
-    folder = tmp_path_factory.mktemp("run")
-    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
+class CommandLine:
+    """The command line in a folder, with a cache of its own."""
 
-    def run(*arguments):
+    def __init__(self, folder):
+        self.folder = folder
+        self.environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
+
+    def __call__(self, *arguments):
+        """Run `twistorjax` in a process of its own."""
         return subprocess.run(
             [sys.executable, "-m", "twistorjax", *arguments],
             capture_output=True,
             text=True,
-            env=environment,
-            cwd=folder,
+            env=self.environment,
+            cwd=self.folder,
             check=False,
         )
 
-    run.folder = folder
-    return run
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Run `twistorjax` in a process of its own, with a cache of its own."""
+    return CommandLine(tmp_path_factory.mktemp("run"))
 
 
 @pytest.fixture
@@ -39,6 +44,8 @@ def run_here(monkeypatch, capsys):
         with pytest.raises(SystemExit) as exit_info:
             main()
         out, err = capsys.readouterr()
-        return subprocess.CompletedProcess(arguments, exit_info.value.code, out, err)
+        code = exit_info.value.code
+        assert isinstance(code, int)
+        return subprocess.CompletedProcess(arguments, code, out, err)
 
     return run_here

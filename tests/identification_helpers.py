@@ -72,7 +72,7 @@ class FormulaTest(AbstractTest):
     """Test whose readings are a function of the two coordinates of a body."""
 
     function: Callable = eqx.field(static=True)
-    sizes: jax.Array
+    deviations: jax.Array
 
     @property
     def columns(self):
@@ -84,7 +84,7 @@ class FormulaTest(AbstractTest):
 
     @property
     def standard_deviations(self):
-        return self.sizes[:, None]
+        return self.deviations[:, None]
 
     def predict(self, mechanism, *, forward=True, throw=True):
         return self.function(mechanism.reference[1, 1:])[:, None]
@@ -98,9 +98,10 @@ def body_at(parameters):
     return tj.Mechanism([tj.Body("wall"), body], [hinge], fixed=["wall"])
 
 
-def minimize_formula(function, sizes, start, **settings):
+def minimize_formula(function, deviations, start, **settings):
     """Minimize the residuals of a formula, divided by their standard deviations."""
-    sizes = jnp.asarray(sizes, float)
+    deviations = jnp.asarray(deviations, float)
     parameters = {name: Parameter(value) for name, value in start.items()}
-    data = FormulaTest(function, sizes).measurement(jnp.zeros((len(sizes), 1)))
+    zeros = jnp.zeros((len(deviations), 1))
+    data = FormulaTest(function, deviations).measurement(zeros)
     return tj.identify(body_at, parameters, [data], **settings)

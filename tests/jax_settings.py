@@ -15,6 +15,7 @@ os.environ.setdefault(
 )
 
 import jax
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -22,6 +23,15 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture(autouse=True)
+def _annotations_are_checked(request):
+    """Check annotations at run time, except in tests that pass what these forbid."""
+    untyped = request.node.get_closest_marker("untyped") is not None
+    jaxtyping.config.update("jaxtyping_disable", untyped)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

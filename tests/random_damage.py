@@ -28,7 +28,7 @@ def check_examples(examples, strategy, check):
         derandomize=True,
         database=None,
         deadline=None,
-        suppress_health_check=list(HealthCheck),
+        suppress_health_check=list(HealthCheck),  # pyright: ignore[reportArgumentType]
     )(given(strategy)(check))
     run()
 
@@ -55,7 +55,7 @@ def energies():
 
 
 def mechanism():
-    corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     bodies = [
         tj.Body("base", outline=corners),
         tj.Body("arm", (0.1, 0.2, 0.3), mass=1.0, inertia=2.0),

@@ -3,19 +3,20 @@
 import numpy as np
 
 import twistorjax as tj
+from twistorjax.energies.strains import Coordinates
 
 
 WALL, BLOCK = tj.Body("wall"), tj.Body("block")
 
 
-def block_on_spring(stiffness, coordinates="twistor"):
+def block_on_spring(stiffness, coordinates: Coordinates = "twistor"):
     """Return a block on a hinge at its origin."""
     spring = tj.Quadratic(stiffness, coordinates)
     hinge = tj.Hinge("spring", "wall", "block", spring, (0.0, 0.0, 0.0))
     return tj.Mechanism([WALL, BLOCK], [hinge], fixed=["wall"])
 
 
-def cantilever(elements, axial=1e6, coordinates="twist", factor=1.0):
+def cantilever(elements, axial=1e6, coordinates: Coordinates = "twist", factor=1.0):
     """Return a cantilever of unit length and unit bending stiffness, clamped at left.
 
     Args:

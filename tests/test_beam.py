@@ -12,9 +12,8 @@ from helpers import assert_close
 from scipy.optimize import brentq
 
 import twistorjax as tj
+from twistorjax.flexures.beam import Law
 
-
-pytestmark = pytest.mark.slow
 
 REFERENCE = json.loads(
     (pathlib.Path(__file__).parent / "reference" / "beams.json").read_text()
@@ -37,7 +36,7 @@ def slender(thickness=1e-4, **settings):
     )
 
 
-def leaf(law="linear", **settings):
+def leaf(law: Law = "linear", **settings):
     """Return a leaf with a length of ten thicknesses."""
     settings = {"length": 10e-3, "thickness": 1e-3, "width": 5e-3, **settings}
     return tj.flexures.Beam(POLYMER, law=law, steps=8, **settings)
@@ -55,7 +54,7 @@ def under_tip_force(beam, force):
         return moment - (tip[1] * force[1] - tip[2] * force[0])
 
     size = float(beam.length) * np.abs(force).max()
-    moment = brentq(residual, -size, size, xtol=1e-13 * size, rtol=1e-14)
+    moment = brentq(residual, -size, size, xtol=1e-13 * size, rtol=1e-14)  # pyright: ignore[reportArgumentType]
     return beam_under_load(beam, jnp.array([moment, *force]))
 
 
@@ -188,6 +187,7 @@ def test_a_section_has_no_equilibrium_above_its_largest_moment():
     for moment in (5.0, 6.9):
         bound = np.sqrt(1 / 0.9) / 0.1
         exact = brentq(lambda k, m=moment: k - 3e-3 * k**3 - m, 0.0, bound)
+        assert isinstance(exact, float)
         np.testing.assert_allclose(rotation(moment), exact, rtol=1e-8)
     assert np.isnan(rotation(7.1)) and np.isnan(rotation(8.0))
 
@@ -236,7 +236,7 @@ def test_an_exact_beam_is_a_hinge_of_a_mechanism():
     [
         (lambda: leaf(thickness=-1e-3), "`thickness` is -0.001"),
         (lambda: leaf(length=0.0), "`length` is 0"),
-        (lambda: leaf("rubber"), "'linear', 'saint-venant-kirchhoff'"),
+        (lambda: leaf("rubber"), "'linear', 'saint-venant-kirchhoff'"),  # pyright: ignore[reportArgumentType]
         (
             lambda: leaf("saint-venant-kirchhoff", shear_factor=None),
             "`shear_factor` is None",

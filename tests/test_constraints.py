@@ -31,9 +31,11 @@ def push(force):
 
 def angle(force, stiffness=STIFFNESS):
     """Root of the moment balance about the pin."""
-    return scipy.optimize.brentq(
+    root = scipy.optimize.brentq(
         lambda t: stiffness * t - force * LENGTH * np.cos(t), 0.0, np.pi / 2, xtol=1e-15
     )
+    assert isinstance(root, float)
+    return root
 
 
 @pytest.mark.parametrize("force", [0.5, 5.0, 30.0])
@@ -47,7 +49,6 @@ def test_a_pinned_arm_balances_its_moments(force):
     assert_close(arm.reaction("wall"), [moment, 0.0, -force], digits=10)
 
 
-@pytest.mark.slow
 def test_equilibria_with_constraints_have_derivatives():
     def rotation(force):
         arm = tj.equilibrium(pendulum(), loads=[push(force)], constraints=[PIN])
@@ -98,9 +99,11 @@ def test_a_pinned_arm_vibrates_and_responds_as_a_physical_pendulum():
     assert_close(response.displacement("arm")[0, 0], amplitude, digits=9)
     force = -1.0 - omega**2 * MASS * LENGTH * np.cos(t) * amplitude
     assert_close(response.constraint_force("pin")[0, 1], force, digits=9)
+    reaction = response.reaction("wall")[0]
+    along = omega**2 * MASS * LENGTH * np.sin(t) * amplitude
+    assert_close(reaction, [-STIFFNESS * amplitude, along, force], digits=9)
 
 
-@pytest.mark.slow
 def test_frequencies_with_constraints_have_derivatives():
     def frequency(stiffness):
         return tj.vibrations(pendulum(stiffness), constraints=[PIN]).frequencies[0]
@@ -169,6 +172,9 @@ class AcrossLine(AbstractConstraint):
     name: str = eqx.field(static=True)
     pin: tj.Pin
 
+    def __init__(self, name, pin):
+        self.name, self.pin = name, pin
+
     @property
     def bodies(self):
         return self.pin.bodies
@@ -179,7 +185,7 @@ class AcrossLine(AbstractConstraint):
 
 def test_redundant_and_contradictory_constraints_are_named():
     again = tj.Pin("again", "wall", "arm", at=(0.0, 0.0))
-    with pytest.raises(ValueError, match="'again' is redundant: 2 of its 2 entries"):
+    with pytest.raises(ValueError, match="'again' is redundant: 2 of its 2 equations"):
         tj.equilibrium(pendulum(), constraints=[PIN, again])
     found = tj.equilibrium(pendulum(), constraints=[PIN, again], throw=False)
     assert tj.result_names(found.result) == "inconsistent_constraints"
@@ -198,5 +204,5 @@ def test_a_body_may_be_held_by_constraints_alone():
     load = tj.Load("rider", force=(2.0, 0.0))
     found = tj.equilibrium(mechanism, loads=[load], constraints=[rail, stop])
     assert_close(found.displacement("rider"), [0.0, 0.02, 0.0])
-    with pytest.raises(ValueError, match="Nothing holds 'rider'"):
+    with pytest.raises(ValueError, match="The body 'rider' is not connected"):
         tj.equilibrium(mechanism, loads=[load])

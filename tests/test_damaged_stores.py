@@ -47,10 +47,13 @@ def grid_study(design):
 
 
 def run_sweep(path=None, *, grid=False, resume=False):
-    options = dict(chunk_size=CHUNK_SIZE, store=path, resume=resume)
     if grid:
-        return tj.sweep(grid_study, GRID, **options)
-    return tj.sweep(study, DESIGNS, units=UNITS, **options)
+        return tj.sweep(
+            grid_study, GRID, chunk_size=CHUNK_SIZE, store=path, resume=resume
+        )
+    return tj.sweep(
+        study, DESIGNS, units=UNITS, chunk_size=CHUNK_SIZE, store=path, resume=resume
+    )
 
 
 class Template:

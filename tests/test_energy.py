@@ -12,9 +12,6 @@ from twistorjax.energies.base import validation_error
 from twistorjax.geometry import se2, twistors
 
 
-pytestmark = pytest.mark.slow
-
-
 STIFFNESS = some_stiffness(7)
 DAMPING = some_stiffness(8)
 
@@ -243,16 +240,17 @@ def test_singular_stiffness_and_rounding_errors_are_accepted():
 @pytest.mark.untyped
 def test_unknown_coordinates_raise_an_error():
     with pytest.raises(ValueError, match="`coordinates` is 'screw', but must be one of"):
-        tj.Quadratic(jnp.eye(3), "screw")
+        tj.Quadratic(jnp.eye(3), "screw")  # pyright: ignore[reportArgumentType]
 
 
 def test_negative_factor_is_a_validation_error():
-    assert "not negative" in validation_error((-1.0) * twist)
+    error = validation_error((-1.0) * twist)
+    assert error is not None and "not negative" in error
     assert validation_error(2.0 * twist) is None
 
 
 def test_only_energies_can_be_added_and_only_numbers_multiply_them():
     with pytest.raises(TypeError, match="unsupported operand"):
-        twist + 1.0
+        _ = twist + 1.0  # pyright: ignore[reportOperatorIssue]
     with pytest.raises(ValueError, match=r"an array of shape \(2,\), but the factor"):
-        jnp.ones(2) * twist
+        _ = jnp.ones(2) * twist

@@ -19,6 +19,7 @@ from twistorjax.identification import (
     StaticTest,
     VibrationTest,
 )
+from twistorjax.identification.sensors import BodyQuantity, HingeQuantity
 
 
 @pytest.fixture(scope="module")
@@ -42,13 +43,17 @@ def test_a_sensor_at_a_point_follows_the_frame_of_the_body(linkage, motion):
     )
     reference = np.asarray(linkage.reference[linkage.index("3"), 1:]) + point
     step = motion.times[1]
-    for k, name in enumerate("xy"):
+    quantities: list[tuple[BodyQuantity, BodyQuantity]] = [
+        ("x", "velocity_x"),
+        ("y", "velocity_y"),
+    ]
+    for k, (name, rate) in enumerate(quantities):
         sensor = BodySensor("3", name, 1.0, at=point)
         displacement = position[k] - reference[k]
         assert_close(sensor.read(linkage, motion), displacement, digits=12)
         sensor = BodySensor("3", name, 1.0, at=point, absolute=True)
         assert_close(sensor.read(linkage, motion), position[k], digits=12)
-        sensor = BodySensor("3", f"velocity_{name}", 1.0, at=point)
+        sensor = BodySensor("3", rate, 1.0, at=point)
         velocity = sensor.read(linkage, motion)
         difference = (position[k][2:] - position[k][:-2]) / (2 * step)
         # The vibration of the stiff hinges decays in the first steps.
@@ -57,12 +62,13 @@ def test_a_sensor_at_a_point_follows_the_frame_of_the_body(linkage, motion):
 
 
 def test_sensors_read_the_quantities_of_the_motion(linkage, motion):
-    for quantity, expected in (
-        ("angle", motion.displacement("3")[:, 0]),
-        ("x", motion.displacement("3")[:, 1]),
-        ("angular_velocity", motion.velocity("3")[:, 0]),
-        ("velocity_y", motion.velocity("3")[:, 2]),
-    ):
+    of_body: dict[BodyQuantity, jax.Array] = {
+        "angle": motion.displacement("3")[:, 0],
+        "x": motion.displacement("3")[:, 1],
+        "angular_velocity": motion.velocity("3")[:, 0],
+        "velocity_y": motion.velocity("3")[:, 2],
+    }
+    for quantity, expected in of_body.items():
         reading = BodySensor("3", quantity, 1.0).read(linkage, motion)
         assert_close(reading, expected)
     moment = BodySensor("2", "moment", 1.0)
@@ -70,12 +76,13 @@ def test_sensors_read_the_quantities_of_the_motion(linkage, motion):
     pose = motion.poses[100]
     displacement = linkage.displacement_of("A", pose)
     wrench = linkage.wrench_of("A", pose)
-    for quantity, expected in (
-        ("angle", displacement[0]),
-        ("y", displacement[2]),
-        ("moment", wrench[0]),
-        ("force_2", wrench[2]),
-    ):
+    of_hinge: dict[HingeQuantity, jax.Array] = {
+        "angle": displacement[0],
+        "y": displacement[2],
+        "moment": wrench[0],
+        "force_2": wrench[2],
+    }
+    for quantity, expected in of_hinge.items():
         reading = HingeSensor("A", quantity, 1.0).read(linkage, motion)
         assert_close(reading[100], expected, digits=9)
     energy = FunctionSensor(
@@ -89,7 +96,7 @@ def test_sensors_read_the_quantities_of_the_motion(linkage, motion):
     ("make", "message"),
     [
         (
-            lambda: BodySensor("3", "speed", 1.0),
+            lambda: BodySensor("3", "speed", 1.0),  # pyright: ignore[reportArgumentType]
             "`quantity` is 'speed', but must be one of",
         ),
         (
@@ -104,10 +111,10 @@ def test_sensors_read_the_quantities_of_the_motion(linkage, motion):
             lambda: BodySensor("3", "moment", 1.0, absolute=True),
             "the moment of a body does not depend on its reference pose",
         ),
-        (lambda: HingeSensor("A", "force_x", 1.0), "`quantity` is 'force_x'"),
+        (lambda: HingeSensor("A", "force_x", 1.0), "`quantity` is 'force_x'"),  # pyright: ignore[reportArgumentType]
         (lambda: StaticTest([], [BodySensor("3", "x", 1.0)]), "`trials` is empty"),
         (lambda: StaticTest([[]], []), "`sensors` is empty"),
-        (lambda: StaticTest([tj.Load("3", (0, 0, 0))], []), "put this one in"),
+        (lambda: StaticTest([tj.Load("3", (0, 0, 0))], []), "put this one in"),  # pyright: ignore[reportArgumentType]
         (lambda: MotionTest([0, 0], [BodySensor("3", "x", 1.0)]), "must increase"),
         (lambda: MotionTest([0, 1], [BodySensor("3", "x", 1.0)]), "Nothing sets"),
         (
@@ -127,15 +134,15 @@ def test_sensors_read_the_quantities_of_the_motion(linkage, motion):
         (lambda: HingeTest("A", [[0.0, 0.0]], (1, 1, 1)), "`poses` has shape"),
         (
             lambda: VibrationTest(2, 1.0).measurement([[1.0]]),
-            "reads 2 rows of 1",
+            "must have 2 rows of 1",
         ),
         (lambda: VibrationTest(1, 1.0).measurement([[jnp.nan]]), "has no reading"),
         (
-            lambda: VibrationTest(1, 1.0).measurement([[1.0]], [[-1.0]]),
+            lambda: VibrationTest(1, 1.0).measurement([[1.0]], np.array([[-1.0]])),
             "must be positive",
         ),
         (
-            lambda: VibrationTest(1, 1.0).measurement([[1.0]], [1.0, 2.0]),
+            lambda: VibrationTest(1, 1.0).measurement([[1.0]], np.array([1.0, 2.0])),
             "but must have shape",
         ),
     ],
@@ -212,11 +219,11 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
     true = {"rotation": 2.0, "along": 100.0, "across": 50.0}
     order = ["rotation", "along", "across"]
 
-    def trial(wrench, **sensors):
+    def trial(wrench, sensors: dict[BodyQuantity, float]):
         load = tj.Load("block", tuple(1e-3 * np.array(wrench)))
         return StaticTest(
             [[load]],
-            [BodySensor("block", quantity, size) for quantity, size in sensors.items()],
+            [BodySensor("block", name, deviation) for name, deviation in sensors.items()],
         )
 
     along = push(1e-3, standard_deviation=1e-6)
@@ -226,13 +233,13 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
     tests = {
         "again": along,
         "better": push(5e-3, standard_deviation=1e-6),
-        "rotated": trial((1.0, 0, 0), angle=1e-4),
-        "all": trial((1.0, 5.0, 3.0), angle=1e-4, x=1e-6, y=1e-6),
+        "rotated": trial((1.0, 0, 0), {"angle": 1e-4}),
+        "all": trial((1.0, 5.0, 3.0), {"angle": 1e-4, "x": 1e-6, "y": 1e-6}),
     }
     ranking = rank_experiments(result, tests, count=2)
 
-    def information(force, stiffness, size):
-        return (1e-3 * force / (stiffness * size)) ** 2
+    def information(force, stiffness, deviation):
+        return (1e-3 * force / (stiffness * deviation)) ** 2
 
     rotation = information(1, 2, 1e-4)
     across = information(3, 50, 1e-6)
@@ -251,7 +258,7 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
         total = before + np.array(row)
         candidate = candidates[name]
         gain = np.log(total / before).sum() / 2
-        np.testing.assert_allclose(candidate.gain, gain, rtol=1e-3)
+        np.testing.assert_allclose(candidate.information_gain, gain, rtol=1e-3)
         errors = candidate.standard_errors[entries]
         np.testing.assert_allclose(errors, total**-0.5, rtol=1e-3)
     assert ranking.candidates[0].name == "all"

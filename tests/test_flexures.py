@@ -1,5 +1,7 @@
 """Stiffness and stress of leaves and notches against integrals and published values."""
 
+from typing import TypedDict
+
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -9,10 +11,19 @@ import scipy.integrate
 from helpers import assert_close
 
 import twistorjax as tj
+from twistorjax.geometry import se2
 
 
 ALUMINUM = tj.Material(modulus=69e9, poisson=0.33)
 POLYMER = tj.Material(modulus=0.05 * 69e9, poisson=0.3)
+
+
+class Sizes(TypedDict):
+    """Sizes of a leaf; m."""
+
+    length: float
+    thickness: float
+    width: float
 
 
 def diagonal(energy):
@@ -52,7 +63,7 @@ def test_a_leaf_has_the_compliance_of_a_cantilever_at_its_tip():
     length, bending = 0.03, 69e9 * 0.01 * 0.0005**3 / 12
     leaf = tj.flexures.leaf(ALUMINUM, length=length, thickness=0.0005, width=0.01)
     tip = jnp.array([0.0, -length / 2, 0.0])  # pose of the middle relative to the tip
-    compliance = np.linalg.inv(tj.geometry.se2.transform_stiffness(tip, leaf.stiffness))
+    compliance = np.linalg.inv(se2.transform_stiffness(tip, leaf.stiffness))
     expected = [length / bending, length**2 / 2 / bending, length**3 / 3 / bending]
     np.testing.assert_allclose(
         [compliance[0, 0], compliance[0, 2], compliance[2, 2]], expected, rtol=1e-12
@@ -60,7 +71,7 @@ def test_a_leaf_has_the_compliance_of_a_cantilever_at_its_tip():
 
 
 def test_a_leaf_with_shear_has_the_transverse_compliance_of_timoshenko():
-    sizes = {"length": 0.01, "thickness": 0.002, "width": 0.005}
+    sizes: Sizes = {"length": 0.01, "thickness": 0.002, "width": 0.005}
     shear = 5 / 6 * 69e9 / (2 * 1.33) * 0.002 * 0.005
     bending = 69e9 * 0.005 * 0.002**3 / 12
     expected = 1 / (0.01**3 / (12 * bending) + 0.01 / shear)
@@ -220,7 +231,7 @@ def test_quartic_leaves_converge_to_the_elastica_with_the_fourth_order():
 
 
 def test_a_quartic_leaf_has_the_stiffness_of_a_leaf():
-    sizes = {"length": 10e-3, "thickness": 0.8e-3, "width": 5e-3}
+    sizes: Sizes = {"length": 10e-3, "thickness": 0.8e-3, "width": 5e-3}
     polymer = tj.Material(modulus=3.45e9, poisson=0.3)
     for theory in ("euler-bernoulli", "timoshenko"):
         quartic = tj.flexures.quartic_leaf(polymer, theory=theory, **sizes)
@@ -232,7 +243,7 @@ def test_a_quartic_leaf_has_the_stiffness_of_a_leaf():
 
 def test_the_largest_stress_of_a_cantilever_is_at_its_clamp():
     """It is 6 P L / w t^2 for a transverse force, and P / w t for an axial force."""
-    size = {"length": 0.05, "thickness": 1e-3, "width": 0.01}
+    size: Sizes = {"length": 0.05, "thickness": 1e-3, "width": 0.01}
     energy = tj.flexures.leaf(ALUMINUM, **size)
     bodies = [tj.Body("wall"), tj.Body("tip", (0.0, 0.05, 0.0))]
     hinge = tj.Hinge("leaf", "wall", "tip", energy, at=(0.0, 0.025, 0.0))

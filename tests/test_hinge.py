@@ -11,9 +11,6 @@ from twistorjax.geometry import se2, twistors
 from twistorjax.mechanism import hinge_kinematics
 
 
-pytestmark = pytest.mark.slow
-
-
 class Quartic(tj.AbstractEnergy):
     """An energy of no special form that couples all components of the twist."""
 
@@ -146,14 +143,14 @@ def test_wrenches_have_third_derivatives(energy):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"first": "a", "second": "a", "at": AT}, "joins the body 'a' to itself"),
+        ({"first": "a", "second": "a", "at": AT}, "connects the body 'a' to itself"),
         ({}, "needs either `at`.*neither is given"),
         ({"at": AT, "ports": (AT, AT)}, "needs either `at`.*both are given"),
         (
             {"at": (1.0, 2.0)},
             r"`at` of the hinge 'h' has shape \(2,\), but must be \(an",
         ),
-        ({"at": (0.0, np.nan, 0.0)}, "`at` of the hinge 'h' is .*, but must be finite"),
+        ({"at": (0.0, np.nan, 0.0)}, "`at` of the hinge 'h' has .*, but must be finite"),
     ],
 )
 def test_invalid_arguments_of_a_hinge_are_reported(arguments, message):
@@ -167,9 +164,9 @@ def test_displacement_in_the_mid_frame_is_the_twistor():
     first, second = some_poses(5)[9], some_poses(6)[9]
 
     def end(pose):
-        half = pose[0] / 2
-        zero = jnp.zeros(())
-        return hinge_kinematics.End(*pose, jnp.cos(half), jnp.sin(half), zero, zero)
+        angle, x, y = pose
+        cos, sin, zero = jnp.cos(angle / 2), jnp.sin(angle / 2), jnp.zeros(())
+        return hinge_kinematics.End(angle, x, y, cos, sin, zero, zero)
 
     axis = jnp.ones(()), jnp.zeros(())
     middle = hinge_kinematics.mid_frame(end(first), end(second), axis)

@@ -41,13 +41,13 @@ def test_readings_are_weighted_by_their_variances():
     """The compliance is the weighted mean of the single compliances."""
     forces = np.array([1.0, 2.0, 5.0])
     readings = np.array([0.0102, 0.0199, 0.0507])
-    sizes = np.array([1e-4, 2e-4, 5e-4])
+    deviations = np.array([1e-4, 2e-4, 5e-4])
     data = [
-        push(force, size).measurement([[reading]])
-        for force, reading, size in zip(forces, readings, sizes, strict=True)
+        push(force, deviation).measurement([[reading]])
+        for force, reading, deviation in zip(forces, readings, deviations, strict=True)
     ]
     result = tj.identify(spring, {"along": positive(80.0)}, data)
-    weights = (forces / sizes) ** 2
+    weights = (forces / deviations) ** 2
     compliance = np.sum(weights * readings / forces) / np.sum(weights)
     assert_close(result.estimates["along"], 1 / compliance, digits=7)
     assert_close(result.covariance[0, 0], compliance**-4 / np.sum(weights), digits=5)
@@ -81,8 +81,8 @@ def test_two_parameters_of_a_nonlinear_model_agree_with_scipy():
     covariance = np.linalg.inv(peer.jac.T @ peer.jac)[::-1, ::-1]
     assert result.names == ("along", "rotation")
     np.testing.assert_allclose(result.covariance, covariance, rtol=1e-4)
-    size = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(size, size)
+    errors = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(errors, errors)
     np.testing.assert_allclose(result.correlation, correlation, rtol=1e-3)
 
 
@@ -94,10 +94,10 @@ def test_natural_frequencies_determine_stiffnesses():
     result = tj.identify(spring, start, [test.measurement(frequencies[:, None])])
     for name, value in TRUE.items():
         assert_close(result.estimates[name], value, digits=7)
-    for (name, value), size, frequency in zip(
+    for (name, value), deviation, frequency in zip(
         TRUE.items(), (0.01, 0.02, 0.03), frequencies, strict=True
     ):
-        expected = 2 * value * size / frequency
+        expected = 2 * value * deviation / frequency
         assert_close(result.standard_errors[name], expected, digits=5)
 
 
@@ -228,7 +228,7 @@ def test_a_start_without_a_solution_raises_the_error_of_the_solve():
         [[tj.Load("block", moment=20.0)]], [BodySensor("block", "angle", 1e-3)]
     )
     start = {"rotation": positive(1.0)}
-    message = r"a test has no solution.*No equilibrium was found"
+    message = r"a test has no solution.*No equilibrium .* was found"
     with pytest.raises(RuntimeError, match=message):
         tj.identify(spring, start, [too_large.measurement([[1.0]]), *data])
 
@@ -336,7 +336,7 @@ def test_a_weak_parameter_does_not_stop_the_search_for_another():
 
 
 def test_the_gain_of_the_stage_determines_the_web_and_not_the_modulus():
-    result = identification.identify_stage_web(compression=False)
+    result = identification.identify_stage_web(elongation=False)
     gain = stage.amplification(stage.microstage(result.estimates["web"])).gain
     assert_close(gain, 27.95, digits=7)
     # The measured gain is known to 0.15; its derivative is -50661 /m at 250 um.
@@ -348,7 +348,6 @@ def test_the_gain_of_the_stage_determines_the_web_and_not_the_modulus():
     assert any("12.8 times as large" in text for text in both.warnings)
 
 
-@pytest.mark.slow
 def test_the_motion_of_a_linkage_determines_the_stiffnesses_of_one_hinge():
     exact = identification.identify_hinge_a()
     for name, value in identification.LEAF.items():

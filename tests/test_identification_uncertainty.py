@@ -77,10 +77,12 @@ def test_hubers_loss_reduces_the_effect_of_an_outlier():
     assert any(too_large in text for text in plain.warnings)
 
     def huber_loss(k):
-        size = np.abs(forces / k - readings) / 1e-4
-        return np.sum(np.where(size < 1.345, size**2 / 2, 1.345 * (size - 1.345 / 2)))
+        magnitude = np.abs(forces / k - readings) / 1e-4
+        linear = 1.345 * (magnitude - 1.345 / 2)
+        return np.sum(np.where(magnitude < 1.345, magnitude**2 / 2, linear))
 
     peer = scipy.optimize.minimize_scalar(huber_loss, (90, 100, 110), tol=1e-12)
+    assert isinstance(peer, scipy.optimize.OptimizeResult)
     assert_close(robust.estimates["along"], peer.x, digits=5)
     assert_close(robust.loss, peer.fun, digits=8)
     outlier = "outliers, in standard deviations: block.x in row 4 (-3"
@@ -97,9 +99,9 @@ def test_standard_errors_of_hubers_loss_are_at_least_those_of_least_squares():
     def function(u):
         return jnp.concatenate([readings - u[0], jnp.stack([u[1] - 1.0, u[1] - 1.0])])
 
-    sizes, start = 6 * [0.1], {"a": 1.2, "b": 1.1}
-    plain = minimize_formula(function, sizes, start)
-    robust = minimize_formula(function, sizes, start, huber_threshold=1.345)
+    deviations, start = 6 * [0.1], {"a": 1.2, "b": 1.1}
+    plain = minimize_formula(function, deviations, start)
+    robust = minimize_formula(function, deviations, start, huber_threshold=1.345)
     for name in start:
         assert robust.standard_errors[name] > 0.999 * plain.standard_errors[name] > 0.04
 
@@ -129,8 +131,8 @@ def test_intervals_of_hubers_loss_have_their_level_with_few_readings():
 
     def contains_true_value(key):
         noise_key, outlier_key = jax.random.split(key)
-        size = jnp.where(jax.random.uniform(outlier_key, (12,)) < 0.1, 6.0, 1.0)
-        values = 1.0 + 2.0 * x + 0.1 * size * jax.random.normal(noise_key, (12,))
+        factor = jnp.where(jax.random.uniform(outlier_key, (12,)) < 0.1, 6.0, 1.0)
+        values = 1.0 + 2.0 * x + 0.1 * factor * jax.random.normal(noise_key, (12,))
         test = FormulaTest(lambda u: u[0] + u[1] * x, 0.1 * jnp.ones(12))
         start = {"a": Parameter(1.3), "b": Parameter(1.7)}
         data = [test.measurement(values[:, None])]
@@ -147,9 +149,9 @@ def test_a_confidence_interval_depends_on_its_level():
     data = [push(5.0).measurement([[0.05]])]
     result = tj.identify(spring, {"along": positive(80.0)}, data)
     low, high = result.confidence_interval(0.6826894921)
-    size = result.standard_errors["along"] / 100.0
-    assert_close(low["along"], 100 * np.exp(-size), digits=6)
-    assert_close(high["along"], 100 * np.exp(size), digits=6)
+    relative_error = result.standard_errors["along"] / 100.0
+    assert_close(low["along"], 100 * np.exp(-relative_error), digits=6)
+    assert_close(high["along"], 100 * np.exp(relative_error), digits=6)
     with pytest.raises(ValueError, match=r"`level` is 95.0, but must be between 0 and 1"):
         result.confidence_interval(95.0)
 
@@ -163,7 +165,6 @@ def test_large_residuals_of_held_out_readings_are_reported():
     assert any(text in warning for warning in result.warnings)
 
 
-@pytest.mark.slow
 def test_samples_have_the_mean_and_standard_deviation_of_the_posterior():
     """The reading is linear in the compliance, so both are known in closed form."""
     pytest.importorskip("blackjax")
@@ -178,7 +179,7 @@ def test_samples_have_the_mean_and_standard_deviation_of_the_posterior():
     data = [test.measurement(readings)]
     result = tj.identify(design, start, data)
     samples = posterior(result, draws=500, tune=200, chains=2)
-    values = np.asarray(samples.posterior["compliance"])
+    values = np.asarray(samples.posterior["compliance"])  # pyright: ignore[reportAttributeAccessIssue]
     assert values.shape == (2, 500)
     standard_deviation = 1e-3 / np.sqrt(3)
     assert abs(values.mean() - readings.mean()) < 0.2 * standard_deviation

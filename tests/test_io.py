@@ -8,11 +8,13 @@ import sys
 from xml.etree import ElementTree
 
 import equinox as eqx
-import ezdxf
+import ezdxf.filemanagement
+import ezdxf.units
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ezdxf.entities.lwpolyline import LWPolyline
 from helpers import assert_close
 from shapely.geometry import Polygon
 
@@ -247,13 +249,14 @@ def test_a_file_is_replaced_only_when_the_new_one_is_complete(tmp_path, monkeypa
 @pytest.mark.untyped
 def test_invalid_outlines_and_powers_are_rejected():
     with pytest.raises(ValueError, match=r"`outline` of the body 'b' has \[.*nan"):
-        tj.Body("b", outline=[[0, 0], [1, 0], [0, np.nan]])
+        tj.Body("b", outline=np.array([[0, 0], [1, 0], [0, np.nan]]))
     spring = tj.Quadratic(np.eye(3))
     with pytest.raises(ValueError, match="`outline` of the hinge 'h' has shape"):
-        tj.Hinge("h", "a", "b", spring, at=(0, 0, 0), outline=[[0, 0], [1, 0]])
+        line = np.array([[0.0, 0.0], [1.0, 0.0]])
+        tj.Hinge("h", "a", "b", spring, at=(0, 0, 0), outline=line)
     for power in (2.5, np.inf, 10**400, -1):
         with pytest.raises(ValueError, match=r"`powers\[0\]` is .* whole numbers from 0"):
-            tj.energies.Polynomial([1.0], [(power, 0, 0)], "twist")
+            tj.energies.Polynomial([1.0], [(power, 0, 0)], "twist")  # pyright: ignore[reportArgumentType]
 
 
 def test_a_file_of_another_kind_or_version_is_rejected(tmp_path):
@@ -279,10 +282,12 @@ def test_the_outline_to_be_cut_encloses_one_piece(tmp_path):
     """The lines on the layer `cut` enclose the area of all bodies and hinges."""
     mechanism = stage.microstage()
     tj.io.save_outline(mechanism, tmp_path / "stage.dxf")
-    drawing = ezdxf.readfile(tmp_path / "stage.dxf")
+    drawing = ezdxf.filemanagement.readfile(tmp_path / "stage.dxf")
     assert drawing.units == ezdxf.units.MM
-    lines = list(drawing.modelspace())
-    assert all(line.closed for line in lines)
+    lines = []
+    for line in drawing.modelspace():
+        assert isinstance(line, LWPolyline) and line.closed
+        lines.append(line)
     cut = [line for line in lines if line.dxf.layer == "cut"]
     areas = sorted(Polygon([p[:2] for p in line]).area for line in cut)
     # The largest line is the outer boundary; the others are the holes.
@@ -335,7 +340,9 @@ def test_a_script_for_exudyn_contains_the_mechanism_and_its_loads():
     first, second, at, stiffness = scope["HINGES"]["B"]
     assert (first, second) == ("2", "3")
     assert_close(at, linkage.at[1])
-    assert_close(np.array(stiffness), linkage.hinge_assembly.energy_of(1).stiffness)
+    energy = linkage.hinge_assembly.energy_of(1)
+    assert isinstance(energy, tj.Quadratic)
+    assert_close(np.array(stiffness), energy.stiffness)
 
 
 def test_exudyn_finds_the_same_small_displacements(tmp_path):

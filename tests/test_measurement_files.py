@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from helpers import assert_close
 
+import twistorjax as tj
 from twistorjax.examples import four_bar
-from twistorjax.identification import read_measurements
+from twistorjax.identification import MotionTest, read_measurements, StaticTest
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +29,15 @@ def test_static_trials_are_read_and_converted_to_si_units(tmp_path):
         "-2,0,45,,6,0.5\n",
     )
     data = read_measurements(path, standard_deviations={"left.force_1": 2.0})
+    assert isinstance(data.test, StaticTest)
     first, second = data.test.trials
-    assert_close(first[0].wrench, jnp.array([0.25, 1.5, 0.0]))
-    assert_close(first[1].angle, np.pi / 2)
-    assert_close(second[0].wrench, jnp.array([0.0, -2e-3, 0.0]))
+    load, drive = first
+    assert isinstance(load, tj.Load) and isinstance(drive, tj.Drive)
+    assert_close(load.wrench, jnp.array([0.25, 1.5, 0.0]))
+    assert_close(drive.angle, np.pi / 2)
+    load = second[0]
+    assert isinstance(load, tj.Load)
+    assert_close(load.wrench, jnp.array([0.0, -2e-3, 0.0]))
     assert_close(data.values, np.array([[12e-6, np.nan], [np.nan, 500.0]]))
     assert_close(data.standard_deviations, np.array([[5e-9, 2.0], [6e-9, 2.0]]))
     assert data.test.columns == ("table.x", "left.force_1")
@@ -51,6 +57,7 @@ def test_motions_and_natural_frequencies_are_read(tmp_path):
     data = read_measurements(
         path, standard_deviations={"angle": 1e-5}, velocities={"3": (0.0, 10.0, 0.0)}
     )
+    assert isinstance(data.test, MotionTest)
     assert_close(data.test.times, np.array([0.0, 0.01, 0.02]))
     assert_close(data.values[:, 0], np.array([0.0, 1.5e-3, 2.5e-3]))
     path = write(

@@ -27,7 +27,7 @@ class Axial(tj.AbstractEnergy):
         return self.factor * displacement.x1**2
 
 
-def hinge(name, first, second, energy=SPRING, at=(0.0, 0.0, 0.0)):
+def hinge(name, first, second, energy: tj.AbstractEnergy = SPRING, at=(0.0, 0.0, 0.0)):
     return tj.Hinge(name, first, second, energy, at)
 
 
@@ -78,7 +78,8 @@ def test_ports_and_pose_of_a_hinge_are_equivalent():
 
 def test_energy_that_hinges_share_is_stored_once():
     shared = mechanism_of(hinges=[hinge(k, "a", "b") for k in "123"])
-    assert shared.hinge_assembly.groups[0].energy.stiffness.shape == (3, 3)
+    energy = shared.hinge_assembly.groups[0].energy
+    assert isinstance(energy, tj.Quadratic) and energy.stiffness.shape == (3, 3)
     equal = [hinge(k, "a", "b", tj.Quadratic(SPRING.stiffness)) for k in "12"]
     assert len(mechanism_of(hinges=equal).hinge_assembly.groups) == 1
 
@@ -97,7 +98,7 @@ def test_only_bodies_that_move_need_inertia():
     moving = tj.Body("b", mass=2.0, inertia=3.0)
     mechanism = tj.Mechanism([tj.Body("a"), moving], [hinge("h", "a", "b")], ["a"])
     assert_close(mechanism.inertia(), [[np.inf] * 3, [3.0, 2.0, 2.0]])
-    with pytest.raises(ValueError, match="The body 'b' moves, but has no `mass`"):
+    with pytest.raises(ValueError, match="The body 'b' can move, but has no `mass`"):
         mechanism_of().inertia()
 
 
@@ -111,6 +112,7 @@ def test_inertia_of_a_rectangular_plate_is_the_closed_form():
         bar = tj.plate("bar", outline, width=width, material=STEEL)
         mass = 7800 * length * height * width
         assert_close(bar.mass, mass)
+        assert bar.inertia is not None
         assert_close(bar.inertia / (mass * (length**2 + height**2) / 12), 1.0)
         assert_close(bar.pose, [0.0, 0.3, 0.7])
         assert_close(np.asarray(bar.outline).mean(axis=0), [0.0, 0.0])
@@ -123,10 +125,10 @@ def test_inertia_of_a_triangular_plate_is_the_closed_form():
     wedge = tj.plate("wedge", corners, width=width, material=STEEL)
     mass = 7800 * width * base * height / 2
     assert_close(wedge.pose, [0.0, base / 3, height / 3])
+    assert wedge.inertia is not None
     assert_close(wedge.inertia / mass, (base**2 + height**2) / 18)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-15, 1e-12])
 def test_wrenches_of_tiny_displacements_are_accurate(size):
     """The block moves by less than the rounding error of its position, which is 40 mm."""
@@ -134,14 +136,14 @@ def test_wrenches_of_tiny_displacements_are_accurate(size):
     force = size * jnp.array([250.0, -170.0])
     solution = tj.equilibrium(mechanism, loads=[tj.Load("block", force=force)])
     wrench = mechanism.wrench_of("h", solution)
-    expected = [0.0, *(se2.rotate(-0.3, force) / size)]
+    angle = jnp.array(-0.3)
+    expected = [0.0, *(se2.rotate(angle, force) / size)]
     assert_close(wrench / size, expected, digits=11)
     translation = solution.displacement("block")[1:]
     of_hinge = mechanism.displacement_of("h", solution)[1:]
-    assert_close(of_hinge / size, se2.rotate(-0.3, translation) / size, digits=11)
+    assert_close(of_hinge / size, se2.rotate(angle, translation) / size, digits=11)
 
 
-@pytest.mark.slow
 def test_wrench_of_a_hinge_has_a_row_for_each_time_of_a_motion():
     mechanism = block_on_spring((0.0, 0.0, 0.0), mass=1.0, inertia=1.0)
     velocities = {"block": (0, 1.0, 0)}
@@ -150,7 +152,6 @@ def test_wrench_of_a_hinge_has_a_row_for_each_time_of_a_motion():
     assert_close(wrenches[:, 1], 300.0 * motion.displacement("block")[:, 1])
 
 
-@pytest.mark.slow
 @pytest.mark.untyped
 def test_equilibrium_is_accepted_instead_of_poses():
     mechanism = block_on_spring((0.0, 0.1, 0.0))
@@ -171,11 +172,11 @@ def test_equilibrium_is_accepted_instead_of_poses():
         displacements=solution.displacements[None], reference=mechanism.reference
     )
     for wrong, message in (
-        ("poses", "`start` is 'poses', but must be an equilibrium, or poses"),
+        ("poses", "`start` is 'poses', but must be an equilibrium or poses"),
         (motion, r"`start` has shape \(1, 2, 3\), but"),
     ):
         with pytest.raises(ValueError, match=message):
-            tj.equilibrium(mechanism, start=wrong)
+            tj.equilibrium(mechanism, start=wrong)  # pyright: ignore[reportArgumentType]
     spring = hinge("h", "base", "block")
     exchanged = tj.Mechanism([tj.Body("block"), BASE], [spring], ["base"])
     message = "`start` is of a mechanism with the bodies base"
@@ -220,10 +221,10 @@ def test_mechanism_is_printed_in_one_line():
         ),
         (lambda: hinge("h", tj.Body("a"), "b"), "`first` of the hinge 'h' is Body"),
         (
-            lambda: hinge("h", "a", "b", np.eye(3)),
+            lambda: hinge("h", "a", "b", np.eye(3)),  # pyright: ignore[reportArgumentType]
             "`energy` of the hinge 'h' is a ndarray, but must be an energy",
         ),
-        (lambda: tj.Mechanism(["a"], []), r"`bodies\[0\]` is a str, but must be a Body"),
+        (lambda: tj.Mechanism(["a"], []), r"`bodies\[0\]` is a str, but must be a Body"),  # pyright: ignore[reportArgumentType]
         (lambda: mechanism_of(hinges=[]), "`hinges` is empty, but a mechanism needs"),
         (
             lambda: mechanism_of(fixed=["c"]),
@@ -236,9 +237,12 @@ def test_mechanism_is_printed_in_one_line():
         ),
         (
             lambda: tj.equilibrium(mechanism_of(("a", "b", "c", "d"))),
-            "Nothing holds 'c' and 'd': no chain of hinges",
+            "The bodies 'c' and 'd' are not connected",
         ),
-        (lambda: tj.linearize(mechanism_of(fixed=())), "Nothing holds 'a' and 'b'"),
+        (
+            lambda: tj.linearize(mechanism_of(fixed=())),
+            "The bodies 'a' and 'b' are not connected",
+        ),
         (
             lambda: tj.Body("stage", mass=0.0),
             "`mass` of the body 'stage' is 0, but must be positive",
@@ -249,7 +253,7 @@ def test_mechanism_is_printed_in_one_line():
         ),
         (
             lambda: tj.Body("stage", (0.0, np.nan, 0.0)),
-            "`pose` of the body 'stage' is .*nan.*, but must be finite",
+            "`pose` of the body 'stage' has .*nan.* at index ., but must be finite",
         ),
         (
             lambda: tj.Body("stage", (0.0, 0.0)),
@@ -266,7 +270,7 @@ def test_mechanism_is_printed_in_one_line():
             "The energy of the hinge 'h' cannot be used: its factor",
         ),
         (
-            lambda: tj.plate("p", np.eye(3)[:, :2], width=1.0, material="steel"),
+            lambda: tj.plate("p", np.eye(3)[:, :2], width=1.0, material="steel"),  # pyright: ignore[reportArgumentType]
             "`material` of the plate 'p' is a str, but must be a Material",
         ),
     ],

@@ -8,12 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize_scalar, OptimizeResult
 
 import twistorjax as tj
+from twistorjax.geometry import se2, twistors
 
-
-pytestmark = pytest.mark.slow
 
 REFERENCE = json.loads(
     (pathlib.Path(__file__).parent / "reference" / "beams.json").read_text()
@@ -67,11 +66,10 @@ def test_energy_is_the_maximum_over_the_axial_force(scales):
             return -(force * axial + mixed_potential(rotation, transverse, force))
 
         best = minimize_scalar(negative, bounds=(-0.9, 0.9), options={"xatol": 1e-12})
-        pose = tj.geometry.se2.exp(jnp.array(twist))
+        assert isinstance(best, OptimizeResult)
+        pose = se2.exp(jnp.array(twist))
         np.testing.assert_allclose(energy(pose), -best.fun, rtol=1e-12)
-        axial_force = jax.grad(lambda twist: energy(tj.geometry.se2.exp(twist)))(
-            jnp.array(twist)
-        )[1]
+        axial_force = jax.grad(lambda twist: energy(se2.exp(twist)))(jnp.array(twist))[1]
         np.testing.assert_allclose(axial_force, best.x, rtol=1e-6)
 
 
@@ -80,7 +78,7 @@ def test_potential_is_continued_as_a_parabola_above_the_reference_force():
     energy = tj.flexures.quartic_leaf(UNIT, length=1.0, thickness=0.1, width=12e3)
 
     def closed_form(pose):
-        rotation, axial, transverse = tj.geometry.se2.twist(pose)
+        rotation, axial, transverse = se2.twist(pose)
         stretch = axial + 3 / 5 * transverse**2 - rotation**2 / 12
         return rotation**2 / 2 + 6 * transverse**2 + 600 * stretch**2
 
@@ -170,11 +168,14 @@ def test_force_and_parasitic_motion_of_a_parallelogram_are_those_of_exact_beams(
         beam(np.sqrt(12 / 30000), shear_factor=RIGID), rotation=0.2, order=6
     )
     stage = stage_on_leaves(hinge, [(0.0, -0.5, -0.3), (0.0, -0.5, 0.3)])
-    for travel, force, axial, rotation, _ in given:
+    cases = []
+    for travel, *expected, _ in given:  # force, axial motion, rotation
         solution = tj.equilibrium(stage, drives=[tj.Drive("stage", y=travel)])
         actual = [solution.reaction("stage")[2], *solution.displacement("stage")[1::-1]]
-        np.testing.assert_allclose(actual, [force, axial, rotation], rtol=2e-3)
-    ratios, exact = np.array(actual) / [force, axial, rotation], np.ones(3)
+        np.testing.assert_allclose(actual, expected, rtol=2e-3)
+        cases.append((travel, actual, expected))
+    travel, actual, expected = cases[-1]
+    ratios, exact = np.array(actual) / expected, np.ones(3)
     what = f"parallelogram moved by {travel:g} L: force, axial motion, rotation"
     validated("Surrogates of leaves", what, ratios, exact, "exact beams, by SciPy")
 
@@ -188,14 +189,17 @@ def test_center_shift_of_a_cross_spring_pivot_is_that_of_exact_beams(crossing, v
     arm = 0.5 - crossing
     positions = [(axis, arm * np.cos(axis), arm * np.sin(axis)) for axis in axes]
     pivot = stage_on_leaves(hinge, positions)
+    cases = []
     for degrees, stiffness, *shift in given:
         rotation = np.radians(degrees)
         solution = tj.equilibrium(pivot, drives=[tj.Drive("stage", angle=rotation)])
         actual_stiffness = solution.reaction("stage")[0] / rotation
         np.testing.assert_allclose(actual_stiffness, stiffness, rtol=2e-4)
         actual_shift = solution.displacement("stage")[1:]
-        size = np.linalg.norm(shift)
+        size = float(np.linalg.norm(shift))
         np.testing.assert_allclose(actual_shift, shift, atol=5e-3 * size)
+        cases.append((degrees, actual_shift, shift))
+    degrees, actual_shift, shift = cases[-1]
     what = f"cross-spring pivot, crossed at {crossing:.3f}, {degrees:g}°: center shift"
     validated("Surrogates of leaves", what, actual_shift, shift, "exact beams, by SciPy")
 
@@ -292,9 +296,9 @@ def test_equilibrium_out_of_range_raises_an_error():
     assert tj.result_names(solution.result) == "out_of_range"
     assert np.all(np.isnan(solution.displacements))
     np.testing.assert_allclose(solution.reached[1, 0], np.arcsin(0.15), rtol=1e-9)
-    with pytest.raises(ValueError, match="`about` displaces a hinge beyond"):
+    with pytest.raises(ValueError, match="At `about` a hinge is outside"):
         tj.vibrations(mechanism, about=mechanism.reference + solution.reached)
-    with pytest.raises(ValueError, match="`about` displaces a hinge beyond"):
+    with pytest.raises(ValueError, match="At `about` a hinge is outside"):
         tj.linearize(mechanism, about=mechanism.reference + solution.reached)
 
 
@@ -317,10 +321,10 @@ def test_proportional_damping_resists_the_rate_of_the_axial_force():
     twist, rate = jnp.array([0.4, -0.1, 0.2]), jnp.array([0.3, 0.5, -0.7])
 
     def axial_force(twist):
-        return jax.grad(lambda twist: energy(tj.geometry.se2.exp(twist)))(twist)[1]
+        return jax.grad(lambda twist: energy(se2.exp(twist)))(twist)[1]
 
-    pose = tj.geometry.se2.exp(twist)
-    displacement = tj.geometry.twistors.Displacement.from_pose(pose)
+    pose = se2.exp(twist)
+    displacement = twistors.Displacement.from_pose(pose)
     resisted = jnp.stack(energy.resisted_rates(displacement, tuple(rate)))
     stretching = jax.jvp(axial_force, (twist,), (rate,))[1] / 1200.0
     assert_close(resisted, np.array([0.3, stretching, -0.7]), digits=12)

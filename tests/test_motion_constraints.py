@@ -11,8 +11,6 @@ import twistorjax as tj
 from twistorjax.examples import four_bar
 
 
-pytestmark = pytest.mark.slow
-
 GRAVITY = 9.81
 MASS, INERTIA, ARM = 2.0, 0.3, 0.5  # of the pendulum; kg, kg m2, m
 
@@ -83,6 +81,7 @@ def test_pin_does_not_drift_with_solvers_of_diffrax(solver):
         tolerance=1e-4,
     )
     # These are the integrated states. The reported ones are projected once more.
+    assert motion.solution.ys is not None
     angle, x, y = motion.solution.ys[0].position.T
     distance = np.hypot(length + x - length * np.cos(angle), y - length * np.sin(angle))
     assert np.max(distance) < 1e-5
@@ -148,12 +147,12 @@ def test_pseudo_rigid_body_model_approximates_the_elastic_linkage():
     ]
     ends = {"A": "12", "B": "23", "C": "34", "D": "41"}
     hinges = [
-        tj.Hinge(name, *pair, torsion, linkage.at[k])
-        for k, (name, pair) in enumerate(ends.items())
+        tj.Hinge(name, first, second, torsion, linkage.at[k])
+        for k, (name, (first, second)) in enumerate(ends.items())
     ]
     pins = [
-        tj.Pin(name, *pair, linkage.at[k, 1:])
-        for k, (name, pair) in enumerate(ends.items())
+        tj.Pin(name, first, second, linkage.at[k, 1:])
+        for k, (name, (first, second)) in enumerate(ends.items())
     ]
     model = tj.Mechanism(bodies, hinges, fixed=["1"])
     times = np.linspace(0, 0.02, 3)
@@ -173,7 +172,7 @@ def test_rod_that_only_a_pin_supports_is_a_physical_pendulum():
     spring = tj.Quadratic(jnp.eye(3))
     hinge = tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
     mechanism = tj.Mechanism([tj.Body("wall"), block, rod], [hinge], fixed=["wall"])
-    with pytest.raises(ValueError, match="Nothing holds 'rod'"):
+    with pytest.raises(ValueError, match="The body 'rod' is not connected"):
         tj.equilibrium(mechanism)
     period = 2 * np.pi * np.sqrt((inertia + mass * arm**2) / (mass * GRAVITY * arm))
     small = 1e-3

@@ -13,8 +13,6 @@ import twistorjax as tj
 from twistorjax.examples import four_bar
 
 
-pytestmark = pytest.mark.slow
-
 GRAVITY = 9.81
 
 
@@ -57,7 +55,8 @@ def test_motions_that_cannot_start_take_no_step():
     rows = [usual | change for change, _ in cases]
     values = {name: jnp.array([row[name] for row in rows]) for name in usual}
     motions = jax.jit(jax.vmap(simulate))(values)
-    assert tj.result_names(motions.result).tolist() == [result for _, result in cases]
+    names = tj.result_names(motions.result)
+    assert names is not None and names.tolist() == [result for _, result in cases]
     # A mechanism that is not finite is found in the first step, other values before it.
     assert motions.steps[0] > 3
     np.testing.assert_array_equal(motions.steps[1:-1], 0)
@@ -73,8 +72,9 @@ def test_failed_motion_does_not_affect_the_rest_of_a_batch():
         return tj.simulate(mechanism, [0.0, 0.5], velocities=velocities, throw=False)
 
     batch = jax.vmap(simulate)(jnp.array([2.0, -1.0, 3.0]))
-    names = tj.result_names(batch.result).tolist()
-    assert names == ["successful", "not_finite", "successful"]
+    names = tj.result_names(batch.result)
+    assert names is not None
+    assert names.tolist() == ["successful", "not_finite", "successful"]
     alone = simulate(3.0).displacement("block")
     assert_close(batch.displacement("block")[2], alone, digits=9)
     assert np.all(np.isnan(batch.displacement("block")[1]))
@@ -97,8 +97,9 @@ def test_invalid_drives_do_not_delay_the_rest_of_a_batch():
         return tj.simulate(mechanism, [0.0, 0.1], drives=drives, throw=False)
 
     motions = jax.vmap(simulate)(jnp.array([[0.0, 0.0], [1e-3, 0.0], [0.0, np.nan]]))
-    names = tj.result_names(motions.result).tolist()
-    assert names == ["successful", "drive_jumps", "not_finite"]
+    names = tj.result_names(motions.result)
+    assert names is not None
+    assert names.tolist() == ["successful", "drive_jumps", "not_finite"]
     assert motions.steps[1] == 0
     assert motions.steps[2] < 100
 
@@ -142,17 +143,17 @@ def test_errors_are_measured_with_the_moving_bodies_only():
 INVALID_ARGUMENTS = {
     "increase": dict(times=[0.0, 1.0, 1.0]),
     "comes after `times[1]` = 2": dict(times=[0.0, 2.0, 1.0]),
-    "a row of at least two times": dict(times=[0.0]),
+    "a list of at least two times": dict(times=[0.0]),
     "`times` must be finite": dict(times=[0.0, np.nan]),
     "The x of 'block' starts at 0, but 0.1 is prescribed.": dict(
         drives=[tj.Drive("block", x=0.1)]
     ),
     "names the body 'blok'": dict(velocities={"blok": (0, 0, 0)}),
     "but must be a mapping": dict(velocities=[0, 0, 0]),
-    "moves the x of 'wall', but that is fixed": dict(velocities={"wall": (0, 1, 0)}),
+    "x of 'wall', but this coordinate is fixed": dict(velocities={"wall": (0, 1, 0)}),
     "must be finite": dict(velocities={"block": (0, np.nan, 0)}),
     "`tolerance` is 0": dict(tolerance=0),
-    "'q' is redundant: 2 of its 2 entries": dict(
+    "'q' is redundant: 2 of its 2 equations": dict(
         constraints=[tj.Pin(name, "wall", "block", (0, 0)) for name in "pq"]
     ),
     "'c' is violated by 0.1": dict(
@@ -192,7 +193,7 @@ def test_drives_that_jax_cannot_compile_are_reported(drives):
 
 def test_error_of_a_stopped_motion_names_time_and_hinge():
     times, velocities = np.linspace(0, 9, 99), {"block": (0, 1.0, 0)}
-    with pytest.raises(RuntimeError, match=r"It reached t = .* in 10 steps.*'spring'"):
+    with pytest.raises(RuntimeError, match=r"reached t = .* in 10 steps.*'spring'"):
         tj.simulate(oscillator(), times, velocities=velocities, max_steps=10)
 
 

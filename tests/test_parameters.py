@@ -13,15 +13,15 @@ from twistorjax.identification import BodySensor, Parameter, StaticTest
 
 
 def test_values_stay_within_their_bounds_and_start_at_the_initial_value():
-    for bounds in ({"lower": 0}, {"upper": 3}, {"lower": -1, "upper": 3}, {}):
-        parameter = Parameter(2.0, **bounds)
+    for lower, upper in ((0, None), (None, 3), (-1, 3), (None, None)):
+        parameter = Parameter(2.0, lower=lower, upper=upper)
         assert_close(parameter.value_at(jnp.zeros(())), 2.0, digits=12)
         derivative = jax.grad(parameter.value_at)(jnp.zeros(()))
         assert_close(derivative, parameter.initial_scale(), digits=9)
         for normalized in (-30.0, 30.0):
             value = parameter.value_at(jnp.asarray(normalized))
-            assert value >= bounds.get("lower", -jnp.inf)
-            assert value <= bounds.get("upper", jnp.inf)
+            assert value >= (-jnp.inf if lower is None else lower)
+            assert value <= (jnp.inf if upper is None else upper)
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,15 @@ mpl.use("agg")
 
 import matplotlib.pyplot as plt
 from helpers import assert_close
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.contour import ContourSet
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon
+from matplotlib.text import Annotation
 
 import twistorjax as tj
 from twistorjax.examples import four_bar, stage
-from twistorjax.plotting import canvas
+from twistorjax.geometry import se2
+from twistorjax.plotting import figure_style
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +39,9 @@ def test_a_body_is_drawn_at_its_magnified_displacement_in_millimeters():
     poses = mechanism.reference.at[5].add(jnp.array([0.0, 1e-3, 0.0]))
     axes = tj.draw(mechanism, poses, reference=False, magnify=2.0)
     corners = polygons(axes)[5].get_xy()[:-1]
-    outline = np.asarray(mechanism.outlines[5] + mechanism.reference[5, 1:][None])
+    outline = mechanism.outlines[5]
+    assert outline is not None
+    outline = np.asarray(outline + mechanism.reference[5, 1:][None])
     assert_close(corners, 1e3 * outline + np.array([2.0, 0.0]))
     assert "magnified 2 times" in axes.get_title()
 
@@ -52,7 +57,7 @@ def test_a_hinge_is_drawn_between_its_two_bodies():
         reference = mechanism.reference[mechanism.index(name)]
         corner = mechanism.at[0, 1:] + outline[end]
         pose = reference + 80 * solution.displacement(name)
-        expected = tj.geometry.se2.act(pose, corner - reference[1:])
+        expected = se2.act(pose, corner - reference[1:])
         assert_close(hinge[end], 1e3 * expected, digits=10)
 
 
@@ -72,7 +77,7 @@ def test_bodies_and_hinges_without_outlines_are_drawn_as_arms_and_springs():
         fixed=["a"],
     )
     axes = tj.draw(mechanism)
-    assert len(polygons(axes)) == 3  # two arms and a spring
+    assert len(polygons(axes)) == 3  # two lines and a spring
     assert {text.get_text() for text in axes.texts} == {"a", "b", "h"}
 
 
@@ -138,7 +143,9 @@ def test_labels_are_placed_at_the_same_positions_each_time():
         axes = drawn_stage()
         for _ in range(2):
             axes.figure.canvas.draw()
-            positions.append([text.xyann for text in axes.texts])
+            labels = [text for text in axes.texts if isinstance(text, Annotation)]
+            assert len(labels) == len(axes.texts)
+            positions.append([label.xyann for label in labels])
     for other in positions[1:]:
         assert_close(positions[0], other, digits=10)
 
@@ -146,10 +153,10 @@ def test_labels_are_placed_at_the_same_positions_each_time():
 def arrows(axes, color):
     """Start and tip of each arrow of a color; mm."""
     return [
-        np.array(patch._posA_posB)
+        np.array(patch._posA_posB)  # pyright: ignore[reportAttributeAccessIssue]
         for patch in axes.patches
         if isinstance(patch, FancyArrowPatch)
-        and to_hex(patch.get_edgecolor()) == canvas.__dict__[color]
+        and to_hex(patch.get_edgecolor()) == figure_style.__dict__[color]
     ]
 
 
@@ -163,7 +170,7 @@ def test_loads_are_drawn_as_arrows_from_their_points_of_application():
     solution = tj.equilibrium(linkage, loads=loads)
     axes = tj.draw(linkage, solution, loads=loads, names=False)
     constant, follower = arrows(axes, "RED")
-    point = tj.geometry.se2.act(solution.pose("3"), jnp.array([0.02, 0.0]))
+    point = se2.act(solution.pose("3"), jnp.array([0.02, 0.0]))
     assert_close(constant[0], 1e3 * point)
     size = 70.0  # from the bottom of the ground link to the top of link 3; mm
     assert_close(constant[1] - constant[0], [0.2 * size, 0.0])
@@ -237,8 +244,8 @@ def test_hinges_are_colored_by_their_energies():
     assert_close(sum(energies.values()), solution.energy)
     assert_close(bar.get_ylim()[1], 1e6 * max(energies.values()))
     hinges = polygons(axes)[-7:]
-    brightest = max(range(7), key=lambda k: sum(hinges[k].get_facecolor()[:2]))
-    assert "abcdefg"[brightest] == max(energies, key=energies.get)
+    brightest = max(range(7), key=lambda k: sum(to_rgb(hinges[k].get_facecolor())[:2]))
+    assert "abcdefg"[brightest] == max(energies, key=lambda name: energies[name])
     with pytest.raises(ValueError, match="`color` names the hinge 'h'"):
         tj.draw(mechanism, solution, color={"h": 1.0})
 
@@ -291,13 +298,14 @@ def test_a_batch_of_equilibria_is_animated_in_sequence():
         jnp.linspace(0.0, 5e-3, 4)
     )
     animation = tj.animate(linkage, solutions)
-    patches = animation._func(3)
+    patches = animation._func(3)  # pyright: ignore[reportAttributeAccessIssue]
     axes = patches[0].axes
     assert axes.get_title() == "4 of 4"
     last = tj.draw(linkage, solutions.poses[3], reference=False, names=False)
     for animated, drawn in zip(patches, polygons(last), strict=True):
         assert_close(animated.get_xy(), drawn.get_xy())
-    animation._draw_was_started = True  # prevents the warning that it was not rendered
+    # This prevents the warning that it was not rendered.
+    animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
     solution = tj.equilibrium(linkage, drives=[tj.Drive("3", x=1e-3)])
     with pytest.raises(ValueError, match="one equilibrium"):
         tj.animate(linkage, solution)
@@ -307,10 +315,11 @@ def test_a_vibration_is_animated_in_its_mode_shape():
     linkage = four_bar.four_bar()
     vibrations = tj.vibrations(linkage)
     animation = tj.animate(linkage, vibrations, mode=1, frames=8)
+    draw_frame = animation._func  # pyright: ignore[reportAttributeAccessIssue]
     centers = [  # of link 2
-        animation._func(frame)[1].get_xy()[:-1].mean(axis=0) for frame in (0, 2, 4, 6)
+        draw_frame(frame)[1].get_xy()[:-1].mean(axis=0) for frame in (0, 2, 4, 6)
     ]
-    animation._draw_was_started = True
+    animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
     shape = vibrations.shapes[1, 1, 1:]
     amplitude = centers[1] - centers[0]
     assert_close(amplitude / np.linalg.norm(amplitude), shape / jnp.linalg.norm(shape))
@@ -333,6 +342,7 @@ def test_contours_show_the_energy_within_its_validity_range():
     panel = tj.plotting.draw_energy(limited, rotation=0.4).axes[0]
     assert panel.get_title() == "energy (mJ)"
     contours = panel.collections[0]
+    assert isinstance(contours, ContourSet)
 
     for rotation in (0.05, 0.1, 0.19):
         energy = 1e3 * stiffness * rotation**2 / 2  # mJ
@@ -358,8 +368,8 @@ def test_outputs_of_a_sweep_are_drawn_over_one_or_two_parameters():
     (panel, bar) = chart(table, ["energy"]).axes
     assert panel.get_ylabel() == "a (mm)" and bar.get_ylabel() == "energy (mJ)"
     line = chart(table.isel(b=0), ["energy"]).axes[0].lines[0]
-    np.testing.assert_allclose(line.get_xdata(), np.linspace(1.0, 2.0, 5))
-    np.testing.assert_allclose(line.get_ydata(), np.linspace(1.0, 2.0, 5))
+    np.testing.assert_allclose(np.asarray(line.get_xdata()), np.linspace(1.0, 2.0, 5))
+    np.testing.assert_allclose(np.asarray(line.get_ydata()), np.linspace(1.0, 2.0, 5))
     rows = tj.sweep(study, {"a": np.linspace(1, 2, 6), "b": np.ones(6)})
     with pytest.raises(ValueError, match="differ in 2 parameters"):
         chart(rows, ["energy"])

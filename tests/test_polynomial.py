@@ -52,7 +52,7 @@ def test_monomials_have_the_order_of_the_dissertation():
     powers = tj.energies.monomials(order, redundant=True)
     for row in itertools.product(range(order + 1), repeat=4):
         if sum(row) <= order:
-            assert powers[idx4(*row, order) - 1] == row
+            assert powers[idx4(*row, order=order) - 1] == row
 
 
 def all_powers(order):
@@ -211,7 +211,7 @@ def test_wrench_of_a_hinge_equals_the_load_in_equilibrium(name):
             "powers (0, 2, 0, 0) is not",
         ),
         (
-            lambda: tj.energies.Polynomial([1.0], [(2, 0, 0)], "polar"),
+            lambda: tj.energies.Polynomial([1.0], [(2, 0, 0)], "polar"),  # pyright: ignore[reportArgumentType]
             "'twist', 'twistor'",
         ),
         (
@@ -219,7 +219,7 @@ def test_wrench_of_a_hinge_equals_the_load_in_equilibrium(name):
             "must be positive",
         ),
         (lambda: tj.energies.monomials(-1), "a whole number, zero or positive"),
-        (lambda: tj.energies.monomials(2, symmetry=["round"]), "'mirror', 'ends'"),
+        (lambda: tj.energies.monomials(2, symmetry=["round"]), "'mirror', 'ends'"),  # pyright: ignore[reportArgumentType]
         (
             lambda: tj.energies.monomials(2, "twist", symmetry=["sign"]),
             "of the twistor only",

@@ -75,7 +75,7 @@ COMMANDS = {
     ),
     "four-bar": (
         {"--hinges": TEXTS, "--release": NUMBERS, "--times": TEXTS, "--animate": PATHS},
-        [["--energy", "heat"], ["--times", "0.2,0.1"], ["--animate", "film.avi"]],
+        [["--energy", "heat"], ["--times", "0.2,0.1"], ["--animate", "motion.avi"]],
     ),
     "identify": (
         {

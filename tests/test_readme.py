@@ -48,7 +48,6 @@ def run_page(monkeypatch, tmp_path):
     sys.modules.pop("guide", None)
 
 
-@pytest.mark.slow
 def test_the_example_of_the_readme_is_a_parallel_guide(capsys):
     (block,) = code_of(README)
     variables: dict = {}
@@ -63,7 +62,6 @@ def test_the_example_of_the_readme_is_a_parallel_guide(capsys):
     assert f"```\n{printed}\n```" in README
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "page",
     [page for page in PAGES if page not in ("large-displacements", "statics", "sweeps")],
@@ -72,7 +70,6 @@ def test_the_code_of_the_manual_runs(page, run_page):
     run_page(page)
 
 
-@pytest.mark.slow
 def test_the_page_on_statics_computes_a_parallel_guide(run_page, capsys):
     variables = run_page("statics")
     solution, travels = variables["solution"], variables["travels"]
@@ -82,7 +79,6 @@ def test_the_page_on_statics_computes_a_parallel_guide(run_page, capsys):
     assert "[ True False] ['successful' 'not_finite']" in printed
 
 
-@pytest.mark.slow
 def test_the_table_of_the_page_on_large_displacements_moves_down(run_page):
     variables = run_page("large-displacements")
     _, x, y = variables["solution"].displacement("table")
@@ -90,7 +86,6 @@ def test_the_table_of_the_page_on_large_displacements_moves_down(run_page):
     np.testing.assert_allclose(y, -3 / 5 * x**2 / 50e-3, rtol=0.01)
 
 
-@pytest.mark.slow
 def test_the_page_on_sweeps_computes_all_designs_with_units(run_page, capsys):
     run_page("sweeps")
     assert "m/m 10000" in capsys.readouterr().out.splitlines()

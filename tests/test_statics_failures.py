@@ -8,10 +8,7 @@ from helpers import assert_close
 from statics_helpers import block_on_spring, cantilever
 
 import twistorjax as tj
-from twistorjax.solve.statics import raise_error
-
-
-pytestmark = pytest.mark.slow
+from twistorjax.solve.statics import check_equilibrium
 
 
 def test_error_of_a_batch_names_the_failed_design():
@@ -21,7 +18,7 @@ def test_error_of_a_batch_names_the_failed_design():
 
     batch = jax.vmap(solve)(jnp.array([4.0, 0.0]))
     with pytest.raises(RuntimeError, match="index 1 of the batch"):
-        raise_error(batch)
+        check_equilibrium(batch)
 
 
 @pytest.mark.parametrize("traced", [False, True])
@@ -29,7 +26,7 @@ def test_block_without_stiffness_in_one_direction_has_no_equilibrium(traced):
     def solve():
         return tj.equilibrium(block_on_spring(np.diag([1.0, 0.0, 1.0]))).poses
 
-    with pytest.raises(Exception, match="can move without storing energy"):
+    with pytest.raises(Exception, match="without an increase of the energy"):
         (jax.jit(solve) if traced else solve)()
 
 
@@ -98,7 +95,7 @@ def test_invalid_arguments_of_equilibrium_are_reported(arguments, message):
 @pytest.mark.parametrize(
     ("create", "message"),
     [
-        (lambda: tj.Drive("b"), "The drive of 'b' prescribes nothing"),
+        (lambda: tj.Drive("b"), "The drive of 'b' prescribes no coordinate"),
         (
             lambda: tj.Drive("b", x=np.nan),
             "`x` of the drive of 'b' is nan, but must be",
@@ -109,7 +106,7 @@ def test_invalid_arguments_of_equilibrium_are_reported(arguments, message):
         ),
         (
             lambda: tj.Load("b", (1.0, 2.0, np.inf)),
-            "`wrench` of the load on 'b' is .*inf.*, but must be finite",
+            "`wrench` of the load on 'b' has .*inf.* at index ., but must be finite",
         ),
         (
             lambda: tj.Load("b", (1.0, 2.0, 3.0), at=(0.0,)),

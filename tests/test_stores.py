@@ -199,7 +199,6 @@ print("done", flush=True)
 )
 
 
-@pytest.mark.slow
 def test_folders_of_killed_creators_are_removed_and_those_of_others_stay(tmp_path):
     path = tmp_path / "s.zarr"
     process = start_process(CREATING, path, "killed")
@@ -221,6 +220,7 @@ def test_folders_of_killed_creators_are_removed_and_those_of_others_stay(tmp_pat
     with contextlib.ExitStack() as stack:
         paused = start_process(CREATING, path, "paused", stdin=-1)
         stack.callback(paused.kill)
+        assert paused.stdout is not None and paused.stderr is not None
         assert "created" in paused.stdout.readline(), paused.stderr.read()
         assert not abandoned.exists() and not old.exists()
         assert elsewhere.exists() and other.exists()
@@ -344,7 +344,7 @@ def test_outputs_that_exceed_the_memory_are_rejected_before_compilation(monkeypa
 
 
 def test_a_failed_allocation_is_a_clear_error_if_the_memory_is_unknown(monkeypatch):
-    monkeypatch.setattr("twistorjax.sweeps.memory._machine_memory", lambda: None)
+    monkeypatch.setattr("twistorjax.sweeps.dataset._machine_memory", lambda: None)
     with pytest.raises(ValueError, match=r"is more than the memory of this machine\."):
         tj.sweep(area, {name: np.broadcast_to(1.0, 2**46) for name in "ab"})
 

@@ -9,8 +9,6 @@ from helpers import assert_close
 import twistorjax as tj
 
 
-pytestmark = pytest.mark.slow
-
 STEEL = tj.Material(modulus=210e9, poisson=0.3)
 ZERO = tj.Quadratic(jnp.zeros((3, 3)))
 

@@ -35,7 +35,6 @@ print("done", flush=True)
 )
 
 
-@pytest.mark.slow
 def test_a_process_may_be_killed_at_any_moment(tmp_path):
     """A process is killed three times while it writes the 250 chunks of a store."""
     path, generator = tmp_path / "s.zarr", random.Random(7)
@@ -45,6 +44,7 @@ def test_a_process_may_be_killed_at_any_moment(tmp_path):
 
     for _ in range(3):
         process = start_process(KILLED, path)
+        assert process.stderr is not None
         goal = written() + generator.randint(5, 70)
         while written() < goal and process.poll() is None:
             time.sleep(0.001)
@@ -81,7 +81,6 @@ print("done", flush=True)
 )
 
 
-@pytest.mark.slow
 def test_eight_devices_compute_the_same_as_one(tmp_path):
     process = start_process(DEVICES, tmp_path / "many.nc", tmp_path / "one.zarr")
     output, errors = process.communicate(timeout=300)
@@ -114,7 +113,6 @@ print("done", flush=True)
 )
 
 
-@pytest.mark.slow
 def test_two_processes_compute_the_same_as_one(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -52,7 +52,6 @@ def column(force, stiffness=2.0):
     return mechanism, [tj.Load("rod", force=(0, -force), at=(0, 0.5))]
 
 
-@pytest.mark.slow
 def test_compression_lowers_the_frequency_of_a_column():
     """I w^2 = k - P L, with the inertia I about the hinge."""
 
@@ -71,7 +70,7 @@ def test_compression_lowers_the_frequency_of_a_column():
 def test_unstable_equilibrium_has_no_vibrations():
     mechanism, loads = column(2.1)
     compressed = mechanism.reference.at[1, 2].add(-2.1 / 1e7)
-    with pytest.raises(RuntimeError, match="releases energy"):
+    with pytest.raises(RuntimeError, match="without an increase of the energy"):
         tj.vibrations(mechanism, about=compressed, loads=loads)
     result = tj.vibrations(mechanism, about=compressed, loads=loads, throw=False)
     assert not result.succeeded and np.isnan(result.frequencies[0])
@@ -114,7 +113,7 @@ def test_response_at_an_undamped_resonance_is_an_error():
 
 @pytest.mark.untyped
 def test_frequencies_must_be_a_row():
-    with pytest.raises(ValueError, match="must be a row of them"):
+    with pytest.raises(ValueError, match="must be a list or a"):
         tj.frequency_response(oscillator(0.1), 3.0)
 
 
@@ -153,7 +152,6 @@ def exact_frequencies(origins, hinges, inertia, additional):
         return np.array([float(mpmath.sqrt(s) / (2 * mpmath.pi)) for s in squares])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("loaded", [False, True])
 def test_small_frequencies_beside_large_ones_are_accurate(loaded):
     """Stiffnesses differ by 1e16, so an assembled matrix does not contain the small ones.
@@ -199,7 +197,6 @@ def block_on(spring):
     return tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
 
 
-@pytest.mark.slow
 def test_sum_of_equal_frequencies_has_second_derivatives():
     """Three small changes are made to a spring with equal stiffness in x and y."""
 
@@ -228,7 +225,6 @@ def test_sum_of_equal_frequencies_has_second_derivatives():
     np.testing.assert_allclose(hessian, differences, rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_energies_that_are_not_positive_contribute_to_the_frequencies():
     """A coupling without stiffness of its own, and a spring with negative stiffness."""
     spring = tj.Quadratic(jnp.diag(jnp.array([2.0, 50.0, 30.0])), "twist")

@@ -1,11 +1,14 @@
 """Differentiable mechanics of planar compliant mechanisms, in JAX.
 
-A `Mechanism` consists of rigid bodies that are coupled by elastic hinges. `equilibrium`,
-`linearize`, `vibrations`, `frequency_response`, and `simulate` compute what it does under
-loads and prescribed displacements; all results are differentiable. The namespaces hold
-the rest: `energies` and `flexures` for hinges, `identification` and `sweeps` for studies,
-`io` and `plotting` for files and figures, `geometry` for poses and twistors, and
-`examples` for the mechanisms of the dissertation.
+A `Mechanism` consists of rigid bodies that are connected by elastic hinges.
+`equilibrium`, `linearize`, `vibrations`, `frequency_response`, and `simulate` compute its
+response to loads and prescribed displacements. All results are differentiable. A solver
+that fails raises an error, or with `throw=False` returns NaN and a `result`.
+
+The namespaces contain the rest: `energies` and `flexures` for hinges, `solve` for results
+and solvers of motion, `identification` and `sweeps` for studies, `io` and `plotting` for
+files and figures, `geometry` for poses and twistors, and `examples` for the mechanisms of
+the dissertation on which the library is based.
 """
 
 from . import (

@@ -57,26 +57,24 @@ class CsvFile:
         return len(self._rows)
 
     def location(self, row: int) -> str:
-        """Return the file and the line of a row, for messages.
+        """Return the file and the line of a row, such as "trials.csv, line 2".
 
-        Args:
-            row: Index of the row, without the line of names and without empty lines.
-
-        Returns:
-            The words, such as "trials.csv, line 2".
+        The index of the row does not count the line of names and empty lines.
         """
         return f"{self.path}, line {self._rows[row][0]}"
 
-    def numbers(self, name: str, *, unit: float = 1.0, blank: bool = False) -> np.ndarray:
+    def numbers(
+        self, name: str, *, factor: float = 1.0, allow_empty: bool = False
+    ) -> np.ndarray:
         """Return the numbers of a column.
 
         Args:
             name: Name of the column.
-            unit: Factor by which the numbers are multiplied.
-            blank: Whether entries may be empty; these are NaN.
+            factor: Factor by which the numbers are multiplied.
+            allow_empty: Whether entries may be empty; these are NaN.
 
         Returns:
-            The numbers, multiplied by `unit`.
+            The numbers, multiplied by `factor`.
 
         Raises:
             ValueError: Two columns have this name, a row is too short or too long, or an
@@ -89,11 +87,12 @@ class CsvFile:
             )
         column = self.names.index(name)
         return np.array(
-            [self._number(row, column, unit, blank) for row in range(len(self))], float
+            [self._number(row, column, factor, allow_empty) for row in range(len(self))],
+            float,
         )
 
-    def _number(self, row: int, column: int, unit: float, blank: bool) -> float:
-        """Return one entry as a number, multiplied by `unit`; NaN for a blank entry."""
+    def _number(self, row: int, column: int, factor: float, allow_empty: bool) -> float:
+        """Return one entry as a number, multiplied by `factor`; NaN if it is empty."""
         entries = self._rows[row][1]
         if len(entries) != len(self.names):
             raise ValueError(
@@ -101,9 +100,9 @@ class CsvFile:
                 f"line names {len(self.names)} columns. Is the file complete?"
             )
         entry = entries[column]
-        if blank and not entry:
+        if allow_empty and not entry:
             return np.nan
-        value = unit * float(entry) if _NUMBER.fullmatch(entry) else np.nan
+        value = factor * float(entry) if _NUMBER.fullmatch(entry) else np.nan
         if not np.isfinite(value):
             hint = " Write the decimal separator as a point." if "," in entry else ""
             hint = " It is too large." if np.isinf(value) else hint

@@ -1,12 +1,14 @@
-"""Functions of pytrees: grouping by structure, names of leaves, and stopped gradients."""
+"""Functions of pytrees: grouping by structure, names of leaves, and derivatives."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 
 def group_by_structure(trees: Sequence[Any]) -> list[list[int]]:
@@ -67,3 +69,40 @@ def stop_gradient(tree: Any) -> Any:
     """
     arrays, others = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.lax.stop_gradient(arrays), others)
+
+
+def split_last_axis(array: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
+    """Split the last axis of an array of JAX or NumPy, and reshape the parts.
+
+    Args:
+        array: The array.
+        shapes: Shape into which the entries of each part are arranged.
+
+    Returns:
+        The parts, whose shapes follow the other axes of the array.
+    """
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    return [
+        array[..., end - math.prod(shape) : end].reshape(*array.shape[:-1], *shape)
+        for end, shape in zip(ends, shapes, strict=True)
+    ]
+
+
+def value_and_jacfwd(
+    function: Callable[[Array], Array], point: Float[Array, " entries"]
+) -> tuple[Array, Array]:
+    """Compute a function of a vector and its Jacobian in one pass, in forward mode.
+
+    Args:
+        function: Function of a vector.
+        point: The vector.
+
+    Returns:
+        The value, and the Jacobian, whose last axis is that of the vector.
+    """
+
+    def directional_derivative(direction: Array) -> tuple[Array, Array]:
+        return jax.jvp(function, (point,), (direction,))
+
+    basis = jnp.eye(point.size, dtype=point.dtype)
+    return jax.vmap(directional_derivative, out_axes=(None, -1))(basis)

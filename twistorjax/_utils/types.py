@@ -4,9 +4,9 @@ The rotation is always the first entry. Angles are real numbers and are never wr
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
-from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Inexact, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from typing_extensions import TypeAliasType
 
 
@@ -28,7 +28,7 @@ ForceLike = TypeAliasType("ForceLike", Float[ArrayLike, "2"] | Sequence[ArrayLik
 # (angle, x, y); rad, m, m
 PoseLike = TypeAliasType("PoseLike", Float[ArrayLike, "3"] | Sequence[ArrayLike])
 # (rotation, x, y) per second; rad/s, m/s, m/s
-VelocityLike = TypeAliasType("VelocityLike", Array | Sequence[ArrayLike])
+VelocityLike = TypeAliasType("VelocityLike", Float[ArrayLike, "3"] | Sequence[ArrayLike])
 # (moment, fx, fy); N m, N, N
 WrenchLike = TypeAliasType("WrenchLike", Float[ArrayLike, "3"] | Sequence[ArrayLike])
 # A linear map from twists to wrenches; N m, N/m, and N, or times s for damping
@@ -41,7 +41,6 @@ PosesLike = TypeAliasType(
 CornersLike = TypeAliasType(
     "CornersLike", Float[ArrayLike, "corners 2"] | Sequence[Sequence[ArrayLike]]
 )
-OutlineLike = TypeAliasType("OutlineLike", Float[ArrayLike, "corners 2"])  # m
 TimesLike = TypeAliasType("TimesLike", Float[ArrayLike, " times"] | Sequence[ArrayLike])
 # Hz
 FrequenciesLike = TypeAliasType(
@@ -71,7 +70,7 @@ TableLike = TypeAliasType(
     "TableLike", Float[ArrayLike, "rows columns"] | Sequence[Sequence[ArrayLike]]
 )
 TableDeviationsLike = TypeAliasType(
-    "TableDeviationsLike", Float[ArrayLike, "*rows columns"]
+    "TableDeviationsLike", Float[ArrayLike, "*rows columns"] | Sequence[Any]
 )
 
 # Arrays, as functions take and return them.
@@ -98,16 +97,8 @@ Poses = TypeAliasType("Poses", Float[Array, "bodies 3"])
 Wrenches = TypeAliasType("Wrenches", Float[Array, "bodies 3"])
 # A closed polygon, in order; m
 Corners = TypeAliasType("Corners", Float[Array, "corners 2"])
-# A linear map from the displacements of all bodies to wrenches on them; N m, N/m, N
-BodiesMatrix = TypeAliasType("BodiesMatrix", Float[Array, "bodies 3 bodies 3"])
 Entries = TypeAliasType("Entries", Float[Array, " entries"])  # of all constraints
-Readings = TypeAliasType("Readings", Float[Array, "*rows"])  # of one sensor
 Times = TypeAliasType("Times", Float[Array, " times"])  # s
-# x and y at each time; m
-PointPath = TypeAliasType("PointPath", Float[Array, "2 times"])
-# A row (angle, x, y) for each point of a path; rad, m, m
-PosePath = TypeAliasType("PosePath", Float[Array, "points 3"])
-# (x, y) as an array or a pair; m
 Arm = TypeAliasType("Arm", Point | tuple[Scalar, Scalar])
 Table = TypeAliasType("Table", Float[Array, "rows columns"])  # of readings
 
@@ -115,42 +106,7 @@ Table = TypeAliasType("Table", Float[Array, "rows columns"])  # of readings
 
 BatchScalar = TypeAliasType("BatchScalar", Float[Array, "*batch"])
 BatchFlag = TypeAliasType("BatchFlag", Bool[Array, "*batch"])
-BatchCount = TypeAliasType("BatchCount", Int[Array, "*batch"])
-BatchPose = TypeAliasType("BatchPose", Float[Array, "*batch 3"])  # rad, m, m
-BatchWrench = TypeAliasType("BatchWrench", Float[Array, "*batch 3"])  # N m, N, N
-BatchPoses = TypeAliasType("BatchPoses", Float[Array, "*batch bodies 3"])  # rad, m, m
-# A displacement or a reaction of one body: real, or a complex amplitude
-BatchRow = TypeAliasType("BatchRow", Inexact[Array, "*batch 3"])
-BatchEntries = TypeAliasType("BatchEntries", Inexact[Array, "*batch entries"])
-BatchTable = TypeAliasType("BatchTable", Float[Array, "*batch rows columns"])
-# Normalized, without a unit
-BatchParameters = TypeAliasType("BatchParameters", Float[Array, "*batch parameters"])
-# Derivatives of residuals
-BatchSensitivities = TypeAliasType(
-    "BatchSensitivities", Float[Array, "*batch readings parameters"]
-)
-BatchLosses = TypeAliasType("BatchLosses", Float[Array, "*batch restarts"])
 Parameters = TypeAliasType("Parameters", Float[Array, " parameters"])
-ParameterMatrix = TypeAliasType("ParameterMatrix", Float[Array, "parameters parameters"])
-# s
-BatchTimes = TypeAliasType("BatchTimes", Float[Array, "*batch times"])
-# A row for each body at each time: displacements, velocities, or reactions
-BatchHistory = TypeAliasType("BatchHistory", Float[Array, "*batch times bodies 3"])
-BatchRowHistory = TypeAliasType("BatchRowHistory", Float[Array, "*batch times 3"])
-BatchEntryHistory = TypeAliasType(
-    "BatchEntryHistory", Float[Array, "*batch times entries"]
-)
-# Hz
-BatchFrequencies = TypeAliasType("BatchFrequencies", Float[Array, "*batch modes"])
-BatchShapes = TypeAliasType("BatchShapes", Float[Array, "*batch modes bodies 3"])
-# Hz
-Frequencies = TypeAliasType("Frequencies", Float[Array, " frequencies"])
-# A row for each body at each frequency
-Amplitudes = TypeAliasType("Amplitudes", Complex[Array, "frequencies bodies 3"])
-EntryAmplitudes = TypeAliasType("EntryAmplitudes", Complex[Array, "frequencies entries"])
-DofsMatrix = TypeAliasType("DofsMatrix", Float[Array, "dofs dofs"])
-# Derivatives of the constraints by all displacements
-EntriesMatrix = TypeAliasType("EntriesMatrix", Float[Array, "entries dofs"])
 
 
 @runtime_checkable

@@ -1,7 +1,9 @@
 """Validation of arguments, and the messages of its errors.
 
-A value that JAX is tracing is not known. It cannot raise an error; most functions of this
-module then return it unchanged.
+A function `require_...` takes the name of an argument, for the message, and its value. It
+returns the value, or raises a ValueError. The name is written with its backticks, except
+for `require_instance` and `require_kind`, which add them. A value that JAX is tracing is
+not known, so most functions return it unchanged.
 """
 
 import importlib
@@ -14,10 +16,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .types import NumberLike, Numbers, NumbersLike
+from .types import ArrayOfNumbers, NumberLike, Numbers, NumbersLike
 
 
 Choice = TypeVar("Choice", bound=str)
+Kind = TypeVar("Kind")
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
 
@@ -30,24 +33,12 @@ def concrete(value: Any) -> np.ndarray | None:
 def all_concrete(values: Iterable[Any]) -> list[np.ndarray] | None:
     """Return values as NumPy arrays; `None` if JAX is tracing one of them."""
     arrays = [concrete(value) for value in values]
-    known = [array for array in arrays if array is not None]
-    return known if len(known) == len(arrays) else None
+    concrete_arrays = [array for array in arrays if array is not None]
+    return concrete_arrays if len(concrete_arrays) == len(arrays) else None
 
 
 def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
-    """Require one of several strings.
-
-    Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
-        choices: The strings that are allowed.
-
-    Returns:
-        The value.
-
-    Raises:
-        ValueError: The value is not one of the choices.
-    """
+    """Require one of several strings."""
     if value not in choices:
         listed = ", ".join(repr(choice) for choice in choices)
         raise ValueError(f"{name} is {value!r}, but must be one of {listed}.")
@@ -55,7 +46,7 @@ def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
 
 
 def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
-    """Find a name in a list of names.
+    """Return the index of a name in a list of names.
 
     Args:
         where: The argument that has the name, for the message.
@@ -64,7 +55,7 @@ def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
         names: All names.
 
     Returns:
-        The index of the name.
+        The index.
 
     Raises:
         ValueError: The name is not in the list.
@@ -78,33 +69,14 @@ def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
 
 
 def shorten(text: str, length: int = 60) -> str:
-    """Shorten a text for a message by leaving out its middle part.
-
-    Args:
-        text: The text.
-        length: Number of characters up to which a text is returned unchanged.
-
-    Returns:
-        The text, or its beginning and its end.
-    """
+    """Shorten a text of more than `length` characters by leaving out its middle part."""
     if len(text) <= length:
         return text
     return f"{text[: length * 2 // 3]}...{text[-(length // 4) :]}"
 
 
 def require_text(name: str, value: Any) -> str:
-    """Require a non-empty string.
-
-    Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
-
-    Returns:
-        The value.
-
-    Raises:
-        ValueError: The value is not a string, or it is empty.
-    """
+    """Require a string that is not empty."""
     if not isinstance(value, str) or not value:
         raise ValueError(f"{name} is {value!r}, but must be a string that is not empty.")
     return value
@@ -135,11 +107,7 @@ def require_package(name: str, feature: str, extra: str) -> ModuleType:
 def require_float64(array: Array) -> None:
     """Require double precision, because single precision is too inaccurate for flexures.
 
-    Args:
-        array: An array of the model that is going to be solved.
-
-    Raises:
-        ValueError: The array is in single precision, or double precision is disabled.
+    The array is any array of the model that is going to be solved.
     """
     if array.dtype != jnp.float64 or jnp.result_type(float) != jnp.float64:
         raise ValueError(
@@ -167,26 +135,23 @@ def compilation_error(name: str, subject: str, error: Exception) -> ValueError:
     )
 
 
-def require_kind(name: str, values: Sequence[Any], kind: type) -> None:
-    """Require a sequence of instances of one class.
+def require_instance(name: str, value: Any, kind: type[Kind]) -> Kind:
+    """Require an instance of a class."""
+    if not isinstance(value, kind):
+        raise ValueError(
+            f"`{name}` is a {type(value).__name__}, but must be a {kind.__name__}."
+        )
+    return value
 
-    Args:
-        name: Name of the argument, for the message.
-        values: The sequence.
-        kind: The class.
 
-    Raises:
-        ValueError: The argument is a single instance, or one of its entries is of another
-            class.
-    """
+def require_kind(name: str, values: Iterable[Any], kind: type[Kind]) -> tuple[Kind, ...]:
+    """Require a sequence of instances of one class; a single instance is rejected."""
     if isinstance(values, kind):
         raise ValueError(f"`{name}` is one {kind.__name__}: put it in a list, [...].")
-    for index, value in enumerate(values):
-        if not isinstance(value, kind):
-            raise ValueError(
-                f"`{name}[{index}]` is a {type(value).__name__}, but must be a "
-                f"{kind.__name__}."
-            )
+    return tuple(
+        require_instance(f"{name}[{index}]", value, kind)
+        for index, value in enumerate(values)
+    )
 
 
 def require_interval(
@@ -220,85 +185,114 @@ def require_interval(
 
 
 def require_positive(name: str, value: NumberLike) -> Numbers:
-    """Require a positive, finite number.
-
-    Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
-
-    Returns:
-        The value; NaN if it is traced and not positive. See `require_interval`.
-
-    Raises:
-        ValueError: The value is known and is not a positive, finite number.
-    """
+    """Require a positive, finite number; NaN if it is traced and not positive."""
     largest = float(np.finfo(float).max)
     return require_interval(name, value, 0.0, largest, "must be positive and finite")
 
 
-def require_corners(
-    name: str, value: NumberLike | Sequence[Any]
-) -> Float[Array, "corners 2"]:
-    """Require the corners of a polygon.
+def require_shape(
+    name: str,
+    value: ArrayOfNumbers | Sequence[Any],
+    shape: tuple[int | None, ...],
+    requirement: str,
+) -> Numbers:
+    """Require an array of a given shape.
 
     Args:
         name: Name of the argument, for the message.
-        value: Rows (x, y); m.
+        value: Value of the argument.
+        shape: The shape; None for an axis of any length.
+        requirement: Words of the message that follow "but must", such as "have a row
+            (angle, x, y) for each trial".
 
     Returns:
-        The corners; m.
+        The array.
 
     Raises:
-        ValueError: The shape is wrong, or a known entry is not finite.
+        ValueError: The shape is wrong.
     """
-    array = jnp.asarray(value, float)
-    if array.ndim != 2 or array.shape[0] < 3 or array.shape[1] != 2:
+    try:
+        array = jnp.asarray(value, float)
+    except ValueError:
         raise ValueError(
-            f"{name} has shape {array.shape}, but must have a row (x, y) for each of "
-            "three corners or more."
-        )
+            f"{name} has entries of different lengths, but must {requirement}."
+        ) from None
+    lengths = zip(shape, array.shape, strict=False)
+    matches = [required in (None, length) for required, length in lengths]
+    if array.ndim != len(shape) or not all(matches):
+        raise ValueError(f"{name} has shape {array.shape}, but must {requirement}.")
+    return array
+
+
+def require_array(
+    name: str,
+    value: ArrayOfNumbers | Sequence[Any],
+    shape: tuple[int | None, ...],
+    requirement: str,
+) -> Numbers:
+    """Require an array of a given shape without NaN and infinity; see `require_shape`."""
+    array = require_shape(name, value, shape, requirement)
     known = concrete(array)
     if known is not None and not np.all(np.isfinite(known)):
-        row = int(np.argwhere(~np.isfinite(known))[0][0])
-        raise ValueError(f"{name} has {known[row].tolist()}, but must be finite.")
+        index = int(np.argwhere(~np.isfinite(known))[0][0])
+        raise ValueError(
+            f"{name} has {known[index].tolist()} at index {index}, but must be finite."
+        )
     return array
 
 
 def require_row(
     name: str, value: NumbersLike, entries: str, size: int = 3
 ) -> Float[Array, " size"]:
-    """Require a vector of a given size.
+    """Require a finite vector of `size` numbers, which the message calls `entries`."""
+    return require_array(name, value, (size,), f"be {entries}")
+
+
+def require_corners(
+    name: str, value: NumberLike | Sequence[Any]
+) -> Float[Array, "corners 2"]:
+    """Require the corners of a polygon: three rows (x, y) or more; m."""
+    requirement = "have a row (x, y) for each of three corners or more"
+    array = require_array(name, value, (None, 2), requirement)
+    if len(array) < 3:
+        raise ValueError(f"{name} has shape {array.shape}, but must {requirement}.")
+    return array
+
+
+def require_deviations(
+    name: str, value: ArrayOfNumbers | Sequence[Any], shape: tuple[int, ...]
+) -> Numbers:
+    """Require positive, finite standard deviations.
 
     Args:
         name: Name of the argument, for the message.
-        value: Value of the argument.
-        entries: Names of the entries, for the message.
-        size: Number of entries.
+        value: Standard deviations, in an array that can be broadcast to `shape`.
+        shape: Shape of the values to which they belong.
 
     Returns:
-        The vector.
+        The standard deviations, with this shape.
 
     Raises:
-        ValueError: The shape is wrong, or a known entry is not finite.
+        ValueError: The shape is wrong, or a known entry is not positive and finite.
     """
-    if isinstance(value, tuple | list):
-        value = jnp.stack([jnp.asarray(entry, float) for entry in value])
-    array = jnp.asarray(value, float)
-    if array.shape != (size,):
-        raise ValueError(f"{name} has shape {array.shape}, but must be {entries}.")
-    known = concrete(array)
-    if known is not None and not np.all(np.isfinite(known)):
-        raise ValueError(f"{name} is {known.tolist()}, but must be finite.")
+    given = jnp.asarray(value, float)
+    try:
+        array = jnp.broadcast_to(given, shape)
+    except ValueError:
+        raise ValueError(
+            f"{name} has shape {given.shape}, but must have shape {shape} or one that "
+            "can be broadcast to it."
+        ) from None
+    known = concrete(given)
+    if known is not None:
+        wrong = known[~((known > 0) & np.isfinite(known))]
+        if wrong.size:
+            raise ValueError(f"{name} has {wrong[0]:g}, but must be positive and finite.")
     return array
 
 
 def require_distinct(noun: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return names, and raise a ValueError if one occurs twice.
-
-    Args:
-        noun: What the names are names of, for the message.
-        names: The names.
-    """
+    """Require that no name occurs twice; the noun says what they are names of."""
     distinct: set[str] = set()
     for name in names:
         if name in distinct:

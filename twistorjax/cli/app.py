@@ -4,12 +4,12 @@ import contextlib
 import io
 import os
 import sys
-from typing import Annotated, Any
+from typing import Annotated, no_type_check
 
 import typer
 
 from .._utils.validation import shorten
-from .common import SolveError, UsageError
+from .common import ClickException
 from .export import export
 from .fit_energy import fit_energy
 from .four_bar import four_bar
@@ -38,6 +38,7 @@ app.add_typer(sweep, name="sweep", short_help="Sweep the dimensions of a mechani
 
 
 @app.callback(invoke_without_command=True)
+@no_type_check  # Typer passes a context of another class than the one it exports
 def overview(
     context: typer.Context,
     version: Annotated[
@@ -59,10 +60,6 @@ def overview(
 _INTERRUPTED = 130  # the exit code that shells report after Ctrl+C
 _MESSAGE_LENGTH = 1000  # largest length of a message; characters
 _OUT_OF_MEMORY = "There is not enough memory. Use fewer designs, points, or times."
-# Depending on its version, typer imports click or contains a copy of it.
-_ClickException: Any = next(
-    kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException"
-)
 
 
 def main() -> None:
@@ -85,12 +82,8 @@ def _run() -> int:
     """Run the command that `sys.argv` names, and return its exit code."""
     try:
         return typer.main.get_command(app).main(standalone_mode=False) or 0
-    except UsageError as error:
-        return _report(str(error), 2)
-    except SolveError as error:
-        return _report(str(error), 1)
-    except _ClickException as error:
-        return _report(error.format_message(), 2)
+    except ClickException as error:
+        return _report(error.format_message(), error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         return _INTERRUPTED
     except MemoryError:
@@ -115,15 +108,9 @@ def _prepare_streams() -> None:
 
 
 def _report_os_error(error: OSError) -> int:
-    """Report that a file or the output cannot be read or written.
+    """Report that a file or stdout cannot be read or written; return the exit code.
 
     A broken pipe is not reported: a reader such as `head` may stop early.
-
-    Args:
-        error: The error.
-
-    Returns:
-        The exit code.
     """
     try:
         sys.stdout.flush()

@@ -1,9 +1,11 @@
 """Options, checks, and output that the commands share."""
 
+import contextlib
 import json
 import math
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,21 +16,21 @@ from .._utils.validation import shorten
 
 LARGEST_SEED = 2**63 - 1
 
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object instead of a table.")
-]
-EnergyOption = Annotated[
-    Literal["twistor", "twist"],
-    typer.Option("--energy", help="Coordinates of the quadratic hinge energies."),
-]
+# The base class of all errors of typer: ClickException, UsageError, BadParameter.
+# Depending on its version, typer imports click or contains a copy of it.
+ClickException: Any = typer.BadParameter.__mro__[2]
 
 
-class UsageError(Exception):
+class UsageError(ClickException):
     """Invalid input. The message is one line."""
 
+    exit_code = 2
 
-class SolveError(Exception):
+
+class SolveError(ClickException):
     """A solve that failed. The message is one line."""
+
+    exit_code = 1
 
 
 def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
@@ -38,16 +40,16 @@ def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
         accelerator: Whether JAX may use an accelerator if there is one. Otherwise the
             platform is the CPU, unless the environment variable `JAX_PLATFORMS` names
             another one: a single mechanism is too small to benefit from an accelerator.
-        cpu_cores: Number of CPU cores that JAX uses as separate devices. More than one
-            forces the CPU platform.
+        cpu_cores: Number of CPU cores that JAX uses as separate devices. A number above
+            one selects the CPU.
     """
     import jax
     import platformdirs
 
     jax.config.update("jax_enable_x64", True)
     # JAX is imported with this package, so setting the environment variable is too late.
-    free = accelerator or "JAX_PLATFORMS" in os.environ
-    if cpu_cores > 1 or not free:
+    any_platform = accelerator or "JAX_PLATFORMS" in os.environ
+    if cpu_cores > 1 or not any_platform:
         jax.config.update("jax_platforms", "cpu")
     if cpu_cores > 1:
         jax.config.update("jax_num_cpu_devices", cpu_cores)
@@ -92,7 +94,7 @@ def check_figure(path: Path | None) -> Path | None:
     return path
 
 
-def check_film(path: Path | None) -> Path | None:
+def check_animation(path: Path | None) -> Path | None:
     """Return the path of an animation if it can be written or is not given."""
     if path is None:
         return None
@@ -109,12 +111,58 @@ def check_film(path: Path | None) -> Path | None:
     return path
 
 
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object instead of a table.")
+]
+EnergyOption = Annotated[
+    Literal["twistor", "twist"],
+    typer.Option("--energy", help="Coordinates of the quadratic hinge energies."),
+]
+SeedOption = Annotated[
+    int, typer.Option(help="Seed of the random numbers.", min=0, max=LARGEST_SEED)
+]
+PlotOption = Annotated[
+    Path | None,
+    typer.Option(help="Draw the results to this file.", callback=check_figure),
+]
+
+
+@contextlib.contextmanager
+def writing(option: str) -> Iterator[None]:
+    """Raise a `UsageError` if the file of an option cannot be written in this block."""
+    try:
+        yield
+    except (ImportError, OSError, ValueError) as error:
+        raise UsageError(f"{option} cannot be written: {error}") from None
+
+
 def save_figure(path: Path, drawn: Any) -> None:
     """Write a figure, or the figure of some axes, to the file that --plot names."""
-    try:
+    with writing("--plot"):
         getattr(drawn, "figure", drawn).savefig(path, dpi=160)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--plot cannot be written: {error}") from None
+
+
+def print_result(
+    text: Any,
+    record: Any,
+    as_json: bool,
+    *,
+    out: Path | None = None,
+    plot: Path | None = None,
+) -> None:
+    """Print a result as a text or as a JSON record.
+
+    The text is followed by the paths of the files to which the result and its figure were
+    saved, if there are any.
+    """
+    if as_json:
+        print(to_json(record))
+        return
+    print(text)
+    if out is not None:
+        print(f"saved to {out}")
+    if plot is not None:
+        print(f"figure saved to {plot}")
 
 
 def to_json(record: Any) -> str:
@@ -140,11 +188,7 @@ def progress_bar() -> Any:
 
 
 def require_success(motion: Any) -> None:
-    """Raise a `SolveError` if a simulation stopped before its last time.
-
-    Args:
-        motion: A motion computed by `simulate`.
-    """
+    """Raise a `SolveError` if a simulation stopped before its last time."""
     from ..solve.results import result_names, RESULTS
 
     if str(result_names(motion.result)) != "successful":

@@ -6,7 +6,14 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import check_folder, JsonOption, prepare_jax, to_json, UsageError
+from .common import (
+    check_folder,
+    JsonOption,
+    prepare_jax,
+    print_result,
+    UsageError,
+    writing,
+)
 
 
 _EXAMPLES = ("stage", "four-bar", "mixed-four-bar")
@@ -54,7 +61,7 @@ def export(
     from ..io import exudyn_script, save_mechanism, save_outline
 
     model = _load(mechanism)
-    try:
+    with writing("--out"):
         if suffix == ".json":
             save_mechanism(model, out)
         elif suffix == ".py":
@@ -63,13 +70,8 @@ def export(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # from the dependencies of ezdxf
                 save_outline(model, out)
-    except (OSError, ImportError, ValueError) as error:
-        raise UsageError(f"--out cannot be written: {error}") from None
-    if as_json:
-        record = {"out": str(out), "bodies": model.names, "hinges": model.hinge_names}
-        print(to_json(record))
-    else:
-        print(f"{model!r}\nsaved to {out}")
+    record = {"out": str(out), "bodies": model.names, "hinges": model.hinge_names}
+    print_result(model, record, as_json, out=out)
 
 
 def _load(name: str) -> Any:

@@ -9,10 +9,11 @@ import typer
 from .common import (
     check_folder,
     JsonOption,
-    LARGEST_SEED,
     prepare_jax,
-    to_json,
+    print_result,
+    SeedOption,
     UsageError,
+    writing,
 )
 
 
@@ -51,12 +52,7 @@ def fit_energy(
             max=1.0,
         ),
     ] = 0.0,
-    seed: Annotated[
-        int,
-        typer.Option(
-            help="Random seed of the choice of held-out trials.", min=0, max=LARGEST_SEED
-        ),
-    ] = 0,
+    seed: SeedOption = 0,
     out: Annotated[
         Path | None,
         typer.Option(help="Save the energy to this JSON file.", callback=check_folder),
@@ -92,20 +88,13 @@ def fit_energy(
     except (ValueError, OSError) as error:
         raise UsageError(str(error)) from None
     if out is not None:
-        try:
+        with writing("--out"):
             save_energy(result.energy, out)
-        except (OSError, ValueError) as error:
-            raise UsageError(f"--out cannot be written: {error}") from None
-    if as_json:
-        print(_json(result))
-        return
-    print(result)
-    if out is not None:
-        print(f"saved to {out}")
+    print_result(result, _record(result), as_json, out=out)
 
 
-def _json(result: Any) -> str:
-    """Format the result of a fit as JSON."""
+def _record(result: Any) -> dict[str, Any]:
+    """Return the fields of the JSON output."""
     errors = {
         "training": result.training,
         "expected": result.expected,
@@ -115,15 +104,13 @@ def _json(result: Any) -> str:
         name: None if error is None else error.relative.tolist()
         for name, error in errors.items()
     }
-    return to_json(
-        {
-            "order": result.energy.order,
-            "terms": result.terms,
-            "equations": result.equations,
-            "rank": result.rank,
-            "condition": result.condition,
-            "relative_error": relative,
-            "not_determined": result.undetermined,
-            "warning": result.warning,
-        }
-    )
+    return {
+        "order": result.energy.order,
+        "terms": result.terms,
+        "value_count": result.value_count,
+        "rank": result.rank,
+        "condition": result.condition,
+        "relative_error": relative,
+        "not_determined": result.undetermined,
+        "warning": result.warning,
+    }

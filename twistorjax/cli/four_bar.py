@@ -8,17 +8,18 @@ from typing import Annotated, Any, Literal
 import typer
 
 from .common import (
-    check_figure,
-    check_film,
+    check_animation,
     check_finite,
     EnergyOption,
     JsonOption,
+    PlotOption,
     prepare_jax,
+    print_result,
     progress_bar,
     require_success,
     save_figure,
-    to_json,
     UsageError,
+    writing,
 )
 
 
@@ -52,21 +53,18 @@ def four_bar(
         ),
     ] = None,
     as_json: JsonOption = False,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw the linkage at up to ten of the times to this file.",
-            callback=check_figure,
-        ),
-    ] = None,
+    plot: PlotOption = None,
     animate: Annotated[
         Path | None,
         typer.Option(
-            help="Draw the motion to this .gif, .mp4, or .html file.", callback=check_film
+            help="Animate the motion in this .gif, .mp4, or .html file.",
+            callback=check_animation,
         ),
     ] = None,
 ) -> None:
     """Simulate a flexural four-bar linkage that is driven by link 2, or released.
+
+    A figure shows the linkage at up to ten of the times.
 
     Examples: twistorjax four-bar --hinges mixed --plot panels.png
 
@@ -113,9 +111,10 @@ def four_bar(
         save_figure(plot, example.plot(linkage, motion))
     if animate is not None:
         end = output_times[-1]
-        _save_film(animate, linkage, simulate([end * k / 100 for k in range(101)]))
+        frames = simulate([end * k / 100 for k in range(101)])
+        _save_animation(animate, linkage, frames)
     rows = slice(first_row, None)
-    print(_json(motion, rows) if as_json else _table(motion, rows))
+    print_result(_table(motion, rows), _record(motion, rows), as_json)
 
 
 def _parse_times(text: str | None) -> list[float] | None:
@@ -138,21 +137,19 @@ def _parse_times(text: str | None) -> list[float] | None:
     return times
 
 
-def _json(motion: Any, rows: slice) -> str:
-    """Format some rows of a motion as JSON."""
+def _record(motion: Any, rows: slice) -> dict[str, Any]:
+    """Return some rows of a motion, as the fields of the JSON output."""
 
     def by_link(values: Any) -> dict[str, list]:
         return {name: values[rows, k].tolist() for k, name in enumerate(motion.names)}
 
-    return to_json(
-        {
-            "times": motion.times[rows].tolist(),
-            "poses": by_link(motion.poses),
-            "reactions": by_link(motion.reactions),
-            "steps": int(motion.steps),
-            "result": "successful",
-        }
-    )
+    return {
+        "times": motion.times[rows].tolist(),
+        "poses": by_link(motion.poses),
+        "reactions": by_link(motion.reactions),
+        "steps": int(motion.steps),
+        "result": "successful",
+    }
 
 
 def _table(motion: Any, rows: slice) -> str:
@@ -177,16 +174,14 @@ def _table(motion: Any, rows: slice) -> str:
     return "\n".join(lines)
 
 
-def _save_film(path: Path, mechanism: Any, motion: Any) -> None:
+def _save_animation(path: Path, mechanism: Any, motion: Any) -> None:
     """Write an animation, ten times slower than the motion, to a file."""
     from ..plotting.animation import animate
 
-    film = animate(mechanism, motion, slower=10)
-    try:
+    animation = animate(mechanism, motion, slower=10)
+    with writing("--animate"):
         if path.suffix.lower() == ".html":
-            path.write_text(film.to_jshtml(), encoding="utf-8")
+            path.write_text(animation.to_jshtml(), encoding="utf-8")
         else:
             writer = "pillow" if path.suffix.lower() == ".gif" else "ffmpeg"
-            film.save(path, writer=writer, dpi=100)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--animate cannot be written: {error}") from None
+            animation.save(path, writer=writer, dpi=100)

@@ -10,8 +10,8 @@ from .common import (
     JsonOption,
     LARGEST_SEED,
     prepare_jax,
+    print_result,
     SolveError,
-    to_json,
     UsageError,
 )
 
@@ -43,8 +43,8 @@ def identify(
 ) -> None:
     """Identify three stiffnesses of hinge A of the four-bar linkage from its motion.
 
-    Link 3 is released with 10 m/s. A camera takes 101 pictures of the three moving links
-    in 0.05 s. The start values are 1.5, 0.6, and 0.5 times the true stiffnesses.
+    Link 3 is released with 10 m/s. A camera measures the three moving links at 101 times
+    within 0.05 s. The start values are 1.5, 0.6, and 0.5 times the true stiffnesses.
 
     Example: twistorjax identify --seed 3 --position-deviation 1e-5
     """
@@ -67,29 +67,24 @@ def identify(
         raise UsageError(
             f"--angle-deviation or --position-deviation cannot be used: {error}"
         ) from None
-    if as_json:
-        print(_json(result, example.LEAF))
-        return
     true = [f"{name} {example.LEAF[name]:g}" for name in result.names]
-    print(result)
-    print(f"true values: {', '.join(true)}")
+    text = f"{result}\ntrue values: {', '.join(true)}"
+    print_result(text, _record(result, example.LEAF), as_json)
 
 
-def _json(result: Any, true: dict[str, float]) -> str:
-    """Format the estimates and the true values as JSON."""
+def _record(result: Any, true: dict[str, float]) -> dict[str, Any]:
+    """Return the estimates and the true values, as the fields of the JSON output."""
     errors = result.standard_errors
-    return to_json(
-        {
-            "estimates": {name: float(value) for name, value in result.estimates.items()},
-            "standard_errors": {name: float(value) for name, value in errors.items()},
-            "true": true,
-            "units": dict(zip(result.names, result.units, strict=True)),
-            "covariance": result.covariance.tolist(),
-            "names": result.names,
-            "evaluations": int(result.steps),
-            "readings": result.reading_count,
-            "not_determined": result.undetermined_directions,
-            "warnings": result.warnings,
-            "result": "successful",
-        }
-    )
+    return {
+        "estimates": {name: float(value) for name, value in result.estimates.items()},
+        "standard_errors": {name: float(value) for name, value in errors.items()},
+        "true": true,
+        "units": dict(zip(result.names, result.units, strict=True)),
+        "covariance": result.covariance.tolist(),
+        "names": result.names,
+        "evaluations": int(result.steps),
+        "readings": result.reading_count,
+        "not_determined": result.undetermined_directions,
+        "warnings": result.warnings,
+        "result": "successful",
+    }

@@ -1,26 +1,13 @@
 """`twistorjax random-data`: overfitting study on random wrenches (section 7.1)."""
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from .common import check_figure, JsonOption, prepare_jax, save_figure, to_json
+from .common import JsonOption, PlotOption, prepare_jax, print_result, save_figure
 
 
-def random_data(
-    as_json: JsonOption = False,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw given, fitted, and predicted wrenches to this file.",
-            callback=check_figure,
-        ),
-    ] = None,
-) -> None:
+def random_data(as_json: JsonOption = False, plot: PlotOption = None) -> None:
     """Fit a polynomial energy to the 17 random trials of section 7.1.
 
-    Each trial is also held out once, and predicted by a fit to the other trials.
+    Each trial is also held out once, and predicted by a fit to the other trials. A figure
+    shows the given, the fitted, and the predicted wrenches.
 
     Example: twistorjax random-data --plot random.png
     """
@@ -30,25 +17,17 @@ def random_data(
     study = example.study()
     if plot is not None:
         save_figure(plot, example.plot(study))
-    if not as_json:
-        print(study)
-        if plot is not None:
-            print(f"figure saved to {plot}")
-        return
     fit = study.fit
-    print(
-        to_json(
-            {
-                "order": fit.energy.order,
-                "trials": len(study.trials),
-                "equations": fit.equations,
-                "terms": fit.terms,
-                "rank": fit.rank,
-                "condition": fit.condition,
-                "largest_error_training": fit.training.largest.tolist(),
-                "largest_error_held_out": study.held_out.largest.tolist(),
-                "relative_error_held_out": study.held_out.relative.tolist(),
-                "warning": fit.warning,
-            }
-        )
-    )
+    record = {
+        "order": fit.energy.order,
+        "trials": len(study.trials),
+        "value_count": fit.value_count,
+        "terms": fit.terms,
+        "rank": fit.rank,
+        "condition": fit.condition,
+        "largest_error_training": fit.training.largest_wrench.tolist(),
+        "largest_error_held_out": study.held_out.largest_wrench.tolist(),
+        "relative_error_held_out": study.held_out.relative.tolist(),
+        "warning": fit.warning,
+    }
+    print_result(study, record, as_json, plot=plot)

@@ -6,16 +6,16 @@ from typing import Annotated, Any, Literal
 import typer
 
 from .common import (
-    check_figure,
     check_positive,
     EnergyOption,
     JsonOption,
+    PlotOption,
     prepare_jax,
+    print_result,
     progress_bar,
     require_success,
     save_figure,
     SolveError,
-    to_json,
     UsageError,
 )
 
@@ -33,16 +33,12 @@ def stage(
     ] = 0.25e-3,
     coordinates: EnergyOption = "twistor",
     as_json: JsonOption = False,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw the deformed stage, or its motion, to this file.",
-            callback=check_figure,
-        ),
-    ] = None,
+    plot: PlotOption = None,
     transient: Annotated[
         bool,
-        typer.Option("--transient", help="Simulate the motion until it is at rest."),
+        typer.Option(
+            "--transient", help="Simulate the motion until the vibration has decayed."
+        ),
     ] = False,
     step: Annotated[
         bool,
@@ -101,55 +97,38 @@ def _static(
         "gain": float(result.gain),
         "output_m": float(result.output),
         "input_force_N": float(result.input_force),
-        "compression_a_m": float(result.compression),
+        "elongation_a_m": float(result.elongation),
         "strain_energy_J": float(deformed.energy),
         "dgain_dweb_per_m": float(slope),
     }
     if plot is not None:
         save_figure(plot, example.plot(example.microstage(web), result))
-    if as_json:
-        poses = np.asarray(deformed.reference) + np.asarray(deformed.displacements)
-        by_body = dict(zip(deformed.names, poses.tolist(), strict=True))
-        print(to_json({**values, "poses": by_body, "result": name}))
-        return
-    print(_table(values, web, travel))
-    if plot is not None:
-        print(f"figure saved to {plot}")
+    poses = np.asarray(deformed.reference) + np.asarray(deformed.displacements)
+    by_body = dict(zip(deformed.names, poses.tolist(), strict=True))
+    record = {**values, "poses": by_body, "result": name}
+    print_result(_table(values, web, travel), record, as_json, plot=plot)
 
 
 def _table(values: dict[str, float], web: float, travel: float) -> str:
-    """Format the static results as a table.
-
-    Args:
-        values: Results, named and in the units of the JSON output.
-        web: Thickness of the necks; m.
-        travel: Input displacement; m.
-
-    Returns:
-        One line for each result, with a note.
-    """
+    """Format the static results as a table; web and travel are in m."""
     from ..examples import stage as example
 
     micro, nano = 1e-6, 1e-9
     gain_note = f"rigid levers {example.RIGID_GAIN:.4f}"
-    compression_note = ""
+    elongation_note = ""
     if web == example.WEB:  # only this device was measured
         low, high = example.MEASURED_GAIN
         gain_note = (
             f"measured {low} to {high} (1978); "
             f"dissertation {example.DISSERTATION_GAIN}; {gain_note}"
         )
-        compression_note = "input 1.35 um: measured 50 nm; dissertation about 150 nm"
+        elongation_note = "input 1.35 um: measured 50 nm; dissertation about 150 nm"
     slope = values["dgain_dweb_per_m"]
     rows = [
         ("gain", f"{values['gain']:.6f}", gain_note),
         ("output", f"{values['output_m'] / micro:.4f} um", "displacement of body 4"),
         ("input force", f"{values['input_force_N']:.4f} N", ""),
-        (
-            "compression of a",
-            f"{values['compression_a_m'] / nano:.2f} nm",
-            compression_note,
-        ),
+        ("elongation of a", f"{values['elongation_a_m'] / nano:.2f} nm", elongation_note),
         ("strain energy", f"{values['strain_energy_J'] / micro:.4f} uJ", ""),
         (
             "d(gain)/d(web)",
@@ -197,41 +176,34 @@ def _transient(
     require_success(motion)
     if plot is not None:
         save_figure(plot, example.plot(response))
-    if as_json:
-        print(_transient_json(response))
-        return
     kind = "step"
     if not step:
         kind = f"filtered with a time constant of {example.FILTER_TIME / 1e-3:g} ms"
     end = float(motion.times[-1]) / 1e-3
-    compression = float(response.compression) / 1e-9
-    print(
+    text = (
         f"micropositioning stage, input {travel / 1e-6:g} um, {kind}\n"
         f"gain after {end:g} ms   {float(response.gain):.8f}\n"
         f"static gain        {float(response.static_gain):.8f}\n"
-        f"compression of a   {compression:.2f} nm\n"
+        f"elongation of a    {float(response.elongation) / 1e-9:.2f} nm\n"
         f"steps              {int(motion.steps)}"
     )
-    if plot is not None:
-        print(f"figure saved to {plot}")
+    print_result(text, _transient_record(response), as_json, plot=plot)
 
 
-def _transient_json(response: Any) -> str:
-    """Format a transient response as JSON."""
+def _transient_record(response: Any) -> dict[str, Any]:
+    """Return a transient response, as the fields of the JSON output."""
     on_body_2, on_body_6 = response.hinge_a
-    return to_json(
-        {
-            "gain": float(response.gain),
-            "static_gain": float(response.static_gain),
-            "compression_a_m": float(response.compression),
-            "times": response.motion.times.tolist(),
-            "output_m": response.output.tolist(),
-            "hinge_a_on_2_m": on_body_2.tolist(),
-            "hinge_a_on_6_m": on_body_6.tolist(),
-            "steps": int(response.motion.steps),
-            "result": "successful",
-        }
-    )
+    return {
+        "gain": float(response.gain),
+        "static_gain": float(response.static_gain),
+        "elongation_a_m": float(response.elongation),
+        "times": response.motion.times.tolist(),
+        "output_m": response.output.tolist(),
+        "hinge_a_on_2_m": on_body_2.tolist(),
+        "hinge_a_on_6_m": on_body_6.tolist(),
+        "steps": int(response.motion.steps),
+        "result": "successful",
+    }
 
 
 def _unusable_web(error: ValueError) -> UsageError:

@@ -1,21 +1,21 @@
 """`twistorjax sweep`: sweep the dimensions of the stage or of the linkage."""
 
-import json
 import math
 import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, no_type_check
 
 import typer
 
 from .common import (
-    check_figure,
     check_folder,
     JsonOption,
+    PlotOption,
     prepare_jax,
+    print_result,
     save_figure,
     SolveError,
     UsageError,
@@ -26,6 +26,7 @@ sweep = typer.Typer()
 
 
 @sweep.callback(invoke_without_command=True)
+@no_type_check  # Typer passes a context of another class than the one it exports
 def overview(context: typer.Context) -> None:
     """Sweep the dimensions of a mechanism over ranges such as 0.2e-3:0.4e-3:1000.
 
@@ -55,10 +56,6 @@ _DevicesOption = Annotated[
 _ChunkOption = Annotated[
     int | None, typer.Option(help="Number of designs that are solved at once.", min=1)
 ]
-_PlotOption = Annotated[
-    Path | None,
-    typer.Option(help="Draw the outputs to this file.", callback=check_figure),
-]
 
 
 @sweep.command(short_help="Gain of the micropositioning stage.")
@@ -76,16 +73,15 @@ def stage(
     devices: _DevicesOption = 1,
     chunk: _ChunkOption = None,
     as_json: JsonOption = False,
-    plot: _PlotOption = None,
+    plot: PlotOption = None,
 ) -> None:
     """Compute the gain of the micropositioning stage and its exact derivatives.
 
     Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:10000 --out stage.zarr
     """
-    ranges = {"web": _parse_range("--web", web), "hole": _parse_range("--hole", hole)}
-    options = _Options(ranges, out, resume, devices, chunk, as_json, plot)
-    table = _run(options, study="stage_gain", derivatives=("gain",))
-    _report(options, table, outputs=("gain",))
+    ranges = _parse_ranges({"web": web, "hole": hole}, plot)
+    table = _run("stage_gain", ranges, ("gain",), out, resume, devices, chunk)
+    _report(table, ranges, ("gain",), out, as_json, plot)
 
 
 @sweep.command("four-bar", short_help="Motion of the driven four-bar linkage.")
@@ -103,7 +99,7 @@ def four_bar(
     devices: _DevicesOption = 1,
     chunk: _ChunkOption = None,
     as_json: JsonOption = False,
-    plot: _PlotOption = None,
+    plot: PlotOption = None,
 ) -> None:
     """Compute travel, moment, and frequency of the driven four-bar linkage.
 
@@ -112,96 +108,69 @@ def four_bar(
 
     Example: twistorjax sweep four-bar --length 12e-3:16e-3:50 --thickness 1e-3
     """
-    ranges = {
-        "length": _parse_range("--length", length),
-        "thickness": _parse_range("--thickness", thickness),
-    }
-    options = _Options(ranges, out, resume, devices, chunk, as_json, plot)
-    table = _run(options, study="driven_linkage", derivatives=())
-    _report(options, table, outputs=("travel", "moment", "frequency"))
+    ranges = _parse_ranges({"length": length, "thickness": thickness}, plot)
+    table = _run("driven_linkage", ranges, (), out, resume, devices, chunk)
+    _report(table, ranges, ("travel", "moment", "frequency"), out, as_json, plot)
 
 
-class _Options(NamedTuple):
-    """The options of a sweep.
-
-    Args:
-        ranges: Values of each parameter, by name; m.
-        out: Folder for the results.
-        resume: Whether to resume the sweep in this folder.
-        devices: Number of CPU cores.
-        chunk: Number of designs that are solved at once.
-        as_json: Whether JSON is printed.
-        plot: File for a figure.
-    """
-
-    ranges: Mapping[str, list[float]]
-    out: Path | None
-    resume: bool
-    devices: int
-    chunk: int | None
-    as_json: bool
-    plot: Path | None
-
-    @property
-    def constant(self) -> list[str]:
-        """Names of the parameters that have only one value."""
-        return [name for name, values in self.ranges.items() if len(values) == 1]
+# Values of each parameter, by name; m
+_Ranges = Mapping[str, list[float]]
 
 
-def _check(options: _Options) -> None:
-    """Raise a `UsageError` if the options of a sweep contradict each other."""
-    count = math.prod(len(values) for values in options.ranges.values())
+def _parse_ranges(options: Mapping[str, str], plot: Path | None) -> _Ranges:
+    """Convert the options of the parameters to numbers, and check how many there are."""
+    ranges = {name: _parse_range(f"--{name}", text) for name, text in options.items()}
+    count = math.prod(len(values) for values in ranges.values())
     if count > _LARGEST_COUNT:
         raise UsageError(
             f"The ranges have {count:,} designs, but may have at most {_LARGEST_COUNT:,}."
         )
-    if options.plot is not None and len(options.constant) == len(options.ranges):
-        names = " or ".join(f"--{name}" for name in options.ranges)
+    if plot is not None and count == 1:
+        names = " or ".join(f"--{name}" for name in ranges)
         raise UsageError(f"--plot needs a range first:last:count for {names}.")
-    if options.resume and options.out is None:
+    return ranges
+
+
+def _run(
+    study: str,
+    ranges: _Ranges,
+    derivatives: Sequence[str],
+    out: Path | None,
+    resume: bool,
+    devices: int,
+    chunk: int | None,
+) -> Any:
+    """Run a sweep, and return its dataset.
+
+    The study is the name of a function in `twistorjax.examples.sweep_studies`.
+    `derivatives` are the outputs that are differentiated by the parameters.
+    """
+    if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the sweep to resume.")
     # `process_cpu_count` exists from Python 3.13 on.
     count_cores = getattr(os, "process_cpu_count", os.cpu_count)
     cores = count_cores() or 1
-    if options.devices > cores:
-        raise UsageError(
-            f"--devices is {options.devices}, but there are {cores} CPU cores."
-        )
-
-
-def _run(options: _Options, study: str, derivatives: Sequence[str]) -> Any:
-    """Run a sweep.
-
-    Args:
-        options: Options of the sweep.
-        study: Name of a function in `twistorjax.examples.sweep_studies`.
-        derivatives: Outputs that are differentiated by the parameters.
-
-    Returns:
-        The dataset of the sweep.
-    """
-    _check(options)
-    prepare_jax(accelerator=True, cpu_cores=options.devices)
+    if devices > cores:
+        raise UsageError(f"--devices is {devices}, but there are {cores} CPU cores.")
+    prepare_jax(accelerator=True, cpu_cores=devices)
     import jax
 
     from ..examples import sweep_studies
     from ..sweeps import Grid, sweep as run_sweep
 
-    mesh = None
-    if options.devices > 1:
-        mesh = jax.make_mesh((options.devices,), ("designs",))
+    mesh = jax.make_mesh((devices,), ("designs",)) if devices > 1 else None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # `_report` prints the failures
             return run_sweep(
                 getattr(sweep_studies, study),
-                Grid(options.ranges),
+                Grid(ranges),
                 derivatives=derivatives,
-                units=dict.fromkeys(options.ranges, "m"),
-                chunk_size=options.chunk,
+                units=dict.fromkeys(ranges, "m"),
+                chunk_size=chunk,
                 mesh=mesh,
-                store=options.out,
-                resume=options.resume,
+                store=out,
+                resume=resume,
                 progress=sys.stderr.isatty(),
             )
     except ImportError as error:
@@ -218,13 +187,15 @@ def _with_option_names(message: str) -> str:
     return message.replace("`store`", "--out").replace("`resume=True`", "--resume")
 
 
-def _report(options: _Options, table: Any, outputs: Sequence[str]) -> None:
+def _report(
+    table: Any,
+    ranges: _Ranges,
+    outputs: Sequence[str],
+    out: Path | None,
+    as_json: bool,
+    plot: Path | None,
+) -> None:
     """Print minimum, mean, and maximum of the outputs, and draw the outputs.
-
-    Args:
-        options: Options of the sweep.
-        table: Dataset of the sweep.
-        outputs: Names of the outputs.
 
     Raises:
         SolveError: All designs failed.
@@ -232,27 +203,22 @@ def _report(options: _Options, table: Any, outputs: Sequence[str]) -> None:
     from ..solve.results import result_message
     from ..sweeps.sweep import failures
 
-    if options.plot is not None:
+    if plot is not None:
         from ..plotting.charts import chart
 
-        save_figure(options.plot, chart(table.squeeze(options.constant), outputs))
-    names = list(outputs)
-    for output in outputs:
-        for parameter in options.ranges:
-            if f"{output}_by_{parameter}" in table:
-                names.append(f"{output}_by_{parameter}")
+        constant = [name for name, values in ranges.items() if len(values) == 1]
+        save_figure(plot, chart(table.squeeze(constant), outputs))
+    derivatives = [f"{output}_by_{name}" for output in outputs for name in ranges]
+    names = [*outputs, *(name for name in derivatives if name in table)]
     summary = {name: _summary(table[name]) for name in names}
     count, failed = table["succeeded"].size, failures(table)
-    if options.as_json:
-        record = {
-            "designs": count,
-            "failed": sum(failed.values()),
-            "failures": failed,
-            "outputs": summary,
-        }
-        print(json.dumps(record))
-    else:
-        _print_table(options, count, failed, summary)
+    record = {
+        "designs": count,
+        "failed": sum(failed.values()),
+        "failures": failed,
+        "outputs": summary,
+    }
+    print_result(_text(count, failed, summary), record, as_json, out=out, plot=plot)
     if sum(failed.values()) == count:
         raise SolveError(f"All designs failed. {result_message(next(iter(failed)))}")
 
@@ -272,26 +238,16 @@ def _summary(values: Any) -> dict[str, Any]:
     return summary
 
 
-def _print_table(
-    options: _Options,
-    count: int,
-    failed: Mapping[str, int],
-    summary: Mapping[str, Mapping[str, Any]],
-) -> None:
-    """Print the number of designs, the failures, and a table of the outputs.
-
-    Args:
-        options: Options of the sweep.
-        count: Number of designs.
-        failed: Number of failed designs, by result name.
-        summary: Minimum, mean, maximum, and unit of each output.
-    """
+def _text(
+    count: int, failed: Mapping[str, int], summary: Mapping[str, Mapping[str, Any]]
+) -> str:
+    """Format the number of designs, the failures by result name, and all summaries."""
     from ..solve.results import result_message
 
-    print(f"{count:,} designs")
+    lines = [f"{count:,} designs"]
     for name, number in failed.items():
-        print(f"{number:,} failed, {name}: {result_message(name)}")
-    print(f"{'':<22}{'minimum':>12}  {'mean':>12}  {'maximum':>12}")
+        lines.append(f"{number:,} failed, {name}: {result_message(name)}")
+    lines.append(f"{'':<22}{'minimum':>12}  {'mean':>12}  {'maximum':>12}")
     for name, row in summary.items():
         cells = []
         for statistic in ("minimum", "mean", "maximum"):
@@ -299,23 +255,12 @@ def _print_table(
             text = "none" if value is None else f"{value:.6g}"
             cells.append(f"{text:>12}")
         unit = "" if row["unit"] == "1" else f" {row['unit']}"
-        print(f"{name:<22}{'  '.join(cells)}{unit}")
-    if options.out is not None:
-        print(f"saved to {options.out}")
-    if options.plot is not None:
-        print(f"figure saved to {options.plot}")
+        lines.append(f"{name:<22}{'  '.join(cells)}{unit}")
+    return "\n".join(lines)
 
 
 def _parse_range(option: str, text: str) -> list[float]:
-    """Convert the value of an option to one number or to equally spaced numbers.
-
-    Args:
-        option: Name of the option, for messages.
-        text: A positive number, or first:last:count.
-
-    Returns:
-        The numbers.
-    """
+    """Convert the value of an option to one number or to equally spaced numbers."""
     parts = text.split(":")
     try:
         limits = [float(part) for part in parts[:2]]

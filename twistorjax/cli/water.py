@@ -1,19 +1,18 @@
 """`twistorjax water`: fits to the energy of two water molecules (sections 7.2 to 7.4)."""
 
 import math
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from .common import (
-    check_figure,
     check_positive,
     JsonOption,
-    LARGEST_SEED,
+    PlotOption,
     prepare_jax,
+    print_result,
     save_figure,
-    to_json,
+    SeedOption,
     UsageError,
 )
 
@@ -37,22 +36,14 @@ def water(
     points: Annotated[
         int, typer.Option(help="Number of trials that are fitted.", min=2, max=20000)
     ] = 500,
-    seed: Annotated[
-        int,
-        typer.Option(help="Random seed of the trials.", min=0, max=LARGEST_SEED),
-    ] = 0,
+    seed: SeedOption = 0,
     as_json: JsonOption = False,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw energies and errors to this file.", callback=check_figure
-        ),
-    ] = None,
+    plot: PlotOption = None,
 ) -> None:
     """Fit the energy of two water molecules, and check the fits by held-out trials.
 
     Fits a polynomial and a rational function as in chapter 7, and a rational function
-    that is regularized to avoid poles.
+    that is regularized to avoid poles. A figure shows energies and errors.
 
     Examples: twistorjax water --plot water.png
 
@@ -66,13 +57,11 @@ def water(
     study = example.study(order, min(angle_range, 2 * math.pi), points, [seed])
     if plot is not None:
         save_figure(plot, example.plot(study))
-    print(_json(study) if as_json else study)
-    if plot is not None and not as_json:
-        print(f"figure saved to {plot}")
+    print_result(study, _record(study), as_json, plot=plot)
 
 
-def _json(study: Any) -> str:
-    """Format the fits of a study with one seed as JSON."""
+def _record(study: Any) -> dict[str, Any]:
+    """Return the fits of a study with one seed, as the fields of the JSON output."""
 
     def fit_record(name: str) -> dict[str, Any]:
         (fit,) = study.fits[name]
@@ -87,13 +76,11 @@ def _json(study: Any) -> str:
             "has_poles": fit.has_poles,
         }
 
-    return to_json(
-        {
-            "order": study.order,
-            "range_rad": study.angle_range,
-            "fitted": len(study.trials[0]),
-            "held_out": len(study.held_out_trials[0]),
-            "unit_of_energy": "e^2/Angstrom",
-            "fits": {name: fit_record(name) for name in study.fits},
-        }
-    )
+    return {
+        "order": study.order,
+        "range_rad": study.angle_range,
+        "fitted": len(study.trials[0]),
+        "held_out": len(study.held_out_trials[0]),
+        "unit_of_energy": "e^2/Angstrom",
+        "fits": {name: fit_record(name) for name in study.fits},
+    }

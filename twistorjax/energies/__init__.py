@@ -1,9 +1,14 @@
 """Elastic energies of a hinge as functions of the displacement of its two frames.
 
-Start reading in `base`, which contains `AbstractEnergy`: a new energy is a subclass with
-one method. `polynomial` contains polynomial and rational energies, and `mixed` those of
-flexures. `damping` contains viscous damping, and `validity` the range in which an energy
-is valid. The package `fitting` determines energies from measured wrenches.
+Start reading in `base`. A new energy is a subclass of `AbstractEnergy` with one method,
+`stored_energy(displacement)`, and may be defined in any file. `base` and
+`solver_protocols` contain the optional methods.
+
+`quadratic`, `polynomial` (also rational energies), `mixed` (flexures), and
+`point_charges` contain the energies of this library. `damping` contains viscous damping,
+and `validity` the range in which an energy is valid. The package `fitting` determines
+energies from measured wrenches. The other files contain the coordinates and polynomials
+that they share.
 """
 
 from .base import AbstractEnergy as AbstractEnergy
@@ -16,6 +21,7 @@ from .fitting import (
     read_trials as read_trials,
     Trials as Trials,
 )
+from .fitting.trials import Errors as Errors
 from .mixed import MixedEnergy as MixedEnergy
 from .monomials import monomials as monomials
 from .point_charges import PointCharges as PointCharges

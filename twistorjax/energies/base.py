@@ -1,6 +1,6 @@
 """The energy of a hinge as a function of the displacement of its two frames.
 
-The displacement is that of frame b seen from frame a; both coincide in the reference
+The displacement is that of frame b relative to frame a; both coincide in the reference
 configuration. Wrench and stiffness are derivatives of the energy. Chapters 3 and 4 of the
 dissertation.
 """
@@ -23,53 +23,70 @@ from ..geometry.twistors import Displacement
 
 
 class AbstractEnergy(eqx.Module):
-    """The energy of a hinge as a function of the displacement of its frames.
+    """Elastic energy of a hinge as a function of the displacement of b relative to a.
 
     A subclass implements one method, `stored_energy`. Wrench, stiffness, sums, and
     multiples follow from it. The protocols `HasValidityRange` and `HasValidationError`,
-    and those in `solver_protocols`, are optional: an energy that implements one of their
-    methods has the property, also inside of sums, multiples, and validity ranges.
+    and those in `solver_protocols`, are optional. An energy that implements the methods
+    of a protocol has its property, also if the energy is a term of a sum, is multiplied
+    by a factor, or has a validity range.
 
     Example:
-        >>> class Cubic(AbstractEnergy):
+        >>> class QuarticSpring(AbstractEnergy):
         ...     stiffness: float
         ...
         ...     def stored_energy(self, displacement):
         ...         return self.stiffness * displacement.angle**4 / 4
-        >>> Cubic(2.0).wrench(jnp.array([0.1, 0.0, 0.0]))
+        >>> QuarticSpring(2.0).wrench(jnp.array([0.1, 0.0, 0.0]))
         Array([0.002, 0.   , 0.   ], dtype=float64)
     """
 
     @abstractmethod
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        """Compute the energy that is stored at a displacement; J."""
+        """Compute the energy that is stored at a displacement.
 
-    def __call__(self, pose: Pose) -> Scalar:
-        """Compute the energy that is stored at a pose of frame b, seen from frame a; J.
+        A subclass writes it with `jax.numpy`. The energy must be twice differentiable,
+        and its gradient must be zero in the reference configuration.
 
         Args:
-            pose: Pose of frame b, seen from frame a; rad, m, m.
+            displacement: Displacement of frame b relative to frame a, with `twist()`
+                (rad, m, m), `strain()` (twice the vector part of the twistor; -, m, m),
+                `angle` (rad), `sigma`, `xi` (-), `x1`, and `x2` (m).
+
+        Returns:
+            The energy; J.
+        """
+
+    def __call__(self, pose: Pose) -> Scalar:
+        """Compute the energy that is stored at a pose of frame b relative to frame a.
+
+        Args:
+            pose: Pose of frame b relative to frame a; rad, m, m.
+
+        Returns:
+            The energy; J.
 
         Raises:
-            ValueError: The pose is beyond the validity range of the energy. If it is
-                traced, the result is NaN.
+            ValueError: The pose is outside the validity range. If the pose is traced, no
+                error is raised and the result is NaN.
         """
         return self._in_range(pose, self.stored_energy(Displacement.from_pose(pose)))
 
     def wrench(self, pose: Pose) -> Wrench:
         """Compute the wrench that body B exerts on the hinge, about frame b, in its axes.
 
-        It is the derivative of the energy by displacements in the axes of frame b.
+        It is the derivative of the energy with respect to infinitesimal displacements of
+        frame b along its own axes.
 
         Args:
-            pose: Pose of frame b, seen from frame a; rad, m, m.
+            pose: Pose of frame b relative to frame a; rad, m, m.
 
         Returns:
             Moment, and force along axes 1 and 2 of frame b; N m, N, N.
 
         Raises:
-            ValueError: The pose is beyond the validity range of the energy. If it is
-                traced, the result is NaN.
+            ValueError: The pose is outside the validity range. If the pose is traced, no
+                error is raised and the result is NaN.
 
         Source:
             Equations 3.52 and 4.34 of the dissertation; 3.53 and 4.35 are the closed
@@ -88,16 +105,19 @@ class AbstractEnergy(eqx.Module):
         return self._in_range(pose, jnp.concatenate([slope[:1], force]))
 
     def tangent_stiffness(self, pose: Pose | None = None) -> Matrix:
-        """Compute the derivative of the wrench by displacements in the axes of frame b.
+        """Compute the derivative of the wrench.
+
+        It is the derivative with respect to infinitesimal displacements of frame b along
+        its own axes.
 
         Args:
-            pose: Pose of frame b, seen from frame a; by default the reference pose; rad,
+            pose: Pose of frame b relative to frame a; by default the reference pose; rad,
                 m, m.
 
         Returns:
-            The stiffness; N m/rad, N/rad, N/m. It is symmetric where the hinge is not
-            loaded. Elsewhere its antisymmetric part is determined by the wrench, because
-            displacements in body axes do not commute.
+            The stiffness; N m/rad, N/rad, N/m. It is symmetric if the hinge is not
+            loaded. Otherwise its antisymmetric part is determined by the wrench, because
+            displacements along body axes do not commute.
 
         Example:
             >>> from twistorjax import Quadratic
@@ -128,7 +148,10 @@ class AbstractEnergy(eqx.Module):
         return Scaled(factor=array, energy=self)
 
     def _in_range(self, pose: Pose, value: Array) -> Array:
-        """Return a value at a pose, or raise an error if the pose is out of range."""
+        """Return a value at a pose, or raise an error if the pose is out of range.
+
+        If the pose is traced, the value is NaN instead.
+        """
         displacement = Displacement.from_pose(pose)
         outside = out_of_range(self, displacement)
         if outside is None:
@@ -136,13 +159,13 @@ class AbstractEnergy(eqx.Module):
         decided = concrete(outside)
         if decided is not None and np.any(decided):
             message = range_message(self, displacement)
-            raise ValueError(f"Beyond the range of the energy: {message}.")
-        # a product, so that its derivatives are NaN as well
+            raise ValueError(f"Outside the validity range of the energy: {message}.")
+        # A product, so that derivatives are NaN as well.
         return value * jnp.where(outside, jnp.nan, 1.0)
 
 
 class Sum(AbstractEnergy):
-    """Hinges in parallel, between the same two frames: their energies add up.
+    """Sum of the energies of hinges in parallel, between the same two frames.
 
     Args:
         parts: The energies.
@@ -162,10 +185,10 @@ class Sum(AbstractEnergy):
 
 
 class AbstractWrapper(AbstractEnergy):
-    """An energy that is a multiple of another one, perhaps with a property of its own.
+    """A multiple of another energy, or the same energy with additional methods.
 
-    All optional properties of the wrapped energy are found through `energy` and
-    `multiple`, so that a subclass has nothing to forward.
+    `nested` and `solver_protocols` find the optional methods of the wrapped energy
+    through `energy` and `multiple`, so a subclass does not implement them again.
     """
 
     energy: eqx.AbstractVar[AbstractEnergy]
@@ -181,7 +204,7 @@ class AbstractWrapper(AbstractEnergy):
 
 
 class Scaled(AbstractWrapper):
-    """A multiple of an energy: the same hinge, wider or of a stiffer material.
+    """A multiple of an energy, such as that of a wider or stiffer hinge.
 
     Args:
         factor: The factor; finite and not negative.
@@ -196,7 +219,7 @@ class Scaled(AbstractWrapper):
         return self.factor
 
     def validation_error(self) -> str | None:
-        """Describe an invalid factor."""
+        """Describe an invalid factor; None if it is valid."""
         factor = concrete(self.factor)
         if factor is not None and not np.all((factor >= 0) & np.isfinite(factor)):
             return f"its factor must be finite and not negative, but is {factor}."
@@ -205,23 +228,41 @@ class Scaled(AbstractWrapper):
 
 @runtime_checkable
 class HasValidityRange(Protocol):
-    """An energy that holds only in a range of displacements."""
+    """An energy that is valid only in a range of displacements."""
 
     def out_of_range(self, displacement: Displacement) -> Flag | None:
-        """Decide whether a displacement is beyond the range; None without a range."""
+        """Decide whether a displacement is outside the validity range.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+
+        Returns:
+            True outside the range; None if the energy is valid everywhere.
+        """
         ...
 
     def range_message(self, displacement: Displacement) -> str:
-        """Describe a displacement and the range in words."""
+        """Describe a displacement and the range.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+
+        Returns:
+            Text that follows the name of the hinge in a message, without a period.
+        """
         ...
 
 
 @runtime_checkable
 class HasValidationError(Protocol):
-    """An energy that can decide whether its values are valid."""
+    """An energy that checks whether its values are valid."""
 
     def validation_error(self) -> str | None:
-        """Describe the first invalid value in words; None if all are valid."""
+        """Describe the first invalid value.
+
+        Returns:
+            The message; None if all values are valid.
+        """
         ...
 
 
@@ -236,26 +277,21 @@ def nested(energy: AbstractEnergy) -> Iterator[AbstractEnergy]:
 
 
 def out_of_range(energy: AbstractEnergy, displacement: Displacement) -> Flag | None:
-    """Decide whether a displacement is beyond the validity range of an energy.
+    """Decide whether a displacement is outside a validity range of an energy.
 
-    Args:
-        energy: The energy. The ranges of all energies in it count.
-        displacement: The displacement.
-
-    Returns:
-        True beyond the range; None if the energy is valid everywhere.
+    The ranges of all nested energies count. The result is None if there is no range.
     """
-    found = [
+    outside = [
         part.out_of_range(displacement)
         for part in nested(energy)
         if isinstance(part, HasValidityRange)
     ]
-    found = [outside for outside in found if outside is not None]
-    return jnp.any(jnp.stack(found)) if found else None
+    outside = [flag for flag in outside if flag is not None]
+    return jnp.any(jnp.stack(outside)) if outside else None
 
 
 def range_message(energy: AbstractEnergy, displacement: Displacement) -> str:
-    """Describe a displacement and the first validity range that it exceeds, in words."""
+    """Describe a displacement and the first validity range outside of which it is."""
     for part in nested(energy):
         if isinstance(part, HasValidityRange):
             outside = part.out_of_range(displacement)

@@ -26,8 +26,8 @@ class ViscousDamping(eqx.Module):
             together with energies of the twist (equation 3.64 equals 4.42).
         resisted: If True, the damping acts only on strain rates that the hinge's energy
             resists. The ends of a flexure approach each other when it bends, but this
-            does not stretch the flexure. If it were damped like a stretch, the flexure
-            would dissipate about a hundred times as much.
+            does not stretch the flexure. If it were damped as an axial strain, the
+            flexure would dissipate about a hundred times as much.
 
     Raises:
         ValueError: The matrix is not 3 by 3, is not symmetric, has a negative eigenvalue
@@ -54,7 +54,7 @@ class ViscousDamping(eqx.Module):
             "`coordinates`", coordinates, ("twistor", "twist")
         )
         if error := matrix_error("damping", self.damping):
-            raise ValueError(f"A `ViscousDamping` cannot be made: {error}")
+            raise ValueError(f"A `ViscousDamping` cannot be created: {error}")
 
     def __call__(self, pose: Pose, rate: Pose) -> Scalar:
         """Compute the dissipation function, half the dissipated power.

@@ -18,24 +18,19 @@ from .._utils.types import Scalar
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .monomials import Powers
-from .strains import Coordinates, stretch
+from .strains import Coordinates, translation_scale
 
 
 def polynomial_variables(
     displacement: Displacement, coordinates: Coordinates, scale: Scalar
 ) -> tuple[Scalar, ...]:
-    """Compute the variables of a polynomial energy.
+    """Compute the variables of a polynomial energy, in the order of `VARIABLES`.
 
-    Args:
-        displacement: Displacement of frame b relative to frame a.
-        coordinates: "twist" or "twistor".
-        scale: Length by which the translations are divided; m.
-
-    Returns:
-        The variables in the order of `VARIABLES`; dimensionless, tau in rad.
+    Translations are divided by the length `scale` (m). The other variables are tau (rad),
+    or sigma and xi.
     """
     if coordinates == "twist":
-        ratio = 2 * stretch(displacement, "twist") / scale
+        ratio = 2 * translation_scale(displacement, "twist") / scale
         return displacement.angle, ratio * displacement.x1, ratio * displacement.x2
     x1, x2 = displacement.x1 / scale, displacement.x2 / scale
     return displacement.sigma, displacement.xi, x1, x2
@@ -50,18 +45,10 @@ def evaluate_polynomial(
 ) -> Scalar:
     """Evaluate a polynomial or one of its partial derivatives.
 
-    Horner's scheme is written out in scalars. XLA fuses a batch of them into one loop,
-    which is a hundred times as fast as a lookup of powers in a table. Each derivative is
-    again evaluated by this function.
-
-    Args:
-        powers: Powers of each term.
-        derivatives: Order of the derivative with respect to each variable.
-        coefficients: Coefficient of each term.
-        variables: Values of the variables.
-
-    Returns:
-        The value, in the unit of the coefficients.
+    The value is in the unit of the coefficients. `derivatives` is the order of the
+    derivative with respect to each variable. Horner's scheme is written out in scalars.
+    XLA fuses a batch of them into one loop, which is a hundred times as fast as a lookup
+    of powers in a table. Each derivative is again evaluated by this function.
     """
     return _horner(powers, derivatives, coefficients, variables)
 
@@ -83,15 +70,7 @@ def _(powers, derivatives, primals, tangents):
 def _differentiated_terms(
     powers: Powers, derivatives: tuple[int, ...]
 ) -> tuple[tuple[int, float, tuple[int, ...]], ...]:
-    """List the terms that do not vanish in a partial derivative.
-
-    Args:
-        powers: Powers of each term.
-        derivatives: Order of the derivative with respect to each variable.
-
-    Returns:
-        The index of each term, its factor, and the powers that remain.
-    """
+    """List index, factor, and powers of the terms of a partial derivative."""
     return tuple(
         (
             term,
@@ -160,8 +139,8 @@ def term_wrenches(
         coordinates: "twist" or "twistor".
 
     Returns:
-        The wrenches on frame b in its axes, and the energies, both for coefficients of
-        one; N m, N, N and J for coefficients in J.
+        The wrenches about frame b in its axes (N m, N, N), and the energies (J), for
+        coefficients of 1 J.
     """
     exponents = np.array(powers).reshape(len(powers), -1)
 
@@ -190,15 +169,9 @@ def term_wrenches(
 def power_derivatives(
     values: Float[Array, " trials"], exponents: np.ndarray
 ) -> list[Array]:
-    """Compute powers of values and the first two derivatives of these powers.
+    """Compute powers of a variable, and the first two derivatives of these powers.
 
-    Args:
-        values: Values of one variable.
-        exponents: Exponent of the variable in each term.
-
-    Returns:
-        The powers, their first and their second derivatives: a row for each value, a
-        column for each exponent.
+    Each of the three arrays has a row for each value and a column for each exponent.
     """
     rows = [jnp.ones_like(values)]
     for _ in range(exponents.max(initial=0)):

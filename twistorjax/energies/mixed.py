@@ -1,4 +1,4 @@
-"""Energies of flexures that are compliant in two directions and stiff along their axis.
+"""Energy of flexures that are compliant in two directions and stiff along their axis.
 
 The energy of such a flexure is hard to approximate as a function of its displacement: a
 small axial displacement causes a large force, and the axial shortening by bending depends
@@ -58,8 +58,8 @@ class MixedEnergy(CoordinateEnergy):
             there is an axial force for every axial displacement.
 
     Raises:
-        ValueError: The numbers of coefficients and powers do not match; a power is
-            negative or given twice; a value is not finite; a reference value is not
+        ValueError: The numbers of coefficients and powers do not match; a row of powers
+            is invalid or given twice; a value is not finite; a reference value is not
             positive; the axial compliance is not positive.
 
     Source:
@@ -105,7 +105,7 @@ class MixedEnergy(CoordinateEnergy):
         return "twist"
 
     def validation_error(self) -> str | None:
-        """Return a message about an invalid coefficient, or `None`."""
+        """Describe an invalid coefficient; None if all are valid."""
         if error := coefficients_error(self.coefficients, self.powers):
             return error
         values = concrete(self.coefficients)
@@ -132,20 +132,20 @@ class MixedEnergy(CoordinateEnergy):
     def resisted_rates(
         self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
     ) -> tuple[Scalar, Scalar, Scalar]:
-        """Return the strain rates of a solid with one damping time for all strains.
+        """Return the rates of rotation, axial stretch, and transverse displacement.
 
-        The axial rate is the rate of the axial stretch, which is the axial displacement
-        without the part due to bending. It is multiplied by `sqrt(k / k0)`, where k is
-        the axial stiffness at this displacement and k0 that in the reference
-        configuration. A damping proportional to k0 then acts like one proportional to k.
+        The axial stretch is the axial displacement without the part due to bending. Its
+        rate is multiplied by `sqrt(k / k0)`, where k is the axial stiffness at this
+        displacement and k0 that in the reference configuration. A damping proportional to
+        k0 then acts like one proportional to k, as in a solid with one damping time for
+        all strains.
 
         Args:
             displacement: Displacement of frame b relative to frame a.
             rates: Rates of the twist; rad/s, m/s, m/s.
 
         Returns:
-            The rates of rotation, axial stretch and transverse displacement; rad/s, m/s,
-            m/s.
+            The rates; rad/s, m/s, m/s.
         """
         rotation, axial, transverse = strain(displacement, "twist")
         series = self.force_series(rotation, transverse)
@@ -188,7 +188,7 @@ class _NewtonModel(AbstractEnergy):
 
     Args:
         energy: The mixed energy.
-        force_ratio: Predicted axial force divided by the reference force.
+        force_ratio: Predicted axial force divided by the reference force, `n / force`.
     """
 
     energy: MixedEnergy
@@ -206,15 +206,9 @@ class _NewtonModel(AbstractEnergy):
 
 
 def _potential_derivative(energy: MixedEnergy, force_ratio: Scalar, derivative: int):
-    """Return a derivative of W with respect to the relative force, as a function.
+    """Return a derivative of W (J) with respect to `n / force`, of the given order.
 
-    Args:
-        energy: The mixed energy.
-        force_ratio: Axial force divided by the reference force.
-        derivative: Order of the derivative.
-
-    Returns:
-        A function of rotation and transverse displacement (rad, m); J.
+    It is a function of rotation (rad) and transverse displacement (m).
     """
     return lambda rotation, transverse: mixed_potential(
         energy.force_series(rotation, transverse), force_ratio, derivative
@@ -229,17 +223,10 @@ def _model_energy(
     axial: Scalar,
     transverse: Scalar,
 ) -> Scalar:
-    """Compute the energy after one Newton step from a predicted axial force.
+    """Compute the energy (J) after one Newton step from a predicted axial force.
 
-    Args:
-        energy: The mixed energy.
-        force_ratio: Predicted axial force divided by the reference force.
-        rotation: Rotation; rad.
-        axial: Axial displacement times the reference force; J.
-        transverse: Transverse displacement; m.
-
-    Returns:
-        The energy; J.
+    The last three arguments are the rotation (rad), the axial displacement times the
+    reference force (J), and the transverse displacement (m).
     """
     value, slope, curvature = (
         _potential_derivative(energy, force_ratio, k)(rotation, transverse)
@@ -248,6 +235,9 @@ def _model_energy(
     return axial * force_ratio + value - (axial + slope) ** 2 / (2 * curvature)
 
 
+# Derivatives with respect to the energy and the predicted force are not implemented:
+# Newton's method calls these functions on a system without derivatives (`stop_gradient`
+# in `solve.statics`).
 @_model_energy.defjvp
 def _(primals, tangents):
     by_rotation, by_axial, by_transverse = _model_gradient(*primals)
@@ -268,21 +258,10 @@ def _model_gradient(
     axial: Scalar,
     transverse: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Compute the gradient of the model energy.
+    """Compute the gradient of the model energy with respect to its last three arguments.
 
-    It is correct to first order in the residual `axial + dW/d(force_ratio)`. In its own
-    derivative, terms of this order are neglected.
-
-    Args:
-        energy: The mixed energy.
-        force_ratio: Predicted axial force divided by the reference force.
-        rotation: Rotation; rad.
-        axial: Axial displacement times the reference force; J.
-        transverse: Transverse displacement; m.
-
-    Returns:
-        The derivatives with respect to rotation, `axial` and transverse displacement;
-        J/rad, dimensionless, N.
+    The gradient (J/rad, -, N) is correct to first order in the residual
+    `axial + dW/d(force_ratio)`. In its derivative, terms of this order are neglected.
     """
     (slope, gradient), curvature = _force_derivatives(
         energy, force_ratio, rotation, transverse
@@ -326,15 +305,9 @@ def _force_derivatives(
 ) -> tuple[tuple[Scalar, tuple[Scalar, Scalar]], Scalar]:
     """Compute derivatives of W with respect to the relative axial force.
 
-    Args:
-        energy: The mixed energy.
-        force_ratio: Axial force divided by the reference force.
-        rotation: Rotation; rad.
-        transverse: Transverse displacement; m.
-
     Returns:
-        The first derivative (J) with its gradient by rotation and transverse displacement
-        (J/rad, N), and the second derivative (J).
+        The first derivative (J) with its gradient with respect to rotation and transverse
+        displacement (J/rad, N), and the second derivative (J).
     """
     slope = jax.value_and_grad(_potential_derivative(energy, force_ratio, 1), (0, 1))
     curvature = _potential_derivative(energy, force_ratio, 2)

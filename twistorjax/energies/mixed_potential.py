@@ -19,16 +19,10 @@ ForceSeries = tuple[Scalar, ...]
 def mixed_potential(
     series: ForceSeries, force_ratio: Scalar, derivative: int = 0
 ) -> Scalar:
-    """Evaluate W or its first or second derivative with respect to the relative force.
+    """Evaluate W or its first or second derivative with respect to the relative force; J.
 
-    Args:
-        series: Coefficients of the powers of the relative axial force; J.
-        force_ratio: Axial force divided by the reference force. Between minus one and one
-            W is the polynomial, outside it is a parabola.
-        derivative: Order of the derivative.
-
-    Returns:
-        W or its derivative; J.
+    Between the relative forces minus one and one, W is the polynomial with the given
+    coefficients. Outside it is a parabola.
     """
     inside = jnp.clip(force_ratio, -1.0, 1.0)
     outside = force_ratio - inside
@@ -48,14 +42,9 @@ def mixed_potential(
 
 @jax.custom_jvp
 def maximum_over_force(series: ForceSeries, axial: Scalar) -> Scalar:
-    """Compute the stored energy, the maximum of `n t1 + W` over the axial force n.
+    """Compute the stored energy, the maximum of `n t1 + W` over the axial force n; J.
 
-    Args:
-        series: Coefficients of the powers of the relative axial force; J.
-        axial: Axial displacement times the reference force; J.
-
-    Returns:
-        The maximum; J.
+    `axial` is the axial displacement times the reference force; J.
     """
     force_ratio = axial_force_ratio(series, axial)
     return axial * force_ratio + mixed_potential(series, force_ratio)
@@ -63,7 +52,7 @@ def maximum_over_force(series: ForceSeries, axial: Scalar) -> Scalar:
 
 @maximum_over_force.defjvp
 def _(primals, tangents):
-    # at the maximum the derivative with respect to the axial force vanishes
+    # At the maximum, the derivative with respect to the axial force is zero.
     series, axial = primals
     series_rates, axial_rate = tangents
     force_ratio = axial_force_ratio(series, axial)
@@ -74,21 +63,16 @@ def _(primals, tangents):
 
 @jax.custom_jvp
 def axial_force_ratio(series: ForceSeries, axial: Scalar) -> Scalar:
-    """Compute the relative axial force that belongs to an axial displacement.
+    """Compute the relative axial force of an axial displacement.
+
+    `axial` is the axial displacement times the reference force; J. The result is NaN if
+    the stationary value is not a maximum.
 
     Each Newton iteration starts between minus one and one. The last iteration is exact
     outside of this interval, because W is a parabola there.
     `optimistix.root_find` takes five times as long to compile and twice as long to run
     (100,000 values and derivatives), so the small Newton iterations of this library are
     loops of fixed length.
-
-    Args:
-        series: Coefficients of the powers of the relative axial force; J.
-        axial: Axial displacement times the reference force; J.
-
-    Returns:
-        Axial force divided by the reference force. NaN if the stationary value is not a
-        maximum.
     """
 
     def newton_step(_, force_ratio: Scalar) -> Scalar:

@@ -59,12 +59,12 @@ def monomials(
             them all are kept:
 
             * "mirror": The hinge equals its mirror image about axis 1.
-            * "ends": The hinge does not change if it is rotated by half a turn, so that
-              its ends are interchanged.
+            * "ends": The hinge does not change if it is rotated by pi, so that its ends
+              are interchanged.
             * "exchange": The hinge does not change if its two bodies are interchanged
               together with their frames.
-            * "sign": The energy has the same value after a full turn. This applies to
-              the twistor only, whose sign changes in a full turn.
+            * "sign": The energy has the same value after a rotation of 2 pi. This applies
+              to the twistor only, whose sign changes with this rotation.
 
             "leaf" stands for "mirror" and "ends", and for the twistor also for "sign". It
             describes a straight hinge with equal sides and equal ends.
@@ -110,7 +110,7 @@ def monomials(
     limited = slice(None)
     if coordinates == "mixed":
         largest_powers[2], limited = order // 2 + 1, slice(2)
-    # the power of the last variable varies most slowly
+    # The power of the last variable varies most slowly.
     rows = product(*(range(largest + 1) for largest in reversed(largest_powers)))
     powers = (tuple(reversed(row)) for row in rows)
 
@@ -126,11 +126,7 @@ def monomials(
 def substitution_matrix(
     powers: Powers, matrix: Float[Array, "n n"]
 ) -> Float[Array, "terms monomials"]:
-    """Substitute variables that are linear functions of other variables.
-
-    Args:
-        powers: Powers of each term in the old variables.
-        matrix: The old variables are `matrix @ new_variables`.
+    """Substitute the old variables of terms, which are `matrix @ new_variables`.
 
     Returns:
         The coefficients of each term in the monomials of the new variables. The columns
@@ -184,10 +180,7 @@ def _all_monomials(size: int, order: int) -> Powers:
 
 @lru_cache
 def sigma_reduction(order: int) -> np.ndarray:
-    """Replace `sigma^2` by `1 - xi^2` in all monomials of the twistor.
-
-    Args:
-        order: Largest sum of powers in a monomial.
+    """Replace `sigma^2` by `1 - xi^2` in all monomials of the twistor up to an order.
 
     Returns:
         The coefficients of each monomial of `monomials(order, redundant=True)`, in rows,
@@ -207,10 +200,6 @@ def sigma_reduction(order: int) -> np.ndarray:
 def reference_values(powers: Powers) -> np.ndarray:
     """Evaluate the monomials in the reference configuration.
 
-    Args:
-        powers: Powers of each monomial.
-
-    Returns:
-        The values: one for the constant and for powers of sigma alone, otherwise zero.
+    The value is one for the constant and for powers of sigma alone, otherwise zero.
     """
     return np.array([not any(row[-3:]) for row in powers], float)

@@ -1,7 +1,7 @@
 """Energy of point charges on two bodies.
 
-The energy is known in closed form and has a pole wherever two charges meet. It is a test
-case for rational fits.
+The energy is known in closed form and has a pole if the positions of two charges are
+equal. It is a test case for rational fits.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 
 
-VACUUM = 8.9875517862e9  # 1 / (4 pi epsilon_0); N m^2 / C^2
+COULOMB_CONSTANT = 8.9875517862e9  # 1 / (4 pi epsilon_0); N m^2 / C^2
 
 
 # Charges (C) and a row (x, y) for each of them (m), on bodies A and B
@@ -38,8 +38,8 @@ class PointCharges(AbstractEnergy):
     Charges on the same body do not interact, because their distances are constant. If a
     charge of A and a charge of B have the same position, the energy is infinite and the
     wrench is undefined. This may happen in the reference configuration, where frames a
-    and b coincide. Such a hinge has no stiffness there, so an equilibrium must be
-    searched from another start.
+    and b coincide. The stiffness is then undefined, so an equilibrium must be computed
+    from another `start`.
 
     Args:
         charges_a: Charges on body A; C.
@@ -83,13 +83,13 @@ class PointCharges(AbstractEnergy):
         charges_b: ChargesBLike | None = None,
         sites_b: SitesBLike | None = None,
         *,
-        constant: NumberLike = VACUUM,
+        constant: NumberLike = COULOMB_CONSTANT,
     ):
         if (charges_b is None) != (sites_b is None):
             names = ("charges_b", "sites_b")
             missing, given = names if charges_b is None else reversed(names)
             raise ValueError(
-                f"`{missing}` are not given, but `{given}` are. Give both, or neither if "
+                f"`{missing}` is not given, but `{given}` is. Give both, or neither if "
                 "body B has the same charges as body A."
             )
         self.charges_a = jnp.asarray(charges_a, float)
@@ -114,10 +114,10 @@ class PointCharges(AbstractEnergy):
                     f"charges must have {(len(charges), 2)}: a row (x, y) for each."
                 )
         if error := self.validation_error():
-            raise ValueError(f"A `PointCharges` energy cannot be made: {error}")
+            raise ValueError(f"A `PointCharges` energy cannot be created: {error}")
 
     def validation_error(self) -> str | None:
-        """Return a message about the first value that is not finite, or `None`."""
+        """Describe the first value that is not finite; None if all are finite."""
         for name in ("charges_a", "sites_a", "charges_b", "sites_b"):
             values = concrete(getattr(self, name))
             if values is not None and not np.all(np.isfinite(values)):

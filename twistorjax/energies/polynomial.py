@@ -34,7 +34,7 @@ from .solver_protocols import translation_scale
 from .strains import Coordinates
 
 
-LARGEST_POWER = 1000  # far above the powers of any fit
+LARGEST_POWER = 1000
 
 
 class _MonomialEnergy(CoordinateEnergy):
@@ -64,7 +64,7 @@ class _MonomialEnergy(CoordinateEnergy):
         require_coefficients(self, self.coefficients, self.powers, dimensions)
 
     def validation_error(self) -> str | None:
-        """Return a message about the first coefficient that is not finite, or `None`."""
+        """Describe the first coefficient that is not finite; None if all are finite."""
         return coefficients_error(self.coefficients, self.powers)
 
     def _evaluate(
@@ -88,8 +88,8 @@ class Polynomial(_MonomialEnergy):
             their powers, by default one meter, as in the dissertation; m.
 
     Raises:
-        ValueError: The numbers of coefficients, powers or variables do not match; a power
-            is negative or given twice; a value is not finite.
+        ValueError: The numbers of coefficients, powers, or variables do not match; a row
+            of powers is invalid or given twice; a value is not finite.
 
     Source:
         Equations 3.67 and 4.69 of the dissertation.
@@ -227,8 +227,8 @@ class SumOfSquares(_MonomialEnergy):
         scale: Length by which the translations are divided; m.
 
     Raises:
-        ValueError: The numbers of coefficients, powers or variables do not match; a power
-            is negative or given twice; a value is not finite.
+        ValueError: The numbers of coefficients, powers, or variables do not match; a row
+            of powers is invalid or given twice; a value is not finite.
     """
 
     coefficients: Float[Array, "squares terms"]
@@ -252,14 +252,9 @@ class SumOfSquares(_MonomialEnergy):
 
 
 def require_powers(powers: Sequence[Sequence[int]], names: Sequence[str]) -> Powers:
-    """Check the powers of each term.
+    """Check the powers of each term and return them as tuples of integers.
 
-    Args:
-        powers: A row for each term.
-        names: Names of the variables. A row has a power for each of them.
-
-    Returns:
-        The rows, as tuples of integers.
+    Each row must have one power for each of the `names` of the variables.
 
     Raises:
         ValueError: A row has the wrong length, a power is not a whole number from 0 to
@@ -277,7 +272,7 @@ def _require_row(index: int, row: Sequence[int], names: Sequence[str]) -> tuple[
     try:
         integers = tuple(operator.index(power) for power in row)
     except TypeError:
-        integers = ()  # numbers with a fraction are not rounded
+        integers = ()  # Numbers with a fraction are not rounded.
     in_limits = all(0 <= power <= LARGEST_POWER for power in integers)
     if len(integers) != len(names) or not in_limits:
         raise ValueError(
@@ -290,7 +285,7 @@ def _require_row(index: int, row: Sequence[int], names: Sequence[str]) -> tuple[
 def coefficients_error(
     coefficients: Float[Array, "*sums terms"], powers: Powers
 ) -> str | None:
-    """Return a message about the first coefficient that is not finite, or `None`."""
+    """Describe the first coefficient that is not finite; None if all are finite."""
     values = concrete(coefficients)
     if values is None or np.all(np.isfinite(values)):
         return None
@@ -306,11 +301,8 @@ def require_coefficients(
 ) -> None:
     """Check that there is a valid coefficient for each term of an energy.
 
-    Args:
-        energy: The energy, with all of its fields set.
-        coefficients: Its coefficients.
-        powers: Its powers.
-        dimensions: Number of dimensions that the array of coefficients must have.
+    `dimensions` is the number of dimensions that the array of coefficients must have. All
+    fields of the energy must be set.
 
     Raises:
         ValueError: The shape does not match, or the energy has a validation error.
@@ -323,4 +315,4 @@ def require_coefficients(
             + ("." if dimensions == 1 else ", in every row.")
         )
     if error := validation_error(energy):
-        raise ValueError(f"A `{type(energy).__name__}` energy cannot be made: {error}")
+        raise ValueError(f"A `{type(energy).__name__}` energy cannot be created: {error}")

@@ -8,21 +8,21 @@ from .._utils.validation import concrete, require_choice
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
-from .strains import Coordinates, half_square, matrix_error, strain, stretch
+from .strains import Coordinates, half_square, matrix_error, strain, translation_scale
 
 
 class CoordinateEnergy(AbstractEnergy):
     """An energy in the coordinates of the twist or of the twistor.
 
-    The twist is not defined at a full rotation, so an energy of the twist is valid below
-    a full rotation only.
+    The twist is not defined at a rotation of 2 pi, so an energy of the twist is valid for
+    rotations below 2 pi only.
     """
 
     coordinates: eqx.AbstractVar[Coordinates]
 
     def translation_scale(self, displacement: Displacement) -> Scalar:
-        """Compute the ratio of the translations of the coordinates to mid-frame ones."""
-        return stretch(displacement, self.coordinates)
+        """Compute the ratio of the strain's translation to that in the mid-frame."""
+        return translation_scale(displacement, self.coordinates)
 
     def out_of_range(self, displacement: Displacement) -> Flag | None:
         """Decide whether the twist is undefined at a displacement."""
@@ -31,33 +31,34 @@ class CoordinateEnergy(AbstractEnergy):
         return jnp.abs(displacement.angle) >= 2 * jnp.pi
 
     def range_message(self, displacement: Displacement) -> str:
-        """Describe the rotation and the range of the twist in words."""
+        """Describe the rotation and the range of the twist."""
         angle = concrete(displacement.angle)
         rotated = "" if angle is None else f" by {float(angle):.4g} rad"
         return (
-            f"it is rotated{rotated}, but its energy is one of the twist, which is "
-            "defined below a full rotation, 6.283 rad; use coordinates='twistor'"
+            f"it is rotated{rotated}, but its energy is a function of the twist, which "
+            "is defined for rotations below 6.283 rad only; use coordinates='twistor'"
         )
 
 
 class Quadratic(CoordinateEnergy):
     """A quadratic form of the twist or of the twistor.
 
-    Both have the given stiffness in the reference configuration, and differ from the
-    third order on. The energy of the twist grows without bound with the angle. That of
-    the twistor is bounded in the angle and transmits no moment at half a rotation; it is
-    the faster one, without sine and cosine.
+    Both have the given stiffness in the reference configuration, and their energies
+    differ by terms of third and higher order. The energy of the twist grows without bound
+    with the angle. The energy of the twistor is bounded, and its moment is proportional
+    to the sine of the angle, so it is zero at a rotation of pi. Its evaluation is faster,
+    because it needs no sine and cosine.
 
     Args:
-        stiffness: Stiffness in the frame of the hinge, symmetric and with no negative
-            eigenvalue. Rows and columns are rotation, axis 1, axis 2; N m/rad, N/rad,
+        stiffness: Stiffness in the frame of the hinge, symmetric and without negative
+            eigenvalues. Rows and columns are rotation, axis 1, axis 2; N m/rad, N/rad,
             N/m.
         coordinates: "twistor" for the energy `2 v K v` of v = (xi, x1, x2), "twist" for
             `t K t / 2` of the twist t.
 
     Raises:
-        ValueError: The stiffness is not 3 by 3, not symmetric, has a negative eigenvalue
-            or a value that is not finite, or the coordinates are unknown.
+        ValueError: The stiffness is not 3 by 3 or not symmetric, it has a negative
+            eigenvalue or a value that is not finite, or the coordinates are unknown.
 
     Source:
         Equations 3.4 and 4.7 of the dissertation.
@@ -71,29 +72,25 @@ class Quadratic(CoordinateEnergy):
     stiffness: Matrix
     coordinates: Coordinates = eqx.field(static=True)
 
-    def __init__(
-        self,
-        stiffness: MatrixLike,
-        coordinates: Coordinates = "twistor",
-    ):
+    def __init__(self, stiffness: MatrixLike, coordinates: Coordinates = "twistor"):
         self.stiffness = jnp.asarray(stiffness, float)
         self.coordinates = require_choice(
             "`coordinates`", coordinates, ("twistor", "twist")
         )
         if error := self.validation_error():
-            raise ValueError(f"A `Quadratic` energy cannot be made: {error}")
+            raise ValueError(f"A `Quadratic` energy cannot be created: {error}")
 
     def validation_error(self) -> str | None:
-        """Describe an invalid stiffness in words."""
+        """Describe an invalid stiffness; None if it is valid."""
         return matrix_error("stiffness", self.stiffness)
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         return half_square(self.stiffness, strain(displacement, self.coordinates))
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
-        """Multiply the stiffness by a time.
+        """Multiply the stiffness by a time (s).
 
-        The derivatives of the energy, which would give the same stiffness, are a third
-        of the time to compile a motion.
+        This formula avoids second derivatives of the energy, which would take a third of
+        the compilation time of a motion.
         """
         return ViscousDamping(time * self.stiffness)

@@ -1,8 +1,8 @@
-"""Optional properties of energies by which solvers and damping treat them better.
+"""Optional methods of energies, which reduce solver steps or define damping.
 
-They change no solution, only the number of steps, except for damping. The functions of
-this module find a property also inside of multiples and validity ranges; hinges treat the
-terms of a sum one by one. An energy without a property has the default.
+Only the methods for damping change a solution. The functions of this module find the
+methods of an energy also if it is multiplied by a factor or has a validity range. The
+terms of a sum are treated as separate hinges. An energy without a method has the default.
 """
 
 from typing import Protocol, runtime_checkable
@@ -20,23 +20,33 @@ Rates = tuple[Scalar, Scalar, Scalar]
 
 @runtime_checkable
 class HasTranslationScale(Protocol):
-    """An energy that is nearly quadratic in translations of its own coordinates."""
+    """An energy that is nearly quadratic in scaled mid-frame translations."""
 
     def translation_scale(self, displacement: Displacement) -> Scalar:
-        """Compute the ratio of its own translations to those in the mid-frame."""
+        """Compute the factor by which mid-frame translations are multiplied.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+
+        Returns:
+            The dimensionless factor, a function of the angle only.
+        """
         ...
 
 
 @runtime_checkable
 class HasNewtonModel(Protocol):
-    """An energy with a better model for Newton's method than its own derivatives."""
+    """An energy that Newton's method replaces by another energy, to need fewer steps."""
 
     def newton_model(self, axial_force: Scalar) -> AbstractEnergy:
         """Return the energy that replaces it in a Newton step.
 
         Args:
-            axial_force: Predicted force along axis 1; N. Near this force, the derivatives
-                of the model agree with its own to first order.
+            axial_force: Predicted force along axis 1; N.
+
+        Returns:
+            An energy whose derivatives agree with those of this energy to first order,
+            near the predicted force.
         """
         ...
 
@@ -46,20 +56,35 @@ class HasProportionalDamping(Protocol):
     """An energy with a formula for damping in proportion to its stiffness."""
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
-        """Return the damping that is the stiffness times a time; N m s/rad, N s/m."""
+        """Return the damping that is the stiffness times a time.
+
+        Args:
+            time: Factor of the stiffness in the reference configuration; s.
+
+        Returns:
+            The damping; N m s/rad, N s/rad, N s/m.
+        """
         ...
 
 
 @runtime_checkable
 class HasResistedRates(Protocol):
-    """An energy that is stiff against some combinations of the twist rates only."""
+    """An energy whose proportional damping acts only on strain rates that it resists."""
 
     def resisted_rates(self, displacement: Displacement, rates: Rates) -> Rates:
-        """Return the part of the twist rates that the energy resists."""
+        """Return the part of the strain rates that the energy resists.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+            rates: Rates of the twist; rad/s, m/s, m/s.
+
+        Returns:
+            The rates on which the damping acts; rad/s, m/s, m/s.
+        """
         ...
 
 
-def bare(energy: AbstractEnergy) -> AbstractEnergy:
+def unwrap(energy: AbstractEnergy) -> AbstractEnergy:
     """Remove factors and validity ranges from an energy."""
     while isinstance(energy, AbstractWrapper):
         energy = energy.energy
@@ -67,24 +92,19 @@ def bare(energy: AbstractEnergy) -> AbstractEnergy:
 
 
 def translation_scale(energy: AbstractEnergy, displacement: Displacement) -> Scalar:
-    """Compute the ratio of the energy's own translations to those in the mid-frame.
+    """Compute the factor by which mid-frame translations are multiplied.
 
-    Newton's method predicts the generalized stress of a hinge in these coordinates, and
-    takes few steps if the energy is nearly quadratic in them.
+    Newton's method predicts the generalized stress of a hinge with respect to the scaled
+    translations. It takes few steps if the energy is nearly quadratic in them.
     """
-    inner = bare(energy)
+    inner = unwrap(energy)
     if isinstance(inner, HasTranslationScale):
         return inner.translation_scale(displacement)
     return jnp.ones_like(displacement.angle)
 
 
 def newton_model(energy: AbstractEnergy, axial_force: Scalar) -> AbstractEnergy:
-    """Return the energy that replaces another one in a Newton step.
-
-    Args:
-        energy: The energy.
-        axial_force: Predicted force along axis 1; N.
-    """
+    """Return the energy that replaces another one near a predicted axial force; N."""
     if isinstance(energy, AbstractWrapper):
         if energy.multiple is None:
             return newton_model(energy.energy, axial_force)
@@ -98,7 +118,7 @@ def newton_model(energy: AbstractEnergy, axial_force: Scalar) -> AbstractEnergy:
 
 
 def proportional_damping(energy: AbstractEnergy, time: Scalar) -> ViscousDamping:
-    """Return the damping that is the stiffness in the reference pose times a time; s."""
+    """Return the damping that is the stiffness in the reference pose times `time`; s."""
     if isinstance(energy, AbstractWrapper):
         factor = 1.0 if energy.multiple is None else energy.multiple
         return proportional_damping(energy.energy, factor * time)
@@ -109,14 +129,17 @@ def proportional_damping(energy: AbstractEnergy, time: Scalar) -> ViscousDamping
 
 def has_resisted_rates(energy: AbstractEnergy) -> bool:
     """Decide whether an energy resists only a part of the twist rates."""
-    return isinstance(bare(energy), HasResistedRates)
+    return isinstance(unwrap(energy), HasResistedRates)
 
 
 def resisted_rates(
     energy: AbstractEnergy, displacement: Displacement, rates: Rates
 ) -> Rates:
-    """Return the part of the twist rates that an energy resists; rad/s, m/s, m/s."""
-    inner = bare(energy)
+    """Return the part of the twist rates that an energy resists; rad/s, m/s, m/s.
+
+    By default, these are all of them.
+    """
+    inner = unwrap(energy)
     if isinstance(inner, HasResistedRates):
         return inner.resisted_rates(displacement, rates)
     return rates
@@ -132,10 +155,11 @@ class _RangeOnly(AbstractEnergy):
 
 
 def parallel_terms(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
-    """Split an energy into the terms of its sum; itself, if it is no sum.
+    """Split an energy into the terms of its sum; itself, if it is not a sum.
 
-    A mechanism treats the terms as hinges in parallel, so that each term keeps its own
-    properties. If a sum has a validity range, one more term checks it and stores nothing.
+    A mechanism treats the terms as hinges in parallel, so that each term has its own
+    optional methods. If a sum has a validity range, an additional term without energy
+    checks this range.
     """
     if isinstance(energy, Sum):
         return tuple(term for part in energy.parts for term in parallel_terms(part))

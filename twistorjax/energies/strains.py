@@ -23,29 +23,19 @@ Coordinates = Literal["twist", "twistor"]
 def strain(
     displacement: Displacement, coordinates: Coordinates
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Compute the strain of a hinge, of which a quadratic energy is a quadratic form.
+    """Compute the strain of a hinge for the rotation, axis 1, and axis 2; rad, m, m.
 
-    Args:
-        displacement: Displacement of frame b relative to frame a.
-        coordinates: "twist", or "twistor" for `2 (xi, x1, x2)`.
-
-    Returns:
-        The components for the rotation, axis 1 and axis 2; rad, m, m.
+    It is the twist, or `2 (xi, x1, x2)` for the twistor.
     """
     rotation = displacement.angle if coordinates == "twist" else 2 * displacement.xi
-    ratio = stretch(displacement, coordinates)
+    ratio = translation_scale(displacement, coordinates)
     return rotation, 2 * ratio * displacement.x1, 2 * ratio * displacement.x2
 
 
-def stretch(displacement: Displacement, coordinates: Coordinates) -> Scalar:
+def translation_scale(displacement: Displacement, coordinates: Coordinates) -> Scalar:
     """Compute the ratio of the strain's translation to the mid-frame translation.
 
-    Args:
-        displacement: Displacement of frame b relative to frame a.
-        coordinates: "twist" or "twistor".
-
-    Returns:
-        The ratio: one for the twistor, and the ratio of arc to chord for the twist.
+    It is one for the twistor, and the ratio of arc to chord for the twist.
     """
     if coordinates == "twist":
         return 1 / se2.sinc(displacement.angle / 2, displacement.xi)
@@ -55,15 +45,10 @@ def stretch(displacement: Displacement, coordinates: Coordinates) -> Scalar:
 def half_square(matrix: Matrix, vector: tuple[Scalar, Scalar, Scalar]) -> Scalar:
     """Compute half a quadratic form, `vector . matrix . vector / 2`.
 
-    The sum is written out in scalars, so that XLA fuses it with its surroundings in a
-    batch of hinges. With a matrix product a sweep of stages takes a fifth longer.
-
-    Args:
-        matrix: Symmetric matrix, for example a stiffness or a damping.
-        vector: Strain or strain rate; rad, m, m or rad/s, m/s, m/s.
-
-    Returns:
-        Half the quadratic form; J for a stiffness and W for a damping.
+    It is an energy (J) for a stiffness and a strain, and half a power (W) for a damping
+    and a strain rate. The sum is written out in scalars, so that XLA fuses it with other
+    operations in a batch of hinges. With a matrix product a sweep of stages takes a fifth
+    longer.
     """
     a, b, c = vector
     squares = matrix[0, 0] * a * a + matrix[1, 1] * b * b + matrix[2, 2] * c * c
@@ -72,14 +57,9 @@ def half_square(matrix: Matrix, vector: tuple[Scalar, Scalar, Scalar]) -> Scalar
 
 
 def matrix_error(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
-    """Check that a matrix can be a stiffness or a damping.
+    """Describe why a matrix cannot be a stiffness or a damping; None if it can.
 
-    Args:
-        name: Name of the argument, for the message.
-        matrix: One matrix or a batch of matrices. Traced values are not checked.
-
-    Returns:
-        A message that describes the first error, or `None` if there is no error.
+    Traced values are not checked. `name` is that of the argument.
     """
     if matrix.shape[-2:] != (3, 3):
         return (
@@ -91,8 +71,8 @@ def matrix_error(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
         return None
     if not np.all(np.isfinite(values)):
         return f"`{name}` has a value that is not finite: {values.tolist()}."
-    # Rotation and translation have different units. A scaling by the diagonal makes the
-    # entries comparable.
+    # Rotation and translation have different units, so the matrix is scaled by its
+    # diagonal.
     size = np.sqrt(np.abs(np.diagonal(values, axis1=-2, axis2=-1)))
     size = np.where(size > 0, size, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -38,8 +38,8 @@ class WithValidityRange(AbstractWrapper):
         >>> limited.wrench(jnp.array([0.2, 0.0, 0.0]))
         Traceback (most recent call last):
             ...
-        ValueError: Beyond the range of the energy: its rotation is 0.2 rad and its force
-        0 N, but it is valid up to 0.1 rad and 5 N.
+        ValueError: Outside the validity range of the energy: its rotation is 0.2 rad and
+        its force 0 N, but the energy is valid up to 0.1 rad and 5 N.
     """
 
     energy: AbstractEnergy
@@ -66,8 +66,8 @@ class WithValidityRange(AbstractWrapper):
         )
 
     def out_of_range(self, displacement: Displacement) -> Flag:
-        """Return whether the rotation or the force exceeds the validity range."""
-        # The limits allow for rounding, and for the error of the force itself.
+        """Decide whether the rotation or the force exceeds the validity range."""
+        # The limits include rounding errors, and the error of the force itself.
         slack = 1 + 1e-9
         valid_rotation = jnp.abs(displacement.angle) <= slack * self.rotation
         largest_force = (slack + 3 * jnp.max(self.error)) * self.force
@@ -95,8 +95,8 @@ class WithValidityRange(AbstractWrapper):
             return "its rotation or its force exceeds its validity range"
         rotation, force, largest_rotation, largest_force = map(float, values)
         return (
-            f"its rotation is {rotation:.4g} rad and its force {force:.4g} N, but it is "
-            f"valid up to {largest_rotation:.4g} rad and {largest_force:.4g} N"
+            f"its rotation is {rotation:.4g} rad and its force {force:.4g} N, but the "
+            f"energy is valid up to {largest_rotation:.4g} rad and {largest_force:.4g} N"
         )
 
     def __repr__(self) -> str:

@@ -14,6 +14,7 @@ here it is free.
 """
 
 from collections.abc import Mapping
+from itertools import accumulate
 from typing import Literal, NamedTuple, TYPE_CHECKING
 
 import jax.numpy as jnp
@@ -29,8 +30,8 @@ from ..mechanism.body import Body, plate
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
-from ..plotting.canvas import subplots
 from ..plotting.drawing import draw
+from ..plotting.figure_style import subplots
 from ..solve.dynamics import simulate
 from ..solve.motion import Motion
 
@@ -57,15 +58,6 @@ class _Flexure(NamedTuple):
     energy: AbstractEnergy
     length: NumberLike
     outline: Corners
-
-
-class _Heights(NamedTuple):
-    """Heights along an upright link, above the center line of link 1; m."""
-
-    lower_hinge: NumberLike
-    link: NumberLike
-    upper_hinge: NumberLike
-    top: NumberLike
 
 
 def four_bar(
@@ -133,9 +125,9 @@ def four_bar(
         flexures["B"] = flexures["C"] = _Flexure(energy, hole, outline)
         length_2 = 30e-3
 
-    left = _heights(flexures["A"].length, length_2, flexures["B"].length)
-    right = _heights(flexures["D"].length, _LENGTH, flexures["C"].length)
-    height_3 = (left.top + right.top) / 2 + _WIDTH / 2
+    a, link_2, b, top_2 = _heights(flexures["A"].length, length_2, flexures["B"].length)
+    d, link_4, c, top_4 = _heights(flexures["D"].length, _LENGTH, flexures["C"].length)
+    link_3 = (top_2 + top_4) / 2 + _WIDTH / 2
 
     def hinge(name: str, first: str, second: str, x: float, y: NumberLike) -> Hinge:
         flexure = flexures[name]
@@ -152,15 +144,15 @@ def four_bar(
     return Mechanism(
         bodies=[
             _link("1", 0.0, 0.0, _LENGTH, _WIDTH, aluminum),
-            _link("2", -_HALF_SPAN, left.link, _WIDTH, length_2, aluminum),
-            _link("3", 0.0, height_3, _LENGTH, _WIDTH, aluminum),
-            _link("4", _HALF_SPAN, right.link, _WIDTH, _LENGTH, aluminum),
+            _link("2", -_HALF_SPAN, link_2, _WIDTH, length_2, aluminum),
+            _link("3", 0.0, link_3, _LENGTH, _WIDTH, aluminum),
+            _link("4", _HALF_SPAN, link_4, _WIDTH, _LENGTH, aluminum),
         ],
         hinges=[
-            hinge("A", "1", "2", -_HALF_SPAN, left.lower_hinge),
-            hinge("B", "2", "3", -_HALF_SPAN, left.upper_hinge),
-            hinge("C", "3", "4", _HALF_SPAN, right.upper_hinge),
-            hinge("D", "4", "1", _HALF_SPAN, right.lower_hinge),
+            hinge("A", "1", "2", -_HALF_SPAN, a),
+            hinge("B", "2", "3", -_HALF_SPAN, b),
+            hinge("C", "3", "4", _HALF_SPAN, c),
+            hinge("D", "4", "1", _HALF_SPAN, d),
         ],
         fixed=["1"],
     )
@@ -242,7 +234,7 @@ def released_motion(
 
 
 def plot(linkage: Mechanism, motion: Motion) -> "Figure":
-    """Draw a linkage at several times of a motion, one panel for each time.
+    """Draw a linkage at several times of a motion.
 
     Args:
         linkage: A linkage made by `four_bar`.
@@ -250,7 +242,7 @@ def plot(linkage: Mechanism, motion: Motion) -> "Figure":
             drawn, evenly spaced.
 
     Returns:
-        The figure.
+        A figure with one panel for each time.
 
     Source:
         Figures 5.3 and 5.6 of the dissertation.
@@ -275,25 +267,16 @@ def plot(linkage: Mechanism, motion: Motion) -> "Figure":
     return figure
 
 
-def _heights(lower: NumberLike, link: NumberLike, upper: NumberLike) -> _Heights:
-    """Compute the heights along an upright link from the lengths of its parts.
-
-    Args:
-        lower: Length of the hinge on link 1; m.
-        link: Length of the link; m.
-        upper: Length of the hinge below link 3; m.
+def _heights(*lengths: NumberLike) -> list[NumberLike]:
+    """Compute the heights of parts of given lengths (m) that stand on link 1.
 
     Returns:
-        The centers of both hinges and of the link, and the upper end of the upper hinge;
-        m.
+        The height of the center of each part, and of the upper end of the last part,
+        above the center line of link 1; m.
     """
-    ground = _WIDTH / 2
-    return _Heights(
-        lower_hinge=ground + lower / 2,
-        link=ground + lower + link / 2,
-        upper_hinge=ground + lower + link + upper / 2,
-        top=ground + lower + link + upper,
-    )
+    *lower_ends, top = accumulate(lengths, initial=_WIDTH / 2)
+    centers = [end + length / 2 for end, length in zip(lower_ends, lengths, strict=True)]
+    return [*centers, top]
 
 
 def _link(

@@ -1,4 +1,4 @@
-"""Four identification problems: what measurements determine, and what they do not.
+"""Four identification problems with synthetic or published measurements.
 
 Start reading in `identify_hinge_a`. The measurements of the linkages and of the leaf are
 synthetic data, computed by the library itself. A random key adds sensor errors to them.
@@ -73,19 +73,19 @@ def release_test(
     position_deviation: float = 1e-6,
     tolerance: float = 1e-7,
 ) -> MotionTest:
-    """Describe a test that releases the linkage and films its three moving links.
+    """Describe a test in which the linkage is released and a camera measures its motion.
 
-    Link 3 starts with a velocity of 10 m/s along x. A camera measures the angles and
+    Link 3 starts with a velocity of 10 m/s along x. The camera measures the angles and
     positions of links 2, 3, and 4.
 
     Args:
-        times: Times of the pictures; s.
+        times: Times of the readings; s.
         angle_deviation: Standard deviation of the measured angles; rad.
         position_deviation: Standard deviation of the measured positions; m.
         tolerance: Tolerance of `simulate`.
 
     Returns:
-        The test.
+        The test, with nine readings at each time.
 
     Example:
         >>> release_test().columns[:4]
@@ -149,7 +149,7 @@ def stage_model(parameters: NamedNumbers) -> Mechanism:
     return stage.microstage(parameters["web"], material=material)
 
 
-def identify_stage_web(compression: bool = True, **settings: Any) -> Identification:
+def identify_stage_web(elongation: bool = True, **settings: Any) -> Identification:
     """Identify the web and Young's modulus of the stage from measurements of 1978.
 
     The gain is one number and determines one parameter: a web of 243.6 um, with which the
@@ -157,11 +157,11 @@ def identify_stage_web(compression: bool = True, **settings: Any) -> Identificat
     determine the modulus: if all stiffnesses are scaled by one factor, every body moves
     as before. A measured force would determine it.
 
-    The model cannot fit the measured compression of hinge a, 50 nm, with any web or
+    The model cannot fit the measured elongation of hinge a, 50 nm, with any web or
     modulus: it contradicts the measured gain by nine standard deviations.
 
     Args:
-        compression: Whether the compression of hinge a is used as well, with an assumed
+        elongation: Whether the elongation of hinge a is used as well, with an assumed
             standard deviation of 10 nm. Scire and Teague state neither its error nor the
             conditions of the measurement.
         settings: Further arguments of `identify`.
@@ -177,9 +177,9 @@ def identify_stage_web(compression: bool = True, **settings: Any) -> Identificat
     sensors: list[AbstractSensor] = [BodySensor("4", "x", gain_deviation * stage.TRAVEL)]
     readings = [gain * stage.TRAVEL]
     start = {"web": Parameter(stage.WEB, "m", lower=0.1e-3, upper=0.5e-3)}
-    if compression:
+    if elongation:
         sensors.append(HingeSensor("a", "x", 10e-9))
-        readings.append(stage.MEASURED_COMPRESSION)
+        readings.append(stage.MEASURED_ELONGATION)
         start["modulus"] = Parameter(1.0, lower=0)
     input_displacement = Drive("6", x=stage.TRAVEL)
     test = StaticTest([[input_displacement]], sensors)
@@ -230,7 +230,7 @@ def scaled_leaf_bench(factors: NamedNumbers) -> Mechanism:
             extension under an axial force.
 
     Returns:
-        The bench.
+        The bench, with three leaves of this energy.
     """
     leaf = quartic_leaf(
         steel(), length=LEAF_LENGTH, thickness=LEAF_THICKNESS, width=LEAF_WIDTH
@@ -349,16 +349,7 @@ def identify_twelve_stiffnesses(
 def _camera(
     bodies: Iterable[str], angle_deviation: float, position_deviation: float
 ) -> list[BodySensor]:
-    """List the sensors of a camera: angle, x, and y of each body.
-
-    Args:
-        bodies: Names of the bodies.
-        angle_deviation: Standard deviation of the angles; rad.
-        position_deviation: Standard deviation of the positions; m.
-
-    Returns:
-        The sensors.
-    """
+    """List the sensors of a camera: angle, x, and y of each body; rad, m, m."""
     sensors = []
     for body in bodies:
         sensors.append(BodySensor(body, "angle", angle_deviation))

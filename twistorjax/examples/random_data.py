@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ..energies.fitting.polynomial import EnergyFit, fit_energy
 from ..energies.fitting.trials import Errors, errors_of_predictions, Trials
-from ..plotting.canvas import subplots
+from ..plotting.figure_style import subplots
 from ..plotting.fits import draw_numbers
 
 
@@ -86,15 +86,15 @@ class Study(eqx.Module):
         fit = self.fit
         training, held_out = fit.training, self.held_out
         rows = (
-            ("rms of the trials", held_out.wrench / held_out.relative),
-            ("largest training error", training.largest),
-            ("largest held-out error", held_out.largest),
-            ("rms held-out error", held_out.wrench),
+            ("rms of the trials", held_out.rms_wrench / held_out.relative),
+            ("largest training error", training.largest_wrench),
+            ("largest held-out error", held_out.largest_wrench),
+            ("rms held-out error", held_out.rms_wrench),
         )
         lines = [
             f"{len(self.trials)} random trials, polynomial of order {fit.energy.order}: "
-            f"{fit.terms} coefficients, {fit.equations} equations, rank {fit.rank}, "
-            f"condition number {fit.condition:.1e}",
+            f"{fit.terms} coefficients, {fit.value_count} measured values, rank "
+            f"{fit.rank}, condition number {fit.condition:.1e}",
             f"{'':<24}" + "".join(f"{component:>14}" for component in COMPONENTS),
         ]
         for name, errors in rows:
@@ -149,7 +149,7 @@ def study(data: Trials | None = None, order: int = 4) -> Study:
 
     Example:
         >>> result = study()
-        >>> bool(np.all(result.fit.training.largest < 2.6e-5))
+        >>> bool(np.all(result.fit.training.largest_wrench < 2.6e-5))
         True
         >>> bool(np.all(result.held_out.relative > 1))  # predicting zero is better
         True
@@ -188,7 +188,7 @@ def plot(study: Study) -> "Figure":
         study: A study made by `study`.
 
     Returns:
-        The figure, with one panel for each component of the wrench.
+        A figure with one panel for each component of the wrench.
 
     Source:
         Figures 7.1 to 7.3 of the dissertation.

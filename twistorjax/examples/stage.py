@@ -29,8 +29,8 @@ from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
-from ..plotting.canvas import INK
 from ..plotting.drawing import draw
+from ..plotting.figure_style import DARK_BLUE
 from ..solve.results import RESULTS
 from ..solve.statics import Equilibrium, equilibrium
 from ..solve.tables import Column, Columns, Tabular
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 WEB = 0.25e-3  # thickness of the necks, as built; m
 TRAVEL = 1.35e-6  # input displacement in the experiments of 1978; m
 MEASURED_GAIN = (27.8, 28.1)  # lowest and highest value; Scire and Teague, 1978
-MEASURED_COMPRESSION = 50e-9  # of hinge a; the conditions are not stated; m
+MEASURED_ELONGATION = 50e-9  # of hinge a, magnitude; the conditions are not stated; m
 DISSERTATION_GAIN = 27.8  # section 6.4, read off its figure 6.3
 RIGID_GAIN = 328 / 9  # rigid levers on pins: 36.44
 
@@ -165,17 +165,18 @@ class Amplification(Tabular):
         gain: Ratio of the output displacement to the input displacement.
         output: Displacement of the output, body 4, along x; m.
         input_force: Force that displaces the input; N.
-        compression: Displacement of the input (body 6) minus that of body 2, both at
-            hinge a and along x; m. In the geometry of the listing, body 6 is on the +x
-            side of hinge a: an input displacement along +x stretches the neck, and one
-            along -x compresses it by as much.
+        elongation: Elongation of the neck of hinge a, positive in tension; m. It is the
+            displacement of the input (body 6) minus that of body 2, both at hinge a and
+            along x. In the geometry of the listing, body 6 is on the +x side of hinge a:
+            an input displacement along +x stretches the neck, and one along -x compresses
+            it by as much.
         equilibrium: Equilibrium of the stage.
     """
 
     gain: Scalar
     output: Scalar
     input_force: Scalar
-    compression: Scalar
+    elongation: Scalar
     equilibrium: Equilibrium
 
     @property
@@ -188,7 +189,7 @@ class Amplification(Tabular):
             "gain": Column(self.gain, (), "1"),
             "output": Column(self.output, (), "m"),
             "input_force": Column(self.input_force, (), "N"),
-            "compression": Column(self.compression, (), "m"),
+            "elongation": Column(self.elongation, (), "m"),
             **self.equilibrium.columns(),
         }
 
@@ -224,7 +225,7 @@ def amplification(
         gain=output / travel,
         output=output,
         input_force=deformed.reaction("6")[1],
-        compression=stage.displacement_of("a", deformed)[1],
+        elongation=stage.displacement_of("a", deformed)[1],
         equilibrium=deformed,
     )
 
@@ -264,7 +265,7 @@ def plot(stage: Mechanism, result: Amplification, *, magnify: float | int = 50) 
         magnify: Factor by which displacements are magnified.
 
     Returns:
-        The axes.
+        The axes; their unit is the millimeter.
     """
     deformed = result.equilibrium
     axes = draw(stage, deformed.poses, magnify=magnify)
@@ -274,8 +275,8 @@ def plot(stage: Mechanism, result: Amplification, *, magnify: float | int = 50) 
         x, y = 1e3 * np.asarray(deformed.reference)[row, 1:] + np.array([dx, dy])
         travel = 1e6 * float(deformed.displacements[row, 1])
         label = f"{word} {travel:.4g} \N{MICRO SIGN}m"
-        axes.annotate(label, (x, y - 0.8), color=INK, ha="center", va="top")
-        style = {"arrowstyle": "->", "color": INK}
+        axes.annotate(label, (x, y - 0.8), color=DARK_BLUE, ha="center", va="top")
+        style = {"arrowstyle": "->", "color": DARK_BLUE}
         axes.annotate("", (x + 3.5, y), (x - 3.5, y), arrowprops=style)
     axes.set_title(
         f"gain {float(result.gain):.3f}, {axes.get_title()}", fontsize="medium"
@@ -284,12 +285,9 @@ def plot(stage: Mechanism, result: Amplification, *, magnify: float | int = 50) 
 
 
 def _moving_body(name: str, material: Material, width: float) -> Body:
-    """Make one of the bodies 2 to 6; without a density it has no mass.
+    """Make one of the bodies 2 to 6 from a plate of this thickness (m).
 
-    Args:
-        name: Name of the body.
-        material: Material of the plate.
-        width: Thickness of the plate; m.
+    If the material has no density, the body has no mass.
     """
     center = _CENTERS[name]
     outline = _OUTLINES[name] * _MM - np.array(center)
@@ -325,11 +323,11 @@ def _areas(name: str) -> tuple[float, float]:
         "5": lever,
         "6": [(14 * 10, (7, 50), (0, 0))],
     }[name]
-    area = sum(size for size, _, _ in rectangles)
+    total_area = sum(area for area, _, _ in rectangles)
     moment = 0.0
-    for size, (width, height), (x, y) in rectangles:
-        moment += size * ((width**2 + height**2) / 12 + x**2 + y**2)
-    return area * _MM**2, moment * _MM**4
+    for area, (width, height), (x, y) in rectangles:
+        moment += area * ((width**2 + height**2) / 12 + x**2 + y**2)
+    return total_area * _MM**2, moment * _MM**4
 
 
 # Corners in the reference configuration, after figure 6.1; mm. The listing has no

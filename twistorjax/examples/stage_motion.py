@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import NumberLike, PointPath, Scalar, Times, TimesLike
+from .._utils.types import NumberLike, Scalar, Times, TimesLike
 from ..geometry import se2
 from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
-from ..plotting.canvas import INK, ORANGE, subplots
+from ..plotting.figure_style import DARK_BLUE, ORANGE, subplots
 from ..solve.dynamics import simulate
 from ..solve.motion import Motion
 from .stage import amplification, TRAVEL
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 FILTER_TIME = 1e-3  # time constant of the input filter; s
-TIMES = np.linspace(0.0, 0.03, 301)  # until the stage is at rest; s
+TIMES = np.linspace(0.0, 0.03, 301)  # until the vibration has decayed; s
 
 
 class FilteredInput(eqx.Module):
@@ -64,13 +64,13 @@ class TransientResponse(eqx.Module):
 
     motion: Motion
     output: Times
-    hinge_a: PointPath
+    hinge_a: Float[Array, "2 times"]
     gain: Scalar
     static_gain: Scalar
 
     @property
-    def compression(self) -> Scalar:
-        """The compression of hinge a at the last time, as in `Amplification`; m."""
+    def elongation(self) -> Scalar:
+        """Elongation of the neck of hinge a at the last time, positive in tension; m."""
         return self.hinge_a[1, -1] - self.hinge_a[0, -1]
 
 
@@ -83,7 +83,7 @@ def transient_response(
     tolerance: NumberLike = 1e-10,
     **settings,
 ) -> TransientResponse:
-    """Simulate a stage whose input is displaced, until its output is at rest.
+    """Simulate a stage whose input is displaced, until the vibration has decayed.
 
     Args:
         stage: A stage made by `microstage`, with damping.
@@ -95,7 +95,8 @@ def transient_response(
         settings: Further arguments of `simulate`.
 
     Returns:
-        The transient response.
+        The motion and the gain. If the simulation failed and `throw=False` is given, the
+        values after the failure are NaN.
 
     Raises:
         RuntimeError: There is no equilibrium with this input displacement, or the
@@ -137,14 +138,14 @@ def plot(response: TransientResponse) -> "Figure":
         response: Transient response of a stage.
 
     Returns:
-        The figure.
+        A figure with a panel for the output and a panel for hinge a.
 
     Source:
         Figures 6.3 and 6.4 of the dissertation.
     """
     times = 1e3 * np.asarray(response.motion.times)
     figure, (upper, lower) = subplots(2, size=(6.5, 6.5), sharex=True)
-    upper.plot(times, 1e6 * np.asarray(response.output), color=INK)
+    upper.plot(times, 1e6 * np.asarray(response.output), color=DARK_BLUE)
     upper.set_ylabel("output, body 4 (\N{MICRO SIGN}m)")
     upper.set_title(
         f"gain {float(response.gain):.4f} at the end, "
@@ -153,10 +154,12 @@ def plot(response: TransientResponse) -> "Figure":
     )
     on_body_2, on_body_6 = 1e6 * np.asarray(response.hinge_a)
     lower.plot(times, on_body_2, color=ORANGE, linestyle="--", label="body 2")
-    lower.plot(times, on_body_6, color=INK, linestyle="-", label="body 6, the input")
-    compression = 1e9 * abs(float(response.compression))
+    lower.plot(
+        times, on_body_6, color=DARK_BLUE, linestyle="-", label="body 6, the input"
+    )
+    elongation = 1e9 * abs(float(response.elongation))
     lower.set_ylabel("hinge a (\N{MICRO SIGN}m)")
-    lower.set_title(f"difference {compression:.1f} nm at the end", fontsize="medium")
+    lower.set_title(f"difference {elongation:.1f} nm at the end", fontsize="medium")
     lower.set_xlabel("time (ms)")
     lower.legend(frameon=False)
     return figure

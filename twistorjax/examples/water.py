@@ -23,12 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import PosePath
 from ..energies.fitting.rational import fit_rational, RationalFit
 from ..energies.fitting.trials import Errors, Trials
 from ..energies.point_charges import PointCharges
 from ..energies.polynomial import Polynomial
-from ..plotting.canvas import subplots
+from ..plotting.figure_style import subplots
 from ..plotting.fits import draw_distribution, draw_ranked
 
 
@@ -59,7 +58,9 @@ def molecules() -> PointCharges:
     return PointCharges(CHARGES, SITES, constant=1.0)
 
 
-def poses(angle_range: float, points: int, seed: int | Sequence[int]) -> PosePath:
+def poses(
+    angle_range: float, points: int, seed: int | Sequence[int]
+) -> Float[Array, "points 3"]:
     """Draw random poses of the second molecule relative to the first.
 
     Args:
@@ -157,7 +158,7 @@ def fit_polynomial(data: Trials, order: int, **settings) -> RationalFit:
         settings: Further arguments of `fit_rational`.
 
     Returns:
-        The fit; its denominator is 1.
+        The polynomial as a rational energy with the denominator 1, and its errors.
 
     Source:
         Equation 7.21 of the dissertation, which is equation 4.69.
@@ -178,7 +179,7 @@ def fit_unregularized(data: Trials, order: int, **settings) -> RationalFit:
         settings: Further arguments of `fit_rational`.
 
     Returns:
-        The fit.
+        The rational energy and its errors.
 
     Source:
         Equations 7.22 to 7.25 of the dissertation.
@@ -203,7 +204,7 @@ def fit_regularized(data: Trials, order: int, **settings) -> RationalFit:
             the power of the distance alone.
 
     Returns:
-        The fit.
+        The rational energy and its errors.
 
     Raises:
         ValueError: As for `power_of_distance` and `fit_rational`.
@@ -381,8 +382,8 @@ def plot(study: Study) -> "Figure":
 
 @jax.jit
 def _exact(
-    poses: PosePath,
-) -> tuple[Float[Array, " points"], PosePath]:
+    poses: Float[Array, "points 3"],
+) -> tuple[Float[Array, " points"], Float[Array, "points 3"]]:
     """Compute the exact energies and wrenches at some poses, in the module's units."""
     energy = molecules()
     return jax.vmap(energy)(poses), jax.vmap(energy.wrench)(poses)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_choice, require_kind, require_positive
+from .._utils.validation import require_choice, require_instance, require_positive
 from .material import Material
 
 
@@ -45,8 +45,9 @@ class Beam(eqx.Module):
             the two laws differ by about 10 % for a leaf with a length of ten thicknesses
             that rotates by 46 degrees.
         shear_factor: Shear correction factor; `None` to neglect shear deformation.
-        steps: Number of integration steps along the axis. Sixteen give ten digits for a
-            leaf. A neck that is short compared to its length needs more.
+        steps: Number of integration steps along the axis. With 16 steps the relative
+            error for a leaf is about 1e-10. A neck that is short compared to its length
+            needs more steps.
 
     Raises:
         ValueError: A dimension is not positive.
@@ -81,8 +82,7 @@ class Beam(eqx.Module):
         shear_factor: NumberLike | None = 5 / 6,
         steps: int = 16,
     ):
-        require_kind("material", [material], Material)
-        self.material = material
+        self.material = require_instance("material", material, Material)
         self.length = require_positive("`length`", length)
         self.width = require_positive("`width`", width)
         self.law = require_choice("`law`", law, ("linear", "saint-venant-kirchhoff"))

@@ -136,14 +136,9 @@ def largest_rotation(beam: Beam, stress: NumberLike) -> Scalar:
 
 
 def end_section(beam: Beam, load: Wrench) -> SectionState:
-    """Compute the state of the second end of a beam under a dimensionless load.
+    """Compute the dimensionless state of the second end of a beam under a load.
 
-    Args:
-        beam: The beam.
-        load: Load about the origin of frame a and in its axes, over `load_units`.
-
-    Returns:
-        The state of the cross-section at the second end, dimensionless.
+    The load is about the origin of frame a and in its axes, over `load_units`.
     """
     return _last(_integrate(beam, load, dfx.SaveAt(t1=True)))
 
@@ -177,15 +172,10 @@ def _last(states: SectionState) -> SectionState:
 
 
 def _position(parameter: Scalar) -> tuple[Scalar, Scalar]:
-    """Map the parameter of integration to the position along the axis.
+    """Map the parameter of integration to the position along the axis over the length.
 
-    The positions are denser at the ends, where the outline of a notch is steep.
-
-    Args:
-        parameter: From -1 to 1.
-
-    Returns:
-        The position over the length, from -1/2 to 1/2, and its derivative.
+    The parameter is from -1 to 1. The positions, from -1/2 to 1/2, are denser at the
+    ends, where the outline of a notch is steep. The derivative is returned as well.
     """
     half = jnp.pi / 2
     return jnp.sin(half * parameter) / 2, half * jnp.cos(half * parameter) / 2

@@ -92,14 +92,9 @@ def section_strains(
 def _solve_symmetric(
     matrix: tuple[Scalar, ...], right: tuple[Scalar, Scalar, Scalar]
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Solve three symmetric linear equations by cofactors.
+    """Solve three linear equations by cofactors.
 
-    Args:
-        matrix: Entries 11, 22, 33, 12, 13 and 23.
-        right: Right-hand side.
-
-    Returns:
-        The solution.
+    The entries of the symmetric matrix are 11, 22, 33, 12, 13 and 23.
     """
     a, b, c, d, e, f = matrix
     x, y, z = right

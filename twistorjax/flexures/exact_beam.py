@@ -1,13 +1,13 @@
 """Energy of an exact beam as a function of its displacement: accurate, but slow."""
 
 from functools import partial
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.pytrees import value_and_jacfwd
 from .._utils.types import Pose, Scalar
 from ..energies.base import AbstractEnergy
 from ..geometry import se2
@@ -24,10 +24,10 @@ _SPRING_COMPLIANCE = 0.05  # in lengths per E I / L^2
 class ExactBeam(AbstractEnergy):
     """The energy of a geometrically exact beam, for any displacement.
 
-    The load that belongs to a displacement is found by Newton's method, which follows the
-    constant twist from the reference configuration to the displacement. If no load is
-    found, the energy is NaN. An evaluation takes some milliseconds. A mechanism with such
-    a hinge takes about a minute to compile; `surrogate` makes a fast hinge of a beam.
+    The load that belongs to a displacement is found by Newton's method. The displacement
+    is approached in increments along a constant twist. If no load is found, the energy is
+    NaN. An evaluation takes some milliseconds. A mechanism with such a hinge takes about
+    a minute to compile; `surrogate` makes a fast hinge of a beam.
 
     Args:
         beam: The beam.
@@ -75,7 +75,7 @@ def beam_at_pose(beam: Beam, pose: Pose, sections: int = 21) -> BeamSolution:
     return beam_under_load(beam, _load(beam, pose) * load_units(beam), sections)
 
 
-@jax.custom_jvp
+@eqx.filter_custom_jvp
 def _energy(beam: Beam, pose: Pose) -> Scalar:
     """Compute the energy of a beam at a pose (rad, m, m); J."""
     return _integrated_energy(beam, pose)
@@ -86,7 +86,7 @@ def _integrated_energy(beam: Beam, pose: Pose) -> Scalar:
     return load_units(beam)[0] * end_section(beam, _load(beam, pose)).energy
 
 
-@partial(_energy.defjvp, symbolic_zeros=True)
+@_energy.def_jvp
 def _energy_jvp(primals, tangents):
     # The derivative with respect to the pose is the wrench, which is known. Only the
     # derivative with respect to the beam needs that of the integration.
@@ -95,57 +95,26 @@ def _energy_jvp(primals, tangents):
     load = _load(beam, pose)
     wrench = load * load_units(beam)
     moment = wrench[0] - se2.cross(pose[1:], wrench[1:])
-    velocity = _fill_zeros(pose_tangent, pose)
+    velocity = jnp.zeros(3) if pose_tangent is None else pose_tangent
     power = moment * velocity[0] + jnp.dot(wrench[1:], velocity[1:])
 
-    if _is_constant(beam_tangent):
+    if not jax.tree.leaves(beam_tangent):  # The beam is constant; compile less.
         return _integrated_energy(beam, pose), power
     energy, rate = eqx.filter_jvp(
-        lambda beam: _integrated_energy(beam, pose),
-        (beam,),
-        (_fill_zeros(beam_tangent, beam),),
+        lambda beam: _integrated_energy(beam, pose), (beam,), (beam_tangent,)
     )
-    return energy, power + rate
+    return energy, power if rate is None else power + rate
 
 
-def _is_constant(tangents: Any) -> bool:
-    """Return whether all tangents are symbolic zeros, so that nothing is compiled."""
-    leaves = jax.tree.leaves(tangents, is_leaf=_is_zero)
-    return all(map(_is_zero, leaves))
-
-
-def _is_zero(leaf: Any) -> bool:
-    """Return whether a leaf is a symbolic zero."""
-    return isinstance(leaf, jax.custom_derivatives.SymbolicZero)
-
-
-def _fill_zeros(tangents: Any, primals: Any) -> Any:
-    """Replace the symbolic zeros of tangents by arrays of the shapes of the primals."""
-    leaves, structure = jax.tree.flatten(tangents, is_leaf=_is_zero)
-    values = jax.tree.leaves(primals)
-    filled = [
-        jnp.zeros_like(value) if _is_zero(leaf) else leaf
-        for leaf, value in zip(leaves, values, strict=True)
-    ]
-    return jax.tree.unflatten(structure, filled)
-
-
-@jax.custom_jvp
+@eqx.filter_custom_jvp
 def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
     """Find the load that displaces a beam to a pose, by Newton's method.
 
     The pose is approached in increments along the constant twist. Bending draws the ends
     of a beam together, so the axial force of a thin beam would be much too large on this
     way. An auxiliary axial spring in series with the beam prevents this. It is then
-    stiffened in steps, and removed.
-
-    Args:
-        beam: The beam.
-        pose: Pose of frame b relative to frame a; rad, m, m.
-
-    Returns:
-        The load about the origin of frame a and in its axes, over `load_units`. NaN if no
-        load is found.
+    stiffened in steps, and removed. The load is about the origin of frame a and in its
+    axes, over `load_units`. It is NaN if no load is found.
     """
     units = _pose_units(beam)
     twist = se2.twist(pose)
@@ -158,7 +127,7 @@ def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
         )
         half = fraction * pose[0] / 2
         axis = jnp.stack([jnp.zeros(()), jnp.cos(half), jnp.sin(half)])
-        reached, derivative = _reached_and_derivative(beam, load)
+        reached, derivative = value_and_jacfwd(partial(_reached, beam), load)
         spring = compliance * axis * (axis @ load)
         residual = se2.exp(twist * fraction) / units - reached - spring
         matrix = derivative + compliance * jnp.outer(axis, axis)
@@ -169,22 +138,19 @@ def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
     return jnp.where(residual < 1e-9, load, jnp.nan)
 
 
-@partial(_load.defjvp, symbolic_zeros=True)
+@_load.def_jvp
 def _load_jvp(primals, tangents):
     # Implicit differentiation of reached(beam, load) = pose
     beam, pose = primals
-    beam_tangent, pose_tangent = tangents
     load = _load(beam, pose)
-    _, derivative = _reached_and_derivative(beam, load)
+    derivative = jax.jacfwd(partial(_reached, beam))(load)
 
-    rate = _fill_zeros(pose_tangent, pose) / _pose_units(beam)
-    if not _is_constant(beam_tangent):
+    def residual(beam: Beam, pose: Pose) -> Array:
+        return pose / _pose_units(beam) - _reached(beam, load)
 
-        def residual(beam: Beam) -> Array:
-            return pose / _pose_units(beam) - _reached(beam, load)
-
-        filled = _fill_zeros(beam_tangent, beam)
-        rate = rate + eqx.filter_jvp(residual, (beam,), (filled,))[1]
+    _, rate = eqx.filter_jvp(residual, primals, tangents)
+    if rate is None:
+        return load, None
     return load, jnp.linalg.solve(derivative, rate)
 
 
@@ -197,14 +163,3 @@ def _reached(beam: Beam, load: Array) -> Float[Array, "3"]:
     """Compute the dimensionless pose that a dimensionless load produces."""
     pose, _ = pose_and_wrench(beam, load * load_units(beam), end_section(beam, load))
     return pose / _pose_units(beam)
-
-
-def _reached_and_derivative(beam: Beam, load: Array) -> tuple[Array, Array]:
-    """Compute the dimensionless pose of a load, and its derivative by the load."""
-
-    def reached_twice(load: Array) -> tuple[Array, Array]:
-        reached = _reached(beam, load)
-        return reached, reached
-
-    derivative, reached = jax.jacfwd(reached_twice, has_aux=True)(load)
-    return reached, derivative

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from .._utils.types import Corners, NumberLike
 from .._utils.validation import (
     require_choice,
+    require_instance,
     require_interval,
-    require_kind,
     require_positive,
 )
 from ..energies.mixed import MixedEnergy
@@ -46,7 +46,7 @@ def leaf(
             by a pure moment. With "twistor" the moment does not exceed E I / length.
 
     Returns:
-        The energy.
+        The energy, whose stiffness is that of the undeformed leaf.
 
     Raises:
         ValueError: A dimension is not positive, or the thickness exceeds a tenth of the
@@ -64,7 +64,7 @@ def leaf(
         >>> jnp.diag(energy.stiffness)
         Array([1.4375e-01, 1.7250e+06, 1.7250e+04], dtype=float64)
     """
-    require_kind("material", [material], Material)
+    require_instance("material", material, Material)
     require_choice("`theory`", theory, ("euler-bernoulli", "timoshenko"))
     length = require_positive("`length`", length)
     width = require_positive("`width`", width)
@@ -116,7 +116,7 @@ def quartic_leaf(
         theory: "euler-bernoulli" or "timoshenko", as for `leaf`.
 
     Returns:
-        The energy, in the coordinates of the twist.
+        The energy of rotation, transverse displacement, and axial force.
 
     Raises:
         ValueError: As for `leaf`.
@@ -137,17 +137,17 @@ def quartic_leaf(
         material, length=length, thickness=thickness, width=width, theory=theory
     )
     bending, axial, transverse = jnp.diag(quadratic.stiffness)
-    size = require_positive("`length`", length)
-    force = bending / size
+    length = require_positive("`length`", length)
+    force = bending / length
     terms = {
         (2, 0, 0): bending / 2,
-        (0, 2, 0): transverse * size**2 / 2,
+        (0, 2, 0): transverse * length**2 / 2,
         (0, 2, 1): 3 / 5 * bending,
         (2, 0, 1): -bending / 12,
         (0, 0, 2): -(force**2) / (2 * axial),
     }
     return MixedEnergy(
-        jnp.stack(list(terms.values())), tuple(terms), length=size, force=force
+        jnp.stack(list(terms.values())), tuple(terms), length=length, force=force
     )
 
 

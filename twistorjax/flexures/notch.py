@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from .._utils.types import Corners, NumberLike, Scalar
 from .._utils.validation import (
     require_choice,
+    require_instance,
     require_interval,
-    require_kind,
     require_positive,
 )
 from ..energies.quadratic import Quadratic
@@ -65,7 +65,7 @@ def notch(
         coordinates: Coordinates of the energy, "twistor" or "twist".
 
     Returns:
-        The energy.
+        The energy, whose stiffness is that of the undeformed neck.
 
     Raises:
         ValueError: A dimension is not positive, or web / hole is outside the range of the
@@ -85,7 +85,7 @@ def notch(
         >>> jnp.diag(energy.stiffness)
         Array([2.50965125e+00, 1.58837017e+08, 1.66074768e+07], dtype=float64)
     """
-    require_kind("material", [material], Material)
+    require_instance("material", material, Material)
     low, high = _RANGES[require_choice("`formula`", formula, tuple(_RANGES))]
     hole, web = require_positive("`hole`", hole), require_positive("`web`", web)
     ratio = require_interval(
@@ -176,12 +176,15 @@ def _fitted(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     root = jnp.sqrt(r)
     rotation = r**2 * (0.1109 * root - 0.035 * r)
     axial = 0.3568 * root + 0.1452 * r
-    shear = 0.283 * r - 0.03443 * root - 0.06692 * r * root
-    return rotation, axial, shear
+    transverse = 0.283 * r - 0.03443 * root - 0.06692 * r * root
+    return rotation, axial, transverse
 
 
 def _paros_weisbord(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Integrate a beam of the height h = hole (a - cos phi) at x = hole / 2 sin phi."""
+    """Integrate the compliances of a beam of variable height.
+
+    The height is `hole (a - cos phi)` at the position `hole / 2 sin phi`.
+    """
     # A_n is the integral of (a - cos phi)^-n over the half circle. Each A_n follows from
     # the derivative of the previous one.
     a = 1 + r
@@ -191,8 +194,10 @@ def _paros_weisbord(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     third = (3 * a * second - first + 2 / a**2) / (2 * square)
     axial = (a * first - jnp.pi) / 2
     rotation = 6 * (a * third - second)
-    shear = 1.5 * (jnp.pi - a * square * third + (3 * a**2 - 1) * second - 3 * a * first)
-    return 1 / rotation, 1 / axial, 1 / shear
+    transverse = 1.5 * (
+        jnp.pi - a * square * third + (3 * a**2 - 1) * second - 3 * a * first
+    )
+    return 1 / rotation, 1 / axial, 1 / transverse
 
 
 def _paros_weisbord_simplified(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -200,5 +205,5 @@ def _paros_weisbord_simplified(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     slenderness = jnp.sqrt(1 / (2 * r))  # sqrt(radius / web)
     rotation = r**2 / (4.5 * jnp.pi * slenderness)
     axial = 1 / (jnp.pi * slenderness - 2.57)
-    shear = 1 / (1.5 * jnp.pi * slenderness**3)
-    return rotation, axial, shear
+    transverse = 1 / (1.5 * jnp.pi * slenderness**3)
+    return rotation, axial, transverse

@@ -124,11 +124,8 @@ def notch_stress(
 def _concentration_factors(ratio: Scalar) -> tuple[Scalar, Scalar]:
     """Compute the stress concentration factors of a neck in bending and in tension.
 
-    Args:
-        ratio: Half the thickness of the neck over the radius of its surface.
-
-    Returns:
-        The largest stress over that of a beam, in bending and in tension.
+    The ratio is half the thickness of the neck over the radius of its surface. A factor
+    is the largest stress over that of a beam.
     """
     root = jnp.sqrt(ratio)
     angle = jnp.arctan(root)

@@ -1,4 +1,4 @@
-"""Polynomial surrogates of exact beams: nearly as accurate, and fast as a hinge."""
+"""Polynomial surrogates of geometrically exact beams."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -16,11 +16,15 @@ from .._utils.validation import (
     all_concrete,
     concrete,
     require_float64,
+    require_instance,
     require_interval,
-    require_kind,
     require_positive,
 )
-from ..energies.fitting.mixed import mixed_terms, twist_and_stress_matrix
+from ..energies.fitting.mixed import (
+    mixed_equations,
+    twists_and_stresses,
+    weighted_equations,
+)
 from ..energies.mixed import MixedEnergy
 from ..energies.monomials import monomials, Powers, Symmetry
 from ..energies.validity import WithValidityRange
@@ -84,7 +88,7 @@ def surrogate(
         >>> energy.wrench(exact.pose)[2].round(2), exact.wrench[2].round(2)
         (Array(1.88, dtype=float64), Array(1.88, dtype=float64))
     """
-    require_kind("beam", [beam], Beam)
+    require_instance("beam", beam, Beam)
     require_float64(beam.length)
     rotation = require_interval(
         "`rotation`", rotation, 0.0, 2 * np.pi, "must be positive and at most 2 pi"
@@ -95,11 +99,11 @@ def surrogate(
         raise ValueError(f"`order` is {order!r}, but must be one of {_ORDERS}.")
     if force is not None:
         force = require_positive("`force`", force)
-    equal_ends = _has_equal_ends(beam)
+    symmetric = _is_symmetric(beam)
     middle = beam.profile(jnp.zeros(()))
     samples = _sample(beam, rotation, force)
     if all_concrete([middle, rotation, *jax.tree.leaves(samples)]) is None:
-        return _fit(_powers(order or 6, equal_ends), beam.length, rotation, samples)
+        return _fit(_powers(order or 6, symmetric), beam.length, rotation, samples)
     limits = (
         f"a rotation of {float(rotation):.4g} rad and a force of "
         f"{float(samples.force):.4g} N"
@@ -113,7 +117,7 @@ def surrogate(
         )
     errors = {}
     for tried in _ORDERS if order is None else (order,):
-        energy = _fit(_powers(tried, equal_ends), beam.length, rotation, samples)
+        energy = _fit(_powers(tried, symmetric), beam.length, rotation, samples)
         errors[tried] = float(jnp.max(energy.error))
         if errors[tried] <= error:
             return energy
@@ -152,13 +156,8 @@ class _Samples(NamedTuple):
 def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
     """Compute a beam at rotations and forces that are uniformly distributed.
 
-    Args:
-        beam: The beam.
-        rotation: Largest rotation; rad.
-        force: Largest force; N. `None` for the default.
-
-    Returns:
-        The samples: first those for the fit, then those for the error estimate.
+    Rotation (rad) and force (N) are the largest ones. The samples for the fit are
+    followed by those for the error estimate.
     """
     units = load_units(beam)
 
@@ -217,7 +216,7 @@ def _low_discrepancy_points() -> Float[Array, "samples 3"]:
     return jnp.asarray(np.concatenate([for_fit, for_error]) % 1)
 
 
-def _has_equal_ends(beam: Beam) -> bool:
+def _is_symmetric(beam: Beam) -> bool:
     """Return whether a beam is known to be symmetric about its middle section."""
     if getattr(beam.profile, "func", None) is uniform_thickness:
         return True
@@ -226,13 +225,13 @@ def _has_equal_ends(beam: Beam) -> bool:
     return heights is not None and np.allclose(heights, heights[::-1], rtol=1e-9, atol=0)
 
 
-def _powers(order: int, equal_ends: bool) -> Powers:
+def _powers(order: int, symmetric: bool) -> Powers:
     """List the powers of the terms of a beam, which is symmetric about its axis.
 
     The constant and the term that is linear in the axial force are left out, because the
     reference configuration has no energy and no displacement.
     """
-    symmetry: Sequence[Symmetry] = ("mirror", "ends") if equal_ends else ("mirror",)
+    symmetry: Sequence[Symmetry] = ("mirror", "ends") if symmetric else ("mirror",)
     powers = monomials(order, "mixed", symmetry=symmetry)
     return tuple(row for row in powers if row not in ((0, 0, 0), (0, 0, 1)))
 
@@ -241,17 +240,7 @@ def _powers(order: int, equal_ends: bool) -> Powers:
 def _fit(
     powers: Powers, length: Scalar, rotation: Scalar, samples: _Samples
 ) -> WithValidityRange:
-    """Fit an energy, and estimate its error on the samples that are not fitted.
-
-    Args:
-        powers: Powers of the terms.
-        length: Length of the beam; m.
-        rotation: Largest rotation; rad.
-        samples: Samples of the beam.
-
-    Returns:
-        The energy with its validity range.
-    """
+    """Fit an energy, and estimate its error on the samples that are not fitted."""
     coefficients = _fit_coefficients(powers, length, samples)
     energy = MixedEnergy(coefficients, powers, length=length, force=samples.force)
     wrenches = jax.vmap(energy.wrench)(samples.poses[_SAMPLES:])
@@ -264,45 +253,31 @@ def _fit(
 def _fit_coefficients(
     powers: Powers, length: Scalar, samples: _Samples
 ) -> Float[Array, " terms"]:
-    """Fit moment, transverse force and axial displacement by linear least squares.
+    """Fit the coefficients (J) that do not follow from the stiffness.
 
-    An error of the axial displacement is equivalent to an error of the axial force, by
-    the axial compliance of the sample. This compliance, which is the weight of the axial
-    displacement, is computed from the previous of four fits.
-
-    Args:
-        powers: Powers of the terms.
-        length: Length of the beam; m.
-        samples: Samples of the beam.
-
-    Returns:
-        The coefficients; J.
+    All components of the wrench have the same relative weight.
     """
-    twists, matrices = jax.vmap(twist_and_stress_matrix)(samples.poses[:_SAMPLES])
-    stresses = jnp.einsum("sij,sj->si", matrices, samples.wrenches[:_SAMPLES])
-    terms = mixed_terms(powers, twists, stresses[:, 1], length, samples.force)
+    poses, wrenches = samples.poses[:_SAMPLES], samples.wrenches[:_SAMPLES]
+    rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))
+    deviations = jnp.broadcast_to(rms, wrenches.shape)
+    samples_of_fit = twists_and_stresses(poses, wrenches, deviations)
+    equations = mixed_equations(powers, *samples_of_fit, length, samples.force)
     quadratic = _quadratic_coefficients(length, samples)
     zero = jnp.zeros(())
     start = jnp.stack([quadratic.get(row, zero) for row in powers])
-    rows = jnp.stack([terms.moment, terms.transverse_force, terms.axial_displacement])
-    targets = jnp.stack([stresses[:, 0], stresses[:, 2], twists[:, 1]]) - rows @ start
     free = np.array([k for k, row in enumerate(powers) if row not in quadratic])
-    rows, compliance_rows = rows[..., free], terms.axial_compliance[:, free]
 
-    moment, axial_force, transverse_force = jnp.sqrt(jnp.mean(stresses**2, axis=0))
-    axial_stiffness = samples.stiffness[1, 1]
-    compliance = jnp.full_like(twists[:, 1], jnp.std(twists[:, 1]) / axial_force)
-    found = jnp.zeros(len(free))
-    for _ in range(4):
-        axial = 1 / (compliance * axial_force)
-        others = [jnp.full_like(axial, 1 / size) for size in (moment, transverse_force)]
-        weights = jnp.stack([*others, axial])
-        weighted = (weights[..., None] * rows).reshape(-1, len(free))
-        found = _least_squares(weighted, (weights * targets).reshape(-1))
-        compliance = jnp.maximum(
-            compliance_rows @ found + 1 / axial_stiffness, 1e-3 / axial_stiffness
-        )
-    return start.at[free].set(found)
+    def solve(coefficients: Float[Array, " terms"] | None) -> Float[Array, " terms"]:
+        """Solve with the weights of a previous solution."""
+        rows, targets = weighted_equations(equations, coefficients)
+        rows, targets = rows.reshape(-1, len(powers)), targets.reshape(-1)
+        found = _least_squares(rows[:, free], targets - rows @ start)
+        return start.at[free].set(found)
+
+    coefficients = solve(None)
+    for _ in range(3):
+        coefficients = solve(coefficients)
+    return coefficients
 
 
 def _quadratic_coefficients(
@@ -325,7 +300,7 @@ def _least_squares(
 
     Normal equations are easy to differentiate.
     """
-    size = jnp.sqrt(jnp.sum(rows**2, axis=0))
-    scaled = rows / size[None]
+    norms = jnp.sqrt(jnp.sum(rows**2, axis=0))
+    scaled = rows / norms[None]
     factor = cho_factor(scaled.T @ scaled)
-    return cho_solve(factor, scaled.T @ targets) / size
+    return cho_solve(factor, scaled.T @ targets) / norms

@@ -27,7 +27,7 @@ def line(start: Point, end: Point) -> Wrench:
 
     Returns:
         The Pluecker coordinates `(moment, l, h)`: the moment of the vector about the
-        origin, and its two components; m2, m, m.
+        origin, and its two components; m^2, m, m.
 
     Source:
         Equations 2.48 to 2.51 of the dissertation.

@@ -29,7 +29,7 @@ _AT_BOUND = 12.0
 
 def count_readings(data: Sequence[Measurement]) -> int:
     """Number of readings of measurements, without the missing ones."""
-    return int(sum(np.sum(np.isfinite(np.asarray(part.values))) for part in data))
+    return int(sum(np.sum(np.isfinite(np.asarray(each.values))) for each in data))
 
 
 def summary(identification: "Identification") -> str:
@@ -73,10 +73,10 @@ def warnings(identification: "Identification") -> tuple[str, ...]:
     if result != "successful":
         texts.append(result_message(result))
     texts += _warnings_on_residuals(identification)
-    is_high = np.triu(np.abs(np.asarray(identification.correlation)), 1)
-    is_high = is_high > _HIGH_CORRELATION
-    is_high &= not undetermined  # the undetermined directions show it already
-    for row, column in np.argwhere(is_high):
+    is_high = np.abs(np.asarray(identification.correlation)) > _HIGH_CORRELATION
+    if undetermined:  # They show high correlations already.
+        is_high[:] = False
+    for row, column in np.argwhere(np.triu(is_high, 1)):
         texts.append(
             f"the estimates of {names[row]} and {names[column]} have the correlation "
             f"{identification.correlation[row, column]:.6f}: only a combination of them "
@@ -107,19 +107,18 @@ def undetermined_directions(identification: "Identification") -> tuple[str, ...]
     result = identification.result
     if not bool(identification.succeeded | (result == RESULTS.not_converged)):
         return ()
-    sizes, directions = _sensitivities(identification)
+    singular_values, directions = _sensitivities(identification)
     texts = []
-    for size, direction in zip(sizes, directions, strict=True):
-        if size <= 1e-15 * sizes.max(initial=0.0):
-            change = _describe_direction(identification, direction)
-            texts.append(f"changing {change} changes no reading")
-        elif 1 / size > _UNDETERMINED:
-            change = _describe_direction(identification, direction)
-            effect = 0.01 * size / np.abs(direction).max()
-            texts.append(
-                f"changing {change} changes the readings by {effect:.1g} standard "
-                "deviations"
-            )
+    for singular_value, direction in zip(singular_values, directions, strict=True):
+        if singular_value <= 1e-15 * singular_values.max(initial=0.0):
+            effect = "no reading"
+        elif 1 / singular_value > _UNDETERMINED:
+            effect = 0.01 * singular_value / np.abs(direction).max()
+            effect = f"the readings by {effect:.1g} standard deviations"
+        else:
+            continue
+        change = _describe_direction(identification, direction)
+        texts.append(f"changing {change} changes {effect}")
     return tuple(texts)
 
 
@@ -127,8 +126,8 @@ def _warnings_on_residuals(identification: "Identification") -> list[str]:
     """Warnings on missing degrees of freedom, large residuals and outliers."""
     problem = identification.problem
     readings = identification.reading_count
-    sizes, _ = _sensitivities(identification)
-    rank = int(np.sum(exceeds_rounding(jnp.asarray(sizes))))
+    singular_values, _ = _sensitivities(identification)
+    rank = int(np.sum(exceeds_rounding(jnp.asarray(singular_values))))
     degrees_of_freedom = readings - rank
     texts = []
     if degrees_of_freedom <= 0:
@@ -137,10 +136,10 @@ def _warnings_on_residuals(identification: "Identification") -> list[str]:
             "no degrees of freedom left, so small residuals do not confirm the model"
         )
     else:
-        size = _rms(identification.residuals, problem.data)
+        rms = _rms(identification.residuals, problem.data)
         if problem.huber_threshold is not None:
-            size = _median_size(identification)
-        ratio = size * np.sqrt(readings / degrees_of_freedom)
+            rms = _robust_rms(identification)
+        ratio = rms * np.sqrt(readings / degrees_of_freedom)
         if ratio > 1 + 4 / np.sqrt(2 * degrees_of_freedom):
             texts.append(
                 f"the residuals are {ratio:.3g} times as large as the standard "
@@ -159,28 +158,26 @@ def _rms(tables: Sequence[Array], data: Sequence[Measurement]) -> float:
     return float(np.sqrt(squares / max(1, count_readings(data))))
 
 
-def _median_size(identification: "Identification") -> float:
-    """Standard deviation of the residuals, estimated from the median of their sizes.
+def _robust_rms(identification: "Identification") -> float:
+    """Standard deviation of the residuals, estimated from their median magnitude.
 
     Outliers hardly affect it. For a normal distribution the standard deviation is 1.4826
     times the median of the absolute values.
     """
-    sizes = [
-        np.abs(np.asarray(table))[np.isfinite(np.asarray(part.values))]
-        for table, part in zip(
-            identification.residuals, identification.problem.data, strict=True
-        )
+    data = identification.problem.data
+    magnitudes = [
+        np.abs(np.asarray(table))[np.isfinite(np.asarray(measurement.values))]
+        for table, measurement in zip(identification.residuals, data, strict=True)
     ]
-    return float(1.4826 * np.median(np.concatenate(sizes)))
+    return float(1.4826 * np.median(np.concatenate(magnitudes)))
 
 
 def _outliers(identification: "Identification") -> list[str]:
     """Descriptions of the largest outliers, at most five."""
+    data = identification.problem.data
     found = [
-        (abs(value), f"{part.test.columns[column]} in row {row} ({value:.3g})")
-        for table, part in zip(
-            identification.residuals, identification.problem.data, strict=True
-        )
+        (abs(value), f"{measurement.test.columns[column]} in row {row} ({value:.3g})")
+        for table, measurement in zip(identification.residuals, data, strict=True)
         for (row, column), value in np.ndenumerate(np.asarray(table))
         if abs(value) > _OUTLIER
     ]
@@ -188,7 +185,10 @@ def _outliers(identification: "Identification") -> list[str]:
 
 
 def _full_changes(identification: "Identification") -> Float[Array, " parameters"]:
-    """Changes of the normalized parameters that change each value by 100 %."""
+    """Changes of the normalized parameters that change each value by 100 % of `scales`.
+
+    This is 100 % of the value, or of the distance to its bound.
+    """
     parameters = identification.problem.parameters
     derivatives = jnp.abs(parameters.derivatives(identification.normalized))
     derivatives = jnp.where(derivatives > 0, derivatives, 1.0)
@@ -219,27 +219,27 @@ def _sensitivities(identification: "Identification") -> tuple[np.ndarray, np.nda
     changes = np.asarray(_full_changes(identification))
     matrix = np.asarray(identification.jacobian) * changes[None]
     matrix = np.delete(matrix, _at_bounds(identification), axis=1)
-    _, sizes, directions = np.linalg.svd(matrix, full_matrices=True)
-    return np.pad(sizes, (0, matrix.shape[1] - sizes.size)), directions
+    _, values, directions = np.linalg.svd(matrix, full_matrices=True)
+    return np.pad(values, (0, matrix.shape[1] - values.size)), directions
 
 
 def _describe_direction(identification: "Identification", direction: np.ndarray) -> str:
     """Describe relative changes of parameters; the largest one is an increase by 1 %.
 
-    Args:
-        identification: Identification, for the names.
-        direction: Change of each parameter that is not at a bound.
+    The direction has an entry for each parameter that is not at a bound.
     """
-    at_bounds = _at_bounds(identification)
-    names = [name for k, name in enumerate(identification.names) if k not in at_bounds]
-    shares = direction / direction[np.argmax(np.abs(direction))]
-    order = np.argsort(-np.abs(shares), kind="stable")
-    parts = [f"{names[k]} by {shares[k]:+.2g} %" for k in order if abs(shares[k]) >= 0.05]
-    if len(parts) > 4:
-        parts = [*parts[:4], f"{len(parts) - 4} more"]
-    if len(parts) == 1:
-        return parts[0]
-    return f"{', '.join(parts[:-1])} and {parts[-1]} together"
+    names = np.delete(identification.names, _at_bounds(identification))
+    changes = direction / direction[np.argmax(np.abs(direction))]
+    texts = [
+        f"{names[k]} by {changes[k]:+.2g} %"
+        for k in np.argsort(-np.abs(changes), kind="stable")
+        if abs(changes[k]) >= 0.05
+    ]
+    if len(texts) > 4:
+        texts = [*texts[:4], f"{len(texts) - 4} more"]
+    if len(texts) == 1:
+        return texts[0]
+    return f"{', '.join(texts[:-1])} and {texts[-1]} together"
 
 
 def _plural(count: int, noun: str) -> str:

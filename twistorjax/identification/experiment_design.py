@@ -20,14 +20,14 @@ class Candidate(NamedTuple):
 
     Args:
         name: Name of the test, and of the sensor.
-        gain: Expected information gain in nats; the volume of the confidence region
-            shrinks by the factor exp(gain).
+        information_gain: Expected information gain in nats. The volume of the confidence
+            region is divided by exp(information_gain).
         standard_errors: Standard errors of the parameters after the test, as relative
             changes.
     """
 
     name: str
-    gain: float
+    information_gain: float
     standard_errors: Float[np.ndarray, " parameters"]
 
 
@@ -61,20 +61,17 @@ class ExperimentRanking(eqx.Module):
         titles = title, before, after, *(candidate.name for candidate in self.candidates)
         first = max(map(len, titles))
         head = "  ".join(f"{name:>{width}}" for name in self.names)
-        errors_before = cells(self.standard_errors_before)
-        errors_after = cells(self.standard_errors_after)
-        return "\n".join(
-            [
-                f"{title:<{first}}  {'gain (nats)':>11}  {head}",
-                f"{before:<{first}}  {'':>11}  {errors_before}",
-                *(
-                    f"{name:<{first}}  {gain:>11.3g}  {cells(errors)}"
-                    for name, gain, errors in self.candidates
-                ),
-                f"{after:<{first}}  {'':>11}  {errors_after}",
-                f"selected: {', '.join(self.selected)}",
-            ]
-        )
+        lines = [
+            f"{title:<{first}}  {'gain (nats)':>11}  {head}",
+            f"{before:<{first}}  {'':>11}  {cells(self.standard_errors_before)}",
+        ]
+        for name, gain, errors in self.candidates:
+            lines.append(f"{name:<{first}}  {gain:>11.3g}  {cells(errors)}")
+        lines += [
+            f"{after:<{first}}  {'':>11}  {cells(self.standard_errors_after)}",
+            f"selected: {', '.join(self.selected)}",
+        ]
+        return "\n".join(lines)
 
 
 def rank_experiments(
@@ -99,7 +96,7 @@ def rank_experiments(
             if the measurements so far leave a direction undetermined.
 
     Returns:
-        The ranking.
+        The tests in descending order of their information gain, and those selected.
 
     Raises:
         ValueError: There is no candidate; `count` or `prior_standard_deviation` is out of
@@ -126,11 +123,9 @@ def rank_experiments(
         >>> rank_experiments(result, {"push again": pushed, "twist": twisted}).selected
         ('twist',)
     """
-    if isinstance(candidates, AbstractTest):
-        raise ValueError("`candidates` is one test: put it in a list, [...].")
     if not isinstance(candidates, Mapping):
-        require_kind("candidates", candidates, AbstractTest)
-        candidates = {f"{test!r}": test for test in candidates}
+        tests = require_kind("candidates", candidates, AbstractTest)
+        candidates = {f"{test!r}": test for test in tests}
     if not candidates:
         raise ValueError("`candidates` is empty, but must have at least one test.")
     if not 1 <= count <= len(candidates):
@@ -152,10 +147,7 @@ def rank_experiments(
             mechanism = problem.mechanism(normalized)
             return test.predict(mechanism, throw=False) / test.standard_deviations
 
-        jacobian = jax.vmap(
-            lambda direction: jax.jvp(predict, (normalized,), (direction,))[1],
-            out_axes=2,
-        )(jnp.eye(normalized.size))
+        jacobian = jax.jacfwd(predict)(normalized)
         return jnp.einsum("rcu,rcv->cuv", jacobian, jacobian)
 
     tests = list(candidates.values())
@@ -168,36 +160,27 @@ def rank_experiments(
     }
     jacobian = np.asarray(identification.jacobian)
     prior = np.eye(normalized.size) / prior_standard_deviation**2
-    known = jacobian.T @ jacobian + prior
-    ranked = []
+    information = jacobian.T @ jacobian + prior
+    added = []
     for (name, test), columns in zip(candidates.items(), per_column, strict=True):
-        ranked.append(_evaluate(name, known, per_test[name]))
+        added.append((name, per_test[name]))
         if len(columns) > 1:
-            ranked += [
-                _evaluate(f"{name}, {sensor} alone", known, information)
-                for sensor, information in zip(test.columns, columns, strict=True)
-            ]
-    selected = _select(per_test, known, count)
+            sensors = (f"{name}, {sensor} alone" for sensor in test.columns)
+            added += zip(sensors, columns, strict=True)
+    ranked = [
+        Candidate(name, _gain(information, more), _standard_errors(information + more))
+        for name, more in added
+    ]
+    selected = _select(per_test, information, count)
     return ExperimentRanking(
-        candidates=tuple(sorted(ranked, key=lambda candidate: -candidate.gain)),
+        candidates=tuple(sorted(ranked, key=lambda each: -each.information_gain)),
         selected=selected,
         names=identification.names,
-        standard_errors_before=_standard_errors(known),
+        standard_errors_before=_standard_errors(information),
         standard_errors_after=_standard_errors(
-            known + sum(per_test[name] for name in selected)
+            information + sum(per_test[name] for name in selected)
         ),
     )
-
-
-def _evaluate(name: str, known: np.ndarray, added: np.ndarray) -> Candidate:
-    """Effect of further information on the uncertainty.
-
-    Args:
-        name: Name of the candidate.
-        known: Information matrix so far, with respect to the normalized parameters.
-        added: Information matrix of the candidate.
-    """
-    return Candidate(name, _gain(known, added), _standard_errors(known + added))
 
 
 def _standard_errors(information: np.ndarray) -> np.ndarray:
@@ -205,28 +188,23 @@ def _standard_errors(information: np.ndarray) -> np.ndarray:
     return np.sqrt(np.diagonal(np.linalg.inv(information)))
 
 
-def _gain(known: np.ndarray, added: np.ndarray) -> float:
+def _gain(information: np.ndarray, added: np.ndarray) -> float:
     """Information gain in nats: half the increase of the log-determinant."""
-    gain = (np.linalg.slogdet(known + added)[1] - np.linalg.slogdet(known)[1]) / 2
-    return float(gain)
+    before, after = information, information + added
+    return float((np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]) / 2)
 
 
 def _select(
-    candidates: Mapping[str, np.ndarray], known: np.ndarray, count: int
+    candidates: Mapping[str, np.ndarray], information: np.ndarray, count: int
 ) -> tuple[str, ...]:
-    """Select candidates one after another by their information gain.
+    """Select tests one after another by their information gain, and return their names.
 
-    Args:
-        candidates: Information matrix of each test.
-        known: Information matrix so far.
-        count: Number of tests to select.
-
-    Returns:
-        Names of the selected tests.
+    The information matrix so far, and those of the candidates, are with respect to the
+    normalized parameters.
     """
     remaining, selected = dict(candidates), []
     for _ in range(count):
-        best = max(remaining, key=lambda name: _gain(known, remaining[name]))
-        known = known + remaining.pop(best)
+        best = max(remaining, key=lambda name: _gain(information, remaining[name]))
+        information = information + remaining.pop(best)
         selected.append(best)
     return tuple(selected)

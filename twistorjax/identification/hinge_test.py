@@ -6,14 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._utils.types import Table, TrialsLike, WrenchLike
-from .._utils.validation import index_of
+from .._utils.validation import index_of, require_array, require_deviations
 from ..energies.fitting.trials import Trials
 from ..mechanism.mechanism import Mechanism
-from .measurement import AbstractTest, expand_standard_deviation, Measurement
+from .measurement import AbstractTest, Measurement
 
 
 class HingeTest(AbstractTest):
-    """Wrenches on one hinge at prescribed displacements, outside of the mechanism.
+    """Wrenches measured on one hinge alone, at prescribed displacements.
 
     Args:
         hinge: Name of the hinge in the mechanism.
@@ -23,7 +23,8 @@ class HingeTest(AbstractTest):
             and of the force along axis 2, or one for all three; N m, N, N.
 
     Raises:
-        ValueError: A shape is wrong, or a standard deviation is not positive.
+        ValueError: A shape is wrong, a pose is not finite, or a standard deviation is
+            not positive.
 
     Example:
         >>> HingeTest("A", poses=[[0.1, 0.0, 0.0]], standard_deviation=(1e-3, 0.1, 0.1))
@@ -34,20 +35,14 @@ class HingeTest(AbstractTest):
     poses: Float[Array, "trials 3"]
     standard_deviation: Float[Array, "3"]
 
-    def __init__(
-        self,
-        hinge: str,
-        poses: TrialsLike,
-        standard_deviation: WrenchLike,
-    ):
+    def __init__(self, hinge: str, poses: TrialsLike, standard_deviation: WrenchLike):
         self.hinge = hinge
-        self.poses = jnp.asarray(poses, float)
-        if self.poses.ndim != 2 or self.poses.shape[1] != 3:
-            raise ValueError(
-                f"`poses` has shape {self.poses.shape}, but must have a row (angle, x, "
-                "y) for each trial."
-            )
-        self.standard_deviation = expand_standard_deviation(standard_deviation, 3)
+        self.poses = require_array(
+            "`poses`", poses, (None, 3), "have a row (angle, x, y) for each trial"
+        )
+        self.standard_deviation = require_deviations(
+            "`standard_deviation`", standard_deviation, (3,)
+        )
 
     @classmethod
     def from_trials(cls, hinge: str, trials: Trials) -> Measurement:

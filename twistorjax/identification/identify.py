@@ -10,6 +10,7 @@ import numpy as np
 import optax
 import optimistix as optx
 
+from .._utils.pytrees import split_last_axis
 from .._utils.types import KeyLike
 from .._utils.validation import (
     all_concrete,
@@ -18,11 +19,11 @@ from .._utils.validation import (
     require_kind,
 )
 from ..mechanism.mechanism import Mechanism
-from ..solve.results import raise_failed, result_message, RESULTS
+from ..solve.results import result_message, RESULTS, succeeded_or_raise
 from .levenberg_marquardt import LevenbergMarquardt
 from .measurement import as_pytree, Measurement, random_key
 from .objective import IdentificationProblem
-from .optimizer import AbstractOptimizer, constant
+from .optimizer import AbstractOptimizer, from_numpy
 from .parameters import ParameterSet
 from .report import Identification
 from .search import search_compiled, search_with_progress, SearchState
@@ -60,16 +61,16 @@ def identify(
     Args:
         design: Function that builds the mechanism from the parameters. Define it once: a
             new function is compiled again.
-        start: Argument of the design, a tree with the initial values. If it contains
-            `Parameter`s, these are identified, with their units and bounds; otherwise all
-            its numbers.
+        start: Argument of the design: a pytree with the initial values. If it contains
+            `Parameter`s, these are identified, with their units and bounds. Otherwise,
+            all numbers in it are identified.
         data: Measurements, from `test.measurement(values)` of one or several tests.
         held_out: Further measurements, which are not used for the estimates. The result
             has their residuals.
         method: Optimizer. The default is the Levenberg-Marquardt method. Optimizers of
-            optax do gradient descent, for example `optax.sgd(0.5)`; a learning rate of 1
-            is the Gauss-Newton step. Least-squares solvers of optimistix are accepted,
-            too.
+            optax receive the natural gradient, or the gradient in reverse mode. With the
+            natural gradient, `optax.sgd(1.0)` takes damped Gauss-Newton steps.
+            Least-squares solvers of optimistix are accepted, too.
         huber_threshold: Threshold of Huber's loss, which reduces the effect of outliers:
             a residual above it counts linearly instead of quadratically; in standard
             deviations. With 1.345 the estimates lose 5 % of their efficiency if there are
@@ -89,12 +90,14 @@ def identify(
         throw: Whether a failure raises an error. If False, `result` holds the reason.
 
     Returns:
-        The estimates and their uncertainties.
+        The estimates and their uncertainties. If the search did not converge and `throw`
+        is False, they are those of the smallest loss so far.
 
     Raises:
         ValueError: Double precision is not enabled; there is no parameter or no
-            measurement; an argument is out of its range; a test does not fit the
-            mechanism.
+            measurement; an argument is out of its range; a test names a body, a hinge or
+            a coordinate that the mechanism lacks; or a predicted reading is not finite
+            at the initial values, although no solve fails.
         RuntimeError: A solve fails at the initial values, or the search does not
             converge.
 
@@ -135,22 +138,22 @@ def identify(
             "standard deviations: 1.345."
         )
     parameters = ParameterSet.from_tree(start)
-    data = _require_measurements("data", data)
+    data = require_kind("data", data, Measurement)
     optimizer, default_steps = _choose_optimizer(method, tolerance, parameters)
     max_steps = default_steps if max_steps is None else max_steps
     if max_steps < 1:
         raise ValueError(f"`max_steps` is {max_steps}, but must be at least 1.")
-    held_out = _require_measurements("held_out", held_out)
+    held_out = require_kind("held_out", held_out, Measurement)
     if not data:
         raise ValueError("`data` is empty, but must have at least one measurement.")
     problem = IdentificationProblem(
         as_pytree(design), parameters, data, held_out, huber_threshold
     )
-    require_float64(problem.parameters.parameters[0].value)
+    require_float64(jax.tree.leaves(parameters)[0])
     if reverse is None:
         reverse = len(parameters.names) > _MOST_IN_FORWARD_MODE
     forward = not (isinstance(optimizer, GradientDescent) and reverse)
-    start_point = constant(np.zeros(len(parameters.names)))
+    start_point = from_numpy(np.zeros(len(parameters.names)))
     arrays = jax.tree.leaves(eqx.filter((problem, key), eqx.is_array))
     try:
         if restarts:
@@ -171,32 +174,13 @@ def identify(
     return _raise_if_failed(identification) if throw else identification
 
 
-def _require_measurements(
-    name: str, data: Sequence[Measurement]
-) -> tuple[Measurement, ...]:
-    """Check that an argument is a sequence of measurements.
-
-    Args:
-        name: Name of the argument, for messages.
-        data: Value of the argument.
-    """
-    require_kind(name, data, Measurement)
-    return tuple(data)
-
-
 def _choose_optimizer(
     method: Any, tolerance: float, parameters: ParameterSet
 ) -> tuple[AbstractOptimizer, int]:
-    """Choose the optimizer, and its largest number of evaluations by default.
-
-    Args:
-        method: Argument of `identify`.
-        tolerance: Relative tolerance of the estimates.
-        parameters: Parameters to identify.
-    """
+    """Choose the optimizer, and its default for the largest number of evaluations."""
     if method is None:
         bounded = [float(name in parameters.bounded) for name in parameters.names]
-        return LevenbergMarquardt(tolerance, constant(bounded)), 100
+        return LevenbergMarquardt(tolerance, from_numpy(bounded)), 100
     if isinstance(method, optax.GradientTransformation):
         return GradientDescent(method, tolerance), 3000
     if isinstance(method, optx.AbstractLeastSquaresSolver):
@@ -209,12 +193,7 @@ def _choose_optimizer(
 
 @eqx.filter_jit
 def _summarize(problem: IdentificationProblem, state: SearchState) -> Identification:
-    """Result of the search with the smallest loss.
-
-    Args:
-        problem: Problem that was solved.
-        state: Last state of one search, or of several.
-    """
+    """Summarize the search with the smallest loss, from the last states of all."""
     losses = jnp.atleast_1d(state.residual_norm**2 / 2)
     if state.done.ndim:
         best = jnp.argmin(losses)
@@ -225,15 +204,11 @@ def _summarize(problem: IdentificationProblem, state: SearchState) -> Identifica
     if evaluation.derivatives.ndim == 1:  # in reverse mode only the gradient is known
         evaluation = problem.evaluate(normalized)
     residuals = problem.untransformed_residuals(evaluation.residuals)
-    ends = np.cumsum([part.values.size for part in problem.data])
-    tables = [
-        table.reshape(part.values.shape)
-        for table, part in zip(jnp.split(residuals, ends[:-1]), problem.data, strict=True)
-    ]
+    shapes = [measurement.values.shape for measurement in problem.data]
     held_out_residuals = ()
     if problem.held_out:
         mechanism = problem.mechanism(normalized)
-        held_out_residuals = tuple(part.residuals(mechanism) for part in problem.held_out)
+        held_out_residuals = tuple(each.residuals(mechanism) for each in problem.held_out)
     result = RESULTS.where(state.done, RESULTS.successful, RESULTS.not_converged)
     failed = ~jnp.isfinite(evaluation.loss)
     result = RESULTS.where(failed, RESULTS.no_solution_at_start, result)
@@ -241,7 +216,7 @@ def _summarize(problem: IdentificationProblem, state: SearchState) -> Identifica
         estimates=problem.parameters.tree(normalized),
         normalized=normalized,
         jacobian=problem.untransformed_jacobian(evaluation),
-        residuals=tuple(tables),
+        residuals=tuple(split_last_axis(residuals, shapes)),
         held_out_residuals=held_out_residuals,
         loss=evaluation.loss,
         losses=losses,
@@ -260,15 +235,15 @@ def _raise_if_failed(identification: Identification) -> Identification:
         if item == "no_solution_at_start" and not batch_index:
             start = jnp.zeros_like(identification.normalized)
             mechanism = problem.mechanism(start)
-            for part in problem.data:
+            for measurement in problem.data:
                 try:
-                    part.test.predict(mechanism)
+                    measurement.test.predict(mechanism)
                 except RuntimeError as error:
-                    return RuntimeError(f"{message} {part.test!r}: {error}")
+                    return RuntimeError(f"{message} {measurement.test!r}: {error}")
             return ValueError(message)
         index = ", ".join(map(str, batch_index))
-        where = f" at batch index {index}" if batch_index else ""
+        where = f" at index {index} of the batch" if batch_index else ""
         steps = np.asarray(identification.steps)[batch_index]
         return RuntimeError(f"{message} ({steps} evaluations{where})")
 
-    return raise_failed(identification, failure)
+    return succeeded_or_raise(identification, failure)

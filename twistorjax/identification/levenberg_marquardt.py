@@ -7,7 +7,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Scalar
-from .optimizer import AbstractOptimizer, constant, Evaluation, exceeds_rounding, ROUNDING
+from .optimizer import (
+    AbstractOptimizer,
+    Evaluation,
+    exceeds_rounding,
+    from_numpy,
+    ROUNDING,
+)
 
 
 class _LinearModel(eqx.Module):
@@ -48,11 +54,19 @@ class LevenbergMarquardt(AbstractOptimizer):
     times as long to compile and, if the residuals vanish at the solution, four times as
     many steps, because it reduces the damping more slowly.
 
+    The method has converged if one of three criteria is met. Decreases of the loss are
+    those of the linear model.
+
+    1. The undamped step changes each normalized parameter by less than the tolerance, and
+       decreases the loss by at most 1e-4 + 1e-6 loss.
+    2. No step decreases the loss by more than 1e-8, or by more than 1e-8 of the loss per
+       reading if this is smaller. The distance to the minimum is then below 1e-4 standard
+       errors.
+    3. A step was rejected, no solve has failed, and the next step decreases the loss by
+       less than the tolerance times the loss, which is below its rounding errors.
+
     Args:
-        tolerance: The method has converged if the undamped step changes each normalized
-            parameter by less. It has also converged if no step decreases the loss by more
-            than 1e-8, or by more than 1e-8 of the loss per reading if this is smaller:
-            then the distance to the minimum is below 1e-4 standard errors.
+        tolerance: Tolerance of the criteria 1 and 3.
         bounded: One for each parameter with a bound, zero for the others.
 
     Source:
@@ -69,14 +83,14 @@ class LevenbergMarquardt(AbstractOptimizer):
         rank = min(evaluation.derivatives.shape)
         return _LinearModel(
             point=point,
-            loss=constant(np.inf),
-            components=constant(np.zeros(rank)),
-            singular_values=constant(np.zeros(rank)),
-            directions=constant(np.zeros((rank, point.size))),
-            damping=constant(1e-2),
-            reduction=constant(0.1),
-            has_failed=constant(False),
-            predicted_decrease=constant(0.0),
+            loss=from_numpy(np.inf),
+            components=from_numpy(np.zeros(rank)),
+            singular_values=from_numpy(np.zeros(rank)),
+            directions=from_numpy(np.zeros((rank, point.size))),
+            damping=from_numpy(1e-2),
+            reduction=from_numpy(0.1),
+            has_failed=from_numpy(False),
+            predicted_decrease=from_numpy(0.0),
         )
 
     def step(
@@ -94,7 +108,7 @@ class LevenbergMarquardt(AbstractOptimizer):
             state,
             (
                 4 * state.damping,
-                constant(0.5),
+                from_numpy(0.5),
                 state.has_failed | ~jnp.isfinite(evaluation.loss),
             ),
         )
@@ -114,32 +128,25 @@ class LevenbergMarquardt(AbstractOptimizer):
 
         undamped = components / jnp.where(relevant, model.singular_values, 1.0)
         largest_decrease = jnp.sum(components**2) / 2
-        is_short = jnp.max(jnp.abs(undamped @ model.directions)) < self.tolerance
-        is_short &= largest_decrease <= 1e-4 + 1e-6 * model.loss
+        step_converged = jnp.max(jnp.abs(undamped @ model.directions)) < self.tolerance
+        step_converged &= largest_decrease <= 1e-4 + 1e-6 * model.loss
         per_reading = jnp.minimum(1.0, model.loss / evaluation.residuals.size)
-        is_flat = largest_decrease <= 1e-8 * per_reading
-        # The predicted decrease is smaller than the rounding errors of the loss.
-        is_exhausted = ~accepted & (predicted_decrease < self.tolerance * model.loss)
-        is_exhausted &= ~model.has_failed
+        loss_converged = largest_decrease <= 1e-8 * per_reading
+        rounding_reached = ~accepted & (predicted_decrease < self.tolerance * model.loss)
+        rounding_reached &= ~model.has_failed
+        converged = step_converged | loss_converged | rounding_reached
         model = eqx.tree_at(
             lambda model: model.predicted_decrease, model, predicted_decrease
         )
-        following = model.point + change @ model.directions
-        return following, model, is_short | is_flat | is_exhausted
+        return model.point + change @ model.directions, model, converged
 
     def _linearize(
         self, point: Array, evaluation: Evaluation, state: _LinearModel, decrease: Array
     ) -> _LinearModel:
         """Linearize the residuals about a new point, and adapt the damping.
 
-        Args:
-            point: New point.
-            evaluation: Residuals and their Jacobian at the new point.
-            state: Model about the previous point.
-            decrease: Decrease of the loss from the previous point to the new one.
-
-        Returns:
-            The model about the new point.
+        `state` is the model about the previous point, and `decrease` the decrease of the
+        loss from there to the new point.
         """
         jacobian = jnp.where(
             jnp.isfinite(evaluation.derivatives), evaluation.derivatives, 0.0
@@ -172,13 +179,10 @@ def _unobservable_part(
 ) -> Float[Array, "readings parameters"]:
     """Part of a Jacobian that belongs to directions which the readings hardly determine.
 
-    A direction is removed if even a change by a factor of one thousand would hardly
-    change the readings, and if its residual is smaller than one standard deviation.
-    Otherwise the optimizer would follow a long curve of nearly equal residuals.
-
-    Args:
-        residuals: Residuals, in standard deviations.
-        jacobian: Derivatives of the residuals.
+    A direction is removed if a change of the normalized parameters by 1000 changes the
+    readings by less than one standard deviation, and if its residual is smaller than one
+    standard deviation. Otherwise the optimizer would follow a long curve of nearly equal
+    residuals.
     """
     left, singular_values, right = jnp.linalg.svd(jacobian, full_matrices=False)
     unobservable = (singular_values < 1e-3) & (jnp.abs(residuals @ left) < 1)

@@ -1,4 +1,4 @@
-"""Tests on mechanisms, and the measurements that they give."""
+"""Base classes of tests on mechanisms, and the measurements that they give."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
@@ -12,9 +12,16 @@ from jaxtyping import Array, Float
 
 from .._utils.pytrees import group_by_structure
 from .._utils.types import KeyLike, Table, TableDeviationsLike, TableLike
-from .._utils.validation import all_concrete, concrete
+from .._utils.validation import (
+    all_concrete,
+    concrete,
+    require_deviations,
+    require_kind,
+    require_shape,
+)
 from ..mechanism.mechanism import Mechanism
 from .compilation import fast_compile
+from .sensors import AbstractSensor
 
 
 class AbstractTest(eqx.Module):
@@ -75,41 +82,24 @@ class AbstractTest(eqx.Module):
             ValueError: A shape is wrong; all readings are missing; a standard deviation
                 is not positive.
         """
-        sizes = self.standard_deviations
+        deviations = self.standard_deviations
+        shape = deviations.shape
+        requirement = (
+            f"have {shape[0]} rows of {shape[1]}: {', '.join(self.columns)}. Give NaN "
+            "for a missing reading"
+        )
+        array = require_shape("`values`", values, shape, requirement)
         if standard_deviations is not None:
-            sizes = jnp.asarray(standard_deviations, float)
-        shape = self.standard_deviations.shape
-        try:
-            array = jnp.asarray(values, float)
-        except ValueError:
-            raise ValueError(
-                f"`values` has rows of different lengths, but this test reads {shape[0]} "
-                f"rows of {shape[1]}: {', '.join(self.columns)}. Give NaN for a missing "
-                "reading."
-            ) from None
-        if array.shape != shape:
-            raise ValueError(
-                f"`values` has shape {array.shape}, but this test reads {shape[0]} rows "
-                f"of {shape[1]}: {', '.join(self.columns)}."
-            )
-        try:
-            sizes = jnp.broadcast_to(sizes, shape)
-        except ValueError:
-            raise ValueError(
-                f"`standard_deviations` has shape {sizes.shape}, but must have shape "
-                f"{shape}, or one that broadcasts to it."
-            ) from None
-        known = concrete(sizes)
-        if known is not None and not np.all((known > 0) & np.isfinite(known)):
-            raise ValueError("`standard_deviations` must be positive and finite.")
-        known = concrete(array)
-        if known is not None and np.any(np.isinf(known)):
+            deviations = standard_deviations
+        deviations = require_deviations("`standard_deviations`", deviations, shape)
+        readings = concrete(array)
+        if readings is not None and np.any(np.isinf(readings)):
             raise ValueError(
                 "`values` has an infinite entry: give NaN for a missing reading."
             )
-        if known is not None and np.all(np.isnan(known)):
+        if readings is not None and np.all(np.isnan(readings)):
             raise ValueError("`values` has no reading: all entries are NaN.")
-        return Measurement(self, array, sizes)
+        return Measurement(self, array, deviations)
 
     def synthetic_data(
         self, mechanism: Mechanism, key: KeyLike | None = None
@@ -140,6 +130,45 @@ class AbstractTest(eqx.Module):
         return Measurement(self, values, self.standard_deviations)
 
 
+class SensorTest(AbstractTest):
+    """Test that is measured by sensors.
+
+    Args:
+        sensors: Sensors, one for each column of the table of readings.
+    """
+
+    sensors: eqx.AbstractVar[tuple[AbstractSensor, ...]]
+
+    @property
+    @abstractmethod
+    def row_count(self) -> int:
+        """Number of readings of each sensor."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return tuple(sensor.name for sensor in self.sensors)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the sensors."""
+        return tuple(sensor.unit for sensor in self.sensors)
+
+    @property
+    def standard_deviations(self) -> Table:
+        """Standard deviations of the sensors, in `units`; equal in all rows."""
+        row = jnp.stack([sensor.standard_deviation for sensor in self.sensors])
+        return jnp.broadcast_to(row, (self.row_count, len(self.sensors)))
+
+    def _read_sensors(
+        self, mechanism: Mechanism, solution: Any
+    ) -> Float[Array, "*rows columns"]:
+        """Read all sensors in an equilibrium or a motion, in `units`."""
+        return jnp.stack(
+            [sensor.read(mechanism, solution) for sensor in self.sensors], axis=-1
+        )
+
+
 class Measurement(eqx.Module):
     """Test with the values that were measured.
 
@@ -158,8 +187,7 @@ class Measurement(eqx.Module):
 
         Args:
             mechanism: Mechanism on which the test is done.
-            forward: Whether the result is differentiated in forward mode. If False, it
-                is differentiated in reverse mode.
+            forward: Mode of differentiation; see `AbstractTest.predict`.
 
         Returns:
             The differences, divided by the standard deviations. They are zero if a
@@ -178,10 +206,18 @@ class Measurement(eqx.Module):
         return f"{count} readings of {self.test!r}"
 
 
-@fast_compile
-def _predict(test: AbstractTest, mechanism: Mechanism) -> Table:
-    """Compute the readings of a mechanism; NaN if a solve fails."""
-    return test.predict(mechanism, throw=False)
+_predict = fast_compile(lambda test, mechanism: test.predict(mechanism, throw=False))
+
+
+def require_sensors(sensors: Sequence[AbstractSensor]) -> tuple[AbstractSensor, ...]:
+    """Check that there is at least one sensor and that every entry is a sensor.
+
+    Raises:
+        ValueError: The sequence is empty, or an entry is not a sensor.
+    """
+    if not (checked := require_kind("sensors", sensors, AbstractSensor)):
+        raise ValueError("`sensors` is empty, but a test needs at least one sensor.")
+    return checked
 
 
 def random_key(key: KeyLike) -> Array:
@@ -223,36 +259,7 @@ def map_in_groups(function: Callable[[Any], Array], trees: Sequence[Any]) -> lis
 def as_pytree(function: Any) -> Any:
     """Wrap a function so that it is part of the structure of a pytree, not a leaf.
 
-    Args:
-        function: Function; a module of equinox is a pytree and is returned unchanged.
+    A module of equinox is a pytree and is returned unchanged.
     """
-    if isinstance(function, eqx.Module):
-        return function
-    return jax.tree_util.Partial(function)
-
-
-def expand_standard_deviation(given: Any, count: int) -> Float[Array, " count"]:
-    """Expand one standard deviation, or check that there are as many as needed.
-
-    Args:
-        given: One standard deviation, or `count` of them.
-        count: Number of standard deviations that are needed.
-
-    Returns:
-        The standard deviations, in the unit of the argument.
-
-    Raises:
-        ValueError: The shape is wrong, or a standard deviation is not positive.
-    """
-    sizes = jnp.asarray(given, float)
-    if sizes.shape not in ((), (count,)):
-        raise ValueError(
-            f"`standard_deviation` has shape {sizes.shape}, but must be one number, or "
-            f"{count} numbers."
-        )
-    known = concrete(sizes)
-    if known is not None and not np.all((known > 0) & np.isfinite(known)):
-        raise ValueError(
-            f"`standard_deviation` is {known.tolist()}, but must be positive and finite."
-        )
-    return jnp.broadcast_to(sizes, (count,))
+    is_module = isinstance(function, eqx.Module)
+    return function if is_module else jax.tree_util.Partial(function)

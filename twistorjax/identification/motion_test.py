@@ -7,22 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import (
-    NumberLike,
-    Poses,
-    Scalar,
-    Table,
-    TimesLike,
-    VelocityLike,
-)
+from .._utils.types import NumberLike, Poses, Scalar, Table, TimesLike, VelocityLike
 from .._utils.validation import concrete
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
 from ..solve.dynamics import Driving, Loading, simulate
 from ..solve.initial_state import check_times
 from ..solve.statics import Equilibrium, StateLike
-from .measurement import as_pytree
-from .sensor_test import require_sensors, SensorTest
+from .measurement import as_pytree, require_sensors, SensorTest
 from .sensors import AbstractSensor
 
 
@@ -54,7 +46,7 @@ class MotionTest(SensorTest):
         >>> camera = BodySensor("block", "x", standard_deviation=1e-5)
         >>> pushed_off = {"block": (0.0, 1.0, 0.0)}  # 1 m/s along x
         >>> MotionTest([0.0, 0.1, 0.2], [camera], velocities=pushed_off)
-        MotionTest at 3 times up to 0.2 s, read by block.x
+        MotionTest at 3 times up to 0.2 s, sensors: block.x
     """
 
     times: Float[Array, " times"]
@@ -63,7 +55,7 @@ class MotionTest(SensorTest):
     drives: Driving
     constraints: tuple[AbstractConstraint, ...]
     start: Poses | None
-    velocities: dict[str, tuple[Scalar, ...]] | None
+    velocities: dict[str, Float[Array, "3"]] | None
     tolerance: Scalar
 
     def __init__(
@@ -89,7 +81,7 @@ class MotionTest(SensorTest):
         self.velocities = None
         if velocities is not None:
             self.velocities = {
-                body: tuple(jnp.asarray(entry, float) for entry in velocity)
+                body: jnp.asarray(velocity, float)
                 for body, velocity in velocities.items()
             }
         self.tolerance = jnp.asarray(tolerance, float)
@@ -126,7 +118,5 @@ class MotionTest(SensorTest):
     def __repr__(self) -> str:
         times = concrete(self.times)
         last = "" if times is None else f" up to {np.max(times):g} s"
-        return (
-            f"MotionTest at {self.row_count} times{last}, read by "
-            f"{', '.join(self.columns)}"
-        )
+        sensors = ", ".join(self.columns)
+        return f"MotionTest at {self.row_count} times{last}, sensors: {sensors}"

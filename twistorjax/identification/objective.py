@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.pytrees import value_and_jacfwd
 from ..mechanism.mechanism import Mechanism
 from .measurement import Measurement
 from .optimizer import Evaluation
@@ -57,25 +58,24 @@ class IdentificationProblem(eqx.Module):
 
         Args:
             normalized: Normalized parameters.
-            forward: Whether the result is differentiated in forward mode. If False, it
-                is differentiated in reverse mode.
+            forward: Mode of differentiation; see `AbstractTest.predict`.
 
         Returns:
             The residuals, in standard deviations.
         """
         mechanism = self.mechanism(normalized)
         tables = []
-        for part in self.data:
+        for measurement in self.data:
             try:
-                tables.append(part.residuals(mechanism, forward=forward))
+                tables.append(measurement.residuals(mechanism, forward=forward))
             except ValueError as error:
-                raise ValueError(f"{part.test!r}: {error}") from error
+                raise ValueError(f"{measurement.test!r}: {error}") from error
         residuals = jnp.concatenate([table.reshape(-1) for table in tables])
         if self.huber_threshold is None:
             return residuals
         is_large = jnp.abs(residuals) > self.huber_threshold
-        size = jnp.where(is_large, jnp.abs(residuals), 1.0)
-        root = jnp.sqrt(self.huber_threshold * (2 * size - self.huber_threshold))
+        magnitude = jnp.where(is_large, jnp.abs(residuals), 1.0)
+        root = jnp.sqrt(self.huber_threshold * (2 * magnitude - self.huber_threshold))
         return jnp.where(is_large, jnp.sign(residuals) * root, residuals)
 
     def untransformed_residuals(
@@ -92,8 +92,8 @@ class IdentificationProblem(eqx.Module):
         if self.huber_threshold is None:
             return residuals
         is_large = jnp.abs(residuals) > self.huber_threshold
-        size = (residuals**2 / self.huber_threshold + self.huber_threshold) / 2
-        return jnp.where(is_large, jnp.sign(residuals) * size, residuals)
+        magnitude = (residuals**2 / self.huber_threshold + self.huber_threshold) / 2
+        return jnp.where(is_large, jnp.sign(residuals) * magnitude, residuals)
 
     def untransformed_jacobian(
         self, evaluation: Evaluation
@@ -109,8 +109,8 @@ class IdentificationProblem(eqx.Module):
         """
         if self.huber_threshold is None:
             return evaluation.derivatives
-        size = jnp.maximum(jnp.abs(evaluation.residuals), self.huber_threshold)
-        factor = size / self.huber_threshold
+        magnitude = jnp.maximum(jnp.abs(evaluation.residuals), self.huber_threshold)
+        factor = magnitude / self.huber_threshold
         return evaluation.derivatives * factor[:, None]
 
     def evaluate(
@@ -126,19 +126,12 @@ class IdentificationProblem(eqx.Module):
         Returns:
             The residuals, and either their Jacobian or the gradient of the loss.
         """
-        if not forward:
+        if forward:
+            return Evaluation(*value_and_jacfwd(self.residuals, normalized))
 
-            def loss(normalized: Array) -> tuple[Array, Array]:
-                residuals = self.residuals(normalized, forward=False)
-                return jnp.sum(residuals**2) / 2, residuals
+        def loss(normalized: Array) -> tuple[Array, Array]:
+            residuals = self.residuals(normalized, forward=False)
+            return jnp.sum(residuals**2) / 2, residuals
 
-            gradient, residuals = jax.grad(loss, has_aux=True)(normalized)
-            return Evaluation(residuals, gradient)
-
-        def directional_derivative(direction: Array) -> tuple[Array, Array]:
-            return jax.jvp(self.residuals, (normalized,), (direction,))
-
-        residuals, jacobian = jax.vmap(directional_derivative, out_axes=(None, 1))(
-            jnp.eye(normalized.size)
-        )
-        return Evaluation(residuals, jacobian)
+        gradient, residuals = jax.grad(loss, has_aux=True)(normalized)
+        return Evaluation(residuals, gradient)

@@ -21,16 +21,20 @@ from .._utils.types import Flag, Scalar
 ROUNDING = 1e-10
 
 
-def exceeds_rounding(sizes: Float[Array, " sizes"]) -> Bool[Array, " sizes"]:
-    """Whether sensitivities of the residuals are larger than rounding errors.
+def exceeds_rounding(sensitivities: Float[Array, " n"]) -> Bool[Array, " n"]:
+    """Determine which sensitivities of the residuals are larger than rounding errors.
 
     A sensitivity above 1 always counts: there a relative change of a parameter by 100 %
     changes the readings by more than one standard deviation.
 
     Args:
-        sizes: Singular values or column norms of the Jacobian of the residuals.
+        sensitivities: Singular values or column norms of the Jacobian of the residuals.
+
+    Returns:
+        Whether each sensitivity is larger.
     """
-    return (sizes > ROUNDING * jnp.max(sizes, initial=0.0)) | (sizes > 1)
+    largest = jnp.max(sensitivities, initial=0.0)
+    return (sensitivities > ROUNDING * largest) | (sensitivities > 1)
 
 
 class Evaluation(eqx.Module):
@@ -70,6 +74,9 @@ class AbstractOptimizer(eqx.Module):
         Args:
             point: First point.
             evaluation: Evaluation with the right shapes; its values are not used.
+
+        Returns:
+            The state, which the first call of `step` takes.
         """
 
     @abstractmethod
@@ -88,6 +95,6 @@ class AbstractOptimizer(eqx.Module):
         """
 
 
-def constant(value: Any) -> Array:
-    """Array from NumPy, because `jax.numpy.zeros` would compile a program."""
+def from_numpy(value: Any) -> Array:
+    """Create an array with NumPy, because `jax.numpy.zeros` would compile a program."""
     return jnp.asarray(np.asarray(value))

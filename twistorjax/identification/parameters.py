@@ -7,13 +7,13 @@ values between the bounds, so the optimization itself has no constraints.
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._utils.pytrees import entry_names, path_name
@@ -28,9 +28,8 @@ class Parameter(eqx.Module):
         value: Initial value.
         unit: Unit of the value, for printing. An array has one unit, or one for each
             entry of its last axis.
-        lower: Lower bound; the value always exceeds it. Stiffnesses and lengths have the
-            lower bound 0.
-        upper: Upper bound; the value is always smaller.
+        lower: Lower bound; excluded. Give 0 for stiffnesses and lengths.
+        upper: Upper bound; excluded.
         scale: Size of a typical change of a parameter without bounds. The default is the
             absolute value of `value`, and for a zero in an array the largest absolute
             value of the array. The scale of a parameter with a bound is its distance to
@@ -95,8 +94,8 @@ class Parameter(eqx.Module):
                 f"The value of a `Parameter` is {initial.tolist()}, but must be"
                 f"{self._bounds()}."
             )
-        size = concrete(self.initial_scale())
-        if size is not None and not np.all((size > 0) & np.isfinite(size)):
+        change = concrete(self.initial_scale())
+        if change is not None and not np.all((change > 0) & np.isfinite(change)):
             raise ValueError(
                 "A `Parameter` without bounds has the value 0, so the size of a typical "
                 "change is not known: give it as `scale`."
@@ -108,17 +107,13 @@ class Parameter(eqx.Module):
         Returns:
             The derivative, in the unit of the parameter.
         """
-        if self.lower is not None and self.upper is not None:
-            fraction = (self.value - self.lower) / (self.upper - self.lower)
-            return (self.upper - self.lower) * fraction * (1 - fraction)
-        if self.lower is not None:
-            return self.value - self.lower
-        if self.upper is not None:
-            return self.upper - self.value
-        if self.scale is None:
-            size = jnp.abs(self.value)
-            return jnp.where(size > 0, size, jnp.max(size))
-        return jnp.broadcast_to(self.scale, self.value.shape)
+        if self.lower is not None or self.upper is not None:
+            zeros, ones = jnp.zeros_like(self.value), jnp.ones_like(self.value)
+            return jax.jvp(self.value_at, (zeros,), (ones,))[1]
+        if self.scale is not None:
+            return jnp.broadcast_to(self.scale, self.value.shape)
+        magnitude = jnp.abs(self.value)
+        return jnp.where(magnitude > 0, magnitude, jnp.max(magnitude))
 
     def value_at(self, normalized: Numbers) -> Numbers:
         """Compute the value from the normalized parameter.
@@ -127,7 +122,7 @@ class Parameter(eqx.Module):
             normalized: Normalized parameter; zero gives the initial value.
 
         Returns:
-            The value, which lies between the bounds, in the unit of the parameter.
+            The value, which lies between the bounds; in the unit of the parameter.
         """
         if self.lower is not None and self.upper is not None:
             fraction = (self.value - self.lower) / (self.upper - self.lower)
@@ -165,119 +160,95 @@ class ParameterSet(eqx.Module):
     """All parameters of a design, in the form of one vector.
 
     Args:
-        parameters: Parameters, in the order of the vector.
-        constants: Leaves of the tree that are not identified; None in the positions of
-            the parameters.
-        structure: Structure of the tree that the design takes.
+        parameters: The argument of the design, with a `Parameter` in place of each
+            identified leaf and None in place of the others.
+        constants: The same pytree with the other leaves only.
         names: Names of the entries of the vector.
         units: Units of the entries of the vector.
+        bounded: Names of the entries that have a bound.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: Any
     constants: Any
-    structure: Any = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def bounded(self) -> frozenset[str]:
-        """Names of the entries that have a bound."""
-        return frozenset(
-            name
-            for parameter, names in zip(
-                self.parameters, self._split(self.names), strict=True
-            )
-            for name in names
-            if parameter.lower is not None or parameter.upper is not None
-        )
+    bounded: frozenset[str] = eqx.field(static=True)
 
     @classmethod
     def from_tree(cls, start: Any) -> "ParameterSet":
-        """Collect the parameters of a tree.
+        """Collect the parameters of a pytree.
 
         Args:
-            start: Tree that a design takes. Each `Parameter` in it is identified or, if
-                there is none, each number.
+            start: Argument of a design. Each `Parameter` in it is identified or, if there
+                is none, each number.
 
         Returns:
-            The parameters of the tree.
+            The parameters.
 
         Raises:
-            ValueError: The tree contains neither parameters nor numbers.
+            ValueError: The pytree contains neither parameters nor numbers.
         """
-        leaves, structure = jax.tree_util.tree_flatten_with_path(
-            start, is_leaf=_is_parameter
+        has_parameters = any(
+            map(_is_parameter, jax.tree.leaves(start, is_leaf=_is_parameter))
         )
-        has_parameters = any(_is_parameter(leaf) for _, leaf in leaves)
         is_identified = _is_parameter if has_parameters else _is_number
-        parameters, constants, names, units = [], [], [], []
-        for path, leaf in leaves:
-            if not is_identified(leaf):
-                constants.append(leaf)
-                continue
-            parameter = leaf if _is_parameter(leaf) else Parameter(leaf)
-            constants.append(None)
-            parameters.append(parameter)
-            names += entry_names(path_name(path), parameter.value.shape)
+        parameters, constants = eqx.partition(start, is_identified, is_leaf=_is_parameter)
+        if not has_parameters:
+            parameters = jax.tree.map(Parameter, parameters)
+        leaves = jax.tree_util.tree_leaves_with_path(parameters, is_leaf=_is_parameter)
+        names, units, bounded = [], [], []
+        for path, parameter in leaves:
+            entries = entry_names(path_name(path), parameter.value.shape)
+            names += entries
             for index in np.ndindex(parameter.value.shape):
                 unit = parameter.unit
                 units.append(unit if isinstance(unit, str) else unit[index[-1]])
-        if not parameters:
+            if parameter.lower is not None or parameter.upper is not None:
+                bounded += entries
+        if not names:
             raise ValueError(
                 f"`start` is {start!r}, but must have a parameter to identify: floats, "
                 "arrays of them, or `Parameter`s."
             )
-        return cls(
-            tuple(parameters), tuple(constants), structure, tuple(names), tuple(units)
-        )
+        return cls(parameters, constants, tuple(names), tuple(units), frozenset(bounded))
 
     def vector(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:
         """Values of the parameters as a vector, in their units."""
-        return jnp.concatenate([jnp.ravel(value) for value in self._values(normalized)])
+        return ravel_pytree(self._values(normalized))[0]
 
     def tree(self, normalized: Float[Array, " parameters"]) -> Any:
-        """Values of the parameters and the constants, in the tree that the design takes.
-
-        Args:
-            normalized: Normalized parameters.
-        """
-        values = iter(self._values(normalized))
-        leaves = [next(values) if leaf is None else leaf for leaf in self.constants]
-        return jax.tree.unflatten(self.structure, leaves)
+        """Argument of the design: the values of the parameters, and the constants."""
+        return eqx.combine(self._values(normalized), self.constants)
 
     def unflatten(self, vector: Float[Array, " parameters"]) -> Any:
-        """Arrange one number for each parameter in the tree that the design takes.
+        """Arrange one number for each parameter in a pytree.
 
         Args:
             vector: Number for each parameter, for example its standard error.
 
         Returns:
-            The tree; None in the positions of the constants.
+            A pytree with the structure of `start`; None in place of the constants.
         """
-        parts = zip(self.parameters, self._split(vector), strict=True)
-        shaped = (part.reshape(parameter.value.shape) for parameter, part in parts)
-        leaves = [next(shaped) if leaf is None else None for leaf in self.constants]
-        return jax.tree.unflatten(self.structure, leaves)
+        values = jax.tree.map(
+            lambda parameter: parameter.value, self.parameters, is_leaf=_is_parameter
+        )
+        return ravel_pytree(values)[1](vector)
 
     def scales(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:
         """Reference sizes with respect to which changes of the values are relative.
 
-        Args:
-            normalized: Normalized parameters.
-
         Returns:
             For a parameter with a bound, the distance to the bound; otherwise the larger
             one of the absolute value and the initial scale; in their units.
         """
-        names, bounded = self.names, self.bounded
-        free = jnp.asarray([name not in bounded for name in names])
+        is_free = jnp.asarray([name not in self.bounded for name in self.names])
         derivatives = jnp.abs(self.derivatives(normalized))
-        sizes = jnp.maximum(derivatives, jnp.abs(self.vector(normalized)))
-        return jnp.where(free, sizes, derivatives)
+        largest = jnp.maximum(derivatives, jnp.abs(self.vector(normalized)))
+        return jnp.where(is_free, largest, derivatives)
 
     def derivatives(
         self, normalized: Float[Array, " parameters"]
@@ -285,18 +256,14 @@ class ParameterSet(eqx.Module):
         """Derivative of each value with respect to its normalized parameter."""
         return jax.jvp(self.vector, (normalized,), (jnp.ones_like(normalized),))[1]
 
-    def _values(self, normalized: Float[Array, " parameters"]) -> list[Array]:
-        parts = zip(self.parameters, self._split(normalized), strict=True)
-        return [
-            parameter.value_at(part.reshape(parameter.value.shape))
-            for parameter, part in parts
-        ]
-
-    def _split(self, vector: Any) -> list[Any]:
-        """Split a vector into the entries of each parameter."""
-        sizes = [parameter.value.size for parameter in self.parameters]
-        ends = np.cumsum([0, *sizes])
-        return [vector[start:end] for start, end in pairwise(ends)]
+    def _values(self, normalized: Float[Array, " parameters"]) -> Any:
+        """Values of the parameters in their pytree, in their units."""
+        return jax.tree.map(
+            Parameter.value_at,
+            self.parameters,
+            self.unflatten(normalized),
+            is_leaf=_is_parameter,
+        )
 
 
 def _is_parameter(leaf: Any) -> bool:

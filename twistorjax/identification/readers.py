@@ -109,15 +109,15 @@ def read_measurements(
             named `load_force_x` or `drive_x`, standard deviations `sd_x`.
         standard_deviations: Standard deviations of the readings without a column for
             them, by name: `{"3.x": 1e-6}`, or `{"x": 1e-6}` for all bodies; SI units.
-        settings: Further arguments of the test. A motion needs its initial state or what
-            drives it; see `MotionTest`, `StaticTest` and `VibrationTest`.
+        settings: Further arguments of the test; see `MotionTest`, `StaticTest` and
+            `VibrationTest`. A motion needs an initial state, loads, or drives.
 
     Returns:
         The test with its readings.
 
     Raises:
-        ValueError: A column is not known, its unit does not fit its quantity, an entry is
-            not a number, or a standard deviation is missing.
+        ValueError: A column is not known, its unit is not one of its quantity, an entry
+            is not a number, or a standard deviation is missing.
         OSError: The file cannot be read.
 
     Example:
@@ -129,18 +129,18 @@ def read_measurements(
         >>> read_measurements(
         ...     table, standard_deviations={"x": 1e-6}, velocities=velocities
         ... )
-        3 readings of MotionTest at 3 times up to 0.2 s, read by block.x
+        3 readings of MotionTest at 3 times up to 0.2 s, sensors: block.x
     """
     is_file = isinstance(source, str | Path)
     table = _read_file(Path(source)) if is_file else _read_dataset(source)
     given = dict(standard_deviations or {})
     _check_columns(table, given)
     readings = table.with_role("body", "hinge")
-    actions = table.with_role("load", "drive")
+    inputs = table.with_role("load", "drive")
     times, frequencies = table.with_role("time"), table.with_role("frequency")
-    if actions and (times or frequencies):
+    if inputs and (times or frequencies):
         raise ValueError(
-            f"{table.source} has {actions[0].name} as a {actions[0].role}, but only "
+            f"{table.source} has {inputs[0].name} as a {inputs[0].role}, but only "
             "static trials have such columns: give `loads=` or `drives=` instead."
         )
     if frequencies:
@@ -150,46 +150,41 @@ def read_measurements(
                 f"{table.source} has the column of {other[0].name} beside that of "
                 "frequencies, but a file of natural frequencies has no other readings."
             )
-        sizes = _standard_deviation(table, column, given)
-        test = VibrationTest(len(column.values), sizes, **settings)
+        deviations = _standard_deviation(table, column, given)
+        test = VibrationTest(len(column.values), deviations, **settings)
         return test.measurement(column.values[:, None])
     if not readings:
         raise ValueError(f"{table.source} has no readings: add columns such as `3.x_um`.")
-    columns = [_standard_deviation(table, column, given) for column in readings]
-    sizes = np.stack(columns, axis=1)
     values = np.stack([column.values for column in readings], axis=1)
+    columns = [_standard_deviation(table, column, given) for column in readings]
+    deviations = np.stack(columns, axis=1)
     sensors = [
-        _make_sensor(column, np.nanmin(size))
-        for column, size in zip(readings, columns, strict=True)
+        _make_sensor(column, smallest)
+        for column, smallest in zip(readings, np.nanmin(deviations, axis=0), strict=True)
     ]
     if times:
         motion_test = MotionTest(times[0].values, sensors, **settings)
-        return motion_test.measurement(values, sizes)
-    if not actions:
+        return motion_test.measurement(values, deviations)
+    if not inputs:
         raise ValueError(
             f"{table.source} has neither times, nor loads or drives: add the column "
             "`time_s`, or columns such as `load_3.force_x_N` or `drive_6.x_um`."
         )
-    trials = [_make_trial(actions, row) for row in range(len(values))]
-    return StaticTest(trials, sensors, **settings).measurement(values, sizes)
+    trials = [_make_trial(inputs, row) for row in range(len(values))]
+    return StaticTest(trials, sensors, **settings).measurement(values, deviations)
 
 
 def _check_columns(table: _Table, standard_deviations: Mapping[str, float]) -> None:
-    """Check that no column is repeated, and that each standard deviation has a column.
-
-    Args:
-        table: Columns of the file or dataset.
-        standard_deviations: Standard deviations by name, as given to `read_measurements`.
-    """
+    """Check that no column is repeated, and that each standard deviation has a column."""
     names = [column.name for column in table.columns]
     keys = [(column.role, column.name) for column in table.columns]
     if repeated := [name for role, name in keys if keys.count((role, name)) > 1]:
         raise ValueError(f"{table.source} has {repeated[0]} twice, in different units.")
-    known = {*names, *(column.quantity for column in table.columns)}
+    allowed_names = {*names, *(column.quantity for column in table.columns)}
     unmatched = [
         name for role, name in table.standard_deviations if (role, name) not in keys
     ]
-    unmatched += [name for name in standard_deviations if name not in known]
+    unmatched += [name for name in standard_deviations if name not in allowed_names]
     if unmatched:
         raise ValueError(
             f"There is a standard deviation of {shorten(unmatched[0])!r}, but "
@@ -201,12 +196,9 @@ def _check_columns(table: _Table, standard_deviations: Mapping[str, float]) -> N
 def _standard_deviation(
     table: _Table, column: _Column, given: Mapping[str, float]
 ) -> np.ndarray:
-    """Standard deviations of the readings of one column; SI units.
+    """Standard deviations of the readings of one column, in its SI unit.
 
-    Args:
-        table: Columns of the file or dataset.
-        column: Column of readings.
-        given: Standard deviations by name, which have priority over those of the table.
+    Those that the user gives by name have priority over those of the table.
     """
     for name in (column.name, column.quantity):
         if name in given:
@@ -230,11 +222,11 @@ def _make_sensor(column: _Column, standard_deviation: float) -> BodySensor | Hin
     )
 
 
-def _make_trial(actions: Sequence[_Column], row: int) -> list[Load | Drive]:
+def _make_trial(inputs: Sequence[_Column], row: int) -> list[Load | Drive]:
     """Loads and prescribed displacements of the static trial in one row."""
     wrenches: dict[str, list[float]] = {}
     displacements: dict[str, dict[str, float]] = {}
-    for column in actions:
+    for column in inputs:
         value = float(column.values[row])
         if column.role == "load":
             wrench = wrenches.setdefault(column.subject, [0.0, 0.0, 0.0])
@@ -251,10 +243,10 @@ def _read_file(path: Path) -> _Table:
     if not len(file):
         raise ValueError(f"{path} has no readings: it has only the line of column names.")
     table = _Table(str(path), [], {})
-    for title in file.names:
-        is_deviation, role, subject, quantity, unit = _parse_title(str(path), title)
-        blank = role in ("body", "hinge") and not is_deviation
-        values = file.numbers(title, unit=unit, blank=blank)
+    for header in file.names:
+        is_deviation, role, subject, quantity, factor = _parse_header(str(path), header)
+        allow_empty = role in ("body", "hinge") and not is_deviation
+        values = file.numbers(header, factor=factor, allow_empty=allow_empty)
         if role == "frequency" and not is_deviation:
             require_ascending(values, file.location)
         column = _Column(role, subject, quantity, values)
@@ -265,52 +257,40 @@ def _read_file(path: Path) -> _Table:
     return table
 
 
-def _parse_title(source: str, title: str) -> tuple[bool, str, str, str, float]:
-    """Parse the name of a column of a text file.
-
-    Args:
-        source: Name of the file, for messages.
-        title: Name of the column, for example "sd_hinge_a.force_1_mN".
+def _parse_header(source: str, header: str) -> tuple[bool, str, str, str, float]:
+    """Parse the header of a column of a text file, such as "sd_hinge_a.force_1_mN".
 
     Returns:
         Whether the values are standard deviations, the role, the name of the body or
         hinge, the quantity, and the factor of the unit to the SI unit.
     """
-    name = title.removeprefix("sd_")
-    is_deviation = name != title
+    name = header.removeprefix("sd_")
+    is_deviation = name != header
     match = re.fullmatch(r"(?:(load|drive|hinge)_)?(.+)\.([a-z_12]+)_([^_]+)", name)
     if match:
         role, subject, quantity, unit = match.groups()
         role = role or "body"
-        known = {"load": _LOADS, "drive": _DRIVES}.get(role, tuple(UNITS))
-        if quantity in known:
-            factor = _unit_factor(source, title, quantity, unit)
+        if quantity in {"load": _LOADS, "drive": _DRIVES}.get(role, tuple(UNITS)):
+            factor = _unit_factor(source, header, quantity, unit)
             return is_deviation, role, subject, quantity, factor
     else:
         quantity, _, unit = name.rpartition("_")
         if quantity in _GLOBAL_UNITS:
-            factor = _unit_factor(source, title, quantity, unit)
+            factor = _unit_factor(source, header, quantity, unit)
             return is_deviation, quantity, "", quantity, factor
     raise ValueError(
-        f"{source} has the column {shorten(title)!r}, but a column is "
+        f"{source} has the column {shorten(header)!r}, but a column is "
         f"`<body>.<quantity>_<unit>` with one of {', '.join(UNITS)}; or starts with "
         "`hinge_`, `load_`, `drive_` or `sd_`; or is `time_s` or `frequency_Hz`."
     )
 
 
-def _unit_factor(source: str, title: str, quantity: str, unit: str) -> float:
-    """Factor from a unit to the SI unit of a quantity.
-
-    Args:
-        source: Name of the file or dataset, for messages.
-        title: Name of the column, for messages.
-        quantity: Quantity of the column.
-        unit: Unit of the column.
-    """
+def _unit_factor(source: str, header: str, quantity: str, unit: str) -> float:
+    """Factor from the unit of a column to the SI unit of its quantity."""
     factors = _FACTORS[UNITS.get(quantity) or _GLOBAL_UNITS[quantity]]
     if unit.translate(_MICRO) not in factors:
         raise ValueError(
-            f"{source} has the column {shorten(title)!r} in {shorten(unit)!r}, but the "
+            f"{source} has the column {shorten(header)!r} in {shorten(unit)!r}, but the "
             f"unit of {quantity} must be one of {', '.join(factors)}; the letter µ is "
             "accepted for u."
         )
@@ -325,8 +305,8 @@ def _read_dataset(dataset: Any) -> _Table:
         unit = str(dataset["time"].attrs.get("units", "s"))
         factor = _unit_factor(table.source, "time", "time", unit)
         table.columns.append(_Column("time", "", "time", factor * values))
-    for title, variable in dataset.data_vars.items():
-        name, role = str(title).removeprefix("sd_"), "body"
+    for header, variable in dataset.data_vars.items():
+        name, role = str(header).removeprefix("sd_"), "body"
         for prefix in ("load", "drive"):
             if name.startswith(f"{prefix}_"):
                 role, name = prefix, name.removeprefix(f"{prefix}_")
@@ -340,16 +320,16 @@ def _read_dataset(dataset: Any) -> _Table:
         units = variable.attrs.get("units")
         if units is None:
             raise ValueError(
-                f"{table.source} has {title!r} without `units` in its attributes."
+                f"{table.source} has {header!r} without `units` in its attributes."
             )
-        factor = _unit_factor(table.source, str(title), quantity, str(units))
+        factor = _unit_factor(table.source, str(header), quantity, str(units))
         rows = np.asarray(variable.values, float).reshape(-1, len(bodies))
         if "body" in variable.dims and variable.dims[-1] != "body":
             rows = np.asarray(variable.transpose(..., "body").values, float)
         absolute = role == "body" and quantity == name and name in _DRIVES
         for body, values in zip(bodies, rows.T, strict=True):
             column = _Column(role, body, quantity, factor * values, absolute)
-            if str(title).startswith("sd_"):
+            if str(header).startswith("sd_"):
                 table.standard_deviations[column.role, column.name] = column.values
             else:
                 table.columns.append(column)

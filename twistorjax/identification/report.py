@@ -6,19 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
-from .._utils.types import (
-    BatchCount,
-    BatchFlag,
-    BatchLosses,
-    BatchParameters,
-    BatchScalar,
-    BatchSensitivities,
-    BatchTable,
-    ParameterMatrix,
-    Parameters,
-    Scalar,
-)
+from .._utils.types import BatchFlag, BatchScalar, Parameters, Scalar
 from .._utils.validation import all_concrete
 from ..solve.results import result_names, RESULTS
 from . import diagnostics
@@ -34,7 +24,7 @@ class Identification(eqx.Module):
     given standard deviations.
 
     Args:
-        estimates: Estimated values, in the tree that the design takes.
+        estimates: Estimated values, in a pytree with the structure of `start`.
         normalized: Normalized parameters at the estimates: dimensionless changes from the
             initial values, which are relative changes if they are small.
         jacobian: Derivatives of the residuals with respect to the normalized parameters.
@@ -49,13 +39,13 @@ class Identification(eqx.Module):
     """
 
     estimates: Any
-    normalized: BatchParameters
-    jacobian: BatchSensitivities
-    residuals: tuple[BatchTable, ...]
-    held_out_residuals: tuple[BatchTable, ...]
+    normalized: Float[Array, "*batch parameters"]
+    jacobian: Float[Array, "*batch readings parameters"]
+    residuals: tuple[Float[Array, "*batch rows columns"], ...]
+    held_out_residuals: tuple[Float[Array, "*batch rows columns"], ...]
     loss: BatchScalar
-    losses: BatchLosses
-    steps: BatchCount
+    losses: Float[Array, "*batch restarts"]
+    steps: Int[Array, "*batch"]
     result: RESULTS
     problem: IdentificationProblem
 
@@ -80,15 +70,18 @@ class Identification(eqx.Module):
         return self.problem.parameters.vector(self.normalized)
 
     @property
-    def normalized_covariance(self) -> ParameterMatrix:
+    def normalized_covariance(self) -> Float[Array, "parameters parameters"]:
         """Covariance of the normalized parameters.
 
         The variance of a parameter that the readings do not determine is infinite. For
         Huber's loss the covariance takes the distribution of the residuals into account.
         """
-        _, sizes, directions = jnp.linalg.svd(self.jacobian, full_matrices=False)
-        determined = exceeds_rounding(sizes)
-        inverse = jnp.where(determined, 1 / jnp.where(determined, sizes, 1.0), 0.0)
+        _, singular_values, directions = jnp.linalg.svd(
+            self.jacobian, full_matrices=False
+        )
+        determined = exceeds_rounding(singular_values)
+        divisor = jnp.where(determined, singular_values, 1.0)
+        inverse = jnp.where(determined, 1 / divisor, 0.0)
         root = directions.T * inverse[None]
         covariance = root @ root.T
         if self.problem.huber_threshold is not None:
@@ -102,15 +95,14 @@ class Identification(eqx.Module):
     def _huber_correction(self, threshold: float) -> Scalar:
         """Factor by which Huber's loss increases the covariance, at least 1.
 
-        Args:
-            threshold: Threshold of Huber's loss, in standard deviations.
+        The threshold of Huber's loss is in standard deviations.
 
         Source:
             Huber, Robust Statistics, 1981, section 7.6.
         """
         residuals = jnp.concatenate([table.reshape(-1) for table in self.residuals])
         exists = jnp.concatenate(
-            [jnp.isfinite(part.values).reshape(-1) for part in self.problem.data]
+            [jnp.isfinite(each.values).reshape(-1) for each in self.problem.data]
         )
         count = jnp.sum(jnp.where(exists, 1.0, 0.0))
         parameters = float(len(self.names))
@@ -122,7 +114,7 @@ class Identification(eqx.Module):
         return jnp.maximum(small_sample**2 * variance / share**2, 1.0)
 
     @property
-    def covariance(self) -> ParameterMatrix:
+    def covariance(self) -> Float[Array, "parameters parameters"]:
         """Covariance of the estimates, in the products of their units.
 
         The variance of a parameter that the readings do not determine is infinite.
@@ -134,17 +126,17 @@ class Identification(eqx.Module):
 
     @property
     def standard_errors(self) -> Any:
-        """Standard errors of the estimates, in the tree that the design takes."""
+        """Standard errors of the estimates, in a pytree with the structure of `start`."""
         standard_errors = jnp.sqrt(jnp.diagonal(self.covariance))
         return self.problem.parameters.unflatten(standard_errors)
 
     @property
-    def correlation(self) -> ParameterMatrix:
+    def correlation(self) -> Float[Array, "parameters parameters"]:
         """Correlation matrix of the estimates."""
         covariance = self.normalized_covariance
-        size = jnp.sqrt(jnp.diagonal(covariance))
-        correlation = covariance / (size[:, None] * size[None])
-        return jnp.where(jnp.eye(size.size, dtype=bool), 1.0, correlation)
+        errors = jnp.sqrt(jnp.diagonal(covariance))
+        correlation = covariance / (errors[:, None] * errors[None])
+        return jnp.where(jnp.eye(errors.size, dtype=bool), 1.0, correlation)
 
     def confidence_interval(self, level: float = 0.95) -> tuple[Any, Any]:
         """Compute confidence intervals of the parameters, within their bounds.
@@ -153,7 +145,8 @@ class Identification(eqx.Module):
             level: Confidence level: share of such intervals that contain the true value.
 
         Returns:
-            The lower and the upper limits, in the tree that the design takes.
+            The lower and the upper limits, each in a pytree with the structure of
+            `start`.
 
         Raises:
             ValueError: The level is not between 0 and 1.
@@ -161,9 +154,10 @@ class Identification(eqx.Module):
         if not 0 < level < 1:
             raise ValueError(f"`level` is {level}, but must be between 0 and 1: 0.95.")
         quantile = jax.scipy.special.ndtri((1 + level) / 2)
-        size = quantile * jnp.sqrt(jnp.diagonal(self.normalized_covariance))
+        half_width = quantile * jnp.sqrt(jnp.diagonal(self.normalized_covariance))
         parameters = self.problem.parameters
-        low, high = (parameters.vector(self.normalized + side) for side in (-size, size))
+        low = parameters.vector(self.normalized - half_width)
+        high = parameters.vector(self.normalized + half_width)
         return parameters.unflatten(low), parameters.unflatten(high)
 
     @property

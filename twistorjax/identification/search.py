@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .compilation import fast_compile
 from .objective import IdentificationProblem
-from .optimizer import AbstractOptimizer, constant, Evaluation
+from .optimizer import AbstractOptimizer, Evaluation, from_numpy
 
 
 class SearchState(eqx.Module):
@@ -115,23 +115,23 @@ def search_compiled(
 def _init(
     optimizer: AbstractOptimizer, point: Array, evaluation: Evaluation
 ) -> SearchState:
-    """State before the first step; of the evaluation only the shapes are used."""
-    zeros = jax.tree.map(lambda leaf: constant(np.zeros(leaf.shape)), evaluation)
+    """Create the state before the first step, with the shapes of an evaluation."""
+    zeros = jax.tree.map(lambda leaf: from_numpy(np.zeros(leaf.shape)), evaluation)
     return SearchState(
         point=point,
         best_point=point,
         best=zeros,
-        residual_norm=constant(0.0),
+        residual_norm=from_numpy(0.0),
         optimizer_state=optimizer.init(point, zeros),
-        done=constant(False),
-        steps=constant(0),
+        done=from_numpy(False),
+        steps=from_numpy(0),
     )
 
 
 def _step(
     optimizer: AbstractOptimizer, state: SearchState, evaluation: Evaluation
 ) -> SearchState:
-    """Do one step of a search, after the evaluation of its current point."""
+    """Advance a search by one step, after the evaluation of its current point."""
     is_first = state.steps == 0
     point, optimizer_state, converged = optimizer.step(
         state.point, evaluation, state.optimizer_state
@@ -155,10 +155,6 @@ def _step(
 
 
 _compiled_step = fast_compile(_step)
-
-
-@fast_compile
-def _compiled_evaluate(
-    problem: IdentificationProblem, point: Array, forward: bool
-) -> Evaluation:
-    return problem.evaluate(point, forward=forward)
+_compiled_evaluate = fast_compile(
+    lambda problem, point, forward: problem.evaluate(point, forward=forward)
+)

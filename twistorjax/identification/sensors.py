@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._utils.types import AnyArray, NumberLike, PointLike, Readings, Scalar
+from .._utils.types import AnyArray, NumberLike, PointLike, Scalar
 from .._utils.validation import (
     concrete,
     index_of,
@@ -62,7 +62,7 @@ class AbstractSensor(eqx.Module):
     standard_deviation: eqx.AbstractVar[Scalar]
 
     @abstractmethod
-    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
         """Compute the reading, without measurement error.
 
         Args:
@@ -79,12 +79,35 @@ class AbstractSensor(eqx.Module):
         return False
 
     def __repr__(self) -> str:
-        size = concrete(self.standard_deviation)
-        accuracy = "" if size is None or size.shape else f", to {size:g} {self.unit}"
+        value = concrete(self.standard_deviation)
+        accuracy = ""
+        if value is not None and not value.shape:
+            accuracy = f", standard deviation {value:g} {self.unit}".rstrip()
         return f"{type(self).__name__}({self.name}{accuracy})"
 
 
-class BodySensor(AbstractSensor):
+class _QuantitySensor(AbstractSensor):
+    """Sensor for a quantity of a body or a hinge; `UNITS` has its unit."""
+
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    quantity: str = eqx.field(static=True)
+    standard_deviation: Scalar
+
+    def __init__(
+        self,
+        subject: str,
+        quantity: str,
+        choices: tuple[str, ...],
+        standard_deviation: NumberLike,
+    ):
+        self.quantity = require_choice("`quantity`", quantity, choices)
+        self.unit = UNITS[quantity]
+        self.name = f"{subject}.{quantity}"
+        self.standard_deviation = _require_deviation(self.name, standard_deviation)
+
+
+class BodySensor(_QuantitySensor):
     """Sensor for the displacement, the velocity or the reaction of a body.
 
     Args:
@@ -106,12 +129,10 @@ class BodySensor(AbstractSensor):
 
     Example:
         >>> BodySensor("table", "x", standard_deviation=1e-6)
-        BodySensor(table.x, to 1e-06 m)
+        BodySensor(table.x, standard deviation 1e-06 m)
     """
 
     body: str = eqx.field(static=True)
-    quantity: BodyQuantity = eqx.field(static=True)
-    standard_deviation: Scalar
     at: Float[Array, "2"] | None
     absolute: bool = eqx.field(static=True)
 
@@ -124,11 +145,8 @@ class BodySensor(AbstractSensor):
         at: PointLike | None = None,
         absolute: bool = False,
     ):
+        super().__init__(body, quantity, get_args(BodyQuantity), standard_deviation)
         self.body = body
-        self.quantity = require_choice("`quantity`", quantity, get_args(BodyQuantity))
-        self.standard_deviation = require_positive(
-            f"`standard_deviation` of the sensor {self.name!r}", standard_deviation
-        )
         self.at = None if at is None else require_row("`at`", at, "a point (x, y)", 2)
         self.absolute = absolute
         if at is not None and quantity not in ("x", "y", "velocity_x", "velocity_y"):
@@ -142,30 +160,23 @@ class BodySensor(AbstractSensor):
                 "its reference pose: leave out `absolute`."
             )
 
-    @property
-    def name(self) -> str:
-        """Name of the body and the quantity, for example "table.x"."""
-        return f"{self.body}.{self.quantity}"
-
-    @property
-    def unit(self) -> str:
-        """SI unit of the quantity."""
-        return UNITS[self.quantity]
-
-    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
         index = get_args(BodyQuantity).index(self.quantity)
         if index >= 6:
             return solution.reaction(self.body)[..., index - 6]
         displacement = solution.displacement(self.body)
         reference = mechanism.reference[mechanism.index(self.body)]
+        arm, offset = (0.0, 0.0), (0.0, 0.0)  # of the point from the origin of the body
+        if self.at is not None:
+            arm = se2.rotate(reference[0], self.at)
+            half = displacement[..., 0] / 2
+            offset = se2.rotation_displacement(arm, jnp.cos(half), jnp.sin(half))
         if index < 3:
             value = displacement[..., index]
             if self.absolute:
                 value = value + reference[index]
             if self.at is not None:
-                arm = se2.rotate(reference[0], self.at)
-                change = _rotation_displacement(arm, displacement[..., 0])
-                value = value + change[index - 1]
+                value = value + offset[index - 1]
                 if self.absolute:
                     value = value + arm[index - 1]
             return value
@@ -177,15 +188,12 @@ class BodySensor(AbstractSensor):
         velocity = solution.velocity(self.body)
         value = velocity[..., index - 3]
         if self.at is not None:
-            arm = se2.rotate(reference[0], self.at)
-            change = _rotation_displacement(arm, displacement[..., 0].ravel())
-            rotated = arm[:, None] + jnp.stack(change)
-            per_angle = (-rotated[1], rotated[0])[index - 4].reshape(value.shape)
-            value = value + velocity[..., 0] * per_angle
+            x, y = arm[0] + offset[0], arm[1] + offset[1]
+            value = value + velocity[..., 0] * (-y, x)[index - 4]
         return value
 
 
-class HingeSensor(AbstractSensor):
+class HingeSensor(_QuantitySensor):
     """Sensor for the displacement or the wrench of a hinge.
 
     Args:
@@ -202,33 +210,18 @@ class HingeSensor(AbstractSensor):
 
     Example:
         >>> HingeSensor("a", "x", standard_deviation=10e-9)
-        HingeSensor(a.x, to 1e-08 m)
+        HingeSensor(a.x, standard deviation 1e-08 m)
     """
 
     hinge: str = eqx.field(static=True)
-    quantity: HingeQuantity = eqx.field(static=True)
-    standard_deviation: Scalar
 
     def __init__(
         self, hinge: str, quantity: HingeQuantity, standard_deviation: NumberLike
     ):
+        super().__init__(hinge, quantity, get_args(HingeQuantity), standard_deviation)
         self.hinge = hinge
-        self.quantity = require_choice("`quantity`", quantity, get_args(HingeQuantity))
-        self.standard_deviation = require_positive(
-            f"`standard_deviation` of the sensor {self.name!r}", standard_deviation
-        )
 
-    @property
-    def name(self) -> str:
-        """Name of the hinge and the quantity, for example "left.moment"."""
-        return f"{self.hinge}.{self.quantity}"
-
-    @property
-    def unit(self) -> str:
-        """SI unit of the quantity."""
-        return UNITS[self.quantity]
-
-    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
         index_of("The sensor", "hinge", self.hinge, mechanism.hinge_names)
         index = get_args(HingeQuantity).index(self.quantity)
         compute = mechanism.displacement_of if index < 3 else mechanism.wrench_of
@@ -253,7 +246,7 @@ class FunctionSensor(AbstractSensor):
         >>> def stored_energy(mechanism, solution):
         ...     return solution.energy
         >>> FunctionSensor(stored_energy, "energy", "J", standard_deviation=1e-3)
-        FunctionSensor(energy, to 0.001 J)
+        FunctionSensor(energy, standard deviation 0.001 J)
     """
 
     function: Callable[[Mechanism, Any], AnyArray] = eqx.field(static=True)
@@ -271,27 +264,17 @@ class FunctionSensor(AbstractSensor):
         self.function = function
         self.name = name
         self.unit = unit
-        self.standard_deviation = require_positive(
-            f"`standard_deviation` of the sensor {name!r}", standard_deviation
-        )
+        self.standard_deviation = _require_deviation(name, standard_deviation)
 
     @property
     def needs_energies(self) -> bool:
         """True, because the function may use the energy balance of a motion."""
         return True
 
-    def read(self, mechanism: Mechanism, solution: Any) -> Readings:
+    def read(self, mechanism: Mechanism, solution: Any) -> Float[Array, "*rows"]:
         return self.function(mechanism, solution)
 
 
-def _rotation_displacement(arm: Float[Array, "2"], angle: Array) -> tuple[Array, Array]:
-    """Displacement of the end of an arm that rotates about its other end.
-
-    Args:
-        arm: Vector from the center of rotation to the point, before the rotation; m.
-        angle: Angle of rotation; rad.
-
-    Returns:
-        Displacements along x and y; m.
-    """
-    return se2.rotation_displacement(arm, jnp.cos(angle / 2), jnp.sin(angle / 2))
+def _require_deviation(sensor: str, value: NumberLike) -> Scalar:
+    """Require a positive, finite standard deviation of a sensor."""
+    return require_positive(f"`standard_deviation` of the sensor {sensor!r}", value)

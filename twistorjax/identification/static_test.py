@@ -1,5 +1,6 @@
 """Tests on mechanisms in static equilibrium."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -12,8 +13,7 @@ from .._utils.validation import concrete
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.statics import Equilibrium, equilibrium
-from .measurement import map_in_groups
-from .sensor_test import require_sensors, SensorTest
+from .measurement import map_in_groups, require_sensors, SensorTest
 from .sensors import AbstractSensor
 
 
@@ -37,7 +37,7 @@ class StaticTest(SensorTest):
         >>> camera = BodySensor("table", "x", standard_deviation=1e-6)
         >>> push = Load("table", force=(5.0, 0.0))  # N
         >>> StaticTest([[push]], [camera])
-        StaticTest of 1 trial, read by table.x
+        StaticTest of 1 trial, sensors: table.x
     """
 
     trials: tuple[_Trial, ...]
@@ -82,26 +82,26 @@ class StaticTest(SensorTest):
         """Compute the equilibrium of one trial."""
         return equilibrium(
             mechanism,
-            loads=[part for part in trial if isinstance(part, Load)],
-            drives=[part for part in trial if isinstance(part, Drive)],
+            loads=[action for action in trial if isinstance(action, Load)],
+            drives=[action for action in trial if isinstance(action, Drive)],
             tolerance=self.tolerance,
             throw=throw,
         )
 
     def __repr__(self) -> str:
         trials = "1 trial" if self.row_count == 1 else f"{self.row_count} trials"
-        return f"StaticTest of {trials}, read by {', '.join(self.columns)}"
+        return f"StaticTest of {trials}, sensors: {', '.join(self.columns)}"
 
 
 def _require_trial(trial: Sequence[Load | Drive]) -> _Trial:
     """Check that a trial is a sequence of loads and prescribed displacements."""
     if isinstance(trial, Load | Drive):
         raise ValueError("A trial is a list of loads and drives: put this one in [...].")
-    for part in trial:
-        if not isinstance(part, Load | Drive):
+    for action in trial:
+        if not isinstance(action, Load | Drive):
             raise ValueError(
-                f"A trial contains a {type(part).__name__}, but must be a list of loads "
-                "and drives."
+                f"A trial contains a {type(action).__name__}, but must be a list of "
+                "loads and drives."
             )
     return tuple(trial)
 
@@ -112,22 +112,18 @@ def _pad_with_zero_loads(trials: Sequence[_Trial]) -> list[_Trial]:
     Trials with equal prescribed coordinates then have the same structure, so that they
     are evaluated together by `vmap`.
     """
-    counts: dict[tuple[str, bool], int] = {}
-    loads_of_trials = []
-    for trial in trials:
-        loads_by_kind: dict[tuple[str, bool], list[Load]] = {}
-        for part in trial:
-            if isinstance(part, Load):
-                loads_by_kind.setdefault((part.body, part.follower), []).append(part)
-        loads_of_trials.append(loads_by_kind)
-        for kind, loads in loads_by_kind.items():
-            counts[kind] = max(len(loads), counts.get(kind, 0))
+    loads_of_trials = [
+        [action for action in trial if isinstance(action, Load)] for trial in trials
+    ]
+    largest_counts: Counter[tuple[str, bool]] = Counter()
+    for loads in loads_of_trials:
+        largest_counts |= Counter((load.body, load.follower) for load in loads)
     padded = []
-    for trial, loads_by_kind in zip(trials, loads_of_trials, strict=True):
-        parts: list[Load | Drive] = [part for part in trial if isinstance(part, Drive)]
-        for (body, follower), count in counts.items():
-            loads = loads_by_kind.get((body, follower), [])
-            zero_load = Load(body, wrench=(0.0, 0.0, 0.0), follower=follower)
-            parts += [*loads, *[zero_load] * (count - len(loads))]
-        padded.append(tuple(parts))
+    for trial, loads in zip(trials, loads_of_trials, strict=True):
+        actions: list[Load | Drive] = [each for each in trial if isinstance(each, Drive)]
+        for kind, count in largest_counts.items():
+            same = [load for load in loads if (load.body, load.follower) == kind]
+            zero_load = Load(kind[0], wrench=(0.0, 0.0, 0.0), follower=kind[1])
+            actions += [*same, *[zero_load] * (count - len(same))]
+        padded.append(tuple(actions))
     return padded

@@ -8,19 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import (
-    NumbersLike,
-    Poses,
-    Table,
-    TableDeviationsLike,
-    TableLike,
-)
-from .._utils.validation import concrete
+from .._utils.types import NumbersLike, Poses, Table, TableDeviationsLike, TableLike
+from .._utils.validation import concrete, require_deviations
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.statics import Equilibrium, StateLike
 from ..solve.vibrations import vibrations
-from .measurement import AbstractTest, expand_standard_deviation, Measurement
+from .measurement import AbstractTest, Measurement
 
 
 class VibrationTest(AbstractTest):
@@ -30,7 +24,8 @@ class VibrationTest(AbstractTest):
         count: Number of natural frequencies, in ascending order from the lowest one.
         standard_deviation: Standard deviation of the readings, or one for each frequency;
             Hz.
-        prescribed: Coordinates that are held by drives in this test; see `vibrations`.
+        prescribed: Coordinates with prescribed displacements, which do not vibrate; see
+            `vibrations`.
         about: Poses, or an equilibrium, about which the mechanism vibrates, by default
             the reference poses; rad, m, m.
         loads: Loads that act in this equilibrium.
@@ -62,7 +57,9 @@ class VibrationTest(AbstractTest):
         if count < 1:
             raise ValueError(f"`count` is {count}, but must be at least 1.")
         self.count = count
-        self.standard_deviation = expand_standard_deviation(standard_deviation, count)
+        self.standard_deviation = require_deviations(
+            "`standard_deviation`", standard_deviation, (count,)
+        )
         self.prescribed = (
             tuple((body, tuple(names)) for body, names in prescribed.items())
             if isinstance(prescribed, Mapping)
@@ -78,25 +75,17 @@ class VibrationTest(AbstractTest):
         values: TableLike,
         standard_deviations: TableDeviationsLike | None = None,
     ) -> Measurement:
-        """Combine the test with the frequencies that were measured.
+        """Combine the test with measured frequencies; see `AbstractTest.measurement`.
 
-        Args:
-            values: Row with one frequency for each vibration, in ascending order; NaN if
-                a reading is missing; Hz.
-            standard_deviations: Standard deviations of the frequencies, by default those
-                of the test; Hz.
-
-        Returns:
-            The measurement, which `identify` takes.
+        The values are a column of frequencies in ascending order; Hz.
 
         Raises:
-            ValueError: A shape is wrong; all readings are missing; a standard deviation
-                is not positive; a frequency is negative or smaller than the one before.
+            ValueError: Also if a frequency is negative or smaller than the one before.
         """
         data = super().measurement(values, standard_deviations)
-        known = concrete(data.values)
-        if known is not None:
-            require_ascending(known[:, 0], lambda row: f"`values[{row}]`")
+        frequencies = concrete(data.values)
+        if frequencies is not None:
+            require_ascending(frequencies[:, 0], lambda row: f"`values[{row}]`")
         return data
 
     @property
@@ -140,7 +129,7 @@ def require_ascending(frequencies: np.ndarray, row_name: Callable[[int], str]) -
 
     Args:
         frequencies: Frequencies; NaN if a reading is missing; Hz.
-        row_name: Function that returns the name of a row, for messages.
+        row_name: Function that returns the name of a row, for the message.
 
     Raises:
         ValueError: A frequency is negative, or smaller than the one before.

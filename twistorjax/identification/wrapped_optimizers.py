@@ -10,7 +10,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Scalar
-from .optimizer import AbstractOptimizer, constant, Evaluation
+from .optimizer import AbstractOptimizer, Evaluation, from_numpy
 
 
 class GradientDescent(AbstractOptimizer):
@@ -36,7 +36,8 @@ class GradientDescent(AbstractOptimizer):
 
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> Any:
         del evaluation
-        return point, jax.tree.map(constant, self.optimizer.init(point)), constant(0.0)
+        inner = jax.tree.map(from_numpy, self.optimizer.init(point))
+        return point, inner, from_numpy(0.0)
 
     def step(
         self, point: Float[Array, " parameters"], evaluation: Evaluation, state: Any
@@ -48,11 +49,12 @@ class GradientDescent(AbstractOptimizer):
         if evaluation.derivatives.ndim == 2:
             jacobian = jnp.where(failed, 0.0, evaluation.derivatives)
             residuals = jnp.where(failed, 0.0, evaluation.residuals)
-            left, sizes, right = jnp.linalg.svd(jacobian, full_matrices=False)
-            largest = jnp.max(sizes, initial=0.0)
-            damped = sizes**2 + 1e-2 * jnp.sum(residuals**2) * largest**2
+            left, singular, right = jnp.linalg.svd(jacobian, full_matrices=False)
+            largest = jnp.max(singular, initial=0.0)
+            damped = singular**2 + 1e-2 * jnp.sum(residuals**2) * largest**2
             positive = damped > 0
-            inverse = jnp.where(positive, sizes / jnp.where(positive, damped, 1.0), 0.0)
+            divisor = jnp.where(positive, damped, 1.0)
+            inverse = jnp.where(positive, singular / divisor, 0.0)
             gradient = (inverse * (residuals @ left)) @ right
         extended = optax.with_extra_args_support(self.optimizer)
         change: Any
@@ -60,14 +62,14 @@ class GradientDescent(AbstractOptimizer):
             change, updated = extended.update(
                 gradient, inner, point, value=evaluation.loss, grad=gradient
             )
-        following = jnp.where(failed, (previous + point) / 2, point + change)
+        next_point = jnp.where(failed, (previous + point) / 2, point + change)
         previous, inner = jax.tree.map(
             lambda old, new: jnp.where(failed, old, new),
             (previous, inner),
             (point, updated),
         )
-        is_short = jnp.max(jnp.abs(change)) < self.tolerance
-        return following, (previous, inner, initial_norm), is_short & ~failed
+        converged = (jnp.max(jnp.abs(change)) < self.tolerance) & ~failed
+        return next_point, (previous, inner, initial_norm), converged
 
 
 class OptimistixSolver(AbstractOptimizer):
@@ -84,13 +86,13 @@ class OptimistixSolver(AbstractOptimizer):
         inner = self.solver.init(
             _linearized_residuals, point, evaluation, {}, shape, None, frozenset()
         )
-        return inner, point, constant(0.0)
+        return inner, point, from_numpy(0.0)
 
     def step(
         self, point: Float[Array, " parameters"], evaluation: Evaluation, state: Any
     ) -> tuple[Float[Array, " parameters"], Any, Flag]:
         del point
-        inner, accepted, initial_norm = state
+        inner, accepted_point, initial_norm = state
         evaluation, initial_norm = _scale_to_unit_norm(evaluation, initial_norm)
         failed = ~jnp.isfinite(evaluation.loss)
         # Large residuals make the solver reject a point at which a solve fails.
@@ -99,28 +101,22 @@ class OptimistixSolver(AbstractOptimizer):
             jnp.where(failed, 0.0, evaluation.derivatives),
         )
         arguments = evaluation, {}
-        accepted, inner, _ = self.solver.step(
-            _linearized_residuals, accepted, *arguments, inner, frozenset()
+        accepted_point, inner, _ = self.solver.step(
+            _linearized_residuals, accepted_point, *arguments, inner, frozenset()
         )
         converged, _ = self.solver.terminate(
-            _linearized_residuals, accepted, *arguments, inner, frozenset()
+            _linearized_residuals, accepted_point, *arguments, inner, frozenset()
         )
-        return inner.y_eval, (inner, accepted, initial_norm), converged
+        return inner.y_eval, (inner, accepted_point, initial_norm), converged
 
 
 def _scale_to_unit_norm(
     evaluation: Evaluation, initial_norm: Scalar
 ) -> tuple[Evaluation, Scalar]:
-    """Divide the residuals by their norm at the start.
+    """Divide the residuals by their norm at the start, and return this norm, too.
 
-    Learning rates and tolerances of optax and optimistix assume losses of order one.
-
-    Args:
-        evaluation: Residuals, in standard deviations, and their derivatives.
-        initial_norm: Norm of the residuals at the start; zero if not known yet.
-
-    Returns:
-        The scaled evaluation, and the norm of the residuals at the start.
+    Learning rates and tolerances of optax and optimistix assume losses of order one. The
+    norm is zero before the first evaluation.
     """
     norm = jnp.sqrt(2 * evaluation.loss)
     usable = jnp.isfinite(norm) & (norm > 0)

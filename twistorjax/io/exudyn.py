@@ -1,6 +1,6 @@
 """Scripts that compute the equilibrium of a mechanism with EXUDYN."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -82,23 +82,17 @@ def exudyn_script(
     ]
     return _SCRIPT.format(
         title=f"{len(bodies)} bodies and {len(hinges)} hinges",
-        bodies=_dict_literal(bodies),
-        hinges=_dict_literal(hinges),
-        prescribed=_list_literal(prescribed),
-        loads=_list_literal(applied),
+        bodies=_lines(f"{name!r}: {pose!r}" for name, pose in bodies.items()),
+        hinges=_lines(f"{name!r}: {hinge!r}" for name, hinge in hinges.items()),
+        prescribed=_lines(map(repr, prescribed)),
+        loads=_lines(map(repr, applied)),
         steps=steps,
     )
 
 
-def _dict_literal(items: Mapping[str, object]) -> str:
-    """Format a dictionary as Python code with one item in each line."""
-    lines = "".join(f"    {key!r}: {value!r},\n" for key, value in items.items())
-    return "{\n" + lines + "}"
-
-
-def _list_literal(rows: Iterable[object]) -> str:
-    """Format a list as Python code with one entry in each line."""
-    return "[\n" + "".join(f"    {row!r},\n" for row in rows) + "]"
+def _lines(entries: Iterable[str]) -> str:
+    """Format the entries of a list or dictionary, one in each line."""
+    return "".join(f"    {entry},\n" for entry in entries)
 
 
 _SCRIPT = '''\
@@ -114,15 +108,19 @@ import numpy as np
 from exudyn import itemInterface as items
 
 # Reference pose of each body: angle (rad), x (m), y (m)
-BODIES = {bodies}
+BODIES = {{
+{bodies}}}
 # First and second body; reference pose of the hinge: angle (rad), x (m), y (m); stiffness
 # matrix in the order rotation, axis 1, axis 2
-HINGES = {hinges}
+HINGES = {{
+{hinges}}}
 # Body; coordinate, 0 for angle, 1 for x, 2 for y; prescribed displacement (rad or m)
-PRESCRIBED = {prescribed}
+PRESCRIBED = [
+{prescribed}]
 # Body; moment (N m) and force (N); point of application in the frame of the body (m);
 # whether the force rotates with the body
-LOADS = {loads}
+LOADS = [
+{loads}]
 
 
 def rotation_matrix(angle):

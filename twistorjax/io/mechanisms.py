@@ -11,7 +11,7 @@ from ..energies.damping import ViscousDamping
 from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from .energies import energy_from_record, energy_record, read_record, write_record
+from .energies import energy_from_record, energy_record
 
 
 def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
@@ -37,14 +37,16 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
         Mechanism of 6 bodies (1, 2, 3, 4, 5, 6), 7 hinges (a, b, c, d, e, f, g);
         fixed: 1, angle and y of 6
     """
+    from .records import write_record
+
     require_float64(mechanism.reference)
     bodies = [
         {
             "name": name,
-            "pose": _to_plain(mechanism.reference[row]),
-            "mass": _to_plain(mechanism.masses[row]),
-            "inertia": _to_plain(mechanism.inertias[row]),
-            "outline": _to_plain(mechanism.outlines[row]),
+            "pose": mechanism.reference[row],
+            "mass": mechanism.masses[row],
+            "inertia": mechanism.inertias[row],
+            "outline": mechanism.outlines[row],
         }
         for row, name in enumerate(mechanism.names)
     ]
@@ -58,10 +60,10 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
                 "name": name,
                 "first": mechanism.names[first],
                 "second": mechanism.names[second],
-                "at": _to_plain(mechanism.at[row]),
+                "at": mechanism.at[row],
                 "energy": energy_record(energy),
-                "damping": _damping_record(damping),
-                "outline": _to_plain(mechanism.hinge_outlines[row]),
+                "damping": damping,
+                "outline": mechanism.hinge_outlines[row],
             }
         )
     fixed: dict[str, list[str]] = {}
@@ -88,6 +90,8 @@ def load_mechanism(path: str | Path) -> Mechanism:
         OSError: The file cannot be read.
     """
     from msgspec.json import encode
+
+    from .records import read_record
 
     record = read_record(path, "mechanism")
     entry = "mechanism"
@@ -131,22 +135,6 @@ def _damping_from_record(record: Any) -> ViscousDamping | float | None:
     )
 
 
-def _damping_record(damping: ViscousDamping | Any) -> Any:
-    """Convert a damping into a record; a damping time in s becomes a number."""
-    if not isinstance(damping, ViscousDamping):
-        return _to_plain(damping)
-    return {
-        "damping": _to_plain(damping.damping),
-        "coordinates": damping.coordinates,
-        "resisted": damping.resisted,
-    }
-
-
 def _to_array(rows: Any) -> np.ndarray | None:
     """Convert nested sequences of numbers into an array."""
     return None if rows is None else np.array(rows, float)
-
-
-def _to_plain(value: Any) -> Any:
-    """Convert an array into nested lists of numbers."""
-    return None if value is None else np.asarray(value).tolist()

@@ -8,7 +8,7 @@ import numpy as np
 from .._utils.types import PosesLike
 from .._utils.validation import require_package
 from ..mechanism.mechanism import Mechanism
-from ..plotting.canvas import FILLS, RED
+from ..plotting.figure_style import FILLS, RED
 from ..plotting.shapes import Shape, shapes
 
 
@@ -66,14 +66,7 @@ def save_outline(
 
 
 def _union(parts: list[Shape]) -> list[np.ndarray]:
-    """Compute the outer and inner boundaries of the union of all parts.
-
-    Args:
-        parts: The parts of a mechanism.
-
-    Returns:
-        The corners of each boundary; mm.
-    """
+    """Compute the corners (mm) of the boundaries of the union of all parts."""
     geometry = require_package("shapely", "Outlines", "export")
     polygons = [
         geometry.Polygon(_MM * part.corners).buffer(_GAP, join_style="mitre")

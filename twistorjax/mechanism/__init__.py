@@ -1,8 +1,9 @@
 """Rigid bodies, hinges, loads, and constraints, assembled into one mechanism.
 
-Start reading in `mechanism`. `body`, `hinge`, `loads`, and `constraints` hold what a user
-writes. `hinge_kinematics`, `hinge_forces`, `hinge_groups`, and `hinge_assembly` compute
-the energy, forces, and stiffness of all hinges at once.
+Start reading in `mechanism`. `body`, `hinge`, `loads`, and `constraints` contain the
+classes that a user creates. `hinge_assembly` computes the energy, forces, and stiffness
+of all hinges together, from those of one hinge: `hinge_kinematics`, `hinge_forces`, and,
+in motion, `hinge_motion`. `hinge_groups` stacks hinges of the same kind.
 """
 
 from .body import Body as Body, plate as plate

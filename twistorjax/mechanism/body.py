@@ -7,7 +7,6 @@ from .._utils.types import (
     Corners,
     CornersLike,
     NumberLike,
-    OutlineLike,
     Pose,
     PoseLike,
     Scalar,
@@ -32,7 +31,7 @@ class Body(eqx.Module):
             the frame may be anywhere.
         mass: Mass; needed for motion and vibrations only; kg.
         inertia: Moment of inertia about the origin of the frame; needed for motion and
-            vibrations only; kg m2.
+            vibrations only; kg m^2.
         outline: Corners of a closed polygon in the frame of the body, for drawing; m.
 
     Raises:
@@ -52,7 +51,7 @@ class Body(eqx.Module):
         pose: PoseLike = (0.0, 0.0, 0.0),
         mass: NumberLike | None = None,
         inertia: NumberLike | None = None,
-        outline: OutlineLike | None = None,
+        outline: CornersLike | None = None,
     ):
         self.name = require_text("The name of a body", name)
         owner = f"of the body {name!r}"
@@ -109,8 +108,8 @@ def plate(
             "give one to `Material`."
         )
     points = require_corners(f"`corners` of the plate {name!r}", corners)
-    # Area and moments follow from Green's theorem, on triangles from the mean of the
-    # corners. This keeps the digits of an outline far from the origin.
+    # Area and moments follow from Green's theorem for triangles from the mean of the
+    # corners, so that no digits are lost if the outline is far from the origin.
     middle = jnp.mean(points, axis=0)
     start = points - middle[None]
     end = jnp.roll(start, -1, axis=0)

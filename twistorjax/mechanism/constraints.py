@@ -25,7 +25,7 @@ from .mechanism import Mechanism
 
 
 class AbstractConstraint(eqx.Module):
-    """A function of the poses of some bodies that stays zero as they move.
+    """Kinematic constraint: a function of the poses of some bodies that must be zero.
 
     A subclass implements `violation`. For each of its entries there is a constraint
     force, which does no work on displacements that the constraint allows.
@@ -36,12 +36,15 @@ class AbstractConstraint(eqx.Module):
 
     @abstractmethod
     def violation(self, poses: Poses, references: Poses, time: Scalar) -> Numbers:
-        """Compute the values that must be zero; rad or m.
+        """Compute the constraint violation.
 
         Args:
             poses: Poses of the bodies of the constraint, in order; rad, m, m.
             references: Reference poses of the same bodies; rad, m, m.
             time: Time; s.
+
+        Returns:
+            The values, which are zero if the constraint is satisfied; rad or m.
         """
 
 
@@ -77,13 +80,13 @@ class Constraint(AbstractConstraint):
         if isinstance(bodies, str):
             raise ValueError(
                 f"`bodies` of the constraint {name!r} is the string {bodies!r}, but must "
-                f"be a sequence of names: [{bodies!r}]."
+                f"be a list of names, such as [{bodies!r}]."
             )
         self.bodies = tuple(bodies)
         if not callable(zero):
             raise ValueError(
                 f"`zero` of the constraint {name!r} is {zero!r}, but must be a function "
-                "of the bodies' poses and the time."
+                "of the poses of the bodies and the time."
             )
         self.zero = zero
 
@@ -99,14 +102,14 @@ class Pin(AbstractConstraint):
     The constraint force is the force on the second body at the pin, in world axes; N.
 
     Args:
-        name: Name of the joint in solutions and messages.
+        name: Name of the constraint in solutions and messages.
         first: Name of the first body.
         second: Name of the second body.
         at: Position of the pin in the reference configuration, in the world frame; m.
 
     Raises:
-        ValueError: A name is not a string, a body is joined to itself, or a value is not
-            finite.
+        ValueError: A name is not a string, a body is connected to itself, or a value is
+            not finite.
 
     Example:
         >>> Pin("elbow", "upper", "lower", at=(0.1, 0.0)).bodies
@@ -117,13 +120,7 @@ class Pin(AbstractConstraint):
     bodies: tuple[str, ...] = eqx.field(static=True)
     at: Point
 
-    def __init__(
-        self,
-        name: str,
-        first: str,
-        second: str,
-        at: PointLike,
-    ):
+    def __init__(self, name: str, first: str, second: str, at: PointLike):
         self.name = require_text("The name of a pin", name)
         self.bodies = _two_bodies("pin", name, first, second)
         self.at = require_row(f"`at` of the pin {name!r}", at, "(x, y)", 2)
@@ -131,7 +128,7 @@ class Pin(AbstractConstraint):
     def violation(self, poses: Poses, references: Poses, time: Scalar) -> Point:
         del time
         frame = jnp.concatenate([jnp.zeros(1), self.at])
-        first, second = _carried(frame, poses, references)
+        first, second = _moved_frames(frame, poses, references)
         return second[1:] - first[1:]
 
 
@@ -139,18 +136,19 @@ class Slider(AbstractConstraint):
     """A prismatic joint: the second body slides along an axis fixed to the first.
 
     The constraint forces are the moment and the force normal to the axis on the second
-    body, about the point of it that is at `at` in the reference configuration; N m, N.
+    body, about the point of the second body that is at `at` in the reference
+    configuration; N m, N.
 
     Args:
-        name: Name of the joint in solutions and messages.
-        first: Name of the body that carries the guide.
+        name: Name of the constraint in solutions and messages.
+        first: Name of the body with the guide.
         second: Name of the body that slides.
         at: Angle of the axis and a point on it in the reference configuration, in the
             world frame; rad, m, m.
 
     Raises:
-        ValueError: A name is not a string, a body is joined to itself, or a value is not
-            finite.
+        ValueError: A name is not a string, a body is connected to itself, or a value is
+            not finite.
 
     Example:
         >>> Slider("rail", "frame", "table", at=(0.0, 0.0, 0.1)).bodies
@@ -161,33 +159,29 @@ class Slider(AbstractConstraint):
     bodies: tuple[str, ...] = eqx.field(static=True)
     at: Pose
 
-    def __init__(
-        self,
-        name: str,
-        first: str,
-        second: str,
-        at: PoseLike,
-    ):
+    def __init__(self, name: str, first: str, second: str, at: PoseLike):
         self.name = require_text("The name of a slider", name)
         self.bodies = _two_bodies("slider", name, first, second)
         self.at = require_row(f"`at` of the slider {name!r}", at, "(angle, x, y)")
 
-    def violation(self, poses: Poses, references: Poses, time: Scalar) -> Point:
+    def violation(
+        self, poses: Poses, references: Poses, time: Scalar
+    ) -> Float[Array, "2"]:
         del time
-        gap = se2.between(*_carried(self.at, poses, references))
+        gap = se2.between(*_moved_frames(self.at, poses, references))
         return jnp.stack([gap[0], gap[2]])
 
 
 class ConstraintSet(eqx.Module):
     """All constraints on a mechanism, as functions of the displacements of its bodies.
 
-    The constraint forces multiply the derivatives of the violation: the generalized
-    forces on the bodies are their product.
+    The generalized forces on the bodies are the product of the constraint forces and the
+    derivatives of the violation.
 
     Args:
-        constraints: The constraints, in the order of their entries.
+        constraints: The constraints, in the order of their scalar equations.
         bodies: Indices of the bodies of each constraint.
-        sizes: Number of entries of each constraint.
+        sizes: Number of scalar equations of each constraint.
         reference: Reference poses of all bodies; rad, m, m.
     """
 
@@ -198,16 +192,11 @@ class ConstraintSet(eqx.Module):
 
     @property
     def size(self) -> int:
-        """Number of entries: the degrees of freedom that the constraints remove."""
+        """Number of scalar equations, each of which removes one degree of freedom."""
         return sum(self.sizes)
 
     def violation(self, displacements: Poses, time: Scalar) -> Entries:
-        """Compute the violation of all constraints; rad or m.
-
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            time: Time; s.
-        """
+        """Compute the violation of all constraints at a time (s); rad or m."""
         poses = self.reference + displacements
         parts = [
             constraint.violation(
@@ -220,44 +209,38 @@ class ConstraintSet(eqx.Module):
     def jacobian(
         self, displacements: Poses, time: Scalar
     ) -> Float[Array, "entries dofs"]:
-        """Compute the derivatives of the violation by all degrees of freedom."""
+        """Differentiate the violation with respect to all degrees of freedom."""
         if not self.size:
             return jnp.zeros((0, displacements.size))
         jacobian = jax.jacrev(self.violation)(displacements, time)
         return jacobian.reshape(self.size, -1)
 
     def forces(
-        self, displacements: Poses, time: Scalar, push: Entries
+        self, displacements: Poses, time: Scalar, multipliers: Entries
     ) -> Float[Array, " dofs"]:
-        """Compute the generalized forces that the constraint forces exert; N m, N.
-
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            time: Time; s.
-            push: Constraint force of each entry; N m, N.
-        """
+        """Convert constraint forces, the multipliers, to generalized forces; N m, N."""
         if not self.size:
             return jnp.zeros(displacements.size)
         _, pull_back = jax.vjp(lambda at: self.violation(at, time), displacements)
-        return pull_back(push)[0].reshape(-1)
+        return pull_back(multipliers)[0].reshape(-1)
 
     def geometric_stiffness(
-        self, displacements: Poses, time: Scalar, push: Entries
+        self, displacements: Poses, time: Scalar, multipliers: Entries
     ) -> Float[Array, "dofs dofs"]:
-        """Compute the negative derivative of the `forces` by all degrees of freedom.
+        """Compute the negative derivative of the `forces`; N m/rad, N/rad, N/m.
 
-        It is the stiffness that constraint forces add because their directions change as
-        the bodies move; N m/rad, N/rad, N/m.
+        Constraint forces contribute to the stiffness, because their directions change if
+        the bodies move.
         """
         size = displacements.size
 
         def forces(flat: Array) -> Array:
-            return self.forces(flat.reshape(displacements.shape), time, push)
+            return self.forces(flat.reshape(displacements.shape), time, multipliers)
 
         return -jax.jacfwd(forces)(displacements.reshape(size))
 
     def names(self) -> tuple[str, ...]:
-        """Name of the constraint of each entry."""
+        """Return the name of the constraint of each scalar equation."""
         pairs = zip(self.constraints, self.sizes, strict=True)
         return tuple(constraint.name for constraint, size in pairs for _ in range(size))
 
@@ -268,15 +251,15 @@ def gather_constraints(
     """Gather constraints on the bodies of a mechanism.
 
     Raises:
-        ValueError: A constraint names a body that the mechanism does not have, two
-            constraints have the same name, or an element of the list is no constraint.
+        ValueError: A name of a body is unknown, two constraints have the same name, or an
+            element of the list is not a constraint.
     """
     require_kind("constraints", constraints, AbstractConstraint)
     bodies, sizes, names = [], [], set()
     for constraint in constraints:
         where = f"The constraint {constraint.name!r}"
         if constraint.name in names:
-            raise ValueError(f"{where} is given twice; names must differ.")
+            raise ValueError(f"{where} is given twice, but names must be unique.")
         names.add(constraint.name)
         rows = tuple(
             index_of(where, "body", body, mechanism.names) for body in constraint.bodies
@@ -287,8 +270,8 @@ def gather_constraints(
         ).shape
         if len(shape) != 1:
             raise ValueError(
-                f"{where} returns an array of shape {shape}, but must return a row of "
-                "numbers, or one number."
+                f"{where} returns an array of shape {shape}, but must return one number "
+                "or a one-dimensional array."
             )
         bodies.append(rows)
         sizes.append(shape[0])
@@ -297,7 +280,7 @@ def gather_constraints(
     )
 
 
-def _carried(frame: Pose, poses: Poses, references: Poses) -> list[Pose]:
+def _moved_frames(frame: Pose, poses: Poses, references: Poses) -> list[Pose]:
     """Move a frame from the reference configuration with each body; rad, m, m."""
     return [
         se2.compose(pose, se2.between(reference, frame))
@@ -306,9 +289,9 @@ def _carried(frame: Pose, poses: Poses, references: Poses) -> list[Pose]:
 
 
 def _two_bodies(noun: str, name: str, first: str, second: str) -> tuple[str, str]:
-    """Check the names of the two bodies of a joint and return them."""
+    """Check the names of the two bodies of a constraint and return them."""
     require_text(f"`first` of the {noun} {name!r}", first)
     require_text(f"`second` of the {noun} {name!r}", second)
     if first == second:
-        raise ValueError(f"The {noun} {name!r} joins the body {first!r} to itself.")
+        raise ValueError(f"The {noun} {name!r} connects the body {first!r} to itself.")
     return first, second

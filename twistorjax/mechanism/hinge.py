@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._utils.types import Corners, OutlineLike, Pose, PoseLike, Scalar
+from .._utils.types import Corners, CornersLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
     all_concrete,
     concrete,
@@ -24,20 +24,22 @@ class Hinge(eqx.Module):
     """An elastic connection of frame a on body A and frame b on body B.
 
     In the reference configuration both frames coincide and the hinge is not loaded. Give
-    their pose there by `at`, or give their poses on the two bodies by `ports`.
+    their pose in this configuration by `at`, or their poses on the two bodies by `ports`.
 
     Args:
         name: Name of the hinge.
         first: Name of body A.
         second: Name of body B.
-        energy: Elastic energy as a function of the displacement of frame b against
+        energy: Elastic energy as a function of the displacement of frame b relative to
             frame a.
         at: Pose of both frames in the world, in the reference configuration; rad, m, m.
-            Axis 1 of a leaf or a notch lies along it and points from the first body to
-            the second. If the first body is below the second, the angle is pi / 2.
+            Axis 1 of a leaf or a notch is parallel to its length and points from the
+            first body to the second. If the first body is below the second, the angle is
+            pi / 2.
         ports: Pose of frame a on body A, and pose of frame b on body B; rad, m, m.
-        damping: A `ViscousDamping`, or the time by which the stiffness in the reference
-            configuration is multiplied to obtain one; by default none; s.
+        damping: A `ViscousDamping`; or a time (s), by which the stiffness matrix in the
+            reference configuration is multiplied to obtain the damping matrix. By default
+            the hinge has no damping.
         outline: Corners of a closed polygon in the frame of the hinge, for drawing; m.
 
     Raises:
@@ -65,7 +67,7 @@ class Hinge(eqx.Module):
         *,
         ports: Sequence[PoseLike] | None = None,
         damping: DampingLike | None = None,
-        outline: OutlineLike | None = None,
+        outline: CornersLike | None = None,
     ):
         self.name = require_text("The name of a hinge", name)
         self.first = require_text(f"`first` of the hinge {name!r}", first)
@@ -77,20 +79,18 @@ class Hinge(eqx.Module):
             )
         self.energy = energy
         if first == second:
-            raise ValueError(f"The hinge {name!r} joins the body {first!r} to itself.")
+            raise ValueError(f"The hinge {name!r} connects the body {first!r} to itself.")
         if (at is None) == (ports is None):
             raise ValueError(
                 f"The hinge {name!r} needs either `at`, its pose in the world, or "
-                "`ports`, its poses on both bodies: "
-                + ("neither is given." if at is None else "both are given.")
+                "`ports`, its poses on both bodies, but "
+                f"{'neither is' if at is None else 'both are'} given."
             )
         owner = f"of the hinge {name!r}"
-        self.at = (
-            None if at is None else require_row(f"`at` {owner}", at, "(angle, x, y)")
-        )
-        if ports is None:
-            self.ports = None
-        else:
+        self.at = self.ports = None
+        if at is not None:
+            self.at = require_row(f"`at` {owner}", at, "(angle, x, y)")
+        if ports is not None:
             on_first, on_second = (
                 require_row(f"`ports[{k}]` {owner}", port, "(angle, x, y)")
                 for k, port in enumerate(ports)
@@ -105,11 +105,7 @@ class Hinge(eqx.Module):
 def _check_damping(
     name: str, damping: DampingLike | None
 ) -> ViscousDamping | Scalar | None:
-    """Return a damping, or the time of a proportional damping; s.
-
-    Args:
-        name: Name of the argument, for the message.
-        damping: The damping, or the time; s.
+    """Check and return a damping, or the time of a proportional damping; s.
 
     Raises:
         ValueError: The time is negative or not finite.
@@ -124,9 +120,6 @@ def _check_damping(
 
 def check_energy(hinge: Hinge) -> None:
     """Check the values of the energy of a hinge.
-
-    Args:
-        hinge: The hinge.
 
     Raises:
         ValueError: A value is not finite, or the energy has a validation error.
@@ -145,15 +138,9 @@ def check_energy(hinge: Hinge) -> None:
 
 
 def frame_of(hinge: Hinge, first: Pose, second: Pose) -> Pose:
-    """Compute the pose of the frames of a hinge in the reference configuration.
+    """Compute the pose of both frames of a hinge in the reference configuration.
 
-    Args:
-        hinge: The hinge.
-        first: Reference pose of body A; rad, m, m.
-        second: Reference pose of body B; rad, m, m.
-
-    Returns:
-        The pose of both frames in the world; rad, m, m.
+    `first` and `second` are the reference poses of bodies A and B; rad, m, m.
 
     Raises:
         ValueError: The two ports do not coincide.
@@ -173,8 +160,8 @@ def frame_of(hinge: Hinge, first: Pose, second: Pose) -> Pose:
         if np.any(too_large):
             raise ValueError(
                 f"The ports of the hinge {hinge.name!r} do not coincide in the reference "
-                f"configuration. Seen from port a on {hinge.first!r}, port b on "
-                f"{hinge.second!r} is rotated by {gap[0]:.6g} rad and shifted by "
+                f"configuration. Relative to port a on {hinge.first!r}, port b on "
+                f"{hinge.second!r} is rotated by {gap[0]:.6g} rad and displaced by "
                 f"({gap[1]:.6g}, {gap[2]:.6g}) m. Move a port or a body, or give `at`."
             )
     return a

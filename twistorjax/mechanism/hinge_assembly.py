@@ -1,4 +1,4 @@
-"""All hinges of a mechanism: energy, forces, and stiffness, assembled by bodies."""
+"""All hinges of a mechanism: their energy, forces, and stiffness."""
 
 from typing import NamedTuple
 
@@ -18,34 +18,37 @@ from .hinge_kinematics import End, mid_frame
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
 
 
-class MotionTangent(NamedTuple):
-    """Derivatives of the forces of all hinges by the free degrees of freedom.
+class AssemblyMotionTangent(NamedTuple):
+    """Derivatives of the forces of all hinges with respect to free degrees of freedom.
 
     Args:
-        stiffness: Derivatives by displacements; N m/rad, N/rad, N/m.
-        damping: Derivatives by rates; N m s/rad, N s/rad, N s/m.
-        stretching: Derivatives of the mid-frame translations by displacements.
-        bearing: Derivatives of the forces by the mid-frame translations.
+        stiffness: Derivatives with respect to displacements; N m/rad, N/rad, N/m.
+        damping: Derivatives with respect to rates; N m s/rad, N s/rad, N s/m.
+        stretch_by_displacement: Derivatives of the mid-frame translations; m/rad, -.
+        force_by_stretch: Derivatives of the forces with respect to the mid-frame
+            translations; N, N/m.
     """
 
     stiffness: Float[Array, "free free"]
     damping: Float[Array, "free free"]
-    stretching: Float[Array, "free stretches"]
-    bearing: Float[Array, "free stretches"]
+    stretch_by_displacement: Float[Array, "free stretches"]
+    force_by_stretch: Float[Array, "free stretches"]
 
 
 class HingeAssembly(eqx.Module):
     """The hinges of a mechanism, as functions of the displacements of its bodies.
 
-    Hinges are evaluated in the order of the members of the groups. Degrees of freedom are
-    numbered by bodies, three for each: angle, x, y.
+    Displacements are those from the reference poses; rad, m, m. Hinges are evaluated in
+    the order of the members of the groups. Degrees of freedom are numbered by bodies,
+    three for each: angle, x, y.
 
     Args:
         bodies: Number of bodies.
         ends: Indices of the two bodies of each hinge.
-        arms: Distance from the origin of each of the two bodies to the hinge, in the
+        arms: Vector from the origin of each of the two bodies to the hinge, in the
             reference configuration and world axes; m.
-        axes: Cosine and sine of the angle of each hinge in the reference configuration.
+        directions: Cosine and sine of the angle of each hinge in the reference
+            configuration.
         groups: Groups of hinges with the same kind of energy.
         sums: Energy and damping of each hinge whose energy is a sum; None for others.
     """
@@ -53,16 +56,15 @@ class HingeAssembly(eqx.Module):
     bodies: int = eqx.field(static=True)
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
     arms: Float[Array, "hinges 2 2"]
-    axes: Float[Array, "hinges 2"]
+    directions: Float[Array, "hinges 2"]
     groups: tuple[HingeGroup, ...]
     sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
 
     def lever(self, free: tuple[int, ...]) -> Scalar:
         """Compute the root mean square distance from origins of bodies to hinges; m.
 
-        Args:
-            free: Free degrees of freedom. Bodies that cannot move do not count, because
-                their origins are arbitrary.
+        Bodies without `free` degrees of freedom do not count, because their origins are
+        arbitrary.
         """
         moving = np.isin(np.array(self.ends), np.array(free, int) // 3)
         arms = jax.lax.stop_gradient(self.arms)[moving]
@@ -84,26 +86,21 @@ class HingeAssembly(eqx.Module):
         group = next(group for group in self.groups if row in group.members)
         member = group.members.index(row)
         leaves, tree = jax.tree.flatten((group.energy, group.damping))
-        own = [
+        member_leaves = [
             leaf if axis is None else leaf[member]
-            for leaf, axis in zip(leaves, group.axes, strict=True)
+            for leaf, axis in zip(leaves, group.batch_axes, strict=True)
         ]
-        return jax.tree.unflatten(tree, own)
+        return jax.tree.unflatten(tree, member_leaves)
 
     def displacement_of(self, row: int, displacements: Poses) -> Displacement:
-        """Compute the displacement of one hinge, without loss of digits.
-
-        Args:
-            row: Index of the hinge.
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-        """
+        """Compute the displacement of one hinge, by its index."""
         angle, x, y = displacements.T
         cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
         first, second = (
             End(*(values[body] for values in (angle, x, y, cos, sin)), *arm)
             for body, arm in zip(self.ends[row], self.arms[row], strict=True)
         )
-        axis = self.axes[row, 0], self.axes[row, 1]
+        axis = self.directions[row, 0], self.directions[row, 1]
         return mid_frame(first, second, axis).displacement
 
     def energy(self, displacements: Poses) -> Scalar:
@@ -120,7 +117,7 @@ class HingeAssembly(eqx.Module):
         return sum(parts, start=jnp.zeros(()))
 
     def forces(self, displacements: Poses) -> Wrenches:
-        """Compute the derivative of the energy by each body's displacement; N m, N, N."""
+        """Differentiate the energy with respect to the displacements; N m, N, N."""
         local = self._evaluate(_elastic(hinge_forces.forces), displacements)
         return self._gather(local).reshape(displacements.shape)
 
@@ -129,27 +126,25 @@ class HingeAssembly(eqx.Module):
     ) -> Float[Array, "3 hinges"]:
         """Compute the generalized stress of each hinge; N m, N, N.
 
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            predicted: Generalized stress that was predicted, as for the `tangent`.
+        For a `predicted` stress, the energies are replaced as in `tangent`.
         """
         more = () if predicted is None else (tuple(predicted),)
         function = _elastic(hinge_forces.generalized_stress)
         return jnp.stack(self._evaluate(function, displacements, *more))
 
     def out_of_range(self, displacements: Poses) -> Bool[Array, " hinges"]:
-        """Decide whether each hinge is beyond the validity range of its energy."""
+        """Decide whether each hinge is outside the validity range of its energy."""
 
-        def outside(energy, damping, first, second, axis):
+        def is_outside(energy, damping, first, second, axis):
             del damping
             return out_of_range(energy, mid_frame(first, second, axis).displacement)
 
-        found = jnp.zeros(len(self.ends), bool)
+        outside = jnp.zeros(len(self.ends), bool)
         for group in self.groups:
-            own = self._map(outside, group, displacements)
-            if own is not None:
-                found = found.at[np.array(group.members)].max(own)
-        return found
+            of_members = self._map(is_outside, group, displacements)
+            if of_members is not None:
+                outside = outside.at[np.array(group.members)].max(of_members)
+        return outside
 
     def tangent(
         self,
@@ -158,55 +153,49 @@ class HingeAssembly(eqx.Module):
         columns: tuple[int, ...],
         predicted: Float[Array, "3 hinges"] | None = None,
     ) -> tuple[Float[Array, " dofs"], Float[Array, "rows columns"], Scalar]:
-        """Compute the forces, and their derivatives among some degrees of freedom.
+        """Compute the forces, and their derivatives.
 
         Args:
             displacements: Displacement of each body from its reference pose; rad, m, m.
             rows: Degrees of freedom whose forces are differentiated.
-            columns: Degrees of freedom by which they are differentiated.
+            columns: Degrees of freedom with respect to which they are differentiated.
             predicted: Generalized stress that determines the geometric stiffness; by
                 default the stress at these displacements; N m, N, N.
 
         Returns:
             The forces on all degrees of freedom; N m, N. The derivatives; N m/rad, N/rad,
-            N/m. A measure of the energy at work in the hinges, never negative; J.
+            N/m. The sum of the absolute values of force times displacement; J.
         """
-        forces, pairs, work = self.pairs(displacements, predicted)
-        return forces, self._assemble(pairs, rows, columns), work
+        forces, stiffness, work = self.hinge_stiffness(displacements, predicted)
+        return forces, self._assemble(stiffness, rows, columns), work
 
-    def pairs(
+    def hinge_stiffness(
         self, displacements: Poses, predicted: Float[Array, "3 hinges"] | None = None
     ) -> tuple[Float[Array, " dofs"], Float[Array, "6 6 hinges"], Scalar]:
-        """Compute the forces, and the stiffness of each hinge among its two bodies.
+        """Compute the forces, and the stiffness of each hinge on its two bodies.
 
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            predicted: Generalized stress, as for the `tangent`.
-
-        Returns:
-            The forces, the stiffness of each hinge, and the measure of the energy; see
-            `tangent`.
+        The arguments and the units of the three results are those of `tangent`.
         """
         more = () if predicted is None else (tuple(predicted),)
-        local, pairs, work = self._evaluate(
+        forces, matrices, work = self._evaluate(
             _elastic(hinge_forces.tangent), displacements, *more
         )
-        matrix = jnp.stack([jnp.stack(line) for line in pairs])
-        return self._gather(local), matrix, jnp.sum(work)
+        stiffness = jnp.stack([jnp.stack(line) for line in matrices])
+        return self._gather(forces), stiffness, jnp.sum(work)
 
-    def applied(
-        self, pairs: Float[Array, "6 6 hinges"], vector: Float[Array, " dofs"]
+    def multiply_stiffness(
+        self, stiffness: Float[Array, "6 6 hinges"], vector: Float[Array, " dofs"]
     ) -> Float[Array, " dofs"]:
-        """Multiply the stiffness of all hinges, given by `pairs`, and a displacement."""
-        own = vector[self._dofs()]
-        return self._gather(jnp.sum(pairs * own[None], axis=1))
+        """Multiply the assembled `hinge_stiffness` and a vector of displacements."""
+        of_hinges = vector[self._dofs()]
+        return self._gather(jnp.sum(stiffness * of_hinges[None], axis=1))
 
-    def pair_dofs(self) -> Int[np.ndarray, "2 entries"]:
-        """Return the row and the column of each entry of `pairs`, flattened."""
-        own = self._dofs()
-        shape = (6, *own.shape)
-        rows = np.broadcast_to(own[:, None], shape).reshape(-1)
-        return np.stack([rows, np.broadcast_to(own[None], shape).reshape(-1)])
+    def stiffness_dofs(self) -> Int[np.ndarray, "2 entries"]:
+        """Return the row and the column of each entry of the flat `hinge_stiffness`."""
+        dofs = self._dofs()
+        shape = (6, *dofs.shape)
+        rows = np.broadcast_to(dofs[:, None], shape).reshape(-1)
+        return np.stack([rows, np.broadcast_to(dofs[None], shape).reshape(-1)])
 
     def factored(
         self, displacements: Poses, free: tuple[int, ...]
@@ -214,10 +203,6 @@ class HingeAssembly(eqx.Module):
         Float[Array, "rows free"], Float[Array, " rows"], Float[Array, "free free"]
     ]:
         """Compute the stiffness among some degrees of freedom in factors.
-
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            free: The degrees of freedom.
 
         Returns:
             Three rows for each term of each hinge; the stiffness against each row; and
@@ -244,11 +229,11 @@ class HingeAssembly(eqx.Module):
             displacements: Displacement of each body from its reference pose; rad, m, m.
             rates: Rates of the displacements; rad/s, m/s, m/s.
             stretches: Mid-frame translations for which the forces are computed, in the
-                order of the members; by default their own; m.
+                order of the members; by default those of the displacements; m.
 
         Returns:
-            The forces; N m, N, N. The differences of the hinges' own translations and the
-            stretches; m. The power; W.
+            The forces; N m, N, N. The mid-frame translations of the displacements minus
+            the stretches; m. The power; W.
         """
         more = self._motion_arguments(rates, stretches)
         local, excess, power = self._evaluate(
@@ -263,15 +248,8 @@ class HingeAssembly(eqx.Module):
         rates: Poses,
         free: tuple[int, ...],
         stretches: Float[Array, "hinges 2"] | None = None,
-    ) -> MotionTangent:
-        """Compute the derivatives of `forces_in_motion` among some degrees of freedom.
-
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            rates: Rates of the displacements; rad/s, m/s, m/s.
-            free: Degrees of freedom of rows and columns.
-            stretches: Mid-frame translations, as for the forces; m.
-        """
+    ) -> AssemblyMotionTangent:
+        """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
         more = self._motion_arguments(rates, stretches)
         local = self._evaluate(hinge_motion.tangent_in_motion, displacements, *more)
         source, target = row_entries(self.ends, self._order(), free)
@@ -285,11 +263,11 @@ class HingeAssembly(eqx.Module):
         def by_dofs(pairs) -> Float[Array, "free free"]:
             return self._assemble(jnp.moveaxis(pairs, 0, -1), free, free)
 
-        return MotionTangent(
+        return AssemblyMotionTangent(
             stiffness=by_dofs(local.stiffness),
             damping=by_dofs(local.damping),
-            stretching=by_stretches(local.stretching),
-            bearing=by_stretches(local.bearing),
+            stretch_by_displacement=by_stretches(local.stretch_by_displacement),
+            force_by_stretch=by_stretches(local.force_by_stretch),
         )
 
     def stretches(self, displacements: Poses) -> Float[Array, "hinges 2"]:
@@ -308,19 +286,19 @@ class HingeAssembly(eqx.Module):
         both = tuple(tuple(rates[body].T) for body in ends.T)
         return (both,) if stretches is None else (both, tuple(stretches.T))
 
-    def _gather(self, local) -> Float[Array, " dofs"]:
+    def _gather(self, forces) -> Float[Array, " dofs"]:
         """Sum the forces of all members on each degree of freedom; N m, N."""
         target = self._dofs().reshape(-1)
-        entries = jnp.stack([*local]).reshape(-1)
+        entries = jnp.stack([*forces]).reshape(-1)
         return sum_entries(entries, np.arange(target.size), target, 3 * self.bodies)
 
     def _assemble(
-        self, pairs: Array, rows: tuple[int, ...], columns: tuple[int, ...]
+        self, matrices: Array, rows: tuple[int, ...], columns: tuple[int, ...]
     ) -> Float[Array, "rows columns"]:
-        """Sum the stiffness of all members among some degrees of freedom."""
+        """Sum the 6 by 6 matrices of all members among some degrees of freedom."""
         source, target = matrix_entries(self.ends, self._order(), rows, columns)
         size = (len(rows), len(columns))
-        summed = sum_entries(pairs.reshape(-1), source, target, size[0] * size[1])
+        summed = sum_entries(matrices.reshape(-1), source, target, size[0] * size[1])
         return summed.reshape(size)
 
     def _order(self) -> tuple[int, ...]:
@@ -334,20 +312,15 @@ class HingeAssembly(eqx.Module):
     def _evaluate(self, function, displacements: Poses, *more):
         """Evaluate a function of one hinge for all members.
 
-        Args:
-            function: Function of energy, damping, both ends, axis, and `more`.
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            more: More arguments, with a row for each member.
-
-        Returns:
-            What the function returns, with a row for each member.
+        The arguments of the function are energy, damping, both ends, axis, and `more`,
+        which has a row for each member.
         """
-        parts, done = [], 0
+        parts, start = [], 0
         for group in self.groups:
-            end = done + len(group.members)
-            own = jax.tree.map(lambda row, done=done, end=end: row[done:end], more)
-            parts.append(self._map(function, group, displacements, *own))
-            done = end
+            rows = slice(start, start + len(group.members))
+            of_group = jax.tree.map(lambda values, rows=rows: values[rows], more)
+            parts.append(self._map(function, group, displacements, *of_group))
+            start = rows.stop
         if len(parts) == 1:
             return parts[0]
         return jax.tree.map(lambda *values: jnp.concatenate(values), *parts)
@@ -358,22 +331,23 @@ class HingeAssembly(eqx.Module):
         first, second = np.array(self.ends)[members].T
         angle, x, y = displacements.T
         cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
-        arms, axes = self.arms[members], self.axes[members]
+        arms, directions = self.arms[members], self.directions[members]
 
         def end(body: np.ndarray, arm: Array) -> End:
-            moved = (values[body] for values in (angle, x, y, cos, sin))
-            return End(*moved, arm_x=arm[:, 0], arm_y=arm[:, 1])
+            of_body = (values[body] for values in (angle, x, y, cos, sin))
+            return End(*of_body, arm_x=arm[:, 0], arm_y=arm[:, 1])
 
         leaves, tree = jax.tree.flatten((group.energy, group.damping))
 
-        def one(leaves, *hinge):
+        def one_hinge(leaves, *hinge):
             return function(*jax.tree.unflatten(tree, leaves), *hinge)
 
-        return jax.vmap(one, in_axes=(list(group.axes), *(3 + len(more)) * (0,)))(
+        in_axes = (list(group.batch_axes), *(3 + len(more)) * (0,))
+        return jax.vmap(one_hinge, in_axes=in_axes)(
             leaves,
             end(first, arms[:, 0]),
             end(second, arms[:, 1]),
-            (axes[:, 0], axes[:, 1]),
+            (directions[:, 0], directions[:, 1]),
             *more,
         )
 

@@ -1,8 +1,12 @@
 """Elastic forces of one hinge on its two bodies, and their derivatives.
 
-JAX differentiates the energy and the dissipation by the three coordinates of the hinge.
-How these follow from the six displacements of its bodies is written out here: JAX would
-take twice the time to compile and 1.5 to 2 times the time to run a sweep of stages.
+JAX differentiates the energy and the dissipation with respect to the three coordinates of
+the hinge. The derivatives of these coordinates with respect to the six displacements of
+the bodies are written out here, because with JAX a sweep of stages would take twice the
+time to compile and 1.5 to 2 times the time to run.
+
+In all functions, `first` and `second` are the ends of the hinge on bodies A and B, and
+`axis` is the cosine and the sine of its angle in the reference configuration.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,16 +36,9 @@ from .hinge_kinematics import (
 def forces(
     energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
 ) -> Six:
-    """Compute the derivative of the energy by the displacements of bodies A and B.
-
-    Args:
-        energy: Energy of the hinge.
-        first: End on body A.
-        second: End on body B.
-        axis: Cosine and sine of the angle of the hinge in the reference configuration.
-    """
+    """Differentiate the energy with respect to the six displacements; N m, N."""
     kinematics = HingeKinematics.of(first, second, axis)
-    slopes, _ = slopes_of(energy, kinematics.middle.displacement)
+    slopes, _ = gradient_and_hessian(energy, kinematics.middle.displacement)
     return on_bodies(kinematics, slopes)
 
 
@@ -53,17 +50,14 @@ def generalized_stress(
     axis: tuple[Scalar, Scalar],
     predicted: Three | None = None,
 ) -> Three:
-    """Compute the derivatives of the energy by the energy's own coordinates; N m, N, N.
+    """Differentiate the energy with respect to its coordinates; N m, N, N.
 
-    Args:
-        energy: Energy of the hinge.
-        first: End on body A.
-        second: End on body B.
-        axis: Cosine and sine of the angle of the hinge in the reference configuration.
-        predicted: Generalized stress that was predicted, as for the `tangent`.
+    These are the coordinates in which the energy is nearly quadratic; see
+    `HasTranslationScale`. For a `predicted` stress (N m, N, N), the energy is replaced by
+    its model for Newton's method.
     """
     at = mid_frame(first, second, axis).displacement
-    (g0, g1, g2), _ = slopes_of(_newton_model(energy, predicted), at)
+    (g0, g1, g2), _ = gradient_and_hessian(_newton_model(energy, predicted), at)
     scale, growth, _ = _translation_scale(energy, at)
     s1, s2 = g1 / scale, g2 / scale
     return g0 - growth * (2 * at.x1 * s1 + 2 * at.x2 * s2), s1, s2
@@ -77,27 +71,20 @@ def tangent(
     axis: tuple[Scalar, Scalar],
     predicted: Three | None = None,
 ) -> tuple[Six, SixBySix, Scalar]:
-    """Compute the `forces`, their derivatives, and a measure of the work.
+    """Compute the `forces`, their derivatives, and the work.
 
-    With a predicted stress, Newton's method takes as few steps for stiff hinges as for
-    soft ones (mixed integration point Newton; Magisano, Leonetti and Garcea, Int. J. Num.
+    If a generalized stress (N m, N, N) is `predicted`, it determines the geometric
+    stiffness. Newton's method then takes as few steps for stiff hinges as for compliant
+    ones (mixed integration point Newton; Magisano, Leonetti and Garcea, Int. J. Num.
     Meth. Eng. 109, 2017).
 
-    Args:
-        energy: Energy of the hinge.
-        first: End on body A.
-        second: End on body B.
-        axis: Cosine and sine of the angle of the hinge in the reference configuration.
-        predicted: Generalized stress that determines the geometric stiffness; by default
-            the stress at this displacement; N m, N, N.
-
     Returns:
-        The forces; their derivatives by the same six displacements; and the sum of the
-        products of forces and coordinates, each without its sign; J.
+        The forces; their derivatives with respect to the same six displacements; and the
+        sum of the absolute values of force times coordinate; J.
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at = kinematics.middle.displacement
-    slopes, curvature_times = slopes_of(_newton_model(energy, predicted), at)
+    slopes, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
     g0, g1, g2 = own = slopes
     one, zero = jnp.ones_like(g0), jnp.zeros_like(g0)
     (h00, h01, h02), (_, h11, h12), (_, _, h22) = (
@@ -108,8 +95,8 @@ def tangent(
     y1, y2 = 2 * at.x1, 2 * at.x2
     work = jnp.abs(g0 * at.angle) + jnp.abs(g1 * y1) + jnp.abs(g2 * y2)
     if predicted is not None:
-        # The energy's own coordinates are curved. What this adds to the second
-        # derivatives is computed with the predicted stress.
+        # The coordinates of the energy are nonlinear functions of those of the hinge.
+        # Their second derivatives are multiplied by the predicted stress.
         scale, growth, curvature = _translation_scale(energy, at)
         b0, b1, b2 = predicted
         excess1, excess2 = b1 - g1 / scale, b2 - g2 / scale
@@ -125,12 +112,13 @@ def tangent(
 
 
 class Factored(NamedTuple):
-    """The stiffness of a hinge in factors, `rows.T diag(weights) rows + remainder`.
+    """Stiffness of a hinge in factors, `rows.T diag(weights) rows + remainder`.
 
     Args:
         rows: Three linear combinations of the six displacements.
         weights: Stiffness against each of them; N m/rad, N/m.
-        remainder: Geometric stiffness, and what of the stiffness is not positive.
+        remainder: Geometric stiffness, and the part of the stiffness that is not positive
+            semidefinite.
     """
 
     rows: Float[Array, "3 6"]
@@ -142,20 +130,13 @@ class Factored(NamedTuple):
 def factored(
     energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
 ) -> Factored:
-    """Compute the stiffness of the `tangent` in factors, in which small parts are kept.
-
-    Args:
-        energy: Energy of the hinge.
-        first: End on body A.
-        second: End on body B.
-        axis: Cosine and sine of the angle of the hinge in the reference configuration.
-    """
+    """Compute the stiffness of the `tangent` in factors, which keep small entries."""
     kinematics = HingeKinematics.of(first, second, axis)
-    slopes, curvature_times = slopes_of(energy, kinematics.middle.displacement)
+    slopes, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
     hessian = jnp.stack(jax.vmap(curvature_times)(*jnp.eye(3)), axis=1)
     (a, b, c), (_, d, e), (_, _, f) = hessian
-    # Gaussian elimination, as far as the stiffness is positive. The rest is kept whole,
-    # because elimination could lose its digits.
+    # Gaussian elimination, as long as the stiffness is positive. The remaining matrix is
+    # not eliminated, because it could lose digits.
     one = (a >= 0) & (b * b <= a * d) & (c * c <= a * f)
     ba, ca = _ratio(b, a, one), _ratio(c, a, one)
     d, e, f = d - b * ba, e - c * ba, f - c * ca
@@ -176,12 +157,13 @@ def factored(
 
 
 def _ratio(above: Scalar, below: Scalar, valid: Flag) -> Scalar:
-    """Divide, or return zero where the ratio is not valid or the divisor is zero."""
+    """Divide; zero if the ratio is not valid or the divisor is zero."""
     valid = valid & (below != 0)
     return jnp.where(valid, above / jnp.where(valid, below, 1.0), 0.0)
 
 
-# Derivatives of the four motions by the six displacements.
+# The four motions (rotation of A, x, y, rotation of B) that a unit of each of the six
+# displacements causes, in rows.
 MOTIONS = np.array(
     [
         [1.0, 0.0, 0.0, 0.0],
@@ -197,9 +179,9 @@ MOTIONS = np.array(
 def product(
     first: Inexact[Array, "rows inner"], second: Inexact[Array, "inner columns"]
 ) -> Inexact[Array, "rows columns"]:
-    """Multiply two small matrices as a sum that is fused with its surroundings.
+    """Multiply two small matrices as a sum, which XLA fuses with other operations.
 
-    For a few rows, the call of a matrix product costs more than its work.
+    For a few rows, the call of a matrix product takes longer than its operations.
     """
     return jnp.sum(first[:, :, None] * second[None], axis=1)
 
@@ -216,10 +198,10 @@ def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEn
     return solver_protocols.newton_model(energy, predicted[1])
 
 
-def slopes_of(
+def gradient_and_hessian(
     energy: AbstractEnergy, at: Displacement
 ) -> tuple[Three, Callable[..., Three]]:
-    """Differentiate an energy by the three coordinates of the hinge, and linearize.
+    """Differentiate an energy with respect to the three coordinates of the hinge.
 
     Returns:
         The derivatives; N m, N, N. A function that multiplies the second derivatives by a
@@ -235,7 +217,7 @@ def slopes_of(
 
 
 def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:
-    """Compute the translation scale of an energy, and two derivatives by the angle."""
+    """Compute the translation scale and its first two derivatives by the angle (rad)."""
 
     def scale(angle: Scalar) -> Scalar:
         displacement = displacement_at(at, (angle, 2 * at.x1, 2 * at.x2))
@@ -251,14 +233,14 @@ def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:
 
 
 def hinge_coordinates(at: Displacement) -> Three:
-    """Angle and mid-frame translation of a displacement; rad, m, m."""
+    """Return the angle and the mid-frame translation of a displacement; rad, m, m."""
     return at.angle, 2 * at.x1, 2 * at.x2
 
 
 def displacement_at(at: Displacement, coordinates: Three) -> Displacement:
-    """Return a displacement as a function of its coordinates.
+    """Return the displacement `at` as a function of its coordinates; rad, m, m.
 
-    Sine and cosine are known already, so they are not computed again.
+    Its sine and cosine are not computed again.
     """
     angle, y1, y2 = coordinates
     cos, sin = half_angle_cos_sin(angle, at.sigma, at.xi)
@@ -266,13 +248,13 @@ def displacement_at(at: Displacement, coordinates: Three) -> Displacement:
 
 
 def on_bodies(kinematics: HingeKinematics, slopes: Three) -> Six:
-    """Convert forces on the coordinates to forces on the six displacements."""
+    """Convert forces on the coordinates to forces on the displacements; N m, N, N."""
     on_a, on_b, x, y = (dot(column, slopes) for column in kinematics.columns())
     return on_a, -x, -y, on_b, x, y
 
 
 def dot(first: Three, second: Three) -> Scalar:
-    """Scalar product."""
+    """Compute the scalar product of two vectors."""
     return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
 
 
@@ -281,12 +263,10 @@ def _among_bodies(
     products: Sequence[Three],
     geometric: list[list[Scalar]],
 ) -> SixBySix:
-    """Assemble the symmetric stiffness among the six displacements.
+    """Assemble the symmetric stiffness with respect to the six displacements.
 
-    Args:
-        columns: Derivatives of the coordinates by the four motions.
-        products: These columns, multiplied by the second derivatives of the energy.
-        geometric: Geometric stiffness among the four motions.
+    The arguments are the derivatives of the coordinates with respect to the four motions,
+    their products with the second derivatives of the energy, and the geometric stiffness.
     """
     four: list[list[Any]] = [[None] * 4 for _ in range(4)]
     for row in range(4):

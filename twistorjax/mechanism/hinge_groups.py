@@ -1,4 +1,4 @@
-"""Hinges with the same kind of energy, stacked for evaluation as one array operation."""
+"""Groups of hinges with the same kind of energy, stacked for array operations."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -29,22 +29,23 @@ class HingeGroup(eqx.Module):
 
     Args:
         members: Index of the hinge of each member.
-        energy: Their energies, stacked; an array that all of them share is not repeated.
-        damping: Their damping, stacked in the same way, if they are damped.
-        axes: For each array of energy and damping 0 if it is stacked, None if shared.
+        energy: Their energies, stacked. An array that all of them share is not stacked.
+        damping: Their damping, stacked in the same way; None without damping.
+        batch_axes: For each array of energy and damping: 0 if it is stacked, None if it
+            is shared.
     """
 
     members: tuple[int, ...] = eqx.field(static=True)
     energy: AbstractEnergy
     damping: ViscousDamping | None
-    axes: tuple[int | None, ...] = eqx.field(static=True)
+    batch_axes: tuple[int | None, ...] = eqx.field(static=True)
 
 
 def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
-    """Sort the energies of hinges by kind, and stack those of the same kind.
+    """Stack the energies of hinges of the same kind.
 
-    The terms of a sum act in parallel, each with its own damping, coordinates, and model
-    for Newton's method.
+    The terms of a sum act in parallel. Each of them has its own damping, coordinates, and
+    model for Newton's method.
     """
     rows, pairs = [], []
     for row, hinge in enumerate(hinges):
@@ -56,17 +57,17 @@ def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
     for indices in group_by_structure(pairs):
         tree = jax.tree.structure(pairs[indices[0]])
         columns = zip(*(jax.tree.leaves(pairs[k]) for k in indices), strict=True)
-        leaves, axes = [], []
+        leaves, batch_axes = [], []
         for column in columns:
             shared = all(leaf is column[0] for leaf in column)
-            axes.append(None if shared else 0)
+            batch_axes.append(None if shared else 0)
             leaves.append(column[0] if shared else _stack(column))
         energy, damping = jax.tree.unflatten(tree, leaves)
         if eqx.is_array(damping):  # a time
-            damping = _proportional(energy, damping, tuple(axes))
-            axes[-1] = None if damping.damping.ndim == 2 else 0
+            damping = _proportional(energy, damping, tuple(batch_axes))
+            batch_axes[-1] = None if damping.damping.ndim == 2 else 0
         members = tuple(rows[k] for k in indices)
-        groups.append(HingeGroup(members, energy, damping, tuple(axes)))
+        groups.append(HingeGroup(members, energy, damping, tuple(batch_axes)))
     return tuple(groups)
 
 
@@ -85,8 +86,9 @@ def _distribute(
 ) -> list[ViscousDamping | Scalar | None]:
     """Distribute the damping of a hinge among the terms of its energy.
 
-    A time multiplies the stiffness of each term; s. A damping acts once, with the first
-    term that resists only a part of the rates, if there is one.
+    A time (s) multiplies the stiffness of each term. A `ViscousDamping` acts only once:
+    together with the first term that resists only a part of the rates, if there is one,
+    or else with the first term.
     """
     if not isinstance(damping, ViscousDamping):
         return [damping] * len(terms)
@@ -94,29 +96,23 @@ def _distribute(
     return [damping if k == chosen else None for k in range(len(terms))]
 
 
-@partial(jax.jit, static_argnames="axes")
+@partial(jax.jit, static_argnames="batch_axes")
 def _proportional(
-    energy: AbstractEnergy, time: Array, axes: tuple[int | None, ...]
+    energy: AbstractEnergy, time: Array, batch_axes: tuple[int | None, ...]
 ) -> ViscousDamping:
-    """Compute the damping of stacked energies in proportion to their stiffness.
-
-    Args:
-        energy: The energies.
-        time: Factor of the stiffness; s.
-        axes: Axes of the arrays of energies and times; see `HingeGroup`.
-    """
+    """Compute the damping of stacked energies: their stiffness times a time; s."""
     leaves, tree = jax.tree.flatten(energy)
 
-    def one(leaves, time):
+    def damping(leaves, time):
         return proportional_damping(jax.tree.unflatten(tree, leaves), time)
 
-    *of_energy, of_time = axes
-    if any(axis == 0 for axis in axes):
-        one = jax.vmap(one, in_axes=(of_energy, of_time))
-    return one(leaves, time)
+    *of_energy, of_time = batch_axes
+    if any(axis == 0 for axis in batch_axes):
+        damping = jax.vmap(damping, in_axes=(of_energy, of_time))
+    return damping(leaves, time)
 
 
 def _stack(row: Sequence[Array]) -> Array:
-    """Stack arrays; concrete ones at once, because each operation is compiled."""
+    """Stack arrays, without a compilation if they are not traced."""
     values = all_concrete(row)
     return jnp.stack(row) if values is None else jnp.asarray(np.stack(values))

@@ -1,4 +1,4 @@
-"""Kinematics of a hinge: how its displacement follows those of its two bodies."""
+"""Kinematics of a hinge: its displacement as a function of those of its two bodies."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class End(NamedTuple):
     """One end of a hinge: the displacement of its body, and its position on the body.
 
     Displacements are measured from the reference pose, because differences of positions
-    would lose digits: a stage of 40 mm moves by micrometers.
+    would lose digits if displacements are small compared with positions.
 
     Args:
         angle: Rotation of the body; rad.
@@ -42,15 +42,15 @@ class End(NamedTuple):
     arm_y: Scalar
 
     def arm_displacement(self) -> tuple[Scalar, Scalar]:
-        """Compute the displacement of the hinge by the rotation: (R - 1) arm; m."""
+        """Compute the displacement of the hinge due to the rotation: (R - 1) arm; m."""
         return se2.rotation_displacement((self.arm_x, self.arm_y), self.cos, self.sin)
 
 
 class MidFrame(NamedTuple):
-    """The displacement of a hinge, and the frame at its middle.
+    """The displacement of a hinge, and its mid-frame.
 
     Args:
-        displacement: Displacement of frame b, seen from frame a.
+        displacement: Displacement of frame b relative to frame a.
         cos: Cosine of the angle of the mid-frame in the world.
         sin: Sine of the angle of the mid-frame in the world.
     """
@@ -61,12 +61,11 @@ class MidFrame(NamedTuple):
 
 
 def mid_frame(first: End, second: End, axis: tuple[Scalar, Scalar]) -> MidFrame:
-    """Compute the displacement of a hinge, from products of half angles only.
+    """Compute the displacement and the mid-frame of a hinge.
 
-    Args:
-        first: End on body A.
-        second: End on body B.
-        axis: Cosine and sine of the angle of the hinge in the reference configuration.
+    They follow from the cosines and sines of half angles, without other trigonometric
+    functions. `axis` is the cosine and the sine of the angle of the hinge in the
+    reference configuration.
     """
     arm_ax, arm_ay = first.arm_displacement()
     arm_bx, arm_by = second.arm_displacement()
@@ -84,12 +83,12 @@ def mid_frame(first: End, second: End, axis: tuple[Scalar, Scalar]) -> MidFrame:
 
 
 class HingeKinematics(NamedTuple):
-    """Derivatives of the coordinates of a hinge by the displacements of its bodies.
+    """Derivatives of the coordinates of a hinge with respect to those of its bodies.
 
     The coordinates are the relative angle and the translation (y1, y2) in the mid-frame.
-    Only the difference of the translations of both bodies matters, so there are four
-    motions instead of six displacements: rotation of A, rotation of B, and translation of
-    B relative to A along x and along y.
+    They depend on the translations of the bodies only through their difference, so there
+    are four motions instead of six displacements: rotation of A, rotation of B, and
+    translation of B relative to A along x and along y.
 
     Args:
         middle: Displacement and mid-frame of the hinge.
@@ -112,15 +111,15 @@ class HingeKinematics(NamedTuple):
     ) -> "HingeKinematics":
         """Compute the kinematics of a hinge from its two ends; see `mid_frame`."""
         middle = mid_frame(first, second, axis)
-        levers = []
+        arms = []
         for end in (first, second):
-            moved_x, moved_y = end.arm_displacement()
-            x, y = end.arm_x + moved_x, end.arm_y + moved_y
-            levers += [middle.cos * x + middle.sin * y, middle.cos * y - middle.sin * x]
-        return cls(middle, *levers)
+            change_x, change_y = end.arm_displacement()
+            x, y = end.arm_x + change_x, end.arm_y + change_y
+            arms += [middle.cos * x + middle.sin * y, middle.cos * y - middle.sin * x]
+        return cls(middle, *arms)
 
     def columns(self) -> tuple[Three, Three, Three, Three]:
-        """Compute the derivatives of the coordinates by the four motions."""
+        """Compute the derivatives of the coordinates with respect to the motions."""
         c, s = self.middle.cos, self.middle.sin
         half_y1, half_y2 = self.middle.displacement.x1, self.middle.displacement.x2
         one, zero = jnp.ones_like(c), jnp.zeros_like(c)
@@ -139,22 +138,19 @@ class HingeKinematics(NamedTuple):
     def geometric_stiffness(self, slopes: Three) -> list[list[Scalar]]:
         """Compute the second derivatives of the coordinates times given forces.
 
-        Args:
-            slopes: Derivatives of the energy by the coordinates; N m, N, N.
-
-        Returns:
-            The stiffness among the four motions; N m/rad, N/rad.
+        `slopes` are the derivatives of the energy with respect to the coordinates; N m,
+        N, N. The result is the stiffness with respect to the motions; N m/rad, N/rad.
         """
         _, g1, g2 = slopes
         c, s = self.middle.cos, self.middle.sin
         x, y = c * g1 - s * g2, s * g1 + c * g2  # the force in world axes
         at = self.middle.displacement
-        own = -(g1 * at.x1 + g2 * at.x2) / 2
-        mixed = own + (g1 * (self.b1 - self.a1) + g2 * (self.b2 - self.a2)) / 2
-        zero = jnp.zeros_like(own)
+        same = -(g1 * at.x1 + g2 * at.x2) / 2
+        mixed = same + (g1 * (self.b1 - self.a1) + g2 * (self.b2 - self.a2)) / 2
+        zero = jnp.zeros_like(same)
         return [
-            [own, mixed, -y / 2, x / 2],
-            [mixed, own, -y / 2, x / 2],
+            [same, mixed, -y / 2, x / 2],
+            [mixed, same, -y / 2, x / 2],
             [-y / 2, -y / 2, zero, zero],
             [x / 2, x / 2, zero, zero],
         ]
@@ -162,11 +158,9 @@ class HingeKinematics(NamedTuple):
     def rate_columns(
         self, rates: Three, mean: Scalar
     ) -> tuple[Three, Three, Three, Three]:
-        """Compute the derivatives of the `rates` by the four motions.
+        """Differentiate the `rates` (rad/s, m/s, m/s) with respect to the motions.
 
-        Args:
-            rates: Rates of the coordinates; rad/s, m/s, m/s.
-            mean: Mean angular velocity of the two bodies; rad/s.
+        `mean` is the mean angular velocity of the two bodies; rad/s.
         """
         c, s = self.middle.cos, self.middle.sin
         rotation, along, across = (rate / 2 for rate in rates)

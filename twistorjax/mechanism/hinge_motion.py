@@ -16,11 +16,11 @@ from .hinge_forces import (
     as_array,
     displacement_at,
     dot,
+    gradient_and_hessian,
     hinge_coordinates,
     MOTIONS,
     on_bodies,
     product,
-    slopes_of,
 )
 from .hinge_kinematics import End, HingeKinematics, Six, Three, Two
 
@@ -44,40 +44,42 @@ def forces_in_motion(
         second: End on body B.
         axis: Cosine and sine of the angle of the hinge in the reference configuration.
         rates: Rates of (angle, x, y) of both bodies; rad/s, m/s, m/s.
-        stretch: Mid-frame translation for which the forces are computed; by default its
-            own. A solver may predict it, as Newton's method predicts the stress; m.
+        stretch: Mid-frame translation for which the forces are computed; by default that
+            of the displacement. A solver may predict it, as Newton's method predicts the
+            generalized stress; m.
 
     Returns:
-        The forces; the difference of its own translation and the `stretch`; m; and the
-        power; W.
+        The forces (N m, N); the translation of the displacement minus the `stretch` (m);
+        and the power (W).
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at, excess = _with_stretch(kinematics.middle.displacement, stretch)
-    slopes, _ = slopes_of(energy, at)
+    slopes, _ = gradient_and_hessian(energy, at)
     if damping is None:
         return on_bodies(kinematics, slopes), excess, jnp.zeros_like(slopes[0])
-    own_rates = kinematics.rates(*rates)
-    viscous = _viscous_slopes(energy, damping, at, hinge_coordinates(at), own_rates)
+    hinge_rates = kinematics.rates(*rates)
+    viscous = _viscous_slopes(energy, damping, at, hinge_coordinates(at), hinge_rates)
     total = _sum(slopes, viscous)
-    return on_bodies(kinematics, total), excess, dot(viscous, own_rates)
+    return on_bodies(kinematics, total), excess, dot(viscous, hinge_rates)
 
 
-class Tangent(NamedTuple):
-    """Derivatives of the forces of a hinge by the six displacements of its bodies.
+class HingeMotionTangent(NamedTuple):
+    """Derivatives of the forces of a hinge on the six displacements of its bodies.
 
     Args:
-        stiffness: Derivatives by displacements, the stretch following them. It is not
-            symmetric where a damped hinge moves, because the viscous forces depend on its
-            rotation.
-        damping: Derivatives by the rates.
-        stretching: Derivatives of the mid-frame translation by displacements.
-        bearing: Derivatives of the forces by the mid-frame translation.
+        stiffness: Derivatives with respect to displacements, on which the stretch depends
+            as well. It is not symmetric if a damped hinge moves, because the viscous
+            forces depend on its rotation.
+        damping: Derivatives with respect to the rates.
+        stretch_by_displacement: Derivatives of the mid-frame translation.
+        force_by_stretch: Derivatives of the forces with respect to the mid-frame
+            translation.
     """
 
     stiffness: Float[Array, "6 6"]
     damping: Float[Array, "6 6"]
-    stretching: Float[Array, "2 6"]
-    bearing: Float[Array, "2 6"]
+    stretch_by_displacement: Float[Array, "2 6"]
+    force_by_stretch: Float[Array, "2 6"]
 
 
 @jax.jit
@@ -89,31 +91,33 @@ def tangent_in_motion(
     axis: tuple[Scalar, Scalar],
     rates: tuple[Three, Three],
     stretch: Two | None = None,
-) -> Tangent:
+) -> HingeMotionTangent:
     """Compute the derivatives of `forces_in_motion`, for the same arguments.
 
-    It uses arrays, where `tangent` uses scalars. That function runs in large batches and
-    takes a fifth less time with scalars; this one is compiled with every motion, in half
-    the time with arrays.
+    It uses arrays, which halve the time of its compilation with every motion. `tangent`
+    uses scalars, because they reduce its run time in large batches by a fifth.
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at, _ = _with_stretch(kinematics.middle.displacement, stretch)
     columns = as_array(kinematics.columns())
-    slopes, curvature_times = slopes_of(energy, at)
+    slopes, curvature_times = gradient_and_hessian(energy, at)
     hessian = jnp.stack(jax.vmap(curvature_times)(*jnp.eye(3)), axis=1)
     products, viscous_products = product(columns, hessian), None
     if damping is not None:
-        own_rates = kinematics.rates(*rates)
+        hinge_rates = kinematics.rates(*rates)
         viscous, derivative = jax.linearize(
-            lambda place, rates: _viscous_slopes(energy, damping, at, place, rates, at),
+            lambda coordinates, rates: _viscous_slopes(
+                energy, damping, at, coordinates, rates, at
+            ),
             hinge_coordinates(at),
-            own_rates,
+            hinge_rates,
         )
-        place, rate = jnp.split(jnp.eye(6), 2, axis=1)
-        by_both = jnp.stack(jax.vmap(derivative)(tuple(place.T), tuple(rate.T)), axis=1)
+        unit_coordinates, unit_rates = jnp.split(jnp.eye(6), 2, axis=1)
+        by_both = jax.vmap(derivative)(tuple(unit_coordinates.T), tuple(unit_rates.T))
+        by_both = jnp.stack(by_both, axis=1)
         hessian = hessian + by_both[:3]
         mean = (rates[0][0] + rates[1][0]) / 2
-        rate_columns = as_array(kinematics.rate_columns(own_rates, mean))
+        rate_columns = as_array(kinematics.rate_columns(hinge_rates, mean))
         products = product(columns, hessian) + product(rate_columns, by_both[3:])
         viscous_products = product(columns, by_both[3:])
         slopes = _sum(slopes, viscous)
@@ -126,11 +130,11 @@ def tangent_in_motion(
 
     geometric = product(product(motions, geometric), motions.T)
     zero = jnp.zeros((6, 6))
-    return Tangent(
+    return HingeMotionTangent(
         stiffness=among(products) + geometric,
         damping=zero if viscous_products is None else among(viscous_products),
-        stretching=spatial[:, 1:].T,
-        bearing=product(hessian[1:], spatial.T),
+        stretch_by_displacement=spatial[:, 1:].T,
+        force_by_stretch=product(hessian[1:], spatial.T),
     )
 
 
@@ -158,11 +162,12 @@ def _viscous_slopes(
         energy: Energy of the hinge.
         damping: Damping of the hinge.
         at: Displacement of the hinge.
-        coordinates: Coordinates of the hinge, by which the result is differentiated.
+        coordinates: Coordinates of the hinge, with respect to which the result is
+            differentiated; rad, m, m.
         rates: Rates of the coordinates; rad/s, m/s, m/s.
-        resisted_at: Displacement at which the energy decides which rates it resists. A
-            tangent may take `at`: the solver converges as fast and compiles in half the
-            time.
+        resisted_at: Displacement at which the rates are computed that the energy resists;
+            by default that of the coordinates. A tangent may take the constant `at`: the
+            solver converges as fast and compiles in half the time.
     """
 
     def half_power(rates: Three) -> Scalar:
@@ -171,14 +176,14 @@ def _viscous_slopes(
 
         _, strain_rates = jax.jvp(measure, coordinates, rates)
         if damping.resisted:
-            where = resisted_at
-            where = displacement_at(at, coordinates) if where is None else where
-            strain_rates = solver_protocols.resisted_rates(energy, where, strain_rates)
+            chosen = resisted_at
+            chosen = displacement_at(at, coordinates) if chosen is None else chosen
+            strain_rates = solver_protocols.resisted_rates(energy, chosen, strain_rates)
         return half_square(damping.damping, strain_rates)
 
     return jax.grad(half_power)(rates)
 
 
 def _sum(first: Three, second: Three) -> Three:
-    """Sum of two vectors."""
+    """Compute the sum of two vectors."""
     return first[0] + second[0], first[1] + second[1], first[2] + second[2]

@@ -27,14 +27,15 @@ class Load(eqx.Module):
 
     Args:
         body: Name of the body.
-        wrench: Moment and force as one row (moment, fx, fy), in world axes; N m, N, N.
-            Give either this or `force` and `moment`.
-        force: Force (fx, fy) in world axes; N.
-        moment: Moment; N m.
-        at: Point of the body on which the force acts, in the frame of the body; m.
-        follower: Whether the force rotates with the body, so that its components are
-            those in the axes of the body (pressure, a thruster). Otherwise it keeps its
-            direction (weight, a taut string).
+        wrench: Moment about the point `at` and force as one row (moment, fx, fy); N m, N,
+            N. Give either this, or `force` and `moment`.
+        at: Point on which the force acts, in the frame of the body; by default its
+            origin; m.
+        force: Force (fx, fy); by default zero; N. It is in world axes, or in the axes of
+            the body if `follower` is True.
+        moment: Moment; by default zero; N m.
+        follower: Whether the force rotates with the body, such as a pressure. Otherwise
+            its direction is constant, such as that of a weight.
 
     Raises:
         ValueError: Both or neither of `wrench` and its parts are given, a shape is wrong,
@@ -71,10 +72,10 @@ class Load(eqx.Module):
         if wrench is not None:
             self.wrench = require_row(f"`wrench` {where}", wrench, "(moment, fx, fy)")
         else:
-            about = _number(f"`moment` {where}", 0.0 if moment is None else moment)
-            pull = (0.0, 0.0) if force is None else force
-            along = require_row(f"`force` {where}", pull, "(fx, fy)", 2)
-            self.wrench = jnp.concatenate([about[None], along])
+            moment = _number(f"`moment` {where}", 0.0 if moment is None else moment)
+            force = (0.0, 0.0) if force is None else force
+            components = require_row(f"`force` {where}", force, "(fx, fy)", 2)
+            self.wrench = jnp.concatenate([moment[None], components])
         self.at = require_row(f"`at` {where}", at, "(x, y)", 2)
         self.follower = follower
 
@@ -115,7 +116,8 @@ class Drive(eqx.Module):
         values = dict(zip(COORDINATES, (angle, x, y), strict=True))
         if all(value is None for value in values.values()):
             raise ValueError(
-                f"The drive of {body!r} prescribes nothing: give it `angle`, `x` or `y`."
+                f"The drive of {body!r} prescribes no coordinate. Give `angle`, `x`, or "
+                "`y`."
             )
         self.angle, self.x, self.y = (
             None
@@ -151,13 +153,7 @@ class LoadSet(eqx.Module):
     def of(
         cls, loads: Sequence[Load], names: Sequence[str], reference: Poses
     ) -> "LoadSet":
-        """Gather loads.
-
-        Args:
-            loads: The loads.
-            names: Names of the bodies of the mechanism.
-            reference: Reference poses of these bodies; rad, m, m.
-        """
+        """Gather loads on bodies with given names and reference poses; rad, m, m."""
         bodies = tuple(names.index(load.body) for load in loads)
         count = len(bodies)
         return cls(
@@ -170,19 +166,16 @@ class LoadSet(eqx.Module):
 
     @property
     def conservative(self) -> bool:
-        """Whether the loads have a potential: all except follower loads have one."""
+        """Whether the loads have a potential, which follower loads do not have."""
         return not any(self.followers)
 
     def apply(self, displacements: Poses) -> tuple[Wrenches, Wrenches]:
         """Compute the wrench that the loads apply to each body.
 
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-
         Returns:
             The wrenches about the origins of the bodies, in world axes; N m, N, N. Their
-            derivatives by the angle of their own body, the only coordinate on which they
-            depend; N m/rad, N/rad, N/rad.
+            derivatives with respect to the angle of the body, the only coordinate on
+            which they depend; N m/rad, N/rad, N/rad.
         """
         zero = jnp.zeros_like(displacements)
         if not self.bodies:
@@ -210,7 +203,7 @@ def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...
     """Find the index of the body of each load.
 
     Raises:
-        ValueError: A load names a body that the mechanism does not have, or is no load.
+        ValueError: A name of a body is unknown, or an element is not a load.
     """
     require_kind("loads", loads, Load)
     return tuple(
@@ -229,8 +222,8 @@ def prescribed_dofs(
         of each; rad, m.
 
     Raises:
-        ValueError: A drive names a body that the mechanism does not have, or a coordinate
-            that is fixed or prescribed already.
+        ValueError: A name of a body is unknown, a coordinate is fixed or prescribed
+            twice, or an element is not a drive.
     """
     require_kind("drives", drives, Drive)
     values: dict[int, Scalar] = {}

@@ -1,6 +1,6 @@
-"""A mechanism: rigid bodies coupled by elastic hinges."""
+"""Mechanisms of rigid bodies that are connected by elastic hinges."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -9,10 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import (
-    BatchPose,
-    BatchPoses,
-    BatchWrench,
-    BodiesMatrix,
     Corners,
     Displaced,
     Pose,
@@ -35,23 +31,23 @@ from .body import Body
 from .hinge import check_energy, frame_of, Hinge
 from .hinge_assembly import HingeAssembly
 from .hinge_groups import group_hinges, sums_of
-from .support import unsupported_bodies
 
 
 COORDINATES = ("angle", "x", "y")
 
 
 class Mechanism(eqx.Module):
-    """Rigid bodies that are coupled by elastic hinges, some of them fixed.
+    """A mechanism of rigid bodies that are connected by elastic hinges.
 
-    Arrays have a row for each body, in the order in which the bodies are given. The
-    degrees of freedom are numbered in the same order, three for each body.
+    Some of the bodies are fixed. Arrays have a row for each body, in the order in which
+    the bodies are given. The degrees of freedom are numbered in the same order, three for
+    each body.
 
     Args:
         bodies: The bodies in the reference configuration, in which no hinge is loaded.
         hinges: The hinges between them.
         fixed: Names of the bodies that cannot move; or a mapping from names of bodies to
-            the coordinates that cannot move, of "angle", "x", and "y".
+            the names of the coordinates that cannot move: any of "angle", "x", and "y".
 
     Raises:
         ValueError: A name is unknown or occurs twice, the two ports of a hinge do not
@@ -93,13 +89,12 @@ class Mechanism(eqx.Module):
         self.hinge_outlines = tuple(hinge.outline for hinge in hinges)
         if not hinges:
             raise ValueError("`hinges` is empty, but a mechanism needs at least one.")
-        ends = tuple(
-            (
-                self._body(f"`first` of the hinge {hinge.name!r}", hinge.first),
-                self._body(f"`second` of the hinge {hinge.name!r}", hinge.second),
-            )
-            for hinge in hinges
-        )
+
+        def body(hinge: Hinge, end: str) -> int:
+            where = f"`{end}` of the hinge {hinge.name!r}"
+            return index_of(where, "body", getattr(hinge, end), self.names)
+
+        ends = tuple((body(hinge, "first"), body(hinge, "second")) for hinge in hinges)
         for hinge in hinges:
             check_energy(hinge)
         frames = [
@@ -107,13 +102,13 @@ class Mechanism(eqx.Module):
             for hinge, (first, second) in zip(hinges, ends, strict=True)
         ]
         self.at = _rows(frames)
-        self.fixed = self.coordinates("fixed", fixed)
-        pairs = np.array(ends, int).reshape(-1, 2)
+        self.fixed = self.dofs_of("fixed", fixed)
+        angles, pairs = self.at[:, 0], np.array(ends, int).reshape(-1, 2)
         self.hinge_assembly = HingeAssembly(
             bodies=len(bodies),
             ends=ends,
             arms=self.at[:, None, 1:] - self.reference[pairs, 1:],
-            axes=jnp.stack([jnp.cos(self.at[:, 0]), jnp.sin(self.at[:, 0])], axis=1),
+            directions=jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1),
             groups=group_hinges(hinges),
             sums=sums_of(hinges),
         )
@@ -121,43 +116,60 @@ class Mechanism(eqx.Module):
     def index(self, name: str) -> int:
         """Return the row of a body in arrays of poses and wrenches.
 
+        Args:
+            name: Name of the body.
+
+        Returns:
+            Index of its row.
+
         Raises:
-            ValueError: The mechanism has no body of that name.
+            ValueError: There is no body of this name.
         """
-        return self._body("`name`", name)
+        return index_of("`name`", "body", name, self.names)
 
     def energy(self, poses: Poses) -> Scalar:
-        """Compute the energy that is stored in all hinges; J.
-
-        Args:
-            poses: Poses of the bodies; rad, m, m.
-        """
-        return self.hinge_assembly.energy(self.displacements(poses))
-
-    def wrenches(self, poses: Poses) -> Wrenches:
-        """Compute the wrench of the hinges on each body; N m, N, N.
+        """Compute the energy that is stored in all hinges.
 
         Args:
             poses: Poses of the bodies; rad, m, m.
 
         Returns:
-            The wrenches about the origins of the bodies, in world axes.
+            The energy; J.
         """
-        return -self.hinge_assembly.forces(self.displacements(poses))
+        return self.hinge_assembly.energy(self.displacements(poses))
 
-    def stiffness(self, poses: Poses) -> BodiesMatrix:
-        """Compute the second derivative of the energy by the poses; N m/rad, N/rad, N/m.
+    def wrenches(self, poses: Poses) -> Wrenches:
+        """Compute the wrench of the hinges on each body.
 
         Args:
             poses: Poses of the bodies; rad, m, m.
+
+        Returns:
+            The wrenches about the origins of the bodies, in world axes; N m, N, N.
         """
-        every = tuple(range(3 * len(self.names)))
+        return -self.hinge_assembly.forces(self.displacements(poses))
+
+    def stiffness(self, poses: Poses) -> Float[Array, "bodies 3 bodies 3"]:
+        """Compute the second derivative of the energy with respect to the poses.
+
+        Args:
+            poses: Poses of the bodies; rad, m, m.
+
+        Returns:
+            Stiffness matrix with three rows and columns (angle, x, y) for each body; N
+            m/rad, N/rad, N/m.
+        """
+        all_dofs = tuple(range(3 * len(self.names)))
         displacements = self.displacements(poses)
-        _, matrix, _ = self.hinge_assembly.tangent(displacements, every, every)
+        _, matrix, _ = self.hinge_assembly.tangent(displacements, all_dofs, all_dofs)
         return matrix.reshape(2 * (len(self.names), 3))
 
     def inertia(self) -> Wrenches:
-        """Collect inertia, mass, and mass of each body; infinite for fixed bodies.
+        """Return the diagonal of the inertia matrix.
+
+        Returns:
+            Moment of inertia, mass, and mass again of each body; infinite for fixed
+            bodies; kg m^2, kg, kg.
 
         Raises:
             ValueError: A body that can move has no mass or no inertia.
@@ -170,98 +182,102 @@ class Mechanism(eqx.Module):
             elif mass is None or inertia is None:
                 missing = "mass" if mass is None else "inertia"
                 raise ValueError(
-                    f"The body {name!r} moves, but has no `{missing}`: give it one, or "
-                    "fix the body."
+                    f"The body {name!r} can move, but has no `{missing}`. Give it one, "
+                    "or fix the body."
                 )
             else:
                 rows.append(jnp.stack([inertia, mass, mass]))
         return jnp.stack(rows)
 
     def range_messages(self, poses: Poses) -> str:
-        """Name the hinges that are displaced beyond the validity range of their energies.
+        """Describe the hinges whose displacement is outside their validity range.
 
         Args:
             poses: Poses of the bodies; rad, m, m.
 
         Returns:
-            One sentence for each hinge.
+            One sentence for each such hinge.
         """
-        displacements = self.displacements(poses)
-        outside = np.asarray(self.hinge_assembly.out_of_range(displacements))
+        hinges, displacements = self.hinge_assembly, self.displacements(poses)
+        outside = np.asarray(hinges.out_of_range(displacements))
         sentences = []
         for row in map(int, np.flatnonzero(outside)):
-            energy = self.hinge_assembly.energy_of(row)
-            at = self.hinge_assembly.displacement_of(row, displacements)
-            message = range_message(energy, at)
+            at = hinges.displacement_of(row, displacements)
+            message = range_message(hinges.energy_of(row), at)
             sentences.append(f"The hinge {self.hinge_names[row]!r}: {message}.")
         return " ".join(sentences)
 
-    def displacement_of(self, hinge: str, at: PosesOrResult) -> BatchPose:
-        """Compute the displacement of frame b of a hinge, seen from its frame a.
+    def displacement_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
+        """Compute the displacement of frame b of a hinge relative to its frame a.
 
         Args:
             hinge: Name of the hinge.
-            at: Equilibrium or motion. Or poses of the bodies, which have lost the digits
-                of displacements that are small compared with positions; rad, m, m.
+            at: Equilibrium, motion, or poses of the bodies; rad, m, m. Prefer an
+                equilibrium or a motion: poses lose the digits of displacements that are
+                small compared with the positions.
 
         Returns:
-            Angle, and translation along axes 1 and 2 of frame a. Of a motion, a row for
-            each time; rad, m, m.
+            Angle, and translation along axes 1 and 2 of frame a; for a motion, one row
+            for each time; rad, m, m.
 
         Raises:
-            ValueError: The mechanism has no hinge of that name, or the poses are not
-                those of its bodies.
+            ValueError: There is no hinge of this name, or the poses are not those of the
+                bodies.
         """
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        return self._of_hinge(at, lambda moved: self._hinge_pose(row, moved))
+        return self._of_hinge(at, lambda poses: self._hinge_pose(row, poses))
 
-    def wrench_of(self, hinge: str, at: PosesOrResult) -> BatchWrench:
+    def wrench_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
         """Compute the wrench that body B exerts on a hinge, about frame b, in its axes.
 
         Args:
             hinge: Name of the hinge.
-            at: Equilibrium or motion. Or poses of the bodies, which have lost the digits
-                of displacements that are small compared with positions; rad, m, m.
+            at: Equilibrium, motion, or poses of the bodies; rad, m, m. Prefer an
+                equilibrium or a motion: poses lose the digits of displacements that are
+                small compared with the positions.
 
         Returns:
-            Moment, and force along axes 1 and 2 of frame b: axial and transverse for a
-            leaf or a notch. Of a motion, a row for each time; N m, N, N.
+            Moment, and force along axes 1 and 2 of frame b, which are the axial and the
+            transverse force of a leaf or a notch; for a motion, one row for each time;
+            N m, N, N.
 
         Raises:
-            ValueError: The mechanism has no hinge of that name, the poses are not those
-                of its bodies, or the hinge is beyond the validity range of its energy.
+            ValueError: There is no hinge of this name, the poses are not those of the
+                bodies, or the hinge is outside the validity range of its energy.
         """
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
         wrench = self.hinge_assembly.energy_of(row).wrench
-        return self._of_hinge(at, lambda moved: wrench(self._hinge_pose(row, moved)))
+        return self._of_hinge(at, lambda poses: wrench(self._hinge_pose(row, poses)))
 
     def _hinge_pose(self, row: int, displacements: Poses) -> Pose:
-        """Compute frame b of a hinge, seen from its frame a; rad, m, m."""
+        """Compute the pose of frame b of a hinge relative to its frame a; rad, m, m."""
         at = self.hinge_assembly.displacement_of(row, displacements)
         x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
         return jnp.stack([at.angle, 2 * x, 2 * y])
 
-    def _of_hinge(self, at: PosesOrResult, of: Callable[[Poses], Pose]) -> BatchPose:
-        """Evaluate a function of displacements for each of a batch of them."""
+    def _of_hinge(
+        self, at: PosesOrResult, function: Callable[[Poses], Pose]
+    ) -> Float[Array, "*batch 3"]:
+        """Evaluate a function of displacements, or of each of a batch of them."""
         displacements = self.displacements(at, "at")
         flat = displacements.reshape(-1, *self.reference.shape)
         shape = (*displacements.shape[:-2], 3)
         if len(flat) == 1:  # not traced, so that a value out of range raises an error
-            return of(flat[0]).reshape(shape)
-        return jax.vmap(of)(flat).reshape(shape)
+            return function(flat[0]).reshape(shape)
+        return jax.vmap(function)(flat).reshape(shape)
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
-        """Compute the two frames of a hinge in the world; rad, m, m.
+        """Compute the poses of the two frames of a hinge in the world.
 
         Args:
             hinge: Name of the hinge.
             poses: Poses of the bodies; rad, m, m.
 
         Returns:
-            Frame a on body A, and frame b on body B.
+            Poses of frame a on body A and of frame b on body B; rad, m, m.
 
         Raises:
-            ValueError: The mechanism has no hinge of that name.
+            ValueError: There is no hinge of this name.
         """
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
         first, second = (
@@ -270,8 +286,8 @@ class Mechanism(eqx.Module):
         )
         return first, second
 
-    def coordinate(self, dof: int) -> str:
-        """Name the coordinate of a degree of freedom in words."""
+    def dof_name(self, dof: int) -> str:
+        """Return the name of a degree of freedom, such as "angle of 'stage'"."""
         return f"{COORDINATES[dof % 3]} of {self.names[dof // 3]!r}"
 
     def __repr__(self) -> str:
@@ -280,69 +296,68 @@ class Mechanism(eqx.Module):
             word = noun if len(names) == 1 else PLURAL[noun]
             return f"{len(names)} {word} ({', '.join(shown)})"
 
+        fixed = []
+        for body, name in enumerate(self.names):
+            axes = [COORDINATES[k] for k in range(3) if 3 * body + k in self.fixed]
+            if axes:
+                whole = len(axes) == 3
+                fixed.append(name if whole else f"{' and '.join(axes)} of {name}")
         return (
             f"Mechanism of {listed('body', self.names)}, "
-            f"{listed('hinge', self.hinge_names)}; "
-            f"fixed: {', '.join(self._fixed_words()) or 'nothing'}"
+            f"{listed('hinge', self.hinge_names)}; fixed: {', '.join(fixed) or 'nothing'}"
         )
 
-    def _fixed_words(self) -> Iterable[str]:
-        """Name the fixed coordinates of each body."""
-        for body, name in enumerate(self.names):
-            fixed = [COORDINATES[k] for k in range(3) if 3 * body + k in self.fixed]
-            if fixed:
-                yield name if len(fixed) == 3 else f"{' and '.join(fixed)} of {name}"
-
-    def _body(self, where: str, name: str) -> int:
-        """Return the index of a body; `where` names the argument in messages."""
-        return index_of(where, "body", name, self.names)
-
     def displacements(
-        self, at: PosesOrResult, name: str = "poses", *, one: bool = False
-    ) -> BatchPoses:
-        """Compute the displacements of the bodies from their reference poses; rad, m, m.
+        self, at: PosesOrResult, name: str = "poses", *, single: bool = False
+    ) -> Float[Array, "*batch bodies 3"]:
+        """Compute the displacements of the bodies from their reference poses.
 
         Args:
             at: Equilibrium or motion of this mechanism, or poses of its bodies; rad, m,
                 m.
             name: Name of the argument in messages.
-            one: Whether a motion or a batch is refused.
+            single: If True, a motion or a batch is rejected.
+
+        Returns:
+            One row for each body; rad, m, m.
 
         Raises:
-            ValueError: It is something else, or its shape does not fit the bodies.
+            ValueError: `at` is neither a solution nor poses, or its shape does not match
+                the bodies.
         """
         if isinstance(at, Displaced):
             names = getattr(at, "names", self.names)
             if names != self.names:
                 raise ValueError(
                     f"`{name}` is of a mechanism with the bodies {', '.join(names)}, but "
-                    f"this one has {', '.join(self.names)}, in that order."
+                    f"this mechanism has {', '.join(self.names)}, in this order."
                 )
             array, origin = at.displacements, at.reference
             fits = array.shape[-2:] == origin.shape[-2:] == self.reference.shape
             if fits:  # no digit is lost if both are measured from the same poses
-                more = (array.ndim - origin.ndim) * (1,)
-                origin = origin.reshape(*origin.shape[:-2], *more, *self.reference.shape)
-                array += origin - jnp.broadcast_to(self.reference, origin.shape)
+                new_axes = (array.ndim - origin.ndim) * (1,)
+                shape = (*origin.shape[:-2], *new_axes, *self.reference.shape)
+                origin = origin.reshape(shape)
+                array += origin - jnp.broadcast_to(self.reference, shape)
         else:
             try:
                 array = jnp.asarray(at, float)
             except (TypeError, ValueError):
                 raise ValueError(
-                    f"`{name}` is {shorten(repr(at))}, but must be an equilibrium, or "
-                    "poses: a row (angle, x, y) for each body."
+                    f"`{name}` is {shorten(repr(at))}, but must be an equilibrium or "
+                    "poses, a row (angle, x, y) for each body."
                 ) from None
             fits = array.shape == self.reference.shape
             array = array - self.reference if fits else array
-        if not fits or (one and array.ndim > 2):
+        if not fits or (single and array.ndim > 2):
             raise ValueError(
                 f"`{name}` has shape {array.shape}, but a mechanism with the bodies "
                 f"{', '.join(self.names)} has poses of shape {self.reference.shape}: a "
-                "row (angle, x, y) for each body, in that order."
+                "row (angle, x, y) for each body, in this order."
             )
         return array
 
-    def coordinates(
+    def dofs_of(
         self, argument: str, chosen: Sequence[str] | Mapping[str, Sequence[str]]
     ) -> tuple[int, ...]:
         """Find the degrees of freedom of named coordinates.
@@ -352,47 +367,31 @@ class Mechanism(eqx.Module):
             chosen: Names of bodies for all their coordinates; or a mapping from names to
                 some of "angle", "x", and "y".
 
+        Returns:
+            Indices of the degrees of freedom in ascending order, three for each body.
+
         Raises:
             ValueError: A name is unknown or occurs twice.
         """
         if isinstance(chosen, str):
             raise ValueError(
-                f"`{argument}` is the string {chosen!r}, but must be a sequence of "
-                f"names: [{chosen!r}]."
+                f"`{argument}` is the string {chosen!r}, but must be a list of names, "
+                f"such as [{chosen!r}]."
             )
         if not isinstance(chosen, Mapping):
             names = require_distinct(f"body in `{argument}`", chosen)
             chosen = dict.fromkeys(names, COORDINATES)
         dofs = set()
-        for name, coordinates in chosen.items():
-            body = self._body(f"`{argument}`", name)
-            where = f"`{argument}` of the body {name!r}"
-            for coordinate in coordinates:
-                column = index_of(where, "coordinate", coordinate, COORDINATES)
-                dofs.add(3 * body + column)
+        for body_name, coordinates in chosen.items():
+            body = index_of(f"`{argument}`", "body", body_name, self.names)
+            where = f"`{argument}` of the body {body_name!r}"
+            for name in coordinates:
+                dofs.add(3 * body + index_of(where, "coordinate", name, COORDINATES))
         return tuple(sorted(dofs))
-
-    def require_support(self, constrained: Sequence[Sequence[int]] = ()) -> None:
-        """Check that hinges or constraints connect every body to a fixed one.
-
-        Args:
-            constrained: Indices of the bodies of each constraint.
-
-        Raises:
-            ValueError: A body is not connected; the message names it.
-        """
-        fixed = {dof // 3 for dof in self.fixed}
-        groups = [*self.hinge_assembly.ends, *constrained]
-        if bodies := unsupported_bodies(len(self.names), fixed, groups):
-            names = " and ".join(repr(self.names[body]) for body in bodies)
-            raise ValueError(
-                f"Nothing holds {names}: no chain of hinges or constraints leads from "
-                "there to a body in `fixed`. Fix one of them, or add a hinge."
-            )
 
 
 def _rows(poses: Sequence[Pose]) -> Poses:
-    """Stack poses; concrete ones at once, because each operation is compiled."""
+    """Stack poses (rad, m, m), without a compilation if they are not traced."""
     values = all_concrete(poses)
     if values is None:
         return jnp.stack(poses)

@@ -1,4 +1,4 @@
-"""Where the entries of all hinges go in the vectors and matrices of a mechanism."""
+"""Positions of the entries of all hinges in the vectors and matrices of a mechanism."""
 
 from functools import lru_cache
 
@@ -10,16 +10,10 @@ from jaxtyping import Array, Float, Int
 def sum_entries(
     entries: Float[Array, " entries"], source: np.ndarray, target: np.ndarray, size: int
 ) -> Float[Array, " size"]:
-    """Sum entries that have the same target.
+    """Sum the entries at `source` that have the same target, for all targets.
 
-    If there are few targets, each target gathers its entries, which a processor does in
-    parallel; it would scatter them one after another.
-
-    Args:
-        entries: The entries.
-        source: Indices of the entries that are used.
-        target: Target of each of these entries.
-        size: Number of targets.
+    If there are few targets, each target gathers its entries, which are then processed in
+    parallel. A scatter operation processes one entry after another.
     """
     counts = np.bincount(target, minlength=size)
     most = counts.max(initial=0)
@@ -37,12 +31,7 @@ def sum_entries(
 def hinge_dofs(
     ends: tuple[tuple[int, int], ...], order: tuple[int, ...]
 ) -> Int[np.ndarray, "6 members"]:
-    """Return the six degrees of freedom of the two bodies of each hinge.
-
-    Args:
-        ends: Indices of the two bodies of each hinge.
-        order: Index of the hinge of each column.
-    """
+    """Return the six degrees of freedom of the two bodies of each hinge in `order`."""
     bodies = np.array(ends).reshape(-1, 2)[list(order)]
     return (3 * bodies[:, :, None] + np.arange(3)).reshape(-1, 6).T
 
@@ -54,17 +43,17 @@ def matrix_entries(
     rows: tuple[int, ...],
     columns: tuple[int, ...],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find where the 6 by 6 matrices of hinges go in the matrix of a mechanism.
+    """Find the positions of the 6 by 6 matrices of hinges in the matrix of a mechanism.
 
     Args:
         ends: Indices of the two bodies of each hinge.
-        order: Index of the hinge of each matrix.
-        rows: Degrees of freedom of the rows of the matrix.
+        order: Index of the hinge of each 6 by 6 matrix.
+        rows: Degrees of freedom of the rows of the matrix of the mechanism.
         columns: Degrees of freedom of its columns.
 
     Returns:
-        The entries that are used, in an array of shape (6, 6, matrices), flattened; and
-        the target of each, in the flattened matrix.
+        The indices of the entries that are used, in the flat array of shape (6, 6,
+        matrices); and the index of each in the flat matrix of the mechanism.
     """
     dofs = hinge_dofs(ends, order)
     size = 1 + max(dofs.max(initial=0), *rows, *columns, 0)
@@ -85,17 +74,10 @@ def row_entries(
     rows: tuple[int, ...],
     lines: int = 2,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find where the rows of hinges, of 6 entries each, go in a matrix of a mechanism.
+    """Find the positions of the rows of hinges, with 6 entries each, in a matrix.
 
-    Args:
-        ends: Indices of the two bodies of each hinge.
-        order: Index of the hinge of each group of rows.
-        rows: Degrees of freedom of the rows of the matrix. Its columns are the rows of
-            the hinges.
-        lines: Number of rows of each hinge.
-
-    Returns:
-        The entries that are used, and the target of each; see `matrix_entries`.
+    The columns of this matrix are the rows of the hinges, `lines` for each hinge. Other
+    arguments and results are as in `matrix_entries`.
     """
     dofs = hinge_dofs(ends, order)
     row_of = np.full(1 + max(dofs.max(initial=0), *rows, 0), -1)

@@ -1,26 +1,33 @@
-"""Which bodies of a mechanism are connected to a fixed one."""
+"""Check that every body of a mechanism is connected to a fixed body."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+
+from .mechanism import Mechanism
 
 
-def unsupported_bodies(
-    count: int, fixed: Iterable[int], groups: Iterable[Sequence[int]]
-) -> tuple[int, ...]:
-    """Find the bodies that no chain of connections leads from to a fixed body.
+def require_support(mechanism: Mechanism, constrained: Sequence[Sequence[int]]) -> None:
+    """Check that hinges or constraints connect every body to a fixed one.
 
-    Args:
-        count: Number of bodies.
-        fixed: Indices of the bodies with a fixed coordinate.
-        groups: Indices of the bodies that each hinge or constraint connects.
+    `constrained` has the indices of the bodies of each constraint.
+
+    Raises:
+        ValueError: A body is not connected.
     """
     neighbors: dict[int, set[int]] = {}
-    for group in groups:
+    for group in (*mechanism.hinge_assembly.ends, *constrained):
         for body in group:
             neighbors.setdefault(body, set()).update(group)
-    reached = set(fixed)
-    front = list(reached)
+    connected = {dof // 3 for dof in mechanism.fixed}
+    front = list(connected)
     while front:
-        fresh = neighbors.get(front.pop(), set()) - reached
-        reached |= fresh
-        front.extend(fresh)
-    return tuple(body for body in range(count) if body not in reached)
+        new = neighbors.get(front.pop(), set()) - connected
+        connected |= new
+        front.extend(new)
+    names = [name for k, name in enumerate(mechanism.names) if k not in connected]
+    if names:
+        plural = len(names) > 1
+        raise ValueError(
+            f"The {'bodies' if plural else 'body'} {' and '.join(map(repr, names))} "
+            f"{'are' if plural else 'is'} not connected to a body in `fixed` by hinges "
+            "or constraints. Fix one of them, or add a hinge."
+        )

@@ -11,8 +11,8 @@ from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
 from ..solve.vibrations import Vibrations
-from .canvas import length_unit, new_axes
 from .drawing import draw, draw_reference, figure_size
+from .figure_style import length_unit, new_axes
 from .shapes import mechanism_size, shapes
 
 
@@ -53,13 +53,13 @@ def animate(
 ) -> "FuncAnimation":
     """Animate a motion, a vibration mode, or a sequence of equilibria of a mechanism.
 
-    The frames of a motion have equal durations. The animation is therefore true to time
+    All frames have the same duration. The speed of the animation is therefore correct
     only if the times of the motion are evenly spaced.
 
     Args:
         mechanism: The mechanism.
-        motion: A motion, vibrations, a batch of equilibria, or poses; rad, m, m. Of
-            vibrations one mode is shown with an amplitude that can be seen.
+        motion: A motion, vibrations, a batch of equilibria, or poses; rad, m, m. One mode
+            of the vibrations is shown. Its amplitude is 8 % of the size of the mechanism.
         mode: Index of the vibration mode. Mode 0 has the lowest frequency.
         magnify: Factor on all displacements, including angles. It is stated in the title.
         slower: Factor by which the animation is slower than the motion.

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import INK, prefixed_unit, subplots
+from .figure_style import DARK_BLUE, prefixed_unit, subplots
 
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
         outputs: Names of outputs that are numbers. Each has its own axes.
 
     Returns:
-        The figure.
+        A figure with one panel for each output.
 
     Raises:
         ValueError: An output is not one number for each design, or the designs differ in
@@ -52,7 +52,7 @@ def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
         if values.ndim == 1:
             parameter = _parameter(table, str(values.dims[0]))
             x_label, x_factor = _label_and_factor(str(parameter.name), parameter)
-            axes.plot(x_factor * parameter, factor * values, color=INK)
+            axes.plot(x_factor * parameter, factor * values, color=DARK_BLUE)
             axes.set_xlabel(x_label)
             axes.set_ylabel(label)
             axes.grid(alpha=0.3)
@@ -94,6 +94,6 @@ def _label_and_factor(name: str, values: "xarray.DataArray") -> tuple[str, float
     unit = values.attrs.get("units", "")
     if unit in ("", "1"):
         return name, 1.0
-    size = np.nanmax(np.abs(values)) if np.any(np.isfinite(values)) else 1.0
-    factor, unit = prefixed_unit(unit, float(size))
+    largest = np.nanmax(np.abs(values)) if np.any(np.isfinite(values)) else 1.0
+    factor, unit = prefixed_unit(unit, float(largest))
     return f"{name} ({unit})", factor

@@ -14,7 +14,16 @@ from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
 from ..solve.statics import Equilibrium
-from .canvas import FILLS, GRAY, GREEN, length_unit, new_axes, ORANGE, prefixed_unit, RED
+from .figure_style import (
+    FILLS,
+    GRAY,
+    GREEN,
+    length_unit,
+    new_axes,
+    ORANGE,
+    prefixed_unit,
+    RED,
+)
 from .marks import (
     mark_constraints,
     mark_frames,
@@ -57,8 +66,8 @@ def draw(
 
     Bodies and hinges are drawn by their outlines; `leaf_outline` and `notch_outline` in
     `twistorjax.flexures` compute outlines of hinges. A body without an outline is drawn
-    as arms from its origin to its hinges. A hinge without an outline is drawn as a spiral
-    spring.
+    as lines from its origin to its hinges. A hinge without an outline is drawn as a
+    spiral spring.
 
     Args:
         mechanism: The mechanism.
@@ -136,16 +145,7 @@ def draw(
 def figure_size(
     mechanism: Mechanism, poses: np.ndarray, color_bar: bool = False
 ) -> tuple[float, float]:
-    """Choose the size of a figure that a mechanism fills.
-
-    Args:
-        mechanism: The mechanism.
-        poses: Poses of its bodies; rad, m, m.
-        color_bar: Whether the figure has a color bar.
-
-    Returns:
-        Width and height; inches.
-    """
+    """Return the size (inches) of a figure that a mechanism at some poses fills."""
     corners = np.concatenate([part.corners for part in shapes(mechanism, poses)])
     width, height = np.ptp(corners, axis=0)
     ratio = np.clip(height / width if width else 2.0, 0.25, 1.2)
@@ -153,20 +153,15 @@ def figure_size(
 
 
 def draw_reference(mechanism: Mechanism, axes: "Axes") -> None:
-    """Draw the bodies in the reference configuration by dotted lines.
-
-    Args:
-        mechanism: The mechanism.
-        axes: The axes.
-    """
+    """Draw the bodies in the reference configuration by dotted lines."""
     from matplotlib.patches import Polygon
 
     unit, _ = length_unit(mechanism_size(mechanism))
     for shape in shapes(mechanism, np.asarray(mechanism.reference)):
-        if shape.kind in ("body", "fixed", "arm"):
+        if shape.kind in ("body", "fixed", "line"):
             axes.add_patch(
                 Polygon(
-                    unit * shape.corners, closed=shape.kind != "arm", fill=False,
+                    unit * shape.corners, closed=shape.kind != "line", fill=False,
                     edgecolor=GRAY, linestyle=":", zorder=3,
                 )
             )  # fmt: skip
@@ -175,17 +170,10 @@ def draw_reference(mechanism: Mechanism, axes: "Axes") -> None:
 def _draw_shape(
     axes: "Axes", shape: Shape, unit: float, fill: Color | None = None
 ) -> None:
-    """Draw one part of a mechanism.
-
-    Args:
-        axes: The axes.
-        shape: Outline of the part.
-        unit: Number of units of the axes in a meter.
-        fill: Color of the part, by default that of its kind.
-    """
+    """Draw one part of a mechanism, by default in the color of its kind."""
     from matplotlib.patches import Polygon
 
-    if shape.kind in ("arm", "spring"):
+    if shape.kind in ("line", "spring"):
         spring = shape.kind == "spring"
         style = {
             "closed": False, "fill": False, "linewidth": 1.4 if spring else 3.0,
@@ -242,17 +230,7 @@ def _hinge_values(
     color: HingeColors | None,
     label: str,
 ) -> tuple[dict[int, float], str]:
-    """Compute the numbers by which hinges are colored.
-
-    Args:
-        mechanism: The mechanism.
-        poses: Poses of its bodies; rad, m, m.
-        color: "energy", or a number for each hinge name.
-        label: Label of the color bar for numbers that are given.
-
-    Returns:
-        A number for each hinge index, and the label of the color bar.
-    """
+    """Return a number for each hinge index, and the label of their color bar."""
     if color is None:
         return {}, ""
     if isinstance(color, str):
@@ -276,16 +254,7 @@ def _hinge_values(
 
 
 def _color_bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Color]:
-    """Draw a color bar beside the axes.
-
-    Args:
-        axes: The axes.
-        values: A number for each hinge index.
-        label: Label of the color bar.
-
-    Returns:
-        The color of each hinge index.
-    """
+    """Draw a color bar beside the axes, and return the color of each hinge index."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
@@ -302,14 +271,7 @@ def _color_bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[in
 def _label_parts(
     axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float
 ) -> None:
-    """Label hinges beside their centers, and bodies inside their outlines.
-
-    Args:
-        axes: The axes.
-        mechanism: The mechanism.
-        poses: Poses of its bodies; rad, m, m.
-        unit: Number of units of the axes in a meter.
-    """
+    """Label hinges beside their centers, and bodies inside their outlines."""
     from .labels import Labels
 
     labels = Labels.of(axes)
@@ -334,14 +296,9 @@ def _label_parts(
 def _inner_point(corners: np.ndarray) -> np.ndarray:
     """Find a point of a grid that is far from the edges of a polygon.
 
-    The distance from the mean corner is subtracted with a small weight, so that of points
-    with the same distance from the edges the most central one is found.
-
-    Args:
-        corners: Corners of the polygon, which need not be convex; m.
-
-    Returns:
-        A point inside the polygon; m.
+    The polygon need not be convex. The distance from the mean corner is subtracted with a
+    small weight. Of points with the same distance from the edges, the most central one is
+    found.
     """
     from matplotlib.path import Path
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from .canvas import BLACK, GRAY, INK, ORANGE
+from .figure_style import BLACK, DARK_BLUE, GRAY, ORANGE
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_FIT_COLORS = (INK, ORANGE, GRAY)
+_FIT_COLORS = (DARK_BLUE, ORANGE, GRAY)
 
 
 def draw_ranked(

@@ -166,14 +166,10 @@ def _candidate_offsets() -> np.ndarray:
 
 
 def _offset_beside(direction: np.ndarray, half_size: np.ndarray) -> np.ndarray:
-    """Compute the offset at which a label lies beside its anchor in a direction.
+    """Compute the offset (points) of the center of a label beside its anchor.
 
-    Args:
-        direction: Direction of the offset. If it is zero, the offset is zero.
-        half_size: Half the width and height of the label; points.
-
-    Returns:
-        Offset of the center of the label; points.
+    If the direction is zero, the offset is zero. `half_size` is half the width and half
+    the height of the label; points.
     """
     if not np.any(direction):
         return np.zeros(2)
@@ -183,14 +179,9 @@ def _offset_beside(direction: np.ndarray, half_size: np.ndarray) -> np.ndarray:
 
 
 def _outline_points(patch: Patch, pixels: float) -> np.ndarray:
-    """Compute closely spaced points on the outline of a patch.
+    """Compute positions on the outline of a patch, about one point apart; points.
 
-    Args:
-        patch: The patch.
-        pixels: Number of pixels in a point.
-
-    Returns:
-        Positions at distances of about one point; points.
+    `pixels` is the number of pixels in a point.
     """
     path = patch.get_path().transformed(patch.get_transform())
     points = [np.zeros((0, 2))]

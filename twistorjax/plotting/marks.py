@@ -8,7 +8,7 @@ import numpy as np
 from ..mechanism.constraints import AbstractConstraint, Pin, Slider
 from ..mechanism.loads import Load, loaded_bodies
 from ..mechanism.mechanism import Mechanism
-from .canvas import BLACK, BLUE, ORANGE, prefixed_unit
+from .figure_style import BLACK, BLUE, ORANGE, prefixed_unit
 from .shapes import attached_frame, hinge_frames, mechanism_size, to_world
 
 
@@ -45,14 +45,7 @@ class Wrenches(NamedTuple):
 def mark_frames(
     axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float
 ) -> None:
-    """Draw the frames of the bodies, and both frames of each hinge.
-
-    Args:
-        axes: The axes.
-        mechanism: The mechanism.
-        poses: Poses of its bodies; rad, m, m.
-        unit: Number of units of the axes in a meter.
-    """
+    """Draw the frames of the bodies at some poses, and both frames of each hinge."""
     size = mechanism_size(mechanism)
     for pose in poses:
         _mark_frame(axes, pose, _FRAME * size, unit, BLUE)
@@ -73,17 +66,7 @@ def _mark_frame(
 def wrenches_of_loads(
     mechanism: Mechanism, poses: np.ndarray, loads: Sequence[Load], color: str
 ) -> Wrenches:
-    """Compute the wrenches of loads in world axes.
-
-    Args:
-        mechanism: The mechanism.
-        poses: Poses of its bodies; rad, m, m.
-        loads: The loads.
-        color: Color of their arrows.
-
-    Returns:
-        The wrenches at the points where the loads are applied.
-    """
+    """Compute the wrenches of loads in world axes, at the points of application."""
     points, wrenches = np.zeros((len(loads), 2)), np.zeros((len(loads), 3))
     for row, (body, load) in enumerate(
         zip(loaded_bodies(mechanism, loads), loads, strict=True)
@@ -138,11 +121,7 @@ def mark_wrenches(
 
 
 def _effects(wrenches: np.ndarray, size: float) -> np.ndarray:
-    """Compute the effects of wrenches on a mechanism of this size (m), as moments.
-
-    Returns:
-        For each wrench the effect of its moment and that of its force; N m.
-    """
+    """Return moment, and force times the size (m) of the mechanism, as columns; N m."""
     forces = np.linalg.norm(wrenches[:, 1:], axis=1)
     return np.stack([np.abs(wrenches[:, 0]), size * forces], axis=1)
 
@@ -150,15 +129,7 @@ def _effects(wrenches: np.ndarray, size: float) -> np.ndarray:
 def _mark_force(
     axes: "Axes", point: np.ndarray, force: Sequence[float], length: float, color: str
 ) -> None:
-    """Draw a force as an arrow from a point.
-
-    Args:
-        axes: The axes.
-        point: The point; units of the axes.
-        force: The force; N.
-        length: Length of the arrow; units of the axes.
-        color: Color of the arrow and its label.
-    """
+    """Draw a force (N) as an arrow; point and length are in units of the axes."""
     from .labels import Labels
 
     magnitude = float(np.linalg.norm(force))
@@ -178,15 +149,10 @@ def _mark_moment(
     direction: np.ndarray,
     color: str,
 ) -> None:
-    """Draw a moment as an arc of 120 degrees about a point.
+    """Draw a moment (N m) as an arc of 120 degrees about a point.
 
-    Args:
-        axes: The axes.
-        point: The point; units of the axes.
-        moment: The moment; N m.
-        radius: Radius of the arc; units of the axes.
-        direction: Direction from the point to the middle of the arc.
-        color: Color of the arc and its label.
+    Point and radius are in units of the axes. The direction is that from the point to the
+    middle of the arc.
     """
     from .labels import Labels
 
@@ -213,13 +179,6 @@ def mark_constraints(
     """Draw pins as rings and sliders as blocks on rails.
 
     Other constraints are not drawn, because they have no position.
-
-    Args:
-        axes: The axes.
-        mechanism: The mechanism.
-        poses: Poses of its bodies; rad, m, m.
-        constraints: Constraints on the bodies.
-        unit: Number of units of the axes in a meter.
     """
     from matplotlib.patches import Circle, Polygon
 
@@ -252,16 +211,10 @@ def _arrow(
     head: int,
     connection: str = "arc3",
 ) -> None:
-    """Draw an arrow between two points, in units of the axes.
+    """Draw an arrow from `start` to `end` (units of the axes).
 
-    Args:
-        axes: The axes.
-        start: Start of the arrow.
-        end: Tip of the arrow.
-        color: Color of the arrow.
-        width: Width of the line; points.
-        head: Size of the head; points.
-        connection: Connection style of matplotlib, by default a straight line.
+    The width of the line and the size of the head are in points. `connection` is a
+    connection style of matplotlib, by default a straight line.
     """
     from matplotlib.patches import FancyArrowPatch
 

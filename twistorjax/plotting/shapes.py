@@ -20,14 +20,14 @@ class Shape(NamedTuple):
 
     Args:
         kind: "body" is a body with an outline, and "fixed" is one whose three coordinates
-            are fixed. "arm" is a line from the origin of a body without an outline to one
-            of its hinges. "hinge" is a hinge with an outline, and "spring" is a hinge
+            are fixed. "line" is a line from the origin of a body without an outline to
+            one of its hinges. "hinge" is a hinge with an outline, and "spring" is a hinge
             without one.
         corners: Corners in world coordinates; m.
         row: Index of the body or hinge in the mechanism.
     """
 
-    kind: Literal["body", "fixed", "arm", "hinge", "spring"]
+    kind: Literal["body", "fixed", "line", "hinge", "spring"]
     corners: np.ndarray
     row: int
 
@@ -59,10 +59,10 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         poses: Poses of its bodies; rad, m, m.
 
     Returns:
-        The bodies, then the arms of bodies without an outline, then the hinges.
+        The bodies, then the lines of bodies without an outline, then the hinges.
     """
     fixed_dofs = set(mechanism.fixed)
-    bodies, arms, hinges = [], [], []
+    bodies, lines, hinges = [], [], []
     for body, outline in enumerate(mechanism.outlines):
         fixed = {3 * body, 3 * body + 1, 3 * body + 2} <= fixed_dofs
         if outline is not None:
@@ -78,7 +78,7 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         for body, frame, end in zip(ends, frames, extent, strict=True):
             if mechanism.outlines[body] is None:
                 (tip,) = to_world(frame, np.array([[end, 0.0]]))
-                arms.append(Shape("arm", np.stack([poses[body][1:], tip]), body))
+                lines.append(Shape("line", np.stack([poses[body][1:], tip]), body))
         if outline is None:
             # The spiral starts at the first frame and ends at the second one.
             share = np.linspace(0, 1, len(spiral))[:, None]
@@ -86,7 +86,7 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
             hinges.append(Shape("spring", center + spiral, hinge))
         else:
             hinges.append(Shape("hinge", _deform(*frames, extent, corners), hinge))
-    return bodies + arms + hinges
+    return bodies + lines + hinges
 
 
 def to_world(pose: np.ndarray, points: np.ndarray | Corners) -> np.ndarray:
@@ -153,16 +153,9 @@ def _deform(
     """Deform the outline of a hinge along a cubic center line.
 
     The center line is the cubic Hermite polynomial whose ends have the positions and the
-    directions that the two frames prescribe.
-
-    Args:
-        first: Pose of the frame on the first body; rad, m, m.
-        second: Pose of the frame on the second body; rad, m, m.
-        extent: Smallest and largest coordinate of the outline along axis 1; m.
-        outline: Undeformed outline in the frame of the hinge; m.
-
-    Returns:
-        The deformed outline in world coordinates; m.
+    directions that the poses of the two frames (rad, m, m) prescribe. The outline is that
+    in the frame of the hinge (m). `extent` is its smallest and largest coordinate along
+    axis 1; m.
     """
     length = extent[1] - extent[0]
     ends = np.stack([extent, np.zeros(2)], axis=1)

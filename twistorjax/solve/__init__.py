@@ -1,10 +1,18 @@
 """Statics, linearization, vibrations, frequency response, and motion of a mechanism.
 
-Start reading in `statics`. A gain is computed along this path: the loads and prescribed
-displacements of a `Mechanism` become a system of equations, `newton` solves it in load
-increments, and `results` and `tables` report the solution. The implicit function theorem
-gives its derivatives. `dynamics` integrates the same forces in time by the solvers in
-`collocation` or those of diffrax.
+Start reading in `statics`. `equilibrium` assembles the equations of a `Mechanism`, its
+loads, prescribed displacements, and constraints (`system`), and solves them by Newton's
+method in load increments (`newton`). If an increment fails, the solver returns to the
+last equilibrium and tries a shorter increment. If the shortest one fails, `equilibrium`
+raises an error, or with `throw=False` returns NaN and the reason (`results`). A gain or
+another quantity is computed from the displacements; see `amplification` in
+`examples.stage`.
+
+`implicit_derivatives` differentiates an equilibrium by the implicit function theorem.
+`linearization`, `vibrations`, and `frequency_response` use the same `system` about an
+equilibrium. `tangent_stiffness`, `factorization`, and `block_factorization` contain its
+matrices. `dynamics` integrates the equations of motion (`motion_system`) by the solvers
+in `collocation` or those of diffrax. `tables` converts solutions to xarray datasets.
 """
 
 from .collocation import Gauss as Gauss, Radau as Radau
@@ -13,8 +21,8 @@ from .frequency_response import (
     frequency_response as frequency_response,
     FrequencyResponse as FrequencyResponse,
 )
-from .linear import Linearization as Linearization, linearize as linearize
-from .motion import Motion as Motion
+from .linearization import Linearization as Linearization, linearize as linearize
+from .motion import Energies as Energies, Motion as Motion
 from .progress import ProgressBar as ProgressBar
 from .results import result_names as result_names, RESULTS as RESULTS
 from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from .._utils.types import Flag
-from .factorization import diagonal_scale, Factors, factors_resist
+from .factorization import diagonal_scale, Factors, is_stable
 
 
 # With fewer free degrees of freedom, or fewer blocks, a dense factorization is faster.
@@ -40,20 +40,14 @@ class Layout(NamedTuple):
     ) -> Int[np.ndarray, " entries"]:
         """Compute the indices of matrix entries in the flattened array of blocks.
 
-        The array of blocks has the shape (3, blocks, size, size): the blocks on the
-        diagonal, below it, and above it.
-
-        Args:
-            rows: Row of each entry, as an index of a free degree of freedom.
-            columns: Column of each entry, as an index of a free degree of freedom.
-
-        Returns:
-            The index of each entry.
+        Rows and columns of the matrix are numbered by the free degrees of freedom. The
+        array has the shape (3, blocks, size, size): the blocks on the diagonal, below it,
+        and above it.
         """
         order = np.array(self.order)
         row, column = order[rows], order[columns]
         row_block, column_block = row // self.size, column // self.size
-        diagonal = (row_block - column_block) % 3  # 0 is the main one, 1 below, 2 above
+        diagonal = (row_block - column_block) % 3  # 0 is the diagonal, 1 below, 2 above
         block = np.maximum(row_block, column_block)
         in_block = (row % self.size) * self.size + column % self.size
         return (diagonal * self.blocks + block) * self.size**2 + in_block
@@ -94,9 +88,9 @@ def block_layout(
     low, high = np.full(len(bodies), count), np.zeros(len(bodies), int)
     np.minimum.at(low, body_of_dof, order)
     np.maximum.at(high, body_of_dof, order)
-    # A hinge couples all coordinates of its two bodies, and a body its own coordinates.
-    itself = np.arange(len(bodies))
-    first, second = np.concatenate([pairs, np.stack([itself, itself], 1)]).T
+    # A hinge couples all coordinates of its two bodies, and those of each body.
+    each = np.arange(len(bodies))
+    first, second = np.concatenate([pairs, np.stack([each, each], 1)]).T
     lowest = np.minimum(low[first], low[second])
     highest = np.maximum(high[first], high[second])
     size = _LEAST_BLOCK_SIZE
@@ -118,7 +112,7 @@ class BlockFactors(eqx.Module):
         triangles: Factors of each block on the diagonal after elimination.
         pivots: Rows that Gaussian elimination exchanged; None for Cholesky factors.
         above: Blocks above the diagonal after elimination: the negative derivatives of
-            the unknowns of the block before by those of this block.
+            the unknowns of the previous block with respect to those of this block.
 
     Source:
         Golub and Van Loan, Matrix Computations, section 4.5.
@@ -135,13 +129,9 @@ class BlockFactors(eqx.Module):
     def of(
         cls, blocks: Float[Array, "3 blocks size size"], layout: Layout, symmetric: bool
     ) -> "BlockFactors":
-        """Factor a matrix.
+        """Factorize a matrix, given by its blocks on, below, and above the diagonal.
 
-        Args:
-            blocks: Blocks on the diagonal, below it, and above it. Rows at the end that
-                are not used get a diagonal of ones.
-            layout: Layout of the blocks.
-            symmetric: Whether the matrix is symmetric.
+        Unused rows at the end get a diagonal of ones.
         """
         size, count = layout.size, layout.blocks
         used = np.arange(count * size).reshape(count, size) < len(layout.order)
@@ -190,11 +180,11 @@ class BlockFactors(eqx.Module):
         _, solution = jax.lax.scan(
             forward, zero, (self.triangles, self.pivots, self.below, rows)
         )
-        # The first block above the diagonal is zero, and so may follow the last one.
+        # The first block above the diagonal is zero, so it may follow the last one.
         above = jnp.roll(self.above, -1, axis=0)
         _, solution = jax.lax.scan(backward, zero, (above, solution), reverse=True)
         return (self.scale * solution).reshape(-1)[order]
 
-    def resists(self) -> Flag:
-        """Decide whether the stiffness resists every displacement; see `Factors`."""
-        return factors_resist(self.triangles, self.pivots)
+    def is_stable(self) -> Flag:
+        """Decide whether the matrix resists every displacement; see `Factors`."""
+        return is_stable(self.triangles, self.pivots)

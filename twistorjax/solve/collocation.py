@@ -1,18 +1,17 @@
 """Collocation methods for stiff mechanisms, as solvers for diffrax.
 
-The hinges of a flexure mechanism hardly stretch. Its motion therefore stays close to a
-curved surface in the space of all displacements. A linearized step leaves this surface:
-the hinges seem to be stretched, and the forces by which they resist are large and wrong.
-As soon as the hinges have rotated, these forces also act along the surface. For this
-reason Rosenbrock methods need short steps, and Newton's method fails in ordinary implicit
-Runge-Kutta methods.
+The hinges of a flexure mechanism are stiff along their axes. Its motion therefore stays
+close to a curved surface in the space of all displacements. A linearized step leaves this
+surface: it stretches the hinges, which causes large, spurious forces. If the hinges have
+rotated, these forces also act along the surface. For this reason Rosenbrock methods need
+short steps, and Newton's method fails in ordinary implicit Runge-Kutta methods.
 
 Here the mid-frame translations of the hinges, called stretches, are additional unknowns.
 The forces of the hinges are computed for these stretches and not for those that follow
 from the displacements. One linear solve corrects displacements and stretches together,
-and makes them agree to first order. The forces then remain smooth functions of the
-unknowns, however stiff the hinges are. In statics, the generalized stress has this role
-(Magisano, Leonetti and Garcea, Int. J. Num. Meth. Eng. 109, 2017).
+such that they agree to first order. The forces then remain smooth functions of the
+unknowns for any stiffness of the hinges. In statics, the generalized stress has the same
+purpose (Magisano, Leonetti and Garcea, Int. J. Num. Meth. Eng. 109, 2017).
 
 A step has four parts:
 
@@ -26,7 +25,7 @@ A step has four parts:
    a part of the error estimate of the step.
 4. The state at the end of the step is projected onto the constraints.
 
-Three iterations suffice for steps six times as long as those of Rodas5P.
+Three iterations are sufficient for steps six times as long as those of Rodas5P.
 """
 
 from collections.abc import Callable
@@ -43,7 +42,7 @@ from .._utils.types import Scalar
 from ..mechanism.hinge_forces import product
 from .collocation_schemes import collocation_scheme, Scheme
 from .dense_output import DenseOutput
-from .motion_system import MotionSystem, Slopes, State
+from .motion_system import MotionSystem, MotionTangent, State
 from .small_matrices import inverse
 from .step_history import StepHistory
 
@@ -84,7 +83,7 @@ class Radau(_Collocation, dfx.AbstractAdaptiveSolver):
     eigenvalue of the collocation matrix. Constraints are satisfied at each stage.
 
     Args:
-        iterations: Number of Newton iterations in a step.
+        iterations: Number of Newton iterations in a step; by default 3.
 
     Source:
         Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.8.
@@ -107,8 +106,8 @@ class Gauss(_Collocation):
     the period of the fastest motion of interest.
 
     Args:
-        iterations: Number of Newton iterations in a step. The default reduces the error
-            of the iteration to rounding errors.
+        iterations: Number of Newton iterations in a step; by default 8, which reduces the
+            error of the iteration to rounding errors.
 
     Source:
         Hairer, Lubich and Wanner, Geometric Numerical Integration, chapters II and VI.
@@ -126,9 +125,9 @@ class Gauss(_Collocation):
 _results: Any = dfx.RESULTS
 
 # A step has failed if its last iteration changes the state by more than this, in the norm
-# of the tolerance. It matters for constant steps, which have no error estimate.
+# of the tolerance. This test is needed for constant steps, which have no error estimate.
 _LARGEST_LAST_CHANGE = 1e-2
-# A state that is not finite is reported if the step is below this share of the slowest
+# A state that is not finite is reported if the step is below this fraction of the slowest
 # period.
 _SMALLEST_STEP = 1e-9
 
@@ -142,15 +141,7 @@ def _step(
     system: MotionSystem,
     history: StepHistory,
 ) -> tuple[State, State | None, dict[str, Any], StepHistory, dfx.RESULTS]:
-    """Advance a motion by one step.
-
-    Args:
-        solver: The collocation method.
-        start: Time at the start of the step; s.
-        step: Length of the step; s.
-        state: State at the start.
-        system: The equations of motion.
-        history: History of the step before.
+    """Advance a motion by one step, from the time `start`; s.
 
     Returns:
         The state at the end; its error estimate, if the method has one; the arguments of
@@ -161,18 +152,20 @@ def _step(
     matrix = step * jnp.asarray(scheme.matrix)
     matrix_squared = step**2 * jnp.asarray(scheme.matrix @ scheme.matrix)
     times = start + step * jnp.asarray(scheme.nodes)
-    accelerations, stretches, push = history.extrapolate(scheme, step)
+    accelerations, stretches, multipliers = history.extrapolate(scheme, step)
 
     def positions_and_rates(accelerations: Array) -> tuple[Array, Array]:
         rates = state.rate[None] + product(matrix, accelerations)
         return state.position[None] + product(matrix, rates), rates
 
-    # The tangent has no derivatives by parameters: it determines how fast the iteration
-    # converges, and the residual determines the solution.
+    # The tangent is not differentiated with respect to parameters: it determines how fast
+    # the iteration converges, and the residual determines the solution.
     positions, rates = positions_and_rates(accelerations)
     middle = scheme.stages // 2
-    frozen, *stages = stop_gradient((system, times, positions, rates, stretches, push))
-    tangent = frozen.slopes(*(values[middle] for values in stages))
+    frozen, *stages = stop_gradient(
+        (system, times, positions, rates, stretches, multipliers)
+    )
+    tangent = frozen.tangent(*(values[middle] for values in stages))
     to_eigenvectors = jnp.asarray(scheme.to_eigenvectors)
     from_eigenvectors = jnp.asarray(scheme.from_eigenvectors)
     eigenvalues = jax.lax.stop_gradient(step).astype(to_eigenvectors.dtype)
@@ -180,28 +173,30 @@ def _step(
     inverses = _inverses(tangent, eigenvalues, frozen.mass)
 
     def iterate(_, unknowns: tuple[Array, ...]) -> tuple[Array, ...]:
-        """Correct the stages once; the last of the results is the correction."""
-        accelerations, stretches, push, _ = unknowns
+        """Correct the stages once; the last result is the correction."""
+        accelerations, stretches, multipliers, _ = unknowns
         positions, rates = positions_and_rates(accelerations)
-        forces = jax.vmap(system.forces)(times, positions, rates, stretches, push)
+        forces = jax.vmap(system.forces)(times, positions, rates, stretches, multipliers)
         residual = forces.net - mass[None] * accelerations
-        residual = residual - product(forces.excess, tangent.bearing.T)
+        residual = residual - product(forces.excess, tangent.force_by_stretch.T)
         right = product(to_eigenvectors, residual.astype(to_eigenvectors.dtype))
-        if push.size:
+        if multipliers.size:
             violation = forces.violation.astype(to_eigenvectors.dtype)
             violation = product(to_eigenvectors, violation)
             violation = -violation / eigenvalues[:, 0] ** 2
             right = jnp.concatenate([right, violation], axis=1)
         solution = jnp.sum(inverses * right[:, None], axis=-1)
         solution = jnp.real(product(from_eigenvectors, solution))
-        change, push_change = solution[:, :size], solution[:, size:]
-        stretch_change = product(product(matrix_squared, change), tangent.stretching)
+        change, multiplier_change = solution[:, :size], solution[:, size:]
+        stretch_change = product(
+            product(matrix_squared, change), tangent.stretch_by_displacement
+        )
         stretches = stretches + forces.excess + stretch_change
-        return accelerations + change, stretches, push + push_change, change
+        return accelerations + change, stretches, multipliers + multiplier_change, change
 
-    unknowns = accelerations, stretches, push, jnp.zeros_like(accelerations)
+    unknowns = accelerations, stretches, multipliers, jnp.zeros_like(accelerations)
     unknowns = jax.lax.fori_loop(0, solver.iterations, iterate, unknowns)
-    accelerations, stretches, push, change = unknowns
+    accelerations, stretches, multipliers, change = unknowns
     positions, rates = positions_and_rates(accelerations)
 
     weights = step * jnp.asarray(scheme.weights)
@@ -213,7 +208,7 @@ def _step(
         powers = jax.vmap(system.instant)(times, positions, rates).powers
     end = State(position, rate, state.work + weights @ powers)
 
-    new_history = history.next(scheme, accelerations, stretches, push, step)
+    new_history = history.next(scheme, accelerations, stretches, multipliers, step)
     to_coefficients = jnp.asarray(scheme.to_coefficients)
     dense = {
         "y0": state,
@@ -222,8 +217,8 @@ def _step(
         "powers": to_coefficients @ powers,
     }
     # diffrax rejects a step whose error is NaN and tries a shorter one, which may avoid
-    # values that are not finite. It would go on forever if the start of the step is not
-    # finite either, or if no step is short enough.
+    # values that are not finite. It would continue forever if the start of the step is
+    # not finite either, or if no step is short enough.
     failed = ~jnp.all(jnp.isfinite(history.last_acceleration))
     not_finite = ~jnp.all(jnp.isfinite(position)) | ~jnp.all(jnp.isfinite(rate))
     failed |= not_finite & (step < _SMALLEST_STEP * system.period)
@@ -250,16 +245,13 @@ def _step(
 
 
 def _inverses(
-    tangent: Slopes,
+    tangent: MotionTangent,
     eigenvalues: Complex[Array, "eigenvalues 1 1"],
     mass: Float[Array, " free"],
 ) -> Complex[Array, "eigenvalues unknowns unknowns"]:
-    """Invert the matrices of the decoupled stages, constraints included.
+    """Invert the matrices of the decoupled stages, including the constraints.
 
-    Args:
-        tangent: The linearized equations of motion.
-        eigenvalues: Eigenvalues of the collocation matrix times the step; s.
-        mass: Inertia of each free degree of freedom; kg m2, kg.
+    `eigenvalues` are those of the collocation matrix times the step; s.
     """
     inertia, damping, stiffness, jacobian = (
         part.astype(eigenvalues.dtype)[None]
@@ -280,7 +272,7 @@ def _inverses(
 def _error(
     scheme: Scheme,
     inverses: Complex[Array, "eigenvalues unknowns unknowns"],
-    tangent: Slopes,
+    tangent: MotionTangent,
     step: Scalar,
     state: State,
     system: MotionSystem,
@@ -289,26 +281,11 @@ def _error(
     accelerations: Float[Array, "stages free"],
     change: Float[Array, "stages free"],
 ) -> State:
-    """Estimate the error of a step: of the collocation, and of the iteration.
+    """Estimate the absolute error of a step: that of collocation and that of iteration.
 
     The error of the collocation is estimated by an embedded quadrature of order three.
     The power 3/2 of this estimate has the order of the method. The error of the iteration
-    is the effect of its last correction.
-
-    Args:
-        scheme: Coefficients of the method.
-        inverses: Inverses of the matrices of the decoupled stages.
-        tangent: The linearized equations of motion.
-        step: Length of the step; s.
-        state: State at the start.
-        system: The equations of motion.
-        history: History of the step before, with the accelerations at the start.
-        rates: Rates at the stages; rad/s, m/s.
-        accelerations: Accelerations at the stages; rad/s2, m/s2.
-        change: Last correction of the accelerations; rad/s2, m/s2.
-
-    Returns:
-        The error of each entry of the state, without a sign.
+    is the effect of its last correction, the `change` of the accelerations.
 
     Source:
         Hairer and Wanner, Solving Ordinary Differential Equations II, equations IV.8.19

@@ -19,13 +19,13 @@ class Scheme(NamedTuple):
         weights: Weights that integrate the polynomial to the end of the step.
         eigenvalues: Eigenvalues of A, without the second of each conjugate pair.
         to_eigenvectors: Transformation from the stages to the basis of eigenvectors.
-        from_eigenvectors: Transformation back. The real part of its result is meant, and
-            it counts each conjugate pair twice.
+        from_eigenvectors: Transformation from this basis to the stages. The real part of
+            its result is used. It counts each conjugate pair twice.
         to_coefficients: Transformation from values at the nodes to coefficients of the
             polynomial, lowest power first.
         history_to_coefficients: The same transformation for the values from which the
             next step is extrapolated. They are those at the nodes and, if the last stage
-            is the end of a step, the value at the start from the step before.
+            is the end of a step, also the value at the start.
         real_index: Index of the real eigenvalue, if there is one.
     """
 
@@ -55,13 +55,11 @@ class Scheme(NamedTuple):
         return self.eigenvalues[self.real_index].real
 
     def embedded_weights(self) -> np.ndarray:
-        """Compute the weights of an error estimate by an embedded quadrature.
+        """Compute the weights of the stages in an error estimate.
 
-        The estimate is the difference between the method and a quadrature that uses the
-        stages and the start of the step. The weight of the start is the real eigenvalue.
-
-        Returns:
-            The weight of each stage.
+        The estimate is the difference between the method and an embedded quadrature,
+        which uses the stages and the start of the step. The weight of the start is the
+        real eigenvalue.
 
         Source:
             Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.8.

@@ -1,4 +1,4 @@
-"""Checks of constraints: whether they are independent, and what is wrong with them."""
+"""Checks of constraints: whether they are independent, and whether they are satisfied."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,9 +21,7 @@ _LARGEST_INVERSE = 1e12  # of the Gram matrix of independent constraints
 def independent_rows(jacobian: Float[Array, "entries n"]) -> Flag:
     """Decide whether the rows of a constraint Jacobian are linearly independent.
 
-    Args:
-        jacobian: Derivatives of the violations by displacements, the columns scaled by
-            the units of the degrees of freedom.
+    Its columns must be scaled by the units of the degrees of freedom.
     """
     if len(jacobian) > jacobian.shape[1]:
         return jnp.zeros((), bool)
@@ -32,7 +30,7 @@ def independent_rows(jacobian: Float[Array, "entries n"]) -> Flag:
 
 
 def independent(system: System, displacements: Poses) -> Flag:
-    """Decide whether the constraints of a system are independent at displacements."""
+    """Decide whether constraints are independent at given displacements; rad, m, m."""
     if not system.constraints.size:
         return jnp.ones((), bool)
     units = system.free_units()
@@ -52,17 +50,10 @@ def constraint_error(
     displacements: Poses,
     time: Scalar | float = 0.0,
 ) -> str:
-    """Name the constraints that are violated, or that repeat or contradict others.
+    """Describe the constraints that are violated, redundant, or contradictory.
 
-    Args:
-        constraints: The constraints.
-        dofs: Partition of the degrees of freedom.
-        mechanism: The mechanism.
-        displacements: Displacements at the start; rad, m, m.
-        time: Time at the start; s.
-
-    Returns:
-        One sentence for each such constraint; empty if there is none.
+    They are evaluated at given displacements (rad, m, m) and a time (s). The result has
+    one sentence for each such constraint, and is empty if there is none.
     """
     now = jnp.asarray(time, float)
     violation = np.asarray(constraints.violation(displacements, now))
@@ -71,26 +62,27 @@ def constraint_error(
     jacobian = jacobian[:, list(dofs.free)] * units[None]
     size = np.linalg.norm(jacobian, axis=1)
     size = np.where(size > 0, size, 1.0)
-    jacobian, share = jacobian / size[:, None], np.abs(violation) / size
+    jacobian, scaled_violation = jacobian / size[:, None], np.abs(violation) / size
     names = constraints.names()
     sentences = []
     for name in dict.fromkeys(names):
         rows = [k for k, owner in enumerate(names) if owner == name]
-        before = jacobian[: rows[0]]
-        rank = np.linalg.matrix_rank(before, 1e-9) if len(before) else 0
-        gained = np.linalg.matrix_rank(jacobian[: rows[-1] + 1], 1e-9) - rank
-        worst, violated = np.abs(violation[rows]).max(), share[rows].max() > EXACT
-        if gained < len(rows) and violated:
+        previous = jacobian[: rows[0]]
+        rank = np.linalg.matrix_rank(previous, 1e-9) if len(previous) else 0
+        new_rank = np.linalg.matrix_rank(jacobian[: rows[-1] + 1], 1e-9) - rank
+        largest = np.abs(violation[rows]).max()
+        violated = scaled_violation[rows].max() > EXACT
+        if new_rank < len(rows) and violated:
             sentences.append(
-                f"{name!r} contradicts those before it: it leaves a violation of "
-                f"{worst:.3g} that no displacement removes."
+                f"{name!r} contradicts the previous constraints: no displacement removes "
+                f"its violation of {largest:.3g}."
             )
-        elif gained < len(rows):
+        elif new_rank < len(rows):
             sentences.append(
-                f"{name!r} is redundant: {len(rows) - gained} of its {len(rows)} entries "
-                "follow from those before it and from fixed or prescribed coordinates. "
-                "Leave it out."
+                f"{name!r} is redundant: {len(rows) - new_rank} of its {len(rows)} "
+                "equations follow from the previous constraints and from fixed or "
+                "prescribed coordinates. Leave it out."
             )
         elif violated:
-            sentences.append(f"{name!r} is violated by {worst:.3g} at the start.")
+            sentences.append(f"{name!r} is violated by {largest:.3g} at the start.")
     return " ".join(sentences)

@@ -23,9 +23,9 @@ class DenseOutput(dfx.AbstractLocalInterpolation):
         y0: State at the start.
         y1: State at the end.
         accelerations: Coefficients of the polynomial of the accelerations, lowest power
-            first; rad/s2, m/s2.
-        powers: Coefficients of the polynomial of the dissipated power and of the powers
-            of loads and drives; W.
+            first; rad/s^2, m/s^2.
+        powers: Coefficients of the polynomials of the dissipated power and of the powers
+            of loads and prescribed motions; W.
     """
 
     t0: Scalar
@@ -42,8 +42,8 @@ class DenseOutput(dfx.AbstractLocalInterpolation):
         length = self.t1 - self.t0
         fraction = (t0 - self.t0) / jnp.where(length > 0, length, 1.0)
         inside, end = self._integrate(fraction), self._integrate(jnp.ones_like(fraction))
-        # The end of the step was projected onto the constraints. A cubic term leads from
-        # the end of the polynomial to the projected one.
+        # The end of the step was projected onto the constraints. A cubic term adds the
+        # difference between the projected end and that of the polynomial.
         return jax.tree.map(
             lambda inside, end, projected: inside + fraction**3 * (projected - end),
             inside,

@@ -31,8 +31,8 @@ class DofPartition(NamedTuple):
     def of(cls, mechanism: Mechanism, prescribed: Sequence[int] = ()) -> "DofPartition":
         """Partition the degrees of freedom of a mechanism."""
         count = 3 * len(mechanism.names)
-        given = {*mechanism.fixed, *prescribed}
-        free = tuple(dof for dof in range(count) if dof not in given)
+        not_free = {*mechanism.fixed, *prescribed}
+        free = tuple(dof for dof in range(count) if dof not in not_free)
         return cls(count, free, tuple(prescribed))
 
     def expand(
@@ -41,9 +41,9 @@ class DofPartition(NamedTuple):
         prescribed: Inexact[Array, " prescribed"],
     ) -> Inexact[Array, "bodies 3"]:
         """Arrange values by bodies, with zero for the fixed degrees of freedom."""
-        given = (*self.free, *self.prescribed)
-        source = np.full(self.total, len(given))
-        source[list(given)] = np.arange(len(given))
+        dofs = (*self.free, *self.prescribed)
+        source = np.full(self.total, len(dofs))
+        source[list(dofs)] = np.arange(len(dofs))
         zero = jnp.zeros(1, free.dtype)
         return jnp.concatenate([free, prescribed, zero])[source].reshape(-1, 3)
 

@@ -1,4 +1,4 @@
-"""Motion of a mechanism under loads, prescribed displacements, and constraints."""
+"""Motion of a mechanism under loads, prescribed motions, and constraints."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -30,14 +30,15 @@ from .motion import Energies, Motion
 from .motion_errors import StartOfMotion
 from .motion_system import equation, MotionSystem, State
 from .projection import Projected
-from .results import raise_failed, RESULTS
+from .results import RESULTS, succeeded_or_raise
 from .statics import StateLike
 
 
-# Solvers other than those of this library give up below this share of the slowest period.
+# Solvers other than those of this library stop if the step is below this fraction of the
+# slowest period.
 _SMALLEST_STEP = 1e-12
 
-# Given once, or as a function of time (s)
+# A constant list, or a function of time (s) that returns a list
 Loading = TypeAliasType("Loading", Sequence[Load] | Callable[[Scalar], Sequence[Load]])
 Driving = TypeAliasType("Driving", Sequence[Drive] | Callable[[Scalar], Sequence[Drive]])
 
@@ -63,11 +64,12 @@ def simulate(
     energies: bool = True,
     throw: bool = True,
 ) -> Motion:
-    """Simulate the motion of a mechanism under loads, drives, and constraints.
+    """Simulate the motion under loads, prescribed displacements, and constraints.
 
-    Prescribed displacements are imposed exactly, and the reactions are returned; their
-    velocities and accelerations follow by differentiation. The motion has reverse
-    derivatives by everything that defines the mechanism, and forward derivatives with
+    Prescribed displacements are imposed exactly, and the reactions are returned. The
+    prescribed velocities and accelerations are the time derivatives of the prescribed
+    displacements. The motion has reverse-mode derivatives with respect to all values of
+    the mechanism, the loads, and the initial state. For forward-mode derivatives, use
     `adjoint=diffrax.ForwardMode()`.
 
     Args:
@@ -76,43 +78,49 @@ def simulate(
         times: Times at which the motion is reported, from its start to its end; s.
         loads: Loads on its bodies, or a function of time that returns them.
         drives: Prescribed displacements of degrees of freedom that are not fixed, or a
-            smooth function of time that returns them. A new function is compiled anew:
-            define it once.
+            smooth function of time that returns them. Define this function once: a new
+            function is compiled again.
         constraints: Pins, sliders, and other constraints between its bodies.
         start: Poses at the start, or an equilibrium; by default the reference
             configuration; rad, m, m.
-        velocities: Velocities of some bodies at the start, a mapping from the name to
-            (angular velocity, x, y); by default zero; rad/s, m/s, m/s.
-        tolerance: Tolerance on the error of a step, in rotations, and in displacements
-            and velocities divided by a length and the slowest period of the mechanism.
-            The error of the motion is about ten times larger, or as many times as the
-            motion itself amplifies errors.
+        velocities: Initial velocities, a mapping from names of bodies to (angular
+            velocity, velocity along x, velocity along y), in world axes; zero for the
+            other bodies; rad/s, m/s, m/s.
+        tolerance: Absolute tolerance on the error of one step: of rotations (rad), of
+            displacements divided by a length of the mechanism, and of velocities made
+            dimensionless by this length and the slowest period. The error of a whole
+            motion is about ten times larger, and more if the motion is sensitive to its
+            initial state.
         solver: Solver: `Radau()` by default; `Gauss()` with a `step` for motion without
             damping; or any solver of diffrax.
-        step: Constant length of the steps; by default the tolerance chooses them; s.
-        controller: Step size controller of diffrax, instead of the tolerance.
-        saveat: What is kept, as in diffrax, instead of the `times` between the first and
-            the last: every step, or the motion as a function of time.
+        step: Constant length of the steps; by default the tolerance determines them; s.
+        controller: Step size controller of diffrax, which replaces the tolerance.
+        saveat: `SaveAt` of diffrax, which replaces the `times` between the first and the
+            last, for example `SaveAt(steps=True)` for every step, or `SaveAt(dense=True)`
+            for the motion as a function of time (`Motion.at`). By default the motion is
+            saved at `times`.
         event: Event of diffrax that ends the motion. Its condition is called with the
             time and, as the state, an object with `poses`, `displacements`, and
             `velocities` of the bodies.
         progress_meter: Progress meter of diffrax; by default none.
         adjoint: Method of differentiation of diffrax; by default reverse mode.
         max_steps: Largest number of steps of the solver.
-        energies: Whether dissipation and work are computed, for about a tenth of the run
-            time. Otherwise they are zero.
+        energies: Whether the dissipated energy and the work of loads are computed, which
+            takes about a tenth of the run time. If False, they are zero, and
+            `energies.imbalance` is not an error.
         throw: Whether a failure raises an error; otherwise it is reported by `result`.
 
     Returns:
-        The motion.
+        The motion at the given times. If `throw` is False and the motion stopped before
+        its end, the rows of later times are NaN, and `result` is the reason.
 
     Raises:
-        ValueError: Double precision is off, a name is unknown, a degree of freedom is
-            prescribed twice or is fixed, a body that moves has no mass, times do not
-            increase, a drive or a constraint does not fit the start, a shape is wrong, or
-            a value is not finite.
+        ValueError: Double precision is disabled, a name is unknown, a degree of freedom
+            is prescribed twice or is fixed, a body that moves has no mass, times do not
+            increase, a prescribed displacement or a constraint is not satisfied at the
+            start, a shape is wrong, or a value is not finite.
         RuntimeError: The motion did not reach its end; the message says when and why.
-            Validity ranges of hinges are checked at the times that are kept.
+            Validity ranges of hinges are checked at the saved times.
 
     Source:
         Equations 5.24, 5.25, and 6.4 of the dissertation.
@@ -135,8 +143,8 @@ def simulate(
     check_settings(tolerance, max_steps, step)
     if step is None and controller is None and isinstance(solver, Gauss):
         raise ValueError(
-            "`Gauss()` does not choose its steps: give it a `step` that is short "
-            "compared with the period of the fastest motion of interest."
+            "`solver` is `Gauss()`, which has no step size control. Give a `step` that "
+            "is short compared with the period of the fastest motion of interest."
         )
     with explain_compilation(first, drives=drives, loads=loads):
         first_drives = drives(first) if callable(drives) else drives
@@ -145,22 +153,22 @@ def simulate(
     dofs = DofPartition.of(mechanism, prescribed_dofs(mechanism, first_drives)[0])
     displacements = jnp.zeros_like(mechanism.reference)
     if start is not None:
-        displacements = mechanism.displacements(start, "start", one=True)
+        displacements = mechanism.displacements(start, "start", single=True)
         check_finite("start", displacements)
     rates = check_velocities(mechanism, velocities, dofs.free)
-    joints = gather_constraints(mechanism, constraints)
-    beginning = StartOfMotion(
-        mechanism, drives, joints, displacements, first, dofs, rates is not None
+    constraint_set = gather_constraints(mechanism, constraints)
+    start_of_motion = StartOfMotion(
+        mechanism, drives, constraint_set, displacements, first, dofs, rates is not None
     )
     if throw:
-        beginning.check()
+        start_of_motion.check()
     with explain_compilation(first, drives=drives, loads=loads):
         motion = _solve(
             mechanism,
             instants,
             loads if callable(loads) else tuple(loads),
             drives if callable(drives) else tuple(drives),
-            joints,
+            constraint_set,
             displacements,
             rates,
             jnp.asarray(tolerance, float),
@@ -175,7 +183,9 @@ def simulate(
             energies,
             dofs,
         )
-    return raise_failed(motion, partial(beginning.error, motion)) if throw else motion
+    if not throw:
+        return motion
+    return succeeded_or_raise(motion, partial(start_of_motion.error, motion))
 
 
 @eqx.filter_jit
@@ -215,7 +225,7 @@ def _solve(
             norm=system.norm,
             pcoeff=0.3,
             icoeff=0.4,
-            # Other solvers would shorten steps for ever where a value is not finite.
+            # Other solvers would shorten steps forever if a value is not finite.
             dtmin=None if collocation else _SMALLEST_STEP * system.period,
             force_dtmin=False,
         )
@@ -250,32 +260,32 @@ def _solve(
             lambda value: jnp.where(started, value, jnp.nan), (solution.ts, solution.ys)
         ),
     )
-    kept_times, states = solution.ts[0], solution.ys[0]
-    valid = jnp.isfinite(kept_times)
+    saved_times, states = solution.ts[0], solution.ys[0]
+    valid = jnp.isfinite(saved_times)
     output = jax.vmap(partial(_output, system))(
-        jnp.where(valid, kept_times, problem.times[0]), states
+        jnp.where(valid, saved_times, problem.times[0]), states
     )
     outside = jax.vmap(mechanism.hinge_assembly.out_of_range)(output[0])
-    left = jnp.cumsum(valid & jnp.any(outside, axis=1)) > 0
+    after_exit = jnp.cumsum(valid & jnp.any(outside, axis=1)) > 0
     ended = (result == RESULTS.successful) | (result == RESULTS.event_occurred)
-    result = RESULTS.where(ended & jnp.any(left), RESULTS.out_of_range, result)
-    valid = valid & ~left
-    last = jnp.max(jnp.where(valid, kept_times, times[0]))
-    displacements, rates, reactions, push, energy = jax.tree.map(
+    result = RESULTS.where(ended & jnp.any(after_exit), RESULTS.out_of_range, result)
+    valid = valid & ~after_exit
+    last = jnp.max(jnp.where(valid, saved_times, times[0]))
+    displacements, rates, reactions, multipliers, energy = jax.tree.map(
         lambda value: jnp.where(
             valid.reshape(-1, *(value.ndim - 1) * (1,)), value, jnp.nan
         ),
         output,
     )
     return Motion(
-        times=jnp.where(valid, kept_times, jnp.nan),
+        times=jnp.where(valid, saved_times, jnp.nan),
         displacements=displacements,
         velocities=rates,
         reference=mechanism.reference,
         reactions=reactions,
-        constraint_forces=push,
+        constraint_forces=multipliers,
         energies=energy,
-        reached=jnp.where(jnp.any(left) | ~started, last, solution.ts[1][-1]),
+        reached=jnp.where(jnp.any(after_exit) | ~started, last, solution.ts[1][-1]),
         steps=solution.stats["num_steps"],
         rejected=solution.stats["num_rejected_steps"],
         result=result,
@@ -287,16 +297,16 @@ def _solve(
 
 
 def _result(result: dfx.RESULTS, finite: Array) -> RESULTS:
-    """Convert the result of diffrax; `finite` says whether the final state is finite."""
+    """Convert the result of diffrax; `finite` is true if the final state is finite."""
     converted = RESULTS.promote(result)
-    lost = (converted == RESULTS.nonfinite) | (converted == RESULTS.nonfinite_input)
-    converted = RESULTS.where(lost | ~finite, RESULTS.not_finite, converted)
+    invalid = (converted == RESULTS.nonfinite) | (converted == RESULTS.nonfinite_input)
+    converted = RESULTS.where(invalid | ~finite, RESULTS.not_finite, converted)
     diverged = converted == RESULTS.nonlinear_divergence
     return RESULTS.where(diverged, RESULTS.step_too_long, converted)
 
 
 def _output(system: MotionSystem, time: Scalar, state: State):
-    """Compute what is reported of an instant."""
+    """Compute the quantities of a `Motion` at one time."""
     position, rate = system.project(time, state.position, state.rate)
     displacements, velocities = system.expand(time, position, rate)
     now = system.instant(time, position, rate)
@@ -308,24 +318,24 @@ def _output(system: MotionSystem, time: Scalar, state: State):
         by_loads=works[1],
         by_drives=works[2],
     )
-    return displacements, velocities, now.reactions, now.push, energy
+    return displacements, velocities, now.reactions, now.multipliers, energy
 
 
 def _with_end(saveat: dfx.SaveAt, problem: InitialValueProblem) -> dfx.SaveAt:
-    """Add the final state to what is kept."""
-    own = dfx.SubSaveAt(ts=problem.times) if saveat.subs is None else saveat.subs
-    if not isinstance(own, dfx.SubSaveAt) or own.fn is not dfx.SubSaveAt(t1=True).fn:
+    """Add the final state to the saved states."""
+    given = dfx.SubSaveAt(ts=problem.times) if saveat.subs is None else saveat.subs
+    if not isinstance(given, dfx.SubSaveAt) or given.fn is not dfx.SubSaveAt(t1=True).fn:
         raise ValueError(
             "`saveat` has several `subs` or a `fn`, but a motion reports all quantities "
-            "at the times that it keeps: give `ts`, `steps` or `dense`."
+            "at all saved times. Give `ts`, `steps`, or `dense`."
         )
-    if saveat.subs is not None and own.ts is not None:
+    if saveat.subs is not None and given.ts is not None:
         # A motion that cannot start has no times between its first and its last.
         started = problem.result == RESULTS.successful
-        ts = jnp.where(started, jnp.asarray(own.ts, float), problem.times[0])
-        own = eqx.tree_at(lambda own: own.ts, own, ts)
+        ts = jnp.where(started, jnp.asarray(given.ts, float), problem.times[0])
+        given = eqx.tree_at(lambda given: given.ts, given, ts)
     return dfx.SaveAt(
-        subs=[own, dfx.SubSaveAt(t1=True)],
+        subs=[given, dfx.SubSaveAt(t1=True)],
         dense=saveat.dense,
         solver_state=saveat.solver_state,
         controller_state=saveat.controller_state,
@@ -334,7 +344,7 @@ def _with_end(saveat: dfx.SaveAt, problem: InitialValueProblem) -> dfx.SaveAt:
 
 
 class Snapshot(eqx.Module):
-    """State of a motion, as the condition of an event receives it.
+    """State of a motion, the argument of the condition of an event.
 
     Args:
         poses: Poses of the bodies; rad, m, m.

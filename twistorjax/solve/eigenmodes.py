@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 # Two frequencies are treated as equal if their relative difference is at most this.
 _EQUAL = 1e-8
 # Jacobi's method stops if the off-diagonal entries are below this, relative to those on
-# the diagonal. The relative errors of the eigenvalues are then the square of it.
+# the diagonal. The relative errors of the eigenvalues are then the square of this bound.
 _LARGEST_OFF_DIAGONAL = 1e-10
 _MOST_SWEEPS = 30  # Jacobi's method needs six to ten of them
 
@@ -22,10 +22,10 @@ class Stiffness(NamedTuple):
     Each displacement is multiplied by the square root of its inertia.
 
     Args:
-        rows: Linear combinations of displacements that the hinges resist.
+        rows: Linear combinations of displacements against which hinges have stiffness.
         weights: Stiffness against each of these combinations.
-        remainder: Geometric stiffness, stiffness of the loads, and what of the stiffness
-            of the hinges is not positive.
+        remainder: Geometric stiffness, stiffness of the loads, and the part of the hinge
+            stiffness that is not positive semidefinite.
     """
 
     rows: Float[Array, "rows n"]
@@ -49,22 +49,15 @@ class Modes(NamedTuple):
 
 @jax.custom_jvp
 def modes(stiffness: Stiffness) -> Modes:
-    """Compute angular frequencies and mass-normalized mode shapes.
+    """Compute angular frequencies and eigenvectors; NaN if the stiffness is not finite.
 
-    Small frequencies are as accurate as large ones, relative to themselves, because the
-    factors are multiplied in a basis that is close to the eigenvectors. An eigenvalue
-    solver for the assembled matrix would have errors in proportion to the largest
-    eigenvalue.
+    Small frequencies have the same relative accuracy as large ones, because the factors
+    are multiplied in a basis that is close to the eigenvectors. An eigenvalue solver for
+    the assembled matrix would have errors in proportion to the largest eigenvalue.
 
-    Of equal frequencies and their vectors, the first derivatives are those for one of the
-    possible bases. Symmetric functions of equal frequencies have correct first
+    The first derivatives of equal frequencies and of their eigenvectors are those for one
+    of the possible bases. Symmetric functions of equal frequencies have correct first
     derivatives. Their sum, the trace of `root`, has correct second derivatives as well.
-
-    Args:
-        stiffness: The stiffness in factors.
-
-    Returns:
-        Frequencies and eigenvectors; NaN if the stiffness is not finite.
 
     Source:
         Demmel and Veselic, Jacobi's method is more accurate than QR, SIAM J. Matrix Anal.
@@ -75,8 +68,8 @@ def modes(stiffness: Stiffness) -> Modes:
     finite = jnp.all(jnp.isfinite(matrix))
     _, basis = jnp.linalg.eigh(jnp.where(finite, matrix, jnp.eye(len(matrix))))
     # The basis is that of the eigenvectors, up to rounding errors of the assembled
-    # matrix. If the factors are multiplied in this basis, small entries beside large ones
-    # keep their digits.
+    # matrix. If the factors are multiplied in this basis, small entries are as accurate
+    # as large ones.
     rows = rows @ basis
     remainder = basis.T @ remainder @ basis
     matrix = rows.T @ (weights[:, None] * rows) + (remainder + remainder.T) / 2
@@ -92,16 +85,11 @@ def _jacobi_eigenvalues(
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
     """Compute eigenvalues and eigenvectors of a symmetric matrix by Jacobi's method.
 
-    If the matrix is nearly diagonal, small eigenvalues beside large ones keep their
-    digits. Each step rotates all coordinates in pairs, those of the first half with those
-    of the second, and then permutes them, so that every pair occurs once in a sweep. This
-    is the schedule of a round-robin tournament.
-
-    Args:
-        matrix: The matrix.
-
-    Returns:
-        The eigenvalues, the smallest first, and the eigenvectors, one in each column.
+    The eigenvalues are in ascending order, with one eigenvector in each column. If the
+    matrix is nearly diagonal, small eigenvalues are as accurate as large ones. Each step
+    rotates all coordinates in pairs, those of the first half with those of the second,
+    and then permutes them, so that every pair occurs once in a sweep. This is the
+    schedule of a round-robin tournament.
     """
     size = len(matrix)
     half = (size + 1) // 2
@@ -149,7 +137,7 @@ def _jacobi_eigenvalues(
     def sweep(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Rotate every pair once."""
         matrix, vectors, sweeps = state
-        # The permutations of one sweep return all coordinates to their first order.
+        # The permutations of one sweep restore the order of the coordinates.
         steps = max(1, 2 * half - 1)
         matrix, vectors = jax.lax.fori_loop(0, steps, rotate_pairs, (matrix, vectors))
         return matrix, vectors, sweeps + 1
@@ -183,15 +171,11 @@ def _(primals, tangents):
 def _root_derivative(
     root: Float[Array, "n n"], derivative: Float[Array, "n n"]
 ) -> Float[Array, "n n"]:
-    """Compute the derivative X of the square root of a matrix.
+    """Compute the derivative X of the square root of a matrix from that of the matrix.
 
-    It solves `root X + X root = derivative`. Where two frequencies are zero, the square
-    root has no derivative and X is set to zero. The root is diagonal, but its derivative
-    is not, so the equation itself is differentiated for second derivatives.
-
-    Args:
-        root: Square root of the matrix, a diagonal matrix; rad/s.
-        derivative: Derivative of the matrix.
+    It solves `root X + X root = derivative`. If two frequencies are zero, the square root
+    has no derivative and their entry of X is set to zero. The root is diagonal, but its
+    derivative is not, so second derivatives follow from the derivative of the equation.
     """
 
     def apply(x: Array) -> Array:

@@ -13,9 +13,9 @@ from .small_matrices import inverse
 class Factors(NamedTuple):
     """Factors of a matrix that is scaled by its diagonal, so that units do not matter.
 
-    A symmetric matrix has a Cholesky factor. If the matrix is not positive definite,
-    which means that the equilibrium is unstable, this factor and all solutions are NaN.
-    Other matrices have the two factors of Gaussian elimination.
+    A symmetric matrix has a Cholesky factor. If the matrix is not positive definite, the
+    equilibrium is unstable, and this factor and all solutions are NaN. Other matrices
+    have the two factors of Gaussian elimination.
 
     Args:
         scale: Reciprocal square roots of the diagonal.
@@ -29,7 +29,7 @@ class Factors(NamedTuple):
 
     @classmethod
     def of(cls, matrix: Float[Array, "n n"], symmetric: bool) -> "Factors":
-        """Factor a matrix."""
+        """Factorize a matrix."""
         scale = diagonal_scale(jnp.diagonal(matrix))
         return cls.of_scaled(scale[:, None] * matrix * scale[None], symmetric, scale)
 
@@ -37,7 +37,7 @@ class Factors(NamedTuple):
     def of_scaled(
         cls, matrix: Float[Array, "n n"], symmetric: bool, scale: Float[Array, " n"]
     ) -> "Factors":
-        """Factor a matrix that is scaled already, by `scale`."""
+        """Factorize a matrix that has been scaled by `scale`."""
         if symmetric:
             return cls(scale, jnp.linalg.cholesky(matrix, symmetrize_input=False), None)
         return cls(scale, *jax.scipy.linalg.lu_factor(matrix))
@@ -52,14 +52,14 @@ class Factors(NamedTuple):
             return jax.scipy.linalg.cho_solve((self.triangle, True), right)
         return jax.scipy.linalg.lu_solve((self.triangle, self.pivots), right)
 
-    def resists(self) -> Bool[Array, ""]:
+    def is_stable(self) -> Bool[Array, ""]:
         """Decide whether the stiffness resists every displacement.
 
-        A resistance that may consist of rounding errors does not count. With follower
-        loads, only the sign of the determinant is tested. It changes where the first
-        displacement is no longer resisted.
+        A resistance that may be a rounding error does not count. With follower loads,
+        only the sign of the determinant is tested. It changes when the stiffness against
+        one displacement becomes zero.
         """
-        return factors_resist(self.triangle, self.pivots)
+        return is_stable(self.triangle, self.pivots)
 
 
 def diagonal_scale(diagonal: Float[Array, "*blocks n"]) -> Float[Array, "*blocks n"]:
@@ -68,14 +68,12 @@ def diagonal_scale(diagonal: Float[Array, "*blocks n"]) -> Float[Array, "*blocks
     return jnp.where(size > 0, size, 1.0) ** -0.5
 
 
-def factors_resist(
+def is_stable(
     triangle: Float[Array, "*blocks n n"], pivots: Int[Array, "*blocks n"] | None
 ) -> Bool[Array, ""]:
-    """Decide whether a matrix resists every displacement; see `Factors.resists`.
+    """Decide whether a matrix, or all blocks of one, resist every displacement.
 
-    Args:
-        triangle: Factors of the matrix, or of all blocks on its diagonal.
-        pivots: Rows that Gaussian elimination exchanged; None for Cholesky factors.
+    See `Factors` for the arguments, and `Factors.is_stable` for the criterion.
     """
     diagonal = jnp.diagonal(triangle, axis1=-2, axis2=-1)
     if pivots is None:
@@ -92,15 +90,10 @@ def null_space(
 ) -> tuple[Float[Array, "n entries"], Float[Array, "n allowed"]]:
     """Compute the pseudo-inverse of a constraint Jacobian and a basis of its null space.
 
-    Both are differentiable. The derivative of the basis follows from a projection: the
+    The rows of the Jacobian must be linearly independent. The basis is orthonormal. Both
+    results are differentiable. The derivative of the basis follows from a projection: the
     basis at one point is projected onto the null space at a point nearby, and made
     orthonormal there.
-
-    Args:
-        jacobian: A matrix with linearly independent rows.
-
-    Returns:
-        The pseudo-inverse, and the orthonormal basis in columns.
     """
     entries = len(jacobian)
     rotation, _ = jnp.linalg.qr(jax.lax.stop_gradient(jacobian).T, mode="complete")
@@ -144,14 +137,7 @@ class ConstrainedFactors(NamedTuple):
         units: Float[Array, " n"],
         symmetric: bool,
     ) -> "ConstrainedFactors":
-        """Factor a stiffness with a constraint Jacobian.
-
-        Args:
-            stiffness: The stiffness; N m/rad, N/rad, N/m.
-            jacobian: Derivatives of the constraint violations by displacements.
-            units: Unit of each degree of freedom; rad, m.
-            symmetric: Whether the stiffness is symmetric.
-        """
+        """Factorize a stiffness (N m/rad, N/rad, N/m) with a constraint Jacobian."""
         scaled = units[:, None] * stiffness * units[None]
         pseudo_inverse, basis = null_space(jacobian * units[None])
         reduced = Factors.of(basis.T @ scaled @ basis, symmetric)
@@ -164,9 +150,9 @@ class ConstrainedFactors(NamedTuple):
         displacement = self.pseudo_inverse @ violation
         imbalance = self.basis.T @ (force - self.stiffness @ displacement)
         displacement = displacement + self.basis @ self.reduced.solve(imbalance)
-        push = self.pseudo_inverse.T @ (force - self.stiffness @ displacement)
-        return jnp.concatenate([self.units * displacement, push])
+        multipliers = self.pseudo_inverse.T @ (force - self.stiffness @ displacement)
+        return jnp.concatenate([self.units * displacement, multipliers])
 
-    def resists(self) -> Bool[Array, ""]:
+    def is_stable(self) -> Bool[Array, ""]:
         """Decide whether the stiffness resists allowed displacements; see `Factors`."""
-        return self.reduced.resists() & jnp.all(jnp.isfinite(self.pseudo_inverse))
+        return self.reduced.is_stable() & jnp.all(jnp.isfinite(self.pseudo_inverse))

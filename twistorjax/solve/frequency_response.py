@@ -5,15 +5,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Complex, Float
 
-from .._utils.types import (
-    Amplitudes,
-    EntryAmplitudes,
-    Frequencies,
-    FrequenciesLike,
-    Poses,
-)
+from .._utils.types import FrequenciesLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
@@ -21,13 +15,14 @@ from ..mechanism.mechanism import Mechanism
 from .consistency import independent
 from .dofs import DofPartition
 from .factorization import null_space
-from .results import BodySolution, raise_failed, RESULTS
+from .results import BodySolution, RESULTS, succeeded_or_raise
 from .statics import state_in_range, StateLike
 from .system import System
 from .tables import Column, Columns
 
 
-_LARGEST_CONDITION = 1e13  # of the dynamic stiffness; beyond, it is a resonance
+# A frequency is a resonance if the condition number of the dynamic stiffness is larger.
+_LARGEST_CONDITION = 1e13
 
 
 class FrequencyResponse(BodySolution):
@@ -38,20 +33,22 @@ class FrequencyResponse(BodySolution):
 
     Args:
         frequencies: Frequencies of the excitation; Hz.
-        displacements: Amplitude of each body about the equilibrium; rad, m, m.
-        reactions: Amplitude of the external wrench on fixed and prescribed coordinates;
-            N m, N, N.
-        constraint_forces: Amplitude of the constraint force of each entry; N m, N.
+        displacements: Amplitude of the displacement of each body from the equilibrium;
+            rad, m, m.
+        reactions: Amplitude of the external wrench on the fixed and prescribed degrees of
+            freedom of each body; N m, N, N.
+        constraint_forces: Amplitude of the constraint forces, one for each scalar
+            equation of the constraints; N m, N.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
-        constraint_names: Name of the constraint of each constraint entry.
+        constraint_names: Name of the constraint to which each scalar equation belongs.
     """
 
-    frequencies: Frequencies
-    displacements: Amplitudes
-    reactions: Amplitudes
-    constraint_forces: EntryAmplitudes
+    frequencies: Float[Array, " frequencies"]
+    displacements: Complex[Array, "frequencies bodies 3"]
+    reactions: Complex[Array, "frequencies bodies 3"]
+    constraint_forces: Complex[Array, "frequencies entries"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
@@ -72,28 +69,30 @@ def frequency_response(
     constraints: Sequence[AbstractConstraint] = (),
     throw: bool = True,
 ) -> FrequencyResponse:
-    """Compute the response of a mechanism to small harmonic loads and drives.
+    """Compute the response to small harmonic loads and prescribed displacements.
 
     Args:
         mechanism: The mechanism. Bodies that can move need mass and inertia; hinges may
             be damped.
         frequencies: Frequencies of the excitation; Hz.
-        loads: Amplitudes of the loads.
-        drives: Amplitudes of the prescribed displacements.
+        loads: Amplitudes of the loads; N m, N, N.
+        drives: Amplitudes of the prescribed displacements; rad, m, m.
         about: Equilibrium about which the mechanism vibrates, or its poses; by default
             the reference configuration; rad, m, m.
-        static_loads: Loads that act at this equilibrium. They add to the stiffness.
+        static_loads: Constant loads that act at this equilibrium. They contribute to the
+            tangent stiffness.
         constraints: Pins, sliders, and other constraints between the bodies.
         throw: Whether a failure raises an error; otherwise it is reported by `result`.
 
     Returns:
-        The complex amplitudes.
+        The complex amplitudes of displacements, reactions, and constraint forces, one row
+        for each frequency.
 
     Raises:
-        ValueError: Double precision is off, a name is unknown, a coordinate is prescribed
-            twice or is fixed, or a body that moves has no mass.
-        RuntimeError: A frequency is a resonance without damping, or a value is not
-            finite.
+        ValueError: Double precision is disabled, a name is unknown, a coordinate is
+            prescribed twice or is fixed, or a body that moves has no mass.
+        RuntimeError: A frequency is a resonance without damping, the constraints are not
+            independent, or a value is not finite.
 
     Example:
         >>> from twistorjax import Body, Hinge, Quadratic
@@ -110,8 +109,8 @@ def frequency_response(
     values = jnp.asarray(frequencies, float)
     if values.ndim != 1:
         raise ValueError(
-            f"`frequencies` has shape {values.shape}, but must be a row of them: "
-            "[100.0], or jnp.linspace(0, 100, 11)."
+            f"`frequencies` has shape {values.shape}, but must be a list or a "
+            "one-dimensional array, such as [100.0] or jnp.linspace(0, 100, 11)."
         )
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
@@ -129,11 +128,11 @@ def frequency_response(
         del name, batch_index
         return RuntimeError(
             "At some frequency the response is not finite: there is a resonance without "
-            "damping, the constraints repeat one another, or a value of the mechanism is "
-            "not finite. Give the hinges `damping`, or leave the frequency out."
+            "damping, the constraints are redundant, or a value of the mechanism is not "
+            "finite. Give the hinges `damping`, or leave out the frequency."
         )
 
-    return raise_failed(response, error) if throw else response
+    return succeeded_or_raise(response, error) if throw else response
 
 
 @eqx.filter_jit
@@ -147,9 +146,10 @@ def _frequency_response(
 ) -> FrequencyResponse:
     """Solve the harmonic equations; see `frequency_response`."""
     dofs, free = system.dofs, system.free
-    every = tuple(range(dofs.total))
-    still = jnp.zeros_like(displacements)
-    damping = system.hinges.tangent_in_motion(displacements, still, every).damping
+    all_dofs = tuple(range(dofs.total))
+    no_velocities = jnp.zeros_like(displacements)
+    tangent = system.hinges.tangent_in_motion(displacements, no_velocities, all_dofs)
+    damping = tangent.damping
     stiffness, jacobian = system.whole_stiffness(displacements)
     inertia = mechanism.inertia().reshape(-1)
     inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
@@ -160,23 +160,23 @@ def _frequency_response(
     amplitudes = jnp.array(targets, float).astype(complex)
     prescribed = dofs.expand(jnp.zeros(len(free), complex), amplitudes).reshape(-1)
     jacobian = jacobian.astype(complex)
-    back, basis = jnp.zeros((len(free), 0), complex), None
+    pseudo_inverse, basis = jnp.zeros((len(free), 0), complex), None
     if system.constraints.size:
         units = system.free_units()
-        back, basis = null_space(jnp.real(jacobian[:, free]) * units[None])
-        back = (units[:, None] * back).astype(complex)
+        pseudo_inverse, basis = null_space(jnp.real(jacobian[:, free]) * units[None])
+        pseudo_inverse = (units[:, None] * pseudo_inverse).astype(complex)
         basis = (units[:, None] * basis).astype(complex)
         # Constraints transmit prescribed displacements to the free coordinates.
-        prescribed = prescribed.at[free].set(-back @ (jacobian @ prescribed))
+        prescribed = prescribed.at[free].set(-pseudo_inverse @ (jacobian @ prescribed))
 
-    def at(frequency: Array) -> tuple[Array, Array, Array]:
-        """Amplitudes, reactions, and constraint forces at one frequency; Hz."""
+    def amplitudes_at(frequency: Array) -> tuple[Array, Array, Array]:
+        """Compute displacements, reactions, and constraint forces at a frequency; Hz."""
         omega = 2 * jnp.pi * frequency
         real = stiffness - omega**2 * jnp.diag(inertia)
         matrix = jax.lax.complex(real, omega * damping)
         right = (force - matrix @ prescribed)[free]
         reduced = matrix[free[:, None], free]
-        # Each row and column is scaled by its own size, so that units do not matter.
+        # Rows and columns are scaled by their sizes, so that units do not matter.
         size = (
             jnp.diagonal(stiffness) + omega**2 * inertia + omega * jnp.diagonal(damping)
         )[free]
@@ -194,23 +194,20 @@ def _frequency_response(
             solved = basis @ solved
         amplitude = prescribed.at[free].add(solved)
         unbalanced = matrix @ amplitude - force
-        push = jnp.zeros(0, complex)
+        multipliers = jnp.zeros(0, complex)
         if basis is not None:
-            push = back.T @ unbalanced[free]
-            unbalanced = unbalanced - push @ jacobian
-        return (
-            amplitude.reshape(still.shape),
-            dofs.reactions(unbalanced - push @ jacobian),
-            push,
-        )
+            multipliers = pseudo_inverse.T @ unbalanced[free]
+            unbalanced = unbalanced - multipliers @ jacobian
+        amplitude = amplitude.reshape(displacements.shape)
+        return amplitude, dofs.reactions(unbalanced), multipliers
 
-    amplitudes, reactions, push = jax.vmap(at)(frequencies)
+    amplitudes, reactions, multipliers = jax.vmap(amplitudes_at)(frequencies)
     valid = jnp.all(jnp.isfinite(amplitudes)) & independent(system, displacements)
     return FrequencyResponse(
         frequencies=frequencies,
         displacements=amplitudes,
         reactions=reactions,
-        constraint_forces=push,
+        constraint_forces=multipliers,
         result=RESULTS.where(valid, RESULTS.successful, RESULTS.not_finite),
         names=mechanism.names,
         constraint_names=system.constraints.names(),

@@ -1,6 +1,6 @@
 """Initial state of a motion, and the checks that it can start."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -22,16 +22,13 @@ from .results import RESULTS
 from .small_matrices import inverse
 
 
-# Velocities across the constraints up to this share of all velocities are rounding
-# errors.
-_ACROSS = 1e-6
+# Velocities that violate the constraints are rounding errors if they are at most this
+# fraction of all velocities.
+_LARGEST_VELOCITY_VIOLATION = 1e-6
 
 
 def check_times(given: NumbersLike) -> Float[Array, " times"]:
-    """Convert the times of a motion to an array and check that they increase.
-
-    Args:
-        given: Times; s.
+    """Convert the times of a motion (s) to an array.
 
     Raises:
         ValueError: There are fewer than two, they do not increase, or one is not finite.
@@ -39,19 +36,17 @@ def check_times(given: NumbersLike) -> Float[Array, " times"]:
     times = jnp.asarray(given, float)
     if times.ndim != 1 or len(times) < 2:
         raise ValueError(
-            f"`times` has shape {times.shape}, but must be a row of at least two times: "
-            "when the motion starts, and when it ends."
+            f"`times` has shape {times.shape}, but must be a list of at least two times, "
+            "the start and the end of the motion."
         )
     check_finite("times", times)
     values = concrete(times)
-    if values is not None:
-        late = np.flatnonzero(np.diff(values) <= 0)
-        if late.size:
-            k = int(late[0])
-            raise ValueError(
-                f"`times` must increase, but `times[{k + 1}]` = {values[k + 1]:g} comes "
-                f"after `times[{k}]` = {values[k]:g}."
-            )
+    if values is not None and (late := np.flatnonzero(np.diff(values) <= 0)).size:
+        k = int(late[0])
+        raise ValueError(
+            f"`times` must increase, but `times[{k + 1}]` = {values[k + 1]:g} comes "
+            f"after `times[{k}]` = {values[k]:g}."
+        )
     return times
 
 
@@ -64,27 +59,20 @@ def check_finite(name: str, array: Array) -> None:
 
 @contextmanager
 def explain_compilation(time: Array, **functions: Any) -> Iterator[None]:
-    """Name the function of time that JAX cannot compile, if there is one.
+    """Raise a ValueError with the name of a function of time that JAX cannot compile.
 
-    Args:
-        time: A time at which the functions are tried; s.
-        functions: Functions of time by the names of their arguments.
+    `functions` are tried at a time (s); values that are not functions are ignored.
     """
     try:
         yield
     except jax.errors.JAXTypeError:
         for name, function in functions.items():
             if callable(function):
-                _check_compilable(name, function, time)
+                try:
+                    eqx.filter_eval_shape(function, time)
+                except jax.errors.JAXTypeError as error:
+                    raise compilation_error(name, "about the time", error) from error
         raise
-
-
-def _check_compilable(name: str, function: Callable, time: Array) -> None:
-    """Raise a ValueError if JAX cannot trace a function of time."""
-    try:
-        eqx.filter_eval_shape(function, time)
-    except jax.errors.JAXTypeError as error:
-        raise compilation_error(name, "about the time", error) from error
 
 
 def check_settings(
@@ -104,26 +92,20 @@ def check_velocities(
     given: Mapping[str, VelocityLike] | None,
     free: tuple[int, ...],
 ) -> Poses | None:
-    """Arrange the initial velocities of named bodies; zero for the others.
+    """Arrange the initial velocities of named bodies (rad/s, m/s, m/s) in rows.
 
-    Args:
-        mechanism: The mechanism.
-        given: Velocity (angle, x, y) of some bodies by name; rad/s, m/s, m/s.
-        free: Free degrees of freedom; only they can have a velocity.
-
-    Returns:
-        The velocities of all bodies, or None if none is given; rad/s, m/s, m/s.
+    They are zero for the other bodies. If none are `given`, the result is None.
 
     Raises:
-        ValueError: It is no mapping, a name is unknown, or a velocity is given to a fixed
-            or prescribed coordinate.
+        ValueError: `given` is not a mapping, a name is unknown, or a velocity is given to
+            a coordinate that is not free.
     """
     if given is None:
         return None
     if not isinstance(given, Mapping):
         raise ValueError(
             f"`velocities` is {given!r}, but must be a mapping from names of bodies to "
-            '(angular velocity, x, y): {"link": (0, 1, 0)}.'
+            'velocities (angle, x, y), such as {"link": (0, 1, 0)}.'
         )
     rows = [jnp.zeros(3)] * len(mechanism.names)
     for name, velocity in given.items():
@@ -135,8 +117,8 @@ def check_velocities(
             dof = 3 * body + k
             if dof not in free and values is not None and values[k] != 0:
                 raise ValueError(
-                    f"{where} moves the {mechanism.coordinate(dof)}, but that is fixed "
-                    "or prescribed, which determines its velocity."
+                    f"{where} has a velocity for the {mechanism.dof_name(dof)}, but this "
+                    "coordinate is fixed or prescribed, which determines its velocity."
                 )
     return jnp.stack(rows)
 
@@ -144,8 +126,8 @@ def check_velocities(
 class InitialValueProblem(NamedTuple):
     """The initial value problem of a motion.
 
-    If the motion cannot start, the state is zero and the times are equal, so no solver
-    takes a step, and the other motions of a batch are not delayed.
+    If the motion cannot start, the state and the times are zero, so the solver takes no
+    step, and the other motions of a batch are not delayed.
 
     Args:
         system: Equations of motion.
@@ -180,20 +162,9 @@ def initial_value_problem(
 ) -> InitialValueProblem:
     """Set up the equations of a motion and check that it can start.
 
-    Args:
-        mechanism: The mechanism.
-        times: Times at which the motion is reported; s.
-        loads: Loads on its bodies, or a function of time.
-        drives: Prescribed displacements, or a function of time.
-        constraints: Its constraints.
-        start: Displacements at the start; rad, m, m.
-        velocities: Velocities at the start, if they are given; rad/s, m/s, m/s.
-        energies: Whether work and dissipation are integrated.
-        dofs: Partition of the degrees of freedom.
-        tolerance: Tolerance on the error of a step.
-        step: Length of all steps, if it is constant; s.
-        check_accelerations: Whether the accelerations at the start are checked here,
-            because the solver does not do it.
+    The arguments are those of `simulate`, converted to arrays: `start` has displacements
+    (rad, m, m), and `velocities` a row for each body (rad/s, m/s, m/s). The accelerations
+    at the start are checked only on request, because some solvers check them as well.
     """
     inertia = mechanism.inertia().reshape(-1)
     system = MotionSystem(
@@ -236,7 +207,7 @@ def initial_value_problem(
     values = [targets, position, rate]
     if check_accelerations:
         values.append(system.instant(times[0], position, rate).acceleration)
-    # Drives and constraints may bring in values that are not finite.
+    # Prescribed motions and constraints may have values that are not finite.
     checks.append((_all_finite(*values), RESULTS.not_finite))
     result = RESULTS.successful
     for passed, item in reversed(checks):
@@ -257,26 +228,20 @@ def initial_value_problem(
 def _scales(
     system: MotionSystem, start: Poses, duration: Array
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Compute the scales by which errors and the first step are measured.
+    """Compute a length (m) and two times (s) that scale errors and the first step.
 
-    Args:
-        system: Equations of motion.
-        start: Displacements at the start; rad, m, m.
-        duration: Duration of the motion; s.
-
-    Returns:
-        A length: root mean square distance of the hinges from the origins of bodies that
-        move, or, if these are zero, the square root of rotational over translational
-        stiffness; m.
-        Estimates of the periods of the slowest and of the fastest vibration, over two pi,
-        by the sums of the squares of all periods and of all frequencies; s.
+    The length is the root mean square distance of the hinges from the origins of bodies
+    that move. If this is zero, it is the square root of rotational over translational
+    stiffness. The times are estimates of the periods of the slowest and of the fastest
+    vibration, divided by two pi. They follow from the sums of the squares of all periods
+    and of all frequencies, and are limited by the `duration` of the motion (s).
     """
     system, start, duration = stop_gradient((system, start, duration))
-    # The function of the tangent of a step, so that it is traced once.
+    # The steps of the solver call the same function, so that it is traced once.
     hinges, mass = system.mechanism.hinge_assembly, system.mass
     stretches = hinges.stretches(start)
-    still = jnp.zeros_like(start)
-    tangent = hinges.tangent_in_motion(start, still, system.dofs.free, stretches)
+    no_velocities = jnp.zeros_like(start)
+    tangent = hinges.tangent_in_motion(start, no_velocities, system.dofs.free, stretches)
     diagonal = jnp.diagonal(tangent.stiffness)
     rotations = system.free % 3 == 0
     rotational, translational = (
@@ -284,11 +249,11 @@ def _scales(
     )
     lever = hinges.lever(system.dofs.free)
     ratio = jnp.sqrt(rotational / translational)
-    # A lever that consists of rounding errors is not used.
+    # A distance that consists of rounding errors is not used.
     length = jnp.where(jnp.isfinite(ratio) & (lever <= 1e-9 * ratio), ratio, lever)
     slowest = jnp.sum(jnp.diagonal(inverse(tangent.stiffness)) * mass)
     fastest = jnp.sum(diagonal / mass)
-    # Without stiffness there is no period but the duration of the motion.
+    # Without stiffness there is no period, and the duration replaces it.
     limited = (slowest > 0) & (slowest < duration**2)
     slowest = jnp.where(limited, slowest, duration**2)
     fastest = jnp.where(fastest > 1 / duration**2, fastest, 1 / duration**2)
@@ -307,7 +272,7 @@ def _all_finite(*values: Array) -> Flag:
 
 def _supplies_energy(mechanism: Mechanism) -> Flag:
     """Decide whether a damping matrix has a negative eigenvalue, by its minors."""
-    wrong = jnp.zeros((), bool)
+    negative = jnp.zeros((), bool)
     for group in mechanism.hinge_assembly.groups:
         if group.damping is not None:
             matrix = jax.lax.stop_gradient(group.damping.damping).reshape(-1, 3, 3)
@@ -317,9 +282,9 @@ def _supplies_energy(mechanism: Mechanism) -> Flag:
             a, b, c = scaled[:, 0, 1], scaled[:, 0, 2], scaled[:, 1, 2]
             x, y, z = jnp.diagonal(scaled, axis1=1, axis2=2).T
             minors = [x, y, z, x * y - a * a, x * z - b * b, y * z - c * c]
-            whole = x * y * z + 2 * a * b * c - x * c * c - y * b * b - z * a * a
-            wrong |= jnp.any(jnp.stack([*minors, whole]) < -1e-9)
-    return wrong
+            determinant = x * y * z + 2 * a * b * c - x * c * c - y * b * b - z * a * a
+            negative |= jnp.any(jnp.stack([*minors, determinant]) < -1e-9)
+    return negative
 
 
 def _consistent(
@@ -327,32 +292,26 @@ def _consistent(
 ) -> tuple[Flag, Array, Array]:
     """Check the initial state against the constraints, and project it onto them.
 
-    Each violation is divided by its largest change when the mechanism moves by one of its
-    own lengths or rotates by 1 rad, so that no unit matters. Velocities that are given
-    must satisfy the constraints; others are projected.
-
-    Args:
-        system: Equations of motion.
-        time: Time at the start; s.
-        position: Displacements of the free degrees of freedom; rad, m.
-        rate: Their rates; rad/s, m/s.
-        given: Whether the velocities were given.
+    Each violation is divided by the norm of its derivatives, for displacements that are
+    divided by a length of the mechanism, so that units do not matter. Velocities that are
+    `given` must satisfy the constraints; others are projected.
 
     Returns:
-        Whether the state is consistent; the projected displacements; and the projected
-        rates.
+        Whether the state is consistent; the projected displacements (rad, m); and the
+        projected rates (rad/s, m/s).
     """
     jacobian = system.jacobian(time, position)
     violation = system.violation(time, position)
-    nearest, allowed = system.project(time, position, rate)
+    projected_position, projected_rate = system.project(time, position, rate)
     unit = jnp.where(system.free % 3 == 0, 1.0, system.length)
     scaled = jacobian * unit[None]
     size = jnp.linalg.norm(scaled, axis=1)
     consistent = independent_rows(scaled)
     consistent &= jnp.max(jnp.abs(violation) / size) <= EXACT
     if given:
-        across = jnp.linalg.norm((allowed - rate) / unit)
-        consistent &= across <= _ACROSS * jnp.linalg.norm(rate / unit)
-    # Values that are not finite are reported as such.
+        error = jnp.linalg.norm((projected_rate - rate) / unit)
+        largest = _LARGEST_VELOCITY_VIOLATION * jnp.linalg.norm(rate / unit)
+        consistent &= error <= largest
+    # Values that are not finite are reported as `not_finite`.
     finite = jnp.all(jnp.isfinite(jacobian)) & jnp.all(jnp.isfinite(violation))
-    return consistent | ~finite, nearest, allowed
+    return consistent | ~finite, projected_position, projected_rate

@@ -1,22 +1,12 @@
-"""The motion of a mechanism in time, as a solution."""
+"""Motion of a mechanism, as the solution of a simulation."""
 
 import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
-from .._utils.types import (
-    BatchCount,
-    BatchEntryHistory,
-    BatchHistory,
-    BatchPoses,
-    BatchRowHistory,
-    BatchScalar,
-    BatchTimes,
-    NumberLike,
-    Numbers,
-    Poses,
-)
+from .._utils.types import BatchScalar, NumberLike, Numbers, Poses
 from .._utils.validation import all_concrete
 from .motion_system import MotionSystem
 from .results import count_results, PoseSolution, result_names, RESULTS
@@ -24,17 +14,18 @@ from .tables import Column, Columns, columns
 
 
 class Energies(eqx.Module):
-    """Energy balance of a motion; J.
+    """Energy balance of a motion, with one entry for each time; J.
 
-    Elastic and kinetic energy are those at the start plus the work of loads and drives
-    since then, minus the dissipated energy.
+    In an exact solution, the sum of elastic and kinetic energy is its initial value, plus
+    the work of loads and prescribed motions, minus the dissipated energy.
 
     Args:
         elastic: Energy stored in the hinges.
         kinetic: Kinetic energy of the bodies.
         dissipated: Energy dissipated in the hinges since the start.
         by_loads: Work of the loads since the start.
-        by_drives: Work of drives and of constraints that depend on time since the start.
+        by_drives: Work of prescribed motions and of time-dependent constraints since the
+            start.
     """
 
     elastic: Numbers
@@ -52,7 +43,7 @@ class Energies(eqx.Module):
 
 
 class Motion(PoseSolution):
-    """The motion of a mechanism.
+    """Motion of a mechanism.
 
     If a motion stopped before its end, the rows of later times are NaN.
 
@@ -61,43 +52,58 @@ class Motion(PoseSolution):
         displacements: Displacement of each body from its reference pose; rad, m, m.
         velocities: Velocity of each body, in world axes; rad/s, m/s, m/s.
         reference: Poses from which displacements are measured; rad, m, m.
-        reactions: External wrench on fixed and prescribed degrees of freedom; zero on
-            free ones. About the origin of each body, in world axes; N m, N, N.
-        constraint_forces: Constraint force of each constraint entry; N m, N.
+        reactions: External wrench on the fixed and prescribed degrees of freedom of each
+            body, about the origin of the body and in world axes; zero for free degrees
+            of freedom; N m, N, N.
+        constraint_forces: Constraint forces, one for each scalar equation of the
+            constraints; N m, N.
         energies: Energy balance; J.
         reached: Time up to which the motion was computed; s.
-        steps: Number of steps of the solver, rejected ones included.
+        steps: Number of steps of the solver, including the rejected ones.
         rejected: Number of rejected steps.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         solution: The solution that diffrax returned.
-        system: Equations of motion, if the motion is kept as a function of time.
+        system: Equations of motion with `SaveAt(dense=True)`; otherwise None.
         names: Names of the bodies.
-        constraint_names: Name of the constraint of each constraint entry.
+        constraint_names: Name of the constraint to which each scalar equation belongs.
     """
 
-    times: BatchTimes
-    displacements: BatchHistory
-    velocities: BatchHistory
-    reference: BatchPoses
-    reactions: BatchHistory
-    constraint_forces: BatchEntryHistory
+    times: Float[Array, "*batch times"]
+    displacements: Float[Array, "*batch times bodies 3"]
+    velocities: Float[Array, "*batch times bodies 3"]
+    reference: Float[Array, "*batch bodies 3"]
+    reactions: Float[Array, "*batch times bodies 3"]
+    constraint_forces: Float[Array, "*batch times entries"]
     energies: Energies
     reached: BatchScalar
-    steps: BatchCount
-    rejected: BatchCount
+    steps: Int[Array, "*batch"]
+    rejected: Int[Array, "*batch"]
     result: RESULTS
     solution: dfx.Solution
     system: MotionSystem | None
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
 
-    def velocity(self, body: str) -> BatchRowHistory:
-        """Return the velocity of a body; rad/s, m/s, m/s."""
+    def velocity(self, body: str) -> Float[Array, "*batch times 3"]:
+        """Return the velocity of a body.
+
+        Args:
+            body: Name of the body.
+
+        Returns:
+            Angular velocity, and velocity along x and y, one row for each time; rad/s,
+            m/s, m/s.
+
+        Raises:
+            ValueError: There is no body of this name.
+        """
         return self.velocities[..., self._row(body), :]
 
     def at(self, time: NumberLike) -> Poses:
-        """Compute the poses at any time, if the motion is kept as a function of time.
+        """Compute the poses at any time.
+
+        The motion must have been simulated with `saveat=diffrax.SaveAt(dense=True)`.
 
         Args:
             time: Time between the start and the end; s.
@@ -106,17 +112,17 @@ class Motion(PoseSolution):
             The poses of the bodies; rad, m, m.
 
         Raises:
-            ValueError: The motion is kept at its times only.
+            ValueError: The motion was simulated without this option.
         """
         if self.system is None:
             raise ValueError(
-                "This motion is kept at its times only. For poses at any time, use "
+                "This motion was saved at its times only. For poses at any time, use "
                 "`simulate(..., saveat=diffrax.SaveAt(dense=True))`."
             )
         instant = jnp.asarray(time, float)
         state = self.solution.evaluate(instant)
-        moved, _ = self.system.expand(instant, state.position, state.rate)
-        return self.reference + moved
+        displacements, _ = self.system.expand(instant, state.position, state.rate)
+        return self.reference + displacements
 
     def columns(self) -> Columns:
         velocity = (
@@ -124,20 +130,15 @@ class Motion(PoseSolution):
             ("velocity_x", "m/s"),
             ("velocity_y", "m/s"),
         )
-        rows = ("time", "body")
-        found = {
+        table = {
             "time": Column(self.times, ("time",), "s"),
             **self._body_columns("time"),
-            **columns(self.velocities, rows, *velocity, body=self.names),
+            **columns(self.velocities, ("time", "body"), *velocity, body=self.names),
         }
         for name in ("elastic", "kinetic", "dissipated", "by_loads", "by_drives"):
             energy = getattr(self.energies, name)
-            found[f"energy_{name}"] = Column(energy, ("time",), "J")
-        return {
-            **found,
-            "steps": Column(self.steps),
-            "rejected": Column(self.rejected),
-        }
+            table[f"energy_{name}"] = Column(energy, ("time",), "J")
+        return {**table, "steps": Column(self.steps), "rejected": Column(self.rejected)}
 
     def __repr__(self) -> str:
         names = result_names(self.result)
@@ -150,11 +151,11 @@ class Motion(PoseSolution):
         title = (
             f"{names}: {float(times[0]):g} to {float(self.reached):.6g} s in "
             f"{int(self.steps)} steps, {int(self.rejected)} rejected; "
-            f"{times.size} times kept"
+            f"{times.size} saved times"
         )
         if np.any(dissipated):
-            lost = np.nanmax(np.abs(self.energies.imbalance))
+            imbalance = np.nanmax(np.abs(self.energies.imbalance))
             stored = np.nanmax(self.energies.elastic + self.energies.kinetic)
-            title += f"\nenergy balance: {lost:.2g} J of {stored:.3g} J"
+            title += f"\nerror of the energy: {imbalance:.2g} J of {stored:.3g} J"
         largest = np.nanmax(np.abs(displacements), axis=0)
         return self._listed(title, "largest", largest)

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class StartOfMotion(NamedTuple):
-    """What a motion starts from, for messages about it.
+    """Start of a motion, with its checks and error messages.
 
     Args:
         mechanism: The mechanism.
         drives: Prescribed displacements, or a function of time that returns them.
-        constraints: Its constraints.
+        constraints: The constraints.
         displacements: Displacements at the start; rad, m, m.
         time: Time at the start; s.
         dofs: Partition of the degrees of freedom.
@@ -64,12 +64,9 @@ class StartOfMotion(NamedTuple):
     def error(
         self, motion: "Motion", name: str, batch_index: tuple[int, ...]
     ) -> Exception:
-        """Return the error of a motion that failed.
+        """Return the error of a failed motion from the name of its result.
 
-        Args:
-            motion: The motion.
-            name: Name of its result.
-            batch_index: Index of the failed motion in a batch.
+        `batch_index` is its index in a batch; empty for a single motion.
         """
         text = result_message(name)
         if batch_index:
@@ -88,7 +85,7 @@ class StartOfMotion(NamedTuple):
         return RuntimeError(f"{text} {_stop_message(motion, self.mechanism)}")
 
     def _jumps(self) -> list[tuple[int, float, float]] | None:
-        """Degree of freedom, jump, and target of each prescribed displacement."""
+        """List the degree of freedom, the jump, and the target of each drive; rad, m."""
         drives = self.drives(self.time) if callable(self.drives) else self.drives
         dofs, targets = prescribed_dofs(self.mechanism, cast(Sequence[Drive], drives))
         if all_concrete(targets) is None:
@@ -100,17 +97,17 @@ class StartOfMotion(NamedTuple):
         ]
 
     def _jump_message(self) -> str:
-        """Name the prescribed coordinates that jump, and by how much."""
+        """Describe the prescribed coordinates that would have to jump."""
         start = np.asarray(self.displacements).reshape(-1)
         return " ".join(
-            f"The {self.mechanism.coordinate(dof)} starts at {start[dof]:.6g}, but "
+            f"The {self.mechanism.dof_name(dof)} starts at {start[dof]:.6g}, but "
             f"{target:.6g} is prescribed."
             for dof, jump, target in self._jumps() or []
             if jump > 0
         )
 
     def _constraint_message(self) -> str:
-        """Name the constraints that are violated or redundant."""
+        """Describe the constraints that are violated or redundant."""
         return constraint_error(
             self.constraints, self.dofs, self.mechanism, self.displacements, self.time
         )
@@ -121,7 +118,7 @@ def _not_finite_message(mechanism: Mechanism) -> str:
     for row, name in enumerate(mechanism.hinge_names):
         values = jax.tree.leaves(mechanism.hinge_assembly.energy_of(row))
         if not all(np.all(np.isfinite(value)) for value in values):
-            return f" It is in the energy of the hinge {name!r}."
+            return f" The value is in the energy of the hinge {name!r}."
     for body, name in enumerate(mechanism.names):
         values = (
             mechanism.reference[body],
@@ -129,13 +126,14 @@ def _not_finite_message(mechanism: Mechanism) -> str:
             mechanism.inertias[body],
         )
         if not all(np.all(np.isfinite(v)) for v in values if v is not None):
-            return f" It is in the body {name!r}."
+            return f" The value is in the body {name!r}."
     return ""
 
 
 def _stop_message(motion: "Motion", mechanism: Mechanism) -> str:
-    """Say when a motion stopped, which body was fastest and which hinge stored most."""
-    text = f"It reached t = {float(motion.reached):.6g} s in {int(motion.steps)} steps."
+    """Describe the end of a motion, its fastest body, and the hinge with most energy."""
+    reached, steps = float(motion.reached), int(motion.steps)
+    text = f"The motion reached t = {reached:.6g} s in {steps} steps."
     kept = np.flatnonzero(np.isfinite(np.asarray(motion.times)))
     if not kept.size or kept[-1] == 0:
         return text

@@ -16,7 +16,7 @@ from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_do
 from ..mechanism.mechanism import Mechanism
 from .dofs import DofPartition
 from .small_matrices import inverse
-from .tangents import add_load_stiffness
+from .tangent_stiffness import add_load_stiffness
 
 
 class State(NamedTuple):
@@ -25,7 +25,8 @@ class State(NamedTuple):
     Args:
         position: Displacements of the free degrees of freedom; rad, m.
         rate: Their rates; rad/s, m/s.
-        work: Dissipated energy and work of loads and drives, or no entry; J.
+        work: Dissipated energy, work of loads, and work of prescribed motions; empty if
+            they are not computed; J.
     """
 
     position: Float[Array, " free"]
@@ -48,21 +49,23 @@ class Forces(NamedTuple):
     violation: Entries
 
 
-class Slopes(NamedTuple):
-    """Derivatives of `Forces` by the free degrees of freedom.
+class MotionTangent(NamedTuple):
+    """Derivatives of `Forces` with respect to the free degrees of freedom.
 
     Args:
-        stiffness: Negative derivative of the net forces by displacements.
-        damping: Negative derivative of the net forces by rates.
-        stretching: Derivative of the mid-frame translations by displacements.
-        bearing: Derivative of the resisting forces by the mid-frame translations.
-        jacobian: Derivative of the violations by displacements.
+        stiffness: Negative derivative of the net forces with respect to displacements;
+            N m/rad, N/rad, N/m.
+        damping: Negative derivative of the net forces with respect to rates.
+        stretch_by_displacement: Derivative of the mid-frame translations.
+        force_by_stretch: Negative derivative of the net forces with respect to these
+            translations.
+        jacobian: Derivative of the violations with respect to displacements.
     """
 
     stiffness: Float[Array, "free free"]
     damping: Float[Array, "free free"]
-    stretching: Float[Array, "free stretches"]
-    bearing: Float[Array, "free stretches"]
+    stretch_by_displacement: Float[Array, "free stretches"]
+    force_by_stretch: Float[Array, "free stretches"]
     jacobian: Float[Array, "entries free"]
 
 
@@ -70,32 +73,35 @@ class Instant(NamedTuple):
     """Accelerations, forces, and powers at an instant.
 
     Args:
-        acceleration: Acceleration of the free degrees of freedom; rad/s2, m/s2.
-        push: Constraint force of each entry; N m, N.
+        acceleration: Acceleration of the free degrees of freedom; rad/s^2, m/s^2.
+        multipliers: Constraint forces; N m, N.
         reactions: External wrench on fixed and prescribed degrees of freedom; N m, N, N.
-        powers: Dissipated power, power of the loads, power of drives and constraints; W.
+        powers: Dissipated power, power of the loads, and power of prescribed motions and
+            time-dependent constraints; W.
     """
 
     acceleration: Float[Array, " free"]
-    push: Entries
+    multipliers: Entries
     reactions: Wrenches
     powers: Float[Array, "3"]
 
 
 class MotionSystem(eqx.Module):
-    """The equations of motion of a mechanism.
+    """Equations of motion of a mechanism.
 
-    It is the `args` of diffrax's solve, and `equation` is the term.
+    They are the `args` of `diffrax.diffeqsolve`, and `equation` is its term.
 
     Args:
         mechanism: The mechanism.
         loads: Loads on its bodies, or a function of time that returns them.
         drives: Prescribed displacements, or a function of time that returns them.
         constraints: Its constraints.
-        inertia: Inertia of each degree of freedom, zero where it is fixed; kg m2, kg, kg.
+        inertia: Inertia of each degree of freedom, zero for fixed bodies; kg m^2, kg, kg.
         length: Length of the mechanism by which displacements are scaled; m.
-        period: Period of its slowest motion over two pi, by which rates are scaled; s.
-        start: Displacements at the start, which fixed degrees of freedom keep; rad, m.
+        period: Period of its slowest vibration, divided by two pi, by which rates are
+            scaled; s.
+        start: Displacements at the start, which are those of the fixed degrees of freedom
+            at any time; rad, m, m.
         dofs: Partition of the degrees of freedom.
     """
 
@@ -116,11 +122,11 @@ class MotionSystem(eqx.Module):
 
     @property
     def mass(self) -> Float[Array, " free"]:
-        """Inertia of each free degree of freedom; kg m2, kg."""
+        """Inertia of each free degree of freedom; kg m^2, kg."""
         return self.inertia[self.free]
 
     def norm(self, error: State) -> Scalar:
-        """Compute the root mean square of an error; translations and rates are scaled."""
+        """Compute the root mean square of an error with scaled translations and rates."""
         unit = jnp.where(self.free % 3 == 0, 1.0, self.length)
         position, rate = error.position / unit, error.rate * self.period / unit
         squares = jnp.sum(position**2) + jnp.sum(rate**2)
@@ -137,7 +143,7 @@ class MotionSystem(eqx.Module):
         return jnp.array(targets, float)
 
     def prescribed(self, time: Scalar) -> tuple[Array, Array, Array]:
-        """Compute prescribed displacements, their velocities, and their accelerations."""
+        """Compute prescribed displacements, velocities, and accelerations."""
         if not callable(self.drives) or not self.dofs.prescribed:
             targets = self.targets(time)
             return targets, jnp.zeros_like(targets), jnp.zeros_like(targets)
@@ -150,7 +156,7 @@ class MotionSystem(eqx.Module):
         return targets, rates, accelerations
 
     def expand(self, time: Scalar, position: Array, rate: Array) -> tuple[Poses, Poses]:
-        """Compute displacements and velocities of all bodies at a time."""
+        """Compute displacements and velocities of all bodies; rad, m, m, per second."""
         targets, rates, _ = self.prescribed(time)
         return self._displacements(position, targets), self.dofs.expand(rate, rates)
 
@@ -160,33 +166,33 @@ class MotionSystem(eqx.Module):
         position: Array,
         rate: Array,
         stretches: Array | None = None,
-        push: Array | None = None,
+        multipliers: Array | None = None,
     ) -> Forces:
         """Compute the forces on the free degrees of freedom.
 
-        Args:
-            time: Time; s.
-            position: Displacements of the free degrees of freedom; rad, m.
-            rate: Their rates; rad/s, m/s.
-            stretches: Mid-frame translations for which the forces of the hinges are
-                computed; by default their own; m.
-            push: Constraint force of each entry; by default none; N m, N.
+        The forces of the hinges are computed for given mid-frame translations, the
+        `stretches` (m), by default those of the position.
         """
         displacements, rates = self.expand(time, position, rate)
-        given = None if stretches is None else stretches.reshape(-1, 2)
+        stretches = None if stretches is None else stretches.reshape(-1, 2)
         resisting, excess, _ = self.mechanism.hinge_assembly.forces_in_motion(
-            displacements, rates, given
+            displacements, rates, stretches
         )
         applied, _ = self.load_set(time).apply(displacements)
         net = (applied - resisting).reshape(-1)[self.free]
         violation, pull_back = jax.vjp(lambda at: self.violation(time, at), position)
-        if push is not None and push.size:
-            net = net + pull_back(push)[0]
+        if multipliers is not None and multipliers.size:
+            net = net + pull_back(multipliers)[0]
         return Forces(net, excess.reshape(-1), violation)
 
-    def slopes(
-        self, time: Scalar, position: Array, rate: Array, stretches: Array, push: Array
-    ) -> Slopes:
+    def tangent(
+        self,
+        time: Scalar,
+        position: Array,
+        rate: Array,
+        stretches: Array,
+        multipliers: Array,
+    ) -> MotionTangent:
         """Compute the derivatives of the `forces`, for the same arguments."""
         displacements, rates = self.expand(time, position, rate)
         free = self.dofs.free
@@ -198,10 +204,18 @@ class MotionSystem(eqx.Module):
         stiffness = add_load_stiffness(
             tangent.stiffness, by_angle.reshape(-1), loads.bodies, free, free
         )
-        if push.size:
-            geometric = self.constraints.geometric_stiffness(displacements, time, push)
+        if multipliers.size:
+            geometric = self.constraints.geometric_stiffness(
+                displacements, time, multipliers
+            )
             stiffness = stiffness + geometric[self.free[:, None], self.free]
-        return Slopes(stiffness, *tangent[1:], self.jacobian(time, position))
+        return MotionTangent(
+            stiffness=stiffness,
+            damping=tangent.damping,
+            stretch_by_displacement=tangent.stretch_by_displacement,
+            force_by_stretch=tangent.force_by_stretch,
+            jacobian=self.jacobian(time, position),
+        )
 
     @eqx.filter_jit  # traced once for the start, the steps, and the output
     def instant(self, time: Scalar, position: Array, rate: Array) -> Instant:
@@ -212,23 +226,25 @@ class MotionSystem(eqx.Module):
         )
         applied, _ = self.load_set(time).apply(displacements)
         net = (applied - resisting).reshape(-1)
-        push, constraint, power = jnp.zeros(0), jnp.zeros_like(net), jnp.zeros(())
+        multipliers, constraint, power = jnp.zeros(0), jnp.zeros_like(net), jnp.zeros(())
         if self.constraints.size:
-            push, constraint, power = self._push(time, position, rate, displacements, net)
+            multipliers, constraint, power = self._multipliers(
+                time, position, rate, displacements, net
+            )
         acceleration = (net + constraint)[self.free] / self.mass
         _, _, prescribed = self.prescribed(time)
         total = self.inertia * self.dofs.expand(acceleration, prescribed).reshape(-1)
         reactions = self.dofs.reactions(total - net - constraint)
         by_drives = jnp.vdot(reactions, rates) - power
         powers = jnp.stack([dissipated, jnp.vdot(applied, rates), by_drives])
-        return Instant(acceleration, push, reactions, powers)
+        return Instant(acceleration, multipliers, reactions, powers)
 
-    def _push(
+    def _multipliers(
         self, time: Scalar, position: Array, rate: Array, displacements: Poses, net: Array
     ) -> tuple[Array, Array, Scalar]:
-        """Compute constraint forces, their generalized forces, and their power.
+        """Compute constraint forces, generalized forces (N m, N), and their power (W).
 
-        The power is that of constraints which depend on time, as drives do; W.
+        Only time-dependent constraints have a power.
         """
         one = jnp.ones_like(time)
 
@@ -238,12 +254,12 @@ class MotionSystem(eqx.Module):
         _, bias = jax.jvp(violation_rate, (time, position), (one, rate))
         jacobian = self.jacobian(time, position)
         light = jacobian / self.mass[None]
-        push = inverse(light @ jacobian.T) @ (-bias - light @ net[self.free])
-        forces = self.constraints.forces(displacements, time, push)
+        multipliers = inverse(light @ jacobian.T) @ (-bias - light @ net[self.free])
+        forces = self.constraints.forces(displacements, time, multipliers)
         _, by_time = jax.jvp(
             lambda time: self.constraints.violation(displacements, time), (time,), (one,)
         )
-        return push, forces, jnp.vdot(push, by_time)
+        return multipliers, forces, jnp.vdot(multipliers, by_time)
 
     def project(self, time: Scalar, position: Array, rate: Array) -> tuple[Array, Array]:
         """Project a state onto the constraints, in the metric of the inertia."""
@@ -270,7 +286,7 @@ class MotionSystem(eqx.Module):
         return self.constraints.violation(self._displacements(position, targets), time)
 
     def jacobian(self, time: Scalar, position: Array) -> Float[Array, "entries free"]:
-        """Compute the derivatives of the violation by the free degrees of freedom."""
+        """Differentiate the violation with respect to the free degrees of freedom."""
         if not self.constraints.size:
             return jnp.zeros((0, position.size))
         return jax.jacrev(lambda position: self.violation(time, position))(position)
@@ -282,12 +298,12 @@ class MotionSystem(eqx.Module):
         return LoadSet.of(loads, self.mechanism.names, self.mechanism.reference)
 
     def _displacements(self, position: Array, targets: Array) -> Poses:
-        """Arrange displacements by bodies; fixed ones stay where they started."""
+        """Arrange displacements by bodies; the fixed ones are those at the start."""
         return self.dofs.expand(position, targets) + self.dofs.fixed_part(self.start)
 
 
 def _derivative(time: Any, state: State, system: MotionSystem) -> State:
-    """Time derivative of a state."""
+    """Compute the time derivative of a state."""
     position, rate, work = state
     now = system.instant(time, position, rate)
     return State(rate, now.acceleration, now.powers if work.size else work)

@@ -5,7 +5,7 @@ from tqdm import tqdm
 
 
 class ProgressBar(dfx.TqdmProgressMeter):
-    """Progress bar for `simulate(progress_meter=...)`, shown after one second.
+    """Progress bar for `simulate(progress_meter=...)`, which appears after one second.
 
     Args:
         refresh_steps: Number of steps of the solver between two updates of the bar.

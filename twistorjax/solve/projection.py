@@ -12,11 +12,10 @@ from .motion_system import MotionSystem, State
 class Projected(dfx.AbstractWrappedSolver):
     """A solver of diffrax that projects the end of each step onto the constraints.
 
-    The equations of motion keep the second time derivative of the constraints at zero. A
-    solver that integrates them does not keep the constraints themselves: a pin would
-    slowly drift apart without a warning. Therefore the displacements and velocities are
-    projected after each step, in the metric of the inertia. The order of the solver does
-    not change.
+    The equations of motion set the second time derivative of the constraint violations to
+    zero. Because of integration errors, the violations themselves would slowly grow.
+    Therefore the displacements and velocities are projected after each step, in the
+    metric of the inertia. The order of the solver does not change.
 
     Args:
         solver: A solver for ordinary differential equations.
@@ -60,8 +59,8 @@ class Projected(dfx.AbstractWrappedSolver):
         return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0: State, args: MotionSystem, solver_state, made_jump):
-        # The state of the solver belongs to the end of the last step before its
-        # projection. For diffrax the projection is a jump.
+        # The state of the solver was computed before the projection of the last step. For
+        # diffrax the projection is a jump.
         del made_jump
         end, error, dense, solver_state, result = self.solver.step(
             terms, t0, t1, y0, args, solver_state, True

@@ -1,4 +1,4 @@
-"""How a solve ended, and what all solutions have in common."""
+"""Result codes of solvers, and base classes of solutions."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -7,73 +7,74 @@ from typing import Protocol, runtime_checkable, TypeVar
 import diffrax as dfx
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Inexact
+from jaxtyping import Array, Float, Inexact
 
-from .._utils.types import (
-    BatchEntries,
-    BatchFlag,
-    BatchPose,
-    BatchPoses,
-    BatchRow,
-    Numbers,
-)
+from .._utils.types import BatchFlag, Numbers
 from .._utils.validation import concrete
 from .tables import Column, Columns, columns, Tabular
 
 
 class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
-    """Reasons why a solve ended. The message of `successful` is empty.
+    """Reasons why a solve ended.
 
-    Equilibria end as `successful`, `not_finite`, `unstable`, `no_equilibrium`,
-    `steps_used_up`, `inconsistent_constraints`, or `out_of_range`. Motions end as
-    `successful`, `event_occurred`, `max_steps_reached`, `not_finite`, `out_of_range`,
-    `step_too_long`, or with a reason why they cannot start. Identifications end as
-    `successful`, `not_converged`, or `no_solution_at_start`. `RESULTS[item]` is the
-    message. The enumeration extends that of diffrax.
+    `RESULTS[solution.result]` is the message of a result, which is empty for
+    `successful`. `result_names(solution.result)` is its name. The enumeration extends
+    that of diffrax.
+
+    * Equilibria end as `successful`, `not_finite`, `unstable`, `no_equilibrium`,
+      `steps_used_up`, `inconsistent_constraints`, or `out_of_range`.
+    * Linear responses and vibrations end as `successful`, `not_finite`, `unstable`, or
+      `inconsistent_constraints`; frequency responses as `successful` or `not_finite`.
+    * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,
+      `out_of_range`, `step_too_long`, or with another result of diffrax. If they cannot
+      start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,
+      `damping_gives_energy`, or `inconsistent_constraints`.
+    * Identifications end as `successful`, `not_converged`, or `no_solution_at_start`.
     """
 
     successful = ""
     not_finite = (
-        "A value of the mechanism, its loads or its drives is not finite: a NaN was "
-        "given, or a dimension of a hinge lies outside the range of its formula."
+        "A value of the mechanism, its loads, or its prescribed displacements is not "
+        "finite: a NaN was given, or a dimension of a hinge is outside the range of its "
+        "formula."
     )
     unstable = (
-        "Some body can move without storing energy, or even releases energy, so the "
-        "equilibrium is not determined or not stable. Hold the body with `fixed`, "
-        "prescribe its displacement, add a hinge, or stiffen one: the `stiffness` of the "
-        "mechanism there is singular or has a negative eigenvalue."
+        "A body can move without an increase of the energy, so the equilibrium is not "
+        "unique or not stable: the `stiffness` of the mechanism is singular or has a "
+        "negative eigenvalue. Fix the body with `fixed`, prescribe its displacement, or "
+        "add a hinge or a stiffer one."
     )
     no_equilibrium = (
-        "No equilibrium was found that is connected to the start up to the full loads "
-        "and drives. `fraction` is the part of them that was reached: there the "
-        "mechanism may buckle or snap through, or a hinge may leave the range of its "
-        "energy. Take smaller loads, prescribe a displacement instead of the load, or, "
-        "if a symmetric mechanism may buckle to either side, choose one by a small load."
+        "No equilibrium at the full loads and prescribed displacements was found that "
+        "is connected to the start. `fraction` is the part of them that was reached: "
+        "there the mechanism may buckle or snap through, or a hinge may leave the range "
+        "of its energy. Reduce the loads, prescribe a displacement instead of a load, "
+        "or, if a symmetric mechanism may buckle to either side, add a small load that "
+        "selects a side."
     )
     steps_used_up = (
         "The largest number of Newton steps was reached. `fraction` is the part of the "
-        "loads and drives that was reached; raise `max_steps`, or start closer with "
-        "`start`."
+        "loads and prescribed displacements that was reached. Increase `max_steps`, or "
+        "give a `start` that is closer to the equilibrium."
     )
     out_of_range = (
-        "A hinge is displaced beyond the validity range of its energy: it rotates "
-        "further, or transmits a larger force, than the energy was made for. Make the "
-        "energy for a wider range, or load the mechanism less."
+        "The displacement of a hinge is outside the validity range of its energy. Its "
+        "rotation or its force exceeds the limits of this range. Create the energy for a "
+        "larger range, or reduce the loads."
     )
 
     step_too_long = (
         "The steps of constant length are too long for this motion: the equations of one "
-        "step did not converge. Give a shorter `step`, or none, so that the steps are "
-        "chosen by the tolerance."
+        "step did not converge. Give a shorter `step`, or leave it out, so that the "
+        "tolerance determines the steps."
     )
     times_not_increasing = (
-        "The times do not increase. Give at least two times, each later than the one "
-        "before."
+        "The times do not increase. Give at least two times in increasing order."
     )
     drive_jumps = (
-        "At the first time a prescribed coordinate is not where its body starts, so it "
-        "would have to jump. Start the drive at the start, or start the body at the "
-        "drive."
+        "At the first time, the prescribed displacement of a coordinate differs from its "
+        "initial displacement, so the coordinate would have to jump. Let the prescribed "
+        "motion begin at the initial displacement, or change `start`."
     )
     damping_gives_energy = (
         "The damping of a hinge has a negative eigenvalue, so it would supply energy to "
@@ -81,28 +82,38 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "positive."
     )
     inconsistent_constraints = (
-        "The constraints repeat or contradict one another, or the start violates them."
+        "The constraints are redundant or contradict one another, or the start violates "
+        "them."
     )
 
     not_converged = (
-        "The estimates have not converged within the allowed evaluations. Raise "
-        "`max_steps`, start closer, try `restarts`, or leave out parameters that the "
-        "measurements do not determine."
+        "The estimates have not converged within the allowed evaluations. Increase "
+        "`max_steps`, give better start values, try `restarts`, or leave out parameters "
+        "that the measurements do not determine."
     )
     no_solution_at_start = (
-        "At the start values of the parameters, a test has no solution. Start from "
+        "At the start values of the parameters, a test has no solution. Give start "
         "values at which every solve succeeds."
     )
 
 
 def result_names(result: RESULTS) -> np.ndarray | None:
-    """Return the names of results in the shape of their batch; None while traced."""
+    """Return the names of results, such as "successful".
+
+    Args:
+        result: Result of a solution, or of a batch of solutions.
+
+    Returns:
+        Array of names with the shape of the batch; None if the result is traced.
+    """
     index = concrete(result._value)
-    return None if index is None else np.array(_BY_NUMBER[index], object)
+    return (
+        None if index is None else np.array(np.array(RESULT_NAMES, object)[index], object)
+    )
 
 
 def count_results(noun: str, names: np.ndarray) -> str:
-    """Count how many solutions of a batch ended in each way, in one line."""
+    """Return one line with the number of solutions of a batch for each result."""
     counts = Counter(map(str, names.ravel()))
     words = ", ".join(f"{count:,} {name}" for name, count in counts.items())
     return f"{names.size:,} {noun}, of shape {names.shape}: {words}"
@@ -122,18 +133,12 @@ class HasResult(Protocol):
 Solution = TypeVar("Solution", bound=HasResult)
 
 
-def raise_failed(
+def succeeded_or_raise(
     solution: Solution, error: Callable[[str, tuple[int, ...]], Exception]
 ) -> Solution:
     """Return a solution if it succeeded, and raise the error of the first failed one.
 
-    Args:
-        solution: A solution, or a batch of them.
-        error: Function that returns the error, from the name of the result and the index
-            in the batch.
-
-    Returns:
-        The solution.
+    `error` returns this error from the name of the result and the index in the batch.
     """
     names = result_names(solution.result)
     if names is None:
@@ -150,17 +155,16 @@ def result_message(name: str) -> str:
     return RESULTS[getattr(RESULTS, name)]
 
 
-# by the numbers of the results
+# The names of the results, in the order of their values in the enumeration.
 RESULT_NAMES = tuple(
     sorted(RESULTS._name_to_item, key=lambda name: int(getattr(RESULTS, name)._value))
 )
-_BY_NUMBER = np.array(RESULT_NAMES, object)
 
 _WRENCH = ("moment", "N m"), ("force_x", "N"), ("force_y", "N")
 
 
 def _pose_columns(prefix: str) -> tuple[tuple[str, str], ...]:
-    """Names and units of the columns of a pose or a displacement."""
+    """Return the names and units of the columns of a pose or a displacement."""
     return (f"{prefix}angle", "rad"), (f"{prefix}x", "m"), (f"{prefix}y", "m")
 
 
@@ -176,26 +180,53 @@ class BodySolution(Tabular):
 
     @property
     def succeeded(self) -> BatchFlag:
-        """Whether the solve succeeded."""
+        """Whether the solve succeeded, or an event ended the motion."""
         done = self.result == RESULTS.successful
         return done | (self.result == RESULTS.event_occurred)
 
-    def displacement(self, body: str) -> BatchRow:
-        """Return the displacement of a body from its reference pose; rad, m, m."""
+    def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
+        """Return the displacement of a body from its reference pose.
+
+        Args:
+            body: Name of the body.
+
+        Returns:
+            Angle, x, and y; a motion has one row for each time, a frequency response one
+            for each frequency; rad, m, m.
+
+        Raises:
+            ValueError: There is no body of this name.
+        """
         return self.displacements[..., self._row(body), :]
 
-    def reaction(self, body: str) -> BatchRow:
+    def reaction(self, body: str) -> Inexact[Array, "*batch 3"]:
         """Return the external wrench on fixed and prescribed coordinates of a body.
 
-        About the origin of the body, in world axes; N m, N, N.
+        The wrench is about the origin of the body, in world axes.
+
+        Args:
+            body: Name of the body.
+
+        Returns:
+            Moment and force, zero for free coordinates; a motion has one row for each
+            time, a frequency response one for each frequency; N m, N, N.
+
+        Raises:
+            ValueError: There is no body of this name.
         """
         return self.reactions[..., self._row(body), :]
 
-    def constraint_force(self, constraint: str) -> BatchEntries:
-        """Return the constraint force of each entry of a constraint; N m, N.
+    def constraint_force(self, constraint: str) -> Inexact[Array, "*batch entries"]:
+        """Return the constraint forces of a constraint.
+
+        Args:
+            constraint: Name of the constraint.
+
+        Returns:
+            One force or moment for each scalar equation of the constraint; N m, N.
 
         Raises:
-            ValueError: The mechanism has no such constraint.
+            ValueError: There is no constraint of this name.
         """
         rows = [k for k, name in enumerate(self.constraint_names) if name == constraint]
         if not rows:
@@ -207,22 +238,21 @@ class BodySolution(Tabular):
         return self.constraint_forces[..., np.array(rows)]
 
     def _body_columns(self, *axes: str) -> Columns:
-        """Columns of displacements, reactions, and constraint forces.
+        """Return displacements, reactions, and constraint forces.
 
-        Args:
-            axes: Axes before that of the bodies.
+        `axes` are the axes in front of that of the bodies.
         """
         rows, names = (*axes, "body"), {"body": self.names}
-        moved = _pose_columns("displacement_")
-        found = {
-            **columns(self.displacements, rows, *moved, **names),
+        displacement = _pose_columns("displacement_")
+        table = {
+            **columns(self.displacements, rows, *displacement, **names),
             **columns(self.reactions, rows, *_WRENCH, **names),
         }
         if self.constraint_names:
             entries = (("entry", self.constraint_names),)
             forces = self.constraint_forces
-            found["constraint_force"] = Column(forces, (*axes, "entry"), labels=entries)
-        return found
+            table["constraint_force"] = Column(forces, (*axes, "entry"), labels=entries)
+        return table
 
     def _row(self, body: str) -> int:
         """Return the index of a body."""
@@ -240,14 +270,24 @@ class PoseSolution(BodySolution):
     reference: eqx.AbstractVar[Numbers]
 
     @property
-    def poses(self) -> BatchPoses:
-        """Poses of the bodies; rad, m, m."""
+    def poses(self) -> Float[Array, "*batch bodies 3"]:
+        """Poses of the bodies: reference poses plus displacements; rad, m, m."""
         more = self.displacements.ndim - self.reference.ndim
         shape = (*self.reference.shape[:-2], *more * (1,), *self.reference.shape[-2:])
         return self.reference.reshape(shape) + self.displacements
 
-    def pose(self, body: str) -> BatchPose:
-        """Return the pose of a body; rad, m, m."""
+    def pose(self, body: str) -> Float[Array, "*batch 3"]:
+        """Return the pose of a body.
+
+        Args:
+            body: Name of the body.
+
+        Returns:
+            Angle, x, and y; a motion has one row for each time; rad, m, m.
+
+        Raises:
+            ValueError: There is no body of this name.
+        """
         return self.poses[..., self._row(body), :]
 
     def _body_columns(self, *axes: str) -> Columns:
@@ -256,11 +296,11 @@ class PoseSolution(BodySolution):
 
     def _listed(self, title: str, head: str, rows: np.ndarray) -> str:
         """Return a title and a line for each body, at most 20 of them."""
-        wide = max(map(len, (*self.names, head)))
-        lines = [f"{head:<{wide}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}"]
+        width = max(map(len, (*self.names, head)))
+        lines = [f"{head:<{width}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}"]
         for name, values in zip(self.names, rows, strict=True):
             cells = "  ".join(f"{value:>13.6g}" for value in values)
-            lines.append(f"{name:<{wide}}  {cells}")
+            lines.append(f"{name:<{width}}  {cells}")
         if len(lines) > 21:
             lines[11:-1] = [f"... {len(lines) - 12} more"]
         return "\n".join([title, *lines])

@@ -10,15 +10,11 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
 
     Pivoting is not needed if the symmetric part of a matrix is positive definite, nor for
     matrices [M, -G^T; G, 0] of inertia and independent constraints, whose Schur
-    complement has this property. For small matrices this is faster than LAPACK. Besides,
-    batches of LAPACK calls wait for each other in the threads of XLA, and two of them
-    that run on two cores may wait forever (jaxlib 0.10).
+    complement has this property. If there is no inverse, the result is not finite.
 
-    Args:
-        matrix: The matrix, or a batch of matrices.
-
-    Returns:
-        The inverse; not finite if there is none.
+    For small matrices this is faster than LAPACK. In addition, batches of LAPACK calls
+    can block each other in the threads of XLA, which causes a deadlock of two batches on
+    two cores (jaxlib 0.10).
 
     Example:
         >>> inverse(jnp.array([[2.0, 1.0], [1.0, 1.0]]))

@@ -15,16 +15,18 @@ from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_co
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.support import require_support
 from . import newton
 from .consistency import constraint_error, independent
 from .dofs import DofPartition
+from .implicit_derivatives import differentiable_root
 from .results import (
     count_results,
     PoseSolution,
-    raise_failed,
     result_message,
     result_names,
     RESULTS,
+    succeeded_or_raise,
 )
 from .system import System
 from .tables import Column, Columns
@@ -35,23 +37,24 @@ class Equilibrium(PoseSolution):
 
     If no equilibrium was found, displacements, reactions, constraint forces, and energy
     are NaN and their derivatives are zero, so that a batch can be masked by `succeeded`.
-    `reached` and `fraction` report how far the load increments went.
 
     Args:
         displacements: Displacement of each body from its reference pose; rad, m, m.
         reference: Poses from which displacements are measured; rad, m, m.
-        reactions: External wrench on fixed and prescribed degrees of freedom; zero on
-            free ones. About the origin of each body, in world axes; N m, N, N.
-        constraint_forces: Constraint force of each constraint entry; N m, N.
+        reactions: External wrench on the fixed and prescribed degrees of freedom of each
+            body, about the origin of the body and in world axes; zero for free degrees
+            of freedom; N m, N, N.
+        constraint_forces: Constraint forces, one for each scalar equation of the
+            constraints; N m, N.
         energy: Energy stored in the hinges; J.
-        reached: Displacements at the fraction of loads and prescribed displacements that
-            was reached; rad, m, m.
-        fraction: Fraction that was reached: 1, or less if the solve failed.
+        reached: Displacements at the `fraction` that was reached; rad, m, m.
+        fraction: Fraction of the loads and prescribed displacements that was reached:
+            1, or less if the solve failed.
         steps: Number of Newton steps.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
-        constraint_names: Name of the constraint of each constraint entry.
+        constraint_names: Name of the constraint to which each scalar equation belongs.
     """
 
     displacements: Poses
@@ -79,8 +82,8 @@ class Equilibrium(PoseSolution):
             return count_results("equilibria", names)
         displacements, energy, fraction = values
         title = (
-            f"{names}: {100 * float(fraction):.4g} % of loads and drives, "
-            f"{int(self.steps)} Newton steps"
+            f"{names}: {100 * float(fraction):.4g} % of loads and prescribed "
+            f"displacements, {int(self.steps)} Newton steps"
         )
         if np.isfinite(energy):
             title += f", {float(energy):.6g} J in the hinges"
@@ -103,13 +106,13 @@ def equilibrium(
     max_steps: int = 400,
     throw: bool = True,
 ) -> Equilibrium:
-    """Compute the static equilibrium of a mechanism under loads and drives.
+    """Compute the static equilibrium under loads and prescribed displacements.
 
     Displacements may be large. The loads are applied in increments if one Newton solve
     does not converge, or if a fold may lie between two increments, so the result is the
     equilibrium that is connected to the reference configuration. Unstable equilibria are
-    rejected. The result has derivatives of every order, forward and reverse, by the
-    implicit function theorem.
+    rejected. The result has derivatives of every order, in forward and in reverse mode,
+    which are computed by the implicit function theorem.
 
     Args:
         mechanism: The mechanism. No hinge is loaded in its reference configuration.
@@ -120,21 +123,21 @@ def equilibrium(
         start: Equilibrium or poses at which the iteration starts; by default the
             reference configuration. The best start is an equilibrium whose loads are
             close to the new ones; rad, m, m.
-        time: Time at which constraints are evaluated that depend on it; s.
+        time: Time at which time-dependent constraints are evaluated, by default zero; s.
         tolerance: Relative tolerance on the square root of the Newton energy decrement.
-        max_steps: Largest number of Newton steps in total.
-        throw: Whether a failure raises an error. In a batch, a failure of one design
-            raises the error for all of them; with `throw=False` the others are not
-            affected.
+        max_steps: Largest total number of Newton steps of all load increments.
+        throw: Whether a failure raises an error. In a batch, the failure of one design
+            raises an error for the whole batch. If False, the arrays of a failed design
+            are NaN, and the other designs are unaffected.
 
     Returns:
         The equilibrium. If `throw` is False and no equilibrium was found, its arrays are
-        NaN and `result` holds the reason.
+        NaN and `result` is the reason.
 
     Raises:
-        ValueError: Double precision is off, a name is unknown, a degree of freedom is
-            prescribed twice or is fixed, constraints repeat or contradict one another, a
-            shape is wrong, or a setting is invalid.
+        ValueError: Double precision is disabled, a name is unknown, a degree of freedom
+            is prescribed twice or is fixed, constraints are redundant or contradict one
+            another, a shape is wrong, or a setting is invalid.
         RuntimeError: No equilibrium was found; the message gives the reason.
 
     Source:
@@ -150,27 +153,28 @@ def equilibrium(
         (Array([0.  , 0.05, 0.  ], dtype=float64), Array([ 0., -5.,  0.], dtype=float64))
     """
     require_float64(mechanism.reference)
-    joints = gather_constraints(mechanism, constraints)
-    mechanism.require_support(joints.bodies)
+    constraint_set = gather_constraints(mechanism, constraints)
+    require_support(mechanism, constraint_set.bodies)
     if not 0 < tolerance < 1 or max_steps < 1:
         raise ValueError(
-            f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but they "
-            "must lie between 0 and 1, and be at least 1."
+            f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but "
+            "`tolerance` must be between 0 and 1, and `max_steps` at least 1."
         )
     loaded_bodies(mechanism, loads)
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
-    begin = None
+    start_displacements = None
     if start is not None:
-        begin = mechanism.displacements(start, "start", one=True)
-    # `jax.jit` starts a program faster, but constraints may hold functions.
-    solve = _solve_with_functions if joints.size else _solve
+        start_displacements = mechanism.displacements(start, "start", single=True)
+    # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`, but
+    # constraints may contain functions.
+    solve = _solve_with_functions if constraint_set.size else _solve
     solution = solve(
         mechanism.hinge_assembly,
         mechanism.reference,
-        begin,
+        start_displacements,
         tuple(loads),
-        joints,
+        constraint_set,
         targets,
         jnp.asarray(time, float),
         jnp.asarray(tolerance, float),
@@ -178,33 +182,31 @@ def equilibrium(
         dofs=dofs,
         names=mechanism.names,
     )
-    return raise_error(solution, mechanism, joints, dofs) if throw else solution
+    return (
+        check_equilibrium(solution, mechanism, constraint_set, dofs)
+        if throw
+        else solution
+    )
 
 
 def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> Poses:
-    """Return the displacements of a state, and check the validity range of the hinges.
+    """Return the displacements of a state; rad, m, m.
 
-    Args:
-        mechanism: The mechanism.
-        name: Name of the state in messages.
-        state: An equilibrium, or poses; by default the reference configuration; rad, m,
-            m.
-
-    Returns:
-        The displacements; NaN if a traced state is out of range; rad, m, m.
+    They are NaN if the state is traced and a hinge is outside the validity range of its
+    energy.
 
     Raises:
-        ValueError: A hinge is displaced beyond the validity range of its energy.
+        ValueError: A hinge is outside this range, and the state is not traced.
     """
     if state is None:
         return jnp.zeros_like(mechanism.reference)
-    displacements = mechanism.displacements(state, name, one=True)
+    displacements = mechanism.displacements(state, name, single=True)
     outside = jnp.any(mechanism.hinge_assembly.out_of_range(displacements))
     if concrete(outside) is None:
         return jnp.where(outside, jnp.nan, displacements)
     if outside:
         raise ValueError(
-            f"`{name}` displaces a hinge beyond the validity range of its energy. "
+            f"At `{name}` a hinge is outside the validity range of its energy. "
             f"{mechanism.range_messages(mechanism.reference + displacements)}"
         )
     return displacements
@@ -213,7 +215,7 @@ def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> 
 def _solve_uncompiled(
     hinges: HingeAssembly,
     reference: Poses,
-    begin: Poses | None,
+    start_displacements: Poses | None,
     loads: tuple[Load, ...],
     constraints: ConstraintSet,
     targets: tuple[Scalar, ...],
@@ -224,7 +226,7 @@ def _solve_uncompiled(
     dofs: DofPartition,
     names: tuple[str, ...],
 ) -> Equilibrium:
-    """Solve for the equilibrium; see `equilibrium`."""
+    """Compute the equilibrium; see `equilibrium`."""
     system = System(
         hinges,
         LoadSet.of(loads, names, reference),
@@ -233,25 +235,29 @@ def _solve_uncompiled(
         time,
         dofs,
     )
-    begin = jnp.zeros_like(reference) if begin is None else begin
-    fixed_system, start = stop_gradient((system, begin))
+    start_displacements = (
+        jnp.zeros_like(reference) if start_displacements is None else start_displacements
+    )
+    fixed_system, start = stop_gradient((system, start_displacements))
     consistent = independent(fixed_system, start)
     solution = newton.solve_in_increments(fixed_system, start, tolerance, max_steps)
     flat = solution.displacements.reshape(-1)
     converged = (solution.status == newton.CONVERGED) & consistent
-    root, push = flat[system.free], jnp.zeros(0)
-    if solution.push is not None:
-        root = jnp.concatenate([root, solution.push])
-    root = newton.differentiable_root(system, root, begin, converged)
+    root, multipliers = flat[system.free], jnp.zeros(0)
+    if solution.multipliers is not None:
+        root = jnp.concatenate([root, solution.multipliers])
+    root = differentiable_root(system, root, start_displacements, converged)
     free = root
-    if solution.push is not None:
-        free, push = jnp.split(root, [len(system.free)])
+    if solution.multipliers is not None:
+        free, multipliers = jnp.split(root, [len(system.free)])
     prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
-    displacements = system.place(begin, free=free, prescribed=prescribed)
+    displacements = system.with_displacements(
+        start_displacements, free=free, prescribed=prescribed
+    )
     outside = converged & jnp.any(hinges.out_of_range(solution.displacements))
     valid = converged & ~outside
-    if solution.push is not None:  # no array of size zero; see `newton`
-        push = jnp.where(valid, push, jnp.nan)
+    if solution.multipliers is not None:  # no array of size zero; see `System.equations`
+        multipliers = jnp.where(valid, multipliers, jnp.nan)
     result = RESULTS.successful
     for status, item in (
         (newton.NOT_FINITE, RESULTS.not_finite),
@@ -266,8 +272,8 @@ def _solve_uncompiled(
     return Equilibrium(
         displacements=jnp.where(valid, displacements, jnp.nan),
         reference=reference,
-        reactions=jnp.where(valid, system.reactions(displacements, push), jnp.nan),
-        constraint_forces=push,
+        reactions=jnp.where(valid, system.reactions(displacements, multipliers), jnp.nan),
+        constraint_forces=multipliers,
         energy=jnp.where(valid, hinges.energy(displacements), jnp.nan),
         reached=solution.displacements,
         fraction=solution.fraction,
@@ -282,7 +288,7 @@ _solve = jax.jit(_solve_uncompiled, static_argnames=("dofs", "names"))
 _solve_with_functions = eqx.filter_jit(_solve_uncompiled)
 
 
-def raise_error(
+def check_equilibrium(
     solution: Equilibrium,
     mechanism: Mechanism | None = None,
     constraints: ConstraintSet | None = None,
@@ -290,23 +296,13 @@ def raise_error(
 ) -> Equilibrium:
     """Return the solution if it succeeded, and raise its error otherwise.
 
-    Args:
-        solution: An equilibrium, or a batch of them.
-        mechanism: The mechanism of one equilibrium, so that the message can name hinges
-            that are out of range.
-        constraints: Its constraints, so that the message can name those that repeat or
-            contradict one another.
-        dofs: Partition of its degrees of freedom.
-
-    Returns:
-        The solution.
+    The mechanism, its constraints, and its degrees of freedom are needed only to name the
+    hinges that are out of range, and the constraints that are inconsistent.
     """
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
-        fraction, steps = (
-            np.asarray(value)[batch_index]
-            for value in (solution.fraction, solution.steps)
-        )
+        fraction = np.asarray(solution.fraction)[batch_index]
+        steps = np.asarray(solution.steps)[batch_index]
         where = ""
         if batch_index:
             where = f" at index {', '.join(map(str, batch_index))} of the batch"
@@ -316,12 +312,11 @@ def raise_error(
                 poses = mechanism.reference + solution.reached
                 text += f" {mechanism.range_messages(poses)}"
             if item == "inconsistent_constraints":
-                assert constraints is not None
-                assert dofs is not None
-                words = constraint_error(constraints, dofs, mechanism, solution.reached)
-                return ValueError(f"{text} {words}")
+                assert constraints is not None and dofs is not None
+                detail = constraint_error(constraints, dofs, mechanism, solution.reached)
+                return ValueError(f"{text} {detail}")
         return RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )
 
-    return raise_failed(solution, error)
+    return succeeded_or_raise(solution, error)

@@ -19,11 +19,11 @@ class StepHistory(NamedTuple):
     time since the start of the step, divided by its length.
 
     Args:
-        last_acceleration: Accelerations at the end of the step; rad/s2, m/s2.
+        last_acceleration: Accelerations at the end of the step; rad/s^2, m/s^2.
         last_stretches: Mid-frame translations of the hinges at the end of the step; m.
-        accelerations: Polynomial of the accelerations; rad/s2, m/s2.
+        accelerations: Polynomial of the accelerations; rad/s^2, m/s^2.
         stretches: Polynomial of the mid-frame translations; m.
-        push: Polynomial of the constraint forces; N m, N.
+        multipliers: Polynomial of the constraint forces; N m, N.
         step: Length of the step; s.
     """
 
@@ -31,21 +31,14 @@ class StepHistory(NamedTuple):
     last_stretches: Float[Array, " stretches"]
     accelerations: Float[Array, "degrees free"]
     stretches: Float[Array, "degrees stretches"]
-    push: Float[Array, "degrees entries"]
+    multipliers: Float[Array, "degrees entries"]
     step: Scalar
 
     @classmethod
     def constant(
         cls, scheme: Scheme, time: Any, state: State, system: MotionSystem
     ) -> "StepHistory":
-        """Return the history of a first step, from which nothing changes.
-
-        Args:
-            scheme: Coefficients of the method.
-            time: Time at the start; s.
-            state: State at the start.
-            system: The equations of motion.
-        """
+        """Return the history for the first step, with constant polynomials."""
         now = system.instant(time, state.position, state.rate)
         displacements, _ = system.expand(time, state.position, state.rate)
         stretches = system.mechanism.hinge_assembly.stretches(displacements).reshape(-1)
@@ -59,20 +52,16 @@ class StepHistory(NamedTuple):
             last_stretches=stretches,
             accelerations=constant(now.acceleration),
             stretches=constant(stretches),
-            push=constant(now.push)[: scheme.stages],
+            multipliers=constant(now.multipliers)[: scheme.stages],
             step=jnp.ones_like(time),
         )
 
     def extrapolate(self, scheme: Scheme, step: Scalar) -> tuple[Array, Array, Array]:
-        """Extrapolate to the stages of the next step.
-
-        Args:
-            scheme: Coefficients of the method.
-            step: Length of the next step; s.
+        """Extrapolate to the stages of the next step, of length `step`; s.
 
         Returns:
-            Accelerations; rad/s2, m/s2. Mid-frame translations; m. Constraint forces;
-            N m, N. Each has a row for each stage.
+            Accelerations (rad/s^2, m/s^2), mid-frame translations (m), and constraint
+            forces (N m, N), with a row for each stage.
         """
         times = 1 + jnp.asarray(scheme.nodes) * step / self.step
         degrees = np.arange(len(scheme.history_to_coefficients), dtype=float)
@@ -80,7 +69,7 @@ class StepHistory(NamedTuple):
         return (
             product(powers, self.accelerations),
             product(powers, self.stretches),
-            product(powers[:, : scheme.stages], self.push),
+            product(powers[:, : scheme.stages], self.multipliers),
         )
 
     def next(
@@ -88,18 +77,10 @@ class StepHistory(NamedTuple):
         scheme: Scheme,
         accelerations: Float[Array, "stages free"],
         stretches: Float[Array, "stages stretches"],
-        push: Float[Array, "stages entries"],
+        multipliers: Float[Array, "stages entries"],
         step: Scalar,
     ) -> "StepHistory":
-        """Return the history of the next step, from its stages.
-
-        Args:
-            scheme: Coefficients of the method.
-            accelerations: Accelerations; rad/s2, m/s2.
-            stretches: Mid-frame translations; m.
-            push: Constraint forces; N m, N.
-            step: Length of the step; s.
-        """
+        """Return the history of the next step, from the values at its stages."""
         values = accelerations, stretches
         if scheme.stiffly_accurate:
             values = (
@@ -112,6 +93,6 @@ class StepHistory(NamedTuple):
             last_stretches=stretches[-1],
             accelerations=to_coefficients @ values[0],
             stretches=to_coefficients @ values[1],
-            push=jnp.asarray(scheme.to_coefficients) @ push,
+            multipliers=jnp.asarray(scheme.to_coefficients) @ multipliers,
             step=step,
         )

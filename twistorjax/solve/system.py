@@ -22,7 +22,7 @@ from ..mechanism.mechanism import Mechanism
 from .block_factorization import block_layout
 from .dofs import DofPartition
 from .factorization import ConstrainedFactors, Factors
-from .tangents import (
+from .tangent_stiffness import (
     add_load_stiffness,
     BlockTangent,
     ConstrainedTangent,
@@ -32,11 +32,11 @@ from .tangents import (
 
 
 class System(eqx.Module):
-    """The equations of equilibrium of a mechanism at one instant.
+    """Equations of equilibrium of a mechanism at one instant.
 
     Args:
         hinges: The hinges.
-        loads: The loads at their full magnitude.
+        loads: The loads, at their full magnitude.
         constraints: The constraints.
         targets: Displacements of the prescribed degrees of freedom; rad, m.
         time: Time at which the constraints are evaluated; s.
@@ -58,7 +58,7 @@ class System(eqx.Module):
         loads: Sequence[Load] = (),
         constraints: Sequence[AbstractConstraint] = (),
     ) -> "System":
-        """Assemble the equations of a mechanism whose prescribed dofs do not move."""
+        """Assemble equations in which all prescribed displacements are zero."""
         loaded_bodies(mechanism, loads)
         return cls(
             mechanism.hinge_assembly,
@@ -80,20 +80,20 @@ class System(eqx.Module):
         return np.array(self.dofs.prescribed, int)
 
     def units(self) -> Float[Array, "3"]:
-        """Units of the displacements of a body: 1 rad, and a length of the mechanism.
+        """Return the units of displacements: 1 rad, and a length of the mechanism (m).
 
         The length is the root mean square distance of the hinges from the origins of the
-        bodies that move; rad, m, m.
+        bodies that move.
         """
         lever = self.hinges.lever(self.dofs.free)
         lever = jnp.where(lever > 0, lever, 1.0)
         return jnp.stack([jnp.ones_like(lever), lever, lever])
 
     def free_units(self) -> Float[Array, " free"]:
-        """Unit of the displacement of each free degree of freedom; rad, m."""
+        """Return the unit of each free degree of freedom; rad, m."""
         return self.units()[self.free % 3]
 
-    def place(
+    def with_displacements(
         self,
         displacements: Poses,
         free: Array | None = None,
@@ -112,27 +112,40 @@ class System(eqx.Module):
         return self.constraints.violation(displacements, self.time)
 
     def jacobian(self, displacements: Poses) -> Float[Array, "entries dofs"]:
-        """Compute the derivatives of the violation by all degrees of freedom."""
+        """Differentiate the violation with respect to all degrees of freedom."""
         return self.constraints.jacobian(displacements, self.time)
 
-    def residual(self, displacements: Poses, push: Entries) -> Float[Array, " dofs"]:
-        """Compute the forces that are not in equilibrium; N m, N.
+    def equations(
+        self, forces: Float[Array, " dofs"], displacements: Poses
+    ) -> Float[Array, " unknowns"]:
+        """Join the forces on free degrees of freedom (N m, N) and violations (rad, m).
 
-        On fixed and prescribed degrees of freedom they are the reactions.
+        Arrays of size zero are avoided, because with them XLA loses the type of LAPACK
+        calls in large programs (jaxlib 0.10.2: "No registered implementation for untyped
+        custom call").
+        """
+        forces = forces[self.free]
+        if not self.constraints.size:
+            return forces
+        return jnp.concatenate([forces, self.violation(displacements)])
 
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            push: Constraint force of each entry; N m, N.
+    def residual(
+        self, displacements: Poses, multipliers: Entries
+    ) -> Float[Array, " dofs"]:
+        """Compute the forces of hinges, minus loads and constraint forces; N m, N.
+
+        They are zero on free degrees of freedom in equilibrium. On fixed and prescribed
+        ones they are the reactions.
         """
         applied, _ = self.loads.apply(displacements)
         residual = (self.hinges.forces(displacements) - applied).reshape(-1)
         if not self.constraints.size:
             return residual
-        return residual - self.constraints.forces(displacements, self.time, push)
+        return residual - self.constraints.forces(displacements, self.time, multipliers)
 
-    def reactions(self, displacements: Poses, push: Entries) -> Wrenches:
+    def reactions(self, displacements: Poses, multipliers: Entries) -> Wrenches:
         """Compute the reactions on fixed and prescribed degrees of freedom; N m, N, N."""
-        return self.dofs.reactions(self.residual(displacements, push))
+        return self.dofs.reactions(self.residual(displacements, multipliers))
 
     def constraint_forces(self, displacements: Poses) -> Entries:
         """Compute the constraint forces of an equilibrium by least squares; N m, N."""
@@ -147,15 +160,15 @@ class System(eqx.Module):
 
     def constraint_stiffness(self, displacements: Poses) -> Float[Array, "dofs dofs"]:
         """Compute the geometric stiffness of the constraint forces of an equilibrium."""
-        push = self.constraint_forces(displacements)
-        return self.constraints.geometric_stiffness(displacements, self.time, push)
+        multipliers = self.constraint_forces(displacements)
+        return self.constraints.geometric_stiffness(displacements, self.time, multipliers)
 
     def tangent(
         self,
         displacements: Poses,
         fraction: Scalar | float = 1.0,
         predicted: Float[Array, "3 hinges"] | None = None,
-        push: Entries | None = None,
+        multipliers: Entries | None = None,
     ) -> tuple[Float[Array, " dofs"], Tangent, Scalar]:
         """Compute the residual under a fraction of the loads, and its derivatives.
 
@@ -163,12 +176,12 @@ class System(eqx.Module):
             displacements: Displacement of each body from its reference pose; rad, m, m.
             fraction: Fraction of the loads.
             predicted: Generalized stress of the hinges that determines their geometric
-                stiffness; by default the stress at these displacements; N m, N.
-            push: Constraint force of each entry, needed if there are constraints; N m, N.
+                stiffness; by default the stress at these displacements; N m, N, N.
+            multipliers: Constraint forces, if there are constraints; N m, N.
 
         Returns:
-            The residual, the tangent stiffness of the free degrees of freedom, and a
-            measure of the energy at work in the hinges, which is never negative; J.
+            The residual, the tangent stiffness of the free degrees of freedom, and the
+            sum of the absolute values of force times displacement of the hinges; J.
         """
         layout = block_layout(self.hinges.ends, self.dofs.free)
         if self.constraints.size or layout is None:
@@ -178,13 +191,13 @@ class System(eqx.Module):
             )
             if not self.constraints.size:
                 return residual, DenseTangent(matrix), work
-            assert push is not None
-            return *self._constrained(displacements, residual, matrix, push), work
-        forces, pairs, work = self.hinges.pairs(displacements, predicted)
+            assert multipliers is not None
+            return *self._constrained(displacements, residual, matrix, multipliers), work
+        forces, stiffness, work = self.hinges.hinge_stiffness(displacements, predicted)
         applied, by_angle = (
             fraction * value.reshape(-1) for value in self.loads.apply(displacements)
         )
-        tangent = BlockTangent(self.hinges, pairs, by_angle, self.dofs, layout)
+        tangent = BlockTangent(self.hinges, stiffness, by_angle, self.dofs, layout)
         return forces - applied, tangent, work
 
     def matrix(
@@ -196,14 +209,8 @@ class System(eqx.Module):
     ) -> tuple[Float[Array, " dofs"], Float[Array, "free columns"], Scalar]:
         """Compute the residual and the tangent stiffness without constraints.
 
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            columns: Degrees of freedom by which the free forces are differentiated.
-            fraction: Fraction of the loads.
-            predicted: Generalized stress of the hinges; see `tangent`.
-
-        Returns:
-            The residual, the matrix, and the work; see `tangent`.
+        The free forces are differentiated with respect to the degrees of freedom in
+        `columns`. For the other arguments and the three results, see `tangent`.
         """
         forces, matrix, work = self.hinges.tangent(
             displacements, self.dofs.free, columns, predicted
@@ -221,16 +228,11 @@ class System(eqx.Module):
     def whole_stiffness(
         self, displacements: Poses
     ) -> tuple[Float[Array, "dofs dofs"], Float[Array, "entries dofs"]]:
-        """Compute the tangent stiffness among all degrees of freedom.
+        """Compute the tangent stiffness with respect to all degrees of freedom.
 
-        The constraint forces are those that hold the mechanism in equilibrium.
-
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-
-        Returns:
-            The stiffness, with that of loads and constraint forces; N m/rad, N/rad, N/m.
-            The derivatives of the constraint violations by all degrees of freedom.
+        The stiffness (N m/rad, N/rad, N/m) includes that of the loads, and that of the
+        constraint forces which are in equilibrium with them. The second matrix has the
+        derivatives of the constraint violations.
         """
         count = self.dofs.total
         whole = replace(self, dofs=DofPartition(count, tuple(range(count))))
@@ -242,7 +244,7 @@ class System(eqx.Module):
     def factors(
         self, stiffness: Float[Array, "free free"], jacobian: Float[Array, "entries free"]
     ) -> Factors | ConstrainedFactors:
-        """Factor the stiffness of the free degrees of freedom, and of the constraints."""
+        """Factorize the stiffness of the free degrees of freedom, with constraints."""
         symmetric = self.loads.conservative
         if not self.constraints.size:
             return Factors.of(stiffness, symmetric)
@@ -254,15 +256,17 @@ class System(eqx.Module):
         displacements: Poses,
         residual: Float[Array, " dofs"],
         matrix: Float[Array, "free columns"],
-        push: Entries,
+        multipliers: Entries,
     ) -> tuple[Float[Array, " dofs"], ConstrainedTangent]:
         """Add the constraint forces to the residual, and their derivatives."""
         columns = np.array(self.dofs.free + self.dofs.prescribed, int)
         jacobian = self.jacobian(displacements)
-        geometric = self.constraints.geometric_stiffness(displacements, self.time, push)
+        geometric = self.constraints.geometric_stiffness(
+            displacements, self.time, multipliers
+        )
         tangent = ConstrainedTangent(
             stiffness=matrix + geometric[self.free[:, None], columns],
             jacobian=jacobian[:, columns],
             units=self.free_units(),
         )
-        return residual - push @ jacobian, tangent
+        return residual - multipliers @ jacobian, tangent

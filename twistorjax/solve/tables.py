@@ -21,8 +21,8 @@ class Column(eqx.Module):
     Args:
         values: Values, with one axis for each name in `axes`. In a batch, the axes of the
             batch precede them.
-        axes: Names of the axes, such as "body" or "time". A column that has the name of
-            its only axis holds the coordinates along this axis.
+        axes: Names of the axes, such as "body" or "time". A column with the name of its
+            only axis contains the coordinates along this axis.
         unit: Unit of the values; "1" if they have none; empty if it is unknown.
         labels: Names of the entries along an axis, as pairs of the axis and the names.
     """
@@ -42,16 +42,10 @@ def columns(
     *names_and_units: tuple[str, str],
     **labels: Sequence[str],
 ) -> Columns:
-    """Split the last axis of an array into columns.
+    """Split the last axis of an array into columns, one for each name and unit.
 
-    Args:
-        values: The array.
-        axes: Names of all axes but the last.
-        names_and_units: Name and unit of each entry of the last axis.
-        labels: Names of the entries along some of the other axes.
-
-    Returns:
-        A column for each entry of the last axis, by name.
+    `axes` are the names of the other axes, and `labels` the names of the entries along
+    some of them.
     """
     names = tuple((axis, tuple(entries)) for axis, entries in labels.items())
     return {
@@ -65,7 +59,7 @@ class Tabular(eqx.Module):
 
     @abstractmethod
     def columns(self) -> Columns:
-        """Return the quantities of the table, by name."""
+        """Return the columns of the table, by name."""
 
     def to_xarray(self) -> "xarray.Dataset":
         """Convert the solution to an xarray dataset with names and units.
@@ -83,7 +77,8 @@ class Tabular(eqx.Module):
             if batch := shape[: len(shape) - len(column.axes)]:
                 raise ValueError(
                     f"This is a batch of solutions of shape {batch}. Convert them one by "
-                    "one: `jax.tree.map(lambda array: array[0], solution)` is the first."
+                    "one: `jax.tree.map(lambda array: array[0], solution)` is the first "
+                    "solution."
                 )
         return dataset(table)
 
@@ -97,7 +92,7 @@ def dataset(
 
     Args:
         table: The columns.
-        attributes: Attributes of some variables beside their units, by name.
+        attributes: Additional attributes of some variables, by name.
 
     Returns:
         The dataset.
@@ -108,10 +103,10 @@ def dataset(
     xarray = require_package("xarray", "Tables", "data")
     variables, coordinates = {}, {}
     for name, column in table.items():
-        more = dict((attributes or {}).get(name, {}))
+        attrs = dict((attributes or {}).get(name, {}))
         if column.unit:
-            more["units"] = column.unit
-        variable = (column.axes, np.asarray(column.values), more)
+            attrs["units"] = column.unit
+        variable = (column.axes, np.asarray(column.values), attrs)
         (coordinates if column.axes == (name,) else variables)[name] = variable
         coordinates.update({axis: list(labels) for axis, labels in column.labels})
     return xarray.Dataset(variables, coordinates)

@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
-from .._utils.types import BatchFlag, BatchFrequencies, BatchShapes, Poses
+from .._utils.types import BatchFlag, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
@@ -15,28 +16,34 @@ from .consistency import independent
 from .dofs import DofPartition
 from .eigenmodes import modes, Stiffness
 from .factorization import null_space
-from .results import count_results, raise_failed, result_message, result_names, RESULTS
+from .results import (
+    count_results,
+    result_message,
+    result_names,
+    RESULTS,
+    succeeded_or_raise,
+)
 from .statics import state_in_range, StateLike
 from .system import System
 from .tables import Column, Columns, columns, Tabular
 
 
 class Vibrations(Tabular):
-    """Natural frequencies and mode shapes of a mechanism, the lowest frequency first.
+    """Natural frequencies and mode shapes of a mechanism.
 
-    The frequency of a mode in which the equilibrium is unstable is NaN.
+    If the equilibrium is unstable with respect to a mode, the frequency of this mode is
+    NaN.
 
     Args:
-        frequencies: Natural frequencies; Hz.
-        shapes: Mass-normalized mode shapes; rad, m, m, each divided by the square root of
-            kg m^2.
+        frequencies: Natural frequencies in ascending order; Hz.
+        shapes: Mass-normalized mode shapes; rad/(kg^0.5 m), 1/kg^0.5, 1/kg^0.5.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
     """
 
-    frequencies: BatchFrequencies
-    shapes: BatchShapes
+    frequencies: Float[Array, "*batch modes"]
+    shapes: Float[Array, "*batch modes bodies 3"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -50,7 +57,7 @@ class Vibrations(Tabular):
 
     @property
     def succeeded(self) -> BatchFlag:
-        """Whether the equilibrium is stable, so that all modes vibrate."""
+        """Whether the equilibrium is stable, so that every mode has a frequency."""
         return self.result == RESULTS.successful
 
     def __repr__(self) -> str:
@@ -59,7 +66,8 @@ class Vibrations(Tabular):
             return eqx.tree_pformat(self)
         if names.shape:
             return count_results("sets of vibrations", names)
-        lines = [f"{names}: {self.frequencies.size} vibrations", "frequency (Hz)  moves"]
+        title = f"{names}: {self.frequencies.size} vibrations"
+        lines = [title, "frequency (Hz)  largest translations"]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
             travel = np.linalg.norm(np.asarray(shape)[:, 1:], axis=1)
             largest = [body for body in np.argsort(-travel)[:3] if travel[body] > 0]
@@ -80,29 +88,31 @@ def vibrations(
     """Compute the natural frequencies and mode shapes about an equilibrium.
 
     Damping is neglected; `frequency_response` includes it. The result is differentiable.
-    Of equal frequencies, only symmetric functions have first derivatives, and only the
-    sum has second derivatives.
+    If some frequencies are equal, only symmetric functions of them have first
+    derivatives, and only their sum has second derivatives.
 
     Args:
         mechanism: The mechanism. Bodies that can move need mass and inertia.
-        prescribed: Coordinates that are held by drives: names of bodies for all three
-            coordinates, or a mapping from names to some of "angle", "x", "y".
+        prescribed: Coordinates that do not vibrate because their displacement is
+            prescribed: names of bodies for all three coordinates, or a mapping from names
+            to some of "angle", "x", "y".
         about: The equilibrium, or its poses; by default the reference configuration;
             rad, m, m.
-        loads: Loads that act at this equilibrium. They add to the stiffness because
-            their moments depend on the rotations.
+        loads: Loads that act at this equilibrium. They contribute to the tangent
+            stiffness, because their moments depend on the rotations of the bodies.
         constraints: Pins, sliders, and other constraints between the bodies.
-        throw: Whether an unstable equilibrium raises an error; otherwise it is reported
-            by `result`.
+        throw: Whether a failure raises an error; otherwise it is reported by `result`.
 
     Returns:
-        The vibrations.
+        The natural frequencies (Hz) in ascending order, and the mass-normalized mode
+        shapes. If `throw` is False, the frequencies of unstable modes are NaN.
 
     Raises:
-        ValueError: Double precision is off, a name is unknown, a body that moves has no
-            mass, a load is a follower load and has no potential, or no coordinate is
-            free.
-        RuntimeError: The equilibrium is not stable.
+        ValueError: Double precision is disabled, a name is unknown, a body that moves has
+            no mass, a load is a follower load, which has no potential, or no coordinate
+            is free.
+        RuntimeError: The equilibrium is not stable, the constraints are not independent,
+            or a value is not finite.
 
     Source:
         The matrices of equation 5.24 of the dissertation, linearized.
@@ -122,13 +132,12 @@ def vibrations(
             "`loads` has a follower load. It has no potential, so natural vibrations may "
             "not exist: use `frequency_response`, or `simulate` the motion."
         )
-    given = mechanism.coordinates("prescribed", prescribed)
-    dofs = DofPartition.of(mechanism, given)
+    dofs = DofPartition.of(mechanism, mechanism.dofs_of("prescribed", prescribed))
     system = System.of(mechanism, dofs, loads, constraints)
     if len(dofs.free) <= system.constraints.size:
         raise ValueError(
-            "No coordinate can vibrate: all bodies are fixed, named in `prescribed`, or "
-            "held by constraints. Leave one free."
+            "No coordinate can vibrate: all of them are fixed, prescribed, or determined "
+            "by constraints. Leave at least one coordinate free."
         )
     state = state_in_range(mechanism, "about", about)
     solution = _vibrations(mechanism, system, state)
@@ -137,17 +146,17 @@ def vibrations(
         del batch_index
         return RuntimeError(result_message(name))
 
-    return raise_failed(solution, error) if throw else solution
+    return succeeded_or_raise(solution, error) if throw else solution
 
 
 @eqx.filter_jit
 def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> Vibrations:
-    """Solve the eigenvalue problem; see `vibrations`."""
+    """Solve the eigenvalue problem of `vibrations`."""
     free = system.free
     root = jnp.sqrt(mechanism.inertia().reshape(-1)[free])
     rows, weights, remainder = system.hinges.factored(displacements, system.dofs.free)
     _, by_angle = system.loads.apply(displacements)
-    # Loads that are no follower loads have moments that depend on angles, and no more.
+    # Without follower loads, only the moments of the loads depend on the angles.
     remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
     consistent = independent(system, displacements)
     basis = None

@@ -2,9 +2,10 @@
 
 Start reading in `sweep`. `designs`, `distributions` and `sampling` hold what is varied,
 `outputs` what a study returns for one design, `executor` the compiled program that
-evaluates chunks of designs on one or several devices, `dataset` the result in memory, and
-`store` the result on disk, from which an interrupted sweep is resumed. `tolerances`
-computes how tolerances of the parameters propagate to an output.
+evaluates chunks of designs on one or several devices, and `dataset` the result in memory.
+`store` writes the result to a zarr folder on disk, from which an interrupted sweep is
+resumed. A design that fails returns NaN and a result code. `tolerances` computes how
+tolerances of the parameters propagate to an output.
 """
 
 from .designs import Grid as Grid

@@ -1,7 +1,10 @@
-"""Layout of the dataset of a sweep: names, axes and units of its variables."""
+"""Layout of the dataset of a sweep, and check that it fits into the memory."""
 
+import contextlib
 import math
+import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import jax
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     import xarray
 
 
+# size of `succeeded` and `result` for one design; bytes
+MINIMUM_OUTPUT_SIZE = 5
 # value of `result` for a design that has not been evaluated
 NOT_COMPUTED = -1
 # meaning of the numbers of `result`, in the form of the CF conventions
@@ -45,7 +50,7 @@ class Layout:
         parameters: Columns of the parameters.
         outputs: Columns of the outputs of all designs, whose first axis is `design`.
             Their values are shapes.
-        coordinates: Names of axes; see `coordinate_names`.
+        coordinates: Axis of each variable `<axis>_coordinate`; see `coordinate_names`.
     """
 
     def __init__(self, designs: Designs, output: StudyOutput, units: Mapping[str, str]):
@@ -88,14 +93,7 @@ class Layout:
         check_storable((*self.parameters, *self.outputs, *axes, *labeled))
 
     def values(self, output: StudyOutput) -> dict[str, np.ndarray]:
-        """Name the values of one chunk of designs.
-
-        Args:
-            output: Outputs of the chunk.
-
-        Returns:
-            The values, by the name of their variable.
-        """
+        """Return the values of one chunk of designs, by the name of their variable."""
         columns = zip(self._names, output.columns.values(), strict=True)
         values = {name: np.asarray(column.values) for name, column in columns}
         return values | {
@@ -104,10 +102,9 @@ class Layout:
         }
 
     def allocate(self) -> dict[str, np.ndarray]:
-        """Allocate arrays for the outputs of all designs.
+        """Allocate arrays for the outputs of all designs, by the name of their variable.
 
-        Returns:
-            The arrays, which are not initialized, by the name of their variable.
+        The arrays are not initialized.
         """
         return {
             name: np.empty(column.values.shape, column.values.dtype)
@@ -115,14 +112,7 @@ class Layout:
         }
 
     def memory_size(self, outputs: bool) -> int:
-        """Compute the size of the arrays of the dataset.
-
-        Args:
-            outputs: Whether outputs are included, or parameters only.
-
-        Returns:
-            The size; bytes.
-        """
+        """Compute the size of the parameters, and of the outputs if required; bytes."""
         columns = self.parameters | (self.outputs if outputs else {})
         return sum(
             math.prod(column.values.shape) * np.dtype(column.values.dtype).itemsize
@@ -142,13 +132,7 @@ class Layout:
     def _all_units(self, columns: Columns, units: Mapping[str, str]) -> dict[str, str]:
         """Combine the units of the outputs, those of the user, and those of derivatives.
 
-        Args:
-            columns: Columns of the outputs, by name.
-            units: Units that the user specifies, by name.
-
-        Returns:
-            The unit of each output, and of the parameters that have one; an empty string
-            if a unit is unknown.
+        The unit of an output is an empty string if it is unknown.
         """
         for name, unit in units.items():
             if name in columns and columns[name].unit not in ("", unit):
@@ -159,9 +143,10 @@ class Layout:
         combined = {**{name: column.unit for name, column in columns.items()}, **units}
         for name in combined:
             if name not in (*columns, *self.designs.names):
-                known = ", ".join((*self.designs.names, *self._names))
+                allowed = ", ".join((*self.designs.names, *self._names))
                 raise ValueError(
-                    f"`units` names {name!r}, but the parameters and outputs are {known}."
+                    f"`units` names {name!r}, but the parameters and outputs are "
+                    f"{allowed}."
                 )
         for name in self._names:
             for parameter in self.designs.names:
@@ -197,12 +182,12 @@ class Layout:
 def finish_dataset(
     table: "xarray.Dataset", grid: Sequence[str], coordinates: Mapping[str, str]
 ) -> "xarray.Dataset":
-    """Give the dataset of a sweep its final axes and coordinates.
+    """Reshape the outputs of a grid, and replace equal coordinates of all designs by one.
 
     Args:
         table: Dataset in which all outputs have the axis `design`.
         grid: Names of the parameters of a grid; empty if the designs are not a grid.
-        coordinates: Names of axes; see `coordinate_names`.
+        coordinates: Axis of each variable `<axis>_coordinate`; see `coordinate_names`.
 
     Returns:
         A dataset in which values along an axis that are the same for all designs are
@@ -227,6 +212,46 @@ def finish_dataset(
         names = [name for name in table.data_vars if "design" in table[name].dims]
         table = table.assign({name: reshape(table[name]) for name in names})
     return table
+
+
+def require_memory(count: int, needed: int) -> None:
+    """Check that the arrays of a dataset fit into the memory of the machine.
+
+    The check is skipped if the system does not report its memory.
+
+    Args:
+        count: Number of designs.
+        needed: Size of the arrays that are held in memory; bytes.
+
+    Raises:
+        ValueError: The machine has less memory.
+    """
+    available = _machine_memory()
+    if available is not None and needed > available:
+        raise memory_error(count, needed, available)
+
+
+def memory_error(count: int, needed: int, available: int | None = None) -> ValueError:
+    """Create the error for a dataset that does not fit into the memory.
+
+    The arrays need `needed` bytes; the machine has `available` bytes, if this is known.
+    """
+    memory = "" if available is None else f" ({available / 2**30:,.3g} GiB)"
+    return ValueError(
+        f"The dataset of {count:,} designs needs at least {needed / 2**30:,.3g} GiB, "
+        f"which is more than the memory of this machine{memory}. Use fewer designs, or "
+        "split them into several sweeps."
+    )
+
+
+def _machine_memory() -> int | None:
+    """Read the memory that this process may use; bytes, or `None` if it is unknown."""
+    sizes = []
+    with contextlib.suppress(AttributeError, ValueError, OSError):  # missing on Windows
+        sizes.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    with contextlib.suppress(ValueError, OSError):  # memory limit of a container
+        sizes.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return min((size for size in sizes if size > 0), default=None)
 
 
 def _derivative_unit(output: str, parameter: str) -> str:

@@ -39,13 +39,8 @@ class Grid:
 
     values: dict[str, np.ndarray]
 
-    def __init__(
-        self,
-        values: Mapping[str, GridValues],
-    ):
-        self.values = {
-            name: _convert_integers(np.asarray(array)) for name, array in values.items()
-        }
+    def __init__(self, values: Mapping[str, GridValues]):
+        self.values = {name: np.asarray(array) for name, array in values.items()}
         if not self.values:
             raise ValueError(
                 "`values` is empty, but a grid needs at least one parameter."
@@ -58,6 +53,9 @@ class Grid:
                     f"`values[{name!r}]` has shape {array.shape} and type {array.dtype}, "
                     "but must be a one-dimensional array of numbers."
                 )
+            # Outputs can be differentiated by floats only.
+            if np.issubdtype(array.dtype, np.integer):
+                self.values[name] = array.astype(float)
 
     def __repr__(self) -> str:
         parts = (f"{array.size} of {name}" for name, array in self.values.items())
@@ -65,17 +63,12 @@ class Grid:
         return f"Grid of {total:,} designs: {', '.join(parts)}"
 
 
-def _convert_integers(array: np.ndarray) -> np.ndarray:
-    """Convert integers to floats, so that outputs can be differentiated by them."""
-    return array.astype(float) if np.issubdtype(array.dtype, np.integer) else array
-
-
 class DesignStructure(NamedTuple):
     """Structure of one design; designs of the same structure share a compiled program.
 
     Args:
-        tree: Tree structure of a design, as the study takes it.
-        order: Index of the parameter of each leaf of the tree.
+        tree: Structure of the pytree of a design, as the study takes it.
+        order: Index of the parameter of each leaf of the pytree.
         names: Names of the parameters.
         shapes: Shape and number type of each parameter for one design.
     """
@@ -86,14 +79,7 @@ class DesignStructure(NamedTuple):
     shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]
 
     def design(self, parameters: Sequence[Array]) -> Any:
-        """Assemble one design, as the study takes it.
-
-        Args:
-            parameters: Parameters of the design, in the order of `names`.
-
-        Returns:
-            The tree of these parameters.
-        """
+        """Assemble the pytree of one design from its parameters, in their order."""
         leaves = [jnp.asarray(parameters[index]) for index in self.order]
         return jax.tree.unflatten(self.tree, leaves)
 
@@ -133,7 +119,7 @@ class Designs:
             self.structure = DesignStructure(tree, order, self.dims, self._shapes())
             return
         if isinstance(designs, Mapping):
-            designs = {name: _as_array(part) for name, part in designs.items()}
+            designs = {name: _as_array(value) for name, value in designs.items()}
         paths, tree = jax.tree_util.tree_flatten_with_path(designs)
         names: list[str] = []
         self.arrays = []
@@ -171,14 +157,7 @@ class Designs:
         return math.prod(self.shape)
 
     def take(self, indices: np.ndarray) -> list[np.ndarray]:
-        """Select designs.
-
-        Args:
-            indices: Indices of the designs.
-
-        Returns:
-            The parameters of these designs, in the order of `names`.
-        """
+        """Return the parameters of the designs with these indices, in their order."""
         if not self._is_grid:
             return [array[indices] for array in self.arrays]
         grid_indices = np.unravel_index(indices, self.shape)
@@ -186,14 +165,13 @@ class Designs:
 
     def _shapes(self) -> tuple[tuple[tuple[int, ...], np.dtype], ...]:
         """Determine the shape and number type of each parameter for one design."""
-        first = self.take(np.zeros(1, int))
         return tuple(
             (array.shape[1:], jax.dtypes.canonicalize_dtype(array.dtype))
-            for array in first
+            for array in self.take(np.zeros(1, int))
         )
 
 
-def _as_array(part: Any) -> Any:
+def _as_array(value: Any) -> Any:
     """Convert a list or tuple of numbers to an array; return anything else unchanged."""
-    is_list = isinstance(part, list | tuple) and part and all(map(np.isscalar, part))
-    return np.asarray(part) if is_list else part
+    is_list = isinstance(value, list | tuple) and value and all(map(np.isscalar, value))
+    return np.asarray(value) if is_list else value

@@ -58,11 +58,7 @@ class Normal(AbstractDistribution):
     mean: Numbers
     standard_deviation: Numbers
 
-    def __init__(
-        self,
-        mean: NumbersLike,
-        standard_deviation: NumbersLike,
-    ):
+    def __init__(self, mean: NumbersLike, standard_deviation: NumbersLike):
         self.mean, self.standard_deviation = _broadcast(
             "mean", mean, "standard_deviation", standard_deviation
         )
@@ -103,11 +99,7 @@ class Uniform(AbstractDistribution):
     low: Numbers
     high: Numbers
 
-    def __init__(
-        self,
-        low: NumbersLike,
-        high: NumbersLike,
-    ):
+    def __init__(self, low: NumbersLike, high: NumbersLike):
         self.low, self.high = _broadcast("low", low, "high", high)
         width = concrete(self.high - self.low)
         if width is not None and np.any(width < 0):
@@ -135,10 +127,7 @@ class Uniform(AbstractDistribution):
 
 
 def _broadcast(
-    first_name: str,
-    first: NumbersLike,
-    second_name: str,
-    second: NumbersLike,
+    first_name: str, first: NumbersLike, second_name: str, second: NumbersLike
 ) -> tuple[Array, Array]:
     """Broadcast two arguments to one shape, and check that concrete values are finite."""
     arrays = jnp.asarray(first, float), jnp.asarray(second, float)

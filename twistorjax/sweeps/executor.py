@@ -1,9 +1,12 @@
-"""Compiled program that evaluates chunks of designs on one or several devices."""
+"""Compiled program that evaluates chunks of designs on one or several devices.
+
+The devices may belong to several processes, which `jax.distributed` connects.
+"""
 
 import hashlib
 import re
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -97,14 +100,7 @@ class Program:
         return self.mesh.devices.flat[0].platform
 
     def chunk_count(self, designs: Designs) -> int:
-        """Count the chunks into which designs are divided.
-
-        Args:
-            designs: Designs of the sweep.
-
-        Returns:
-            The number of chunks.
-        """
+        """Count the chunks into which designs are divided."""
         return -(-len(designs) // self.chunk_size)
 
     def run(
@@ -112,7 +108,7 @@ class Program:
     ) -> Iterator[tuple[int, StudyOutput]]:
         """Evaluate chunks of designs.
 
-        The devices evaluate the next chunks while the caller uses the last ones.
+        The devices evaluate the next chunks while the caller uses the previous ones.
 
         Args:
             designs: Designs of the sweep.
@@ -129,15 +125,13 @@ class Program:
         """
         if not chunks:
             return
-        needed = (
-            self._compile() if self._compiled is None else _memory_size(self._compiled)
-        )
+        if self._compiled is None:
+            self._compile()
+        needed = _memory_size(self._compiled)
         if needed > self.memory:
-            remedy = (
-                "Increase `memory`."
-                if self.chunk_size == 1
-                else "Reduce `chunk_size`, or increase `memory`."
-            )
+            remedy = "Reduce `chunk_size`, or increase `memory`."
+            if self.chunk_size == 1:
+                remedy = "Increase `memory`."
             raise ValueError(
                 f"`chunk_size` is {self.chunk_size:,}, for which a device needs "
                 f"{needed / 2**20:,.3g} MiB, but `memory` is "
@@ -158,18 +152,12 @@ class Program:
             raise RuntimeError(
                 "A solve in the study failed for a design and raised an error, which "
                 "stopped the sweep. Call the solver with `throw=False` and return its "
-                "`result`; then a failed design is marked, and the sweep continues."
+                "`result`; a failed design then returns NaN and a failure code, and the "
+                "sweep continues."
             ) from error
 
     def chunk_owners(self, designs: Designs) -> np.ndarray:
-        """Determine which process evaluates each chunk of a complete sweep.
-
-        Args:
-            designs: Designs of the sweep.
-
-        Returns:
-            The index of the process of each chunk.
-        """
+        """Determine the index of the process that evaluates each chunk of a sweep."""
         chunks = np.arange(self.chunk_count(designs))
         if self.mesh is None:
             return np.full(len(chunks), jax.process_index())
@@ -177,7 +165,7 @@ class Program:
         return owners[chunks % self.device_count]
 
     def _lower(self) -> None:
-        """Trace the program for the present chunk size, and find what it returns."""
+        """Trace the program, and determine the shapes of its outputs."""
         while True:
             arguments = self._arguments(self.chunk_size)
             lowered = jax.jit(self._evaluate_chunk).lower(arguments)
@@ -239,12 +227,7 @@ class Program:
     def _start(self, designs: Designs, group: tuple[int, ...]) -> StudyOutput:
         """Start the evaluation of a group of chunks, at most one for each device.
 
-        Args:
-            designs: Designs of the sweep.
-            group: Numbers of the chunks.
-
-        Returns:
-            The outputs of all chunks, which the devices may still be computing.
+        The devices may still be computing the outputs when they are returned.
         """
         group += (group[-1],) * (self.device_count - len(group))
         # Indices after the last design are replaced by the last design.
@@ -271,28 +254,54 @@ class Program:
     def _collect(
         self, group: tuple[int, ...], output: StudyOutput
     ) -> Iterator[tuple[int, StudyOutput]]:
-        """Wait for a group of chunks, and yield those that this process has evaluated.
-
-        Args:
-            group: Numbers of the chunks.
-            output: Outputs of all chunks of the group.
-
-        Yields:
-            The number of a chunk and its outputs.
-        """
+        """Wait for a group of chunks, and yield those that this process has evaluated."""
         if self.mesh is None:
             yield group[0], jax.tree.map(np.asarray, output)
             return
         leaves, tree = jax.tree.flatten(output)
         starts = [shard.index[0].start or 0 for shard in leaves[0].addressable_shards]
-        for shard_index, start in enumerate(starts):
+        for shard, start in enumerate(starts):
             position = start // self.chunk_size
             if position < len(group):
-                parts = [
-                    np.asarray(leaf.addressable_shards[shard_index].data)
-                    for leaf in leaves
-                ]
-                yield group[position], jax.tree.unflatten(tree, parts)
+                arrays = [leaf.addressable_shards[shard].data for leaf in leaves]
+                outputs = jax.tree.unflatten(tree, map(np.asarray, arrays))
+                yield group[position], outputs
+
+
+def synchronize(step: str) -> None:
+    """Wait until all processes have reached a step.
+
+    Args:
+        step: Name of the step, which must be the same in all processes.
+    """
+    if jax.process_count() > 1:
+        from jax.experimental import multihost_utils
+
+        multihost_utils.sync_global_devices(step)
+
+
+def gather(
+    values: Mapping[str, np.ndarray], owners: np.ndarray
+) -> Mapping[str, np.ndarray]:
+    """Combine the values that several processes have computed.
+
+    Args:
+        values: Arrays with one entry for each design along the first axis, by name. In
+            each process, only the entries of its own designs are valid.
+        owners: Index of the process that has computed each design.
+
+    Returns:
+        The arrays with all entries, in each process.
+    """
+    if jax.process_count() == 1:
+        return values
+    from jax.experimental import multihost_utils
+
+    rows = np.arange(len(owners))
+    return {
+        name: np.asarray(multihost_utils.process_allgather(array))[owners, rows]
+        for name, array in values.items()
+    }
 
 
 def _single_threaded_batch_size(program: str) -> int:
@@ -300,13 +309,7 @@ def _single_threaded_batch_size(program: str) -> int:
 
     XLA distributes a batch of matrices among threads if the work exceeds about 2e5
     operations. Two such calls on two devices of one processor wait for each other and
-    deadlock (jaxlib 0.10).
-
-    Args:
-        program: Lowered program, as StableHLO text.
-
-    Returns:
-        The batch size, at most `_CPU_BATCH_SIZE`.
+    deadlock (jaxlib 0.10). The program is StableHLO text.
     """
     largest = 0.0
     for line in program.splitlines():

@@ -122,16 +122,15 @@ def coordinate_names(parameters: Iterable[str], outputs: Columns) -> Mapping[str
 
     An output with the name of its own axis, such as the times of a motion, holds the
     values along this axis. It becomes a coordinate of the dataset if it is the same for
-    all designs. Until then a variable with the additional axis `design` holds it, under
-    another name.
+    all designs. While the sweep runs, the values are stored for each design in
+    `<axis>_coordinate`.
 
     Args:
         parameters: Names of the parameters.
         outputs: Outputs for a batch of designs, by name.
 
     Returns:
-        The name of the axis for the name of each of these variables, such as "time" for
-        "time_coordinate".
+        Axis of each of these variables, such as "time" for "time_coordinate".
 
     Raises:
         ValueError: A parameter or another output has the name of such a variable.

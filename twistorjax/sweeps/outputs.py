@@ -7,10 +7,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Int
 
+from .._utils.pytrees import split_last_axis
 from .._utils.types import Flag
 from ..solve.results import RESULTS
 from ..solve.tables import Column, Columns
@@ -62,28 +62,22 @@ def study_output(
         return columns, _results(value)
 
     def output(parameters: list[Array]) -> StudyOutput:
-        columns, results = (
-            _with_derivatives(evaluate, parameters, structure.names, derivatives)
-            if derivatives
-            else evaluate(parameters)
-        )
-        derivative_names = {
-            f"{name}_by_{parameter}"
-            for name in derivatives
-            for parameter in structure.names
-        }
-        # A derivative may be infinite where its output is finite.
-        floats = [
-            column.values
-            for name, column in columns.items()
-            if name not in derivative_names and eqx.is_inexact_array(column.values)
-        ]
+        by_parameter: Columns = {}
+        if derivatives:
+            columns, by_parameter, results = _with_derivatives(
+                evaluate, parameters, structure.names, derivatives
+            )
+        else:
+            columns, results = evaluate(parameters)
         if results:
             result = results[0]
             for other in results[1:]:
                 result = RESULTS.where(_is_success(result), other, result)
             succeeded = _is_success(result)
         else:
+            # A derivative may be infinite where its output is finite.
+            arrays = [column.values for column in columns.values()]
+            floats = filter(eqx.is_inexact_array, arrays)
             finite = [jnp.all(jnp.isfinite(values)) for values in floats]
             succeeded = jnp.all(jnp.stack(finite)) if finite else jnp.asarray(True)
             result = RESULTS.where(succeeded, RESULTS.successful, RESULTS.not_finite)
@@ -94,6 +88,7 @@ def study_output(
             values = jnp.where(succeeded, column.values, jnp.nan)
             return eqx.tree_at(lambda column: column.values, column, values)
 
+        columns = {**columns, **by_parameter}
         masked = {name: mask(name, column) for name, column in columns.items()}
         return StudyOutput(masked, jnp.asarray(result._value), succeeded)
 
@@ -110,18 +105,13 @@ def _results(value: Any) -> list[RESULTS]:
         return [value.result]  # It covers all parts of the solution.
     if isinstance(value, RESULTS):
         return [value]
-    return [result for _, part in _parts(value) for result in _results(part)]
+    return [result for _, child in _children(value) for result in _results(child)]
 
 
 def _columns(value: Any, name: str) -> Iterator[tuple[str, Column]]:
-    """Yield the columns of a tree that a study returns, with their names.
+    """Yield the columns of a tree that a study returns, and the path to each of them.
 
-    Args:
-        value: The tree.
-        name: Path to the tree, such as "stage.gain"; empty at the root.
-
-    Yields:
-        The path to each column and the column.
+    The path of the tree itself, such as "stage.gain", is `name`; it is empty at the root.
     """
     if isinstance(value, Column):
         yield name or "output", value
@@ -135,21 +125,21 @@ def _columns(value: Any, name: str) -> Iterator[tuple[str, Column]]:
         axes = tuple(f"{name}_{axis}" for axis in range(array.ndim))
         yield name, Column(array, axes)
     else:
-        parts = _parts(value)
-        if not (parts or value is None or isinstance(value, dict | tuple | list)):
+        children = _children(value)
+        if not (children or value is None or isinstance(value, dict | tuple | list)):
             where = f" as {name!r}" if name else ""
             raise ValueError(
                 f"The study returns {value!r}{where}, but must return numbers, arrays, "
                 "or trees of them."
             )
-        for inner, part in parts:
-            yield from _columns(part, f"{name}.{inner}" if name else inner)
+        for inner, child in children:
+            yield from _columns(child, f"{name}.{inner}" if name else inner)
 
 
-def _parts(value: Any) -> list[tuple[str, Any]]:
+def _children(value: Any) -> list[tuple[str, Any]]:
     """List the children of a node of a tree, with their names."""
     if isinstance(value, dict):
-        return [(str(key), part) for key, part in value.items()]
+        return [(str(key), child) for key, child in value.items()]
     if isinstance(value, eqx.Module):
         return [
             (field.name, getattr(value, field.name))
@@ -159,7 +149,7 @@ def _parts(value: Any) -> list[tuple[str, Any]]:
     if hasattr(value, "_asdict"):
         return list(value._asdict().items())
     if isinstance(value, tuple | list):
-        return [(str(index), part) for index, part in enumerate(value)]
+        return [(str(index), child) for index, child in enumerate(value)]
     return []
 
 
@@ -168,18 +158,11 @@ def _with_derivatives(
     parameters: list[Array],
     names: Sequence[str],
     derivatives: Sequence[str],
-) -> tuple[Columns, list[RESULTS]]:
-    """Evaluate a study and its derivatives by each parameter in one pass.
+) -> tuple[Columns, Columns, list[RESULTS]]:
+    """Evaluate a study and the derivatives of some outputs by each parameter in one pass.
 
-    Args:
-        evaluate: The study, as a function of the parameters.
-        parameters: Parameters of the design.
-        names: Names of the parameters.
-        derivatives: Names of the outputs that are differentiated.
-
-    Returns:
-        The outputs and their derivatives, and the results of the solves. The derivative
-        of `gain` by `web` has the name `gain_by_web`.
+    It returns the outputs, their derivatives, and the results of the solves. The
+    derivative of `gain` by `web` has the name `gain_by_web`.
     """
     real = [k for k, array in enumerate(parameters) if eqx.is_inexact_array(array)]
     if not real:
@@ -207,68 +190,39 @@ def _with_derivatives(
         return [columns[name].values for name in derivatives], (columns, results)
 
     jacobians, (columns, results) = _jacobians(selected, vector)
-    ends = np.cumsum([parameters[index].size for index in real])[:-1]
-    columns = dict(columns)
+    shapes = [parameters[index].shape for index in real]
+    by_parameter = {}
     for name, jacobian in zip(derivatives, jacobians, strict=True):
         output = columns[name]
-        for index, part in zip(real, jnp.split(jacobian, ends, -1), strict=True):
-            shape = parameters[index].shape
-            axes = tuple(f"{names[index]}_{axis}" for axis in range(len(shape)))
-            values = part.reshape(*jacobian.shape[:-1], *shape)
-            column = Column(values, (*output.axes, *axes), "", output.labels)
-            columns[f"{name}_by_{names[index]}"] = column
-    return columns, results
+        parts = split_last_axis(jacobian, shapes)
+        for index, values in zip(real, parts, strict=True):
+            extra = range(parameters[index].ndim)
+            axes = (*output.axes, *(f"{names[index]}_{axis}" for axis in extra))
+            column = Column(values, axes, "", output.labels)
+            by_parameter[f"{name}_by_{names[index]}"] = column
+    return columns, by_parameter, results
 
 
 def _jacobians(
     function: Callable[[Array], tuple[list[Array], Any]], vector: Array
 ) -> tuple[list[Array], Any]:
-    """Differentiate the arrays that a function returns by its argument.
+    """Compute the Jacobians of the arrays that a function returns.
 
-    Args:
-        function: Function of a vector that returns arrays, and auxiliary outputs.
-        vector: Argument of the function.
-
-    Returns:
-        The Jacobian of each array, whose last axis is that of the vector, and the
-        auxiliary outputs.
+    The function also returns auxiliary outputs, which are returned unchanged. The last
+    axis of each Jacobian is that of the vector.
     """
     if vector.size <= _MAX_FORWARD_SIZE:
         try:
-            return _forward_jacobians(function, vector)
+            return jax.jacfwd(function, has_aux=True)(vector)
         except TypeError as error:
             # By default, `simulate` can be differentiated in reverse mode only.
             if "custom_vjp" not in str(error):
                 raise
-    return _reverse_jacobians(function, vector)
-
-
-def _forward_jacobians(
-    function: Callable[[Array], tuple[list[Array], Any]], vector: Array
-) -> tuple[list[Array], Any]:
-    """Differentiate in forward mode; see `_jacobians`."""
-
-    def derivative(tangent: Array) -> Any:
-        return jax.jvp(function, (vector,), (tangent,), has_aux=True)
-
-    _, jacobians, auxiliary = jax.vmap(derivative, out_axes=(None, -1, None))(
-        jnp.eye(vector.size)
-    )
-    return jacobians, auxiliary
-
-
-def _reverse_jacobians(
-    function: Callable[[Array], tuple[list[Array], Any]], vector: Array
-) -> tuple[list[Array], Any]:
-    """Differentiate in reverse mode; see `_jacobians`."""
 
     def real_function(vector: Array) -> tuple[list[tuple[Array, ...]], Any]:
         values, auxiliary = function(vector)
-        parts = [(v.real, v.imag) if jnp.iscomplexobj(v) else (v,) for v in values]
-        return jax.tree.map(lambda part: part.astype(vector.dtype), parts), auxiliary
+        pairs = [(v.real, v.imag) if jnp.iscomplexobj(v) else (v,) for v in values]
+        return jax.tree.map(lambda leaf: leaf.astype(vector.dtype), pairs), auxiliary
 
-    values, pullback, auxiliary = jax.vjp(real_function, vector, has_aux=True)
-    flat, unravel = ravel_pytree(values)
-    rows = jax.vmap(lambda cotangent: pullback(unravel(cotangent))[0])(jnp.eye(flat.size))
-    parts = jax.vmap(unravel, in_axes=1, out_axes=-1)(rows)
-    return [p[0] if len(p) == 1 else jax.lax.complex(*p) for p in parts], auxiliary
+    jacobians, auxiliary = jax.jacrev(real_function, has_aux=True)(vector)
+    return [j[0] if len(j) == 1 else jax.lax.complex(*j) for j in jacobians], auxiliary

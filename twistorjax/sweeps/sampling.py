@@ -3,15 +3,16 @@
 from collections.abc import Mapping
 from typing import Any, get_args, Literal
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.pytrees import entry_names, path_name
+from .._utils.pytrees import entry_names, path_name, split_last_axis
 from .._utils.types import ArrayOfNumbers
 from .._utils.validation import require_choice
+from .dataset import require_memory
 from .distributions import AbstractDistribution, Uniform
-from .memory import require_memory
 
 
 # Probabilities keep this distance from 0 and 1, where a normal quantile is infinite.
@@ -25,8 +26,8 @@ class DistributionSet:
     Each entry of an uncertain parameter is one random variable.
 
     Args:
-        designs: One design as the study takes it, with a `Normal` or a `Uniform` in
-            place of each uncertain parameter.
+        design: One design as the study takes it, with a `Normal` or a `Uniform` in place
+            of each uncertain parameter.
         correlation: Correlation matrix of the standard normal variables of the Gaussian
             copula, in the order of `variable_names`; by default the random variables
             are independent.
@@ -36,21 +37,24 @@ class DistributionSet:
             correlation matrix of the right size.
     """
 
-    def __init__(self, designs: Any, correlation: ArrayOfNumbers | None = None):
-        paths, self._tree = jax.tree_util.tree_flatten_with_path(
-            designs, is_leaf=_is_distribution
+    def __init__(self, design: Any, correlation: ArrayOfNumbers | None = None):
+        uncertain, self._constants = eqx.partition(
+            design, _is_distribution, is_leaf=_is_distribution
         )
-        self._leaves = [leaf for _, leaf in paths]
+        leaves, self._structure = jax.tree_util.tree_flatten_with_path(
+            uncertain, is_leaf=_is_distribution
+        )
         self._distributions: dict[str, AbstractDistribution] = {
-            path_name(path): leaf for path, leaf in paths if _is_distribution(leaf)
+            path_name(path): leaf for path, leaf in leaves
         }
+        self._shapes = [leaf.mean.shape for _, leaf in leaves]
         names: list[str] = []
         for name, distribution in self._distributions.items():
             names += entry_names(name, distribution.mean.shape)
         self.variable_names = tuple(names)
         if not names:
             raise ValueError(
-                "`designs` has no uncertain parameter. Use a `Normal` or a `Uniform` for "
+                "`design` has no uncertain parameter. Use a `Normal` or a `Uniform` for "
                 "at least one parameter."
             )
         self._normal_correlation = np.eye(len(names))
@@ -104,13 +108,10 @@ class DistributionSet:
         Two sets with the same signature differ in their distributions only, so that one
         compiled program serves both.
         """
-        leaves = [
-            leaf.mean.shape
-            if _is_distribution(leaf)
-            else (np.shape(leaf), np.asarray(leaf).dtype.str, np.asarray(leaf).tobytes())
-            for leaf in self._leaves
-        ]
-        return self._tree, *leaves
+        leaves, structure = jax.tree.flatten(self._constants)
+        arrays = map(np.asarray, leaves)
+        constants = [(array.shape, array.dtype.str, array.tobytes()) for array in arrays]
+        return self._structure, structure, *self._shapes, *constants
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -172,15 +173,11 @@ class DistributionSet:
             eigenvalues, eigenvectors = np.linalg.eigh(self._normal_correlation)
             root = eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))
             probabilities = _clip_probabilities(ndtr(ndtri(probabilities) @ root.T))
-        columns = [
-            distribution.quantile(part.reshape(count, *distribution.mean.shape)).reshape(
-                count, -1
-            )
-            for distribution, part in zip(
-                self._distributions.values(), self._split(probabilities), strict=True
-            )
+        values = [
+            self._distributions[name].quantile(probability)
+            for name, probability in self.parameters(probabilities).items()
         ]
-        return np.concatenate(columns, axis=1)
+        return np.concatenate([value.reshape(count, -1) for value in values], axis=1)
 
     def parameters(
         self, samples: Float[np.ndarray, "designs variables"]
@@ -194,12 +191,8 @@ class DistributionSet:
             An array for each uncertain parameter, by name, with one entry for each
             design along the first axis.
         """
-        return {
-            name: part.reshape(len(samples), *distribution.mean.shape)
-            for (name, distribution), part in zip(
-                self._distributions.items(), self._split(samples), strict=True
-            )
-        }
+        values = split_last_axis(samples, self._shapes)
+        return dict(zip(self._distributions, values, strict=True))
 
     def designs(self, samples: Float[np.ndarray, "designs variables"]) -> Any:
         """Assemble designs for a sweep.
@@ -208,17 +201,15 @@ class DistributionSet:
             samples: Value of each random variable for each design.
 
         Returns:
-            The tree of all parameters, with one entry for each design along the first
+            The pytree of all parameters, with one entry for each design along the first
             axis of each array.
         """
-        sampled = iter(self.parameters(samples).values())
-        leaves = [
-            next(sampled)
-            if _is_distribution(leaf)
-            else np.broadcast_to(leaf, (len(samples), *np.shape(leaf)))
-            for leaf in self._leaves
-        ]
-        return jax.tree.unflatten(self._tree, leaves)
+        constants = jax.tree.map(
+            lambda leaf: np.broadcast_to(leaf, (len(samples), *np.shape(leaf))),
+            self._constants,
+        )
+        values = self.parameters(samples).values()
+        return eqx.combine(jax.tree.unflatten(self._structure, values), constants)
 
     def design(self, parameters: Mapping[str, Array]) -> Any:
         """Assemble one design.
@@ -227,22 +218,14 @@ class DistributionSet:
             parameters: Values of the uncertain parameters, by name.
 
         Returns:
-            The tree of all parameters, as the study takes it.
+            The pytree of all parameters, as the study takes it.
         """
-        values = iter(parameters[name] for name in self._distributions)
-        leaves = [
-            next(values) if _is_distribution(leaf) else leaf for leaf in self._leaves
-        ]
-        return jax.tree.unflatten(self._tree, leaves)
-
-    def _split(self, samples: np.ndarray) -> list[np.ndarray]:
-        """Split the random variables along the last axis by parameter."""
-        sizes = [distribution.mean.size for distribution in self._distributions.values()]
-        return np.split(samples, np.cumsum(sizes)[:-1], axis=1)
+        values = [parameters[name] for name in self._distributions]
+        return eqx.combine(jax.tree.unflatten(self._structure, values), self._constants)
 
 
 def sample_designs(
-    designs: Any,
+    design: Any,
     count: int,
     *,
     method: Method = "sobol",
@@ -252,21 +235,21 @@ def sample_designs(
     """Sample designs from the distributions of their parameters.
 
     Args:
-        designs: One design as the study takes it, with a `Normal` or a `Uniform` in
-            place of each uncertain parameter. The other parameters are constant.
+        design: One design as the study takes it, with a `Normal` or a `Uniform` in place
+            of each uncertain parameter. The other parameters are constant.
         count: Number of designs.
         method: Sampling method. "sobol" (scrambled Sobol points, for which powers of two
             are best) and "latin_hypercube" fill the space evenly, so that means need
             fewer designs; "random" samples each design independently.
         seed: Seed of the random number generator.
         correlation: Correlation matrix of all random variables, which are the entries of
-            the uncertain parameters in the order of the tree (mappings are sorted by
+            the uncertain parameters in the order of the pytree (mappings are sorted by
             name); by default they are independent. For uniform variables it is that of
             the underlying normal variables of a Gaussian copula.
 
     Returns:
-        The same tree, with one entry for each design along the first axis of each array.
-        It can be passed to `sweep`.
+        The same pytree, with one entry for each design along the first axis of each
+        array. It can be passed to `sweep`.
 
     Raises:
         ValueError: No parameter has a distribution, `count` is not a positive integer,
@@ -286,7 +269,7 @@ def sample_designs(
         >>> round(float(designs["web"].mean()), 9)
         0.00025
     """
-    distributions = DistributionSet(designs, correlation)
+    distributions = DistributionSet(design, correlation)
     return distributions.designs(distributions.sample(count, method, seed))
 
 

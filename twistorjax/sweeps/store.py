@@ -68,10 +68,7 @@ class Store:
         self._checksums: Any = None
 
     def damaged_files(self) -> list[str]:
-        """List the damaged files of coordinates, labels and metadata.
-
-        Returns:
-            Their paths in the folder of the store.
+        """List the paths of damaged files of coordinates, labels and metadata.
 
         Raises:
             OSError: A file cannot be read.
@@ -81,11 +78,8 @@ class Store:
     def open(self, mode: Literal["r", "r+"] = "r+") -> "Store":
         """Verify coordinates, labels and metadata, and open the arrays of the outputs.
 
-        Args:
-            mode: "r" for reading, "r+" for reading and writing.
-
-        Returns:
-            This store.
+        The mode is "r" for reading, and "r+" for reading and writing. The store itself is
+        returned.
 
         Raises:
             OSError: A file is damaged or cannot be read.
@@ -160,19 +154,11 @@ class Store:
         return np.concatenate(parts)
 
     def written_chunks(self) -> Bool[np.ndarray, " chunks"]:
-        """Determine which chunks have been written, without a verification.
-
-        Returns:
-            Whether each chunk has been written.
-        """
+        """Determine whether each chunk has been written, without a verification."""
         return self._read_checksums() != 0
 
     def intact_chunks(self) -> Bool[np.ndarray, " chunks"]:
-        """Determine which chunks have been written and have not changed since then.
-
-        Returns:
-            Whether each chunk is intact.
-        """
+        """Determine whether each chunk has been written and is unchanged since then."""
         return np.array(
             [
                 checksum != 0 and checksum == self._compute_checksum(chunk)

@@ -1,4 +1,4 @@
-"""Creation of stores, as a whole or not at all, also by several processes at once."""
+"""Atomic creation of stores, safe with several processes."""
 
 import contextlib
 import errno
@@ -48,9 +48,7 @@ def require_writable(path: Path) -> None:
     )
 
 
-def create_store(
-    path: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
-) -> bool:
+def create_store(path: Path, identity: Mapping[str, Any], layout: Layout) -> bool:
     """Create a store without outputs.
 
     The store is created in a hidden folder beside `path`, which is then renamed.
@@ -61,7 +59,6 @@ def create_store(
         path: Folder of the store.
         identity: Entries that identify the sweep.
         layout: Names, axes and units of all variables of the store.
-        chunk_size: Number of designs of a chunk.
 
     Returns:
         True, or False if another process has created `path` in the meantime.
@@ -72,7 +69,7 @@ def create_store(
     with clear_errors(path, "written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(path)
-        with _temporary_store(path, identity, layout, chunk_size) as temporary:
+        with _temporary_store(path, identity, layout) as temporary:
             try:
                 os.rename(temporary, path)
             except OSError:
@@ -82,67 +79,49 @@ def create_store(
     return True
 
 
-def rewrite_static_files(
-    path: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
-) -> None:
+def rewrite_static_files(path: Path, identity: Mapping[str, Any], layout: Layout) -> None:
     """Write the coordinates, the labels and all metadata of a damaged store again.
 
-    Chunks of outputs stay unchanged. The manifest is replaced last, so that the store
-    counts as damaged until all files are intact.
-
-    Args:
-        path: Folder of the store, which the same sweep created.
-        identity: Entries that identify the sweep.
-        layout: Names, axes and units of all variables of the store.
-        chunk_size: Number of designs of a chunk.
+    The arguments are those of `create_store` for the sweep that created the store. Chunks
+    of outputs stay unchanged. The manifest is replaced last, so that the store counts as
+    damaged until all files are intact.
 
     Raises:
         OSError: The store cannot be written.
     """
-    with (
-        clear_errors(path, "written"),
-        _temporary_store(path, identity, layout, chunk_size) as temporary,
-    ):
-        files = [
-            file.relative_to(temporary) for file in temporary.rglob("*") if file.is_file()
-        ]
+    with clear_errors(path, "written"), _temporary_store(path, identity, layout) as new:
+        files = [file.relative_to(new) for file in new.rglob("*") if file.is_file()]
         for file in sorted(files, key=lambda file: file == MANIFEST):
             (path / file).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(temporary / file, path / file)
+            os.replace(new / file, path / file)
 
 
 def fill_value(name: str, dtype: np.dtype) -> Any:
-    """Choose the value of an output that has not been computed.
+    """Choose the value of an output that has not been computed, by its name and dtype.
 
-    Args:
-        name: Name of the output.
-        dtype: Type of its numbers.
-
-    Returns:
-        NaN for real and complex numbers, -1 for `result`, otherwise zero.
+    It is NaN for real and complex numbers, -1 for `result`, and otherwise zero.
     """
     return np.nan if dtype.kind in "fc" else NOT_COMPUTED if name == "result" else 0
 
 
 @contextlib.contextmanager
 def _temporary_store(
-    path: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
+    path: Path, identity: Mapping[str, Any], layout: Layout
 ) -> Iterator[Path]:
     """Create a store in a hidden folder, which is removed unless it is renamed."""
     temporary = path.with_name(
         f".{path.name}.{_machine_id()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     )
     try:
-        _write_store(temporary, identity, layout, chunk_size)
+        _write_store(temporary, identity, layout)
         yield temporary
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _write_store(
-    folder: Path, identity: Mapping[str, Any], layout: Layout, chunk_size: int
-) -> None:
+def _write_store(folder: Path, identity: Mapping[str, Any], layout: Layout) -> None:
     """Write all files of a store without outputs."""
+    chunk_size = identity["chunk_size"]
     group = require_package("zarr", "Stores", "data").open_group(folder, mode="w")
     labels = {}
     for name, column in (layout.parameters | layout.outputs).items():
@@ -194,9 +173,6 @@ def _remove_abandoned(path: Path) -> None:
     The folder of a running process must stay. The name of a folder contains the number
     of its process, which shows on the same machine whether the process still runs. On
     other machines the age decides, because the creation of a store takes seconds.
-
-    Args:
-        path: Folder of the store.
     """
     pattern = rf"\.{re.escape(path.name)}\.([0-9a-f]{{8}})-(\d+)-[0-9a-f]{{8}}"
     for folder in path.parent.iterdir():
@@ -209,12 +185,9 @@ def _remove_abandoned(path: Path) -> None:
 
 
 def _machine_id() -> str:
-    """Compute an identifier of this machine and container.
+    """Compute an identifier of eight hexadecimal digits of this machine and container.
 
     It distinguishes machines that share a folder, and containers on one machine.
-
-    Returns:
-        Eight hexadecimal digits.
     """
     namespace = ""
     with contextlib.suppress(OSError):

@@ -68,6 +68,9 @@ def damaged_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
 
     Returns:
         The paths of the damaged files in the folder.
+
+    Raises:
+        OSError: A file cannot be read.
     """
     damaged = []
     for name, digest in digests.items():
@@ -90,7 +93,7 @@ def damage_error(folder: Path, what: str, remedy: str) -> OSError:
         remedy: What the user can do; a sentence.
 
     Returns:
-        The error, which the caller raises.
+        The error.
     """
     return OSError(
         errno.EIO,
@@ -106,14 +109,7 @@ def clear_errors(
     """Replace a file system error in the block by a short one that names the store.
 
     The errors of zarr contain neither the store nor a remedy, and have long tracebacks.
-
-    Args:
-        path: Folder of the store.
-        action: What the block does with the store.
-        remedy: What the user can do; a sentence.
-
-    Yields:
-        Nothing.
+    The remedy is a sentence that says what the user can do.
     """
     try:
         yield

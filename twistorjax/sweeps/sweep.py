@@ -16,13 +16,19 @@ import numpy as np
 from .._utils.validation import compilation_error, require_package
 from ..solve.results import result_message, RESULT_NAMES
 from ..solve.tables import Column, dataset
-from .dataset import finish_dataset, Layout, NOT_COMPUTED, RESULT_FLAGS
+from .dataset import (
+    finish_dataset,
+    Layout,
+    memory_error,
+    MINIMUM_OUTPUT_SIZE,
+    NOT_COMPUTED,
+    require_memory,
+    RESULT_FLAGS,
+)
 from .designs import Designs
-from .executor import default_chunk_size, Program
-from .memory import memory_error, MINIMUM_OUTPUT_SIZE, require_memory
+from .executor import default_chunk_size, gather, Program, synchronize
 from .names import check_storable
 from .outputs import StudyOutput
-from .processes import gather, synchronize
 from .store import Store
 from .store_creation import create_store, require_writable, rewrite_static_files
 from .store_files import clear_errors, damage_error
@@ -183,13 +189,13 @@ def sweep(
             for name, chunk_values in layout.values(output).items():
                 rows = values[name][first : first + program.chunk_size]
                 rows[:] = chunk_values[: len(rows)]
-        attributes = _identity(study, designs, program, units, settings)
         owners = np.repeat(program.chunk_owners(designs), program.chunk_size)
         gathered = gather(values, owners[: len(designs)])
-        table = _assemble(layout, gathered, attributes)
+        identity = _identity(study, designs, program, units, settings)
+        table = _assemble(layout, gathered, identity)
     else:
         identity = _identity(study, designs, program, units, settings)
-        opened = _open_store(store, layout, program, identity, resume)
+        opened = _open_store(Path(store), layout, identity, resume)
         missing = np.flatnonzero(~opened.intact_chunks())
         synchronize("sweep started")
         for chunk, output in _run(program, designs, missing.tolist(), progress):
@@ -248,10 +254,7 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
 
 
 def require_packages(store: str | Path | None) -> None:
-    """Check that the packages for datasets and for stores are installed.
-
-    Args:
-        store: Folder of the store; `None` if no store is used.
+    """Check that the packages for datasets and, with a store, for stores are installed.
 
     Raises:
         ImportError: A package is not installed; the message contains the pip command.
@@ -262,14 +265,9 @@ def require_packages(store: str | Path | None) -> None:
 
 
 def failures(table: "xarray.Dataset") -> dict[str, int]:
-    """Count the failed designs of a dataset.
+    """Count the failed designs of a dataset for each result name.
 
-    Args:
-        table: Dataset of a sweep.
-
-    Returns:
-        The number of failed designs for each result name. Designs that have not been
-        evaluated are not counted.
+    Designs that have not been evaluated are not counted.
     """
     codes = np.asarray(table["result"])[~np.asarray(table["succeeded"])]
     names = [RESULT_NAMES[code] for code in codes.ravel() if code != NOT_COMPUTED]
@@ -277,11 +275,7 @@ def failures(table: "xarray.Dataset") -> dict[str, int]:
 
 
 def warn_of_failures(table: "xarray.Dataset") -> None:
-    """Warn if designs of a dataset failed, with their number and the reasons.
-
-    Args:
-        table: Dataset of a sweep.
-    """
+    """Warn if designs of a dataset failed, with their number and the reasons."""
     if not (counts := failures(table)):
         return
     reasons = " ".join(
@@ -307,16 +301,11 @@ _cached_program = lru_cache(maxsize=32)(Program)
 
 
 def _open_store(
-    store: str | Path,
-    layout: Layout,
-    program: Program,
-    identity: Mapping[str, Any],
-    resume: bool,
+    path: Path, layout: Layout, identity: Mapping[str, Any], resume: bool
 ) -> Store:
     """Create the store of a sweep, or prepare an existing one, and open it."""
-    path = Path(store)
     if jax.process_index() == 0 and (
-        path.exists() or not create_store(path, identity, layout, program.chunk_size)
+        path.exists() or not create_store(path, identity, layout)
     ):
         if not resume:
             raise ValueError(
@@ -326,7 +315,7 @@ def _open_store(
         existing = Store(path)
         existing.check_identity(identity)
         if existing.damaged_files():
-            rewrite_static_files(path, identity, layout, program.chunk_size)
+            rewrite_static_files(path, identity, layout)
         existing.remove_partial_files()
     synchronize("store opened")
     return Store(path).open()

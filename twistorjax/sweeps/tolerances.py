@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import ArrayOfNumbers
-from .memory import require_memory
+from .._utils.validation import require_float64
+from .dataset import require_memory
 from .sampling import DistributionSet, Method
 from .sweep import require_packages, sweep, warn_of_failures
 
@@ -141,7 +142,7 @@ class Tolerances(NamedTuple):
 
 def tolerances(
     study: Callable[[Any], Any],
-    designs: Any,
+    design: Any,
     output: str = "output",
     *,
     count: int = 8192,
@@ -157,8 +158,8 @@ def tolerances(
 
     Args:
         study: Function of one design, as for `sweep`.
-        designs: One design as the study takes it, with a `Normal` or a `Uniform` in
-            place of each uncertain parameter.
+        design: One design as the study takes it, with a `Normal` or a `Uniform` in place
+            of each uncertain parameter.
         output: Name of the output, which must be a scalar. If the study returns a bare
             scalar, its name is "output".
         count: Number of sampled designs; powers of two are best.
@@ -200,12 +201,8 @@ def tolerances(
         ['height', 'width']
     """
     require_packages(sweep_options.get("store"))
-    if jnp.result_type(float) != jnp.float64:
-        raise ValueError(
-            "Tolerances need double precision, but JAX uses single precision. Before any "
-            'array is created, call `jax.config.update("jax_enable_x64", True)`.'
-        )
-    distributions = DistributionSet(designs, correlation)
+    require_float64(jnp.zeros(()))
+    distributions = DistributionSet(design, correlation)
     if not isinstance(count, int | np.integer) or count < 2:
         raise ValueError(f"`count` is {count!r}, but must be an integer of at least 2.")
     require_memory(count, 8 * count * len(distributions.variable_names))
@@ -302,10 +299,6 @@ class _SampledStudy:
 
     Two instances are equal if they have the same study and the same constant parameters,
     so that `sweep` reuses the compiled program.
-
-    Args:
-        study: Function of one design.
-        distributions: Distributions of the uncertain parameters.
     """
 
     def __init__(self, study: Callable[[Any], Any], distributions: DistributionSet):
@@ -330,14 +323,8 @@ def _sampled_shares(
 ) -> Float[np.ndarray, " variables"]:
     """Compute the shares of the random variables in the variance of an output.
 
-    Args:
-        samples: Value of each random variable for each design.
-        values: Output of each design.
-        standard_deviations: Standard deviations of the random variables.
-
-    Returns:
-        The shares of the variance by the linear least-squares fit of the output. Their
-        sum is the coefficient of determination of the fit.
+    They follow from a linear least-squares fit of the output; their sum is its
+    coefficient of determination.
     """
     # Scaled variables, because `lstsq` would drop a variable whose unit makes it small.
     scales = np.where(standard_deviations > 0, standard_deviations, 1.0)
@@ -351,12 +338,8 @@ def _sampled_shares(
 def _standard_errors(replicates: list[np.ndarray]) -> tuple[float, float]:
     """Compute the standard errors of the mean and of the standard deviation.
 
-    Args:
-        replicates: Outputs of each independent sample, in any unit. The designs of a
-            single sample are taken as independent.
-
-    Returns:
-        The standard errors of the mean and of the standard deviation, in the same unit.
+    Each replicate holds the outputs of one independent sample. The designs of a single
+    sample are taken as independent.
     """
     if len(replicates) == 1:
         (values,) = replicates

@@ -14,9 +14,9 @@ class ConstrainedSolution(NamedTuple):
 
     Args:
         coefficients: The coefficients.
-        residuals: Measured minus fitted values, a row for each trial, in standard
+        residuals: Fitted minus measured values, a row for each trial, in standard
             deviations.
-        left_out: Residuals of each trial for the fit to all other trials.
+        leave_one_out_residuals: Residuals of each trial for the fit to all other trials.
         rank: Number of coefficients, or combinations of them, that are determined.
         free: Number of coefficients that the constraints leave free.
         condition: Ratio of the largest singular value to the smallest significant one.
@@ -28,7 +28,7 @@ class ConstrainedSolution(NamedTuple):
 
     coefficients: np.ndarray
     residuals: np.ndarray
-    left_out: np.ndarray
+    leave_one_out_residuals: np.ndarray
     rank: int
     free: int
     condition: float
@@ -40,24 +40,55 @@ class ConstrainedSolution(NamedTuple):
 def solve_constrained(
     rows: np.ndarray,
     targets: np.ndarray,
-    constraints: np.ndarray,
-    values: np.ndarray,
     ridge: float | None,
+    *,
+    constraints: np.ndarray | None = None,
+    stiffness: np.ndarray | None = None,
 ) -> ConstrainedSolution:
-    """Solve a linear least-squares problem with equality constraints.
+    """Solve a linear least-squares problem, optionally for a positive definite stiffness.
+
+    If the stiffness matrix of the solution is not positive definite, the problem is
+    solved again with the nearest positive definite matrix as a constraint.
 
     Args:
         rows: Design matrix, a block of rows for each trial and a column for each
             coefficient.
         targets: Measured values, a row for each trial, in standard deviations.
-        constraints: Matrix of the equality constraints.
-        values: Values that the constraints require.
         ridge: Ridge parameter, relative to the square of the largest singular value. By
             default the one with the smallest leave-one-out error.
+        constraints: Matrix of linear combinations of the coefficients that must vanish.
+            By default there are none.
+        stiffness: Contribution of each coefficient to the stiffness matrix, in the last
+            axis. By default the stiffness matrix may have any eigenvalues.
 
     Returns:
         The solution.
     """
+    if constraints is None:
+        constraints = np.zeros((0, rows.shape[2]))
+    values = np.zeros(len(constraints))
+    solution = _solve(rows, targets, constraints, values, ridge)
+    if stiffness is None:
+        return solution
+    matrix = _nearest_positive_definite(
+        np.einsum("ijk,k->ij", stiffness, solution.coefficients)
+    )
+    if matrix is None:
+        return solution
+    upper = np.triu_indices(3)
+    constraints = np.concatenate([constraints, stiffness[upper]])
+    values = np.concatenate([values, matrix[upper]])
+    return _solve(rows, targets, constraints, values, ridge)
+
+
+def _solve(
+    rows: np.ndarray,
+    targets: np.ndarray,
+    constraints: np.ndarray,
+    values: np.ndarray,
+    ridge: float | None,
+) -> ConstrainedSolution:
+    """Solve a least-squares problem so that `constraints @ coefficients` is `values`."""
     trials, block_size, terms = rows.shape
     matrix, target = rows.reshape(-1, terms), targets.reshape(-1)
     norms = _column_norms(matrix)
@@ -79,24 +110,24 @@ def solve_constrained(
         """Return filter factors, residuals and leave-one-out residuals for a ridge."""
         squares = np.where(significant, s, 1.0) ** 2
         filters = np.where(significant, squares / (squares + ridge * largest**2), 0.0)
-        residuals = target - u @ (filters * projected)
+        residuals = u @ (filters * projected) - target
         blocks = u.reshape(trials, block_size, u.shape[1])
         leverage = (blocks * filters) @ np.swapaxes(blocks, 1, 2)
         with np.errstate(all="ignore"):
             complement = np.eye(block_size) - leverage
             regular = np.linalg.det(complement) > 1e-9**block_size
             complement[~regular] = np.eye(block_size)
-            left_out = np.linalg.solve(
+            leave_one_out = np.linalg.solve(
                 complement, residuals.reshape(trials, block_size, 1)
             )[..., 0]
-        left_out[~regular] = np.inf
-        return filters, residuals.reshape(trials, block_size), left_out
+        leave_one_out[~regular] = np.inf
+        return filters, residuals.reshape(trials, block_size), leave_one_out
 
     ridges = _RIDGES if ridge is None else (ridge,)
     results = [residuals_for(candidate) for candidate in ridges]
-    scores = [np.mean(left_out**2) for _, _, left_out in results]
+    scores = [np.mean(leave_one_out**2) for _, _, leave_one_out in results]
     best = int(np.argmin(scores)) if np.any(np.isfinite(scores)) else 0
-    filters, residuals, left_out = results[best]
+    filters, residuals, leave_one_out = results[best]
     inverse = np.where(significant, filters / np.where(significant, s, 1.0), 0.0)
     coefficients = (particular + null_space @ (v.T @ (inverse * projected))) / norms
     root = (null_space @ v.T) * inverse / norms[:, None]
@@ -104,7 +135,7 @@ def solve_constrained(
     return ConstrainedSolution(
         coefficients=coefficients,
         residuals=residuals,
-        left_out=left_out,
+        leave_one_out_residuals=leave_one_out,
         rank=rank,
         free=null_space.shape[1],
         condition=float(largest / s[significant][-1]) if rank else np.inf,
@@ -112,43 +143,6 @@ def solve_constrained(
         covariance=root @ root.T,
         undetermined=undetermined / norms[:, None],
     )
-
-
-def solve_stable(
-    rows: np.ndarray,
-    targets: np.ndarray,
-    constraints: np.ndarray,
-    curvature: np.ndarray,
-    ridge: float | None,
-) -> ConstrainedSolution:
-    """Solve a least-squares problem so that a matrix of second derivatives is positive.
-
-    If the solution without this condition has a matrix with a negative eigenvalue, the
-    problem is solved again with the nearest positive definite matrix as a constraint.
-
-    Args:
-        rows: Design matrix, a block of rows for each trial and a column for each
-            coefficient.
-        targets: Measured values, a row for each trial, in standard deviations.
-        constraints: Matrix of linear combinations of the coefficients that must vanish.
-        curvature: Contribution of each coefficient to the symmetric matrix, in the last
-            axis.
-        ridge: Ridge parameter; see `solve_constrained`.
-
-    Returns:
-        The solution.
-    """
-    values = np.zeros(len(constraints))
-    solution = solve_constrained(rows, targets, constraints, values, ridge)
-    matrix = _nearest_positive_definite(
-        np.einsum("ijk,k->ij", curvature, solution.coefficients)
-    )
-    if matrix is None:
-        return solution
-    upper = np.triu_indices(3)
-    constraints = np.concatenate([constraints, curvature[upper]])
-    values = np.concatenate([values, matrix[upper]])
-    return solve_constrained(rows, targets, constraints, values, ridge)
 
 
 def solve_minimum_norm(
@@ -190,15 +184,10 @@ def _column_norms(matrix: np.ndarray) -> np.ndarray:
 def _undetermined_directions(
     null_space: np.ndarray, v: np.ndarray, significant: np.ndarray
 ) -> np.ndarray:
-    """Find the directions in the constraints' null space that the trials leave open.
+    """Find directions that neither the constraints nor the trials determine.
 
-    Args:
-        null_space: Basis of the null space of the constraints, in columns.
-        v: Right singular vectors in this basis, in rows.
-        significant: Whether each singular value is significant.
-
-    Returns:
-        An orthonormal basis of these directions, in columns.
+    They are the columns of the result. `null_space` is a basis of the null space of the
+    constraints, in columns. The rows of `v` are the right singular vectors in this basis.
     """
     if not np.any(significant):
         return null_space
@@ -210,18 +199,14 @@ def _nearest_positive_definite(matrix: np.ndarray) -> np.ndarray | None:
     """Replace the eigenvalues of a symmetric matrix that are not positive.
 
     The matrix is scaled by its diagonal first, because its entries have different units.
-
-    Args:
-        matrix: Symmetric matrix.
-
-    Returns:
-        The positive definite matrix, or `None` if `matrix` itself is positive definite.
+    The result is `None` if the matrix is positive definite.
     """
-    size = np.sqrt(np.abs(np.diagonal(matrix)))
-    size = np.where(size > 0, size, 1.0)
-    scaled = matrix / np.outer(size, size)
+    scale = np.sqrt(np.abs(np.diagonal(matrix)))
+    scale = np.where(scale > 0, scale, 1.0)
+    units = np.outer(scale, scale)
+    scaled = matrix / units
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
     if values[0] > 0:
         return None
     values = np.maximum(values, 1e-6 * max(values[-1], 1e-300))
-    return (vectors * values) @ vectors.T * np.outer(size, size)
+    return (vectors * values) @ vectors.T * units

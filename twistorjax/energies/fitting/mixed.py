@@ -1,11 +1,10 @@
 """Fit of a `MixedEnergy` to trials.
 
-The axial force of a trial is known from its wrench. The moment, the transverse force and
+The axial force of a trial follows from its wrench. The moment, the transverse force and
 the axial displacement are derivatives of the mixed potential W, so they are linear in its
 coefficients.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -19,88 +18,169 @@ from ...geometry import se2
 from ..evaluation import power_derivatives
 from ..mixed import MixedEnergy
 from ..monomials import Powers
-from .least_squares import ConstrainedSolution, solve_constrained, solve_stable
+from .least_squares import ConstrainedSolution, solve_constrained
 from .trials import Trials
 
 
-class MixedTerms(NamedTuple):
-    """Contributions of each term of W, for a coefficient of one joule.
+class MixedEquations(NamedTuple):
+    """Equations for the coefficients of W; see `mixed_equations`.
+
+    The contributions of a term are those for a coefficient of one joule.
 
     Args:
-        moment: Contribution to the derivative with respect to the rotation; N m.
-        transverse_force: Contribution to the derivative with respect to the transverse
+        twists: Twist of each trial; rad, m, m.
+        stresses: Generalized stress of each trial; N m, N, N.
+        to_wrenches: Matrices from an error of the generalized stress to the error of the
+            wrench in standard deviations.
+        moment: Contributions to the derivative with respect to the rotation; N m.
+        transverse_force: Contributions to the derivative with respect to the transverse
             displacement; N.
-        axial_displacement: Contribution to the axial displacement; m.
-        axial_compliance: Contribution to the derivative of the axial displacement with
+        axial_displacement: Contributions to the axial displacement; m.
+        axial_compliance: Contributions to the derivative of the axial displacement with
             respect to the axial force; m/N.
-        force_sensitivity: Derivatives of `moment` and `transverse_force` with respect to
-            the axial force; N m/N and dimensionless.
-        energy: Contribution to W; J.
+        moment_sensitivity: Derivatives of `moment` with respect to the axial force; m.
+        transverse_sensitivity: Derivatives of `transverse_force` with respect to the
+            axial force; dimensionless.
+        energy: Contributions to W; J.
     """
 
+    twists: Float[Array, "trials 3"]
+    stresses: Float[Array, "trials 3"]
+    to_wrenches: Float[Array, "trials 3 3"]
     moment: Float[Array, "trials terms"]
     transverse_force: Float[Array, "trials terms"]
     axial_displacement: Float[Array, "trials terms"]
     axial_compliance: Float[Array, "trials terms"]
-    force_sensitivity: tuple[Float[Array, "trials terms"], Float[Array, "trials terms"]]
+    moment_sensitivity: Float[Array, "trials terms"]
+    transverse_sensitivity: Float[Array, "trials terms"]
     energy: Float[Array, "trials terms"]
 
 
 @partial(jax.jit, static_argnums=0)
-def mixed_terms(
+def mixed_equations(
     powers: Powers,
     twists: Float[Array, "trials 3"],
-    axial_forces: Float[Array, " trials"],
+    stresses: Float[Array, "trials 3"],
+    to_wrenches: Float[Array, "trials 3 3"],
     length: Scalar | float,
     force: Scalar | float,
-) -> MixedTerms:
+) -> MixedEquations:
     """Evaluate each term of W and its derivatives at many twists and axial forces.
 
     Args:
         powers: Powers of rotation, transverse displacement over `length`, and axial force
             over `force`.
-        twists: Twists; rad, m, m.
-        axial_forces: Axial forces; N.
+        twists: Twist of each trial; rad, m, m.
+        stresses: Generalized stress of each trial; N m, N, N.
+        to_wrenches: As in `MixedEquations`.
         length: Reference length; m.
         force: Reference force; N.
 
     Returns:
-        The contributions of each term.
+        The contributions of all terms at all trials.
     """
     rotations, _, transverse = twists.T
     exponents = np.array(powers)
+    variables = rotations, transverse / length, stresses[:, 1] / force
     (t, dt, _), (y, dy, _), (n, dn, ddn) = (
-        power_derivatives(values, exponents[:, k])
-        for k, values in enumerate((rotations, transverse / length, axial_forces / force))
+        power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
     )
-    return MixedTerms(
+    return MixedEquations(
+        twists,
+        stresses,
+        to_wrenches,
         moment=dt * y * n,
         transverse_force=t * dy * n / length,
         axial_displacement=-t * y * dn / force,
         axial_compliance=-t * y * ddn / force**2,
-        force_sensitivity=(dt * y * dn / force, t * dy * dn / (length * force)),
+        moment_sensitivity=dt * y * dn / force,
+        transverse_sensitivity=t * dy * dn / (length * force),
         energy=t * y * n,
     )
 
 
-def twist_and_stress_matrix(pose: Pose) -> tuple[Twist, Matrix]:
-    """Compute the twist of a pose, and the matrix from wrench to generalized stress.
+@jax.jit
+def weighted_equations(
+    equations: MixedEquations, coefficients: Float[Array, " terms"] | None
+) -> tuple[Float[Array, "trials 3 terms"], Float[Array, "trials 3"]]:
+    """Weight the equations so that their residuals are errors of the wrench.
+
+    An error of the axial displacement is equivalent to an error of the axial force, by
+    the axial compliance, and through it to errors of the moment and the transverse force.
+    The compliance and these errors depend on the coefficients, so the least-squares
+    problem is solved again with the coefficients of the previous solution.
+
+    Args:
+        equations: The equations.
+        coefficients: Coefficients of the previous solution, or `None` at first; J.
+
+    Returns:
+        The matrix and the right-hand side of the least-squares problem.
+    """
+    axial_displacements, axial_forces = equations.twists[:, 1], equations.stresses[:, 1]
+    if coefficients is None:
+        rms = jnp.sqrt(jnp.mean(axial_forces**2))
+        estimate = jnp.std(axial_displacements) / jnp.where(rms > 0, rms, 1.0)
+        estimate = jnp.where(estimate > 0, estimate, 1.0)
+        compliance = jnp.full_like(axial_forces, estimate)
+        by_moment = by_transverse_force = jnp.zeros_like(axial_forces)
+    else:
+        compliance = equations.axial_compliance @ coefficients
+        compliance = jnp.maximum(compliance, 1e-3 * jnp.median(jnp.abs(compliance)))
+        by_moment = equations.moment_sensitivity @ coefficients
+        by_transverse_force = equations.transverse_sensitivity @ coefficients
+    axial_rows = -equations.axial_displacement / compliance[:, None]
+    axial_targets = -axial_displacements / compliance
+    rows = [
+        equations.moment + by_moment[:, None] * axial_rows,
+        axial_rows,
+        equations.transverse_force + by_transverse_force[:, None] * axial_rows,
+    ]
+    targets = [
+        equations.stresses[:, 0] + by_moment * axial_targets,
+        axial_targets,
+        equations.stresses[:, 2] + by_transverse_force * axial_targets,
+    ]
+    return (
+        equations.to_wrenches @ jnp.stack(rows, axis=1),
+        jnp.einsum("sij,sj->si", equations.to_wrenches, jnp.stack(targets, axis=1)),
+    )
+
+
+@jax.jit
+def twists_and_stresses(
+    poses: Float[Array, "trials 3"],
+    wrenches: Float[Array, "trials 3"],
+    deviations: Float[Array, "trials 3"],
+) -> tuple[
+    Float[Array, "trials 3"], Float[Array, "trials 3"], Float[Array, "trials 3 3"]
+]:
+    """Convert poses and wrenches to twists and generalized stresses.
 
     The generalized stress is the derivative of the energy with respect to the twist. Its
     second component is the axial force.
 
     Args:
-        pose: Pose of frame b relative to frame a; rad, m, m.
+        poses: Poses of frame b relative to frame a; rad, m, m.
+        wrenches: Wrenches that body B exerts, in frame b; N m, N, N.
+        deviations: Standard deviations of the wrenches; N m, N, N.
 
     Returns:
-        The twist (rad, m, m), and the matrix that maps the wrench on frame b to the
-        generalized stress.
+        The twists (rad, m, m), the generalized stresses (N m, N, N), and the matrices
+        from an error of the generalized stress to the error of the wrench in standard
+        deviations.
     """
-    twist = se2.twist(pose)
-    rotate_rows = jax.vmap(lambda row: se2.rotate(-pose[0], row))
-    jacobian = jax.jacfwd(se2.exp)(twist)
-    body_jacobian = jnp.concatenate([jacobian[:1], rotate_rows(jacobian[1:].T).T])
-    return twist, body_jacobian.T
+
+    def twist_and_matrix(pose: Pose) -> tuple[Twist, Matrix]:
+        twist = se2.twist(pose)
+        rotate_rows = jax.vmap(lambda row: se2.rotate(-pose[0], row))
+        jacobian = jax.jacfwd(se2.exp)(twist)
+        body_jacobian = jnp.concatenate([jacobian[:1], rotate_rows(jacobian[1:].T).T])
+        return twist, body_jacobian.T
+
+    twists, matrices = jax.vmap(twist_and_matrix)(poses)
+    stresses = jnp.einsum("sij,sj->si", matrices, wrenches)
+    return twists, stresses, jnp.linalg.inv(matrices) / deviations[:, :, None]
 
 
 def fit_mixed(
@@ -112,10 +192,6 @@ def fit_mixed(
     scale: float | None,
 ) -> tuple[MixedEnergy, ConstrainedSolution]:
     """Fit a mixed energy to trials.
-
-    An error of the axial displacement is equivalent to an error of the axial force, by
-    the axial compliance, and through it to errors of the moment and the transverse force.
-    The axial compliance results from the previous of four fits.
 
     Args:
         trials: Trials with wrenches.
@@ -130,7 +206,7 @@ def fit_mixed(
     Raises:
         ValueError: The trials have no wrenches.
     """
-    if trials.wrenches is None:
+    if trials.wrenches is None or trials.wrench_deviations is None:
         raise ValueError(
             "`trials` have energies but no wrenches. A fit in the coordinates 'mixed' "
             "needs the wrench of each trial, because the axial force is a component of "
@@ -138,85 +214,49 @@ def fit_mixed(
         )
     if reference != "free":
         powers = tuple(row for row in powers if sum(row) > 1)
-    twists, matrices = map(np.asarray, jax.vmap(twist_and_stress_matrix)(trials.poses))
-    stresses = np.einsum("sij,sj->si", matrices, np.asarray(trials.wrenches))
-    axial_forces = stresses[:, 1]
-    length = scale or _largest_magnitude(twists[:, 2])
-    force = _largest_magnitude(axial_forces)
-    terms = mixed_terms(
-        powers, jnp.asarray(twists), jnp.asarray(axial_forces), length, force
+    twists, stresses, to_wrenches = twists_and_stresses(
+        trials.poses, trials.wrenches, trials.wrench_deviations
     )
-    terms = jax.tree.map(np.asarray, terms)
-    deviations = np.asarray(trials.wrench_deviations)
-    to_wrenches = np.linalg.inv(matrices) / deviations[:, :, None]
-    curvature = _reference_curvature(powers, length, force)
-    no_constraints = np.zeros((0, len(powers)))
+    length = scale or _largest_magnitude(twists[:, 2])
+    force = _largest_magnitude(stresses[:, 1])
+    equations = mixed_equations(powers, twists, stresses, to_wrenches, length, force)
+    stiffness = None
+    if reference == "stable":
+        stiffness = _reference_stiffness(powers, length, force)
 
-    def fit_with(
-        compliance: np.ndarray, sensitivities: Sequence[np.ndarray]
-    ) -> ConstrainedSolution:
-        """Fit with given axial compliances (m/N) and force sensitivities."""
-        rows = np.stack(
-            [
-                terms.moment,
-                -terms.axial_displacement / compliance[:, None],
-                terms.transverse_force,
-            ],
-            axis=1,
-        )
-        axial_error = -twists[:, 1] / compliance
-        targets = np.stack([stresses[:, 0], axial_error, stresses[:, 2]], axis=1)
-        for component, sensitivity in zip((0, 2), sensitivities, strict=True):
-            rows[:, component] += sensitivity[:, None] * rows[:, 1]
-            targets[:, component] += sensitivity * targets[:, 1]
-        rows = to_wrenches @ rows
-        targets = np.einsum("sij,sj->si", to_wrenches, targets)
+    def solve(coefficients: Float[Array, " terms"] | None) -> ConstrainedSolution:
+        """Solve with the weights of a previous solution."""
+        rows, targets = map(np.asarray, weighted_equations(equations, coefficients))
         if trials.energies is not None:
             deviations = np.asarray(trials.energy_deviations)[:, None]
-            potentials = np.asarray(trials.energies) - axial_forces * twists[:, 1]
-            rows = np.concatenate([rows, (terms.energy / deviations)[:, None]], axis=1)
+            potentials = trials.energies - stresses[:, 1] * twists[:, 1]
+            energy_rows = np.asarray(equations.energy) / deviations
+            rows = np.concatenate([rows, energy_rows[:, None]], axis=1)
             targets = np.concatenate([targets, potentials[:, None] / deviations], axis=1)
-        if reference == "stable":
-            return solve_stable(rows, targets, no_constraints, curvature, ridge)
-        return solve_constrained(rows, targets, no_constraints, np.zeros(0), ridge)
+        return solve_constrained(rows, targets, ridge, stiffness=stiffness)
 
-    root_mean_square = np.sqrt(np.mean(axial_forces**2))
-    estimate = np.std(twists[:, 1]) / (root_mean_square or 1.0) or 1.0
-    zeros = np.zeros(len(trials))
-    solution = fit_with(zeros + estimate, (zeros, zeros))
+    solution = solve(None)
     for _ in range(3):
-        coefficients = solution.coefficients
-        compliance = terms.axial_compliance @ coefficients
-        compliance = np.maximum(compliance, 1e-3 * np.median(np.abs(compliance)))
-        solution = fit_with(
-            compliance,
-            [sensitivity @ coefficients for sensitivity in terms.force_sensitivity],
-        )
+        solution = solve(jnp.asarray(solution.coefficients))
     energy = MixedEnergy(solution.coefficients, powers, length=length, force=force)
     return energy, solution
 
 
-def _largest_magnitude(values: np.ndarray) -> float:
+def _largest_magnitude(values: Float[Array, " trials"]) -> float:
     """Return the largest absolute value, or one if its square would underflow."""
-    largest = float(np.abs(values).max())
+    largest = float(jnp.max(jnp.abs(values)))
     return largest if largest > 1e-150 else 1.0
 
 
-def _reference_curvature(powers: Powers, length: float, force: float) -> np.ndarray:
+def _reference_stiffness(powers: Powers, length: float, force: float) -> np.ndarray:
     """Compute the matrix that is positive definite if the reference is stable.
 
     It holds the second derivatives of W with respect to rotation and transverse
-    displacement, and minus that with respect to the axial force.
-
-    Args:
-        powers: Powers of the terms of W.
-        length: Reference length; m.
-        force: Reference force; N.
-
-    Returns:
-        The matrix for a coefficient of one joule of each term, in the last axis.
+    displacement, and minus that with respect to the axial force, which is the axial
+    compliance. Length (m) and force (N) are the reference values of W. The last axis is
+    that of the terms, each with a coefficient of one joule.
     """
-    curvature = np.zeros((3, 3, len(powers)))
+    stiffness = np.zeros((3, 3, len(powers)))
     for row, entries, value in (
         ((2, 0, 0), [(0, 0)], 2.0),
         ((1, 1, 0), [(0, 2), (2, 0)], 1 / length),
@@ -225,5 +265,5 @@ def _reference_curvature(powers: Powers, length: float, force: float) -> np.ndar
     ):
         if row in powers:
             for entry in entries:
-                curvature[*entry, powers.index(row)] = value
-    return curvature
+                stiffness[*entry, powers.index(row)] = value
+    return stiffness

@@ -26,7 +26,7 @@ from ..monomials import (
 )
 from ..polynomial import Polynomial
 from ..strains import Coordinates
-from .least_squares import ConstrainedSolution, solve_constrained, solve_stable
+from .least_squares import ConstrainedSolution, solve_constrained
 from .mixed import fit_mixed
 from .report import (
     coordinates_of,
@@ -127,7 +127,7 @@ def fit_energy(
         energy = _best_candidate(others, (best.order,), settings).energy
         held_out = _errors(energy, trials[np.sort(shuffled[:count])])
     fit = best.report(trials, held_out)
-    if np.any(np.isnan(fit.training.wrench)) and trials.wrenches is not None:
+    if np.any(np.isnan(fit.training.rms_wrench)) and trials.wrenches is not None:
         raise ValueError(
             "These trials are not those of a flexure with an axial compliance: with the "
             "best fit, some displacements have no axial force. Use the coordinates "
@@ -162,19 +162,14 @@ class _Candidate(NamedTuple):
         return solution.rank >= solution.residuals.size and solution.ridge == 0
 
     def report(self, trials: Trials, held_out: Errors | None) -> EnergyFit:
-        """Return the result of `fit_energy`.
-
-        Args:
-            trials: Trials of the fit.
-            held_out: Errors at the held-out trials, if there are any.
-        """
+        """Return the result of `fit_energy`; `held_out` has the errors of its check."""
         solution = self.solution
-        equations = solution.residuals.size
-        degrees_of_freedom = max(1, equations - solution.rank)
+        value_count = solution.residuals.size
+        degrees_of_freedom = max(1, value_count - solution.rank)
         variance = np.sum(solution.residuals**2) / degrees_of_freedom
         warning = None
         if self.interpolates:
-            warning = interpolation_warning(solution.free, equations)
+            warning = interpolation_warning(solution.free, value_count)
         names = VARIABLES[coordinates_of(self.energy)]
         forces = np.full((1, 2), np.nan)
         if trials.wrenches is not None:
@@ -182,9 +177,9 @@ class _Candidate(NamedTuple):
         return EnergyFit(
             energy=self.energy,
             training=_errors(self.energy, trials),
-            expected=errors_of_residuals(trials, solution.left_out),
+            expected=errors_of_residuals(trials, solution.leave_one_out_residuals),
             held_out=held_out,
-            equations=equations,
+            value_count=value_count,
             terms=solution.free,
             rank=solution.rank,
             condition=solution.condition,
@@ -205,13 +200,11 @@ def _best_candidate(
 ) -> _Candidate:
     """Fit energies of several orders and return that with the smallest expected error.
 
-    Orders with more than 0.8 coefficients for each measured value are left out.
-
-    Args:
-        trials: Trials of the fit.
-        orders: Orders in ascending sequence.
-        settings: Arguments of the fit.
+    The orders ascend. Those with more than 0.8 coefficients for each measured value are
+    left out.
     """
+    values_per_trial = 3 * (trials.wrenches is not None) + (trials.energies is not None)
+    value_count = values_per_trial * len(trials)
     candidates = []
     for order in orders:
         powers = tuple(
@@ -224,16 +217,16 @@ def _best_candidate(
             )
             if any(row)
         )
-        values = 3 * (trials.wrenches is not None) + (trials.energies is not None)
-        equations = values * len(trials)
         if len(orders) > 1 and candidates:
-            if len(powers) > 0.8 * equations:
+            if len(powers) > 0.8 * value_count:
                 break
             # a symmetry may exclude all new terms of an odd order
             if powers == candidates[-1].energy.powers:
                 continue
         candidates.append(_candidate(trials, order, powers, settings))
-    scores = [np.mean(candidate.solution.left_out**2) for candidate in candidates]
+    scores = [
+        np.mean(candidate.solution.leave_one_out_residuals**2) for candidate in candidates
+    ]
     return candidates[int(np.nanargmin(np.where(np.isfinite(scores), scores, 1e300)))]
 
 
@@ -241,28 +234,23 @@ def _candidate(
     trials: Trials, order: int, powers: Powers, settings: _Settings
 ) -> _Candidate:
     """Fit an energy with given powers."""
-    coordinates, reference, ridge = (
-        settings.coordinates,
-        settings.reference,
-        settings.ridge,
-    )
+    coordinates, reference = settings.coordinates, settings.reference
+    ridge, scale = settings.ridge, settings.scale
     if coordinates == "mixed":
         energy, solution = fit_mixed(
-            trials, powers, reference=reference, ridge=ridge, scale=settings.scale
+            trials, powers, reference=reference, ridge=ridge, scale=scale
         )
         return _Candidate(order, energy, solution)
-    scale = settings.scale or trials.largest_translation
+    scale = scale or trials.largest_translation
     rows, targets = _equations(trials, powers, coordinates, scale)
-    if reference == "free":
-        no_constraints = np.zeros((0, len(powers)))
-        solution = solve_constrained(rows, targets, no_constraints, np.zeros(0), ridge)
-    else:
+    wrench = stiffness = None
+    if reference != "free":
         wrench, stiffness = _reference_terms(powers, coordinates, scale)
-        if reference == "stable":
-            solution = solve_stable(rows, targets, wrench, stiffness, ridge)
-        else:
-            values = np.zeros(len(wrench))
-            solution = solve_constrained(rows, targets, wrench, values, ridge)
+    if reference == "unstressed":
+        stiffness = None
+    solution = solve_constrained(
+        rows, targets, ridge, constraints=wrench, stiffness=stiffness
+    )
     energy = Polynomial(solution.coefficients, powers, coordinates, scale)
     return _Candidate(order, energy, solution)
 
@@ -272,15 +260,8 @@ def _equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Set up the linear equations for the coefficients of a polynomial.
 
-    Args:
-        trials: Trials of the fit.
-        powers: Powers of each term.
-        coordinates: "twist" or "twistor".
-        scale: Length by which the translations are divided; m.
-
-    Returns:
-        The design matrix and the measured values, in standard deviations: a block for
-        each trial, with a row for each measured value.
+    The design matrix and the measured values are in standard deviations. They have a
+    block for each trial, with a row for each measured value.
     """
     wrenches, energies = map(
         np.asarray, term_wrenches(trials.poses, jnp.asarray(scale), powers, coordinates)
@@ -302,14 +283,8 @@ def _reference_terms(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the wrench and the stiffness of each term in the reference configuration.
 
-    Args:
-        powers: Powers of each term.
-        coordinates: "twist" or "twistor".
-        scale: Length by which the translations are divided; m.
-
-    Returns:
-        The wrenches (N m, N, N) and the stiffnesses (N m/rad, N/rad, N/m) for
-        coefficients of one joule, for each term in the last axis.
+    Terms have coefficients of one joule and are in the last axis. The wrenches are in
+    N m, N, N; the stiffnesses are in N m/rad, N/rad, N/m.
     """
 
     def wrench(pose: Array) -> Array:

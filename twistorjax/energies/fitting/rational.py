@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 from typing_extensions import TypeAliasType
 
-from ..._utils.validation import require_choice, require_float64
+from ..._utils.validation import require_array, require_choice, require_float64
 from ..monomials import monomials, Symmetries
 from ..polynomial import Polynomial, Rational
 from ..strains import Coordinates
@@ -37,7 +36,7 @@ class RationalFit(eqx.Module):
         energy: The energy.
         training: Errors at the trials of the fit.
         held_out: Errors at other trials, or `None` if there are none.
-        equations: Number of measured values.
+        value_count: Number of measured values.
         terms: Number of free coefficients in numerator and denominator.
         rank: Number of coefficients, or combinations of them, that the trials and the
             ridge determine.
@@ -51,7 +50,7 @@ class RationalFit(eqx.Module):
     energy: Rational
     training: Errors
     held_out: Errors | None
-    equations: int
+    value_count: int
     terms: int
     rank: int
     condition: float
@@ -67,21 +66,21 @@ class RationalFit(eqx.Module):
     @property
     def warning(self) -> str | None:
         """Warning about the fit, or `None`."""
-        warnings = []
-        if self.ridge == 0 and self.rank >= self.equations:
-            warnings.append(interpolation_warning(self.terms, self.equations))
+        texts = []
+        if self.ridge == 0 and self.rank >= self.value_count:
+            texts.append(interpolation_warning(self.terms, self.value_count))
         if self.has_poles:
-            warnings.append(
+            texts.append(
                 "the denominator changes sign, so the energy has poles between the given "
                 "poses. Use a larger `ridge`, or `denominator='base'`."
             )
-        return " ".join(warnings) or None
+        return " ".join(texts) or None
 
     def __repr__(self) -> str:
         columns = ("error", "energy, rms", "largest", "moment, rms", "force 1", "force 2")
         lines = [
-            f"rational energy: {self.terms} free coefficients from {self.equations} "
-            f"numbers, rank {self.rank}, condition {self.condition:.1e}, ridge "
+            f"rational energy: {self.terms} free coefficients from {self.value_count} "
+            f"measured values, rank {self.rank}, condition {self.condition:.1e}, ridge "
             f"{self.ridge:.0e}",
             f"denominator over its base: {self.smallest_ratio:.3g} to "
             f"{self.largest_ratio:.3g}",
@@ -89,7 +88,7 @@ class RationalFit(eqx.Module):
         ]
         for name, errors in (("training", self.training), ("held out", self.held_out)):
             if errors is not None:
-                values = (errors.energy, errors.largest_energy, *errors.wrench)
+                values = (errors.rms_energy, errors.largest_energy, *errors.rms_wrench)
                 cells = [f"{name:>14}", *(f"{value:>14.3g}" for value in values)]
                 lines.append("  ".join(cells))
         if self.warning:
@@ -147,10 +146,10 @@ def fit_rational(
             from the poles; for charges it is a power of their distance.
         scale: Length by which the translations are divided, by default that of the base,
             or else the largest translation; m.
-        ridge: Weight of the free part of the denominator, divided by the base, at each of
-            the `pole_free_poses`. It is relative to one standard deviation at each trial
-            and independent of the numbers of trials and poses. With zero, the denominator
-            may vanish.
+        ridge: Weight of the free part of the denominator. Each of the `pole_free_poses`
+            adds the residual `ridge * (free part / base)`. These residuals are multiplied
+            by `sqrt(trials / poses)`, so that the numbers of trials and poses do not
+            matter. With zero, the denominator may vanish.
         pole_free_poses: Poses at which the energy must not have a pole, by default those
             of the trials. The energy need not be known there; rad, m, m.
         normalize_columns: If the trials do not determine all coefficients, the solution
@@ -174,6 +173,7 @@ def fit_rational(
         numerator, the coefficient of its largest term is not free.
 
     Example:
+        >>> import jax.numpy as jnp
         >>> from twistorjax.energies import PointCharges
         >>> pair = PointCharges([1.0], [[0.0, 0.0]], [1.0], [[1.0, 0.0]], constant=1.0)
         >>> poses = jnp.array([[0.0, x, 0.0] for x in (1.0, 1.2, 1.5, 1.8)])
@@ -195,16 +195,8 @@ def fit_rational(
         raise ValueError(f"`scale` is {scale!r}, but must be positive and finite; m.")
     pole_free = trials.poses
     if pole_free_poses is not None:
-        pole_free = jnp.asarray(pole_free_poses, float)
-    if (
-        pole_free.ndim != 2
-        or pole_free.shape[1] != 3
-        or not np.all(np.isfinite(pole_free))
-    ):
-        raise ValueError(
-            f"`pole_free_poses` has shape {pole_free.shape}, but must have a row (angle, "
-            "x, y) for each pose, with finite values."
-        )
+        row = "have a row (angle, x, y) for each pose"
+        pole_free = require_array("`pole_free_poses`", pole_free_poses, (None, 3), row)
     powers = monomials(order, coordinates, symmetry=symmetry)
     base = require_base(trials, base, coordinates, scale)
     poses = [trials.poses, pole_free]
@@ -217,7 +209,7 @@ def fit_rational(
         free[largest_base_term(base, powers, at_trials)] = False
     rows, targets = rational_equations(trials, at_trials, free)
     solution = solve_rational(
-        rows, targets, free, [at_trials, at_pole_free], ridge, normalize_columns
+        rows, targets, free, at_trials, at_pole_free, ridge, normalize_columns
     )
     parts = solution.numerator, solution.denominator
     errors = None
@@ -234,7 +226,7 @@ def fit_rational(
         ),
         training=errors_of_predictions(trials, *at_trials.quotient(*parts)),
         held_out=errors,
-        equations=len(rows),
+        value_count=len(rows),
         terms=rows.shape[1],
         rank=solution.rank,
         condition=solution.condition,

@@ -29,14 +29,10 @@ def require_base(
 ) -> Polynomial:
     """Check the base of the denominator, and rewrite it for another scale.
 
-    Args:
-        trials: Trials of the fit.
-        base: Argument of `fit_rational`.
-        coordinates: Argument of `fit_rational`.
-        scale: Argument of `fit_rational`; m.
+    The arguments are those of `fit_rational`.
 
     Returns:
-        The base.
+        The base, with the given scale or by default its own one.
 
     Raises:
         ValueError: The base has other coordinates, or a power of sigma above the first.
@@ -79,11 +75,7 @@ class RationalTerms(NamedTuple):
     base: Float[np.ndarray, " poses"]
 
     def ratio(self, denominator: np.ndarray) -> np.ndarray:
-        """Return the ratio of the denominator to its base.
-
-        Args:
-            denominator: Coefficients of the polynomial that is added to the base.
-        """
+        """Return the ratio of base plus polynomial to base, from its coefficients."""
         return 1 + self.energies @ denominator / self.base
 
     def quotient(
@@ -91,9 +83,8 @@ class RationalTerms(NamedTuple):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the wrenches (N m, N, N) and the energies (J) of the rational energy.
 
-        Args:
-            numerator: Coefficients of the numerator; J.
-            denominator: Coefficients of the polynomial that is added to the base.
+        `numerator` holds its coefficients (J). `denominator` holds those of the
+        polynomial that is added to the base.
         """
         with np.errstate(all="ignore"):  # division by zero at a pole
             total = self.base + self.energies @ denominator
@@ -161,7 +152,7 @@ def rational_equations(
     Args:
         trials: Trials of the fit.
         terms: Terms at the trials.
-        free: Whether the denominator has each term, in addition to its base.
+        free: Whether each term is free in the denominator.
 
     Returns:
         The design matrix and the right-hand side, in standard deviations.
@@ -206,7 +197,8 @@ def solve_rational(
     rows: np.ndarray,
     targets: np.ndarray,
     free: np.ndarray,
-    pole_free: list[RationalTerms],
+    at_trials: RationalTerms,
+    at_pole_free: RationalTerms,
     ridge: float,
     normalize_columns: bool,
 ) -> RationalSolution:
@@ -215,14 +207,17 @@ def solve_rational(
     Args:
         rows: Design matrix.
         targets: Measured values, in standard deviations.
-        free: Whether the denominator has each term, in addition to its base.
-        pole_free: Terms at the trials and at the pole-free poses.
+        free: Whether each term is free in the denominator.
+        at_trials: Terms at the trials.
+        at_pole_free: Terms at the poses without poles.
         ridge: First ridge parameter. It is tripled until the denominator is positive; if
             it is zero, it remains zero.
         normalize_columns: See `solve_minimum_norm`.
+
+    Returns:
+        The coefficients, and the ridge parameter that was used.
     """
     terms = len(free)
-    at_trials, at_pole_free = pole_free
     penalty = (at_pole_free.energies / at_pole_free.base[:, None])[:, free]
     penalty = np.pad(penalty, ((0, 0), (terms, 0)))
     penalty *= np.sqrt(len(at_trials.base) / len(at_pole_free.base))
@@ -237,7 +232,8 @@ def solve_rational(
         )
         denominator = np.zeros(terms)
         denominator[free] = coefficients[terms:]
-        smallest_ratio = min(np.min(part.ratio(denominator)) for part in pole_free)
+        ratios = (at_trials.ratio(denominator), at_pole_free.ratio(denominator))
+        smallest_ratio = min(map(np.min, ratios))
         # with this order of the comparison, NaN ends the loop
         if ridge == 0 or not smallest_ratio <= _SMALLEST_RATIO:
             return RationalSolution(

@@ -24,7 +24,7 @@ class EnergyFit(eqx.Module):
             others. Infinite if the fit interpolates the trials.
         held_out: Errors at the held-out trials of a fit to the others, or `None` if no
             trials were held out.
-        equations: Number of measured values.
+        value_count: Number of measured values.
         terms: Number of free coefficients.
         rank: Number of coefficients, or combinations of them, that the trials determine.
         condition: Ratio of the largest singular value to the smallest significant one.
@@ -41,7 +41,7 @@ class EnergyFit(eqx.Module):
     training: Errors
     expected: Errors
     held_out: Errors | None
-    equations: int
+    value_count: int
     terms: int
     rank: int
     condition: float
@@ -73,8 +73,8 @@ class EnergyFit(eqx.Module):
         energy = self.energy
         lines = [
             f"{coordinates_of(energy)} polynomial of order {energy.order}: {self.terms} "
-            f"free coefficients from {self.equations} numbers, rank {self.rank}, "
-            f"condition {self.condition:.1e}, ridge {self.ridge:.0e}",
+            f"free coefficients from {self.value_count} measured values, rank "
+            f"{self.rank}, condition {self.condition:.1e}, ridge {self.ridge:.0e}",
             f"{'rms error':<24}  {'moment (N m)':>20}  {'force 1 (N)':>20}  "
             f"{'force 2 (N)':>20}",
         ]
@@ -88,7 +88,7 @@ class EnergyFit(eqx.Module):
                 cells = [
                     f"{f'{error:.3g} ({100 * relative:.2g} %)':>20}"
                     for error, relative in zip(
-                        errors.wrench, errors.relative, strict=True
+                        errors.rms_wrench, errors.relative, strict=True
                     )
                 ]
                 lines.append(f"{name:<24}  {'  '.join(cells)}")
@@ -99,27 +99,17 @@ class EnergyFit(eqx.Module):
         return "\n".join(lines)
 
 
-def coordinates_of(
-    energy: Polynomial | MixedEnergy,
-) -> FitCoordinates:
+def coordinates_of(energy: Polynomial | MixedEnergy) -> FitCoordinates:
     """Return the coordinates of an energy, as `fit_energy` takes them."""
     return "mixed" if isinstance(energy, MixedEnergy) else energy.coordinates
 
 
-def interpolation_warning(terms: int, equations: int) -> str:
-    """Return the warning about a fit that interpolates.
-
-    Args:
-        terms: Number of free coefficients.
-        equations: Number of measured values.
-
-    Returns:
-        The text.
-    """
+def interpolation_warning(terms: int, value_count: int) -> str:
+    """Return the warning about a fit whose coefficients interpolate measured values."""
     return (
-        f"the fit interpolates: {terms} coefficients for {equations} numbers. Its errors "
-        "at the trials say nothing about its errors elsewhere. Use a lower order, more "
-        "symmetry, or more trials."
+        f"the fit interpolates: {terms} coefficients for {value_count} measured values. "
+        "Its errors at the trials say nothing about its errors elsewhere. Use a lower "
+        "order, more symmetry, or more trials."
     )
 
 
@@ -134,7 +124,7 @@ def describe_direction(
         names: Names of the variables.
 
     Returns:
-        The text, such as "+1 xi^2 -0.5 x1 x2".
+        A text such as "+1 xi^2 -0.5 x1 x2".
     """
     relative = direction / np.abs(direction).max()
     largest = np.argsort(-np.abs(relative), kind="stable")[:3]

@@ -15,7 +15,7 @@ from ..._utils.types import (
     TrialsLike,
     WrenchDeviationsLike,
 )
-from ..._utils.validation import shorten
+from ..._utils.validation import require_array, require_deviations, shorten
 
 
 _POSE = ("angle_rad", "px_m", "py_m")
@@ -66,20 +66,29 @@ class Trials(eqx.Module):
     ):
         if wrenches is None and energies is None:
             raise ValueError("`Trials` need `wrenches` or `energies` or both.")
-        self.poses = _finite_array("poses", poses, None)
+        row = "have a row (angle, x, y) for each trial"
+        self.poses = require_array("`poses`", poses, (None, 3), row)
         count = len(self.poses)
+        if not count:
+            raise ValueError(f"`poses` has shape (0, 3), but must {row}.")
         self.wrenches = self.energies = None
         self.wrench_deviations = self.energy_deviations = None
         if wrenches is not None:
-            self.wrenches = _finite_array("wrenches", wrenches, (count, 3))
+            row = f"have a row (moment, force 1, force 2) for each of {count} poses"
+            self.wrenches = require_array("`wrenches`", wrenches, (count, 3), row)
             if wrench_deviations is None:
                 wrench_deviations = _root_mean_square(self.wrenches)
-            self.wrench_deviations = _deviations("wrench", wrench_deviations, (count, 3))
+            self.wrench_deviations = require_deviations(
+                "`wrench_deviations`", wrench_deviations, (count, 3)
+            )
         if energies is not None:
-            self.energies = _finite_array("energies", energies, (count,))
+            number = f"have one number for each of {count} poses"
+            self.energies = require_array("`energies`", energies, (count,), number)
             if energy_deviations is None:
                 energy_deviations = _root_mean_square(self.energies)
-            self.energy_deviations = _deviations("energy", energy_deviations, (count,))
+            self.energy_deviations = require_deviations(
+                "`energy_deviations`", energy_deviations, (count,)
+            )
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -109,18 +118,18 @@ class Errors(eqx.Module):
     """Errors of an energy at trials.
 
     Args:
-        wrench: Rms error of each component of the wrench, NaN without measured wrenches;
-            N m, N, N.
-        largest: Largest error of each component of the wrench; N m, N, N.
+        rms_wrench: Rms error of each component of the wrench, NaN without measured
+            wrenches; N m, N, N.
+        largest_wrench: Largest error of each component of the wrench; N m, N, N.
         relative: Rms error divided by the rms value of the measured component.
-        energy: Rms error of the energy, NaN without measured energies; J.
+        rms_energy: Rms error of the energy, NaN without measured energies; J.
         largest_energy: Largest error of the energy; J.
     """
 
-    wrench: Float[np.ndarray, "3"]
-    largest: Float[np.ndarray, "3"]
+    rms_wrench: Float[np.ndarray, "3"]
+    largest_wrench: Float[np.ndarray, "3"]
     relative: Float[np.ndarray, "3"]
-    energy: float
+    rms_energy: float
     largest_energy: float
 
 
@@ -139,20 +148,20 @@ def errors_of_predictions(
         energies: Predicted energies at these poses; J.
 
     Returns:
-        The errors.
+        The rms errors and the largest errors.
 
     Example:
         >>> trials = Trials(poses=[[0.1, 0.0, 0.0]], energies=[2.0])
         >>> wrenches, energies = np.zeros((1, 3)), np.array([1.5])
-        >>> errors_of_predictions(trials, wrenches, energies).energy
+        >>> errors_of_predictions(trials, wrenches, energies).rms_energy
         0.5
     """
     residuals = []
     if trials.wrenches is not None:
-        difference = np.asarray(trials.wrenches) - wrenches
+        difference = wrenches - np.asarray(trials.wrenches)
         residuals.append(difference / np.asarray(trials.wrench_deviations))
     if trials.energies is not None:
-        difference = np.asarray(trials.energies) - energies
+        difference = energies - np.asarray(trials.energies)
         residuals.append((difference / np.asarray(trials.energy_deviations))[:, None])
     return errors_of_residuals(trials, np.concatenate(residuals, axis=1))
 
@@ -168,21 +177,21 @@ def errors_of_residuals(
             as far as these were measured.
 
     Returns:
-        The errors.
+        The rms errors and the largest errors.
     """
-    wrench, largest, relative = (np.full(3, np.nan) for _ in range(3))
-    energy = largest_energy = np.nan
+    rms_wrench, largest_wrench, relative = (np.full(3, np.nan) for _ in range(3))
+    rms_energy = largest_energy = np.nan
     if trials.wrenches is not None:
         error = residuals[:, :3] * np.asarray(trials.wrench_deviations)
-        wrench = np.sqrt(np.mean(error**2, axis=0))
-        largest = np.max(np.abs(error), axis=0)
-        size = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
-        relative = wrench / np.where(size > 0, size, np.nan)
+        rms_wrench = np.sqrt(np.mean(error**2, axis=0))
+        largest_wrench = np.max(np.abs(error), axis=0)
+        measured = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
+        relative = rms_wrench / np.where(measured > 0, measured, np.nan)
     if trials.energies is not None:
         error = residuals[:, -1] * np.asarray(trials.energy_deviations)
-        energy = float(np.sqrt(np.mean(error**2)))
+        rms_energy = float(np.sqrt(np.mean(error**2)))
         largest_energy = float(np.max(np.abs(error)))
-    return Errors(wrench, largest, relative, energy, largest_energy)
+    return Errors(rms_wrench, largest_wrench, relative, rms_energy, largest_energy)
 
 
 def read_trials(path: str | Path) -> Trials:
@@ -200,7 +209,7 @@ def read_trials(path: str | Path) -> Trials:
         path: Path of the file.
 
     Returns:
-        The trials.
+        The trials, in the order of the lines.
 
     Raises:
         ValueError: A column is missing or given twice, a line is too short or too long,
@@ -245,41 +254,7 @@ def read_trials(path: str | Path) -> Trials:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _finite_array(name: str, given, shape: tuple[int, ...] | None) -> Array:
-    """Convert an argument to a finite array of this shape, by default of poses."""
-    values = jnp.asarray(given, float)
-    if shape is None and (values.ndim != 2 or values.shape[1] != 3 or not len(values)):
-        raise ValueError(
-            f"`{name}` has shape {values.shape}, but must have a row (angle, x, y) for "
-            "each trial."
-        )
-    if shape is not None and values.shape != shape:
-        raise ValueError(
-            f"`{name}` has shape {values.shape}, but for {shape[0]} poses must have "
-            f"{shape}."
-        )
-    if not np.all(np.isfinite(values)):
-        row = int(np.argwhere(~np.isfinite(values))[0][0])
-        raise ValueError(f"`{name}[{row}]` is {values[row]}, but must be finite.")
-    return values
-
-
 def _root_mean_square(values: Array) -> Array:
     """Compute the rms value of each column, or one for a column of zeros."""
-    size = jnp.sqrt(jnp.mean(values**2, axis=0))
-    return jnp.where(size > 0, size, 1.0)
-
-
-def _deviations(name: str, given, shape: tuple[int, ...]) -> Array:
-    """Convert standard deviations to an array of this shape; all must be positive."""
-    values = jnp.asarray(given, float)
-    try:
-        values = jnp.broadcast_to(values, shape)
-    except ValueError:
-        raise ValueError(
-            f"`{name}_deviations` has shape {values.shape}, but must have shape {shape} "
-            "or be one row for all trials."
-        ) from None
-    if not np.all((values > 0) & np.isfinite(values)):
-        raise ValueError(f"`{name}_deviations` must be positive and finite.")
-    return values
+    rms = jnp.sqrt(jnp.mean(values**2, axis=0))
+    return jnp.where(rms > 0, rms, 1.0)

@@ -1,21 +1,34 @@
-"""Layout of the JSON files of energies and mechanisms.
+"""Records of energies and mechanisms in JSON files.
 
-The schemas check the fields, their types and the numbers of their entries. Properties of
-several entries together, such as the symmetry of a stiffness, are checked by the classes
-that are created from the records. This module is imported only where a file is read or
-written, because it imports msgspec.
+A record has the name and the fields of the class that is created from it. The types of
+the fields are the layout of the files, which is checked when a file is read or written.
+Properties of several entries together, such as the symmetry of a stiffness, are checked
+by the classes. This module is imported only where a file is read or written, because it
+imports msgspec.
 """
 
+# ruff: noqa: D101
+
 import re
+from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
-from .._utils.json_files import describe_value, entry_name
+from .._utils.json_files import (
+    describe_value,
+    entry_name,
+    find_invalid_entry,
+    read_json,
+    write_json,
+)
 from .._utils.validation import shorten
 from ..energies.polynomial import LARGEST_POWER
 
+
+VERSION = 2
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -34,15 +47,11 @@ class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
 
 
 class Quadratic(_EnergyRecord, frozen=True):
-    """Record of a `Quadratic` energy."""
-
     stiffness: Matrix
     coordinates: str
 
 
 class Polynomial(_EnergyRecord, frozen=True):
-    """Record of a `Polynomial` energy."""
-
     coefficients: list[float]
     scale: float
     powers: Powers
@@ -50,15 +59,11 @@ class Polynomial(_EnergyRecord, frozen=True):
 
 
 class Rational(_EnergyRecord, frozen=True):
-    """Record of a `Rational` energy."""
-
     numerator: "Energy"
     denominator: "Energy"
 
 
 class SumOfSquares(_EnergyRecord, frozen=True):
-    """Record of a `SumOfSquares`, with one coefficient for each power in each row."""
-
     coefficients: list[list[float]]
     scale: float
     powers: Powers
@@ -74,8 +79,6 @@ class SumOfSquares(_EnergyRecord, frozen=True):
 
 
 class MixedEnergy(_EnergyRecord, frozen=True):
-    """Record of a `MixedEnergy`."""
-
     coefficients: list[float]
     length: float
     force: float
@@ -83,8 +86,6 @@ class MixedEnergy(_EnergyRecord, frozen=True):
 
 
 class WithValidityRange(_EnergyRecord, frozen=True):
-    """Record of a `WithValidityRange` energy."""
-
     energy: "Energy"
     rotation: float
     force: float
@@ -92,8 +93,6 @@ class WithValidityRange(_EnergyRecord, frozen=True):
 
 
 class PointCharges(_EnergyRecord, frozen=True):
-    """Record of a `PointCharges` energy."""
-
     charges_a: list[float]
     sites_a: list[Pair]
     charges_b: list[float]
@@ -102,14 +101,10 @@ class PointCharges(_EnergyRecord, frozen=True):
 
 
 class Sum(_EnergyRecord, frozen=True):
-    """Record of a `Sum` of at least one energy."""
-
     parts: Annotated[list["Energy"], Meta(min_length=1)]
 
 
 class Scaled(_EnergyRecord, frozen=True):
-    """Record of a `Scaled` energy."""
-
     factor: float
     energy: "Energy"
 
@@ -128,16 +123,12 @@ Energy = (
 
 
 class Damping(_Record, frozen=True):
-    """Record of a `ViscousDamping`."""
-
     damping: Matrix
     coordinates: str
     resisted: bool
 
 
 class Body(_Record, frozen=True):
-    """Record of a `Body`."""
-
     name: str
     pose: Triple
     mass: float | None
@@ -146,20 +137,16 @@ class Body(_Record, frozen=True):
 
 
 class Hinge(_Record, frozen=True):
-    """Record of a `Hinge`. A damping that is a number is a damping time; s."""
-
     name: str
     first: str
     second: str
     at: Triple
     energy: Energy
-    damping: float | Damping | None
+    damping: float | Damping | None  # A number is a damping time; s.
     outline: Corners | None
 
 
 class Mechanism(_Record, frozen=True):
-    """Record of a `Mechanism`, with fixed bodies or fixed coordinates of each body."""
-
     bodies: list[Body]
     hinges: list[Hinge]
     fixed: dict[str, Any] | list[str]
@@ -180,29 +167,73 @@ class Mechanism(_Record, frozen=True):
                 )
 
 
-def is_energy(value: Any) -> bool:
-    """Return whether a value is the record of an energy."""
-    return isinstance(value, _EnergyRecord)
+_KINDS: dict[str, Any] = {"energy": Energy, "mechanism": Mechanism}
 
 
-SCHEMAS: dict[str, Any] = {"energy": Energy, "mechanism": Mechanism}
-
-
-def convert_record(content: Any, kind: str) -> Any:
-    """Convert the content of a file into a record of its schema.
+def write_record(path: str | Path, kind: str, content: Any) -> None:
+    """Write a record to a JSON file, if it can be read again.
 
     Args:
-        content: Dictionaries, lists and values, as `read_json` returns them.
+        path: Path of the file.
+        kind: "energy" or "mechanism".
+        content: Content of the record: dictionaries, lists, arrays and values.
+
+    Raises:
+        ValueError: The record cannot be read again: a value is not finite, a text cannot
+            be encoded, or the layout is wrong. Nothing is written.
+        OSError: The file cannot be written.
+    """
+    content = msgspec.to_builtins(
+        content, enc_hook=lambda array: np.asarray(array).tolist()
+    )
+    try:
+        if error_message := find_invalid_entry({kind: content}):
+            raise ValueError(error_message)
+        _convert(content, kind)
+    except ValueError as error:
+        raise ValueError(f"{path} is not written: {error}") from None
+    write_json(path, {"twistorjax": VERSION, kind: content})
+
+
+def read_record(path: str | Path, kind: str) -> Any:
+    """Read a record from a JSON file.
+
+    Args:
+        path: Path of the file.
         kind: "energy" or "mechanism".
 
     Returns:
-        A record of this module.
+        The record, as an instance of its class in this module.
 
     Raises:
-        ValueError: The content does not fit the schema. The message names the entry.
+        ValueError: The file is damaged, of another version or of another kind, or has
+            another layout.
+        OSError: The file cannot be read.
     """
+    content = read_json(path)
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} is {describe_value(content)}, but must be an object.")
+    version = content.get("twistorjax")
+    if type(version) is not int or version != VERSION:
+        raise ValueError(
+            f"{path} has a layout that this version of twistorjax cannot read: its field "
+            f"`twistorjax` is {describe_value(version)}, but must be {VERSION}."
+        )
+    if set(content) != {"twistorjax", kind}:
+        raise ValueError(
+            f"{path} has the fields {shorten(', '.join(content))}, but must have "
+            f"only `twistorjax` and `{kind}`."
+        )
     try:
-        return msgspec.convert(content, SCHEMAS[kind], strict=True)
+        return _convert(content[kind], kind)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _convert(content: Any, kind: str) -> Any:
+    """Convert the content of a file into a record; a message names the invalid entry."""
+    try:
+        return msgspec.convert(content, _KINDS[kind], strict=True)
     except msgspec.ValidationError as error:
         raise ValueError(_message(str(error), content, kind)) from None
 
@@ -224,16 +255,7 @@ _TYPE_NAMES = {
 
 
 def _message(original: str, content: Any, kind: str) -> str:
-    """Convert a message of msgspec into one that names the entry and shows its value.
-
-    Args:
-        original: Message of msgspec.
-        content: Content of the file.
-        kind: "energy" or "mechanism".
-
-    Returns:
-        The message.
-    """
+    """Convert a message of msgspec into one that names the entry and shows its value."""
     match = _PATH.fullmatch(original)
     problem, path = match.groups() if match else (original, "")
     keys = [

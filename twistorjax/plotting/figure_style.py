@@ -1,4 +1,4 @@
-"""Figures of matplotlib, and the colors and units of all plots."""
+"""New figures of matplotlib, and the colors and units of all plots."""
 
 from typing import Any, TYPE_CHECKING
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 # Colors that color-blind readers can distinguish: Okabe and Ito, Color Universal Design,
 # 2008.
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e08214", "#009e73", "#d55e00"
-INK, GRAY, BLACK = "#1b4965", "#8a8a8a", "#202020"
+DARK_BLUE, GRAY, BLACK = "#1b4965", "#8a8a8a", "#202020"
 # Fill colors of the parts of a mechanism that have an outline; see `Shape.kind`.
 FILLS = {"body": "#b8cfe3", "fixed": "#d5d5d5", "hinge": ORANGE}
 
@@ -44,19 +44,12 @@ def subplots(
     Example:
         >>> figure, axes = subplots(size=(5, 5))
     """
-    plt = require_package("matplotlib.pyplot", "Pictures", "show")
+    plt = require_package("matplotlib.pyplot", "Figures", "show")
     return plt.subplots(rows, columns, figsize=size, layout="constrained", **settings)
 
 
 def new_axes(size: tuple[float | int, float | int]) -> "Axes":
-    """Create a figure with one pair of axes.
-
-    Args:
-        size: Width and height of the figure; inches.
-
-    Returns:
-        The axes.
-    """
+    """Create a figure of this width and height (inches), and return its axes."""
     return subplots(size=size)[1]
 
 
@@ -91,7 +84,7 @@ def length_unit(size: float) -> tuple[float, str]:
         size: Size of the mechanism; m.
 
     Returns:
-        The number of units in a meter, and the unit: millimeters for a size from 1 mm to
-        10 m, and the unit of `prefixed_unit` otherwise.
+        The number of units in a meter, and the unit. The unit is the millimeter for a
+        size from 1 mm to 10 m, and that of `prefixed_unit` otherwise.
     """
     return (1e3, "mm") if 1e-3 <= size < 10 else prefixed_unit("m", size)

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Scalar
-from .._utils.validation import require_kind
+from .._utils.validation import require_instance
 from ..energies.base import AbstractEnergy
 from ..energies.validity import WithValidityRange
 from ..geometry.twistors import Displacement
 from ..mechanism.hinge import Hinge
-from .canvas import BLACK, prefixed_unit, subplots
+from .figure_style import BLACK, prefixed_unit, subplots
 
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def draw_energy(
         axial displacement (µm)
     """
     energy = energy.energy if isinstance(energy, Hinge) else energy
-    require_kind("energy", [energy], AbstractEnergy)
+    require_instance("energy", energy, AbstractEnergy)
     if rotation is None:
         limited = isinstance(energy, WithValidityRange)
         rotation = float(energy.rotation) if limited else _ROTATION
@@ -128,15 +128,10 @@ def _draw_contours(
     name: str,
     unit: str,
 ) -> None:
-    """Draw contours of one quantity.
+    """Draw contours of a quantity.
 
-    Args:
-        axes: The axes.
-        rotations: Rotations of the grid; rad.
-        shifts: Transverse displacements of the grid; units of the axes.
-        values: Values of the quantity; SI units.
-        name: Name of the quantity.
-        unit: Its SI unit.
+    The values are in SI units, the rotations in rad, and the transverse displacements
+    `shifts` in units of the axes.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -160,15 +155,10 @@ def _evaluate(
 ) -> Float[Array, "poses 5"]:
     """Compute energy, wrench, and axial displacement at the points of a grid.
 
-    Args:
-        energy: The energy.
-        grid: Rotation and transverse displacement of each point; rad, m.
-        axial: The axial displacement. If the array is empty, the axial displacement
-            minimizes the energy; m.
-
-    Returns:
-        Energy (J), moment (N m), axial and transverse force (N), and axial displacement
-        (m) of each point. They are NaN outside the validity range.
+    A point is a rotation (rad) and a transverse displacement (m). If the array `axial` is
+    empty, the axial displacement minimizes the energy. A row of the result holds energy
+    (J), moment (N m), axial and transverse force (N), and axial displacement (m). It is
+    NaN outside the validity range.
     """
 
     def at_point(point: Float[Array, "2"]) -> Float[Array, "5"]:

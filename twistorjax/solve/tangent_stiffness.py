@@ -25,12 +25,15 @@ def add_load_stiffness(
     """Add the stiffness of loads, whose moments or directions change with the angle.
 
     Args:
-        matrix: Stiffness to which that of the loads is added.
-        by_angle: Derivative of the load on each degree of freedom by the angle of its own
-            body, the only coordinate on which it depends; N m/rad, N/rad.
+        matrix: Stiffness to which that of the loads is added; N m/rad, N/rad, N/m.
+        by_angle: Derivative of the load on each degree of freedom with respect to the
+            angle of its body, the only coordinate on which it depends; N m/rad, N/rad.
         loaded: Indices of the bodies with loads.
         rows: Degrees of freedom of the rows.
         columns: Degrees of freedom of the columns.
+
+    Returns:
+        The sum; N m/rad, N/rad, N/m.
     """
     column_of = {dof: column for column, dof in enumerate(columns)}
     entries = [
@@ -48,18 +51,20 @@ class DenseTangent(eqx.Module):
     """Tangent stiffness of the free degrees of freedom, as one matrix.
 
     Args:
-        matrix: Derivatives by the free degrees of freedom, then by the prescribed ones;
-            N m/rad, N/rad, N/m.
+        matrix: Derivatives with respect to the free degrees of freedom, then with respect
+            to the prescribed ones; N m/rad, N/rad, N/m.
     """
 
     matrix: Float[Array, "free free_and_prescribed"]
 
-    def push(self, move: Float[Array, " prescribed"]) -> Float[Array, " free"]:
+    def prescribed_forces(
+        self, change: Float[Array, " prescribed"]
+    ) -> Float[Array, " free"]:
         """Compute the forces that prescribed displacements cause; N m, N."""
-        return self.matrix[:, len(self.matrix) :] @ move
+        return self.matrix[:, len(self.matrix) :] @ change
 
     def factors(self, symmetric: bool) -> Factors:
-        """Factor the stiffness of the free degrees of freedom."""
+        """Factorize the stiffness of the free degrees of freedom."""
         return Factors.of(self.matrix[:, : len(self.matrix)], symmetric)
 
     def finite(self) -> Flag:
@@ -79,9 +84,9 @@ class ConstrainedTangent(eqx.Module):
     its constraint force.
 
     Args:
-        stiffness: Derivatives of the forces, constraint forces included, by the free
-            degrees of freedom, then by the prescribed ones.
-        jacobian: Derivatives of the violations by the same.
+        stiffness: Derivatives of the forces, including constraint forces, with respect to
+            the free degrees of freedom, then with respect to the prescribed ones.
+        jacobian: Derivatives of the violations with respect to the same.
         units: Unit of each free degree of freedom; rad, m.
     """
 
@@ -89,15 +94,17 @@ class ConstrainedTangent(eqx.Module):
     jacobian: Float[Array, "entries free_and_prescribed"]
     units: Float[Array, " free"]
 
-    def push(self, move: Float[Array, " prescribed"]) -> Float[Array, " unknowns"]:
+    def prescribed_forces(
+        self, change: Float[Array, " prescribed"]
+    ) -> Float[Array, " unknowns"]:
         """Compute the forces and the violations that prescribed displacements cause."""
         count = len(self.stiffness)
         return jnp.concatenate(
-            [self.stiffness[:, count:] @ move, self.jacobian[:, count:] @ move]
+            [self.stiffness[:, count:] @ change, self.jacobian[:, count:] @ change]
         )
 
     def factors(self, symmetric: bool) -> ConstrainedFactors:
-        """Factor the stiffness on the displacements that the constraints allow."""
+        """Factorize the stiffness on the displacements that the constraints allow."""
         count = len(self.stiffness)
         return ConstrainedFactors.of(
             self.stiffness[:, :count], self.jacobian[:, :count], self.units, symmetric
@@ -122,53 +129,59 @@ class BlockTangent(eqx.Module):
 
     Args:
         hinges: The hinges.
-        pairs: Stiffness of each hinge among the degrees of freedom of its two bodies.
-        by_angle: Derivatives of the loads by the angle of their own body.
+        hinge_stiffness: Stiffness of each hinge with respect to the six degrees of
+            freedom of its two bodies; N m/rad, N/rad, N/m.
+        by_angle: Derivatives of the loads with respect to the angle of their body; N
+            m/rad, N/rad.
         dofs: Partition of the degrees of freedom.
         layout: Layout of the blocks of the matrix.
     """
 
     hinges: HingeAssembly
-    pairs: Float[Array, "6 6 hinges"]
+    hinge_stiffness: Float[Array, "6 6 hinges"]
     by_angle: Float[Array, " dofs"]
     dofs: DofPartition = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
 
-    def push(self, move: Float[Array, " prescribed"]) -> Float[Array, " free"]:
+    def prescribed_forces(
+        self, change: Float[Array, " prescribed"]
+    ) -> Float[Array, " free"]:
         """Compute the forces that prescribed displacements cause; N m, N."""
         prescribed = np.array(self.dofs.prescribed, int)
-        moved = jnp.zeros_like(self.by_angle).at[prescribed].set(move)
-        forces = self.hinges.applied(self.pairs, moved)
-        rotations = jnp.repeat(moved[::3], 3)
+        displacements = jnp.zeros_like(self.by_angle).at[prescribed].set(change)
+        forces = self.hinges.multiply_stiffness(self.hinge_stiffness, displacements)
+        rotations = jnp.repeat(displacements[::3], 3)
         return (forces - self.by_angle * rotations)[np.array(self.dofs.free, int)]
 
     def factors(self, symmetric: bool) -> BlockFactors:
-        """Factor the stiffness of the free degrees of freedom."""
+        """Factorize the stiffness of the free degrees of freedom."""
         layout, count = self.layout, 3 * self.layout.blocks * self.layout.size**2
         source, target = self._block_entries()
-        entries = jnp.concatenate([self.pairs.reshape(-1), -self.by_angle])
+        entries = jnp.concatenate([self.hinge_stiffness.reshape(-1), -self.by_angle])
         blocks = sum_entries(entries, source, target, count)
         shape = (3, layout.blocks, layout.size, layout.size)
         return BlockFactors.of(blocks.reshape(shape), layout, symmetric)
 
     def finite(self) -> Flag:
         """Decide whether all entries are finite."""
-        return jnp.all(jnp.isfinite(self.pairs)) & jnp.all(jnp.isfinite(self.by_angle))
+        stiffness = jnp.all(jnp.isfinite(self.hinge_stiffness))
+        return stiffness & jnp.all(jnp.isfinite(self.by_angle))
 
     def where(self, found: Flag) -> "BlockTangent":
-        """Replace the stiffness by that of unit springs if no solution was found."""
-        pairs = jnp.where(found, self.pairs, jnp.asarray(np.eye(6)[:, :, None]))
+        """Replace the stiffness of each hinge by an identity matrix if not `found`."""
+        identity = jnp.asarray(np.eye(6)[:, :, None])
+        stiffness = jnp.where(found, self.hinge_stiffness, identity)
         by_angle = jnp.where(found, self.by_angle, 0.0)
-        return BlockTangent(self.hinges, pairs, by_angle, self.dofs, self.layout)
+        return BlockTangent(self.hinges, stiffness, by_angle, self.dofs, self.layout)
 
     def _block_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """Find the entries that are used, and the position of each among the blocks.
 
-        Entries are those of `pairs`, then those of `by_angle`.
+        Entries are those of `hinge_stiffness`, then those of `by_angle`.
         """
-        every = np.arange(self.dofs.total)
-        of_loads = np.stack([every, 3 * (every // 3)])
-        dofs = np.concatenate([self.hinges.pair_dofs(), of_loads], axis=1)
+        all_dofs = np.arange(self.dofs.total)
+        of_loads = np.stack([all_dofs, 3 * (all_dofs // 3)])
+        dofs = np.concatenate([self.hinges.stiffness_dofs(), of_loads], axis=1)
         row = np.full(self.dofs.total, -1)
         row[list(self.dofs.free)] = np.arange(len(self.dofs.free))
         rows, columns = row[dofs]
@@ -180,6 +193,6 @@ Tangent = DenseTangent | ConstrainedTangent | BlockTangent
 
 
 def _identity(matrix: Float[Array, "rows columns"]) -> Float[Array, "rows columns"]:
-    """Ones on the diagonal of a matrix of the same shape."""
+    """Return a matrix of the same shape with ones on the diagonal."""
     rows, columns = matrix.shape
     return jnp.eye(rows, columns)

@@ -4,45 +4,53 @@ from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .._utils.types import DofsMatrix, EntriesMatrix, Flag, Poses
+from .._utils.types import Flag, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.support import require_support
 from .consistency import independent
 from .dofs import DofPartition
 from .factorization import ConstrainedFactors, Factors
 from .results import RESULTS
-from .statics import Equilibrium, raise_error, state_in_range, StateLike
+from .statics import check_equilibrium, Equilibrium, state_in_range, StateLike
 from .system import System
 
 
 class Linearization(eqx.Module):
-    """The linear map from small loads and drives to displacements and reactions.
+    """Linear map from small loads and prescribed displacements to the response.
 
-    The tangent stiffness is factored once. A call returns an `Equilibrium` whose
-    displacements, reactions, and constraint forces are the changes from the state, to
-    first order. Its energy is half the product of displacements and forces: in the
-    reference configuration the energy stored in the hinges, about a loaded state the
-    second-order change of the total potential.
+    Call it as `linear(loads=..., drives=..., throw=...)`. The tangent stiffness is
+    factorized once. A call returns an `Equilibrium`. Its displacements, reactions, and
+    constraint forces are the first-order changes from the equilibrium about which the
+    mechanism was linearized.
+
+    Its energy is half the product of displacements and forces. For a linearization about
+    the reference configuration, this is the energy stored in the hinges. For one about a
+    loaded equilibrium, it is the second-order change of the total potential energy.
 
     Args:
         mechanism: The mechanism.
-        about: Poses of the state; rad, m, m.
-        matrix: Tangent stiffness among all degrees of freedom; N m/rad, N/rad, N/m.
-        jacobian: Derivatives of the constraint violations by all degrees of freedom.
+        about: Poses of the equilibrium about which the mechanism was linearized; rad, m,
+            m.
+        matrix: Tangent stiffness with respect to all degrees of freedom; N m/rad, N/rad,
+            N/m.
+        jacobian: Derivatives of the constraint violations with respect to all degrees of
+            freedom.
         factors: Factors of the stiffness of the free degrees of freedom.
         finite: Whether the matrices are finite.
         consistent: Whether the constraints are independent.
         dofs: Partition of the degrees of freedom.
-        constraint_names: Name of the constraint of each constraint entry.
+        constraint_names: Name of the constraint to which each scalar equation belongs.
     """
 
     mechanism: Mechanism
     about: Poses
-    matrix: DofsMatrix
-    jacobian: EntriesMatrix
+    matrix: Float[Array, "dofs dofs"]
+    jacobian: Float[Array, "entries dofs"]
     factors: Factors | ConstrainedFactors
     finite: Flag
     consistent: Flag
@@ -56,12 +64,12 @@ class Linearization(eqx.Module):
         drives: Sequence[Drive] = (),
         throw: bool = True,
     ) -> Equilibrium:
-        """Compute the change of the equilibrium under small loads and drives.
+        """Compute the first-order response.
 
         Args:
-            loads: Small loads, in addition to those that act at the state.
-            drives: Small prescribed displacements of the coordinates that were named to
-                `linearize`, all of them.
+            loads: Small loads, in addition to those that act at the equilibrium.
+            drives: Small prescribed displacements. They must be given for all coordinates
+                that were named as `prescribed` in `linearize`; rad, m.
             throw: Whether a failure raises an error; otherwise it is reported by
                 `result`.
 
@@ -71,7 +79,8 @@ class Linearization(eqx.Module):
         Raises:
             ValueError: The prescribed coordinates are not those that were named, or a
                 name is unknown.
-            RuntimeError: The state is not stable, or a value is not finite.
+            RuntimeError: The equilibrium is not stable, the constraints are not
+                independent, or a value is not finite.
         """
         mechanism, count = self.mechanism, len(self.dofs.free)
         prescribed, targets = prescribed_dofs(mechanism, drives)
@@ -85,20 +94,20 @@ class Linearization(eqx.Module):
             self.about - mechanism.reference
         )
         applied = applied.reshape(-1)
-        given = DofPartition(self.dofs.total, self.dofs.free, prescribed)
-        moved = given.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
-        free = jnp.array(self.dofs.free, int)
-        right = (applied - self.matrix @ moved)[free]
-        push, constraint = jnp.zeros(0), jnp.zeros_like(moved)
+        dofs = DofPartition(self.dofs.total, self.dofs.free, prescribed)
+        imposed = dofs.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
+        free = jnp.array(dofs.free, int)
+        right = (applied - self.matrix @ imposed)[free]
+        multipliers, constraint = jnp.zeros(0), jnp.zeros_like(imposed)
         if self.constraint_names:
-            right = jnp.concatenate([right, -self.jacobian @ moved])
+            right = jnp.concatenate([right, -self.jacobian @ imposed])
         solution = self.factors.solve(right)
-        flat = moved.at[free].set(solution[:count])
+        flat = imposed.at[free].set(solution[:count])
         if self.constraint_names:
-            push = -solution[count:]
-            constraint = push @ self.jacobian
+            multipliers = -solution[count:]
+            constraint = multipliers @ self.jacobian
         forces = self.matrix @ flat
-        stable = self.factors.resists()
+        stable = self.factors.is_stable()
         result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
         dependent = RESULTS.inconsistent_constraints
         result = RESULTS.where(self.consistent, result, dependent)
@@ -108,8 +117,8 @@ class Linearization(eqx.Module):
         change = Equilibrium(
             displacements=displacements,
             reference=self.about,
-            reactions=given.reactions(forces - applied - constraint),
-            constraint_forces=push,
+            reactions=dofs.reactions(forces - applied - constraint),
+            constraint_forces=multipliers,
             energy=jnp.vdot(flat, forces) / 2,
             reached=displacements,
             fraction=jnp.ones(()),
@@ -118,7 +127,7 @@ class Linearization(eqx.Module):
             names=mechanism.names,
             constraint_names=self.constraint_names,
         )
-        return raise_error(change) if throw else change
+        return check_equilibrium(change) if throw else change
 
 
 def linearize(
@@ -129,7 +138,7 @@ def linearize(
     loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
 ) -> Linearization:
-    """Linearize a mechanism about an equilibrium, and factor its tangent stiffness.
+    """Linearize a mechanism about an equilibrium.
 
     Args:
         mechanism: The mechanism.
@@ -137,15 +146,18 @@ def linearize(
             all three coordinates, or a mapping from names to some of "angle", "x", "y".
         about: Equilibrium about which the mechanism is linearized, or its poses; by
             default the reference configuration; rad, m, m.
-        loads: Loads that act at this equilibrium. They add to the stiffness because
-            their moments and directions depend on the rotations.
+        loads: Loads that act at this equilibrium. They contribute to the tangent
+            stiffness, because their moments, and the directions of follower loads, depend
+            on the rotations of the bodies.
         constraints: Pins, sliders, and other constraints between the bodies.
 
     Returns:
-        The linear map, a function of loads and drives.
+        The linear map. Call it with `loads` and `drives`; it returns an `Equilibrium`
+        with the first-order response.
 
     Raises:
-        ValueError: Double precision is off, or a name is unknown.
+        ValueError: Double precision is disabled, a name is unknown, a coordinate in
+            `prescribed` is fixed, or a hinge is outside the validity range of its energy.
 
     Example:
         >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
@@ -157,14 +169,15 @@ def linearize(
         Array([0.  , 0.  , 0.01], dtype=float64)
     """
     require_float64(mechanism.reference)
-    dofs = mechanism.coordinates("prescribed", prescribed)
+    dofs = mechanism.dofs_of("prescribed", prescribed)
     if both := sorted(set(dofs) & set(mechanism.fixed)):
         raise ValueError(
-            f"`prescribed` has the {_listed(mechanism, both)}, but that is fixed already."
+            f"`prescribed` names {_listed(mechanism, both)}, but fixed coordinates "
+            "cannot be prescribed: remove them."
         )
     dofs = DofPartition.of(mechanism, dofs)
     system = System.of(mechanism, dofs, loads, constraints)
-    mechanism.require_support(system.constraints.bodies)
+    require_support(mechanism, system.constraints.bodies)
     displacements = state_in_range(mechanism, "about", about)
     matrix, jacobian = system.whole_stiffness(displacements)
     free = system.free
@@ -183,5 +196,5 @@ def linearize(
 
 
 def _listed(mechanism: Mechanism, dofs: Sequence[int]) -> str:
-    """Name coordinates in words."""
-    return " and ".join(mechanism.coordinate(dof) for dof in sorted(dofs)) or "nothing"
+    """Return the names of degrees of freedom for a message."""
+    return " and ".join(mechanism.dof_name(dof) for dof in sorted(dofs)) or "nothing"

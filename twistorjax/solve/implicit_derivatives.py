@@ -1,0 +1,75 @@
+"""Derivatives of an equilibrium by the implicit function theorem."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.types import Flag, Poses
+from .system import System
+
+
+def differentiable_root(
+    system: System, root: Array, start: Poses, found: Flag
+) -> Float[Array, " unknowns"]:
+    """Return the solution of a system, with derivatives with respect to the system.
+
+    The derivative follows from the implicit function theorem, and has derivatives of
+    every order itself. If no equilibrium was found, the derivative is zero instead of
+    NaN, because NaN could not be masked in a sum over a batch.
+
+    `optimistix.root_find` with its implicit adjoint would differentiate the residual to
+    obtain the matrix. For the gain of the stage and its derivative it takes 1.4 times as
+    long to compile, and 3 times as long for 4096 designs.
+
+    Args:
+        system: The equations.
+        root: The known solution: displacements of the free degrees of freedom, then
+            constraint forces; rad, m, N m, N.
+        start: Displacements, of which the fixed degrees of freedom are used; rad, m, m.
+        found: Whether `root` is a solution.
+
+    Returns:
+        The same values as `root`.
+    """
+    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
+    return _root(static, dynamic, root, start, found)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _root(static: System, dynamic: System, root, start, found):
+    """Return the root; see `differentiable_root`."""
+    del static, dynamic, start, found
+    return root
+
+
+@_root.defjvp
+def _(static, primals, tangents):
+    dynamic, root, start, found = primals
+    system_change, _, start_change, _ = tangents
+    root = _root(static, dynamic, root, start, found)
+    system = eqx.combine(dynamic, static)
+    count = len(system.free)
+
+    def residual(dynamic: System, start: Poses) -> Array:
+        system = eqx.combine(dynamic, static)
+        displacements = system.with_displacements(
+            start, free=root[:count], prescribed=system.targets
+        )
+        forces = system.residual(displacements, root[count:])
+        return system.equations(forces, displacements)
+
+    _, rate = jax.jvp(residual, (dynamic, start), (system_change, start_change))
+    displacements = system.with_displacements(
+        start, free=root[:count], prescribed=system.targets
+    )
+    _, tangent, _ = system.tangent(displacements, multipliers=root[count:])
+    rate = jnp.where(found, rate, 0.0)
+    step = tangent.where(found).factors(system.loads.conservative).solve(rate)
+    # `solve` returns the negative change of the constraint forces; see
+    # `ConstrainedTangent`.
+    sign = jnp.where(np.arange(root.size) < count, -1.0, 1.0)
+    return root, sign * step

@@ -18,10 +18,7 @@ from twistorjax.flexures.beam import Law
 REFERENCE = json.loads(
     (pathlib.Path(__file__).parent / "reference" / "beams.json").read_text()
 )
-LAWS = [
-    pytest.param("linear", marks=pytest.mark.long),
-    "saint-venant-kirchhoff",  # whose program includes the linear law
-]
+LAWS = ["linear", "saint-venant-kirchhoff"]
 POLYMER = tj.Material(modulus=3.45e9, poisson=0.3)
 beam_under_load = jax.jit(tj.flexures.beam_under_load)
 
@@ -110,7 +107,6 @@ def test_the_wrench_of_an_exact_beam_is_the_derivative_of_its_energy(law):
     )
 
 
-@pytest.mark.long
 def test_derivatives_with_respect_to_the_thickness_agree_with_differences():
     """The derivatives are those of the energy and of the wrench at a fixed pose."""
     pose = beam_under_load(leaf(), jnp.array([0.08, 12.0, -9.0])).pose
@@ -216,7 +212,6 @@ def test_the_largest_stress_is_a_magnitude_in_tension_and_in_compression():
     assert tj.flexures.largest_stress(compressed) == largest[1]
 
 
-@pytest.mark.long
 def test_an_exact_beam_is_a_hinge_of_a_mechanism():
     """The equilibrium of a body at the end of a leaf is the state under a tip force."""
     beam = leaf()

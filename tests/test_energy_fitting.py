@@ -153,7 +153,7 @@ def test_fit_to_finite_elements_of_a_notch_is_accurate():
 
 @pytest.mark.parametrize(
     ("name", "limit"),
-    [("fe_leaf", 2e-4), pytest.param("fe_notch", 1e-5, marks=pytest.mark.long)],
+    [("fe_leaf", 2e-4), ("fe_notch", 1e-5)],
 )
 def test_mixed_energy_fits_finite_elements_to_their_own_error(name, limit, validated):
     """The held-out and the expected errors have the same order of magnitude."""

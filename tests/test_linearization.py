@@ -55,7 +55,7 @@ def test_linearization_needs_the_drives_for_which_it_was_made():
     [
         ({"anvil": ["x"]}, "`prescribed` names the body 'anvil', but the bodies are"),
         ({"block": ["X"]}, "`prescribed` of the body 'block' names the coordinate 'X'"),
-        (["wall"], "`prescribed` has the angle of 'wall' and x of 'wall'.*fixed already"),
+        (["wall"], "`prescribed` names angle of 'wall' and x of 'wall'.*fixed coord"),
     ],
 )
 def test_coordinates_that_cannot_be_prescribed_are_reported(prescribed, message):

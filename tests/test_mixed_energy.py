@@ -227,7 +227,6 @@ def test_derivatives_of_a_surrogate_by_the_dimensions_are_difference_quotients()
     np.testing.assert_allclose(slopes[3], values[2], rtol=1e-9)
 
 
-@pytest.mark.long
 def test_surrogate_of_a_notch_equals_the_beam():
     plate = tj.Material(modulus=69e9, poisson=0.33)
     neck = tj.flexures.Beam(
@@ -330,7 +329,6 @@ def test_proportional_damping_resists_the_rate_of_the_axial_force():
     assert_close(resisted, np.array([0.3, stretching, -0.7]), digits=12)
 
 
-@pytest.mark.long
 def test_proportional_damping_does_not_depend_on_the_amplitude():
     """The decay in one period is the same for a small and a large oscillation."""
     hinge = tj.flexures.surrogate(beam(0.1), rotation=0.81, order=6)

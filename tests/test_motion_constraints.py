@@ -62,7 +62,7 @@ def test_pin_does_not_drift_in_ten_thousand_steps():
 
 @pytest.mark.parametrize(
     "solver",
-    [dfx.Tsit5(), pytest.param(dfx.Kvaerno5(), marks=pytest.mark.long)],
+    [dfx.Tsit5(), dfx.Kvaerno5()],
     ids=["tsit5", "kvaerno5"],
 )
 def test_pin_does_not_drift_with_solvers_of_diffrax(solver):

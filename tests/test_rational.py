@@ -57,7 +57,7 @@ def test_charges_of_one_body_do_not_interact():
     [
         (([1.0], [[0.0, 0.0, 0.0]]), "`sites_a` has shape (1, 3), but for 1 charges"),
         (([], []), "`charges_a` has shape (0,), but must be a list of at least one"),
-        (([1.0], [[0.0, 0.0]], [1.0]), "`sites_b` are not given"),
+        (([1.0], [[0.0, 0.0]], [1.0]), "`sites_b` is not given"),
         (([1.0], [[0.0, np.nan]]), "`sites_a[0]` is [ 0. nan], but must be finite"),
     ],
 )

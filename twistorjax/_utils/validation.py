@@ -37,6 +37,28 @@ def all_concrete(values: Iterable[Any]) -> list[np.ndarray] | None:
     return concrete_arrays if len(concrete_arrays) == len(arrays) else None
 
 
+def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
+    """Choose NumPy for a formula of concrete values, and `jax.numpy` if one is traced.
+
+    An eager operation of `jax.numpy` compiles a program, so that a mechanism of concrete
+    values would compile dozens of programs before anything is solved.
+
+    Args:
+        values: Values in the formula.
+
+    Returns:
+        The module with the functions for the formula, and the values as its arrays.
+    """
+    arrays = all_concrete(values)
+    return (jnp, values) if arrays is None else (np, arrays)
+
+
+def as_float(value: Any) -> Numbers:
+    """Convert numbers to a JAX array, without a program if they are concrete."""
+    known = concrete(value)
+    return jnp.asarray(value if known is None else known.astype(float), float)
+
+
 def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
     """Require one of several strings."""
     if value not in choices:
@@ -181,7 +203,7 @@ def require_interval(
         raise ValueError(f"{name} is {value!r}, but must be a number.")
     if not low < float(known) <= high:  # also true for NaN
         raise ValueError(f"{name} is {known:g}, but {requirement}.")
-    return jnp.asarray(value, float)
+    return as_float(known)
 
 
 def require_positive(name: str, value: NumberLike) -> Numbers:

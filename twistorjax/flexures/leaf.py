@@ -2,10 +2,12 @@
 
 from typing import Literal
 
-import jax.numpy as jnp
+import numpy as np
 
 from .._utils.types import Corners, NumberLike
 from .._utils.validation import (
+    as_float,
+    on_host,
     require_choice,
     require_instance,
     require_interval,
@@ -61,14 +63,14 @@ def leaf(
     Example:
         >>> polymer = Material(modulus=3.45e9, poisson=0.3)
         >>> energy = leaf(polymer, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> jnp.diag(energy.stiffness)
+        >>> energy.stiffness.diagonal()
         Array([1.4375e-01, 1.7250e+06, 1.7250e+04], dtype=float64)
     """
     require_instance("material", material, Material)
     require_choice("`theory`", theory, ("euler-bernoulli", "timoshenko"))
-    length = require_positive("`length`", length)
-    width = require_positive("`width`", width)
-    thickness = require_positive("`thickness`", thickness)
+    _, (length, thickness) = on_host(
+        require_positive("`length`", length), require_positive("`thickness`", thickness)
+    )
     limit = 0.25 if theory == "timoshenko" else 0.1
     slenderness = require_interval(
         "`thickness / length`",
@@ -78,16 +80,23 @@ def leaf(
         f"the theory {theory!r} is valid up to {limit:g}. Use a thinner or longer leaf"
         + ("" if theory == "timoshenko" else ', or theory="timoshenko"'),
     )
+    xp, (modulus, poisson, length, width, slenderness) = on_host(
+        material.modulus,
+        material.poisson,
+        length,
+        require_positive("`width`", width),
+        slenderness,
+    )
     area = width * slenderness * length
     second_moment = area * (slenderness * length) ** 2 / 12
-    bending = material.modulus * second_moment / length
+    bending = modulus * second_moment / length
     transverse_compliance = length**2 / (12 * bending)
     if theory == "timoshenko":
-        shear_compliance = length / (material.shear_modulus * area * 5 / 6)
+        shear_modulus = modulus / (2 * (1 + poisson))
+        shear_compliance = length / (shear_modulus * area * 5 / 6)
         transverse_compliance = transverse_compliance + shear_compliance
-    axial = material.modulus * area / length
-    diagonal = jnp.stack([bending, axial, 1 / transverse_compliance])
-    return Quadratic(jnp.diag(diagonal), coordinates)
+    diagonal = [bending, modulus * area / length, 1 / transverse_compliance]
+    return Quadratic(as_float(xp.diag(xp.stack(diagonal))), coordinates)
 
 
 def quartic_leaf(
@@ -130,14 +139,14 @@ def quartic_leaf(
     Example:
         >>> polymer = Material(modulus=3.45e9, poisson=0.3)
         >>> energy = quartic_leaf(polymer, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> jnp.diag(energy.tangent_stiffness())
+        >>> energy.tangent_stiffness().diagonal()
         Array([1.4375e-01, 1.7250e+06, 1.7250e+04], dtype=float64)
     """
     quadratic = leaf(
         material, length=length, thickness=thickness, width=width, theory=theory
     )
-    bending, axial, transverse = jnp.diag(quadratic.stiffness)
-    length = require_positive("`length`", length)
+    xp, (stiffness, length) = on_host(quadratic.stiffness, length)
+    bending, axial, transverse = xp.diag(stiffness)
     force = bending / length
     terms = {
         (2, 0, 0): bending / 2,
@@ -146,9 +155,8 @@ def quartic_leaf(
         (2, 0, 1): -bending / 12,
         (0, 0, 2): -(force**2) / (2 * axial),
     }
-    return MixedEnergy(
-        jnp.stack(list(terms.values())), tuple(terms), length=length, force=force
-    )
+    coefficients = as_float(xp.stack(list(terms.values())))
+    return MixedEnergy(coefficients, tuple(terms), length=length, force=force)
 
 
 def leaf_outline(
@@ -164,6 +172,7 @@ def leaf_outline(
     Returns:
         The corners of the outline; m.
     """
-    x = jnp.linspace(-0.5, 0.5, points) * length
-    y = jnp.full_like(x, 0.5) * thickness
-    return jnp.concatenate([jnp.stack([x, y], 1), jnp.stack([x, -y], 1)[::-1]])
+    xp, (length, thickness) = on_host(length, thickness)
+    x = np.linspace(-0.5, 0.5, points) * length
+    y = np.full(points, 0.5) * thickness
+    return as_float(xp.concatenate([xp.stack([x, y], 1), xp.stack([x, -y], 1)[::-1]]))

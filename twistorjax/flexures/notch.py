@@ -1,12 +1,15 @@
 """Notch hinges: the neck between two circular holes."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .._utils.types import Corners, NumberLike, Scalar
 from .._utils.validation import (
+    as_float,
+    on_host,
     require_choice,
     require_instance,
     require_interval,
@@ -17,6 +20,7 @@ from ..energies.strains import Coordinates
 from .material import Material
 
 
+Stiffnesses = tuple[Any, Any, Any]  # arrays of NumPy or JAX
 Formula = Literal["fitted", "paros-weisbord", "paros-weisbord-simplified"]
 
 # Limits of web / hole. The reasons are in the docstring of `notch`.
@@ -87,7 +91,12 @@ def notch(
     """
     require_instance("material", material, Material)
     low, high = _RANGES[require_choice("`formula`", formula, tuple(_RANGES))]
-    hole, web = require_positive("`hole`", hole), require_positive("`web`", web)
+    xp, (modulus, hole, web, width) = on_host(
+        material.modulus,
+        require_positive("`hole`", hole),
+        require_positive("`web`", web),
+        require_positive("`width`", width),
+    )
     ratio = require_interval(
         "`web / hole`",
         web / hole,
@@ -95,14 +104,14 @@ def notch(
         high * (1 + 1e-12),
         f"the formula {formula!r} is valid from {low:g} to {high:g}",
     )
-    scale = material.modulus * require_positive("`width`", width)
     stiffnesses = {
         "fitted": _fitted,
         "paros-weisbord": _paros_weisbord,
         "paros-weisbord-simplified": _paros_weisbord_simplified,
     }[formula](ratio)
-    units = jnp.stack([scale * hole**2, scale, scale])
-    return Quadratic(jnp.diag(units * jnp.stack(stiffnesses)), coordinates)
+    scale = modulus * width
+    units = xp.stack([scale * hole**2, scale, scale])
+    return Quadratic(as_float(xp.diag(units * xp.stack(stiffnesses))), coordinates)
 
 
 def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial:
@@ -159,51 +168,54 @@ def notch_outline(
     Returns:
         The corners of the outline; m.
     """
-    angle = jnp.linspace(-jnp.pi / 2, jnp.pi / 2, points)
-    x = jnp.sin(angle) * hole / 2
-    y = (1 - jnp.cos(angle)) * hole / 2 + jnp.ones_like(angle) * web / 2
-    if height is not None:
-        y = jnp.minimum(y, jnp.asarray(height, float) / 2)
-    return jnp.concatenate([jnp.stack([x, y], 1), jnp.stack([x, -y], 1)[::-1]])
+    limit = np.inf if height is None else height
+    xp, (hole, web, limit) = on_host(hole, web, limit)
+    angle = np.linspace(-np.pi / 2, np.pi / 2, points)
+    x = np.sin(angle) * hole / 2
+    y = xp.minimum((1 - np.cos(angle)) * hole / 2 + web / 2, limit / 2)
+    return as_float(xp.concatenate([xp.stack([x, y], 1), xp.stack([x, -y], 1)[::-1]]))
 
 
 # The three formulas take r = web / hole. They return the rotational stiffness over
 # modulus * width * hole^2, and the axial and transverse stiffness over modulus * width.
 
 
-def _fitted(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def _fitted(r: Scalar) -> Stiffnesses:
     """Evaluate the curves that were fitted to finite-element analyses."""
-    root = jnp.sqrt(r)
+    xp, (r,) = on_host(r)
+    root = xp.sqrt(r)
     rotation = r**2 * (0.1109 * root - 0.035 * r)
     axial = 0.3568 * root + 0.1452 * r
     transverse = 0.283 * r - 0.03443 * root - 0.06692 * r * root
     return rotation, axial, transverse
 
 
-def _paros_weisbord(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def _paros_weisbord(r: Scalar) -> Stiffnesses:
     """Integrate the compliances of a beam of variable height.
 
     The height is `hole (a - cos phi)` at the position `hole / 2 sin phi`.
     """
+    xp, (r,) = on_host(r)
     # A_n is the integral of (a - cos phi)^-n over the half circle. Each A_n follows from
     # the derivative of the previous one.
     a = 1 + r
     square = r * (2 + r)
-    first = 4 / jnp.sqrt(square) * jnp.arctan(jnp.sqrt((2 + r) / r))
+    first = 4 / xp.sqrt(square) * xp.arctan(xp.sqrt((2 + r) / r))
     second = (a * first + 2 / a) / square
     third = (3 * a * second - first + 2 / a**2) / (2 * square)
-    axial = (a * first - jnp.pi) / 2
+    axial = (a * first - xp.pi) / 2
     rotation = 6 * (a * third - second)
     transverse = 1.5 * (
-        jnp.pi - a * square * third + (3 * a**2 - 1) * second - 3 * a * first
+        xp.pi - a * square * third + (3 * a**2 - 1) * second - 3 * a * first
     )
     return 1 / rotation, 1 / axial, 1 / transverse
 
 
-def _paros_weisbord_simplified(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def _paros_weisbord_simplified(r: Scalar) -> Stiffnesses:
     """Evaluate the leading terms of `_paros_weisbord` for thin webs."""
-    slenderness = jnp.sqrt(1 / (2 * r))  # sqrt(radius / web)
-    rotation = r**2 / (4.5 * jnp.pi * slenderness)
-    axial = 1 / (jnp.pi * slenderness - 2.57)
-    transverse = 1 / (1.5 * jnp.pi * slenderness**3)
+    xp, (r,) = on_host(r)
+    slenderness = xp.sqrt(1 / (2 * r))  # sqrt(radius / web)
+    rotation = r**2 / (4.5 * xp.pi * slenderness)
+    axial = 1 / (xp.pi * slenderness - 2.57)
+    transverse = 1 / (1.5 * xp.pi * slenderness**3)
     return rotation, axial, transverse

@@ -41,8 +41,8 @@ class Identification(eqx.Module):
     estimates: Any
     normalized: Float[Array, "*batch parameters"]
     jacobian: Float[Array, "*batch readings parameters"]
-    residuals: tuple[Float[Array, "*batch rows columns"], ...]
-    held_out_residuals: tuple[Float[Array, "*batch rows columns"], ...]
+    residuals: tuple[Float[Array, "*batch _rows _columns"], ...]
+    held_out_residuals: tuple[Float[Array, "*batch _rows _columns"], ...]
     loss: BatchScalar
     losses: Float[Array, "*batch restarts"]
     steps: Int[Array, "*batch"]

@@ -36,7 +36,7 @@ def exudyn_script(
         x (m), y (m).
 
     Raises:
-        ValueError: Double precision is off; a name is unknown; or a displacement is
+        ValueError: Double precision is disabled; a name is unknown; or a displacement is
             prescribed twice or for a fixed coordinate.
 
     Source:

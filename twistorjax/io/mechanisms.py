@@ -24,8 +24,9 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
             complete.
 
     Raises:
-        ValueError: Double precision is off; a hinge has an energy of another class; a
-            name cannot be written as UTF-8; or a value is not finite. Nothing is written.
+        ValueError: Double precision is disabled; a hinge has an energy of another class;
+            a name cannot be written as UTF-8; or a value is not finite. Nothing is
+            written.
         OSError: The file cannot be written.
 
     Example:
@@ -76,6 +77,8 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
 
 def load_mechanism(path: str | Path) -> Mechanism:
     """Read a mechanism from a JSON file that `save_mechanism` or a user wrote.
+
+    All values are in SI units. The manual page on files shows the layout.
 
     Args:
         path: Path of the file.

@@ -60,7 +60,7 @@ class HingeAssembly(eqx.Module):
     groups: tuple[HingeGroup, ...]
     sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
 
-    def lever(self, free: tuple[int, ...]) -> Scalar:
+    def characteristic_length(self, free: tuple[int, ...]) -> Scalar:
         """Compute the root mean square distance from origins of bodies to hinges; m.
 
         Bodies without `free` degrees of freedom do not count, because their origins are

@@ -85,7 +85,7 @@ def tangent(
     kinematics = HingeKinematics.of(first, second, axis)
     at = kinematics.middle.displacement
     slopes, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
-    g0, g1, g2 = own = slopes
+    g0, g1, g2 = gradient = slopes
     one, zero = jnp.ones_like(g0), jnp.zeros_like(g0)
     (h00, h01, h02), (_, h11, h12), (_, _, h22) = (
         curvature_times(one, zero, zero),
@@ -108,7 +108,7 @@ def tangent(
     products = [combine(hessian, column) for column in columns]
     geometric = kinematics.geometric_stiffness(slopes)
     matrix = _among_bodies(columns, products, geometric)
-    return on_bodies(kinematics, own), matrix, work
+    return on_bodies(kinematics, gradient), matrix, work
 
 
 class Factored(NamedTuple):
@@ -130,7 +130,7 @@ class Factored(NamedTuple):
 def factored(
     energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
 ) -> Factored:
-    """Compute the stiffness of the `tangent` in factors, which keep small entries."""
+    """Compute the stiffness of the `tangent` in factors with accurate small entries."""
     kinematics = HingeKinematics.of(first, second, axis)
     slopes, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
     hessian = jnp.stack(jax.vmap(curvature_times)(*jnp.eye(3)), axis=1)
@@ -156,14 +156,14 @@ def factored(
     return Factored(product(rows, motions.T), weights, remainder)
 
 
-def _ratio(above: Scalar, below: Scalar, valid: Flag) -> Scalar:
-    """Divide; zero if the ratio is not valid or the divisor is zero."""
-    valid = valid & (below != 0)
-    return jnp.where(valid, above / jnp.where(valid, below, 1.0), 0.0)
+def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
+    """Divide; zero if the ratio is not valid or the denominator is zero."""
+    valid = valid & (denominator != 0)
+    return jnp.where(valid, numerator / jnp.where(valid, denominator, 1.0), 0.0)
 
 
-# The four motions (rotation of A, x, y, rotation of B) that a unit of each of the six
-# displacements causes, in rows.
+# The four motions (rotation of A, rotation of B, translation along x and y) for a unit of
+# each of the six displacements (angle, x, y of A and of B), in rows.
 MOTIONS = np.array(
     [
         [1.0, 0.0, 0.0, 0.0],

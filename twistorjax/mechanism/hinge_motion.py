@@ -176,9 +176,10 @@ def _viscous_slopes(
 
         _, strain_rates = jax.jvp(measure, coordinates, rates)
         if damping.resisted:
-            chosen = resisted_at
-            chosen = displacement_at(at, coordinates) if chosen is None else chosen
-            strain_rates = solver_protocols.resisted_rates(energy, chosen, strain_rates)
+            point = resisted_at
+            if point is None:
+                point = displacement_at(at, coordinates)
+            strain_rates = solver_protocols.resisted_rates(energy, point, strain_rates)
         return half_square(damping.damping, strain_rates)
 
     return jax.grad(half_power)(rates)

@@ -16,12 +16,12 @@ def sum_entries(
     parallel. A scatter operation processes one entry after another.
     """
     counts = np.bincount(target, minlength=size)
-    most = counts.max(initial=0)
-    if size * most > 8 * entries.size + 1024:
+    largest = counts.max(initial=0)
+    if size * largest > 8 * entries.size + 1024:
         return jnp.zeros(size).at[target].add(entries[source])
     order = np.argsort(target, kind="stable")
     column = np.arange(target.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    gathered = np.full((size, most), entries.size)
+    gathered = np.full((size, largest), entries.size)
     gathered[target[order], column] = source[order]
     padded = jnp.concatenate([entries, jnp.zeros(1)])
     return jnp.sum(padded[gathered], axis=1)

@@ -88,7 +88,7 @@ def block_layout(
     low, high = np.full(len(bodies), count), np.zeros(len(bodies), int)
     np.minimum.at(low, body_of_dof, order)
     np.maximum.at(high, body_of_dof, order)
-    # A hinge couples all coordinates of its two bodies, and those of each body.
+    # A hinge couples all coordinates of its two bodies, and a load those of one body.
     each = np.arange(len(bodies))
     first, second = np.concatenate([pairs, np.stack([each, each], 1)]).T
     lowest = np.minimum(low[first], low[second])

@@ -14,7 +14,7 @@ from .system import System
 
 # Violations of the constraints up to this size are rounding errors: in rad, and in
 # lengths of the mechanism.
-EXACT = 1e-9
+LARGEST_INITIAL_VIOLATION = 1e-9
 _LARGEST_INVERSE = 1e12  # of the Gram matrix of independent constraints
 
 
@@ -37,10 +37,10 @@ def independent(system: System, displacements: Poses) -> Flag:
     return independent_rows(system.jacobian(displacements)[:, system.free] * units[None])
 
 
-def lever_of(mechanism: Mechanism) -> float:
+def characteristic_length(mechanism: Mechanism) -> float:
     """Compute the length of a mechanism by which displacements are scaled; m."""
     free = DofPartition.of(mechanism).free
-    return float(mechanism.hinge_assembly.lever(free)) or 1.0
+    return float(mechanism.hinge_assembly.characteristic_length(free)) or 1.0
 
 
 def constraint_error(
@@ -57,7 +57,7 @@ def constraint_error(
     """
     now = jnp.asarray(time, float)
     violation = np.asarray(constraints.violation(displacements, now))
-    units = np.where(np.array(dofs.free) % 3 == 0, 1.0, lever_of(mechanism))
+    units = np.where(np.array(dofs.free) % 3 == 0, 1.0, characteristic_length(mechanism))
     jacobian = np.asarray(constraints.jacobian(displacements, now))
     jacobian = jacobian[:, list(dofs.free)] * units[None]
     size = np.linalg.norm(jacobian, axis=1)
@@ -71,7 +71,7 @@ def constraint_error(
         rank = np.linalg.matrix_rank(previous, 1e-9) if len(previous) else 0
         new_rank = np.linalg.matrix_rank(jacobian[: rows[-1] + 1], 1e-9) - rank
         largest = np.abs(violation[rows]).max()
-        violated = scaled_violation[rows].max() > EXACT
+        violated = scaled_violation[rows].max() > LARGEST_INITIAL_VIOLATION
         if new_rank < len(rows) and violated:
             sentences.append(
                 f"{name!r} contradicts the previous constraints: no displacement removes "

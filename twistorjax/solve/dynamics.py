@@ -131,7 +131,7 @@ def simulate(
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)
         >>> mechanism = Mechanism([Body("wall"), block], [hinge], fixed=["wall"])
-        >>> released = [[0, 0, 0], [0, 0.1, 0]]
+        >>> released = [[0, 0, 0], [0, 0.1, 0]]  # angle (rad), x, y (m) of each body
         >>> half_period = jnp.pi / 10
         >>> motion = simulate(mechanism, [0.0, half_period], start=released)
         >>> motion.displacement("block")[-1, 1]

@@ -37,9 +37,9 @@ class Modes(NamedTuple):
     """Eigenvectors of a stiffness, and its square root in their basis.
 
     Args:
-        root: Diagonal matrix of the angular frequencies, the smallest first; rad/s. It is
-            negative where the stiffness is negative. Its derivative has off-diagonal
-            entries among equal frequencies.
+        root: Diagonal matrix of the angular frequencies, the smallest first; rad/s. An
+            entry is negative if its stiffness is negative. The derivative of the matrix
+            has off-diagonal entries for equal frequencies.
         vectors: Orthonormal eigenvectors, one in each column.
     """
 

@@ -15,7 +15,7 @@ from .._utils.types import Flag, NumberLike, NumbersLike, Poses, Scalar, Velocit
 from .._utils.validation import compilation_error, concrete, index_of, require_row
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
-from .consistency import EXACT, independent_rows
+from .consistency import independent_rows, LARGEST_INITIAL_VIOLATION
 from .dofs import DofPartition
 from .motion_system import MotionSystem, State
 from .results import RESULTS
@@ -197,7 +197,8 @@ def initial_value_problem(
     prescribed = np.array(dofs.prescribed, int)
     jump = jnp.abs(targets - start.reshape(-1)[prescribed])
     unit = jnp.where(prescribed % 3 == 0, 1.0, system.length)
-    checks.append((~jnp.any(jump > EXACT * unit), RESULTS.drive_jumps))
+    jumps = jnp.any(jump > LARGEST_INITIAL_VIOLATION * unit)
+    checks.append((~jumps, RESULTS.drive_jumps))
     checks.append((~_supplies_energy(mechanism), RESULTS.damping_gives_energy))
     if constraints.size:
         consistent, position, rate = _consistent(
@@ -247,10 +248,10 @@ def _scales(
     rotational, translational = (
         jnp.sum(jnp.where(chosen, diagonal, 0.0)) for chosen in (rotations, ~rotations)
     )
-    lever = hinges.lever(system.dofs.free)
+    distance = hinges.characteristic_length(system.dofs.free)
     ratio = jnp.sqrt(rotational / translational)
     # A distance that consists of rounding errors is not used.
-    length = jnp.where(jnp.isfinite(ratio) & (lever <= 1e-9 * ratio), ratio, lever)
+    length = jnp.where(jnp.isfinite(ratio) & (distance <= 1e-9 * ratio), ratio, distance)
     slowest = jnp.sum(jnp.diagonal(inverse(tangent.stiffness)) * mass)
     fastest = jnp.sum(diagonal / mass)
     # Without stiffness there is no period, and the duration replaces it.
@@ -307,7 +308,7 @@ def _consistent(
     scaled = jacobian * unit[None]
     size = jnp.linalg.norm(scaled, axis=1)
     consistent = independent_rows(scaled)
-    consistent &= jnp.max(jnp.abs(violation) / size) <= EXACT
+    consistent &= jnp.max(jnp.abs(violation) / size) <= LARGEST_INITIAL_VIOLATION
     if given:
         error = jnp.linalg.norm((projected_rate - rate) / unit)
         largest = _LARGEST_VELOCITY_VIOLATION * jnp.linalg.norm(rate / unit)

@@ -12,7 +12,11 @@ from .._utils.validation import all_concrete
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.loads import Drive, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from .consistency import constraint_error, EXACT, lever_of
+from .consistency import (
+    characteristic_length,
+    constraint_error,
+    LARGEST_INITIAL_VIOLATION,
+)
 from .dofs import DofPartition
 from .results import result_message
 
@@ -50,8 +54,11 @@ class StartOfMotion(NamedTuple):
             return
         if (jumps := self._jumps()) is None:
             return
-        unit = lever_of(self.mechanism)
-        if any(jump > EXACT * (1.0 if dof % 3 == 0 else unit) for dof, jump, _ in jumps):
+        unit = characteristic_length(self.mechanism)
+        if any(
+            jump > LARGEST_INITIAL_VIOLATION * (1.0 if dof % 3 == 0 else unit)
+            for dof, jump, _ in jumps
+        ):
             raise ValueError(f"{result_message('drive_jumps')} {self._jump_message()}")
         if not self.constraints.size or self.has_velocities:
             return
@@ -134,10 +141,10 @@ def _stop_message(motion: "Motion", mechanism: Mechanism) -> str:
     """Describe the end of a motion, its fastest body, and the hinge with most energy."""
     reached, steps = float(motion.reached), int(motion.steps)
     text = f"The motion reached t = {reached:.6g} s in {steps} steps."
-    kept = np.flatnonzero(np.isfinite(np.asarray(motion.times)))
-    if not kept.size or kept[-1] == 0:
+    saved = np.flatnonzero(np.isfinite(np.asarray(motion.times)))
+    if not saved.size or saved[-1] == 0:
         return text
-    last = kept[-1]
+    last = saved[-1]
     speeds = np.linalg.norm(np.asarray(motion.velocities)[last, :, 1:], axis=1)
     fastest = mechanism.names[int(np.argmax(speeds))]
     poses = motion.poses[last]

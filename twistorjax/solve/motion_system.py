@@ -253,8 +253,8 @@ class MotionSystem(eqx.Module):
 
         _, bias = jax.jvp(violation_rate, (time, position), (one, rate))
         jacobian = self.jacobian(time, position)
-        light = jacobian / self.mass[None]
-        multipliers = inverse(light @ jacobian.T) @ (-bias - light @ net[self.free])
+        scaled = jacobian / self.mass[None]
+        multipliers = inverse(scaled @ jacobian.T) @ (-bias - scaled @ net[self.free])
         forces = self.constraints.forces(displacements, time, multipliers)
         _, by_time = jax.jvp(
             lambda time: self.constraints.violation(displacements, time), (time,), (one,)
@@ -267,8 +267,8 @@ class MotionSystem(eqx.Module):
             return position, rate
 
         def correction(jacobian: Array, violation: Array) -> Array:
-            light = jacobian / self.mass[None]
-            return -light.T @ (inverse(light @ jacobian.T) @ violation)
+            scaled = jacobian / self.mass[None]
+            return -scaled.T @ (inverse(scaled @ jacobian.T) @ violation)
 
         for _ in range(2):
             jacobian = self.jacobian(time, position)
@@ -292,7 +292,7 @@ class MotionSystem(eqx.Module):
         return jax.jacrev(lambda position: self.violation(time, position))(position)
 
     def load_set(self, time: Scalar) -> LoadSet:
-        """Gather the loads at a time."""
+        """Gather the loads at a time; s."""
         loads = self.loads(time) if callable(self.loads) else self.loads
         loaded_bodies(self.mechanism, loads)
         return LoadSet.of(loads, self.mechanism.names, self.mechanism.reference)

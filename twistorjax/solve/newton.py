@@ -234,7 +234,7 @@ def solve_in_increments(
             status=status,
         )
 
-    zero, none = jnp.zeros(()), jnp.zeros((), int)
+    zero, no_steps = jnp.zeros(()), jnp.zeros((), int)
     unknowns = jnp.zeros(len(system.free) + entries)
     multipliers = jnp.zeros(entries) if entries else None
     predicted = system.hinges.generalized_stress(start)
@@ -245,7 +245,7 @@ def solve_in_increments(
         converged=(start, multipliers, predicted),
         fraction=zero,
         increment=zero + 1,
-        tries=none,
+        tries=no_steps,
         energies=unknowns,
         energy_scale=zero,
         first_correction=zero,
@@ -253,8 +253,8 @@ def solve_in_increments(
         imbalance=unknowns,
         response=unknowns,
         nonlinearity=zero,
-        steps=none,
-        status=none,
+        steps=no_steps,
+        status=jnp.zeros((), int),
     )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
     return NewtonSolution(*state.converged[:2], state.fraction, state.steps, state.status)

@@ -80,14 +80,10 @@ class System(eqx.Module):
         return np.array(self.dofs.prescribed, int)
 
     def units(self) -> Float[Array, "3"]:
-        """Return the units of displacements: 1 rad, and a length of the mechanism (m).
-
-        The length is the root mean square distance of the hinges from the origins of the
-        bodies that move.
-        """
-        lever = self.hinges.lever(self.dofs.free)
-        lever = jnp.where(lever > 0, lever, 1.0)
-        return jnp.stack([jnp.ones_like(lever), lever, lever])
+        """Return the units of displacements: 1 rad, and the characteristic length (m)."""
+        length = self.hinges.characteristic_length(self.dofs.free)
+        length = jnp.where(length > 0, length, 1.0)
+        return jnp.stack([jnp.ones_like(length), length, length])
 
     def free_units(self) -> Float[Array, " free"]:
         """Return the unit of each free degree of freedom; rad, m."""

@@ -1,5 +1,7 @@
 """The micropositioning stage of chapter 6: its mechanism and its static gain.
 
+`amplification` computes the gain: the displacement of body 4 divided by that of body 6.
+
 The stage has six bodies and seven notch hinges, cut from one aluminum plate by Scire and
 Teague (Review of Scientific Instruments 49, 1978). Body 1 is the frame and is fixed. An
 actuator displaces body 6, the input; body 4, the output, moves about 28 times as far.

@@ -2,7 +2,8 @@
 
 Start reading in `mechanisms` and `energies`. `records` holds the layout of the JSON
 files, which is used to check every entry. `outlines` writes SVG and DXF files, and
-`exudyn` writes scripts for cross-checks. Energies that a user defines cannot be saved.
+`exudyn` returns scripts for cross-checks. `ExactBeam`, and energies that a user defines,
+cannot be saved.
 
 Solutions have no file format of their own: `to_xarray()` converts them to datasets, which
 xarray can save. A sweep saves its results with `store=`; see `sweeps.store`.

@@ -1,7 +1,7 @@
 """Rigid bodies of a mechanism."""
 
 import equinox as eqx
-import jax.numpy as jnp
+import numpy as np
 
 from .._utils.types import (
     Corners,
@@ -12,7 +12,9 @@ from .._utils.types import (
     Scalar,
 )
 from .._utils.validation import (
+    as_float,
     concrete,
+    on_host,
     require_corners,
     require_positive,
     require_row,
@@ -110,22 +112,23 @@ def plate(
     points = require_corners(f"`corners` of the plate {name!r}", corners)
     # Area and moments follow from Green's theorem for triangles from the mean of the
     # corners, so that no digits are lost if the outline is far from the origin.
-    middle = jnp.mean(points, axis=0)
+    xp, (points, density, width) = on_host(points, material.density, width)
+    middle = xp.mean(points, axis=0)
     start = points - middle[None]
-    end = jnp.roll(start, -1, axis=0)
+    end = xp.roll(start, -1, axis=0)
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
-    area = jnp.sum(cross) / 2
+    area = xp.sum(cross) / 2
     known_area = concrete(area)
     if known_area is not None and not abs(known_area) > 0:
         raise ValueError(f"`corners` of the plate {name!r} enclose no area.")
-    center = jnp.sum((start + end) * cross[:, None], axis=0) / (6 * area)
-    squares = jnp.sum(start**2 + start * end + end**2, axis=1)
-    gyration_squared = jnp.sum(squares * cross) / (12 * area) - jnp.sum(center**2)
-    mass = material.density * width * jnp.abs(area)
+    center = xp.sum((start + end) * cross[:, None], axis=0) / (6 * area)
+    squares = xp.sum(start**2 + start * end + end**2, axis=1)
+    gyration_squared = xp.sum(squares * cross) / (12 * area) - xp.sum(center**2)
+    mass = density * width * xp.abs(area)
     return Body(
         name,
-        pose=jnp.concatenate([jnp.zeros(1), middle + center]),
+        pose=as_float(xp.concatenate([np.zeros(1), middle + center])),
         mass=mass,
         inertia=mass * gyration_squared,
-        outline=start - center[None],
+        outline=as_float(start - center[None]),
     )

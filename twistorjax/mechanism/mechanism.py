@@ -19,7 +19,9 @@ from .._utils.types import (
 )
 from .._utils.validation import (
     all_concrete,
+    as_float,
     index_of,
+    on_host,
     PLURAL,
     require_distinct,
     require_kind,
@@ -103,12 +105,13 @@ class Mechanism(eqx.Module):
         ]
         self.at = _rows(frames)
         self.fixed = self.dofs_of("fixed", fixed)
-        angles, pairs = self.at[:, 0], np.array(ends, int).reshape(-1, 2)
+        xp, (at, reference) = on_host(self.at, self.reference)
+        origins = reference[np.array(ends, int).reshape(-1, 2), 1:]
         self.hinge_assembly = HingeAssembly(
             bodies=len(bodies),
             ends=ends,
-            arms=self.at[:, None, 1:] - self.reference[pairs, 1:],
-            directions=jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1),
+            arms=as_float(at[:, None, 1:] - origins),
+            directions=as_float(xp.stack([xp.cos(at[:, 0]), xp.sin(at[:, 0])], axis=1)),
             groups=group_hinges(hinges),
             sums=sums_of(hinges),
         )

@@ -2,13 +2,15 @@
 
 Start reading in `statics`. `equilibrium` assembles the equations of a `Mechanism`, its
 loads, prescribed displacements, and constraints (`system`), and solves them by Newton's
-method in load increments (`newton`). If an increment fails, the solver returns to the
-last equilibrium and tries a shorter increment. If the shortest one fails, `equilibrium`
-raises an error, or with `throw=False` returns NaN and the reason (`results`). A gain or
-another quantity is computed from the displacements; see `amplification` in
-`examples.stage`.
+method in load increments (`newton`). If an increment does not converge, or may contain a
+fold, the solver returns to the last equilibrium and tries a shorter one, until the
+increment is too short or `max_steps` is reached. Then `equilibrium` raises an error, or
+with `throw=False` returns NaN with derivatives of zero, the reason (`results`), and the
+last equilibrium (`fraction`, `reached`). A gain or another quantity is computed from the
+displacements; see `amplification` in `examples.stage`.
 
-`implicit_derivatives` differentiates an equilibrium by the implicit function theorem.
+`implicit_derivatives` differentiates an equilibrium by the implicit function theorem,
+with one linear solve and not through the Newton steps.
 `linearization`, `vibrations`, and `frequency_response` use the same `system` about an
 equilibrium. `tangent_stiffness`, `factorization`, and `block_factorization` contain its
 matrices. `dynamics` integrates the equations of motion (`motion_system`) by the solvers

@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable, TypeVar
 
 import diffrax as dfx
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
@@ -181,8 +182,11 @@ class BodySolution(Tabular):
     @property
     def succeeded(self) -> BatchFlag:
         """Whether the solve succeeded, or an event ended the motion."""
-        done = self.result == RESULTS.successful
-        return done | (self.result == RESULTS.event_occurred)
+        good = RESULTS.successful, RESULTS.event_occurred
+        index = concrete(self.result._value)
+        if index is None:
+            return (self.result == good[0]) | (self.result == good[1])
+        return jnp.asarray(np.isin(index, [int(item._value) for item in good]))
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
         """Return the displacement of a body from its reference pose.

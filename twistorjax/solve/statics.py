@@ -178,7 +178,7 @@ def equilibrium(
         targets,
         jnp.asarray(time, float),
         jnp.asarray(tolerance, float),
-        jnp.asarray(max_steps),
+        np.asarray(max_steps),
         dofs=dofs,
         names=mechanism.names,
     )

@@ -1,4 +1,4 @@
-"""Prints the table, and keeps it as JSON where asked: `python -m benchmarks --help`."""
+"""Command that runs all benchmarks and prints a table: `python -m benchmarks --help`."""
 
 import datetime
 import importlib.metadata
@@ -31,33 +31,37 @@ from .measure import Row
 
 
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
+HEADINGS = ("benchmark", "result", "unit", "goal", "reached")
 
 
 def main(
     out: Annotated[
         Path | None,
-        typer.Option(help="Keep the table here, by kinds of machines: .md, and .json."),
+        typer.Option(
+            help="Also save the table as .md and .json files of this name. Results of "
+            "other machines in these files are kept."
+        ),
     ] = None,
 ) -> None:
-    """Times twistorjax beside its peers, in one run."""
+    """Measure the times and errors of twistorjax and of other programs, in one run."""
     jax.config.update("jax_enable_x64", True)
-    table = Table("what", "measured", "", "asked", "met")
+    table = Table(*HEADINGS)
     rows: list[Row] = []
 
-    def keep(row: Row) -> None:
+    def add(row: Row) -> None:
         rows.append(row)
-        table.add_row(*cells(row))
+        table.add_row(*format_row(row))
 
-    parts = (
+    modules = (
         statics, peers, chains, peers_chains, leaves, motion, peers_motion,
         identification, peers_identification, sweeps, command,
     )  # fmt: skip
-    for part in parts:
-        for row in part.run():
-            keep(row)
-    for part in (motion, identification):
-        for row in part.beside(rows):
-            keep(row)
+    for module in modules:
+        for row in module.run():
+            add(row)
+    for module in (motion, identification):
+        for row in module.ratios(rows):
+            add(row)
     versions = {}
     for name in PACKAGES:
         try:
@@ -68,7 +72,7 @@ def main(
         f"{os.cpu_count()} cores, {platform.machine()}, {jax.devices()[0].device_kind}"
     )
     table.caption = (
-        f"medians on {machine}; {datetime.date.today()}; "
+        f"measured on {machine}; {datetime.date.today()}; "
         f"{', '.join(f'{name} {version}' for name, version in versions.items())}"
     )
     Console(width=110).print(table)
@@ -79,28 +83,33 @@ def main(
             "versions": versions,
             "rows": [asdict(row) for row in rows],
         }
-        keep_for(machine, record, out)
+        save(machine, record, out)
 
 
-def cells(row: Row) -> tuple[str, ...]:
-    """A row as it is printed."""
+def format_row(row: Row) -> tuple[str, ...]:
+    """Format the cells of a row of the table."""
     value = f"{row.value:,.0f}" if row.value >= 1000 else f"{row.value:.4g}"
-    met = {None: "", True: "yes", False: "NO"}[row.met]
-    return row.what, value, row.unit, row.asked, met
+    reached = {None: "", True: "yes", False: "NO"}[row.reached]
+    return row.benchmark, value, row.unit, row.goal, reached
 
 
-def keep_for(machine: str, record: dict[str, Any], out: Path) -> None:
-    """Puts what one kind of machine gave in the place of what it gave before."""
-    beside = out.with_suffix(".json")
-    told = json.loads(beside.read_text()) if beside.exists() else {}
-    told[machine] = record
-    beside.write_text(json.dumps(told, indent=1) + "\n")
+def save(machine: str, record: dict[str, Any], out: Path) -> None:
+    """Save the results of a machine. Its earlier results in the files are replaced."""
+    file = out.with_suffix(".json")
+    records = json.loads(file.read_text()) if file.exists() else {}
+    records[machine] = record
+    file.write_text(json.dumps(records, indent=1, ensure_ascii=False) + "\n")
+    out.with_suffix(".md").write_text(to_markdown(records))
+
+
+def to_markdown(records: dict[str, Any]) -> str:
+    """Format the results of all machines as Markdown tables."""
     parts = ["# Benchmarks"]
-    for name, each in told.items():
-        lines = ["| what | measured | | asked | met |", "|---|---:|---|---|---|"]
-        lines += [f"| {' | '.join(cells(Row(**row)))} |" for row in each["rows"]]
-        parts += [f"## {name}", each["caption"], "\n".join(lines)]
-    out.with_suffix(".md").write_text("\n\n".join(parts) + "\n")
+    for machine, record in records.items():
+        lines = [f"| {' | '.join(HEADINGS)} |", "|---|---:|---|---|---|"]
+        lines += [f"| {' | '.join(format_row(Row(**row)))} |" for row in record["rows"]]
+        parts += [f"## {machine}", record["caption"], "\n".join(lines)]
+    return "\n\n".join(parts) + "\n"
 
 
 if __name__ == "__main__":

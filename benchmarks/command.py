@@ -11,7 +11,7 @@ from .measure import at_most, Row
 
 
 def run() -> Iterator[Row]:
-    """Measure a first call without cached programs, and a second call with them."""
+    """Measure a call without cached programs, and a second call that uses the cache."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "XDG_CACHE_HOME": cache}
         # An installation by pip contains compiled Python files, so let Python write them.

@@ -16,7 +16,8 @@ from .measure import at_most, compiled, Row, seconds
 
 
 REPETITIONS = 200
-IDENTIFICATION = "three stiffnesses from a motion"
+IDENTIFICATION = "identification of three stiffnesses"
+GRADIENT_DESCENT = f"{IDENTIFICATION} by `optax.sgd`"
 WITH_COMPILATION = f"{IDENTIFICATION}: with compilation"
 
 
@@ -39,15 +40,15 @@ def run() -> Iterator[Row]:
 
     result, elapsed = _time_from_scratch(identify)
     yield Row(WITH_COMPILATION, elapsed, "s")
-    warm = seconds(lambda: identify().normalized, repeats=5)
-    yield at_most(f"{IDENTIFICATION}: compiled", warm, "s", 0.5)
+    elapsed = seconds(lambda: identify().normalized, repeats=5)
+    yield at_most(f"{IDENTIFICATION}: without compilation", elapsed, "s", 0.5)
     yield Row(f"{IDENTIFICATION}: evaluations", int(result.steps), "")
     what = f"{IDENTIFICATION}: error of the estimates"
     yield at_most(what, error(result), "relative", 1e-6)
 
     result, elapsed = _time_from_scratch(lambda: identify(method=optax.sgd(0.5)))
-    yield at_most("the same by optax.sgd: with compilation", elapsed, "s", 10.0)
-    what = "the same by optax.sgd: error of the estimates"
+    yield at_most(f"{GRADIENT_DESCENT}: with compilation", elapsed, "s", 10.0)
+    what = f"{GRADIENT_DESCENT}: error of the estimates"
     yield at_most(what, error(result), "relative", 1e-3)
 
     yield from _coverage_of_intervals(test, data, start)
@@ -55,14 +56,18 @@ def run() -> Iterator[Row]:
 
 
 def _time_from_scratch(function) -> tuple[tj.identification.Identification, float]:
-    """Call a function without compiled programs; its result, and the time in seconds."""
+    """Call a function after all compiled programs are discarded.
+
+    Returns:
+        The result, and the time of the call, which includes compilation; s.
+    """
     jax.clear_caches()
     start = time.perf_counter()
     return function(), time.perf_counter() - start
 
 
 def _coverage_of_intervals(test, data, start) -> Iterator[Row]:
-    """Share of 95 % intervals that contain the true value, in repeated experiments."""
+    """Count the 95 % intervals that contain the true value, in repeated experiments."""
     true = example.LEAF
 
     def repeat(key: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -75,22 +80,22 @@ def _coverage_of_intervals(test, data, start) -> Iterator[Row]:
 
     keys = jax.random.split(jax.random.key(0), REPETITIONS)
     program, compile_time = compiled(jax.vmap(repeat), keys)
-    begin = time.perf_counter()
+    start_time = time.perf_counter()
     inside, succeeded = jax.block_until_ready(program(keys))
-    elapsed = time.perf_counter() - begin
+    elapsed = time.perf_counter() - start_time
     batch = f"{REPETITIONS} identifications in one batch"
-    yield Row(f"{batch}: compile", compile_time, "s")
-    yield Row(batch, elapsed, "s")
+    yield Row(f"{batch}: compilation", compile_time, "s")
+    yield Row(f"{batch}: without compilation", elapsed, "s")
     converged = float(np.mean(np.asarray(succeeded)))
     yield Row(f"{batch}: converged", 100 * converged, "%")
     for name, share in zip(true, np.mean(np.asarray(inside), axis=0), strict=True):
         percent = 100 * float(share)
-        what = f"95 % intervals of the {name} stiffness that contain the true value"
+        what = f"95 % intervals of the {name} stiffness that contain its true value"
         yield Row(what, percent, "%", "92 to 98", 92 <= percent <= 98)
 
 
 def _gradient_in_reverse_mode() -> Iterator[Row]:
-    """Gradient of a motion with respect to all numbers of a mechanism."""
+    """Measure the gradient of a motion with respect to all numbers of a mechanism."""
     linkage = four_bar.four_bar(damping=four_bar.RELEASED_DAMPING)
     numbers, constants = eqx.partition(linkage, eqx.is_inexact_array)
     count = sum(leaf.size for leaf in jax.tree.leaves(numbers))
@@ -107,22 +112,22 @@ def _gradient_in_reverse_mode() -> Iterator[Row]:
     value, _ = compiled(sum_of_squares, numbers)
     gradient, compile_time = compiled(jax.grad(sum_of_squares), numbers)
     value_time, gradient_time = seconds(value, numbers), seconds(gradient, numbers)
-    what = f"gradient of a motion by {count} numbers, in reverse"
-    yield Row(f"{what}: compile", compile_time, "s")
-    yield Row(what, 1e3 * gradient_time, "ms")
+    what = f"reverse-mode gradient of a motion with respect to {count} numbers"
+    yield Row(f"{what}: compilation", compile_time, "s")
+    yield Row(f"{what}: without compilation", 1e3 * gradient_time, "ms")
     ratio = gradient_time / value_time
-    yield at_most(f"{what}: over the motion alone", ratio, "x", 8.0)
+    yield at_most(f"{what}: time relative to the motion", ratio, "x", 8.0)
 
 
-def beside(rows: list[Row]) -> Iterator[Row]:
-    """Compare the time with that of EXUDYN in the same run."""
-    values = {row.what: row.value for row in rows}
+def ratios(rows: list[Row]) -> Iterator[Row]:
+    """Compare the time of the identification with that of EXUDYN in the same run."""
+    values = {row.benchmark: row.value for row in rows}
     for steps in (1000, 4000):
-        peer = f"EXUDYN, {steps} steps, differences, SciPy: three stiffnesses"
+        peer = f"EXUDYN ({steps} steps), finite differences, SciPy: {IDENTIFICATION}"
         if peer in values:
             ratio = values[WITH_COMPILATION] / values[peer]
-            what = f"{WITH_COMPILATION}: over EXUDYN with {steps} steps"
+            what = f"{WITH_COMPILATION}, time relative to EXUDYN ({steps} steps)"
             if steps == 4000:
                 yield at_most(what, ratio, "x", 1.0)
-            else:  # no limit, because the error exceeds the required 1e-6
+            else:  # There is no goal, because the error exceeds the required 1e-6.
                 yield Row(what, ratio, "x")

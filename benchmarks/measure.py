@@ -1,4 +1,8 @@
-"""Timing that waits for the answer, and keeps compilation apart."""
+"""Rows of the table of benchmarks, and functions that measure times.
+
+JAX returns before a computation has finished, so the functions wait for the result. They
+measure the time of compilation separately.
+"""
 
 import statistics
 import time
@@ -11,19 +15,31 @@ import jax
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: what was measured, and what was asked."""
+    """One row of the table.
 
-    what: str
+    Args:
+        benchmark: Name of the measured quantity.
+        value: Result of the measurement.
+        unit: Unit of the result.
+        goal: Goal for the result, or empty if there is none.
+        reached: Whether the goal is reached; None if there is no goal.
+    """
+
+    benchmark: str
     value: float
     unit: str
-    asked: str = ""
-    met: bool | None = None
+    goal: str = ""
+    reached: bool | None = None
 
 
 def compiled(function: Callable, *arguments: Any) -> tuple[Callable, float]:
-    """The function compiled for these arguments, and the seconds that took.
+    """Compile a function for given arguments, and measure the time.
 
-    Tracing, lowering and compiling, from nothing: earlier programs are forgotten.
+    The time includes tracing and lowering. All programs that were compiled before are
+    discarded first.
+
+    Returns:
+        The compiled function, and the time of compilation; s.
     """
     jax.clear_caches()
     start = time.perf_counter()
@@ -32,10 +48,16 @@ def compiled(function: Callable, *arguments: Any) -> tuple[Callable, float]:
 
 
 def seconds(function: Callable, *arguments: Any, repeats: int = 11) -> float:
-    """The median time of a call, once warm, until its answer is there."""
-    answer = jax.block_until_ready(function(*arguments))
-    if callable(answer) or not jax.tree.leaves(answer):
-        raise TypeError("There is no answer to wait for: time a call that returns one.")
+    """Measure the median time of a call until its result is available; s.
+
+    One more call before the measurement compiles the function.
+    """
+    result = jax.block_until_ready(function(*arguments))
+    if callable(result) or not jax.tree.leaves(result):
+        raise TypeError(
+            "The function returns no array whose computation can be awaited. Return the "
+            "result of the timed computation."
+        )
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -44,11 +66,11 @@ def seconds(function: Callable, *arguments: Any, repeats: int = 11) -> float:
     return statistics.median(times)
 
 
-def at_most(what: str, value: float, unit: str, bound: float) -> Row:
-    """A row that is met by a value up to the bound."""
-    return Row(what, value, unit, f"at most {bound:g}", bool(value <= bound))
+def at_most(benchmark: str, value: float, unit: str, bound: float) -> Row:
+    """Create a row whose goal is an upper bound."""
+    return Row(benchmark, value, unit, f"at most {bound:g}", bool(value <= bound))
 
 
-def at_least(what: str, value: float, unit: str, bound: float) -> Row:
-    """A row that is met by a value from the bound on."""
-    return Row(what, value, unit, f"at least {bound:,g}", bool(value >= bound))
+def at_least(benchmark: str, value: float, unit: str, bound: float) -> Row:
+    """Create a row whose goal is a lower bound."""
+    return Row(benchmark, value, unit, f"at least {bound:,g}", bool(value >= bound))

@@ -4,7 +4,7 @@ This is the identification of `identification.py` with a second simulator. Its p
 are logarithms of the stiffnesses, as in twistorjax: otherwise SciPy tries negative
 stiffnesses.
 """
-# EXUDYN's stubs are wrong
+# The stubs of EXUDYN contain wrong types.
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false
 
 import time
@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from . import peers_motion as linkage
+from .identification import IDENTIFICATION
 from .measure import Row
 
 
@@ -62,8 +63,8 @@ def run() -> Iterator[Row]:
             gtol=1e-14,
         )
         elapsed = time.perf_counter() - start
-        what = f"EXUDYN, {steps} steps, differences, SciPy"
-        yield Row(f"{what}: three stiffnesses", elapsed, "s")
+        what = f"EXUDYN ({steps} steps), finite differences, SciPy"
+        yield Row(f"{what}: {IDENTIFICATION}", elapsed, "s")
         yield Row(f"{what}: simulations", count, "")
         error = float(np.abs(np.exp(result.x) - 1).max())
         yield Row(f"{what}: error of the estimates", error, "relative")

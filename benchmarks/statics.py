@@ -1,4 +1,4 @@
-"""Equilibria of the stage and of a chain, alone and by the thousand."""
+"""Equilibria of the micropositioning stage and of chains, single and in batches."""
 
 from collections.abc import Iterator
 
@@ -12,34 +12,34 @@ from twistorjax.examples import stage
 from .measure import at_least, at_most, compiled, Row, seconds
 
 
-WEBS = 10_000
+DESIGNS = 10_000
 
 
 def gain(web: jax.Array) -> jax.Array:
-    """The nonlinear gain of a stage, from its geometry."""
+    """Compute the nonlinear gain of a stage with a given web thickness (m)."""
     return stage.amplification(stage.microstage(web), throw=False).gain
 
 
-def small_gain(web: jax.Array) -> jax.Array:
-    """Its gain for small travels."""
+def linearized_gain(web: jax.Array) -> jax.Array:
+    """Compute the gain of a stage with a given web thickness (m) by linearization."""
     linear = tj.linearize(stage.microstage(web), {"6": ["x"]})
-    moved = linear(drives=[tj.Drive("6", x=stage.TRAVEL)], throw=False)
-    return moved.displacement("4")[1] / stage.TRAVEL
+    solution = linear(drives=[tj.Drive("6", x=stage.TRAVEL)], throw=False)
+    return solution.displacement("4")[1] / stage.TRAVEL
 
 
 def chain(hinges: int) -> tj.Mechanism:
-    """Leaves in a row, clamped at one end."""
+    """Build a row of leaves whose first body is fixed."""
     leaf = tj.Quadratic(np.diag([1.0, 1e4, 1.0]))
     bodies = [tj.Body(str(k), (0.0, float(k), 0.0)) for k in range(hinges + 1)]
-    joints = [
+    leaves = [
         tj.Hinge(str(k), str(k), str(k + 1), leaf, (0.0, k + 0.5, 0.0))
         for k in range(hinges)
     ]
-    return tj.Mechanism(bodies, joints, fixed=["0"])
+    return tj.Mechanism(bodies, leaves, fixed=["0"])
 
 
 def run() -> Iterator[Row]:
-    """The rows of the table."""
+    """Yield the rows of the table."""
     mechanism = stage.microstage()
     drives = [tj.Drive("6", x=stage.TRAVEL)]
 
@@ -47,21 +47,23 @@ def run() -> Iterator[Row]:
         return tj.equilibrium(mechanism, drives=drives, throw=False)
 
     program, compile_time = compiled(solve, mechanism)
-    yield at_most("stage: compile its equilibrium", compile_time, "s", 2.0)
-    warm = seconds(program, mechanism, repeats=301)
-    yield at_most("stage: one equilibrium, compiled", 1e3 * warm, "ms", 0.15)
-    warm = seconds(solve, mechanism, repeats=301)
-    yield at_most("stage: one call of `equilibrium`", 1e3 * warm, "ms", 0.15)
+    yield at_most("stage: compilation of the equilibrium", compile_time, "s", 2.0)
+    repeated = seconds(program, mechanism, repeats=301)
+    what = "stage: one equilibrium, by the compiled program"
+    yield at_most(what, 1e3 * repeated, "ms", 0.15)
+    repeated = seconds(solve, mechanism, repeats=301)
+    what = "stage: one equilibrium, by a call of `equilibrium`"
+    yield at_most(what, 1e3 * repeated, "ms", 0.15)
 
-    webs = jnp.linspace(0.2e-3, 0.4e-3, WEBS)
+    webs = jnp.linspace(0.2e-3, 0.4e-3, DESIGNS)
     for what, function, bound in (
         ("stage: nonlinear gains", gain, 50_000),
-        ("stage: gains and derivatives", jax.value_and_grad(gain), 25_000),
-        ("stage: linearised gains", small_gain, None),
+        ("stage: nonlinear gains and derivatives", jax.value_and_grad(gain), 25_000),
+        ("stage: linearized gains", linearized_gain, None),
     ):
         program, compile_time = compiled(jax.vmap(function), webs)
-        rate = WEBS / seconds(program, webs)
-        yield Row(f"{what}: compile for {WEBS:,} webs", compile_time, "s")
+        rate = DESIGNS / seconds(program, webs)
+        yield Row(f"{what}: compilation for {DESIGNS:,} designs", compile_time, "s")
         yield (
             Row(what, rate, "/s") if bound is None else at_least(what, rate, "/s", bound)
         )
@@ -75,6 +77,7 @@ def run() -> Iterator[Row]:
             return tj.equilibrium(mechanism, loads=[load], throw=False)
 
         _, times[hinges] = compiled(bend, mechanism)
-        yield Row(f"chain of {hinges} hinges: compile", times[hinges], "s")
+        yield Row(f"chain of {hinges:,} hinges: compilation", times[hinges], "s")
     ratio = times[1000] / times[10]
-    yield at_most("chain: compile 1000 hinges over 10", ratio, "x", 2.0)
+    what = "chain of 1,000 hinges: compilation time relative to 10 hinges"
+    yield at_most(what, ratio, "x", 2.0)

@@ -1,6 +1,6 @@
 """Sweeps over many designs, on all cores or accelerators: `python -m benchmarks.sweeps`.
 
-The sweeps run in a process of their own, because the number of devices on a processor
+The sweeps run in a separate process, because the number of devices on a processor
 must be set before JAX is used for the first time.
 """
 
@@ -23,18 +23,18 @@ from twistorjax.examples import four_bar, stage
 from twistorjax.examples.sweep_studies import stage_gain
 
 from .measure import at_least, at_most, Row
-from .statics import small_gain
+from .statics import linearized_gain
 
 
 LEAF_LENGTH = 10e-3  # m
 
 
 def run() -> Iterator[Row]:
-    """Run the benchmarks in a process of their own, and yield the rows of the table."""
-    done = subprocess.run(
+    """Measure the sweeps in a separate process, and yield the rows of the table."""
+    process = subprocess.run(
         [sys.executable, "-m", __name__], stdout=subprocess.PIPE, text=True, check=True
     )
-    for line in done.stdout.splitlines():
+    for line in process.stdout.splitlines():
         yield Row(**json.loads(line))
 
 
@@ -46,7 +46,7 @@ def gain(design: dict[str, Any]) -> dict[str, Any]:
 
 def linear_gain(design: dict[str, Any]) -> dict[str, Any]:
     """Compute the gain of a stage for small displacements."""
-    return {"gain": small_gain(design["web"])}
+    return {"gain": linearized_gain(design["web"])}
 
 
 def frequencies(design: dict[str, Any]) -> dict[str, Any]:
@@ -64,21 +64,22 @@ def leaf() -> tj.energies.WithValidityRange:
     return tj.flexures.surrogate(beam, rotation=np.radians(20))
 
 
-def parallelogram(design: dict[str, Any]) -> dict[str, Any]:
-    """Compute the parasitic motion of a parallelogram with two surrogate leaves."""
+def parallel_guide(design: dict[str, Any]) -> dict[str, Any]:
+    """Compute the change of height of a parallel guide with two surrogate leaves."""
     hinges = [
         tj.Hinge(name, "base", "table", leaf(), (jnp.pi / 2, x, LEAF_LENGTH / 2))
         for name, x in (("left", -LEAF_LENGTH), ("right", LEAF_LENGTH))
     ]
     bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, LEAF_LENGTH))]
-    table = tj.Mechanism(bodies, hinges, fixed=["base"])
+    guide = tj.Mechanism(bodies, hinges, fixed=["base"])
     drive = tj.Drive("table", x=design["travel"])
-    solution = tj.equilibrium(table, drives=[drive], throw=False)
-    return {"parasitic": solution.displacement("table")[2], "result": solution.result}
+    solution = tj.equilibrium(guide, drives=[drive], throw=False)
+    height_change = solution.displacement("table")[2]
+    return {"height_change": height_change, "result": solution.result}
 
 
 def released(design: dict[str, Any]) -> dict[str, Any]:
-    """Simulate the free motion of a four-bar linkage for 0.2 s."""
+    """Simulate the motion of a released four-bar linkage for 0.2 s."""
     linkage = four_bar.four_bar(
         damping=four_bar.RELEASED_DAMPING, thickness=design["thickness"]
     )
@@ -107,40 +108,45 @@ def measure_sweeps() -> Iterator[Row]:
 
     webs = ("web", 0.2e-3, 0.4e-3)
     first, repeated = timed(gain, *webs, 100_000)
-    yield Row("sweep: stage: with compilation, 100,000 webs", first, "s")
+    what = "sweep: stage: nonlinear gains of 100,000 designs, with compilation"
+    yield Row(what, first, "s")
     bound = 1e7 if accelerated else 100_000
     yield at_least("sweep: stage: nonlinear gains", 100_000 / repeated, "/s", bound)
     per_design = {}
     for count in (10_000, 1_000_000):
         per_design[count] = timed(gain, *webs, count)[1] / count
-        yield Row(f"sweep: stage: gains, {count:,} webs", 1 / per_design[count], "/s")
+        what = f"sweep: stage: nonlinear gains, {count:,} designs"
+        yield Row(what, 1 / per_design[count], "/s")
     ratio = per_design[1_000_000] / per_design[10_000]
-    yield at_most("sweep: stage: cost of a design, 1e6 over 1e4", ratio, "x", 1.2)
+    what = "sweep: stage: time per design, 1,000,000 designs relative to 10,000"
+    yield at_most(what, ratio, "x", 1.2)
     repeated = timed(gain, *webs, 100_000, derivatives=("gain",))[1]
-    what = "sweep: stage: gains and exact derivatives"
+    what = "sweep: stage: nonlinear gains and exact derivatives"
     yield at_least(what, 100_000 / repeated, "/s", 50_000)
     repeated = timed(linear_gain, *webs, 400_000)[1]
     yield at_least("sweep: stage: linearized gains", 400_000 / repeated, "/s", 400_000)
     repeated = timed(frequencies, *webs, 20_000)[1]
-    yield Row("sweep: stage: three frequencies", 20_000 / repeated, "/s")
+    yield Row("sweep: stage: three natural frequencies", 20_000 / repeated, "/s")
     leaf()  # Create the surrogate now, not while the study is traced.
-    repeated = timed(parallelogram, "travel", 1e-5, 1e-3, 20_000)[1]
-    yield Row("sweep: parallelogram of two surrogate leaves", 20_000 / repeated, "/s")
+    repeated = timed(parallel_guide, "travel", 1e-5, 1e-3, 20_000)[1]
+    what = "sweep: parallel guide with two surrogate leaves"
+    yield Row(what, 20_000 / repeated, "/s")
     count = 100_000 if accelerated else 500
     chunk_size = None if accelerated else 64
     thicknesses = ("thickness", 0.9e-3, 1e-3)
     repeated = timed(released, *thicknesses, count, chunk_size=chunk_size)[1]
-    what, rate = "sweep: free motion of a linkage for 0.2 s", count / repeated
+    what, rate = "sweep: released four-bar linkage: motion for 0.2 s", count / repeated
     yield at_least(what, rate, "/s", 5e4) if accelerated else Row(what, rate, "/s")
 
     distributions = {"web": tj.sweeps.Normal(np.full(7, stage.WEB), 10e-6)}
     result = tj.sweeps.tolerances(stage_gain, distributions, "gain", mesh=mesh)
-    what = "tolerances: gain, seven webs +- 10 um, sampled: mean"
-    yield Row(what, result.mean, "")
-    what = "tolerances: the same: standard deviation"
-    yield Row(what, result.standard_deviation, "")
-    yield Row("tolerances: the same, first order: mean", result.nominal, "")
-    yield Row(what, result.first_order_standard_deviation, "")
+    tolerances = "tolerances: stage with seven webs of 250 ± 10 µm"
+    mean = f"{tolerances}: mean gain"
+    yield Row(f"{mean}, sampled", result.mean, "")
+    deviation = f"{tolerances}: standard deviation of the gain"
+    yield Row(f"{deviation}, sampled", result.standard_deviation, "")
+    yield Row(f"{mean}, first order", result.nominal, "")
+    yield Row(f"{deviation}, first order", result.first_order_standard_deviation, "")
 
 
 if __name__ == "__main__":

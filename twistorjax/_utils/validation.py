@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -54,9 +55,12 @@ def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
 
 
 def as_float(value: Any) -> Numbers:
-    """Convert numbers to a JAX array, without a program if they are concrete."""
-    known = concrete(value)
-    return jnp.asarray(value if known is None else known.astype(float), float)
+    """Convert numbers, or lists of numbers, to a JAX array.
+
+    Values that are not traced are converted by NumPy, which compiles no program.
+    """
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
+    return jnp.asarray(value if traced else np.asarray(value, float), float)
 
 
 def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
@@ -234,7 +238,7 @@ def require_shape(
         ValueError: The shape is wrong.
     """
     try:
-        array = jnp.asarray(value, float)
+        array = as_float(value)
     except ValueError:
         raise ValueError(
             f"{name} has entries of different lengths, but must {requirement}."
@@ -297,7 +301,7 @@ def require_deviations(
     Raises:
         ValueError: The shape is wrong, or a known entry is not positive and finite.
     """
-    given = jnp.asarray(value, float)
+    given = as_float(value)
     try:
         array = jnp.broadcast_to(given, shape)
     except ValueError:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from typing_extensions import TypeAliasType
 
 from .._utils.types import Matrix, MatrixLike, NumberLike, Pose, Scalar, Twist, Wrench
-from .._utils.validation import require_choice
+from .._utils.validation import as_float, require_choice
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .strains import Coordinates, half_square, matrix_error, strain
@@ -49,7 +49,7 @@ class ViscousDamping(eqx.Module):
         resisted: bool = False,
     ):
         self.resisted = resisted
-        self.damping = jnp.asarray(damping, float)
+        self.damping = as_float(damping)
         self.coordinates = require_choice(
             "`coordinates`", coordinates, ("twistor", "twist")
         )

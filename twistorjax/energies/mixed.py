@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import CoefficientsLike, NumberLike, Scalar
-from .._utils.validation import concrete, require_positive
+from .._utils.validation import as_float, concrete, require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
@@ -89,7 +89,7 @@ class MixedEnergy(CoordinateEnergy):
         force: NumberLike,
     ):
         self.powers = require_powers(powers, VARIABLES["mixed"])
-        self.coefficients = jnp.asarray(coefficients, float)
+        self.coefficients = as_float(coefficients)
         self.length = require_positive("`length`", length)
         self.force = require_positive("`force`", force)
         require_coefficients(self, self.coefficients, self.powers)

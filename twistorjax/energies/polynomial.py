@@ -17,7 +17,13 @@ from jaxtyping import Array, ArrayLike, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.types import CoefficientsLike, NumberLike, Pose, Scalar
-from .._utils.validation import concrete, require_choice, require_positive, shorten
+from .._utils.validation import (
+    as_float,
+    concrete,
+    require_choice,
+    require_positive,
+    shorten,
+)
 from ..geometry import se2, twistors
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, validation_error
@@ -59,7 +65,7 @@ class _MonomialEnergy(CoordinateEnergy):
             "`coordinates`", coordinates, get_args(Coordinates)
         )
         self.powers = require_powers(powers, VARIABLES[coordinates])
-        self.coefficients = jnp.asarray(coefficients, float)
+        self.coefficients = as_float(coefficients)
         self.scale = require_positive("`scale`", scale)
         require_coefficients(self, self.coefficients, self.powers, dimensions)
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._utils.types import Flag, Matrix, MatrixLike, Scalar
-from .._utils.validation import concrete, require_choice
+from .._utils.validation import as_float, concrete, require_choice
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
@@ -73,7 +73,7 @@ class Quadratic(CoordinateEnergy):
     coordinates: Coordinates = eqx.field(static=True)
 
     def __init__(self, stiffness: MatrixLike, coordinates: Coordinates = "twistor"):
-        self.stiffness = jnp.asarray(stiffness, float)
+        self.stiffness = as_float(stiffness)
         self.coordinates = require_choice(
             "`coordinates`", coordinates, ("twistor", "twist")
         )

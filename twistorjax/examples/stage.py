@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._utils.types import Corners, NumberLike, Scalar
+from .._utils.validation import on_host
 from ..energies.damping import DampingLike
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
@@ -297,7 +298,8 @@ def _moving_body(name: str, material: Material, width: float) -> Body:
     if material.density is None:
         return Body(name, pose=pose, outline=outline)
     area, second_moment = _areas(name)
-    mass_per_area = material.density * width
+    _, (density, width) = on_host(material.density, width)
+    mass_per_area = density * width
     return Body(
         name,
         pose=pose,

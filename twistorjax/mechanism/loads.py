@@ -18,7 +18,7 @@ from .._utils.types import (
     Wrenches,
     WrenchLike,
 )
-from .._utils.validation import concrete, index_of, require_kind, require_row
+from .._utils.validation import as_float, concrete, index_of, require_kind, require_row
 from .mechanism import COORDINATES, Mechanism
 
 
@@ -253,4 +253,4 @@ def _number(name: str, value: NumberLike) -> Scalar:
         and np.isfinite(number)
     ):
         raise ValueError(f"{name} is {value!r}, but must be a finite number.")
-    return jnp.asarray(value, float)
+    return as_float(value)

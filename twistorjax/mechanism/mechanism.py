@@ -18,7 +18,6 @@ from .._utils.types import (
     Wrenches,
 )
 from .._utils.validation import (
-    all_concrete,
     as_float,
     index_of,
     on_host,
@@ -394,8 +393,6 @@ class Mechanism(eqx.Module):
 
 
 def _rows(poses: Sequence[Pose]) -> Poses:
-    """Stack poses (rad, m, m), without a compilation if they are not traced."""
-    values = all_concrete(poses)
-    if values is None:
-        return jnp.stack(poses)
-    return jnp.asarray(np.reshape(values, (-1, 3)), float)
+    """Stack poses."""
+    xp, arrays = on_host(*poses)
+    return as_float(xp.reshape(xp.stack(arrays), (-1, 3)) if arrays else np.zeros((0, 3)))

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.types import NumberLike, Poses, Scalar, TimesLike, VelocityLike
-from .._utils.validation import require_float64
+from .._utils.validation import as_float, require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.loads import Drive, Load, loaded_bodies, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -171,8 +171,8 @@ def simulate(
             constraint_set,
             displacements,
             rates,
-            jnp.asarray(tolerance, float),
-            None if step is None else jnp.asarray(step, float),
+            as_float(tolerance),
+            None if step is None else as_float(step),
             Radau() if solver is None else solver,
             controller,
             saveat,

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable, TypeVar
 
 import diffrax as dfx
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
@@ -186,7 +186,7 @@ class BodySolution(Tabular):
         index = concrete(self.result._value)
         if index is None:
             return (self.result == good[0]) | (self.result == good[1])
-        return jnp.asarray(np.isin(index, [int(item._value) for item in good]))
+        return jax.device_put(np.isin(index, [int(item._value) for item in good]))
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
         """Return the displacement of a body from its reference pose.

@@ -96,10 +96,10 @@ def format_row(row: Row) -> tuple[str, ...]:
 def save(machine: str, record: dict[str, Any], out: Path) -> None:
     """Save the results of a machine. Its earlier results in the files are replaced."""
     file = out.with_suffix(".json")
-    records = json.loads(file.read_text()) if file.exists() else {}
+    records = json.loads(file.read_text("utf-8")) if file.exists() else {}
     records[machine] = record
-    file.write_text(json.dumps(records, indent=1, ensure_ascii=False) + "\n")
-    out.with_suffix(".md").write_text(to_markdown(records))
+    file.write_text(json.dumps(records, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    out.with_suffix(".md").write_text(to_markdown(records), "utf-8")
 
 
 def to_markdown(records: dict[str, Any]) -> str:

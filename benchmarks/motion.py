@@ -11,12 +11,11 @@ import twistorjax as tj
 from twistorjax.examples import four_bar
 
 from .measure import at_least, at_most, compiled, Row, seconds
+from .peers_motion import PRESCRIBED, RELEASED
 
 
 DESIGNS = 1000
 TIMES = jnp.linspace(0.0, 0.2, 101)
-PRESCRIBED = "four-bar linkage with a prescribed rotation"
-RELEASED = "released four-bar linkage"
 RELEASED_MOTION = f"{RELEASED}: motion for 0.2 s"
 BATCH = f"{DESIGNS:,} released four-bar linkages"
 BATCH_SIMULATIONS = f"{BATCH}: simulations, on one core"
@@ -93,7 +92,7 @@ def _steps(what: str, motion: tj.Motion, elapsed: float) -> Iterator[Row]:
 def ratios(rows: list[Row]) -> Iterator[Row]:
     """Compare the times of the released linkage with those of EXUDYN in the same run."""
     values = {row.benchmark: row.value for row in rows}
-    peer = values.get("EXUDYN: released four-bar linkage: simulations, on one core")
+    peer = values.get(f"EXUDYN: {RELEASED}: simulations, on one core")
     if peer is None:
         return
     speed = 1e3 / values[RELEASED_MOTION] / peer

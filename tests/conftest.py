@@ -8,14 +8,14 @@ import pytest
 
 
 class CommandLine:
-    """The command line in a folder, with a cache of its own."""
+    """Calls of the command line in a folder, with a separate cache."""
 
     def __init__(self, folder):
         self.folder = folder
         self.environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
 
     def __call__(self, *arguments):
-        """Run `twistorjax` in a process of its own."""
+        """Run `twistorjax` in a separate process."""
         return subprocess.run(
             [sys.executable, "-m", "twistorjax", *arguments],
             capture_output=True,
@@ -28,7 +28,7 @@ class CommandLine:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Run `twistorjax` in a process of its own, with a cache of its own."""
+    """Run `twistorjax` in a separate process, with a separate cache."""
     return CommandLine(tmp_path_factory.mktemp("run"))
 
 

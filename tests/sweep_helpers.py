@@ -12,7 +12,7 @@ import twistorjax as tj
 
 
 def spring(design):
-    """A mechanism of a block on a spring of stiffness k."""
+    """Return a block on a spring of stiffness k."""
     stiffness = jnp.diag(jnp.stack([jnp.ones(()), design["k"], jnp.full((), 100.0)]))
     hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(stiffness), at=(0, 0, 0))
     return tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])
@@ -40,7 +40,7 @@ def assert_same_dataset(actual, expected):
     xarray.testing.assert_identical(actual.drop_attrs(), expected.drop_attrs())
 
 
-# start of the code of each process
+# Start of the code of each process.
 PREAMBLE = """
 import sys, time, jax
 jax.config.update("jax_enable_x64", True)

@@ -33,7 +33,7 @@ def test_help_shows_examples(run_here):
     assert "twistorjax stage --input 2e-6 --json" in done.stdout
 
 
-def test_stage_prints_its_gain_beside_the_measurement(run):
+def test_stage_prints_its_gain_and_the_measured_gain(run):
     done = run("stage")
     assert done.returncode == 0
     assert done.stderr == ""
@@ -73,7 +73,7 @@ def test_a_second_run_uses_the_cached_program(run):
 
 
 @pytest.mark.parametrize("name", ["stage.png", "stage.svg"])
-def test_stage_draws_itself(run, name):
+def test_stage_draws_the_mechanism(run, name):
     done = run("stage", "--plot", name)
     assert done.returncode == 0
     assert f"figure saved to {name}" in done.stdout
@@ -88,7 +88,7 @@ def test_the_transient_response_of_the_stage_ends_at_its_static_gain(run):
     assert abs(result["elongation_a_m"] - 192.2e-9) < 0.1e-9
 
 
-def test_four_bar_prints_json_and_draws_itself(run):
+def test_four_bar_prints_json_and_draws_the_motion(run):
     done = run(
         "four-bar", "--hinges", "mixed", "--times", "0.09,0.405", "--json",
         "--plot", "panels.png",

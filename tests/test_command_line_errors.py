@@ -154,7 +154,7 @@ def test_a_folder_that_is_no_store(run):
 
 
 def test_a_store_that_cannot_be_used(run):
-    """A damaged store, and a folder in which nobody can write a file."""
+    """One store is damaged, and one is in a folder that is not writable."""
     sums = run.folder / "damaged" / "finished" / "sums"
     sums.mkdir(parents=True)
     (sums / "manifest.json").write_text("{}")

@@ -30,7 +30,7 @@ def push(force):
 
 
 def angle(force, stiffness=STIFFNESS):
-    """Root of the moment balance about the pin."""
+    """Return the angle at which the moments about the pin are in balance; rad."""
     root = scipy.optimize.brentq(
         lambda t: stiffness * t - force * LENGTH * np.cos(t), 0.0, np.pi / 2, xtol=1e-15
     )
@@ -42,8 +42,8 @@ def angle(force, stiffness=STIFFNESS):
 def test_a_pinned_arm_balances_its_moments(force):
     arm = tj.equilibrium(pendulum(), loads=[push(force)], constraints=[PIN])
     t = angle(force)
-    moved = [t, LENGTH * (np.cos(t) - 1), LENGTH * np.sin(t)]
-    assert_close(arm.displacement("arm"), moved, digits=10)
+    displacement = [t, LENGTH * (np.cos(t) - 1), LENGTH * np.sin(t)]
+    assert_close(arm.displacement("arm"), displacement, digits=10)
     assert_close(arm.constraint_force("pin"), [0.0, -force], digits=10)
     moment = -force * LENGTH * np.cos(t)
     assert_close(arm.reaction("wall"), [moment, 0.0, -force], digits=10)
@@ -113,12 +113,12 @@ def test_frequencies_with_constraints_have_derivatives():
 
 
 def test_a_slider_transmits_a_prescribed_displacement():
-    """The arm is moved along x and follows a guide that rises by 0.2 rad."""
+    """The arm is displaced along x and slides on a guide at an angle of 0.2 rad."""
     guide = tj.Slider("guide", "wall", "arm", at=(0.2, LENGTH, 0.0))
     rise = 1e-3 * np.tan(0.2)
     drive = tj.Drive("arm", x=1e-3)
-    moved = tj.equilibrium(pendulum(), drives=[drive], constraints=[guide])
-    assert_close(moved.displacement("arm"), [0.0, 1e-3, rise])
+    solution = tj.equilibrium(pendulum(), drives=[drive], constraints=[guide])
+    assert_close(solution.displacement("arm"), [0.0, 1e-3, rise])
     small = tj.linearize(pendulum(), {"arm": ["x"]}, constraints=[guide])
     assert_close(small(drives=[drive]).displacement("arm"), [0.0, 1e-3, rise])
     response = tj.frequency_response(
@@ -128,20 +128,20 @@ def test_a_slider_transmits_a_prescribed_displacement():
 
 
 def test_a_general_constraint_depends_on_the_time():
-    def lead(pose, time):
+    def violation_along_x(pose, time):
         return pose[1] - LENGTH - 0.01 * time
 
-    along = tj.Constraint("along x", ["arm"], lead)
+    along = tj.Constraint("along x", ["arm"], violation_along_x)
     across = tj.Constraint("across", ["arm"], lambda pose, time: pose[2])
     found = tj.equilibrium(pendulum(), constraints=[along, across], time=2.0)
     assert_close(found.displacement("arm"), [0.0, 0.02, 0.0])
 
 
-def test_the_stage_of_rigid_levers_on_pins_has_their_gain():
-    """Pseudo-rigid-body stage: 328 / 9, whatever the stiffness of its pivots.
+def test_a_stage_of_rigid_levers_on_pins_has_the_gain_of_the_levers():
+    """The gain is 328 / 9 for any stiffness of the pivots.
 
-    The hinges a, b, and c of body 2 lie on a line; only one of them restrains it along
-    this line; at a and b the bodies are joined across the line only.
+    The hinges a, b, and c of body 2 lie on a line along y. One constraint along this line
+    is enough, so the constraints at a and b act along x only.
     """
     flexible = stage.microstage()
     bodies = [
@@ -149,25 +149,26 @@ def test_the_stage_of_rigid_levers_on_pins_has_their_gain():
         for row, name in enumerate(flexible.names)
     ]
     pivot = tj.Quadratic(jnp.diag(jnp.array([3.0, 0.0, 0.0])))
-    hinges, joints = [], []
+    hinges, constraints = [], []
     for row, name in enumerate(flexible.hinge_names):
         first, second = (flexible.names[k] for k in flexible.hinge_assembly.ends[row])
         frame = flexible.at[row]
         hinges.append(tj.Hinge(name, first, second, pivot, at=frame))
         pin = tj.Pin(f"pin {name}", first, second, at=frame[1:])
-        joints.append(AcrossLine(f"joint {name}", pin) if name in "ab" else pin)
+        constraints.append(AcrossLine(f"joint {name}", pin) if name in "ab" else pin)
     fixed = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
     rigid = tj.Mechanism(bodies, hinges, fixed)
     travel = 1e-9
     drive = tj.Drive("6", x=travel)
-    moved = tj.equilibrium(rigid, drives=[drive], constraints=joints)
-    assert_close(abs(moved.displacement("4")[1]) / travel, 328 / 9, digits=6)
-    small = tj.linearize(rigid, {"6": ["x"]}, constraints=joints)(drives=[drive])
+    solution = tj.equilibrium(rigid, drives=[drive], constraints=constraints)
+    assert_close(abs(solution.displacement("4")[1]) / travel, 328 / 9, digits=6)
+    linear = tj.linearize(rigid, {"6": ["x"]}, constraints=constraints)
+    small = linear(drives=[drive])
     assert_close(abs(small.displacement("4")[1]) / travel, 328 / 9)
 
 
 class AcrossLine(AbstractConstraint):
-    """The part of a pin along x."""
+    """Constraint of a pin along x only."""
 
     name: str = eqx.field(static=True)
     pin: tj.Pin
@@ -194,7 +195,7 @@ def test_redundant_and_contradictory_constraints_are_named():
         tj.linearize(pendulum(), constraints=[PIN, again])(loads=[push(1.0)])
 
 
-def test_a_body_may_be_held_by_constraints_alone():
+def test_a_body_may_be_supported_by_constraints_only():
     spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
     bodies = [tj.Body("wall"), tj.Body("block"), tj.Body("rider", (0.0, 0.1, 0.0))]
     hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.0, 0.0, 0.0))

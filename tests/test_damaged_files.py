@@ -30,7 +30,7 @@ def assert_clear(error, path):
 @pytest.mark.parametrize("damaged", [damaged_trees, damaged_bytes])
 @random_examples(usual=100, release=3000)
 def test_a_damaged_file_of_a_mechanism_or_energy(tmp_path, damaged, examples):
-    """It raises a `ValueError`, or what was read is written to an identical file."""
+    """It is rejected, or its content does not change when it is written and read."""
     path, again = tmp_path / "damaged.json", tmp_path / "again.json"
     tj.io.save_mechanism(mechanism(), path)
     originals = [path.read_bytes()]

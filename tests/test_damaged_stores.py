@@ -63,7 +63,7 @@ class Template:
         self.path, self.grid = folder / "template.zarr", grid
         run_sweep(self.path, grid=grid)
         self.table = tj.sweeps.open_sweep(self.path).load()
-        # The store holds what is computed without a store.
+        # The store contains the same values as a sweep without a store.
         xarray.testing.assert_identical(
             self.table.drop_attrs(), run_sweep(grid=grid).drop_attrs()
         )
@@ -99,7 +99,7 @@ class Template:
             kind = flat.dtype.kind
             flat[missing] = np.nan if kind in "fc" else -1 if name == "result" else 0
             expected[name] = values.copy(data=flat.reshape(values.shape))
-        if missing.all() and not self.grid:  # then the times are unknown, too
+        if missing.all() and not self.grid:  # The times are unknown, too.
             table = table.drop_vars("time_coordinate").assign_coords(time=expected.time)
         xarray.testing.assert_identical(table, expected)
 

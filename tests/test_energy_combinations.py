@@ -24,7 +24,7 @@ STIFFNESS = np.diag([2.0, 300.0, 40.0])
 
 
 class Quartic(AbstractEnergy):
-    """An energy as a user writes it, with one method."""
+    """User-defined energy with the one method that is required."""
 
     stiffness: jax.Array
 
@@ -34,7 +34,7 @@ class Quartic(AbstractEnergy):
 
 
 class Renamed(AbstractWrapper):
-    """A wrapper as a user writes it: it forwards nothing."""
+    """User-defined wrapper that forwards no optional method."""
 
     energy: AbstractEnergy
     label: str = eqx.field(static=True)
@@ -61,7 +61,7 @@ ENERGIES = {
     "point charges": tj.energies.PointCharges(
         [1e-6, -1e-6], [[0.0, 0.1], [0.3, 0.0]], [1e-6], [[0.5, 0.5]]
     ),
-    "of a user": Quartic(jnp.array(3.0)),
+    "user-defined": Quartic(jnp.array(3.0)),
 }
 EACH = pytest.mark.parametrize("energy", ENERGIES.values(), ids=ENERGIES)
 
@@ -71,7 +71,7 @@ def limited(energy, rotation=1.0):
 
 
 def combinations(energy):
-    """The same energy, in different words."""
+    """Return different expressions whose value is the same energy."""
     zero = tj.Quadratic(np.zeros((3, 3)))
     return {
         "multiple": 0.5 * (2.0 * energy),
@@ -81,7 +81,7 @@ def combinations(energy):
         "sum of halves": 0.5 * energy + 0.5 * energy,
         "multiple of a sum": 2.0 * (0.25 * energy + 0.25 * energy),
         "range of a sum": limited(0.5 * energy + zero + 0.5 * energy),
-        "wrapper of a user": Renamed(energy, "leaf"),
+        "user-defined wrapper": Renamed(energy, "leaf"),
         "range of a wrapper": limited(Renamed(2.0 * Renamed(0.5 * energy, "a"), "b")),
     }
 
@@ -136,12 +136,12 @@ def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, na
 @EACH
 @COMBINATIONS
 def test_the_validity_range_is_that_of_the_energy_and_of_the_combination(energy, name):
-    """A twist is undefined at a full rotation; a range of 1 rad is exceeded before."""
+    """A twist is undefined at a full rotation; a range of 1 rad is exceeded earlier."""
     combined = combinations(energy)[name]
     for rotation in (0.5, 1.5, 7.0):
         at = Displacement.from_pose(jnp.array([rotation, 0.0, 0.0]))
-        own = out_of_range(energy, at)
-        expected = bool(own) if own is not None else False
+        exceeded = out_of_range(energy, at)
+        expected = bool(exceeded) if exceeded is not None else False
         if "range" in name:
             expected |= rotation > 1.0
         found = out_of_range(combined, at)
@@ -159,7 +159,7 @@ def test_an_invalid_value_is_found_at_any_depth():
 
 @COMBINATIONS
 def test_a_combination_takes_as_many_newton_steps_as_the_energy(name):
-    """A thin flexure at a large displacement, by its model for Newton's method."""
+    """The flexure is thin, so this requires its model for Newton's method."""
 
     def steps(energy):
         hinge = tj.Hinge("flexure", "wall", "tip", energy, at=(0.0, 0.0, 0.0))

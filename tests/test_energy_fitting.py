@@ -219,7 +219,7 @@ def test_fit_to_random_trials_interpolates_and_raises_a_warning():
     assert np.all(fit.training.largest_wrench < 2.6e-5)
     assert np.all(np.isinf(fit.expected.rms_wrench))
     assert fit.held_out is not None
-    assert np.all(fit.held_out.relative > 1.0)  # the fit predicts nothing
+    assert np.all(fit.held_out.relative > 1.0)  # predicting zero gives 1
     assert "warning: the fit interpolates" in repr(fit)
 
 

@@ -12,7 +12,7 @@ from twistorjax.mechanism import hinge_kinematics
 
 
 class Quartic(tj.AbstractEnergy):
-    """An energy of no special form that couples all components of the twist."""
+    """A general energy that couples all components of the twist."""
 
     def stored_energy(self, displacement):
         angle, along, across = displacement.twist()
@@ -114,7 +114,7 @@ def test_wrench_on_body_b_is_the_transformed_wrench_of_the_energy(energy):
 
 
 def test_energy_of_tiny_displacements_is_accurate():
-    """The hinge is meters away and displaced by a picometer, which a pose cannot hold."""
+    """A pose of meters cannot represent a displacement of a picometer."""
     far = jnp.array([0.0, 5.0, 7.0])
     mechanism = two_bodies(tj.Quadratic(jnp.eye(3)), at=far)
     displacements = jnp.array([[0.0, 0.0, 0.0], [1e-13, 1e-12, -2e-12]])

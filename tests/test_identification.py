@@ -233,7 +233,7 @@ def test_a_start_without_a_solution_raises_the_error_of_the_solve():
         tj.identify(spring, start, [too_large.measurement([[1.0]]), *data])
 
 
-def test_the_search_turns_back_where_a_solve_fails():
+def test_the_search_rejects_steps_to_points_where_a_solve_fails():
     """The moment of the twistor's spring is at most 2 k, so a softer one buckles."""
     test = StaticTest(
         [[tj.Load("block", moment=1.9)]], [BodySensor("block", "angle", 1e-3)]

@@ -152,7 +152,7 @@ def test_surrogate_of_a_cantilever_is_the_elastica():
 
 
 def stage_on_leaves(energy, positions):
-    """A stage on leaves with the same energy."""
+    """Return a stage on leaves with the same energy."""
     hinges = [
         tj.Hinge(f"{k}", "ground", "stage", energy, at=position)
         for k, position in enumerate(positions)
@@ -333,8 +333,8 @@ def test_proportional_damping_does_not_depend_on_the_amplitude():
     """The decay in one period is the same for a small and a large oscillation."""
     hinge = tj.flexures.surrogate(beam(0.1), rotation=0.81, order=6)
     bodies = [tj.Body("wall"), tj.Body("arm", mass=1e-3, inertia=1.0)]
-    joint = tj.Hinge("leaf", "wall", "arm", hinge, at=(0.0, 0.0, 0.0), damping=0.01)
-    oscillator = tj.Mechanism(bodies, [joint], fixed=["wall"])
+    spring = tj.Hinge("leaf", "wall", "arm", hinge, at=(0.0, 0.0, 0.0), damping=0.01)
+    oscillator = tj.Mechanism(bodies, [spring], fixed=["wall"])
     ratio = np.pi * float(tj.vibrations(oscillator).frequencies[0]) * 0.01
     period = 2 * np.pi / np.sqrt(1 - ratio**2)
     for moment in (0.01, 0.5):

@@ -238,9 +238,9 @@ def test_solvers_output_and_events_of_diffrax_can_be_used():
         tolerance=1e-9,
         saveat=dfx.SaveAt(steps=True, dense=True),
     )
-    kept = np.isfinite(every_step.times)
-    assert kept.sum() == int(every_step.steps) - int(every_step.rejected)
-    assert np.max(np.abs(every_step.energies.imbalance[kept])) < 1e-7
+    accepted = np.isfinite(every_step.times)
+    assert accepted.sum() == int(every_step.steps) - int(every_step.rejected)
+    assert np.max(np.abs(every_step.energies.imbalance[accepted])) < 1e-7
     assert_close(every_step.at(1.0)[1], exact.pose("block")[-1], digits=8)
     stopped = tj.simulate(
         mechanism,

@@ -75,8 +75,8 @@ def test_failed_motion_does_not_affect_the_rest_of_a_batch():
     names = tj.result_names(batch.result)
     assert names is not None
     assert names.tolist() == ["successful", "not_finite", "successful"]
-    alone = simulate(3.0).displacement("block")
-    assert_close(batch.displacement("block")[2], alone, digits=9)
+    single = simulate(3.0).displacement("block")
+    assert_close(batch.displacement("block")[2], single, digits=9)
     assert np.all(np.isnan(batch.displacement("block")[1]))
 
 
@@ -120,7 +120,7 @@ def test_every_solver_stops_where_a_load_is_not_finite(solver):
 
 
 def test_errors_are_measured_with_the_moving_bodies_only():
-    """The origin of a fixed body may be anywhere, and rounding errors are no length."""
+    """Neither the position of a fixed body nor a rounding error counts as a length."""
     size = 1e-6
     spring = tj.Quadratic(jnp.diag(jnp.array([size**2, 1.0, 1.0])))
 

@@ -20,24 +20,24 @@ GEOMETRY = ["lines", "se2", "twistors"]
 PACKAGES = [path for path in FILES if path.name == "__init__.py"]
 
 
-def test_the_root_holds_at_most_twelve_packages():
+def test_the_root_contains_at_most_twelve_packages():
     entries = [path for path in PACKAGE.iterdir() if path.is_dir()]
     assert len([path for path in entries if path.name != "__pycache__"]) <= 12
 
 
 @pytest.mark.parametrize("path", PACKAGES, ids=lambda path: path.parent.name)
-def test_every_package_says_what_it_is_for(path):
-    words = ast.get_docstring(ast.parse(path.read_text()))
-    assert words is not None
-    assert len(words.split()) >= 15
+def test_every_package_has_a_docstring_about_its_purpose(path):
+    docstring = ast.get_docstring(ast.parse(path.read_text()))
+    assert docstring is not None
+    assert len(docstring.split()) >= 15
 
 
-def test_no_file_is_longer_than_one_concept():
+def test_no_file_has_more_than_400_lines():
     assert max(len(path.read_text().splitlines()) for path in FILES) <= 400
 
 
-def test_importing_changes_nothing():
-    """Neither JAX's settings nor, by packages that few need, the time to start."""
+def test_importing_does_not_change_settings_of_jax():
+    """It also does not import matplotlib and msgspec, which would delay the start."""
     code = (
         "import jax, sys; before = jax.config.values.copy(); import twistorjax; "
         "assert jax.config.values == before; "
@@ -47,7 +47,7 @@ def test_importing_changes_nothing():
 
 
 def _public():
-    """Functions, classes, and methods that users call, with their names."""
+    """Return all public functions, classes, and methods by name."""
     namespaces = [tj, *(getattr(tj, name) for name in tj.__all__)]
     namespaces = [space for space in namespaces if inspect.ismodule(space)]
     parts = [importlib.import_module(f"twistorjax.geometry.{name}") for name in GEOMETRY]
@@ -60,8 +60,8 @@ def _public():
     for space in [*namespaces, *parts]:
         for name, value in vars(space).items():
             home = getattr(value, "__module__", "")
-            ours = home == space.__name__ if space in parts else "twistorjax" in home
-            if name.startswith("_") or not callable(value) or not ours:
+            local = home == space.__name__ if space in parts else "twistorjax" in home
+            if name.startswith("_") or not callable(value) or not local:
                 continue
             found[f"{home}.{name}"] = value
             for part in inspect.getmro(value) if inspect.isclass(value) else ():

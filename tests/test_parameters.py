@@ -65,7 +65,7 @@ def test_the_parameters_may_be_leaves_of_any_tree():
     assert result.names == ("coefficients[0]", "coefficients[1]", "coefficients[2]")
 
 
-def test_numbers_beside_parameters_are_constants():
+def test_numbers_in_a_tree_of_parameters_are_constants():
     data = [push(5.0).measurement([[0.04]])]
     result = tj.identify(spring, {"along": positive(80.0), "across": 300.0}, data)
     assert result.names == ("along",)

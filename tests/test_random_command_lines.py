@@ -1,4 +1,4 @@
-"""Random command lines: each works, or ends with one clear message."""
+"""Random command lines: each succeeds, or ends with one clear message."""
 
 import contextlib
 import io
@@ -119,8 +119,8 @@ def command_lines(draw):
         option = draw(st.sampled_from(sorted(options)))
         arguments += [option, draw(st.sampled_from(options[option]))]
     if draw(st.integers(0, 9)) == 0:
-        words = st.text(st.characters(exclude_characters="\0"), max_size=5)
-        arguments.append(draw(words))
+        texts = st.text(st.characters(exclude_characters="\0"), max_size=5)
+        arguments.append(draw(texts))
     return [*arguments, *draw(st.sampled_from(final))]
 
 

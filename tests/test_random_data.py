@@ -68,7 +68,7 @@ def test_a_prediction_is_that_of_an_independent_fit_to_the_other_trials(study):
     np.testing.assert_allclose(wrench, study.predictions[row], rtol=1e-6)
 
 
-def test_a_study_prints_and_draws_itself(study):
+def test_a_study_is_printed_and_drawn(study):
     mpl = pytest.importorskip("matplotlib")
     mpl.use("agg")
     assert "69 coefficients, 51 measured values, rank 51" in repr(study)

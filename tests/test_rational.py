@@ -11,7 +11,7 @@ from twistorjax.energies.strains import Coordinates
 
 
 CHARGES_A, SITES_A = [1.5, -0.5, 2.0], [[0.3, 0.1], [-0.2, 0.4], [0.0, -0.5]]
-# so far away from the charges of body A that none of the poses brings two together
+# These are so far from the charges of body A that they do not coincide at any pose.
 CHARGES_B, SITES_B = [-1.0, 0.7], [[9.0, 0.2], [8.5, -0.6]]
 
 
@@ -130,7 +130,7 @@ def test_reported_errors_are_those_of_the_fitted_energy():
 
 
 def noise():
-    """Random energies. A free denominator fits them with poles between the trials."""
+    """Return trials with random energies. Unregularized fits of them have poles."""
     poses = random_trials(charges()).poses
     return tj.energies.Trials(
         poses, energies=np.random.default_rng(7).normal(size=len(poses))
@@ -150,7 +150,7 @@ def test_ridge_prevents_poles():
     assert not fit.has_poles
 
 
-def test_denominator_can_be_the_base_alone():
+def test_denominator_can_be_the_base_only():
     fit = tj.energies.fit_rational(noise(), 2, base=BASE, denominator="base", scale=0.5)
     for pose in some_poses(2, 12):
         assert_close(fit.energy.denominator(pose), BASE(pose))

@@ -1,4 +1,4 @@
-"""The code of the README and of the manual runs, and both name what exists."""
+"""Code, links, and names in the README and in the manual."""
 
 import pathlib
 import re

@@ -26,7 +26,7 @@ def shallow_arch():
 
 
 def test_loads_above_the_limit_load_of_an_arch_have_no_equilibrium():
-    """The limit load is the largest reaction while the arch is driven downwards."""
+    """The limit load is the largest reaction to a prescribed downward displacement."""
     arch = shallow_arch()
 
     def reaction(apex):
@@ -87,7 +87,7 @@ def row_of_bars(count, coordinates, frame):
     Args:
         count: Number of bars.
         coordinates: Coordinates of the hinge energies.
-        frame: Whether the last support has a spring of its own; otherwise it is like the
+        frame: Whether the last support has a different spring; otherwise it is like the
             other hinges.
     """
     names = [f"bar {k}" for k in range(count)]

@@ -21,13 +21,13 @@ MATTIASSON = [
 ]
 
 
-def test_twist_energy_is_undefined_beyond_a_full_turn():
+def test_twist_energy_is_undefined_above_a_full_rotation():
     """The twistor energy is defined there."""
     spring = np.diag([1.0, 100.0, 10.0])
-    beyond = [tj.Drive("block", angle=6.5)]
+    drives = [tj.Drive("block", angle=6.5)]
     with pytest.raises(RuntimeError, match=r"'spring': it is rotated by 6\.5 rad"):
-        tj.equilibrium(block_on_spring(spring, "twist"), drives=beyond)
-    assert tj.equilibrium(block_on_spring(spring, "twistor"), drives=beyond).succeeded
+        tj.equilibrium(block_on_spring(spring, "twist"), drives=drives)
+    assert tj.equilibrium(block_on_spring(spring, "twistor"), drives=drives).succeeded
     below = [tj.Drive("block", angle=6.2)]
     assert tj.equilibrium(block_on_spring(spring, "twist"), drives=below).succeeded
 
@@ -66,7 +66,7 @@ def test_cantilever_bends_as_the_elastica(force, down, back, angle, validated):
     validated("Statics", what, limit, [down, back, angle], "Mattiasson, 1981")
 
 
-def test_cantilever_driven_through_a_full_turn_is_a_circle(validated):
+def test_cantilever_with_an_end_rotation_of_two_pi_is_a_circle(validated):
     """The axial stiffness does not increase the number of steps."""
     mechanism = cantilever(12, axial=1e8)
     solution = tj.equilibrium(mechanism, drives=[tj.Drive("12", angle=2 * np.pi)])
@@ -152,21 +152,21 @@ def test_force_that_acts_at_a_distance_from_the_origin_has_a_moment(follower):
 def test_stage_under_loads_and_a_drive_agrees_with_a_minimization():
     """SciPy minimizes energy minus work over the same free coordinates."""
     mechanism = stage.microstage()
-    moment, force, driven = 2e-4, np.array([0.3, -0.2]), 1.0e-6
+    moment, force, travel = 2e-4, np.array([0.3, -0.2]), 1.0e-6
     solution = tj.equilibrium(
         mechanism,
         loads=[
             tj.Load("4", force=force, at=(0.002, -0.003)),
             tj.Load("3", moment=moment),
         ],
-        drives=[tj.Drive("6", x=driven)],
+        drives=[tj.Drive("6", x=travel)],
     )
     free = [k for k in range(18) if k not in (*mechanism.fixed, 16)]
     # In these units, the stage is well conditioned.
     unit = np.tile([1e-4, 1e-6, 1e-6], 6)[free]
 
     def expand(values):
-        displacements = jnp.zeros(18).at[16].set(driven)
+        displacements = jnp.zeros(18).at[16].set(travel)
         return displacements.at[np.array(free)].set(values * unit).reshape(6, 3)
 
     def potential(values):
@@ -195,10 +195,10 @@ def test_reaction_of_a_drive_is_the_load_that_causes_the_same_displacement():
     mechanism = stage.microstage()
     loaded = tj.equilibrium(mechanism, loads=[tj.Load("6", force=(20.0, 0.0))])
     x = loaded.displacement("6")[1]
-    driven = tj.equilibrium(mechanism, drives=[tj.Drive("6", x=x)])
-    assert_close(driven.reaction("6")[1], 20.0, digits=8)
+    displaced = tj.equilibrium(mechanism, drives=[tj.Drive("6", x=x)])
+    assert_close(displaced.reaction("6")[1], 20.0, digits=8)
     np.testing.assert_allclose(
-        driven.displacements, loaded.displacements, rtol=1e-8, atol=1e-17
+        displaced.displacements, loaded.displacements, rtol=1e-8, atol=1e-17
     )
 
 
@@ -227,7 +227,7 @@ def test_start_near_the_solution_saves_steps():
     assert int(again.steps) < int(solution.steps) / 2
 
 
-def test_soft_hinge_converges_beside_one_that_stores_much_more_energy():
+def test_soft_hinge_converges_next_to_one_that_stores_much_more_energy():
     leaf = tj.Quadratic(jnp.diag(jnp.array([1.0, 1e4, 12.0])), "twist")
     stiff = tj.Quadratic(1e12 * jnp.eye(3))
     mechanism = tj.Mechanism(

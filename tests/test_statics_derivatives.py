@@ -106,7 +106,7 @@ def test_gradient_of_a_batch_is_zero_for_a_failed_design():
 
 
 def test_failed_design_is_nan_and_can_be_masked_in_a_gradient():
-    """Its derivative is zero. A derivative of NaN would spoil the masked sum."""
+    """A derivative of NaN instead of zero would make the gradient of the sum NaN."""
 
     def total(stiffness):
         def solve(factor):

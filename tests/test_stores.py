@@ -311,7 +311,7 @@ def test_a_complete_store_that_is_read_only_is_resumed(tmp_path):
 
 
 def many_designs(count):
-    """So many designs, which need no memory themselves."""
+    """Return a given number of equal designs, which need almost no memory."""
     return {"a": np.broadcast_to(1.0, count)}
 
 

@@ -40,7 +40,7 @@ SUMS = {
 
 @pytest.mark.parametrize("add", SUMS.values(), ids=SUMS.keys())
 def test_sum_takes_as_many_newton_steps_as_its_terms(add):
-    """A cantilever of a thousandth of its length in thickness is bent by 16 degrees."""
+    """The leaf is thin, thickness / length = 1e-3, and its end rotates by 16 degrees."""
     thin, length = leaf(0.05e-3), 50e-3
     force = 0.5 * 210e9 * 10e-3 * 0.05e-3**3 / 12 / length**2
 
@@ -72,7 +72,7 @@ def test_sum_moves_and_is_damped_as_its_terms():
 
 
 def test_viscous_damping_of_a_sum_acts_once():
-    """It acts on the rates that the flexure among the terms resists."""
+    """It acts on the rates of the one term that has stiffness."""
     damping = tj.energies.ViscousDamping(
         1e-4 * leaf().tangent_stiffness(), "twist", resisted=True
     )

@@ -52,7 +52,7 @@ def test_a_process_may_be_killed_at_any_moment(tmp_path):
         process.kill()
         process.communicate()
         assert 0 < written() < 250
-    for part in path.rglob("*.partial"):  # as if they had been killed long ago
+    for part in path.rglob("*.partial"):  # so that their writers seem to be gone
         os.utime(part, (0, 0))
     output, errors = start_process(KILLED, path).communicate()
     assert "done" in output, errors
@@ -126,9 +126,9 @@ def test_two_processes_compute_the_same_as_one(tmp_path):
         output, errors = process.communicate(timeout=300)
         assert "done" in output, errors
     designs = {"k": np.linspace(50, 150, 333), "force": np.linspace(-0.2, 0.3, 333)}
-    alone = tj.sweep(pulled_block, designs, chunk_size=32)
+    single = tj.sweep(pulled_block, designs, chunk_size=32)
     tables = [tj.sweeps.open_sweep(store)]
     tables += [xarray.load_dataset(tmp_path / f"{number}.nc") for number in range(2)]
     for table in tables:
-        np.testing.assert_allclose(table.travel, alone.travel, rtol=1e-12, atol=0)
+        np.testing.assert_allclose(table.travel, single.travel, rtol=1e-12, atol=0)
         assert bool(table.succeeded.all())

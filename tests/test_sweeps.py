@@ -18,7 +18,7 @@ pytest.importorskip("xarray")
 pytest.importorskip("zarr")
 
 
-def test_each_design_is_evaluated_as_if_it_were_alone():
+def test_each_design_has_the_result_of_a_single_evaluation():
     designs = {"k": np.linspace(50.0, 150.0, 7), "force": np.linspace(-0.2, 0.3, 7)}
     table = tj.sweep(pulled_block, designs, chunk_size=3)
     np.testing.assert_allclose(table.travel, designs["force"] / designs["k"], rtol=1e-9)

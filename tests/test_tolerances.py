@@ -152,7 +152,7 @@ def product(design):
 
 
 def test_variance_shares_do_not_depend_on_units():
-    """A web in meters beside a modulus in pascals: relative variances add."""
+    """The web is in meters and the modulus in pascals. Their relative variances add."""
     values = {"modulus": (70e9, 1e9), "web": (0.25e-3, 10e-6)}
     result = tj.sweeps.tolerances(
         product, {name: tj.sweeps.Normal(*value) for name, value in values.items()}

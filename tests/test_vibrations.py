@@ -226,7 +226,7 @@ def test_sum_of_equal_frequencies_has_second_derivatives():
 
 
 def test_energies_that_are_not_positive_contribute_to_the_frequencies():
-    """A coupling without stiffness of its own, and a spring with negative stiffness."""
+    """A coupling energy, which is indefinite, and a spring with negative stiffness."""
     spring = tj.Quadratic(jnp.diag(jnp.array([2.0, 50.0, 30.0])), "twist")
     coupling = tj.energies.Polynomial(
         [5.0, 3.0, 1e-9], [(1, 0, 1), (0, 1, 1), (2, 0, 0)], "twist"

@@ -78,7 +78,7 @@ def test_a_power_of_the_distance_as_denominator_predicts_held_out_trials(study):
     assert fit.held_out.largest_energy < study.held_out_error("polynomial").item() / 5
 
 
-def test_a_study_prints_and_draws_itself(study):
+def test_a_study_is_printed_and_drawn(study):
     mpl = pytest.importorskip("matplotlib")
     mpl.use("agg")
     lines = repr(study).splitlines()

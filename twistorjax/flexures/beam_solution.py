@@ -6,13 +6,14 @@ theory: the plane problem, ZAMP 23, 1972.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
@@ -27,6 +28,15 @@ from .cross_section import section_strains, Strains
 SectionPoses = TypeAliasType("SectionPoses", Float[Array, "sections 3"])
 # Stresses at both edges of the cross sections; Pa
 SectionStresses = TypeAliasType("SectionStresses", Float[Array, "sections 2"])
+
+
+# The method of Dormand and Prince of order 8. Its last stage serves an error estimate.
+_TABLEAU = dfx.Dopri8.tableau
+_NODES = np.array([0.0, *_TABLEAU.c])[:-1]
+_WEIGHTS = np.array(_TABLEAU.b_sol)[:-1]
+_COEFFICIENTS = np.stack(
+    [np.pad(row, (0, len(_NODES) - len(row))) for row in ([], *_TABLEAU.a_lower[:-1])]
+)
 
 
 class BeamSolution(eqx.Module):
@@ -76,6 +86,9 @@ def beam_under_load(beam: Beam, load: Wrench, sections: int = 21) -> BeamSolutio
         with the law "saint-venant-kirchhoff" the moment has a maximum of
         `0.7 E I / thickness`.
 
+    Raises:
+        ValueError: There are fewer than two sections.
+
     Source:
         The equations of Reissner (1972), integrated from one end to the other as an
         initial value problem.
@@ -89,15 +102,26 @@ def beam_under_load(beam: Beam, load: Wrench, sections: int = 21) -> BeamSolutio
         >>> solution.pose[0]
         Array(1., dtype=float64)
     """
+    if sections < 2:
+        raise ValueError(f"`sections` is {sections!r}, but must be 2 or more.")
+    return _solve(beam, load, sections)
+
+
+@eqx.filter_jit
+def _solve(beam: Beam, load: Wrench, sections: int) -> BeamSolution:
+    """Compute the deformed state; see `beam_under_load`."""
     units = load_units(beam)
     parameters = jnp.asarray(np.linspace(-1.0, 1.0, sections))
-    states = _integrate(beam, load / units, dfx.SaveAt(ts=parameters))
+    steps = -(-beam.steps // (sections - 1))
+    states = _integrate(beam, load / units, sections - 1, steps)
     length = beam.length
-    pose, wrench = pose_and_wrench(beam, load, _last(states))
+    # With the same steps as in `ExactBeam`, both have the same discretization error.
+    end = end_section(beam, load / units)
+    pose, wrench = pose_and_wrench(beam, load, end)
     return BeamSolution(
         pose=pose,
         wrench=wrench,
-        energy=units[0] * states.energy[-1],
+        energy=units[0] * end.energy,
         centerline=jnp.stack(
             [states.angle, length * states.x, length * states.y], axis=1
         ),
@@ -140,7 +164,7 @@ def end_section(beam: Beam, load: Wrench) -> SectionState:
 
     The load is about the origin of frame a and in its axes, over `load_units`.
     """
-    return _last(_integrate(beam, load, dfx.SaveAt(t1=True)))
+    return _last(_integrate(beam, load, 1, beam.steps))
 
 
 def pose_and_wrench(beam: Beam, load: Wrench, end: SectionState) -> tuple[Pose, Wrench]:
@@ -195,40 +219,47 @@ def _section(
     return (cos, sin), *section_strains(beam, position, (axial, shear, moment))
 
 
-def _integrate(beam: Beam, load: Wrench, saveat: dfx.SaveAt) -> SectionState:
-    """Integrate the equations of a beam from its first end, all dimensionless."""
+def _integrate(beam: Beam, load: Wrench, intervals: int, steps: int) -> SectionState:
+    """Integrate the equations of a beam from its first end, all dimensionless.
 
-    def derivative(
-        parameter: Any, state: SectionState, args: tuple[Beam, Wrench]
-    ) -> SectionState:
+    The steps are those of the method of Dormand and Prince of order 8. Its stages are a
+    loop, so the equations are compiled once; with `diffrax.Dopri8` they are compiled for
+    each stage, and an equilibrium with an `ExactBeam` takes several times as long to
+    compile.
+
+    Returns:
+        The states at the ends of equal intervals of the parameter, one more than their
+        number. Each interval has the given number of steps.
+    """
+    step = 2.0 / (intervals * steps)
+    coefficients, nodes = jnp.asarray(_COEFFICIENTS), jnp.asarray(_NODES)
+
+    def derivative(parameter: Scalar, state: Float[Array, "4"]) -> Float[Array, "4"]:
         _, rate = _position(parameter)
         (cos, sin), (stretch, shear, curvature), density = _section(
-            *args, parameter, state
+            beam, load, parameter, SectionState(*state)
         )
-        return SectionState(
-            rate * curvature,
-            rate * (cos * (1 + stretch) - sin * shear),
-            rate * (sin * (1 + stretch) + cos * shear),
-            rate * density,
-        )
+        x_rate = cos * (1 + stretch) - sin * shear
+        y_rate = sin * (1 + stretch) + cos * shear
+        return rate * jnp.stack([curvature, x_rate, y_rate, density])
+
+    def advance(state: Array, start: Scalar) -> tuple[Array, Array]:
+        def stage(index: Array, slopes: Array) -> Array:
+            change = jnp.sum(coefficients[index][:, None] * slopes, axis=0)
+            slope = derivative(start + step * nodes[index], state + step * change)
+            return slopes.at[index].set(slope)
+
+        slopes = lax.fori_loop(0, len(_NODES), stage, jnp.zeros((len(_NODES), 4)))
+        weights = jnp.asarray(_WEIGHTS)[:, None]
+        state = state + step * jnp.sum(weights * slopes, axis=0)
+        return state, state
 
     zero = jnp.zeros_like(load[0])
-    solution = dfx.diffeqsolve(
-        dfx.ODETerm(derivative),
-        dfx.Dopri8(),
-        -1.0,
-        1.0,
-        2.0 / beam.steps,
-        SectionState(zero, zero - 0.5, zero, zero),
-        args=(beam, load),
-        saveat=saveat,
-        stepsize_controller=dfx.ConstantStepSize(),
-        adjoint=dfx.DirectAdjoint(),
-        max_steps=beam.steps + 1,
-        throw=False,
-    )
-    assert solution.ys is not None
-    return solution.ys
+    first = jnp.stack([zero, zero - 0.5, zero, zero])
+    starts = jnp.asarray(np.arange(intervals * steps) * step - 1.0)
+    _, states = lax.scan(advance, first, starts)
+    states = jnp.concatenate([first[None], states[steps - 1 :: steps]])
+    return SectionState(*states.T)
 
 
 def _stress(

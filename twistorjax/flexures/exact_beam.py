@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._utils.pytrees import value_and_jacfwd
-from .._utils.types import Pose, Scalar
+from .._utils.types import Pose, Scalar, Wrench
 from ..energies.base import AbstractEnergy
 from ..geometry import se2
 from ..geometry.twistors import Displacement
@@ -72,7 +72,13 @@ def beam_at_pose(beam: Beam, pose: Pose, sections: int = 21) -> BeamSolution:
         >>> tj.flexures.largest_stress(solution) / 1e6  # MPa
         Array(20.79..., dtype=float64)
     """
-    return beam_under_load(beam, _load(beam, pose) * load_units(beam), sections)
+    return beam_under_load(beam, _load_at_pose(beam, pose), sections)
+
+
+@eqx.filter_jit
+def _load_at_pose(beam: Beam, pose: Pose) -> Wrench:
+    """Find the load that displaces a beam to a pose (rad, m, m); N m, N, N."""
+    return _load(beam, pose) * load_units(beam)
 
 
 @eqx.filter_custom_jvp

@@ -28,6 +28,12 @@ def code_of(text: str) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
 
+@pytest.fixture(autouse=True)
+def _settings_of_the_tests(monkeypatch):
+    """Keep the settings of JAX, which all tests share."""
+    monkeypatch.setattr(tj, "configure", lambda: None)
+
+
 @pytest.fixture
 def run_page(monkeypatch, tmp_path):
     """Run the code of a page of the manual; returns its variables."""

@@ -48,9 +48,9 @@ def test_too_small_number_of_steps_is_an_error():
 
 def test_single_precision_is_an_error():
     with jax.enable_x64(False):
-        with pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
+        with pytest.raises(ValueError, match=r"twistorjax\.configure"):
             tj.equilibrium(block_on_spring(np.eye(3)))
-        with pytest.raises(ValueError, match='update\\("jax_enable_x64", True\\)'):
+        with pytest.raises(ValueError, match=r"twistorjax\.configure"):
             tj.linearize(block_on_spring(np.eye(3)))
 
 

@@ -22,6 +22,7 @@ from . import (
     solve as solve,
     sweeps as sweeps,
 )
+from ._utils.configuration import configure as configure
 from .energies import (
     AbstractEnergy as AbstractEnergy,
     fit_energy as fit_energy,
@@ -59,6 +60,7 @@ from .sweeps import Grid as Grid, sweep as sweep
 
 
 __all__ = [
+    "configure",
     "Body",
     "plate",
     "Hinge",

@@ -138,8 +138,8 @@ def require_float64(array: Array) -> None:
     if array.dtype != jnp.float64 or jnp.result_type(float) != jnp.float64:
         raise ValueError(
             "twistorjax needs double precision, but an array is in single precision, or "
-            "double precision is disabled in JAX. Enable it before you create any array:"
-            '\n\n    jax.config.update("jax_enable_x64", True)\n'
+            "double precision is disabled in JAX. Enable it before you create any array: "
+            "`twistorjax.configure()`."
         )
 
 

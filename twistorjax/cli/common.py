@@ -44,19 +44,16 @@ def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
             one selects the CPU.
     """
     import jax
-    import platformdirs
 
-    jax.config.update("jax_enable_x64", True)
+    from .._utils.configuration import configure
+
     # JAX is imported with this package, so setting the environment variable is too late.
     any_platform = accelerator or "JAX_PLATFORMS" in os.environ
     if cpu_cores > 1 or not any_platform:
         jax.config.update("jax_platforms", "cpu")
     if cpu_cores > 1:
         jax.config.update("jax_num_cpu_devices", cpu_cores)
-    cache = platformdirs.user_cache_path("twistorjax")
-    jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    configure()
 
 
 def check_positive(value: float) -> float:

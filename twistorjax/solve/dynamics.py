@@ -1,22 +1,25 @@
 """Motion of a mechanism under loads, prescribed motions, and constraints."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 
 import diffrax as dfx
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.types import NumberLike, Poses, Scalar, TimesLike, VelocityLike
-from .._utils.validation import as_float, require_float64
+from .._utils.types import Count, NumberLike, Poses, Scalar, TimesLike, VelocityLike
+from .._utils.validation import all_concrete, as_float, on_host, require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.loads import Drive, Load, loaded_bodies, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from .collocation import Gauss, Radau
 from .dofs import DofPartition
+from .events import with_snapshots
 from .initial_state import (
     check_finite,
     check_settings,
@@ -25,6 +28,7 @@ from .initial_state import (
     explain_compilation,
     initial_value_problem,
     InitialValueProblem,
+    padded_times,
 )
 from .motion import Energies, Motion
 from .motion_errors import StartOfMotion
@@ -139,7 +143,7 @@ def simulate(
     """
     require_float64(mechanism.reference)
     instants = check_times(times)
-    first = instants[0]
+    first = as_float(on_host(instants)[1][0][0])  # no program for each number of times
     check_settings(tolerance, max_steps, step)
     if step is None and controller is None and isinstance(solver, Gauss):
         raise ValueError(
@@ -162,6 +166,10 @@ def simulate(
     )
     if throw:
         start_of_motion.check()
+    # In a program that is traced, for example for a batch, padding would only cost time.
+    leaves = jax.tree.leaves((mechanism, loads, drives, constraint_set))
+    pad = saveat is None and all_concrete([*leaves, displacements, tolerance]) is not None
+    instants, time_count = padded_times(instants, pad)
     with explain_compilation(first, drives=drives, loads=loads):
         motion = _solve(
             mechanism,
@@ -182,7 +190,10 @@ def simulate(
             max_steps,
             energies,
             dofs,
+            time_count,
         )
+    if pad:
+        motion = motion.first_times(int(time_count))
     if not throw:
         return motion
     return succeeded_or_raise(motion, partial(start_of_motion.error, motion))
@@ -208,12 +219,15 @@ def _solve(
     max_steps: int,
     energies: bool,
     dofs: DofPartition,
+    time_count: Count,
 ) -> Motion:
     """Integrate the equations of motion; see `simulate`."""
     collocation = isinstance(solver, Radau | Gauss)
+    saveat = dfx.SaveAt() if saveat is None else saveat
     problem = initial_value_problem(
         mechanism, times, loads, drives, constraints, start, velocities, energies, dofs,
         tolerance, step, check_accelerations=not collocation,
+        time_count=time_count, saved_times=getattr(saveat.subs, "ts", None),
     )  # fmt: skip
     system = problem.system
     if controller is None and step is not None:
@@ -231,22 +245,23 @@ def _solve(
         )
     if constraints.size and not collocation:
         solver = Projected(solver)
-    solution = dfx.diffeqsolve(
-        equation,
-        solver,
-        problem.times[0],
-        problem.times[-1],
-        problem.step,
-        problem.state,
-        args=system,
-        saveat=_with_end(dfx.SaveAt() if saveat is None else saveat, problem),
-        stepsize_controller=controller,
-        event=None if event is None else _with_snapshots(event),
-        progress_meter=progress_meter,
-        adjoint=adjoint,
-        max_steps=max_steps,
-        throw=False,
-    )
+    with _without_callbacks():
+        solution = dfx.diffeqsolve(
+            equation,
+            solver,
+            problem.times[0],
+            problem.times[-1],
+            problem.step,
+            problem.state,
+            args=system,
+            saveat=_with_end(saveat, problem),
+            stepsize_controller=controller,
+            event=None if event is None else with_snapshots(event),
+            progress_meter=progress_meter,
+            adjoint=adjoint,
+            max_steps=max_steps,
+            throw=False,
+        )
     assert solution.ts is not None and solution.ys is not None
     final = solution.ys[1]
     finite = jnp.all(jnp.isfinite(final.position)) & jnp.all(jnp.isfinite(final.rate))
@@ -296,6 +311,21 @@ def _solve(
     )
 
 
+@contextmanager
+def _without_callbacks() -> Iterator[None]:
+    """Trace diffrax without its checks at run time, which are callbacks to Python.
+
+    JAX does not store a program with callbacks in its persistent cache, so each process
+    would compile it again. The same arguments are checked in `initial_state`.
+    """
+    error_if = eqxi.error_if
+    eqxi.error_if = lambda value, *_, **__: value
+    try:
+        yield
+    finally:
+        eqxi.error_if = error_if
+
+
 def _result(result: dfx.RESULTS, finite: Array) -> RESULTS:
     """Convert the result of diffrax; `finite` is true if the final state is finite."""
     converted = RESULTS.promote(result)
@@ -341,32 +371,3 @@ def _with_end(saveat: dfx.SaveAt, problem: InitialValueProblem) -> dfx.SaveAt:
         controller_state=saveat.controller_state,
         made_jump=saveat.made_jump,
     )
-
-
-class Snapshot(eqx.Module):
-    """State of a motion, the argument of the condition of an event.
-
-    Args:
-        poses: Poses of the bodies; rad, m, m.
-        displacements: Displacements of the bodies from their reference poses; rad, m, m.
-        velocities: Velocities of the bodies; rad/s, m/s, m/s.
-    """
-
-    poses: Poses
-    displacements: Poses
-    velocities: Poses
-
-
-def _with_snapshots(event: dfx.Event) -> dfx.Event:
-    """Convert an event whose conditions receive snapshots to one that receives states."""
-
-    def wrapped(condition):
-        def on_state(t, y, args, **more):
-            displacements, velocities = args.expand(t, y.position, y.rate)
-            poses = args.mechanism.reference + displacements
-            return condition(t, Snapshot(poses, displacements, velocities), args, **more)
-
-        return on_state
-
-    conditions = jax.tree.map(wrapped, event.cond_fn, is_leaf=callable)
-    return dfx.Event(conditions, event.root_finder, event.direction)

@@ -11,8 +11,22 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.pytrees import stop_gradient
-from .._utils.types import Flag, NumberLike, NumbersLike, Poses, Scalar, VelocityLike
-from .._utils.validation import compilation_error, concrete, index_of, require_row
+from .._utils.types import (
+    Count,
+    Flag,
+    NumberLike,
+    NumbersLike,
+    Poses,
+    Scalar,
+    VelocityLike,
+)
+from .._utils.validation import (
+    as_float,
+    compilation_error,
+    concrete,
+    index_of,
+    require_row,
+)
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
 from .consistency import independent_rows, LARGEST_INITIAL_VIOLATION
@@ -25,6 +39,7 @@ from .small_matrices import inverse
 # Velocities that violate the constraints are rounding errors if they are at most this
 # fraction of all velocities.
 _LARGEST_VELOCITY_VIOLATION = 1e-6
+_SMALLEST_TIME_COUNT = 64  # of compiled programs
 
 
 def check_times(given: NumbersLike) -> Float[Array, " times"]:
@@ -33,7 +48,7 @@ def check_times(given: NumbersLike) -> Float[Array, " times"]:
     Raises:
         ValueError: There are fewer than two, they do not increase, or one is not finite.
     """
-    times = jnp.asarray(given, float)
+    times = as_float(given)
     if times.ndim != 1 or len(times) < 2:
         raise ValueError(
             f"`times` has shape {times.shape}, but must be a list of at least two times, "
@@ -48,6 +63,23 @@ def check_times(given: NumbersLike) -> Float[Array, " times"]:
             f"after `times[{k}]` = {values[k]:g}."
         )
     return times
+
+
+def padded_times(
+    times: Float[Array, " times"], pad: bool
+) -> tuple[Float[Array, " padded"], Count]:
+    """Repeat the last time up to one of few numbers of times, so that few are compiled.
+
+    Times that JAX is tracing are not padded: their number is fixed by the program.
+
+    Returns:
+        The times (s), and how many of them were given.
+    """
+    values, count = concrete(times), len(times)
+    if pad and values is not None:
+        size = max(_SMALLEST_TIME_COUNT, 1 << (count - 1).bit_length())
+        times = jax.device_put(np.pad(values, (0, size - count), mode="edge"))
+    return times, jax.device_put(np.asarray(count))
 
 
 def check_finite(name: str, array: Array) -> None:
@@ -159,12 +191,16 @@ def initial_value_problem(
     tolerance: Scalar,
     step: Scalar | None,
     check_accelerations: bool,
+    time_count: Count,
+    saved_times: Array | None,
 ) -> InitialValueProblem:
     """Set up the equations of a motion and check that it can start.
 
     The arguments are those of `simulate`, converted to arrays: `start` has displacements
-    (rad, m, m), and `velocities` a row for each body (rad/s, m/s, m/s). The accelerations
-    at the start are checked only on request, because some solvers check them as well.
+    (rad, m, m), and `velocities` a row for each body (rad/s, m/s, m/s). Only the first
+    `time_count` of the times are given; the last one is repeated after them. The times at
+    which a motion is saved instead are those of `saveat`; s. The accelerations at the
+    start are checked only on request, because some solvers check them as well.
     """
     inertia = mechanism.inertia().reshape(-1)
     system = MotionSystem(
@@ -191,8 +227,13 @@ def initial_value_problem(
     positive = jnp.all(jnp.stack([setting > 0 for setting in settings]))
     checks = [
         (_all_finite(times, position, rate, *settings) & positive, RESULTS.not_finite),
-        (~jnp.any(jnp.diff(times) <= 0), RESULTS.times_not_increasing),
     ]
+    late = (jnp.diff(times) <= 0) & (np.arange(1, len(times)) < time_count)
+    checks.append((~jnp.any(late), RESULTS.times_not_increasing))
+    if saved_times is not None:
+        within = (saved_times >= times[0]) & (saved_times <= times[-1])
+        ordered = jnp.all(jnp.diff(saved_times) >= 0) & jnp.all(within)
+        checks.append((ordered, RESULTS.times_not_increasing))
     targets, _, _ = system.prescribed(times[0])
     prescribed = np.array(dofs.prescribed, int)
     jump = jnp.abs(targets - start.reshape(-1)[prescribed])

@@ -1,13 +1,16 @@
 """Motion of a mechanism, as the solution of a simulation."""
 
+from typing import Any
+
 import diffrax as dfx
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._utils.types import BatchScalar, NumberLike, Numbers, Poses
-from .._utils.validation import all_concrete
+from .._utils.validation import all_concrete, concrete
 from .motion_system import MotionSystem
 from .results import count_results, PoseSolution, result_names, RESULTS
 from .tables import Column, Columns, columns
@@ -84,6 +87,23 @@ class Motion(PoseSolution):
     system: MotionSystem | None
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+
+    def first_times(self, count: int) -> "Motion":
+        """Return the motion at the first of its times; for a motion that is no batch."""
+
+        def saved(motion: Motion) -> list[Any]:
+            solution = motion.solution
+            assert solution.ts is not None and solution.ys is not None
+            names = ("times", "displacements", "velocities", "reactions")
+            histories = [getattr(motion, name) for name in names]
+            more = [motion.constraint_forces, motion.energies]
+            return [*histories, *more, solution.ts[0], solution.ys[0]]
+
+        def first(values: Array) -> Array:
+            known = concrete(values)
+            return values[:count] if known is None else jax.device_put(known[:count])
+
+        return eqx.tree_at(saved, self, jax.tree.map(first, saved(self)))
 
     def velocity(self, body: str) -> Float[Array, "*batch times 3"]:
         """Return the velocity of a body.

@@ -70,7 +70,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "tolerance determines the steps."
     )
     times_not_increasing = (
-        "The times do not increase. Give at least two times in increasing order."
+        "The times do not increase. Give at least two times in increasing order. The "
+        "times of `saveat` must lie between the first and the last of them."
     )
     drive_jumps = (
         "At the first time, the prescribed displacement of a coordinate differs from its "

@@ -1,0 +1,103 @@
+"""Numbers of compiled programs, and programs that JAX can store on disk."""
+
+import json
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+import twistorjax as tj
+from twistorjax.examples import four_bar, stage
+
+
+COUNT = """
+import json
+import jax
+import twistorjax as tj
+
+tj.configure(cache={cache!r})
+compiled, loaded, counts = [], [], []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda name, *_, **__: compiled.append(name)
+    if name == "/jax/core/compile/backend_compile_duration" else None
+)
+jax.monitoring.register_event_listener(
+    lambda name, **__: loaded.append(name)
+    if name == "/jax/compilation_cache/cache_hits" else None
+)
+for step in {steps!r}:
+    exec(step)
+    counts.append((len(compiled), len(loaded)))
+    compiled.clear(), loaded.clear()
+print(json.dumps(counts))
+"""
+
+
+def count_programs(*steps, cache=False):
+    """Count the programs that each step requests, and those loaded from the cache."""
+    code = COUNT.format(steps=steps, cache=cache)
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    return json.loads(process.stdout)
+
+
+BUILD = "stage = tj.examples.stage.microstage()"
+SOLVE = "tj.equilibrium(stage, drives=[tj.Drive('6', x=5e-6)])"
+
+
+def test_only_the_equilibrium_of_a_mechanism_is_compiled():
+    assert count_programs(BUILD, SOLVE) == [[0, 0], [1, 0]]
+
+
+def test_a_second_process_loads_the_program_from_the_cache(tmp_path):
+    first = count_programs(BUILD, SOLVE, cache=str(tmp_path))
+    second = count_programs(BUILD, SOLVE, cache=str(tmp_path))
+    assert first[1][1] == 0
+    assert second[1][1] == 1
+
+
+def test_another_number_of_times_does_not_compile_again():
+    counts = count_programs(
+        "linkage = tj.examples.four_bar.four_bar()",
+        "tj.examples.four_bar.driven_motion(linkage, [0.0, 0.01])",
+        "tj.examples.four_bar.driven_motion(linkage, [0.0, 0.005, 0.01])",
+    )
+    assert counts[1][0] > 0
+    assert counts[2][0] == 0
+
+
+def solvers():
+    """Return a function of each solver, and its argument."""
+    loads = [tj.Load("4", force=(0.0, 1.0))]
+    small = stage.microstage()
+    linkage = four_bar.four_bar()
+    beam = tj.flexures.Beam(
+        tj.Material(modulus=1e9, poisson=0.3), length=0.1, thickness=0.01, width=0.01
+    )
+    return {
+        "equilibrium": lambda: tj.equilibrium(small, loads=loads, throw=False),
+        "linearize": lambda: tj.linearize(small)(loads=loads, throw=False),
+        "vibrations": lambda: tj.vibrations(linkage, throw=False).frequencies,
+        "frequency_response": lambda: (
+            tj.frequency_response(linkage, [1.0], throw=False).displacements
+        ),
+        "simulate": lambda: (
+            four_bar.driven_motion(
+                linkage, jnp.array([0.0, 0.01]), throw=False
+            ).displacements
+        ),
+        "beam_under_load": lambda: tj.flexures.beam_under_load(beam, jnp.zeros(3)).pose,
+        "surrogate": lambda: tj.flexures.surrogate(beam, rotation=0.5, order=4).energy,
+    }
+
+
+@pytest.mark.parametrize("name", list(solvers()))
+def test_programs_contain_no_callbacks(name):
+    """JAX does not store a program with callbacks to Python on disk."""
+    function = solvers()[name]
+    text = jax.jit(lambda: eqx.filter(function(), eqx.is_array)).lower().as_text()
+    assert "callback" not in text

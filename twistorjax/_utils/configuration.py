@@ -1,0 +1,42 @@
+"""Settings of JAX for this library."""
+
+from pathlib import Path
+
+import jax
+import platformdirs
+
+
+def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> None:
+    """Enable double precision, and JAX's cache of compiled programs on disk.
+
+    Call this function once, before arrays are created. JAX compiles a program for each
+    kind of problem, which takes seconds. With the cache, later processes load the program
+    in a fraction of this time. Several processes may use the cache at the same time.
+
+    Args:
+        cache: Whether programs are stored in the cache folder of the user, or the path of
+            another folder. A folder that is set by the environment variable
+            `JAX_COMPILATION_CACHE_DIR` is kept.
+        cache_size: Largest size of the folder; bytes. The programs that have not been
+            used for the longest time are deleted first.
+
+    Raises:
+        ValueError: The size is not positive.
+
+    Example:
+        >>> configure(cache=False)  # double precision only
+        >>> jax.numpy.zeros(2)
+        Array([0., 0.], dtype=float64)
+    """
+    if cache_size <= 0:
+        raise ValueError(f"`cache_size` is {cache_size!r}, but must be positive; bytes.")
+    jax.config.update("jax_enable_x64", True)
+    if cache is False:
+        return
+    if cache is not True:
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    elif jax.config.jax_compilation_cache_dir is None:
+        folder = platformdirs.user_cache_path("twistorjax")
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_max_size", cache_size)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

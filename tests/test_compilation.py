@@ -36,7 +36,7 @@ print(json.dumps(counts))
 """
 
 
-def count_programs(*steps, cache=False):
+def count_programs(*steps: str, cache: bool | str = False):
     """Count the programs that each step requests, and those loaded from the cache."""
     code = COUNT.format(steps=steps, cache=cache)
     process = subprocess.run(

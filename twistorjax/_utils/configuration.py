@@ -35,7 +35,7 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
         return
     if cache is not True:
         jax.config.update("jax_compilation_cache_dir", str(cache))
-    elif jax.config.jax_compilation_cache_dir is None:
+    elif getattr(jax.config, "jax_compilation_cache_dir") is None:  # noqa: B009
         folder = platformdirs.user_cache_path("twistorjax")
         jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_compilation_cache_max_size", cache_size)

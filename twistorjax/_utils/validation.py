@@ -63,6 +63,15 @@ def as_float(value: Any) -> Numbers:
     return jnp.asarray(value if traced else np.asarray(value, float), float)
 
 
+def program_input(value: Any, dtype: type) -> Any:
+    """Convert a number to an argument of a compiled program.
+
+    A call takes 30 us less for each argument that is an array of NumPy and not of JAX.
+    """
+    known = concrete(value)
+    return jnp.asarray(value, dtype) if known is None else known.astype(dtype)
+
+
 def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
     """Require one of several strings."""
     if value not in choices:

@@ -137,11 +137,12 @@ def solve_in_increments(
         The last equilibrium that was found.
     """
     entries = system.constraints.size
+    units, free_units = system.units(), system.free_units()
     forces = system.hinges.forces(start).reshape(-1)
     initial_residual = system.equations(forces, start)
     violation_scale = jnp.ones(0)
     if entries:
-        jacobian = system.jacobian(start)[:, system.free] * system.free_units()[None]
+        jacobian = system.jacobian(start)[:, system.free] * free_units[None]
         size = jnp.linalg.norm(jacobian, axis=1)
         violation_scale = jnp.where(size > 0, size, 1.0)
 
@@ -150,14 +151,14 @@ def solve_in_increments(
         step = _newton_step(system, start, initial_residual, state)
         first = state.tries == 0
         error, energy, energy_scale = _predicted_error(step, state)
-        length = _length(step.change, system.units())
+        length = _length(step.change, units)
         longest = jnp.where(first, length, state.first_correction)
         ratio = jnp.where(first, 0.0, length / state.last_correction)
-        rounded = length <= _ROUNDING * _length(step.displacements, system.units())
+        rounded = length <= _ROUNDING * _length(step.displacements, units)
         small = rounded | (length <= _SMALL_CORRECTION * longest)
         share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
         response = jnp.where(first, step.response, state.response)
-        difference = (step.response - response)[: len(system.free)] / system.free_units()
+        difference = (step.response - response)[: len(system.free)] / free_units
         difference = jnp.sqrt(jnp.sum(difference**2))
         difference /= jnp.where(longest > 0, longest, 1.0)
         share = jnp.maximum(share, difference / _LARGEST_DIFFERENCE)

@@ -10,7 +10,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.pytrees import stop_gradient
 from .._utils.types import Count, Entries, NumberLike, Poses, PosesLike, Scalar, Wrenches
-from .._utils.validation import all_concrete, as_float, concrete, require_float64
+from .._utils.validation import all_concrete, concrete, program_input, require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
@@ -176,9 +176,9 @@ def equilibrium(
         tuple(loads),
         constraint_set,
         targets,
-        as_float(time),
-        as_float(tolerance),
-        jax.device_put(np.asarray(max_steps)),
+        program_input(time, float),
+        program_input(tolerance, float),
+        program_input(max_steps, int),
         dofs=dofs,
         names=mechanism.names,
     )

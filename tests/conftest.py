@@ -13,6 +13,7 @@ class CommandLine:
     def __init__(self, folder):
         self.folder = folder
         self.environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
+        self.environment.pop("JAX_COMPILATION_CACHE_DIR", None)
 
     def __call__(self, *arguments):
         """Run `twistorjax` in a separate process."""

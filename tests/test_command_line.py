@@ -66,7 +66,7 @@ def test_stage_prints_json(run):
 
 def test_a_second_run_uses_the_cached_program(run):
     run("stage")
-    cache = run.folder / "cache" / "twistorjax"
+    cache = run.folder / "cache" / "twistorjax" / "programs"
     count = len(list(cache.iterdir()))
     run("stage")
     assert count == len(list(cache.iterdir())) > 0

@@ -1,6 +1,7 @@
 """Numbers of compiled programs, and programs that JAX can store on disk."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -39,8 +40,14 @@ print(json.dumps(counts))
 def count_programs(*steps: str, cache: bool | str = False):
     """Count the programs that each step requests, and those loaded from the cache."""
     code = COUNT.format(steps=steps, cache=cache)
+    environment = dict(os.environ)
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     process = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
     )
     return json.loads(process.stdout)
 
@@ -101,3 +108,23 @@ def test_programs_contain_no_callbacks(name):
     function = solvers()[name]
     text = jax.jit(lambda: eqx.filter(function(), eqx.is_array)).lower().as_text()
     assert "callback" not in text
+
+
+def test_a_cache_folder_that_is_already_set_is_kept(tmp_path):
+    code = (
+        "import jax, twistorjax as tj; tj.configure(); print(jax.numpy.zeros(1).dtype, "
+        "jax.config.jax_compilation_cache_dir, jax.config.jax_compilation_cache_max_size)"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path)},
+    )
+    assert process.stdout.split() == ["float64", str(tmp_path), "-1"]
+
+
+def test_an_invalid_size_of_the_cache_is_reported():
+    with pytest.raises(ValueError, match="`cache_size` is 0, but must be positive"):
+        tj.configure(cache_size=0)

@@ -15,8 +15,9 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
 
     Args:
         cache: Whether programs are stored in the cache folder of the user, or the path of
-            another folder. A folder that is set by the environment variable
-            `JAX_COMPILATION_CACHE_DIR` is kept.
+            another folder, which must not have been used without a limit of its size. A
+            folder that is already set, for example by the environment variable
+            `JAX_COMPILATION_CACHE_DIR`, is kept, with its limit.
         cache_size: Largest size of the folder; bytes. The programs that have not been
             used for the longest time are deleted first.
 
@@ -33,10 +34,10 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
     jax.config.update("jax_enable_x64", True)
     if cache is False:
         return
-    if cache is not True:
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-    elif getattr(jax.config, "jax_compilation_cache_dir") is None:  # noqa: B009
-        folder = platformdirs.user_cache_path("twistorjax")
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_compilation_cache_max_size", cache_size)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    if cache is True and getattr(jax.config, "jax_compilation_cache_dir", None):
+        return
+    default = platformdirs.user_cache_path("twistorjax") / "programs"
+    folder = default if cache is True else Path(cache)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_max_size", cache_size)

@@ -207,3 +207,29 @@ def test_a_body_may_be_supported_by_constraints_only():
     assert_close(found.displacement("rider"), [0.0, 0.02, 0.0])
     with pytest.raises(ValueError, match="The body 'rider' is not connected"):
         tj.equilibrium(mechanism, loads=[load])
+
+
+def test_a_force_that_the_constraint_carries_alone_moves_nothing():
+    """The violation has rounding errors, beside which the displacement is zero."""
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
+    block = tj.Body("block", pose=(0.0, 0.1, 0.05))
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.3, 0.05, 0.0))
+    mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
+    rail = tj.Slider("rail", "wall", "block", at=(0.3, 0.1, 0.05))
+    normal = tj.Load("block", force=(-np.sin(0.3), np.cos(0.3)))
+    found = tj.equilibrium(mechanism, loads=[normal], constraints=[rail])
+    np.testing.assert_allclose(found.displacement("block"), 0.0, atol=1e-14)
+    np.testing.assert_allclose(np.abs(found.constraint_force("rail")[-1]), 1.0)
+
+
+@pytest.mark.parametrize(("share", "stable"), [(0.99, True), (1.01, False), (1.5, False)])
+def test_a_pinned_column_is_unstable_above_its_critical_load(share, stable):
+    """The critical force at the end of the column is stiffness over total length."""
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 0.0, 0.0])))
+    column = tj.Body("column", pose=(0.0, 0.0, 0.1))
+    hinge = tj.Hinge("spring", "wall", "column", spring, at=(0.0, 0.0, 0.0))
+    mechanism = tj.Mechanism([tj.Body("wall"), column], [hinge], fixed=["wall"])
+    load = tj.Load("column", force=(0.0, -share * 1.0 / 0.2), at=(0.0, 0.1))
+    pin = tj.Pin("pin", "wall", "column", at=(0.0, 0.0))
+    found = tj.equilibrium(mechanism, loads=[load], constraints=[pin], throw=False)
+    assert bool(found.succeeded) == stable

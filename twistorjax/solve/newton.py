@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
 from .._utils.types import Count, Entries, Flag, Poses, Scalar
@@ -48,6 +49,9 @@ _GOOD_SHARE = 0.6
 _SMALL_CORRECTION = 1e-6
 # Corrections below this fraction of the displacements may consist of rounding errors.
 _ROUNDING = 1e-12
+# Violations of constraints are computed from poses, so smaller corrections of a mechanism
+# with constraints are rounding errors; rad, and lengths of the mechanism.
+_ROUNDING_OF_POSES = 16 * np.finfo(float).eps
 _LARGEST_ROTATION = 1.0  # of a body in one increment; rad
 _LARGEST_VIOLATION = 1e-10  # of a constraint; rad, and lengths of the mechanism
 _STEPS_PER_INCREMENT = 12
@@ -146,6 +150,8 @@ def solve_in_increments(
         size = jnp.linalg.norm(jacobian, axis=1)
         violation_scale = jnp.where(size > 0, size, 1.0)
 
+    floor = _ROUNDING_OF_POSES if entries else 0.0
+
     def advance(state: _State) -> _State:
         """Take one Newton step, and accept, reject, or continue the increment."""
         step = _newton_step(system, start, initial_residual, state)
@@ -155,12 +161,12 @@ def solve_in_increments(
         longest = jnp.where(first, length, state.first_correction)
         ratio = jnp.where(first, 0.0, length / state.last_correction)
         rounded = length <= _ROUNDING * _length(step.displacements, units)
-        small = rounded | (length <= _SMALL_CORRECTION * longest)
+        small = rounded | (length <= _SMALL_CORRECTION * longest) | (length <= floor)
         share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
         response = jnp.where(first, step.response, state.response)
         difference = (step.response - response)[: len(system.free)] / free_units
         difference = jnp.sqrt(jnp.sum(difference**2))
-        difference /= jnp.where(longest > 0, longest, 1.0)
+        difference /= jnp.where(longest > floor, longest, 1.0)
         share = jnp.maximum(share, difference / _LARGEST_DIFFERENCE)
         nonlinearity = jnp.where(first, 0.0, jnp.maximum(share, state.nonlinearity))
 
@@ -179,6 +185,10 @@ def solve_in_increments(
         rounded &= ratio > _LARGEST_CONTRACTION
         rounded &= error <= jnp.sqrt(jnp.finfo(float).eps)
         small_error = (error <= goal_tolerance) | rounded
+        if entries:
+            small_error |= ~first & (length <= floor)
+            # The first tangent lacks the geometric stiffness of the constraint forces.
+            tangent_is_current &= ~first
         converged = acceptable & tangent_is_current & small_error
         if entries:
             violation = system.violation(step.displacements)

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import jax
-import platformdirs
 
 
 def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> None:
@@ -37,7 +36,9 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if cache is True and getattr(jax.config, "jax_compilation_cache_dir", None):
         return
-    default = platformdirs.user_cache_path("twistorjax") / "programs"
-    folder = default if cache is True else Path(cache)
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    if cache is True:
+        import platformdirs
+
+        cache = platformdirs.user_cache_path("twistorjax") / "programs"
+    jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_compilation_cache_max_size", cache_size)

@@ -11,12 +11,11 @@ from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .host import as_float, concrete
 from .types import ArrayOfNumbers, NumberLike, Numbers, NumbersLike
 
 
@@ -24,52 +23,6 @@ Choice = TypeVar("Choice", bound=str)
 Kind = TypeVar("Kind")
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
-
-
-def concrete(value: Any) -> np.ndarray | None:
-    """Return a value as a NumPy array; `None` if JAX is tracing it."""
-    return None if isinstance(value, Tracer) else np.asarray(value)
-
-
-def all_concrete(values: Iterable[Any]) -> list[np.ndarray] | None:
-    """Return values as NumPy arrays; `None` if JAX is tracing one of them."""
-    arrays = [concrete(value) for value in values]
-    concrete_arrays = [array for array in arrays if array is not None]
-    return concrete_arrays if len(concrete_arrays) == len(arrays) else None
-
-
-def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
-    """Choose NumPy for a formula of concrete values, and `jax.numpy` if one is traced.
-
-    An eager operation of `jax.numpy` compiles a program, so that a mechanism of concrete
-    values would compile dozens of programs before anything is solved.
-
-    Args:
-        values: Values in the formula.
-
-    Returns:
-        The module with the functions for the formula, and the values as its arrays.
-    """
-    arrays = all_concrete(values)
-    return (jnp, values) if arrays is None else (np, arrays)
-
-
-def as_float(value: Any) -> Numbers:
-    """Convert numbers, or lists of numbers, to a JAX array.
-
-    Values that are not traced are converted by NumPy, which compiles no program.
-    """
-    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
-    return jnp.asarray(value if traced else np.asarray(value, float), float)
-
-
-def program_input(value: Any, dtype: type) -> Any:
-    """Convert a number to an argument of a compiled program.
-
-    A call takes 30 us less for each argument that is an array of NumPy and not of JAX.
-    """
-    known = concrete(value)
-    return jnp.asarray(value, dtype) if known is None else known.astype(dtype)
 
 
 def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:

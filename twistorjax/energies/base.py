@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._utils.host import concrete
 from .._utils.types import Flag, Matrix, NumberLike, Pose, Scalar, Twist, Wrench
-from .._utils.validation import concrete
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 

@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 from typing_extensions import TypeAliasType
 
+from .._utils.host import as_float
 from .._utils.types import Matrix, MatrixLike, NumberLike, Pose, Scalar, Twist, Wrench
-from .._utils.validation import as_float, require_choice
+from .._utils.validation import require_choice
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .strains import Coordinates, half_square, matrix_error, strain

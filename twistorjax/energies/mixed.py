@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import as_float, concrete
 from .._utils.types import CoefficientsLike, NumberLike, Scalar
-from .._utils.validation import as_float, concrete, require_positive
+from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping

@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.host import concrete
 from .._utils.types import NumberLike, Point, Scalar
-from .._utils.validation import concrete, require_positive
+from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 

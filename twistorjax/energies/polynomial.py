@@ -16,14 +16,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.host import as_float, concrete
 from .._utils.types import CoefficientsLike, NumberLike, Pose, Scalar
-from .._utils.validation import (
-    as_float,
-    concrete,
-    require_choice,
-    require_positive,
-    shorten,
-)
+from .._utils.validation import require_choice, require_positive, shorten
 from ..geometry import se2, twistors
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, validation_error

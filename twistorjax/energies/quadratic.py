@@ -3,8 +3,9 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from .._utils.host import as_float, concrete
 from .._utils.types import Flag, Matrix, MatrixLike, Scalar
-from .._utils.validation import as_float, concrete, require_choice
+from .._utils.validation import require_choice
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping

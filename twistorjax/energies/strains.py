@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import concrete
 from .._utils.types import Matrix, Scalar
-from .._utils.validation import concrete
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 

@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.host import all_concrete
 from .._utils.types import Flag, NumberLike, Scalar, WrenchLike
-from .._utils.validation import all_concrete, require_positive, require_row
+from .._utils.validation import require_positive, require_row
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
 

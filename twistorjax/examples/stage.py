@@ -21,8 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._utils.host import on_host
 from .._utils.types import Corners, NumberLike, Scalar
-from .._utils.validation import on_host
 from ..energies.damping import DampingLike
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates

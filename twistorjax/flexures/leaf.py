@@ -4,10 +4,9 @@ from typing import Literal
 
 import numpy as np
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Corners, NumberLike
 from .._utils.validation import (
-    as_float,
-    on_host,
     require_choice,
     require_instance,
     require_interval,

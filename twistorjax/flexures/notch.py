@@ -6,10 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Corners, NumberLike, Scalar
 from .._utils.validation import (
-    as_float,
-    on_host,
     require_choice,
     require_instance,
     require_interval,

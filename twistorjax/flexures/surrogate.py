@@ -11,10 +11,9 @@ from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
+from .._utils.host import all_concrete, concrete
 from .._utils.types import Matrix, NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import (
-    all_concrete,
-    concrete,
     require_float64,
     require_instance,
     require_interval,

@@ -10,14 +10,10 @@ import numpy as np
 import optax
 import optimistix as optx
 
+from .._utils.host import all_concrete
 from .._utils.pytrees import split_last_axis
 from .._utils.types import KeyLike
-from .._utils.validation import (
-    all_concrete,
-    compilation_error,
-    require_float64,
-    require_kind,
-)
+from .._utils.validation import compilation_error, require_float64, require_kind
 from ..mechanism.mechanism import Mechanism
 from ..solve.results import result_message, RESULTS, succeeded_or_raise
 from .levenberg_marquardt import LevenbergMarquardt

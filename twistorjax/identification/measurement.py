@@ -10,15 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import all_concrete, concrete
 from .._utils.pytrees import group_by_structure
 from .._utils.types import KeyLike, Table, TableDeviationsLike, TableLike
-from .._utils.validation import (
-    all_concrete,
-    concrete,
-    require_deviations,
-    require_kind,
-    require_shape,
-)
+from .._utils.validation import require_deviations, require_kind, require_shape
 from ..mechanism.mechanism import Mechanism
 from .compilation import fast_compile
 from .sensors import AbstractSensor

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import concrete
 from .._utils.types import NumberLike, Poses, Scalar, Table, TimesLike, VelocityLike
-from .._utils.validation import concrete
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
 from ..solve.dynamics import Driving, Loading, simulate

@@ -16,9 +16,9 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from .._utils.host import concrete
 from .._utils.pytrees import entry_names, path_name
 from .._utils.types import ArrayOfNumbers, Numbers
-from .._utils.validation import concrete
 
 
 class Parameter(eqx.Module):

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._utils.host import all_concrete
 from .._utils.types import BatchFlag, BatchScalar, Parameters, Scalar
-from .._utils.validation import all_concrete
 from ..solve.results import result_names, RESULTS
 from . import diagnostics
 from .objective import IdentificationProblem

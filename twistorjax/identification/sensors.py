@@ -8,14 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.host import concrete
 from .._utils.types import AnyArray, NumberLike, PointLike, Scalar
-from .._utils.validation import (
-    concrete,
-    index_of,
-    require_choice,
-    require_positive,
-    require_row,
-)
+from .._utils.validation import index_of, require_choice, require_positive, require_row
 from ..geometry import se2
 from ..mechanism.mechanism import Mechanism
 

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import concrete
 from .._utils.types import Table
-from .._utils.validation import concrete
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.statics import Equilibrium, equilibrium

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import concrete
 from .._utils.types import NumbersLike, Poses, Table, TableDeviationsLike, TableLike
-from .._utils.validation import concrete, require_deviations
+from .._utils.validation import require_deviations
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.statics import Equilibrium, StateLike

@@ -3,6 +3,7 @@
 import equinox as eqx
 import numpy as np
 
+from .._utils.host import as_float, concrete, on_host
 from .._utils.types import (
     Corners,
     CornersLike,
@@ -12,9 +13,6 @@ from .._utils.types import (
     Scalar,
 )
 from .._utils.validation import (
-    as_float,
-    concrete,
-    on_host,
     require_corners,
     require_positive,
     require_row,

@@ -6,10 +6,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from .._utils.host import all_concrete, concrete
 from .._utils.types import Corners, CornersLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
-    all_concrete,
-    concrete,
     require_corners,
     require_interval,
     require_row,

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._utils.host import all_concrete
 from .._utils.pytrees import group_by_structure
 from .._utils.types import Scalar
-from .._utils.validation import all_concrete
 from ..energies.base import AbstractEnergy
 from ..energies.damping import ViscousDamping
 from ..energies.solver_protocols import (

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import as_float, concrete
 from .._utils.types import (
     ForceLike,
     NumberLike,
@@ -18,7 +19,7 @@ from .._utils.types import (
     Wrenches,
     WrenchLike,
 )
-from .._utils.validation import as_float, concrete, index_of, require_kind, require_row
+from .._utils.validation import index_of, require_kind, require_row
 from .mechanism import COORDINATES, Mechanism
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import as_float, on_host
 from .._utils.types import (
     Corners,
     Displaced,
@@ -17,15 +18,7 @@ from .._utils.types import (
     Scalar,
     Wrenches,
 )
-from .._utils.validation import (
-    as_float,
-    index_of,
-    on_host,
-    PLURAL,
-    require_distinct,
-    require_kind,
-    shorten,
-)
+from .._utils.validation import index_of, PLURAL, require_distinct, require_kind, shorten
 from ..energies.base import range_message
 from ..geometry import se2
 from .body import Body

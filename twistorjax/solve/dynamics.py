@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.host import as_float, is_traced, on_host, program_input
 from .._utils.types import Count, NumberLike, Poses, Scalar, TimesLike, VelocityLike
-from .._utils.validation import all_concrete, as_float, on_host, require_float64
+from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.loads import Drive, Load, loaded_bodies, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -28,13 +29,13 @@ from .initial_state import (
     explain_compilation,
     initial_value_problem,
     InitialValueProblem,
-    padded_times,
+    pad_times,
 )
 from .motion import Energies, Motion
 from .motion_errors import StartOfMotion
 from .motion_system import equation, MotionSystem, State
 from .projection import Projected
-from .results import RESULTS, succeeded_or_raise
+from .results import is_success, RESULTS, succeeded_or_raise
 from .statics import StateLike
 
 
@@ -143,7 +144,8 @@ def simulate(
     """
     require_float64(mechanism.reference)
     instants = check_times(times)
-    first = as_float(on_host(instants)[1][0][0])  # no program for each number of times
+    _, (host_instants,) = on_host(instants)
+    first = as_float(host_instants[0])  # `instants[0]` compiles for each number of times
     check_settings(tolerance, max_steps, step)
     if step is None and controller is None and isinstance(solver, Gauss):
         raise ValueError(
@@ -167,13 +169,13 @@ def simulate(
     if throw:
         start_of_motion.check()
     # In a program that is traced, for example for a batch, padding would only cost time.
-    leaves = jax.tree.leaves((mechanism, loads, drives, constraint_set))
-    pad = saveat is None and all_concrete([*leaves, displacements, tolerance]) is not None
-    instants, time_count = padded_times(instants, pad)
+    arguments = mechanism, instants, loads, drives, constraint_set, displacements
+    pad = saveat is None and not is_traced((*arguments, tolerance))
+    time_count = len(instants)
     with explain_compilation(first, drives=drives, loads=loads):
         motion = _solve(
             mechanism,
-            instants,
+            pad_times(instants) if pad else instants,
             loads if callable(loads) else tuple(loads),
             drives if callable(drives) else tuple(drives),
             constraint_set,
@@ -190,10 +192,10 @@ def simulate(
             max_steps,
             energies,
             dofs,
-            time_count,
+            program_input(time_count, int),
         )
     if pad:
-        motion = motion.first_times(int(time_count))
+        motion = motion.first_times(time_count)
     if not throw:
         return motion
     return succeeded_or_raise(motion, partial(start_of_motion.error, motion))
@@ -282,8 +284,8 @@ def _solve(
     )
     outside = jax.vmap(mechanism.hinge_assembly.out_of_range)(output[0])
     after_exit = jnp.cumsum(valid & jnp.any(outside, axis=1)) > 0
-    ended = (result == RESULTS.successful) | (result == RESULTS.event_occurred)
-    result = RESULTS.where(ended & jnp.any(after_exit), RESULTS.out_of_range, result)
+    left_range = is_success(result) & jnp.any(after_exit)
+    result = RESULTS.where(left_range, RESULTS.out_of_range, result)
     valid = valid & ~after_exit
     last = jnp.max(jnp.where(valid, saved_times, times[0]))
     displacements, rates, reactions, multipliers, energy = jax.tree.map(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import as_float, concrete
 from .._utils.pytrees import stop_gradient
 from .._utils.types import (
     Count,
@@ -20,13 +21,7 @@ from .._utils.types import (
     Scalar,
     VelocityLike,
 )
-from .._utils.validation import (
-    as_float,
-    compilation_error,
-    concrete,
-    index_of,
-    require_row,
-)
+from .._utils.validation import compilation_error, index_of, require_row
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
 from .consistency import independent_rows, LARGEST_INITIAL_VIOLATION
@@ -39,7 +34,7 @@ from .small_matrices import inverse
 # Velocities that violate the constraints are rounding errors if they are at most this
 # fraction of all velocities.
 _LARGEST_VELOCITY_VIOLATION = 1e-6
-_SMALLEST_TIME_COUNT = 64  # of compiled programs
+_SMALLEST_TIME_COUNT = 64  # of a compiled program
 
 
 def check_times(given: NumbersLike) -> Float[Array, " times"]:
@@ -65,21 +60,14 @@ def check_times(given: NumbersLike) -> Float[Array, " times"]:
     return times
 
 
-def padded_times(
-    times: Float[Array, " times"], pad: bool
-) -> tuple[Float[Array, " padded"], Count]:
-    """Repeat the last time up to one of few numbers of times, so that few are compiled.
+def pad_times(times: Float[Array, " times"]) -> Float[Array, " padded"]:
+    """Repeat the last time (s) up to a number of times that many motions share.
 
-    Times that JAX is tracing are not padded: their number is fixed by the program.
-
-    Returns:
-        The times (s), and how many of them were given.
+    The times must not be traced. The number is a power of two, and 64 or more, so that
+    motions with different numbers of times use the same program.
     """
-    values, count = concrete(times), len(times)
-    if pad and values is not None:
-        size = max(_SMALLEST_TIME_COUNT, 1 << (count - 1).bit_length())
-        times = jax.device_put(np.pad(values, (0, size - count), mode="edge"))
-    return times, jax.device_put(np.asarray(count))
+    count = max(_SMALLEST_TIME_COUNT, 1 << (len(times) - 1).bit_length())
+    return as_float(np.pad(times, (0, count - len(times)), mode="edge"))
 
 
 def check_finite(name: str, array: Array) -> None:

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._utils.host import all_concrete, concrete
 from .._utils.types import BatchScalar, NumberLike, Numbers, Poses
-from .._utils.validation import all_concrete, concrete
 from .motion_system import MotionSystem
 from .results import count_results, PoseSolution, result_names, RESULTS
 from .tables import Column, Columns, columns

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from .._utils.host import all_concrete
 from .._utils.types import Poses
-from .._utils.validation import all_concrete
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.loads import Drive, prescribed_dofs
 from ..mechanism.mechanism import Mechanism

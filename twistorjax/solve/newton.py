@@ -144,12 +144,11 @@ def solve_in_increments(
     units, free_units = system.units(), system.free_units()
     forces = system.hinges.forces(start).reshape(-1)
     initial_residual = system.equations(forces, start)
-    violation_scale = jnp.ones(0)
+    largest_violation = jnp.zeros(0)
     if entries:
         jacobian = system.jacobian(start)[:, system.free] * free_units[None]
         size = jnp.linalg.norm(jacobian, axis=1)
-        violation_scale = jnp.where(size > 0, size, 1.0)
-
+        largest_violation = _LARGEST_VIOLATION * jnp.where(size > 0, size, 1.0)
     floor = _ROUNDING_OF_POSES if entries else 0.0
 
     def advance(state: _State) -> _State:
@@ -187,15 +186,12 @@ def solve_in_increments(
         small_error = (error <= goal_tolerance) | rounded
         if entries:
             small_error |= ~first & (length <= floor)
+            violation = system.violation(step.displacements)
+            violation -= (1 - step.goal) * initial_residual[len(system.free) :]
+            small_error &= jnp.all(jnp.abs(violation) <= largest_violation)
             # The first tangent lacks the geometric stiffness of the constraint forces.
             tangent_is_current &= ~first
         converged = acceptable & tangent_is_current & small_error
-        if entries:
-            violation = system.violation(step.displacements)
-            violation -= (1 - step.goal) * initial_residual[len(system.free) :]
-            converged &= jnp.all(
-                jnp.abs(violation) <= _LARGEST_VIOLATION * violation_scale
-            )
         rejected = ~acceptable | (state.tries + 1 >= _STEPS_PER_INCREMENT)
         rejected &= ~converged
 

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+from .._utils.host import concrete
 from .._utils.types import BatchFlag, Numbers
-from .._utils.validation import concrete
 from .tables import Column, Columns, columns, Tabular
 
 
@@ -114,6 +114,18 @@ def result_names(result: RESULTS) -> np.ndarray | None:
     )
 
 
+def is_success(result: RESULTS) -> BatchFlag:
+    """Decide whether a solve succeeded, or an event ended the motion.
+
+    If the result is not traced, no program is compiled for the comparison.
+    """
+    successes = RESULTS.successful, RESULTS.event_occurred
+    index = concrete(result._value)
+    if index is None:
+        return (result == successes[0]) | (result == successes[1])
+    return jax.device_put(np.isin(index, [int(item._value) for item in successes]))
+
+
 def count_results(noun: str, names: np.ndarray) -> str:
     """Return one line with the number of solutions of a batch for each result."""
     counts = Counter(map(str, names.ravel()))
@@ -183,11 +195,7 @@ class BodySolution(Tabular):
     @property
     def succeeded(self) -> BatchFlag:
         """Whether the solve succeeded, or an event ended the motion."""
-        good = RESULTS.successful, RESULTS.event_occurred
-        index = concrete(self.result._value)
-        if index is None:
-            return (self.result == good[0]) | (self.result == good[1])
-        return jax.device_put(np.isin(index, [int(item._value) for item in good]))
+        return is_success(self.result)
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
         """Return the displacement of a body from its reference pose.

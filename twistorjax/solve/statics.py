@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from typing_extensions import TypeAliasType
 
+from .._utils.host import all_concrete, concrete, program_input
 from .._utils.pytrees import stop_gradient
 from .._utils.types import Count, Entries, NumberLike, Poses, PosesLike, Scalar, Wrenches
-from .._utils.validation import all_concrete, concrete, program_input, require_float64
+from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs

@@ -1,8 +1,8 @@
 """The equations of a mechanism: residual, tangent stiffness, loads, and constraints.
 
-Statics, linearization, vibrations, frequency response, and motion assemble their
-equations here. The unknowns are the displacements of the free degrees of freedom and the
-constraint forces.
+Statics, linearization, vibrations, and frequency response assemble their equations here;
+`motion_system` has the equations of motion. The unknowns are the displacements of the
+free degrees of freedom and the constraint forces.
 """
 
 from collections.abc import Sequence

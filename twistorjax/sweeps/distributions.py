@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import concrete
 from .._utils.types import Numbers, NumbersLike
-from .._utils.validation import concrete
 
 
 class AbstractDistribution(eqx.Module):

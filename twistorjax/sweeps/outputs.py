@@ -11,8 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Int
 
 from .._utils.pytrees import split_last_axis
-from .._utils.types import Flag
-from ..solve.results import RESULTS
+from ..solve.results import is_success, RESULTS
 from ..solve.tables import Column, Columns
 from .designs import DesignStructure
 
@@ -72,8 +71,8 @@ def study_output(
         if results:
             result = results[0]
             for other in results[1:]:
-                result = RESULTS.where(_is_success(result), other, result)
-            succeeded = _is_success(result)
+                result = RESULTS.where(is_success(result), other, result)
+            succeeded = is_success(result)
         else:
             # A derivative may be infinite where its output is finite.
             arrays = [column.values for column in columns.values()]
@@ -93,10 +92,6 @@ def study_output(
         return StudyOutput(masked, jnp.asarray(result._value), succeeded)
 
     return output
-
-
-def _is_success(result: RESULTS) -> Flag:
-    return (result == RESULTS.successful) | (result == RESULTS.event_occurred)
 
 
 def _results(value: Any) -> list[RESULTS]:

@@ -1,5 +1,7 @@
 """Pins, sliders, and general constraints in statics, vibrations, and response."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -191,8 +193,96 @@ def test_redundant_and_contradictory_constraints_are_named():
     found = tj.equilibrium(pendulum(), constraints=[PIN, again], throw=False)
     assert tj.result_names(found.result) == "inconsistent_constraints"
     assert np.all(np.isnan(found.displacements))
-    with pytest.raises(RuntimeError):
-        tj.linearize(pendulum(), constraints=[PIN, again])(loads=[push(1.0)])
+    constraints = [PIN, again]
+    for solve in (
+        lambda: tj.linearize(pendulum(), constraints=constraints),
+        lambda: tj.frequency_response(pendulum(), [1.0], constraints=constraints),
+    ):
+        with pytest.raises(ValueError, match="'again' is redundant: 2 of its 2"):
+            solve()
+    response = tj.frequency_response(
+        pendulum(), [1.0], constraints=constraints, throw=False
+    )
+    assert tj.result_names(response.result) == "inconsistent_constraints"
+
+
+def rotating_guide():
+    """A point mass on springs, on a line whose normal turns by 1 rad/s; rad, m."""
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 400.0])))
+    block = tj.Body("block", mass=MASS, inertia=INERTIA)
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.0, 0.0, 0.0))
+    fixed = {"wall": ("angle", "x", "y"), "block": ("angle",)}
+    mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], fixed)
+
+    def distance(pose, time):
+        return jnp.cos(time) * pose[1] + jnp.sin(time) * pose[2] - 0.1
+
+    return mechanism, tj.Constraint("guide", ["block"], distance)
+
+
+def test_linear_models_evaluate_constraints_at_the_given_time():
+    """Along the guide the stiffness is 100 sin(t)^2 + 400 cos(t)^2."""
+    time = 0.7
+    mechanism, guide = rotating_guide()
+    about = tj.equilibrium(mechanism, constraints=[guide], time=time)
+    settings: Any = dict(about=about, constraints=[guide], time=time)
+    along = np.array([-np.sin(time), np.cos(time)])
+    stiffness = 100.0 * np.sin(time) ** 2 + 400.0 * np.cos(time) ** 2
+    push = tj.Load("block", force=tuple(along))
+    small = tj.linearize(mechanism, **settings)(loads=[push])
+    assert_close(small.displacement("block")[1:], along / stiffness)
+    frequency = np.sqrt(stiffness / MASS) / (2 * np.pi)
+    modes = tj.vibrations(mechanism, **settings)
+    assert_close(modes.frequencies, [frequency])
+    response = tj.frequency_response(
+        mechanism,
+        [frequency / 2],
+        loads=[push],
+        **settings,
+    )
+    assert_close(response.displacement("block")[0, 1:].real, along / (0.75 * stiffness))
+
+
+@pytest.mark.parametrize("solve", [
+    tj.linearize,
+    tj.vibrations,
+    lambda mechanism, **settings: tj.frequency_response(mechanism, [1.0], **settings),
+])  # fmt: skip
+def test_linear_models_refuse_a_state_that_violates_constraints(solve):
+    mechanism, guide = rotating_guide()
+    about = tj.equilibrium(mechanism, constraints=[guide], time=0.7)
+    with pytest.raises(ValueError, match="'guide' is violated by"):
+        solve(mechanism, about=about, constraints=[guide])
+
+    def result(poses):
+        found = tj.linearize(mechanism, about=poses, constraints=[guide])
+        return found(throw=False).result
+
+    traced = jax.jit(result)(about.poses)
+    assert tj.result_names(traced) == "inconsistent_constraints"
+
+
+def test_constraint_forces_of_nearly_parallel_constraints_keep_their_digits():
+    """Two guides whose normals differ by 1e-5 rad share the force on the block."""
+    mechanism, guide = rotating_guide()
+    slope = 1e-5
+    other = tj.Constraint(
+        "other", ["block"], lambda pose, time: pose[1] + slope * pose[2] - 0.1
+    )
+    about = tj.equilibrium(mechanism, constraints=[guide])
+    linear = tj.linearize(mechanism, about=about, constraints=[guide, other])
+    small = linear(loads=[tj.Load("block", force=(1.0, 2.0))])
+    forces = [small.constraint_force(name)[0] for name in ("guide", "other")]
+    assert_close(jnp.array(forces), [-1.0 + 2.0 / slope, -2.0 / slope], digits=10)
+
+
+def test_complex_amplitudes_raise_an_error():
+    for make in (
+        lambda: tj.Load("block", force=(1j, 0.0)),
+        lambda: tj.Drive("block", x=jnp.asarray(1e-3j)),
+    ):
+        with pytest.raises(TypeError, match="is complex, but real numbers are needed"):
+            make()
 
 
 def test_a_body_may_be_supported_by_constraints_only():

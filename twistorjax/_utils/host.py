@@ -48,7 +48,12 @@ def as_float(value: Any) -> Numbers:
     """Convert numbers, or lists of numbers, to a JAX array.
 
     Values that are not traced are converted by NumPy, which compiles no program.
+
+    Raises:
+        TypeError: A value is complex.
     """
+    if any(np.iscomplexobj(leaf) for leaf in jax.tree.leaves(value)):
+        raise TypeError(f"{value!r} is complex, but real numbers are needed.")
     return jnp.asarray(value if is_traced(value) else np.asarray(value, float), float)
 
 

@@ -19,7 +19,7 @@ from .._utils.validation import (
     require_interval,
     require_positive,
 )
-from ..energies.fitting.mixed import (
+from ..energies.fitting.mixed_equations import (
     mixed_equations,
     twists_and_stresses,
     weighted_equations,
@@ -259,8 +259,10 @@ def _fit_coefficients(
     poses, wrenches = samples.poses[:_SAMPLES], samples.wrenches[:_SAMPLES]
     rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))
     deviations = jnp.broadcast_to(rms, wrenches.shape)
-    samples_of_fit = twists_and_stresses(poses, wrenches, deviations)
-    equations = mixed_equations(powers, *samples_of_fit, length, samples.force)
+    twists, stresses, to_wrenches = twists_and_stresses(poses, wrenches, deviations)
+    equations = mixed_equations(
+        powers, twists, stresses, to_wrenches, stresses[:, 1], length, samples.force
+    )
     quadratic = _quadratic_coefficients(length, samples)
     zero = jnp.zeros(())
     start = jnp.stack([quadratic.get(row, zero) for row in powers])

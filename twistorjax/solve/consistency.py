@@ -4,10 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Flag, Poses, Scalar
+from .._utils.types import Flag, NumberLike, Poses
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
 from .dofs import DofPartition
+from .results import result_message
 from .small_matrices import inverse
 from .system import System
 
@@ -30,11 +31,46 @@ def independent_rows(jacobian: Float[Array, "entries n"]) -> Flag:
 
 
 def independent(system: System, displacements: Poses) -> Flag:
-    """Decide whether constraints are independent at given displacements; rad, m, m."""
+    """Decide whether constraints are independent at given displacements; rad, m, m.
+
+    Derivatives that are not finite count as independent; solvers report `not_finite`.
+    """
     if not system.constraints.size:
         return jnp.ones((), bool)
-    units = system.free_units()
-    return independent_rows(system.jacobian(displacements)[:, system.free] * units[None])
+    scaled = _scaled_jacobian(system, displacements)
+    return independent_rows(scaled) | ~jnp.all(jnp.isfinite(scaled))
+
+
+def consistent(system: System, displacements: Poses) -> Flag:
+    """Decide whether constraints are independent, and satisfied by displacements.
+
+    The displacements (rad, m, m) are those of a state about which a mechanism is
+    linearized.
+    """
+    if not system.constraints.size:
+        return jnp.ones((), bool)
+    size = jnp.linalg.norm(_scaled_jacobian(system, displacements), axis=1)
+    violation = jnp.abs(system.violation(displacements)) / jnp.where(size > 0, size, 1.0)
+    violated = jnp.any(violation > LARGEST_INITIAL_VIOLATION)
+    return independent(system, displacements) & ~violated
+
+
+def inconsistency(
+    mechanism: Mechanism, system: System, displacements: Poses
+) -> ValueError:
+    """Return the error of constraints that are not consistent with displacements."""
+    details = constraint_error(
+        system.constraints, system.dofs, mechanism, displacements, system.time
+    )
+    return ValueError(f"{result_message('inconsistent_constraints')} {details}")
+
+
+def _scaled_jacobian(
+    system: System, displacements: Poses
+) -> Float[Array, "entries free"]:
+    """Differentiate constraints with respect to displacements divided by their units."""
+    jacobian = system.jacobian(displacements)[:, system.free]
+    return jacobian * system.free_units()[None]
 
 
 def characteristic_length(mechanism: Mechanism) -> float:
@@ -48,7 +84,7 @@ def constraint_error(
     dofs: DofPartition,
     mechanism: Mechanism,
     displacements: Poses,
-    time: Scalar | float = 0.0,
+    time: NumberLike = 0.0,
 ) -> str:
     """Describe the constraints that are violated, redundant, or contradictory.
 
@@ -84,5 +120,5 @@ def constraint_error(
                 "prescribed coordinates. Leave it out."
             )
         elif violated:
-            sentences.append(f"{name!r} is violated by {largest:.3g} at the start.")
+            sentences.append(f"{name!r} is violated by {largest:.3g}.")
     return " ".join(sentences)

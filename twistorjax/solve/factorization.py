@@ -102,6 +102,9 @@ def null_space(
     size = jnp.where(size > 0, size, 1.0)
     rows = jacobian / size[:, None]
     pseudo_inverse = rows.T @ inverse(rows @ rows.T)
+    # The first inverse has errors in proportion to the square of the condition number.
+    error = jnp.eye(entries) - rows @ pseudo_inverse
+    pseudo_inverse = pseudo_inverse + pseudo_inverse @ error
     basis = basis - pseudo_inverse @ (rows @ basis)
     if basis.shape[1]:
         lower = jnp.linalg.cholesky(basis.T @ basis)

@@ -7,15 +7,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from .._utils.types import FrequenciesLike, Poses
+from .._utils.types import FrequenciesLike, NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from .consistency import independent
+from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .factorization import null_space
-from .results import BodySolution, RESULTS, succeeded_or_raise
+from .results import BodySolution, result_message, RESULTS, succeeded_or_raise
 from .statics import state_in_range, StateLike
 from .system import System
 from .tables import Column, Columns
@@ -67,6 +67,7 @@ def frequency_response(
     about: StateLike | None = None,
     static_loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
+    time: NumberLike = 0.0,
     throw: bool = True,
 ) -> FrequencyResponse:
     """Compute the response to small harmonic loads and prescribed displacements.
@@ -81,7 +82,9 @@ def frequency_response(
             the reference configuration; rad, m, m.
         static_loads: Constant loads that act at this equilibrium. They contribute to the
             tangent stiffness.
-        constraints: Pins, sliders, and other constraints between the bodies.
+        constraints: Pins, sliders, and other constraints between the bodies. They must be
+            satisfied at the equilibrium.
+        time: Time at which time-dependent constraints are evaluated, by default zero; s.
         throw: Whether a failure raises an error; otherwise it is reported by `result`.
 
     Returns:
@@ -90,9 +93,12 @@ def frequency_response(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a coordinate is
-            prescribed twice or is fixed, or a body that moves has no mass.
-        RuntimeError: A frequency is a resonance without damping, the constraints are not
-            independent, or a value is not finite.
+            prescribed twice or is fixed, a body that moves has no mass, or the
+            constraints are not independent or not satisfied.
+        TypeError: An amplitude is complex. The excitations are in phase; the response to
+            excitations that are not is a sum of responses with complex factors.
+        RuntimeError: A frequency is a resonance without damping, or a value is not
+            finite.
 
     Example:
         >>> from twistorjax import Body, Hinge, Quadratic
@@ -115,21 +121,21 @@ def frequency_response(
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
     loaded_bodies(mechanism, loads)
+    system = System.of(mechanism, dofs, static_loads, constraints, time)
+    state = state_in_range(mechanism, "about", about)
     response = _frequency_response(
-        mechanism,
-        System.of(mechanism, dofs, static_loads, constraints),
-        values,
-        tuple(loads),
-        targets,
-        state_in_range(mechanism, "about", about),
+        mechanism, system, values, tuple(loads), targets, state
     )
 
-    def error(name: str, batch_index: tuple[int, ...]) -> RuntimeError:
-        del name, batch_index
+    def error(name: str, batch_index: tuple[int, ...]) -> Exception:
+        if name == "inconsistent_constraints":
+            if not batch_index:
+                return inconsistency(mechanism, system, state)
+            return RuntimeError(result_message(name))
         return RuntimeError(
             "At some frequency the response is not finite: there is a resonance without "
-            "damping, the constraints are redundant, or a value of the mechanism is not "
-            "finite. Give the hinges `damping`, or leave out the frequency."
+            "damping, or a value of the mechanism is not finite. Give the hinges "
+            "`damping`, or leave out the frequency."
         )
 
     return succeeded_or_raise(response, error) if throw else response
@@ -202,13 +208,16 @@ def _frequency_response(
         return amplitude, dofs.reactions(unbalanced), multipliers
 
     amplitudes, reactions, multipliers = jax.vmap(amplitudes_at)(frequencies)
-    valid = jnp.all(jnp.isfinite(amplitudes)) & independent(system, displacements)
+    is_finite = jnp.all(jnp.isfinite(amplitudes))
+    result = RESULTS.where(is_finite, RESULTS.successful, RESULTS.not_finite)
+    is_consistent = consistent(system, displacements)
+    result = RESULTS.where(is_consistent, result, RESULTS.inconsistent_constraints)
     return FrequencyResponse(
         frequencies=frequencies,
         displacements=amplitudes,
         reactions=reactions,
         constraint_forces=multipliers,
-        result=RESULTS.where(valid, RESULTS.successful, RESULTS.not_finite),
+        result=result,
         names=mechanism.names,
         constraint_names=system.constraints.names(),
     )

@@ -6,13 +6,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._utils.types import Flag, Poses
+from .._utils.host import concrete
+from .._utils.types import Flag, NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.support import require_support
-from .consistency import independent
+from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .factorization import ConstrainedFactors, Factors
 from .results import RESULTS
@@ -42,7 +43,7 @@ class Linearization(eqx.Module):
             freedom.
         factors: Factors of the stiffness of the free degrees of freedom.
         finite: Whether the matrices are finite.
-        consistent: Whether the constraints are independent.
+        consistent: Whether the constraints are independent and satisfied.
         dofs: Partition of the degrees of freedom.
         constraint_names: Name of the constraint to which each scalar equation belongs.
     """
@@ -109,10 +110,11 @@ class Linearization(eqx.Module):
         forces = self.matrix @ flat
         stable = self.factors.is_stable()
         result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
-        dependent = RESULTS.inconsistent_constraints
-        result = RESULTS.where(self.consistent, result, dependent)
         finite = self.finite & jnp.all(jnp.isfinite(applied))
         result = RESULTS.where(finite, result, RESULTS.not_finite)
+        # The matrices of redundant constraints are not finite.
+        inconsistent = RESULTS.inconsistent_constraints
+        result = RESULTS.where(self.consistent, result, inconsistent)
         displacements = flat.reshape(self.about.shape)
         change = Equilibrium(
             displacements=displacements,
@@ -137,6 +139,7 @@ def linearize(
     about: StateLike | None = None,
     loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
+    time: NumberLike = 0.0,
 ) -> Linearization:
     """Linearize a mechanism about an equilibrium.
 
@@ -149,7 +152,9 @@ def linearize(
         loads: Loads that act at this equilibrium. They contribute to the tangent
             stiffness, because their moments, and the directions of follower loads, depend
             on the rotations of the bodies.
-        constraints: Pins, sliders, and other constraints between the bodies.
+        constraints: Pins, sliders, and other constraints between the bodies. They must be
+            satisfied at the equilibrium.
+        time: Time at which time-dependent constraints are evaluated, by default zero; s.
 
     Returns:
         The linear map. Call it with `loads` and `drives`; it returns an `Equilibrium`
@@ -157,7 +162,8 @@ def linearize(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a coordinate in
-            `prescribed` is fixed, or a hinge is outside the validity range of its energy.
+            `prescribed` is fixed, a hinge is outside the validity range of its energy, or
+            the constraints are not independent or not satisfied.
 
     Example:
         >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
@@ -176,9 +182,12 @@ def linearize(
             "cannot be prescribed: remove them."
         )
     dofs = DofPartition.of(mechanism, dofs)
-    system = System.of(mechanism, dofs, loads, constraints)
+    system = System.of(mechanism, dofs, loads, constraints, time)
     require_support(mechanism, system.constraints.bodies)
     displacements = state_in_range(mechanism, "about", about)
+    is_consistent = consistent(system, displacements)
+    if concrete(is_consistent) is not None and not is_consistent:
+        raise inconsistency(mechanism, system, displacements)
     matrix, jacobian = system.whole_stiffness(displacements)
     free = system.free
     factors = system.factors(matrix[free[:, None], free], jacobian[:, free])
@@ -189,7 +198,7 @@ def linearize(
         jacobian=jacobian,
         factors=factors,
         finite=jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(jacobian)),
-        consistent=independent(system, displacements),
+        consistent=is_consistent,
         dofs=dofs,
         constraint_names=system.constraints.names(),
     )

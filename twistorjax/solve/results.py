@@ -25,7 +25,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
     * Equilibria end as `successful`, `not_finite`, `unstable`, `no_equilibrium`,
       `steps_used_up`, `inconsistent_constraints`, or `out_of_range`.
     * Linear responses and vibrations end as `successful`, `not_finite`, `unstable`, or
-      `inconsistent_constraints`; frequency responses as `successful` or `not_finite`.
+      `inconsistent_constraints`; frequency responses as `successful`, `not_finite`, or
+      `inconsistent_constraints`.
     * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,
       `out_of_range`, `step_too_long`, or with another result of diffrax. If they cannot
       start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,
@@ -84,8 +85,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "positive."
     )
     inconsistent_constraints = (
-        "The constraints are redundant or contradict one another, or the start violates "
-        "them."
+        "The constraints are redundant or contradict one another, or the given state "
+        "violates them."
     )
 
     not_converged = (

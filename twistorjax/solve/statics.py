@@ -184,7 +184,7 @@ def equilibrium(
         names=mechanism.names,
     )
     return (
-        check_equilibrium(solution, mechanism, constraint_set, dofs)
+        check_equilibrium(solution, mechanism, constraint_set, dofs, time)
         if throw
         else solution
     )
@@ -294,11 +294,12 @@ def check_equilibrium(
     mechanism: Mechanism | None = None,
     constraints: ConstraintSet | None = None,
     dofs: DofPartition | None = None,
+    time: NumberLike = 0.0,
 ) -> Equilibrium:
     """Return the solution if it succeeded, and raise its error otherwise.
 
-    The mechanism, its constraints, and its degrees of freedom are needed only to name the
-    hinges that are out of range, and the constraints that are inconsistent.
+    The mechanism, its constraints, its degrees of freedom, and the time (s) are needed
+    only to name the hinges that are out of range, and the inconsistent constraints.
     """
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
@@ -314,7 +315,9 @@ def check_equilibrium(
                 text += f" {mechanism.range_messages(poses)}"
             if item == "inconsistent_constraints":
                 assert constraints is not None and dofs is not None
-                detail = constraint_error(constraints, dofs, mechanism, solution.reached)
+                detail = constraint_error(
+                    constraints, dofs, mechanism, solution.reached, time
+                )
                 return ValueError(f"{text} {detail}")
         return RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"

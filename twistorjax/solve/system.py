@@ -14,7 +14,8 @@ import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Entries, Poses, Scalar, Wrenches
+from .._utils.host import as_float
+from .._utils.types import Entries, NumberLike, Poses, Scalar, Wrenches
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Load, loaded_bodies, LoadSet
@@ -57,6 +58,7 @@ class System(eqx.Module):
         dofs: DofPartition,
         loads: Sequence[Load] = (),
         constraints: Sequence[AbstractConstraint] = (),
+        time: NumberLike = 0.0,
     ) -> "System":
         """Assemble equations in which all prescribed displacements are zero."""
         loaded_bodies(mechanism, loads)
@@ -65,7 +67,7 @@ class System(eqx.Module):
             LoadSet.of(loads, mechanism.names, mechanism.reference),
             gather_constraints(mechanism, constraints),
             jnp.zeros(len(dofs.prescribed)),
-            jnp.zeros(()),
+            as_float(time),
             dofs,
         )
 

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import BatchFlag, Poses
+from .._utils.types import BatchFlag, NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from .consistency import independent
+from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .eigenmodes import modes, Stiffness
 from .factorization import null_space
@@ -83,6 +83,7 @@ def vibrations(
     about: StateLike | None = None,
     loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
+    time: NumberLike = 0.0,
     throw: bool = True,
 ) -> Vibrations:
     """Compute the natural frequencies and mode shapes about an equilibrium.
@@ -100,7 +101,9 @@ def vibrations(
             rad, m, m.
         loads: Loads that act at this equilibrium. They contribute to the tangent
             stiffness, because their moments depend on the rotations of the bodies.
-        constraints: Pins, sliders, and other constraints between the bodies.
+        constraints: Pins, sliders, and other constraints between the bodies. They must be
+            satisfied at the equilibrium.
+        time: Time at which time-dependent constraints are evaluated, by default zero; s.
         throw: Whether a failure raises an error; otherwise it is reported by `result`.
 
     Returns:
@@ -109,10 +112,9 @@ def vibrations(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a body that moves has
-            no mass, a load is a follower load, which has no potential, or no coordinate
-            is free.
-        RuntimeError: The equilibrium is not stable, the constraints are not independent,
-            or a value is not finite.
+            no mass, a load is a follower load, which has no potential, no coordinate is
+            free, or the constraints are not independent or not satisfied.
+        RuntimeError: The equilibrium is not stable, or a value is not finite.
 
     Source:
         The matrices of equation 5.24 of the dissertation, linearized.
@@ -133,7 +135,7 @@ def vibrations(
             "not exist: use `frequency_response`, or `simulate` the motion."
         )
     dofs = DofPartition.of(mechanism, mechanism.dofs_of("prescribed", prescribed))
-    system = System.of(mechanism, dofs, loads, constraints)
+    system = System.of(mechanism, dofs, loads, constraints, time)
     if len(dofs.free) <= system.constraints.size:
         raise ValueError(
             "No coordinate can vibrate: all of them are fixed, prescribed, or determined "
@@ -142,8 +144,9 @@ def vibrations(
     state = state_in_range(mechanism, "about", about)
     solution = _vibrations(mechanism, system, state)
 
-    def error(name: str, batch_index: tuple[int, ...]) -> RuntimeError:
-        del batch_index
+    def error(name: str, batch_index: tuple[int, ...]) -> Exception:
+        if name == "inconsistent_constraints" and not batch_index:
+            return inconsistency(mechanism, system, state)
         return RuntimeError(result_message(name))
 
     return succeeded_or_raise(solution, error) if throw else solution
@@ -158,7 +161,7 @@ def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> V
     _, by_angle = system.loads.apply(displacements)
     # Without follower loads, only the moments of the loads depend on the angles.
     remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
-    consistent = independent(system, displacements)
+    is_consistent = consistent(system, displacements)
     basis = None
     if system.constraints.size:
         geometric = system.constraint_stiffness(displacements)
@@ -179,8 +182,8 @@ def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> V
     shapes = jnp.zeros((vectors.shape[1], mechanism.reference.size))
     shapes = shapes.at[:, free].set((vectors / root[:, None]).T)
     result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
-    result = RESULTS.where(consistent, result, RESULTS.inconsistent_constraints)
-    result = RESULTS.where(finite | ~consistent, result, RESULTS.not_finite)
+    result = RESULTS.where(is_consistent, result, RESULTS.inconsistent_constraints)
+    result = RESULTS.where(finite | ~is_consistent, result, RESULTS.not_finite)
     return Vibrations(
         frequencies=jnp.where(finite, frequencies, jnp.nan),
         shapes=jnp.where(finite, shapes, jnp.nan).reshape(-1, *mechanism.reference.shape),

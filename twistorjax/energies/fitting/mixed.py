@@ -1,10 +1,11 @@
 """Fit of a `MixedEnergy` to trials.
 
-The axial force of a trial follows from its wrench. The moment, the transverse force and
-the axial displacement are derivatives of the mixed potential W, so they are linear in its
-coefficients.
+The equations for the coefficients are linear if the axial forces are given. A first
+solution uses the measured axial forces. Gauss-Newton steps then minimize the errors of
+the predicted wrenches, whose axial forces follow from the measured displacements.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -13,174 +14,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._utils.types import Matrix, Pose, Scalar, Twist
+from ..._utils.types import Scalar
 from ...geometry import se2
-from ..evaluation import power_derivatives
 from ..mixed import MixedEnergy
+from ..mixed_potential import axial_force_ratio
 from ..monomials import Powers
 from .least_squares import ConstrainedSolution, solve_constrained
+from .mixed_equations import (
+    mixed_equations,
+    twists_and_stresses,
+    weighted_equations,
+)
 from .trials import Trials
 
 
-class MixedEquations(NamedTuple):
-    """Equations for the coefficients of W; see `mixed_equations`.
-
-    The contributions of a term are those for a coefficient of one joule.
-
-    Args:
-        twists: Twist of each trial; rad, m, m.
-        stresses: Generalized stress of each trial; N m, N, N.
-        to_wrenches: Matrices from an error of the generalized stress to the error of the
-            wrench in standard deviations.
-        moment: Contributions to the derivative with respect to the rotation; N m.
-        transverse_force: Contributions to the derivative with respect to the transverse
-            displacement; N.
-        axial_displacement: Contributions to the axial displacement; m.
-        axial_compliance: Contributions to the derivative of the axial displacement with
-            respect to the axial force; m/N.
-        moment_sensitivity: Derivatives of `moment` with respect to the axial force; m.
-        transverse_sensitivity: Derivatives of `transverse_force` with respect to the
-            axial force; dimensionless.
-        energy: Contributions to W; J.
-    """
-
-    twists: Float[Array, "trials 3"]
-    stresses: Float[Array, "trials 3"]
-    to_wrenches: Float[Array, "trials 3 3"]
-    moment: Float[Array, "trials terms"]
-    transverse_force: Float[Array, "trials terms"]
-    axial_displacement: Float[Array, "trials terms"]
-    axial_compliance: Float[Array, "trials terms"]
-    moment_sensitivity: Float[Array, "trials terms"]
-    transverse_sensitivity: Float[Array, "trials terms"]
-    energy: Float[Array, "trials terms"]
-
-
-@partial(jax.jit, static_argnums=0)
-def mixed_equations(
-    powers: Powers,
-    twists: Float[Array, "trials 3"],
-    stresses: Float[Array, "trials 3"],
-    to_wrenches: Float[Array, "trials 3 3"],
-    length: Scalar | float,
-    force: Scalar | float,
-) -> MixedEquations:
-    """Evaluate each term of W and its derivatives at many twists and axial forces.
-
-    Args:
-        powers: Powers of rotation, transverse displacement over `length`, and axial force
-            over `force`.
-        twists: Twist of each trial; rad, m, m.
-        stresses: Generalized stress of each trial; N m, N, N.
-        to_wrenches: As in `MixedEquations`.
-        length: Reference length; m.
-        force: Reference force; N.
-
-    Returns:
-        The contributions of all terms at all trials.
-    """
-    rotations, _, transverse = twists.T
-    exponents = np.array(powers)
-    variables = rotations, transverse / length, stresses[:, 1] / force
-    (t, dt, _), (y, dy, _), (n, dn, ddn) = (
-        power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
-    )
-    return MixedEquations(
-        twists,
-        stresses,
-        to_wrenches,
-        moment=dt * y * n,
-        transverse_force=t * dy * n / length,
-        axial_displacement=-t * y * dn / force,
-        axial_compliance=-t * y * ddn / force**2,
-        moment_sensitivity=dt * y * dn / force,
-        transverse_sensitivity=t * dy * dn / (length * force),
-        energy=t * y * n,
-    )
-
-
-@jax.jit
-def weighted_equations(
-    equations: MixedEquations, coefficients: Float[Array, " terms"] | None
-) -> tuple[Float[Array, "trials 3 terms"], Float[Array, "trials 3"]]:
-    """Weight the equations so that their residuals are errors of the wrench.
-
-    An error of the axial displacement is equivalent to an error of the axial force, by
-    the axial compliance, and through it to errors of the moment and the transverse force.
-    The compliance and these errors depend on the coefficients, so the least-squares
-    problem is solved again with the coefficients of the previous solution.
-
-    Args:
-        equations: The equations.
-        coefficients: Coefficients of the previous solution, or `None` at first; J.
-
-    Returns:
-        The matrix and the right-hand side of the least-squares problem.
-    """
-    axial_displacements, axial_forces = equations.twists[:, 1], equations.stresses[:, 1]
-    if coefficients is None:
-        rms = jnp.sqrt(jnp.mean(axial_forces**2))
-        estimate = jnp.std(axial_displacements) / jnp.where(rms > 0, rms, 1.0)
-        estimate = jnp.where(estimate > 0, estimate, 1.0)
-        compliance = jnp.full_like(axial_forces, estimate)
-        by_moment = by_transverse_force = jnp.zeros_like(axial_forces)
-    else:
-        compliance = equations.axial_compliance @ coefficients
-        compliance = jnp.maximum(compliance, 1e-3 * jnp.median(jnp.abs(compliance)))
-        by_moment = equations.moment_sensitivity @ coefficients
-        by_transverse_force = equations.transverse_sensitivity @ coefficients
-    axial_rows = -equations.axial_displacement / compliance[:, None]
-    axial_targets = -axial_displacements / compliance
-    rows = [
-        equations.moment + by_moment[:, None] * axial_rows,
-        axial_rows,
-        equations.transverse_force + by_transverse_force[:, None] * axial_rows,
-    ]
-    targets = [
-        equations.stresses[:, 0] + by_moment * axial_targets,
-        axial_targets,
-        equations.stresses[:, 2] + by_transverse_force * axial_targets,
-    ]
-    return (
-        equations.to_wrenches @ jnp.stack(rows, axis=1),
-        jnp.einsum("sij,sj->si", equations.to_wrenches, jnp.stack(targets, axis=1)),
-    )
-
-
-@jax.jit
-def twists_and_stresses(
-    poses: Float[Array, "trials 3"],
-    wrenches: Float[Array, "trials 3"],
-    deviations: Float[Array, "trials 3"],
-) -> tuple[
-    Float[Array, "trials 3"], Float[Array, "trials 3"], Float[Array, "trials 3 3"]
-]:
-    """Convert poses and wrenches to twists and generalized stresses.
-
-    The generalized stress is the derivative of the energy with respect to the twist. Its
-    second component is the axial force.
-
-    Args:
-        poses: Poses of frame b relative to frame a; rad, m, m.
-        wrenches: Wrenches that body B exerts, in frame b; N m, N, N.
-        deviations: Standard deviations of the wrenches; N m, N, N.
-
-    Returns:
-        The twists (rad, m, m), the generalized stresses (N m, N, N), and the matrices
-        from an error of the generalized stress to the error of the wrench in standard
-        deviations.
-    """
-
-    def twist_and_matrix(pose: Pose) -> tuple[Twist, Matrix]:
-        twist = se2.twist(pose)
-        rotate_rows = jax.vmap(lambda row: se2.rotate(-pose[0], row))
-        jacobian = jax.jacfwd(se2.exp)(twist)
-        body_jacobian = jnp.concatenate([jacobian[:1], rotate_rows(jacobian[1:].T).T])
-        return twist, body_jacobian.T
-
-    twists, matrices = jax.vmap(twist_and_matrix)(poses)
-    stresses = jnp.einsum("sij,sj->si", matrices, wrenches)
-    return twists, stresses, jnp.linalg.inv(matrices) / deviations[:, :, None]
+_MAX_STEPS = 50
+_RELATIVE_TOLERANCE = 1e-9  # on the change of the predictions in a step
 
 
 def fit_mixed(
@@ -190,7 +39,7 @@ def fit_mixed(
     reference: str,
     ridge: float | None,
     scale: float | None,
-) -> tuple[MixedEnergy, ConstrainedSolution]:
+) -> tuple[MixedEnergy, ConstrainedSolution, bool] | None:
     """Fit a mixed energy to trials.
 
     Args:
@@ -201,10 +50,13 @@ def fit_mixed(
         scale: Reference length, by default the largest transverse displacement; m.
 
     Returns:
-        The energy, and the solution of the least-squares problem.
+        The energy, the solution of the least-squares problem, and whether the iteration
+        converged. `None` if no energy with a positive axial compliance at all trials was
+        found.
 
     Raises:
-        ValueError: The trials have no wrenches.
+        ValueError: The trials have no wrenches, no axial displacements, or no axial
+            forces.
     """
     if trials.wrenches is None or trials.wrench_deviations is None:
         raise ValueError(
@@ -217,29 +69,152 @@ def fit_mixed(
     twists, stresses, to_wrenches = twists_and_stresses(
         trials.poses, trials.wrenches, trials.wrench_deviations
     )
+    for name, values in (("displacement", twists), ("force", stresses)):
+        if not np.any(values[:, 1]):
+            raise ValueError(
+                f"The axial {name} of all `trials` is zero, so they do not determine "
+                "the axial compliance of a mixed energy. Add trials with axial forces, "
+                "or use the coordinates 'twistor' or 'twist'."
+            )
     length = scale or _largest_magnitude(twists[:, 2])
     force = _largest_magnitude(stresses[:, 1])
-    equations = mixed_equations(powers, twists, stresses, to_wrenches, length, force)
     stiffness = None
     if reference == "stable":
         stiffness = _reference_stiffness(powers, length, force)
 
-    def solve(coefficients: Float[Array, " terms"] | None) -> ConstrainedSolution:
+    def solve(
+        axial_forces: np.ndarray, coefficients: np.ndarray | None
+    ) -> ConstrainedSolution:
         """Solve with the weights of a previous solution."""
-        rows, targets = map(np.asarray, weighted_equations(equations, coefficients))
+        equations = mixed_equations(
+            powers,
+            twists,
+            stresses,
+            to_wrenches,
+            jnp.asarray(axial_forces),
+            length,
+            force,
+        )
+        known = None if coefficients is None else jnp.asarray(coefficients)
+        rows, targets = map(np.asarray, weighted_equations(equations, known))
         if trials.energies is not None:
             deviations = np.asarray(trials.energy_deviations)[:, None]
-            potentials = trials.energies - stresses[:, 1] * twists[:, 1]
+            potentials = trials.energies - axial_forces * twists[:, 1]
             energy_rows = np.asarray(equations.energy) / deviations
             rows = np.concatenate([rows, energy_rows[:, None]], axis=1)
             targets = np.concatenate([targets, potentials[:, None] / deviations], axis=1)
         return solve_constrained(rows, targets, ridge, stiffness=stiffness)
 
-    solution = solve(None)
+    def predict(coefficients: np.ndarray) -> _Prediction:
+        """Predict the measurements, and evaluate their errors."""
+        wrenches, energies, axial_forces = map(
+            np.asarray,
+            _predictions(powers, jnp.asarray(coefficients), length, force, trials.poses),
+        )
+        residuals = (wrenches - trials.wrenches) / trials.wrench_deviations
+        if trials.energies is not None:
+            deviations = np.asarray(trials.energy_deviations)
+            energy_residuals = (energies - trials.energies) / deviations
+            residuals = np.concatenate([residuals, energy_residuals[:, None]], axis=1)
+        return _Prediction(coefficients, np.asarray(residuals), axial_forces)
+
+    measured = np.asarray(stresses[:, 1])
+    solution = solve(measured, None)
     for _ in range(3):
-        solution = solve(jnp.asarray(solution.coefficients))
-    energy = MixedEnergy(solution.coefficients, powers, length=length, force=force)
-    return energy, solution
+        solution = solve(measured, solution.coefficients)
+    best, solution, converged = _gauss_newton(solve, predict, solution, measured, force)
+    if not np.isfinite(best.cost):
+        return None
+    energy = MixedEnergy(best.coefficients, powers, length=length, force=force)
+    solution = solution._replace(coefficients=best.coefficients, residuals=best.residuals)
+    return energy, solution, converged
+
+
+class _Prediction(NamedTuple):
+    """Predictions of a mixed energy at the trials.
+
+    Args:
+        coefficients: Coefficients of the energy; J.
+        residuals: Predicted minus measured values in standard deviations.
+        axial_forces: Predicted axial forces; N.
+    """
+
+    coefficients: np.ndarray
+    residuals: np.ndarray
+    axial_forces: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared residuals; infinite if a trial has no axial force."""
+        cost = np.sum(self.residuals**2)
+        return float(cost) if np.isfinite(cost) else np.inf
+
+
+def _gauss_newton(
+    solve: Callable[[np.ndarray, np.ndarray], ConstrainedSolution],
+    predict: Callable[[np.ndarray], _Prediction],
+    solution: ConstrainedSolution,
+    measured: np.ndarray,
+    force: float,
+) -> tuple[_Prediction, ConstrainedSolution, bool]:
+    """Minimize the errors of the predictions, starting from a solution.
+
+    A step is halved until the errors decrease. The terms are evaluated at axial forces of
+    at most the reference force, where W is the polynomial.
+
+    Args:
+        solve: Solves the least-squares problem at given axial forces (N), with the
+            weights of given coefficients (J).
+        predict: Predicts the measurements for given coefficients.
+        solution: The start.
+        measured: Measured axial forces; they replace predictions that do not exist; N.
+        force: Reference force; N.
+
+    Returns:
+        The prediction with the smallest errors, the last solution, and whether the
+        iteration converged.
+    """
+    best = predict(solution.coefficients)
+    for _ in range(_MAX_STEPS):
+        is_known = np.isfinite(best.axial_forces)
+        axial_forces = np.where(is_known, best.axial_forces, measured)
+        solution = solve(np.clip(axial_forces, -force, force), best.coefficients)
+        step = solution.coefficients - best.coefficients
+        for fraction in 0.5 ** np.arange(11):
+            trial = predict(best.coefficients + fraction * step)
+            if trial.cost < best.cost or not np.isfinite(best.cost):
+                break
+        else:  # no step decreases the errors: rounding, or a changed ridge parameter
+            return best, solution, True
+        decrease = best.cost - trial.cost
+        scale = trial.cost + trial.residuals.size * _RELATIVE_TOLERANCE**2
+        best = trial
+        if decrease <= _RELATIVE_TOLERANCE * scale:
+            return best, solution, True
+    return best, solution, False
+
+
+@partial(jax.jit, static_argnums=0)
+def _predictions(
+    powers: Powers,
+    coefficients: Float[Array, " terms"],
+    length: Scalar | float,
+    force: Scalar | float,
+    poses: Float[Array, "trials 3"],
+) -> tuple[Float[Array, "trials 3"], Float[Array, " trials"], Float[Array, " trials"]]:
+    """Predict wrenches (N m, N, N), energies (J) and axial forces (N) at many poses.
+
+    They are NaN at poses without an axial force.
+    """
+    energy = MixedEnergy(coefficients, powers, length=length, force=force)
+    rotations, axial, transverse = jax.vmap(se2.twist)(poses).T
+
+    def axial_force(rotation: Scalar, axial: Scalar, transverse: Scalar) -> Scalar:
+        series = energy.force_series(rotation, transverse)
+        return force * axial_force_ratio(series, force * axial)
+
+    forces = jax.vmap(axial_force)(rotations, axial, transverse)
+    return jax.vmap(energy.wrench)(poses), jax.vmap(energy)(poses), forces
 
 
 def _largest_magnitude(values: Float[Array, " trials"]) -> float:

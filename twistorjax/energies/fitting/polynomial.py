@@ -103,6 +103,13 @@ def fit_energy(
                 f"`trials` have a value of {np.max(np.abs(values)):g}, but a fit needs "
                 "values of at most 1e100."
             )
+    if isinstance(order, bool) or not (order is None or isinstance(order, int)):
+        raise ValueError(f"`order` is {order!r}, but must be a whole number from 2 on.")
+    if order is not None and order < 2:
+        raise ValueError(
+            f"`order` is {order}, but must be at least 2, because the terms of order 2 "
+            "are those of a constant stiffness."
+        )
     require_choice("`reference`", reference, ("stable", "unstressed", "free"))
     if not 0 <= hold_out < 1:
         raise ValueError(
@@ -127,12 +134,6 @@ def fit_energy(
         energy = _best_candidate(others, (best.order,), settings).energy
         held_out = _errors(energy, trials[np.sort(shuffled[:count])])
     fit = best.report(trials, held_out)
-    if np.any(np.isnan(fit.training.rms_wrench)) and trials.wrenches is not None:
-        raise ValueError(
-            "These trials are not those of a flexure with an axial compliance: with the "
-            "best fit, some displacements have no axial force. Use the coordinates "
-            "'twistor' or 'twist', or another order."
-        )
     if fit.warning:
         warnings.warn(fit.warning, stacklevel=2)
     return fit
@@ -155,6 +156,7 @@ class _Candidate(NamedTuple):
     order: int
     energy: Polynomial | MixedEnergy
     solution: ConstrainedSolution
+    converged: bool = True
 
     @property
     def interpolates(self) -> bool:
@@ -170,6 +172,11 @@ class _Candidate(NamedTuple):
         warning = None
         if self.interpolates:
             warning = interpolation_warning(solution.free, value_count)
+        elif not self.converged:
+            warning = (
+                "The iteration of the mixed fit did not converge, so its error is not "
+                "the smallest possible one. Use another order or more trials."
+            )
         names = VARIABLES[coordinates_of(self.energy)]
         forces = np.full((1, 2), np.nan)
         if trials.wrenches is not None:
@@ -223,7 +230,15 @@ def _best_candidate(
             # a symmetry may exclude all new terms of an odd order
             if powers == candidates[-1].energy.powers:
                 continue
-        candidates.append(_candidate(trials, order, powers, settings))
+        candidate = _candidate(trials, order, powers, settings)
+        if candidate is not None:
+            candidates.append(candidate)
+    if not candidates:
+        raise ValueError(
+            "No mixed energy was found whose axial compliance is positive at all "
+            "`trials`. Use another order, more trials, or the coordinates 'twistor' or "
+            "'twist'."
+        )
     scores = [
         np.mean(candidate.solution.leave_one_out_residuals**2) for candidate in candidates
     ]
@@ -232,15 +247,13 @@ def _best_candidate(
 
 def _candidate(
     trials: Trials, order: int, powers: Powers, settings: _Settings
-) -> _Candidate:
-    """Fit an energy with given powers."""
+) -> _Candidate | None:
+    """Fit an energy with given powers; `None` if there is no valid mixed energy."""
     coordinates, reference = settings.coordinates, settings.reference
     ridge, scale = settings.ridge, settings.scale
     if coordinates == "mixed":
-        energy, solution = fit_mixed(
-            trials, powers, reference=reference, ridge=ridge, scale=scale
-        )
-        return _Candidate(order, energy, solution)
+        found = fit_mixed(trials, powers, reference=reference, ridge=ridge, scale=scale)
+        return None if found is None else _Candidate(order, *found)
     scale = scale or trials.largest_translation
     rows, targets = _equations(trials, powers, coordinates, scale)
     wrench = stiffness = None

@@ -1,0 +1,186 @@
+"""Equations for the coefficients of a `MixedEnergy`; see `fit_mixed`.
+
+The moment, the transverse force and the axial displacement are derivatives of the mixed
+potential W, so they are linear in its coefficients if the axial force is given.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._utils.types import Matrix, Pose, Scalar, Twist
+from ...geometry import se2
+from ..evaluation import power_derivatives
+from ..monomials import Powers
+
+
+class MixedEquations(NamedTuple):
+    """Equations for the coefficients of W; see `mixed_equations`.
+
+    The contributions of a term are those for a coefficient of one joule.
+
+    Args:
+        twists: Twist of each trial; rad, m, m.
+        stresses: Generalized stress of each trial; N m, N, N.
+        to_wrenches: Matrices from an error of the generalized stress to the error of the
+            wrench in standard deviations.
+        axial_forces: Axial force at which the terms are evaluated; N.
+        moment: Contributions to the derivative with respect to the rotation; N m.
+        transverse_force: Contributions to the derivative with respect to the transverse
+            displacement; N.
+        axial_displacement: Contributions to the axial displacement; m.
+        axial_compliance: Contributions to the derivative of the axial displacement with
+            respect to the axial force; m/N.
+        moment_sensitivity: Derivatives of `moment` with respect to the axial force; m.
+        transverse_sensitivity: Derivatives of `transverse_force` with respect to the
+            axial force; dimensionless.
+        energy: Contributions to W; J.
+    """
+
+    twists: Float[Array, "trials 3"]
+    stresses: Float[Array, "trials 3"]
+    to_wrenches: Float[Array, "trials 3 3"]
+    axial_forces: Float[Array, " trials"]
+    moment: Float[Array, "trials terms"]
+    transverse_force: Float[Array, "trials terms"]
+    axial_displacement: Float[Array, "trials terms"]
+    axial_compliance: Float[Array, "trials terms"]
+    moment_sensitivity: Float[Array, "trials terms"]
+    transverse_sensitivity: Float[Array, "trials terms"]
+    energy: Float[Array, "trials terms"]
+
+
+@partial(jax.jit, static_argnums=0)
+def mixed_equations(
+    powers: Powers,
+    twists: Float[Array, "trials 3"],
+    stresses: Float[Array, "trials 3"],
+    to_wrenches: Float[Array, "trials 3 3"],
+    axial_forces: Float[Array, " trials"],
+    length: Scalar | float,
+    force: Scalar | float,
+) -> MixedEquations:
+    """Evaluate each term of W and its derivatives at many twists and axial forces.
+
+    Args:
+        powers: Powers of rotation, transverse displacement over `length`, and axial force
+            over `force`.
+        twists: Twist of each trial; rad, m, m.
+        stresses: Generalized stress of each trial; N m, N, N.
+        to_wrenches: As in `MixedEquations`.
+        axial_forces: Axial force of each trial, measured or predicted; N.
+        length: Reference length; m.
+        force: Reference force; N.
+
+    Returns:
+        The contributions of all terms at all trials.
+    """
+    rotations, _, transverse = twists.T
+    exponents = np.array(powers)
+    variables = rotations, transverse / length, axial_forces / force
+    (t, dt, _), (y, dy, _), (n, dn, ddn) = (
+        power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
+    )
+    return MixedEquations(
+        twists,
+        stresses,
+        to_wrenches,
+        axial_forces,
+        moment=dt * y * n,
+        transverse_force=t * dy * n / length,
+        axial_displacement=-t * y * dn / force,
+        axial_compliance=-t * y * ddn / force**2,
+        moment_sensitivity=dt * y * dn / force,
+        transverse_sensitivity=t * dy * dn / (length * force),
+        energy=t * y * n,
+    )
+
+
+@jax.jit
+def weighted_equations(
+    equations: MixedEquations, coefficients: Float[Array, " terms"] | None
+) -> tuple[Float[Array, "trials 3 terms"], Float[Array, "trials 3"]]:
+    """Weight the equations so that their residuals are errors of the wrench.
+
+    An error of the axial displacement is equivalent to an error of the axial force, by
+    the axial compliance, and through it to errors of the moment and the transverse force.
+    The compliance and these errors depend on the coefficients, so the least-squares
+    problem is solved again with the coefficients of the previous solution. If the terms
+    are evaluated at the axial forces that these coefficients predict, this is a
+    Gauss-Newton step for the errors of the predicted wrenches.
+
+    Args:
+        equations: The equations.
+        coefficients: Coefficients of the previous solution, or `None` at first; J.
+
+    Returns:
+        The matrix and the right-hand side of the least-squares problem.
+    """
+    axial_displacements, axial_forces = equations.twists[:, 1], equations.axial_forces
+    if coefficients is None:
+        rms = jnp.sqrt(jnp.mean(axial_forces**2))
+        estimate = jnp.std(axial_displacements) / jnp.where(rms > 0, rms, 1.0)
+        estimate = jnp.where(estimate > 0, estimate, 1.0)
+        compliance = jnp.full_like(axial_forces, estimate)
+        by_moment = by_transverse_force = jnp.zeros_like(axial_forces)
+    else:
+        compliance = equations.axial_compliance @ coefficients
+        compliance = jnp.maximum(compliance, 1e-3 * jnp.median(jnp.abs(compliance)))
+        by_moment = equations.moment_sensitivity @ coefficients
+        by_transverse_force = equations.transverse_sensitivity @ coefficients
+    axial_rows = -equations.axial_displacement / compliance[:, None]
+    axial_targets = -axial_displacements / compliance
+    rows = [
+        equations.moment + by_moment[:, None] * axial_rows,
+        axial_rows,
+        equations.transverse_force + by_transverse_force[:, None] * axial_rows,
+    ]
+    targets = [
+        equations.stresses[:, 0] + by_moment * axial_targets,
+        equations.stresses[:, 1] - axial_forces + axial_targets,
+        equations.stresses[:, 2] + by_transverse_force * axial_targets,
+    ]
+    return (
+        equations.to_wrenches @ jnp.stack(rows, axis=1),
+        jnp.einsum("sij,sj->si", equations.to_wrenches, jnp.stack(targets, axis=1)),
+    )
+
+
+@jax.jit
+def twists_and_stresses(
+    poses: Float[Array, "trials 3"],
+    wrenches: Float[Array, "trials 3"],
+    deviations: Float[Array, "trials 3"],
+) -> tuple[
+    Float[Array, "trials 3"], Float[Array, "trials 3"], Float[Array, "trials 3 3"]
+]:
+    """Convert poses and wrenches to twists and generalized stresses.
+
+    The generalized stress is the derivative of the energy with respect to the twist. Its
+    second component is the axial force.
+
+    Args:
+        poses: Poses of frame b relative to frame a; rad, m, m.
+        wrenches: Wrenches that body B exerts, in frame b; N m, N, N.
+        deviations: Standard deviations of the wrenches; N m, N, N.
+
+    Returns:
+        The twists (rad, m, m), the generalized stresses (N m, N, N), and the matrices
+        from an error of the generalized stress to the error of the wrench in standard
+        deviations.
+    """
+
+    def twist_and_matrix(pose: Pose) -> tuple[Twist, Matrix]:
+        twist = se2.twist(pose)
+        rotate_rows = jax.vmap(lambda row: se2.rotate(-pose[0], row))
+        jacobian = jax.jacfwd(se2.exp)(twist)
+        body_jacobian = jnp.concatenate([jacobian[:1], rotate_rows(jacobian[1:].T).T])
+        return twist, body_jacobian.T
+
+    twists, matrices = jax.vmap(twist_and_matrix)(poses)
+    stresses = jnp.einsum("sij,sj->si", matrices, wrenches)
+    return twists, stresses, jnp.linalg.inv(matrices) / deviations[:, :, None]

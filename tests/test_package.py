@@ -37,28 +37,31 @@ def test_no_file_has_more_than_400_lines():
 
 
 def test_importing_does_not_change_settings_of_jax():
-    """It also does not import matplotlib and msgspec, which would delay the start."""
+    """Packages that take long to load are imported when they are used."""
     code = (
         "import jax, sys; before = jax.config.values.copy(); import twistorjax; "
         "assert jax.config.values == before; "
-        "assert not {'matplotlib', 'msgspec'} & set(sys.modules)"
+        "twistorjax.Mechanism, twistorjax.equilibrium, twistorjax.flexures.leaf; "
+        "slow = {'matplotlib', 'msgspec', 'diffrax', 'scipy'} & set(sys.modules); "
+        "assert not slow, slow"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def _public():
     """Return all public functions, classes, and methods by name."""
-    namespaces = [tj, *(getattr(tj, name) for name in tj.__all__)]
+    namespaces = [tj, *(getattr(tj, name) for name in dir(tj))]
     namespaces = [space for space in namespaces if inspect.ismodule(space)]
     parts = [importlib.import_module(f"twistorjax.geometry.{name}") for name in GEOMETRY]
     parts += [
         space
-        for space in vars(tj.examples).values()
-        if inspect.ismodule(space) and space.__name__.startswith("twistorjax")
+        for name in dir(tj.examples)
+        if inspect.ismodule(space := getattr(tj.examples, name))
     ]
     found = {}
     for space in [*namespaces, *parts]:
-        for name, value in vars(space).items():
+        for name in dir(space):
+            value = getattr(space, name)
             home = getattr(value, "__module__", "")
             local = home == space.__name__ if space in parts else "twistorjax" in home
             if name.startswith("_") or not callable(value) or not local:

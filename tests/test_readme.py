@@ -122,7 +122,7 @@ def test_every_public_name_has_an_entry_in_the_api_pages(namespace):
     page = (ROOT / "notebooks" / "api" / f"{namespace}.md").read_text()
     documented = {name.split(".")[-1] for name in re.findall(r"^::: (\S+)", page, re.M)}
     module = getattr(tj, namespace)
-    source = (ROOT / "twistorjax" / namespace / "__init__.py").read_text()
+    source = (ROOT / "twistorjax" / namespace / "__init__.pyi").read_text()
     public = set(re.findall(r"\b(\w+) as \1\b", source))
     assert documented == public
     assert all(hasattr(module, name) for name in documented)
@@ -134,5 +134,5 @@ def test_every_name_at_the_top_level_has_an_entry_in_the_api_pages():
         r"^::: (\S+)", "\n".join(map(pathlib.Path.read_text, pages)), re.M
     )
     documented = {name.split(".")[-1] for name in entries}
-    modules = {name for name in tj.__all__ if isinstance(getattr(tj, name), type(tj))}
-    assert set(tj.__all__) - modules <= documented
+    modules = {name for name in dir(tj) if isinstance(getattr(tj, name), type(tj))}
+    assert set(dir(tj)) - modules <= documented

@@ -12,24 +12,9 @@ energies from measured wrenches. The other files contain the coordinates and pol
 that they share.
 """
 
-from .base import AbstractEnergy as AbstractEnergy
-from .damping import ViscousDamping as ViscousDamping
-from .fitting import (
-    EnergyFit as EnergyFit,
-    fit_energy as fit_energy,
-    fit_rational as fit_rational,
-    RationalFit as RationalFit,
-    read_trials as read_trials,
-    Trials as Trials,
-)
-from .fitting.trials import Errors as Errors
-from .mixed import MixedEnergy as MixedEnergy
-from .monomials import monomials as monomials
-from .point_charges import PointCharges as PointCharges
-from .polynomial import (
-    Polynomial as Polynomial,
-    Rational as Rational,
-    SumOfSquares as SumOfSquares,
-)
-from .quadratic import CoordinateEnergy as CoordinateEnergy, Quadratic as Quadratic
-from .validity import WithValidityRange as WithValidityRange
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

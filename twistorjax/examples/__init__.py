@@ -6,12 +6,9 @@ Start reading in `stage`, where `microstage` builds the micropositioning stage a
 problems, and `sweep_studies` holds the studies of the command `twistorjax sweep`.
 """
 
-from . import (
-    four_bar as four_bar,
-    identification as identification,
-    random_data as random_data,
-    stage as stage,
-    stage_motion as stage_motion,
-    sweep_studies as sweep_studies,
-    water as water,
-)
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

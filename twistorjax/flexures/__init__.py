@@ -7,27 +7,9 @@ geometrically exact beam of any outline. `exact_beam` makes an energy of it, and
 `stress` computes the largest stress in a flexure.
 """
 
-from .beam import Beam as Beam
-from .beam_solution import (
-    beam_under_load as beam_under_load,
-    BeamSolution as BeamSolution,
-    largest_rotation as largest_rotation,
-)
-from .exact_beam import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
-from .leaf import (
-    leaf as leaf,
-    leaf_outline as leaf_outline,
-    quartic_leaf as quartic_leaf,
-)
-from .material import Material as Material
-from .notch import (
-    notch as notch,
-    notch_outline as notch_outline,
-    notch_profile as notch_profile,
-)
-from .stress import (
-    largest_stress as largest_stress,
-    leaf_stress as leaf_stress,
-    notch_stress as notch_stress,
-)
-from .surrogate import surrogate as surrogate
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,4 +5,9 @@ of a displacement, in which most energies are written. `lines` represents forces
 vectors.
 """
 
-from . import lines as lines, se2 as se2, twistors as twistors
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

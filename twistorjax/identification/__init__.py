@@ -9,24 +9,9 @@ to normalized parameters, `objective` computes the residuals and their derivativ
 posterior distribution.
 """
 
-from .experiment_design import (
-    Candidate as Candidate,
-    ExperimentRanking as ExperimentRanking,
-    rank_experiments as rank_experiments,
-)
-from .hinge_test import HingeTest as HingeTest
-from .identify import identify as identify
-from .measurement import AbstractTest as AbstractTest, Measurement as Measurement
-from .motion_test import MotionTest as MotionTest
-from .parameters import Parameter as Parameter
-from .posterior import posterior as posterior
-from .readers import read_measurements as read_measurements
-from .report import Identification as Identification
-from .sensors import (
-    AbstractSensor as AbstractSensor,
-    BodySensor as BodySensor,
-    FunctionSensor as FunctionSensor,
-    HingeSensor as HingeSensor,
-)
-from .static_test import StaticTest as StaticTest
-from .vibration_test import VibrationTest as VibrationTest
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,10 +9,9 @@ Solutions have no file format of their own: `to_xarray()` converts them to datas
 xarray can save. A sweep saves its results with `store=`; see `sweeps.store`.
 """
 
-from .energies import load_energy as load_energy, save_energy as save_energy
-from .exudyn import exudyn_script as exudyn_script
-from .mechanisms import (
-    load_mechanism as load_mechanism,
-    save_mechanism as save_mechanism,
-)
-from .outlines import save_outline as save_outline
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,8 +6,9 @@ of all hinges together, from those of one hinge: `hinge_kinematics`, `hinge_forc
 in motion, `hinge_motion`. `hinge_groups` stacks hinges of the same kind.
 """
 
-from .body import Body as Body, plate as plate
-from .constraints import Constraint as Constraint, Pin as Pin, Slider as Slider
-from .hinge import Hinge as Hinge
-from .loads import Drive as Drive, Load as Load
-from .mechanism import Mechanism as Mechanism
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

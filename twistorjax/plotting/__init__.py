@@ -5,6 +5,9 @@ coordinates, `marks` draws loads, reactions and constraints, `labels` places nam
 numbers so that they do not overlap, and `figure_style` holds colors and units.
 """
 
-from .animation import animate as animate
-from .drawing import draw as draw
-from .hinge_plots import draw_energy as draw_energy
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -17,16 +17,9 @@ matrices. `dynamics` integrates the equations of motion (`motion_system`) by the
 in `collocation` or those of diffrax. `tables` converts solutions to xarray datasets.
 """
 
-from .collocation import Gauss as Gauss, Radau as Radau
-from .dynamics import simulate as simulate
-from .frequency_response import (
-    frequency_response as frequency_response,
-    FrequencyResponse as FrequencyResponse,
-)
-from .linearization import Linearization as Linearization, linearize as linearize
-from .motion import Energies as Energies, Motion as Motion
-from .progress import ProgressBar as ProgressBar
-from .results import result_names as result_names, RESULTS as RESULTS
-from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium
-from .tables import Column as Column
-from .vibrations import Vibrations as Vibrations, vibrations as vibrations
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

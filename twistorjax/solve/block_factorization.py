@@ -8,8 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from .._utils.types import Flag
 from .factorization import diagonal_scale, Factors, is_stable
@@ -72,6 +70,10 @@ def block_layout(
     count = len(free)
     if count < _LEAST_DOFS:
         return None
+    # These packages take 0.1 s to load, and only mechanisms of many bodies need them.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
     bodies, body_of_dof = np.unique(np.array(free) // 3, return_inverse=True)
     node = np.full(1 + max(bodies.max(), *np.ravel(ends)), -1)
     node[bodies] = np.arange(len(bodies))

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
@@ -330,11 +331,19 @@ def _without_callbacks() -> Iterator[None]:
 
 def _result(result: dfx.RESULTS, finite: Array) -> RESULTS:
     """Convert the result of diffrax; `finite` is true if the final state is finite."""
-    converted = RESULTS.promote(result)
-    invalid = (converted == RESULTS.nonfinite) | (converted == RESULTS.nonfinite_input)
-    converted = RESULTS.where(invalid | ~finite, RESULTS.not_finite, converted)
-    diverged = converted == RESULTS.nonlinear_divergence
-    return RESULTS.where(diverged, RESULTS.step_too_long, converted)
+    codes: Any = dfx.RESULTS
+    converted = RESULTS.solver_failed
+    for code, item in (
+        (codes.successful, RESULTS.successful),
+        (codes.event_occurred, RESULTS.event_occurred),
+        (codes.max_steps_reached, RESULTS.max_steps_reached),
+        (codes.dt_min_reached, RESULTS.step_too_short),
+        (codes.nonlinear_divergence, RESULTS.step_too_long),
+        (codes.nonfinite, RESULTS.not_finite),
+        (codes.nonfinite_input, RESULTS.not_finite),
+    ):
+        converted = RESULTS.where(result == code, item, converted)
+    return RESULTS.where(finite, converted, RESULTS.not_finite)
 
 
 def _output(system: MotionSystem, time: Scalar, state: State):

@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable, TypeVar
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import numpy as np
@@ -15,12 +14,11 @@ from .._utils.types import BatchFlag, Numbers
 from .tables import Column, Columns, columns, Tabular
 
 
-class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
+class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     """Reasons why a solve ended.
 
     `RESULTS[solution.result]` is the message of a result, which is empty for
-    `successful`. `result_names(solution.result)` is its name. The enumeration extends
-    that of diffrax.
+    `successful`. `result_names(solution.result)` is its name.
 
     * Equilibria end as `successful`, `not_finite`, `unstable`, `no_equilibrium`,
       `steps_used_up`, `inconsistent_constraints`, or `out_of_range`.
@@ -28,8 +26,8 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
       `inconsistent_constraints`; frequency responses as `successful`, `not_finite`, or
       `inconsistent_constraints`.
     * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,
-      `out_of_range`, `step_too_long`, or with another result of diffrax. If they cannot
-      start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,
+      `out_of_range`, `step_too_long`, `step_too_short`, or `solver_failed`. If they
+      cannot start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,
       `damping_gives_energy`, or `inconsistent_constraints`.
     * Identifications end as `successful`, `not_converged`, or `no_solution_at_start`.
     """
@@ -65,6 +63,19 @@ class RESULTS(dfx.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
         "larger range, or reduce the loads."
     )
 
+    event_occurred = "The motion ended at an event."
+    max_steps_reached = (
+        "The largest number of steps was reached before the last time. Increase "
+        "`max_steps`, or simulate a shorter time."
+    )
+    step_too_short = (
+        "The solver needs steps that are shorter than the smallest one that its step "
+        "size controller allows. Increase the tolerance, or allow shorter steps."
+    )
+    solver_failed = (
+        "The solver of diffrax could not solve the equations of a step. Use the default "
+        "`solver`, or a larger tolerance."
+    )
     step_too_long = (
         "The steps of constant length are too long for this motion: the equations of one "
         "step did not converge. Give a shorter `step`, or leave it out, so that the "

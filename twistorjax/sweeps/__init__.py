@@ -8,16 +8,9 @@ resumed. A design that fails returns NaN and a result code. `tolerances` compute
 tolerances of the parameters propagate to an output.
 """
 
-from .designs import Grid as Grid
-from .distributions import (
-    AbstractDistribution as AbstractDistribution,
-    Normal as Normal,
-    Uniform as Uniform,
-)
-from .sampling import sample_designs as sample_designs
-from .sweep import open_sweep as open_sweep, sweep as sweep
-from .tolerances import (
-    Tolerances as Tolerances,
-    tolerances as tolerances,
-    VarianceShare as VarianceShare,
-)
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

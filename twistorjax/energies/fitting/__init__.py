@@ -5,7 +5,9 @@ mixed energies. `rational` contains the fit of rational energies, `trials` the m
 data, and `report` the result of a fit. All fits use the solvers in `least_squares`.
 """
 
-from .polynomial import fit_energy as fit_energy
-from .rational import fit_rational as fit_rational, RationalFit as RationalFit
-from .report import EnergyFit as EnergyFit
-from .trials import read_trials as read_trials, Trials as Trials
+import lazy_loader
+
+
+# The names are imported from their modules at their first use, because some of these
+# modules import packages that take long to load. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

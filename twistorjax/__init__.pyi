@@ -1,0 +1,46 @@
+from . import (
+    energies as energies,
+    examples as examples,
+    flexures as flexures,
+    geometry as geometry,
+    identification as identification,
+    io as io,
+    plotting as plotting,
+    solve as solve,
+    sweeps as sweeps,
+)
+from ._utils.configuration import configure as configure
+from .energies import (
+    AbstractEnergy as AbstractEnergy,
+    fit_energy as fit_energy,
+    Quadratic as Quadratic,
+)
+from .flexures import Material as Material
+from .identification import identify as identify, Parameter as Parameter
+from .mechanism import (
+    Body as Body,
+    Constraint as Constraint,
+    Drive as Drive,
+    Hinge as Hinge,
+    Load as Load,
+    Mechanism as Mechanism,
+    Pin as Pin,
+    plate as plate,
+    Slider as Slider,
+)
+from .plotting import animate as animate, draw as draw
+from .solve import (
+    Equilibrium as Equilibrium,
+    equilibrium as equilibrium,
+    frequency_response as frequency_response,
+    FrequencyResponse as FrequencyResponse,
+    Linearization as Linearization,
+    linearize as linearize,
+    Motion as Motion,
+    result_names as result_names,
+    RESULTS as RESULTS,
+    simulate as simulate,
+    Vibrations as Vibrations,
+    vibrations as vibrations,
+)
+from .sweeps import Grid as Grid, sweep as sweep

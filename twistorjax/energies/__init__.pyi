@@ -1,0 +1,21 @@
+from .base import AbstractEnergy as AbstractEnergy
+from .damping import ViscousDamping as ViscousDamping
+from .fitting import (
+    EnergyFit as EnergyFit,
+    fit_energy as fit_energy,
+    fit_rational as fit_rational,
+    RationalFit as RationalFit,
+    read_trials as read_trials,
+    Trials as Trials,
+)
+from .fitting.trials import Errors as Errors
+from .mixed import MixedEnergy as MixedEnergy
+from .monomials import monomials as monomials
+from .point_charges import PointCharges as PointCharges
+from .polynomial import (
+    Polynomial as Polynomial,
+    Rational as Rational,
+    SumOfSquares as SumOfSquares,
+)
+from .quadratic import CoordinateEnergy as CoordinateEnergy, Quadratic as Quadratic
+from .validity import WithValidityRange as WithValidityRange

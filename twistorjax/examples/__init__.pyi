@@ -1,0 +1,9 @@
+from . import (
+    four_bar as four_bar,
+    identification as identification,
+    random_data as random_data,
+    stage as stage,
+    stage_motion as stage_motion,
+    sweep_studies as sweep_studies,
+    water as water,
+)

@@ -1,0 +1,1 @@
+from . import lines as lines, se2 as se2, twistors as twistors

@@ -1,0 +1,5 @@
+from .body import Body as Body, plate as plate
+from .constraints import Constraint as Constraint, Pin as Pin, Slider as Slider
+from .hinge import Hinge as Hinge
+from .loads import Drive as Drive, Load as Load
+from .mechanism import Mechanism as Mechanism

@@ -1,0 +1,3 @@
+from .animation import animate as animate
+from .drawing import draw as draw
+from .hinge_plots import draw_energy as draw_energy

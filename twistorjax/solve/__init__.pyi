@@ -1,0 +1,13 @@
+from .collocation import Gauss as Gauss, Radau as Radau
+from .dynamics import simulate as simulate
+from .frequency_response import (
+    frequency_response as frequency_response,
+    FrequencyResponse as FrequencyResponse,
+)
+from .linearization import Linearization as Linearization, linearize as linearize
+from .motion import Energies as Energies, Motion as Motion
+from .progress import ProgressBar as ProgressBar
+from .results import result_names as result_names, RESULTS as RESULTS
+from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium
+from .tables import Column as Column
+from .vibrations import Vibrations as Vibrations, vibrations as vibrations

@@ -13,6 +13,7 @@ from ..energies.base import AbstractEnergy, out_of_range
 from ..energies.damping import ViscousDamping
 from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
+from .assembly_tangent import AssemblyTangent
 from .hinge_groups import HingeGroup
 from .hinge_kinematics import End, mid_frame
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
@@ -121,16 +122,10 @@ class HingeAssembly(eqx.Module):
         local = self._evaluate(_elastic(hinge_forces.forces), displacements)
         return self._gather(local).reshape(displacements.shape)
 
-    def generalized_stress(
-        self, displacements: Poses, predicted: Float[Array, "3 hinges"] | None = None
-    ) -> Float[Array, "3 hinges"]:
-        """Compute the generalized stress of each hinge; N m, N, N.
-
-        For a `predicted` stress, the energies are replaced as in `tangent`.
-        """
-        more = () if predicted is None else (tuple(predicted),)
+    def generalized_stress(self, displacements: Poses) -> Float[Array, "3 hinges"]:
+        """Compute the generalized stress of each hinge; N m, N, N."""
         function = _elastic(hinge_forces.generalized_stress)
-        return jnp.stack(self._evaluate(function, displacements, *more))
+        return jnp.stack(self._evaluate(function, displacements))
 
     def out_of_range(self, displacements: Poses) -> Bool[Array, " hinges"]:
         """Decide whether each hinge is outside the validity range of its energy."""
@@ -147,51 +142,27 @@ class HingeAssembly(eqx.Module):
         return outside
 
     def tangent(
-        self,
-        displacements: Poses,
-        rows: tuple[int, ...],
-        columns: tuple[int, ...],
-        predicted: Float[Array, "3 hinges"] | None = None,
-    ) -> tuple[Float[Array, " dofs"], Float[Array, "rows columns"], Scalar]:
-        """Compute the forces, and their derivatives.
-
-        Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            rows: Degrees of freedom whose forces are differentiated.
-            columns: Degrees of freedom with respect to which they are differentiated.
-            predicted: Generalized stress that determines the geometric stiffness; by
-                default the stress at these displacements; N m, N, N.
-
-        Returns:
-            The forces on all degrees of freedom; N m, N. The derivatives; N m/rad, N/rad,
-            N/m. The sum of the absolute values of force times displacement; J.
-        """
-        forces, stiffness, work = self.hinge_stiffness(displacements, predicted)
-        return forces, self._assemble(stiffness, rows, columns), work
-
-    def hinge_stiffness(
         self, displacements: Poses, predicted: Float[Array, "3 hinges"] | None = None
-    ) -> tuple[Float[Array, " dofs"], Float[Array, "6 6 hinges"], Scalar]:
-        """Compute the forces, and the stiffness of each hinge on its two bodies.
+    ) -> AssemblyTangent:
+        """Compute the forces, their derivatives, and the generalized stress.
 
-        The arguments and the units of the three results are those of `tangent`.
+        A `predicted` stress determines the geometric stiffness, by default the stress at
+        these displacements; N m, N, N.
         """
         more = () if predicted is None else (tuple(predicted),)
-        forces, matrices, work = self._evaluate(
-            _elastic(hinge_forces.tangent), displacements, *more
-        )
-        stiffness = jnp.stack([jnp.stack(line) for line in matrices])
-        return self._gather(forces), stiffness, jnp.sum(work)
+        function = _elastic(hinge_forces.tangent)
+        local = self._evaluate(function, displacements, *more)
+        return AssemblyTangent.of(local, self.bodies, self.ends, self._order())
 
     def multiply_stiffness(
         self, stiffness: Float[Array, "6 6 hinges"], vector: Float[Array, " dofs"]
     ) -> Float[Array, " dofs"]:
-        """Multiply the assembled `hinge_stiffness` and a vector of displacements."""
+        """Multiply an assembled stiffness and a vector of displacements; rad, m, m."""
         of_hinges = vector[self._dofs()]
         return self._gather(jnp.sum(stiffness * of_hinges[None], axis=1))
 
     def stiffness_dofs(self) -> Int[np.ndarray, "2 entries"]:
-        """Return the row and the column of each entry of the flat `hinge_stiffness`."""
+        """Return the row and the column of each entry of a flat 6 by 6 stiffness."""
         dofs = self._dofs()
         shape = (6, *dofs.shape)
         rows = np.broadcast_to(dofs[:, None], shape).reshape(-1)

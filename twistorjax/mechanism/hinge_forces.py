@@ -10,11 +10,12 @@ In all functions, `first` and `second` are the ends of the hinge on bodies A and
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, cast, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, Inexact
 
 from .._utils.types import Flag, Scalar
@@ -24,12 +25,15 @@ from ..geometry.twistors import Displacement, half_angle_cos_sin
 from .hinge_kinematics import (
     combine,
     End,
+    Four,
     HingeKinematics,
     mid_frame,
     Six,
-    SixBySix,
     Three,
 )
+
+
+Tree = TypeVar("Tree")
 
 
 @jax.jit
@@ -48,19 +52,42 @@ def generalized_stress(
     first: End,
     second: End,
     axis: tuple[Scalar, Scalar],
-    predicted: Three | None = None,
 ) -> Three:
     """Differentiate the energy with respect to its coordinates; N m, N, N.
 
     These are the coordinates in which the energy is nearly quadratic; see
-    `HasTranslationScale`. For a `predicted` stress (N m, N, N), the energy is replaced by
-    its model for Newton's method.
+    `HasTranslationScale`.
     """
     at = mid_frame(first, second, axis).displacement
-    (g0, g1, g2), _ = gradient_and_hessian(_newton_model(energy, predicted), at)
+    (g0, g1, g2), _ = gradient_and_hessian(energy, at)
     scale, growth, _ = _translation_scale(energy, at)
     s1, s2 = g1 / scale, g2 / scale
     return g0 - growth * (2 * at.x1 * s1 + 2 * at.x2 * s2), s1, s2
+
+
+class HingeTangent(NamedTuple):
+    """Forces of a hinge, and their derivatives with respect to its four motions.
+
+    The motions are those of `HingeKinematics`: rotation of A, rotation of B, and
+    translation of B relative to A along x and along y. A translation of A is the opposite
+    one of B, so the ten entries determine the stiffness of the six displacements; see
+    `FOUR_OF_SIX`.
+
+    Args:
+        forces: Derivatives of the energy with respect to the motions; N m, N m, N, N.
+        stiffness: Upper triangle of the second derivatives, row by row; N m/rad, N/rad,
+            N/m.
+        stress: Generalized stress; N m, N, N.
+        stress_rates: Derivatives of each component of the stress with respect to the
+            motions.
+        work: Sum of the absolute values of force times coordinate; J.
+    """
+
+    forces: Four
+    stiffness: tuple[Scalar, ...]
+    stress: Three
+    stress_rates: tuple[Four, Four, Four]
+    work: Scalar
 
 
 @jax.jit
@@ -70,45 +97,99 @@ def tangent(
     second: End,
     axis: tuple[Scalar, Scalar],
     predicted: Three | None = None,
-) -> tuple[Six, SixBySix, Scalar]:
-    """Compute the `forces`, their derivatives, and the work.
+) -> HingeTangent:
+    """Compute the forces on the motions, their derivatives, and the generalized stress.
 
     If a generalized stress (N m, N, N) is `predicted`, it determines the geometric
     stiffness. Newton's method then takes as few steps for stiff hinges as for compliant
     ones (mixed integration point Newton; Magisano, Leonetti and Garcea, Int. J. Num.
     Meth. Eng. 109, 2017).
-
-    Returns:
-        The forces; their derivatives with respect to the same six displacements; and the
-        sum of the absolute values of force times coordinate; J.
     """
     kinematics = HingeKinematics.of(first, second, axis)
+    not_fused = _NotFused.of(kinematics.middle.displacement.angle)
+    kinematics = not_fused(kinematics)
     at = kinematics.middle.displacement
-    slopes, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
-    g0, g1, g2 = gradient = slopes
-    one, zero = jnp.ones_like(g0), jnp.zeros_like(g0)
+    gradient, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
+    one, zero = jnp.ones_like(gradient[0]), jnp.zeros_like(gradient[0])
     (h00, h01, h02), (_, h11, h12), (_, _, h22) = (
         curvature_times(one, zero, zero),
         curvature_times(zero, one, zero),
         curvature_times(zero, zero, one),
     )
+    gradient, (h00, h01, h02, h11, h12, h22) = not_fused(
+        (gradient, (h00, h01, h02, h11, h12, h22))
+    )
     y1, y2 = 2 * at.x1, 2 * at.x2
-    work = jnp.abs(g0 * at.angle) + jnp.abs(g1 * y1) + jnp.abs(g2 * y2)
+    work = jnp.abs(gradient[0] * at.angle)
+    work = work + jnp.abs(gradient[1] * y1) + jnp.abs(gradient[2] * y2)
+    # The coordinates of the stress are nonlinear functions of those of the hinge; see
+    # `generalized_stress`.
+    scale, growth, curvature = _translation_scale(energy, at)
+    s1, s2 = gradient[1] / scale, gradient[2] / scale
+    stress = gradient[0] - growth * (y1 * s1 + y2 * s2), s1, s2
+    by_s1 = (h01 - growth * s1) / scale, h11 / scale, h12 / scale
+    by_s2 = (h02 - growth * s2) / scale, h12 / scale, h22 / scale
+    by_s0 = (
+        h00 - curvature * (y1 * s1 + y2 * s2) - growth * (y1 * by_s1[0] + y2 * by_s2[0]),
+        h01 - growth * (s1 + y1 * by_s1[1] + y2 * by_s2[1]),
+        h02 - growth * (s2 + y1 * by_s1[2] + y2 * by_s2[2]),
+    )
+    slopes = gradient
     if predicted is not None:
-        # The coordinates of the energy are nonlinear functions of those of the hinge.
         # Their second derivatives are multiplied by the predicted stress.
-        scale, growth, curvature = _translation_scale(energy, at)
         b0, b1, b2 = predicted
-        excess1, excess2 = b1 - g1 / scale, b2 - g2 / scale
-        h00 = h00 + curvature * (y1 * excess1 + y2 * excess2)
-        h01, h02 = h01 + growth * excess1, h02 + growth * excess2
+        h00 = h00 + curvature * (y1 * (b1 - s1) + y2 * (b2 - s2))
+        h01, h02 = h01 + growth * (b1 - s1), h02 + growth * (b2 - s2)
         slopes = b0 + growth * (y1 * b1 + y2 * b2), scale * b1, scale * b2
     hessian = (h00, h01, h02), (h01, h11, h12), (h02, h12, h22)
     columns = kinematics.columns()
-    products = [combine(hessian, column) for column in columns]
+    products = not_fused([combine(hessian, column) for column in columns])
     geometric = kinematics.geometric_stiffness(slopes)
-    matrix = _among_bodies(columns, products, geometric)
-    return on_bodies(kinematics, gradient), matrix, work
+    return HingeTangent(
+        forces=of_motions(columns, gradient),
+        stiffness=tuple(
+            dot(columns[row], products[column]) + geometric[row][column]
+            for row, column in zip(*UPPER_TRIANGLE, strict=True)
+        ),
+        stress=stress,
+        stress_rates=(
+            of_motions(columns, by_s0),
+            of_motions(columns, by_s1),
+            of_motions(columns, by_s2),
+        ),
+        work=work,
+    )
+
+
+class _NotFused(NamedTuple):
+    """Values that XLA computes once, although several other values depend on them.
+
+    XLA computes each of many outputs in a loop of its own. In this loop it computes again
+    what the output depends on, except operations that it counts as expensive, such as a
+    division. All values are therefore divided by one. In a batch of 256 stages, their
+    tangents take a third of the time.
+
+    Args:
+        one: An array of ones that XLA does not know to be ones.
+    """
+
+    one: Scalar
+
+    @classmethod
+    def of(cls, value: Scalar) -> "_NotFused":
+        """Create the array of ones with the shape of a finite value."""
+        return cls(1 + 0 * lax.stop_gradient(value))
+
+    def __call__(self, tree: Tree) -> Tree:
+        """Divide all leaves by one."""
+        return jax.tree.map(lambda value: value / self.one, tree)
+
+
+# Rows and columns of the entries of a symmetric matrix of four motions.
+UPPER_TRIANGLE = np.triu_indices(4)
+# The motion that each of the six displacements (angle, x, y of A and of B) causes, and
+# its sign.
+FOUR_OF_SIX = np.array([0, 2, 3, 1, 2, 3]), np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 
 
 class Factored(NamedTuple):
@@ -162,18 +243,8 @@ def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
     return jnp.where(valid, numerator / jnp.where(valid, denominator, 1.0), 0.0)
 
 
-# The four motions (rotation of A, rotation of B, translation along x and y) for a unit of
-# each of the six displacements (angle, x, y of A and of B), in rows.
-MOTIONS = np.array(
-    [
-        [1.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0, 0.0],
-        [0.0, 0.0, 0.0, -1.0],
-        [0.0, 1.0, 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-)
+# The motions for a unit of each of the six displacements, in rows.
+MOTIONS = np.eye(4)[FOUR_OF_SIX[0]] * FOUR_OF_SIX[1][:, None]
 
 
 def product(
@@ -249,39 +320,19 @@ def displacement_at(at: Displacement, coordinates: Three) -> Displacement:
 
 def on_bodies(kinematics: HingeKinematics, slopes: Three) -> Six:
     """Convert forces on the coordinates to forces on the displacements; N m, N, N."""
-    on_a, on_b, x, y = (dot(column, slopes) for column in kinematics.columns())
+    on_a, on_b, x, y = of_motions(kinematics.columns(), slopes)
     return on_a, -x, -y, on_b, x, y
+
+
+def of_motions(columns: tuple[Three, Three, Three, Three], slopes: Three) -> Four:
+    """Convert derivatives with respect to coordinates to those of the four motions.
+
+    `columns` are the derivatives of the coordinates with respect to the motions.
+    """
+    a, b, x, y = (dot(column, slopes) for column in columns)
+    return a, b, x, y
 
 
 def dot(first: Three, second: Three) -> Scalar:
     """Compute the scalar product of two vectors."""
     return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
-
-
-def _among_bodies(
-    columns: Sequence[Three],
-    products: Sequence[Three],
-    geometric: list[list[Scalar]],
-) -> SixBySix:
-    """Assemble the symmetric stiffness with respect to the six displacements.
-
-    The arguments are the derivatives of the coordinates with respect to the four motions,
-    their products with the second derivatives of the energy, and the geometric stiffness.
-    """
-    four: list[list[Any]] = [[None] * 4 for _ in range(4)]
-    for row in range(4):
-        for column in range(4):
-            if column < row:
-                four[row][column] = four[column][row]
-            else:
-                value = dot(columns[row], products[column])
-                four[row][column] = value + geometric[row][column]
-    motions = (0, 1), (2, -1), (3, -1), (1, 1), (2, 1), (3, 1)
-    six = [
-        tuple(
-            four[row][column] if up * left > 0 else -four[row][column]
-            for column, left in motions
-        )
-        for row, up in motions
-    ]
-    return cast(SixBySix, tuple(six))

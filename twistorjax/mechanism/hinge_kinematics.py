@@ -12,8 +12,8 @@ from ..geometry.twistors import Displacement
 
 Two = tuple[Scalar, Scalar]
 Three = tuple[Scalar, Scalar, Scalar]
+Four = tuple[Scalar, Scalar, Scalar, Scalar]
 Six = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-SixBySix = tuple[Six, Six, Six, Six, Six, Six]
 
 
 class End(NamedTuple):

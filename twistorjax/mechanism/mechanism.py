@@ -156,7 +156,8 @@ class Mechanism(eqx.Module):
         """
         all_dofs = tuple(range(3 * len(self.names)))
         displacements = self.displacements(poses)
-        _, matrix, _ = self.hinge_assembly.tangent(displacements, all_dofs, all_dofs)
+        tangent = self.hinge_assembly.tangent(displacements)
+        matrix = tangent.matrix(all_dofs, all_dofs)
         return matrix.reshape(2 * (len(self.names), 3))
 
     def inertia(self) -> Wrenches:

@@ -8,9 +8,15 @@ from jaxtyping import Array, Float, Int
 
 
 def sum_entries(
-    entries: Float[Array, " entries"], source: np.ndarray, target: np.ndarray, size: int
+    entries: Float[Array, " entries"],
+    source: np.ndarray,
+    target: np.ndarray,
+    size: int,
+    signs: np.ndarray | None = None,
 ) -> Float[Array, " size"]:
     """Sum the entries at `source` that have the same target, for all targets.
+
+    The entries are multiplied by `signs`, if they are given.
 
     If there are few targets, each target gathers its entries, which are then processed in
     parallel. A scatter operation processes one entry after another.
@@ -18,13 +24,20 @@ def sum_entries(
     counts = np.bincount(target, minlength=size)
     largest = counts.max(initial=0)
     if size * largest > 8 * entries.size + 1024:
-        return jnp.zeros(size).at[target].add(entries[source])
+        chosen = entries[source]
+        if signs is not None:
+            chosen = chosen * jnp.asarray(signs)
+        return jnp.zeros(size).at[target].add(chosen)
     order = np.argsort(target, kind="stable")
     column = np.arange(target.size) - np.repeat(np.cumsum(counts) - counts, counts)
     gathered = np.full((size, largest), entries.size)
     gathered[target[order], column] = source[order]
-    padded = jnp.concatenate([entries, jnp.zeros(1)])
-    return jnp.sum(padded[gathered], axis=1)
+    chosen = jnp.concatenate([entries, jnp.zeros(1)])[gathered]
+    if signs is not None:
+        weights = np.zeros((size, largest))
+        weights[target[order], column] = signs[order]
+        chosen = chosen * jnp.asarray(weights)
+    return jnp.sum(chosen, axis=1)
 
 
 @lru_cache(maxsize=256)

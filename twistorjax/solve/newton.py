@@ -305,7 +305,7 @@ def _newton_step(
 ) -> _Step:
     """Take one Newton step toward the end of the increment."""
     goal = state.fraction + state.increment
-    forces, tangent, work = system.tangent(
+    forces, tangent, hinges = system.tangent(
         state.displacements, goal, state.predicted, state.multipliers
     )
     flat = state.displacements.reshape(-1)
@@ -328,19 +328,14 @@ def _newton_step(
     multipliers = state.multipliers
     if multipliers is not None:
         multipliers = multipliers - step[len(system.free) :]
-
-    def stress(at: Poses) -> Float[Array, "3 hinges"]:
-        return system.hinges.generalized_stress(at, state.predicted)
-
     change = displacements - state.displacements
-    predicted, predicted_change = jax.jvp(stress, (state.displacements,), (change,))
     return _Step(
         displacements=displacements,
         multipliers=multipliers,
-        predicted=predicted + predicted_change,
+        predicted=hinges.predicted_stress(change),
         change=change,
         energies=jnp.abs(step * right),
-        work=work,
+        work=hinges.work,
         imbalance=imbalance,
         response=response,
         goal=goal,

@@ -166,9 +166,12 @@ def succeeded_or_raise(
 
     `error` returns this error from the name of the result and the index in the batch.
     """
-    names = result_names(solution.result)
-    if names is None:
+    index = concrete(solution.result._value)
+    if index is None:
         return solution.result.error_if(solution, ~solution.succeeded)
+    if not np.any(index):  # `successful` is the first item, so most calls end here
+        return solution
+    names = result_names(solution.result)
     failed = ~np.asarray(solution.succeeded)
     if np.any(failed):
         index = tuple(map(int, np.unravel_index(np.argmax(failed), failed.shape)))
@@ -210,7 +213,12 @@ class BodySolution(Tabular):
         return is_success(self.result)
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
-        """Return the displacement of a body from its reference pose.
+        """Return the displacement of a body.
+
+        The displacement of an equilibrium or of a motion is measured from the reference
+        pose. That of a linear response is the change from the equilibrium about which the
+        mechanism is linearized. That of a frequency response is the complex amplitude of
+        this change.
 
         Args:
             body: Name of the body.

@@ -110,10 +110,11 @@ def equilibrium(
     """Compute the static equilibrium under loads and prescribed displacements.
 
     Displacements may be large. The loads are applied in increments if one Newton solve
-    does not converge, or if a fold may lie between two increments, so the result is the
-    equilibrium that is connected to the reference configuration. Unstable equilibria are
-    rejected. The result has derivatives of every order, in forward and in reverse mode,
-    which are computed by the implicit function theorem.
+    does not converge, or if a fold may lie within an increment. The result is the
+    equilibrium that is connected to `start`, by default the reference configuration; the
+    manual describes two exceptions. Unstable equilibria are rejected. The result has
+    derivatives of every order, in forward and in reverse mode, which are computed by the
+    implicit function theorem.
 
     Args:
         mechanism: The mechanism. No hinge is loaded in its reference configuration.

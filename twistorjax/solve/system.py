@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from .._utils.host import as_float
 from .._utils.types import Entries, NumberLike, Poses, Scalar, Wrenches
+from ..mechanism.assembly_tangent import AssemblyTangent
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Load, loaded_bodies, LoadSet
@@ -167,7 +168,7 @@ class System(eqx.Module):
         fraction: Scalar | float = 1.0,
         predicted: Float[Array, "3 hinges"] | None = None,
         multipliers: Entries | None = None,
-    ) -> tuple[Float[Array, " dofs"], Tangent, Scalar]:
+    ) -> tuple[Float[Array, " dofs"], Tangent, AssemblyTangent]:
         """Compute the residual under a fraction of the loads, and its derivatives.
 
         Args:
@@ -179,49 +180,47 @@ class System(eqx.Module):
 
         Returns:
             The residual, the tangent stiffness of the free degrees of freedom, and the
-            sum of the absolute values of force times displacement of the hinges; J.
+            tangent of the hinges alone.
         """
+        hinges = self.hinges.tangent(displacements, predicted)
         layout = block_layout(self.hinges.ends, self.dofs.free)
-        if self.constraints.size or layout is None:
-            columns = self.dofs.free + self.dofs.prescribed
-            residual, matrix, work = self.matrix(
-                displacements, columns, fraction, predicted
+        if not self.constraints.size and layout is not None:
+            applied, by_angle = (
+                fraction * value.reshape(-1) for value in self.loads.apply(displacements)
             )
-            if not self.constraints.size:
-                return residual, DenseTangent(matrix), work
-            assert multipliers is not None
-            return *self._constrained(displacements, residual, matrix, multipliers), work
-        forces, stiffness, work = self.hinges.hinge_stiffness(displacements, predicted)
-        applied, by_angle = (
-            fraction * value.reshape(-1) for value in self.loads.apply(displacements)
-        )
-        tangent = BlockTangent(self.hinges, stiffness, by_angle, self.dofs, layout)
-        return forces - applied, tangent, work
+            tangent = BlockTangent(
+                self.hinges, hinges.hinge_stiffness(), by_angle, self.dofs, layout
+            )
+            return hinges.forces() - applied, tangent, hinges
+        columns = self.dofs.free + self.dofs.prescribed
+        residual, matrix = self._with_loads(hinges, displacements, columns, fraction)
+        if not self.constraints.size:
+            return residual, DenseTangent(matrix), hinges
+        assert multipliers is not None
+        return *self._constrained(displacements, residual, matrix, multipliers), hinges
 
-    def matrix(
+    def _with_loads(
         self,
+        hinges: AssemblyTangent,
         displacements: Poses,
         columns: tuple[int, ...],
         fraction: Scalar | float = 1.0,
-        predicted: Float[Array, "3 hinges"] | None = None,
-    ) -> tuple[Float[Array, " dofs"], Float[Array, "free columns"], Scalar]:
-        """Compute the residual and the tangent stiffness without constraints.
+    ) -> tuple[Float[Array, " dofs"], Float[Array, "free columns"]]:
+        """Add a fraction of the loads to the forces of the hinges.
 
         The free forces are differentiated with respect to the degrees of freedom in
-        `columns`. For the other arguments and the three results, see `tangent`.
+        `columns`.
         """
-        forces, matrix, work = self.hinges.tangent(
-            displacements, self.dofs.free, columns, predicted
-        )
+        forces, matrix = hinges.forces(), hinges.matrix(self.dofs.free, columns)
         if not self.loads.bodies:
-            return forces, matrix, work
+            return forces, matrix
         applied, by_angle = (
             fraction * value.reshape(-1) for value in self.loads.apply(displacements)
         )
         matrix = add_load_stiffness(
             matrix, by_angle, self.loads.bodies, self.dofs.free, columns
         )
-        return forces - applied, matrix, work
+        return forces - applied, matrix
 
     def whole_stiffness(
         self, displacements: Poses
@@ -234,7 +233,8 @@ class System(eqx.Module):
         """
         count = self.dofs.total
         whole = replace(self, dofs=DofPartition(count, tuple(range(count))))
-        _, matrix, _ = whole.matrix(displacements, whole.dofs.free)
+        hinges = self.hinges.tangent(displacements)
+        _, matrix = whole._with_loads(hinges, displacements, whole.dofs.free)
         if self.constraints.size:
             matrix += self.constraint_stiffness(displacements)
         return matrix, self.jacobian(displacements)

@@ -11,7 +11,7 @@ from .measure import Row, seconds
 
 
 DESIGNS = 500
-REFERENCE_GAIN = 27.628043685  # at a web thickness of 0.25 mm
+REFERENCE_GAIN = 27.628043685  # at a web of 0.25 mm
 
 
 def stiffness(web: float) -> np.ndarray:
@@ -42,7 +42,7 @@ def exudyn_gain() -> Callable[[float], float]:
     prevent residuals below 1e-9.
 
     Returns:
-        A function that computes the gain for a given web thickness (m).
+        A function that computes the gain for a given web (m).
     """
     import exudyn as exu
     from exudyn import itemInterface as items
@@ -117,7 +117,7 @@ def numpy_gain() -> Callable[[float], float]:
     geometric stiffness, so each step reduces the error by a factor of about 1000 only.
 
     Returns:
-        A function that computes the gain for a given web thickness (m).
+        A function that computes the gain for a given web (m).
     """
     mechanism = microstage()
     first, second = np.array(mechanism.hinge_assembly.ends).T

@@ -16,12 +16,12 @@ DESIGNS = 10_000
 
 
 def gain(web: jax.Array) -> jax.Array:
-    """Compute the nonlinear gain of a stage with a given web thickness (m)."""
+    """Compute the nonlinear gain of a stage with a given web (m)."""
     return stage.amplification(stage.microstage(web), throw=False).gain
 
 
 def linearized_gain(web: jax.Array) -> jax.Array:
-    """Compute the gain of a stage with a given web thickness (m) by linearization."""
+    """Compute the gain of a stage with a given web (m) by linearization."""
     linear = tj.linearize(stage.microstage(web), {"6": ["x"]})
     solution = linear(drives=[tj.Drive("6", x=stage.TRAVEL)], throw=False)
     return solution.displacement("4")[1] / stage.TRAVEL

@@ -14,10 +14,17 @@ import typer
 HEAD = """# Validation
 
 The tests compare results with references that share no code with the library:
-closed forms, published numbers, and other programs. The error is the largest
-deviation in a row, relative to the largest reference value, unless the row
-says otherwise. A test fails if its error exceeds its limit.
-`notebooks/validation.py` writes this page from the numbers of the tests.
+closed forms, published numbers, and other programs. In some rows the
+reference is another result of the library, such as the exact beam. The error
+is the largest deviation of a result from its reference, divided by the
+largest reference value. For rows with "rms, worst component", it is the root
+mean square of the deviations, divided by that of the reference, for the
+component of the wrench with the largest error. A test fails if its error
+exceeds its limit.
+
+L and t are the length and the thickness of a leaf, E I is its bending
+stiffness, and P is a force. `notebooks/validation.py` writes this page from
+the numbers of the tests.
 
 """
 

@@ -57,10 +57,10 @@ def push(force, standard_deviation=1e-4):
 
 
 def push_series(forces, standard_deviation):
-    """Test with one trial for each force along x."""
+    """Test with one load case for each force along x."""
     sensor = BodySensor("block", "x", standard_deviation)
-    trials = [[tj.Load("block", force=(force, 0.0))] for force in forces]
-    return StaticTest(trials, [sensor])
+    load_cases = [[tj.Load("block", force=(force, 0.0))] for force in forces]
+    return StaticTest(load_cases, [sensor])
 
 
 def free_vibration(times, sensors, *, velocity, tolerance):

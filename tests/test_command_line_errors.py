@@ -60,7 +60,7 @@ def test_an_unknown_command(run_here):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--hinges", "some"], "'some' is not one of 'identical', 'mixed'"),
+        (["--hinges", "some"], "'some' is not one of 'identical', 'leaves-and-notches'"),
         (["--times", "0.2,0.1"], "must increase"),
         (["--times", "0.1,x"], "must be numbers separated by commas"),
         (["--damping-time", "-1"], "Invalid value for '--damping-time'"),

@@ -167,7 +167,8 @@ def test_mixed_energy_fits_finite_elements_to_their_own_error(name, limit, valid
     np.testing.assert_array_less(fit.held_out.relative, limit)
     np.testing.assert_array_less(fit.expected.relative, limit)
     assert np.all(fit.held_out.relative > fit.expected.relative / 10)
-    what = f"{name}.csv, mixed energy, held-out trials (rms, worst component)"
+    hinge = {"fe_leaf": "a leaf", "fe_notch": "a notch"}[name]
+    what = f"mixed energy of {hinge}, held-out trials (rms, worst component)"
     oracle = "plane finite elements"
     validated("Fits", what, 1 + np.max(fit.held_out.relative), 1.0, oracle)
     limited = fit.with_validity_range

@@ -112,7 +112,7 @@ def test_sensors_read_the_quantities_of_the_motion(linkage, motion):
             "the moment of a body does not depend on its reference pose",
         ),
         (lambda: HingeSensor("A", "force_x", 1.0), "`quantity` is 'force_x'"),  # pyright: ignore[reportArgumentType]
-        (lambda: StaticTest([], [BodySensor("3", "x", 1.0)]), "`trials` is empty"),
+        (lambda: StaticTest([], [BodySensor("3", "x", 1.0)]), "`load_cases` is empty"),
         (lambda: StaticTest([[]], []), "`sensors` is empty"),
         (lambda: StaticTest([tj.Load("3", (0, 0, 0))], []), "put this one in"),  # pyright: ignore[reportArgumentType]
         (lambda: MotionTest([0, 0], [BodySensor("3", "x", 1.0)]), "must increase"),
@@ -170,9 +170,9 @@ def test_more_frequencies_than_the_mechanism_has_are_rejected(linkage):
         VibrationTest(10, 1.0).predict(linkage)
 
 
-def test_trials_of_different_kinds_are_read_in_their_order(linkage):
+def test_load_cases_of_different_kinds_are_read_in_their_order(linkage):
     """Each row is compared with a separate equilibrium."""
-    trials = [
+    load_cases = [
         [tj.Load("3", (0.0, 2.0, 0.0))],
         [tj.Drive("2", angle=0.1)],
         [tj.Load("3", (0.0, -1.0, 0.0)), tj.Load("4", (0.01, 0.0, 0.0))],
@@ -180,10 +180,10 @@ def test_trials_of_different_kinds_are_read_in_their_order(linkage):
         [tj.Drive("2", angle=0.2), tj.Load("4", (0.0, 0.0, 3.0), follower=True)],
     ]
     sensors = [BodySensor("3", "x", 1.0), BodySensor("4", "angle", 1.0)]
-    readings = StaticTest(trials, sensors).predict(linkage)
-    for row, trial in zip(readings, trials, strict=True):
-        loads = [part for part in trial if isinstance(part, tj.Load)]
-        drives = [part for part in trial if isinstance(part, tj.Drive)]
+    readings = StaticTest(load_cases, sensors).predict(linkage)
+    for row, load_case in zip(readings, load_cases, strict=True):
+        loads = [part for part in load_case if isinstance(part, tj.Load)]
+        drives = [part for part in load_case if isinstance(part, tj.Drive)]
         solution = tj.equilibrium(linkage, loads=loads, drives=drives)
         expected = [solution.displacement("3")[1], solution.displacement("4")[0]]
         assert_close(row, jnp.stack(expected), digits=9)
@@ -209,7 +209,7 @@ def test_the_errors_of_synthetic_data_have_the_given_standard_deviation():
 def test_an_error_names_the_test_that_does_not_fit_the_mechanism():
     other = StaticTest([[tj.Load("arm", (0, 1, 0))]], [BodySensor("block", "x", 1)])
     data = [other.measurement([[0.0]])]
-    message = r"StaticTest of 1 trial, .*: .* body 'arm', but"
+    message = r"StaticTest of 1 load case, .*: .* body 'arm', but"
     with pytest.raises(ValueError, match=message):
         tj.identify(spring, dict(TRUE), data)
 
@@ -219,7 +219,7 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
     true = {"rotation": 2.0, "along": 100.0, "across": 50.0}
     order = ["rotation", "along", "across"]
 
-    def trial(wrench, sensors: dict[BodyQuantity, float]):
+    def static_test(wrench, sensors: dict[BodyQuantity, float]):
         load = tj.Load("block", tuple(1e-3 * np.array(wrench)))
         return StaticTest(
             [[load]],
@@ -233,8 +233,8 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
     tests = {
         "again": along,
         "better": push(5e-3, standard_deviation=1e-6),
-        "rotated": trial((1.0, 0, 0), {"angle": 1e-4}),
-        "all": trial((1.0, 5.0, 3.0), {"angle": 1e-4, "x": 1e-6, "y": 1e-6}),
+        "rotated": static_test((1.0, 0, 0), {"angle": 1e-4}),
+        "all": static_test((1.0, 5.0, 3.0), {"angle": 1e-4, "x": 1e-6, "y": 1e-6}),
     }
     ranking = rank_experiments(result, tests, count=2)
 

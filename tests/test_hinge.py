@@ -178,7 +178,7 @@ def test_displacement_in_the_mid_frame_is_the_twistor():
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 @every_energy
 def test_tangent_in_motion_is_the_derivative_of_the_forces(energy, coordinates):
-    """Derivatives by displacements and by rates, with a full damping matrix."""
+    """Derivatives with respect to displacements and rates, with a full damping matrix."""
     damping = tj.energies.ViscousDamping(some_stiffness(5), coordinates)
     hinge_assembly = two_bodies(energy, damping=damping).hinge_assembly
     dofs = tuple(range(6))

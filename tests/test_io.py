@@ -24,7 +24,7 @@ from twistorjax.examples import four_bar, stage
 
 MECHANISMS = {
     "stage": stage.microstage,
-    "linkage": lambda: four_bar.four_bar("mixed", coordinates="twist"),
+    "linkage": lambda: four_bar.four_bar("leaves-and-notches", coordinates="twist"),
 }
 
 
@@ -348,7 +348,7 @@ def test_a_script_for_exudyn_contains_the_mechanism_and_its_loads():
 def test_exudyn_finds_the_same_small_displacements(tmp_path):
     """The loads are so small that its linear springs agree with the hinges."""
     pytest.importorskip("exudyn")
-    linkage = four_bar.four_bar("mixed")
+    linkage = four_bar.four_bar("leaves-and-notches")
     loads = [tj.Load("3", (0.0, 2e-6, -1e-6), at=(0.01, 0.0))]
     drives = [tj.Drive("2", angle=1e-7)]
     path = tmp_path / "linkage.py"

@@ -30,7 +30,7 @@ def test_static_trials_are_read_and_converted_to_si_units(tmp_path):
     )
     data = read_measurements(path, standard_deviations={"left.force_1": 2.0})
     assert isinstance(data.test, StaticTest)
-    first, second = data.test.trials
+    first, second = data.test.load_cases
     load, drive = first
     assert isinstance(load, tj.Load) and isinstance(drive, tj.Drive)
     assert_close(load.wrench, jnp.array([0.25, 1.5, 0.0]))
@@ -103,7 +103,7 @@ def test_a_simulated_motion_is_read_from_its_dataset(linkage):
         ("time_s,3.x_m,sd_3.x_m\n,1,1\n", "time_s is empty"),
         ("3.x_m,sd_3.x_m\n1,1\n", "has neither times, nor loads or drives"),
         ("time_s\n0\n1\n", "has no readings"),
-        ("time_s,load_3.force_x_N,3.x_m,sd_3.x_m\n0,1,1,1\n", "only static trials have"),
+        ("time_s,load_3.force_x_N,3.x_m,sd_3.x_m\n0,1,1,1\n", "only load cases have"),
         ("time_s,3.x_m,3.x_mm,sd_3.x_m\n0,1,1,1\n", "has 3.x twice"),
         ("time_s,3.x_m,sd_3.x_m,sd_4.x_m\n0,1,1,1\n", "deviation of '4.x', but"),
         ("time_s,3.x_m\n", "only the line of column names"),

@@ -131,7 +131,7 @@ def test_surrogate_of_a_leaf_equals_the_beam_under_new_loads(degrees, validated)
     error = rms_error / jnp.sqrt(jnp.mean(exact**2, axis=0))
     np.testing.assert_array_less(error, 1e-3)
     np.testing.assert_allclose(error, hinge.error, rtol=0.7)
-    what = f"wrenches to {degrees}°, under new loads (rms, worst component)"
+    what = f"wrenches at rotations up to {degrees}°, new loads (rms, worst component)"
     validated("Surrogates of leaves", what, 1 + error.max(), 1.0, "the exact beam")
 
 
@@ -176,7 +176,7 @@ def test_force_and_parasitic_motion_of_a_parallelogram_are_those_of_exact_beams(
         cases.append((travel, actual, expected))
     travel, actual, expected = cases[-1]
     ratios, exact = np.array(actual) / expected, np.ones(3)
-    what = f"parallelogram moved by {travel:g} L: force, axial motion, rotation"
+    what = f"parallel guide displaced by {travel:g} L: force, change of height, rotation"
     validated("Surrogates of leaves", what, ratios, exact, "exact beams, by SciPy")
 
 
@@ -200,7 +200,10 @@ def test_center_shift_of_a_cross_spring_pivot_is_that_of_exact_beams(crossing, v
         np.testing.assert_allclose(actual_shift, shift, atol=5e-3 * size)
         cases.append((degrees, actual_shift, shift))
     degrees, actual_shift, shift = cases[-1]
-    what = f"cross-spring pivot, crossed at {crossing:.3f}, {degrees:g}°: center shift"
+    what = (
+        f"cross-spring pivot, leaves crossed at {crossing:.3f} of their length, rotation "
+        f"{degrees:g}°: center shift"
+    )
     validated("Surrogates of leaves", what, actual_shift, shift, "exact beams, by SciPy")
 
 

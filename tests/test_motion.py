@@ -30,7 +30,7 @@ FOUR_BAR = {
 0.405 -0.01754560165 0.03249994957 0.001933910937 -9.180402862e-05 0.06499991415 \
 8.915162519e-07 0.01745439835 0.03249996516 0.001809271285"""
     ),
-    "mixed": table(
+    "leaves-and-notches": table(
         """0.09 -0.02436254226 0.03643783615 0.3064712409 -0.01264399614 0.06121225566 \
 0.009112280387 0.01104053526 0.03166441267 0.2576254709
 0.18 -0.01817728215 0.03748964079 0.02999954037 -0.001246740268 0.06298273548 \
@@ -41,7 +41,7 @@ FOUR_BAR = {
 }
 
 
-@pytest.mark.parametrize("hinges", ["identical", "mixed"])
+@pytest.mark.parametrize("hinges", ["identical", "leaves-and-notches"])
 def test_driven_linkages_move_as_in_the_dissertation(hinges, validated):
     expected = FOUR_BAR[hinges]
     linkage = four_bar.four_bar(hinges)
@@ -52,7 +52,8 @@ def test_driven_linkages_move_as_in_the_dissertation(hinges, validated):
         np.testing.assert_allclose(computed[1:], [x, y], rtol=0, atol=1e-7)
         np.testing.assert_allclose(computed[0], angle, rtol=0, atol=1e-6)
     x = motion.displacement("3")[1:, 1], expected[:, 4]
-    what = f"displacement of link 3, {hinges} hinges"
+    names = {"identical": "identical leaves", "leaves-and-notches": "leaves and notches"}
+    what = f"displacement of link 3, {names[hinges]}"
     validated("Four-bar linkages", what, *x, "an independent derivation, by SciPy")
 
 

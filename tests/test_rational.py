@@ -130,24 +130,24 @@ def test_reported_errors_are_those_of_the_fitted_energy():
 
 
 def noise():
-    """Return trials with random energies. Unregularized fits of them have poles."""
+    """Return trials with random energies. Unregularized fits of them are singular."""
     poses = random_trials(charges()).poses
     return tj.energies.Trials(
         poses, energies=np.random.default_rng(7).normal(size=len(poses))
     )
 
 
-def test_ridge_prevents_poles():
+def test_ridge_prevents_singularities():
     with pytest.warns(UserWarning, match="the denominator changes sign"):
         unregularized = tj.energies.fit_rational(noise(), 2, ridge=0.0)
-    assert unregularized.has_poles
+    assert unregularized.has_singularities
     assert "warning: the denominator changes sign" in repr(unregularized)
     poses = 2 * np.asarray(random_trials(charges(), 60, seed=3).poses)
-    fit = tj.energies.fit_rational(noise(), 2, pole_free_poses=poses)
+    fit = tj.energies.fit_rational(noise(), 2, regular_poses=poses)
     assert fit.ridge > 1e-4
     denominators = [fit.energy.denominator(jnp.asarray(pose)) for pose in poses]
     assert min(denominators) > 0.1
-    assert not fit.has_poles
+    assert not fit.has_singularities
 
 
 def test_denominator_can_be_the_base_only():
@@ -170,7 +170,7 @@ def test_fit_that_interpolates_raises_a_warning():
         ({"ridge": -1.0}, "`ridge` is -1.0"),
         ({"scale": 0.0}, "`scale` is 0.0"),
         ({"denominator": "none"}, "must be one of 'free', 'base'"),
-        ({"pole_free_poses": [[0.0, 1.0]]}, "`pole_free_poses` has shape (1, 2)"),
+        ({"regular_poses": [[0.0, 1.0]]}, "`regular_poses` has shape (1, 2)"),
         (
             {"base": tj.energies.Polynomial([1.0], [(0, 0, 0)], "twist")},
             "`base` is a polynomial of the twist, but must be one of the twistor",

@@ -131,7 +131,7 @@ def test_tolerances_of_a_linear_output_agree_with_the_closed_form(validated):
     np.testing.assert_allclose(result.nominal, 0.5, rtol=1e-12)
     what = "standard deviation of a sum of three variables, first order"
     validated("Tolerances", what, first_order, exact, "closed form")
-    what = "the same, 8,192 sampled designs"
+    what = "standard deviation of a sum of three variables, 8,192 sampled designs"
     validated("Tolerances", what, result.standard_deviation, exact, "closed form")
     assert abs(result.first_order_error) < 0.005
     assert abs(result.mean - 0.5) < 1e-3 * exact
@@ -291,7 +291,7 @@ def test_the_output_must_be_a_scalar():
 
 
 def test_tolerances_of_the_webs_propagate_to_the_gain_of_the_stage():
-    """The derivatives by each web sum to that by all; their squares to the variance."""
+    """The derivatives for each web sum to that for all; their squares to the variance."""
     webs = {"web": tj.sweeps.Normal(np.full(7, 0.25e-3), 10e-6)}
     result = tj.sweeps.tolerances(stage_gain, webs, "gain", count=4096)
     derivatives = [share.derivative for share in result.variance_shares]

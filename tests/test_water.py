@@ -62,9 +62,9 @@ def test_a_regularized_rational_function_predicts_held_out_trials(study):
     assert fit.smallest_ratio > 0.05
 
 
-def test_an_unregularized_rational_function_has_poles_between_its_trials(study):
+def test_an_unregularized_rational_function_has_singularities_between_its_trials(study):
     (fit,) = study.fits["unregularized rational"]
-    assert fit.has_poles
+    assert fit.has_singularities
     held_out_error = study.held_out_error("unregularized rational")
     assert held_out_error > 5 * study.training_error("unregularized rational")
 

@@ -65,8 +65,9 @@ _OUT_OF_MEMORY = "There is not enough memory. Use fewer designs, points, or time
 def main() -> None:
     """Run the command line program.
 
-    The exit code is 0 on success, 1 if a solve failed or a file cannot be read or
-    written, 2 if the input is invalid, and 130 if the program was interrupted. Every
+    The exit code is 0 on success; 1 if a solve failed, the memory is not sufficient, or
+    the output or a store cannot be written; 2 if an argument is invalid, or a file that
+    it names cannot be read or written; and 130 if the program was interrupted. Every
     error is reported as one line on stderr.
     """
     _prepare_streams()

@@ -16,7 +16,7 @@ from .common import (
 )
 
 
-_EXAMPLES = ("stage", "four-bar", "mixed-four-bar")
+_EXAMPLES = ("stage", "four-bar", "four-bar-leaves-and-notches")
 _SUFFIXES = (".json", ".dxf", ".svg", ".py")
 
 
@@ -24,7 +24,8 @@ def export(
     mechanism: Annotated[
         str,
         typer.Argument(
-            help="stage, four-bar, mixed-four-bar, or the .json file of a model."
+            help="stage, four-bar, four-bar-leaves-and-notches, or the .json file of a "
+            "model."
         ),
     ],
     out: Annotated[
@@ -84,8 +85,8 @@ def _load(name: str) -> Any:
         return microstage()
     if name == "four-bar":
         return four_bar("identical")
-    if name == "mixed-four-bar":
-        return four_bar("mixed")
+    if name == "four-bar-leaves-and-notches":
+        return four_bar("leaves-and-notches")
     try:
         return load_mechanism(name)
     except (OSError, ValueError) as error:

@@ -25,7 +25,7 @@ from .common import (
 
 def four_bar(
     hinges: Annotated[
-        Literal["identical", "mixed"],
+        Literal["identical", "leaves-and-notches"],
         typer.Option(
             help="Four identical leaves (section 5.2), or two leaves and two notches "
             "(section 5.3)."
@@ -66,7 +66,7 @@ def four_bar(
 
     A figure shows the linkage at up to ten of the times.
 
-    Examples: twistorjax four-bar --hinges mixed --plot panels.png
+    Examples: twistorjax four-bar --hinges leaves-and-notches --plot panels.png
 
     twistorjax four-bar --release 10 --times 0.05,0.1 --json
     """

@@ -28,7 +28,8 @@ def stage(
     web: Annotated[
         float,
         typer.Option(
-            help="Thickness of the necks of the notch hinges; m.", callback=check_positive
+            help="Web, the smallest thickness of the necks of the notch hinges; m.",
+            callback=check_positive,
         ),
     ] = 0.25e-3,
     coordinates: EnergyOption = "twistor",
@@ -133,12 +134,12 @@ def _table(values: dict[str, float], web: float, travel: float) -> str:
         (
             "d(gain)/d(web)",
             f"{slope:.4f} /m",
-            f"change of the gain for webs 25 um thicker: {25 * micro * slope:+.2f}",
+            f"change of the gain if the web is 25 um larger: {25 * micro * slope:+.2f}",
         ),
     ]
     width = max(len(value) for _, value, _ in rows)
     lines = [
-        f"micropositioning stage, webs {web / 1e-3:g} mm, input {travel / micro:g} um"
+        f"micropositioning stage, web {web / 1e-3:g} mm, input {travel / micro:g} um"
     ]
     for name, value, note in rows:
         lines.append(f"{name:<18}{value:>{width}}   {note}".rstrip())

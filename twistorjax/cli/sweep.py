@@ -62,7 +62,10 @@ _ChunkOption = Annotated[
 def stage(
     web: Annotated[
         str,
-        typer.Option(help="Thickness of the necks: one value, or first:last:count; m."),
+        typer.Option(
+            help="Web, the smallest thickness of the necks: one value, or "
+            "first:last:count; m."
+        ),
     ] = "0.2e-3:0.4e-3:1000",
     hole: Annotated[
         str,
@@ -143,7 +146,8 @@ def _run(
     """Run a sweep, and return its dataset.
 
     The study is the name of a function in `twistorjax.examples.sweep_studies`.
-    `derivatives` are the outputs that are differentiated by the parameters.
+    `derivatives` are the outputs that are differentiated with respect to the
+    parameters.
     """
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the sweep to resume.")

@@ -42,8 +42,9 @@ def water(
 ) -> None:
     """Fit the energy of two water molecules, and check the fits by held-out trials.
 
-    Fits a polynomial and a rational function as in chapter 7, and a rational function
-    that is regularized to avoid poles. A figure shows energies and errors.
+    The command fits a polynomial and a rational function as in chapter 7, and a rational
+    function that is regularized to avoid singularities. The figure of --plot shows the
+    energies and the errors of the fits.
 
     Examples: twistorjax water --plot water.png
 
@@ -73,7 +74,7 @@ def _record(study: Any) -> dict[str, Any]:
             "largest_error_held_out": study.held_out_error(name).item(),
             "relative_error_of_wrench_held_out": study.wrench_error(name).item(),
             "denominator_over_base": [fit.smallest_ratio, fit.largest_ratio],
-            "has_poles": fit.has_poles,
+            "has_singularities": fit.has_singularities,
         }
 
     return {

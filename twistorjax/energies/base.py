@@ -26,10 +26,10 @@ class AbstractEnergy(eqx.Module):
     """Elastic energy of a hinge as a function of the displacement of b relative to a.
 
     A subclass implements one method, `stored_energy`. Wrench, stiffness, sums, and
-    multiples follow from it. The protocols `HasValidityRange` and `HasValidationError`,
-    and those in `solver_protocols`, are optional. An energy that implements the methods
-    of a protocol has its property, also if the energy is a term of a sum, is multiplied
-    by a factor, or has a validity range.
+    multiples follow from it. Further methods are optional; they are those of the
+    protocols `HasValidityRange` and `HasValidationError`, and of the protocols in
+    `solver_protocols`. The solvers also use the optional methods of an energy if it is a
+    term of a sum, is multiplied by a factor, or has a validity range.
 
     Example:
         >>> class QuarticSpring(AbstractEnergy):

@@ -1,7 +1,8 @@
 """Values and derivatives of polynomials of a displacement's coordinates.
 
 `evaluate_polynomial` evaluates a polynomial for an energy. `term_wrenches` evaluates each
-term on its own at many poses; these values are the design matrix of a fit.
+term on its own at many poses; these values are the matrix of the
+least-squares problem of a fit.
 """
 
 import math

@@ -55,16 +55,21 @@ def monomials(
             x1, x2), or "mixed" for the variables (tau, t2, n) of a `MixedEnergy`. In a
             mixed energy the order limits the powers of tau and t2 only; the largest
             power of n is `order // 2 + 1`.
-        symmetry: One or several symmetries of the hinge. Only the monomials that have
-            them all are kept:
+        symmetry: One or several symmetries of the hinge. With each of them the energy
+            does not change if the signs of some coordinates change. Only the monomials
+            that have all given symmetries are kept:
 
-            * "mirror": The hinge equals its mirror image about axis 1.
-            * "ends": The hinge does not change if it is rotated by pi, so that its ends
-              are interchanged.
-            * "exchange": The hinge does not change if its two bodies are interchanged
-              together with their frames.
+            * "mirror": The hinge equals its mirror image about axis 1. The signs of the
+              rotation and of the displacement along axis 2 change: those of tau and t2,
+              or of xi and x2.
+            * "ends": The hinge does not change if it is rotated by pi, which interchanges
+              its two ends and reverses its axes. Only the sign of the rotation changes:
+              that of tau, or of xi.
+            * "exchange": The energy of a pose equals that of the inverse pose: the two
+              bodies are interchanged, but the axes are not reversed. The signs of all
+              coordinates except sigma change.
             * "sign": The energy has the same value after a rotation of 2 pi. This applies
-              to the twistor only, whose sign changes with this rotation.
+              to the twistor only: the signs of all its coordinates change.
 
             "leaf" stands for "mirror" and "ends", and for the twistor also for "sign". It
             describes a straight hinge with equal sides and equal ends.

@@ -1,6 +1,6 @@
 """Energy of point charges on two bodies.
 
-The energy is known in closed form and has a pole if the positions of two charges are
+The energy is known in closed form and is singular if the positions of two charges are
 equal. It is a test case for rational fits.
 """
 

@@ -185,8 +185,8 @@ class Rational(AbstractEnergy):
 
     Args:
         numerator: Numerator; J.
-        denominator: Dimensionless denominator. The zeros of a `Polynomial` are poles of
-            the energy; a `SumOfSquares` has no zeros.
+        denominator: Dimensionless denominator. The energy is singular at the zeros of a
+            `Polynomial`; a `SumOfSquares` has no zeros.
 
     Source:
         Equation 7.22 of the dissertation.

@@ -45,17 +45,18 @@ class Quadratic(CoordinateEnergy):
     """A quadratic form of the twist or of the twistor.
 
     Both have the given stiffness in the reference configuration, and their energies
-    differ by terms of third and higher order. The energy of the twist grows without bound
-    with the angle. The energy of the twistor is bounded, and its moment is proportional
-    to the sine of the angle, so it is zero at a rotation of pi. Its evaluation is faster,
-    because it needs no sine and cosine.
+    differ by terms of third and higher order. They grow without bound with the
+    translation. In a pure rotation, the moment of the energy of the twist is proportional
+    to the angle. The moment of the energy of the twistor is proportional to the sine of
+    the angle, so this energy is bounded in a pure rotation, and its moment is zero at an
+    angle of pi. Its evaluation is faster, because it needs no sine and cosine.
 
     Args:
         stiffness: Stiffness in the frame of the hinge, symmetric and without negative
             eigenvalues. Rows and columns are rotation, axis 1, axis 2; N m/rad, N/rad,
             N/m.
         coordinates: "twistor" for the energy `2 v K v` of v = (xi, x1, x2), "twist" for
-            `t K t / 2` of the twist t.
+            the energy `s K s / 2` of the twist s = (tau, t1, t2).
 
     Raises:
         ValueError: The stiffness is not 3 by 3 or not symmetric, it has a negative

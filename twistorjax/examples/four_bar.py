@@ -45,7 +45,7 @@ DRIVEN_DAMPING = 1e-3  # ratio of damping to stiffness of the driven linkage; s
 RELEASED_DAMPING = 1e-4  # ratio of damping to stiffness of the released linkage; s
 RELEASE_SPEED = 10.0  # initial velocity of link 3 along x, from the listing; m/s
 
-Hinges = Literal["identical", "mixed"]
+Hinges = Literal["identical", "leaves-and-notches"]
 
 _WIDTH = 5e-3  # thickness of the plate, and in-plane width of the links; m
 _LENGTH = 40e-3  # length of the links; m
@@ -72,12 +72,13 @@ def four_bar(
     """Build a four-bar linkage with elastic hinges.
 
     Args:
-        hinges: "identical" for four identical leaves (section 5.2), "mixed" for two
-            leaves and two notches (section 5.3).
+        hinges: "identical" for four identical leaves (section 5.2), "leaves-and-notches"
+            for two leaves and two notches (section 5.3).
         coordinates: Coordinates of the quadratic hinge energies, "twistor" or "twist".
         damping: Damping of each hinge: a `ViscousDamping`, or the ratio of damping to
             stiffness; s.
-        length: Length of the leaves. In the mixed linkage, length of the shorter leaf; m.
+        length: Length of the leaves. In the linkage of leaves and notches, length of the
+            shorter leaf; m.
         thickness: Thickness of the leaves; m.
         energies: Energies that replace those of the leaves and notches, by hinge name.
 
@@ -93,14 +94,16 @@ def four_bar(
         Sections 5.2 and 5.3 of the dissertation, and its listing `fourbar`.
 
     Example:
-        >>> four_bar("mixed")
+        >>> four_bar("leaves-and-notches")
         Mechanism of 4 bodies (1, 2, 3, 4), 4 hinges (A, B, C, D); fixed: 1
     """
     energies = {} if energies is None else energies
     for name in energies:
         index_of("`energies`", "hinge", name, ("A", "B", "C", "D"))
-    if hinges not in ("identical", "mixed"):
-        raise ValueError(f"`hinges` is {hinges!r}, but must be 'identical' or 'mixed'.")
+    if hinges not in ("identical", "leaves-and-notches"):
+        raise ValueError(
+            f"`hinges` is {hinges!r}, but must be 'identical' or 'leaves-and-notches'."
+        )
     aluminum = Material(modulus=69e9, poisson=0.3, density=2.7e3)
     soft = Material(modulus=69e9 / 20, poisson=0.3)
 
@@ -117,7 +120,7 @@ def four_bar(
     short_leaf = leaf_flexure(length)
     flexures = {"A": short_leaf, "B": short_leaf, "C": short_leaf, "D": short_leaf}
     length_2 = _LENGTH
-    if hinges == "mixed":
+    if hinges == "leaves-and-notches":
         hole, web = 8e-3, 0.5e-3
         energy = notch(soft, hole=hole, web=web, width=_WIDTH, coordinates=coordinates)
         outline = notch_outline(hole=hole, web=web, height=_WIDTH)

@@ -5,8 +5,9 @@
 The stage has six bodies and seven notch hinges, cut from one aluminum plate by Scire and
 Teague (Review of Scientific Instruments 49, 1978). Body 1 is the frame and is fixed. An
 actuator displaces body 6, the input; body 4, the output, moves about 28 times as far.
-The notches are not ideal pins: with pins, the linkage could make no finite motion. The
-axial deformation of the notches reduces the gain of rigid levers by a quarter.
+With rigid levers on ideal pins, only an infinitesimal motion would be possible; its gain
+would be 36.44. The compliance of the notches allows a finite motion, and reduces the gain
+by a quarter.
 
 The dimensions are those of the dissertation's listing `microstage`. The text differs in
 places: its masses are those for 2.8e3 kg/m3, equation 6.12 has 0.0952 instead of
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-WEB = 0.25e-3  # thickness of the necks, as built; m
+WEB = 0.25e-3  # smallest thickness of the necks, as built; m
 TRAVEL = 1.35e-6  # input displacement in the experiments of 1978; m
 MEASURED_GAIN = (27.8, 28.1)  # lowest and highest value; Scire and Teague, 1978
 MEASURED_ELONGATION = 50e-9  # of hinge a, magnitude; the conditions are not stated; m
@@ -92,8 +93,8 @@ def microstage(
     """Build the micropositioning stage.
 
     Args:
-        web: Thickness of the necks of the notch hinges: one value for all hinges, or one
-            for each hinge from a to g; m.
+        web: Smallest thickness of the necks of the notch hinges: one value for all
+            hinges, or one for each hinge from a to g; m.
         hole: Diameter of the holes on both sides of a neck; m.
         width: Thickness of the plate; m.
         material: Material of the plate. By default `aluminum()`.
@@ -237,16 +238,16 @@ def amplification(
 def amplification_and_slope(
     web: NumberLike, travel: NumberLike, coordinates: Coordinates = "twistor"
 ) -> tuple[Amplification, Scalar]:
-    """Compute the amplification and the derivative of the gain by the web.
+    """Compute the amplification and the derivative of the gain with respect to the web.
 
     Args:
-        web: Thickness of the necks; m.
+        web: Smallest thickness of the necks; m.
         travel: Displacement of the input along x; m.
         coordinates: Coordinates of the hinge energies, "twistor" or "twist".
 
     Returns:
         The amplification, whose `result` reports a failure, and the derivative of the
-        gain by the thickness of the necks; 1/m.
+        gain with respect to the web; 1/m.
     """
 
     def gain(web: Scalar) -> tuple[Scalar, Amplification]:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 CHARGES = (0.241, 0.241, -0.482)  # both hydrogen atoms, and both lone pairs; e
 SITES = ((0.5858823, 0.7569503), (0.5858823, -0.7569503), (-0.4041513, 0.0))  # Angstrom
 NEAREST, FARTHEST = 3.0, 6.0  # distance of the oxygen atoms; Angstrom
-HELD_OUT = 2000  # number of held-out trials, and of poses checked for poles
+HELD_OUT = 2000  # number of held-out trials, and of poses checked for singularities
 
 _MEAN_SQUARE = 20.0  # of the distance, approximately; Angstrom^2
 _UNIT = "e\N{SUPERSCRIPT TWO}/\N{LATIN CAPITAL LETTER A WITH RING ABOVE}"
@@ -195,7 +195,7 @@ def fit_regularized(data: Trials, order: int, **settings) -> RationalFit:
     contains only terms that do not change if the molecules are exchanged or mirrored. The
     denominator is the sum of a power of the distance, which has no zero, and of a
     polynomial in these terms. A ridge regularizes this polynomial, until the denominator
-    is positive at the poses `pole_free_poses`.
+    is positive at the poses `regular_poses`.
 
     Args:
         data: Trials of the molecules.
@@ -277,7 +277,7 @@ class Study(eqx.Module):
             f"largest error of the energy (e^2/Angstrom; rms of the energy: {rms:.2g}), "
             "relative rms error of the wrench",
         ]
-        heads = ("unknowns", "rank", "training", "held out", "wrench", "with poles")
+        heads = ("unknowns", "rank", "training", "held out", "wrench", "singular")
         lines.append(f"{'':<24}" + "".join(f"{head:>11}" for head in heads))
         for name, fits in self.fits.items():
             cells = (
@@ -286,7 +286,7 @@ class Study(eqx.Module):
                 f"{np.median(self.training_error(name)):.2g}",
                 f"{np.median(self.held_out_error(name)):.2g}",
                 f"{np.median(self.wrench_error(name)):.2g}",
-                f"{sum(fit.has_poles for fit in fits)} of {seeds}",
+                f"{sum(fit.has_singularities for fit in fits)} of {seeds}",
             )
             lines.append(f"{name:<24}" + "".join(f"{cell:>11}" for cell in cells))
         return "\n".join(lines)
@@ -305,7 +305,7 @@ def study(
         angle_range: Range of the angle and of the direction of the second molecule; rad.
         points: Number of trials that are fitted.
         seeds: Seeds of the fitted trials, of the held-out trials, and of the poses that
-            are checked for poles.
+            are checked for singularities.
 
     Returns:
         The fits and their errors.
@@ -328,12 +328,12 @@ def study(
     held_out = tuple(trials(angle_range, HELD_OUT, (seed, 1)) for seed in seeds)
     fits: dict[str, list[RationalFit]] = {name: [] for name in FITS}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the result reports poles
+        warnings.simplefilter("ignore")  # the result reports singularities
         for seed, data, check in zip(seeds, fitted, held_out, strict=True):
-            pole_free_poses = poses(angle_range, HELD_OUT, (seed, 2))
+            regular_poses = poses(angle_range, HELD_OUT, (seed, 2))
             for name, fit in FITS.items():
                 fits[name].append(
-                    fit(data, order, pole_free_poses=pole_free_poses, held_out=check)
+                    fit(data, order, regular_poses=regular_poses, held_out=check)
                 )
     return Study(
         order=order,

@@ -2,7 +2,7 @@
 
 Start reading in `leaf` and `notch`, which return the energy of a hinge for small
 rotations, from its dimensions and its material. `beam` and `beam_solution` model a
-geometrically exact beam of any outline. `exact_beam` makes an energy of it, and
+geometrically exact beam of any thickness profile. `exact_beam` makes an energy of it, and
 `surrogate` approximates this energy by a polynomial, which is as fast as any other hinge.
 `stress` computes the largest stress in a flexure.
 """

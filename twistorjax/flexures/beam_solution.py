@@ -97,7 +97,7 @@ def beam_under_load(beam: Beam, load: Wrench, sections: int = 21) -> BeamSolutio
         >>> import twistorjax as tj
         >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
         >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> moment = beam.bending_stiffness * 1.0  # bends the beam to an arc of 1 rad
+        >>> moment = beam.rotational_stiffness * 1.0  # bends the beam to an arc of 1 rad
         >>> solution = beam_under_load(beam, jnp.array([moment, 0.0, 0.0]))
         >>> solution.pose[0]
         Array(1., dtype=float64)
@@ -136,7 +136,7 @@ def largest_rotation(beam: Beam, stress: NumberLike) -> Scalar:
     add to it; see `largest_stress`.
 
     Args:
-        beam: A beam of any outline.
+        beam: A beam of any thickness profile.
         stress: Allowable stress of its material; Pa.
 
     Returns:

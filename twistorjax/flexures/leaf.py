@@ -43,8 +43,12 @@ def leaf(
         width: Out-of-plane width, which is the thickness of the plate; m.
         theory: "euler-bernoulli" for bending only, as in the dissertation, or
             "timoshenko" for bending and shear, with the shear correction factor 5/6.
-        coordinates: Coordinates of the energy. "twist" is exact for a leaf that is bent
-            by a pure moment. With "twistor" the moment does not exceed E I / length.
+        coordinates: Coordinates of the energy. With "twist", the moment in a pure
+            rotation is proportional to the angle, as in a leaf that is bent by a pure
+            moment. With "twistor" it is proportional to the sine of the angle, so it does
+            not exceed E I / length. Neither energy includes that frame b of a leaf that
+            is bent to an arc moves by `length angle^2 / 12` along axis 1; see
+            `quartic_leaf`.
 
     Returns:
         The energy, whose stiffness is that of the undeformed leaf.

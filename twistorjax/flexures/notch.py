@@ -57,8 +57,8 @@ def notch(
             * "paros-weisbord": A beam of variable height without shear, integrated
               exactly. It is valid for web / hole up to 0.25. Shear would increase the
               transverse compliance by 40 % at 0.1, and double it at 0.25.
-            * "paros-weisbord-simplified": The leading terms of "paros-weisbord" for thin
-              webs. They are valid for web / hole up to 0.1. There the rotational
+            * "paros-weisbord-simplified": The leading terms of "paros-weisbord" for small
+              ratios. They are valid for web / hole up to 0.1. There the rotational
               stiffness is within 3 %, the axial stiffness within 11 % and the transverse
               stiffness within 23 % of the exact integrals.
 
@@ -211,7 +211,7 @@ def _paros_weisbord(r: Scalar) -> Stiffnesses:
 
 
 def _paros_weisbord_simplified(r: Scalar) -> Stiffnesses:
-    """Evaluate the leading terms of `_paros_weisbord` for thin webs."""
+    """Evaluate the leading terms of `_paros_weisbord` for small ratios."""
     xp, (r,) = on_host(r)
     slenderness = xp.sqrt(1 / (2 * r))  # sqrt(radius / web)
     rotation = r**2 / (4.5 * xp.pi * slenderness)

@@ -46,13 +46,13 @@ def surrogate(
     """Approximate the energy of a beam by a polynomial over a range of displacements.
 
     The energy is a `MixedEnergy`, which needs as few terms for a very slender leaf as for
-    a thick one. In the reference configuration it has the stiffness of the beam. It can
-    be differentiated with respect to the dimensions of the beam, with the accuracy of its
-    wrench. To compute surrogates of many beams, use `jax.jit` and `jax.lax.map`, and give
-    `order`.
+    a thick one. In the reference configuration it has the stiffness of the beam. Its
+    derivatives with respect to the dimensions of the beam have about the same relative
+    error as its wrench. To compute surrogates of many beams, use `jax.jit` and
+    `jax.lax.map`, and give `order`.
 
     Args:
-        beam: A beam of any outline.
+        beam: A beam of any thickness profile.
         rotation: Largest rotation, in both directions; rad.
         force: Largest magnitude of the force, in any direction; N. The default is
             5 E I / L^2, for a leaf with the length L. Above about 10 E I / L^2, a beam in

@@ -115,10 +115,12 @@ def exp(twist: Twist) -> Pose:
 def twist(pose: Pose) -> Twist:
     """Compute the constant twist that reaches a pose in unit time.
 
-    The twist is the logarithm of the pose, the inverse of `exp`. A constant twist moves a
-    frame along an arc. The twist is the translation in the mid-frame, multiplied by the
-    ratio of the length of the arc to the length of its chord. This ratio is infinite at a
-    rotation of 2 pi, where the arc is closed.
+    The twist is the logarithm of the pose, the inverse of `exp`. Its first entry is the
+    angle of the pose. Its other entries are the translation of the pose, resolved in the
+    mid-frame, times the ratio of the length of an arc to that of its chord: a constant
+    twist moves the origin of the frame along a circular arc, and the translation is the
+    chord of this arc. At an angle of 2 pi the arc is a closed circle, the chord is zero,
+    and the twist is not defined.
 
     Args:
         pose: Pose with an angle strictly between -2 pi and 2 pi; rad, m, m.

@@ -1,22 +1,33 @@
 """Twistors: the Clifford parameters of planar displacements, and their algebra.
 
 A twistor `(sigma, xi, x1, x2)` is the multivector
-`sigma + xi e1e2 + x1 e1e + x2 e2e` of the homogeneous model of the plane, in which `e` is
-the point at infinity and `e e = 0`. It resolves a displacement in the mid-frame, which is
-halfway between the two frames. Exchanging the two frames therefore only changes the sign
-of `(xi, x1, x2)`. Sections 2.1.5, 2.7 and 2.8 of the dissertation.
+`sigma + xi e1e2 + x1 e1e + x2 e2e` of the homogeneous model of the plane. The vectors
+`e1` and `e2` are the axes, `e*` represents the origin, and `e` represents the point at
+infinity, with `e e = 0`. The translation is resolved in the mid-frame, which is halfway
+between the two frames. If the two frames are exchanged, only the signs of
+`(xi, x1, x2)` change. Sections 2.1.5, 2.7 and 2.8 of the dissertation.
 
-Sign of the basis: points are transformed by the product `q* x q`. With the printed
-`e . e* = 1` (equation 2.24), this rotates points in the positive direction but translates
-them in the negative direction. With `e . e* = -1` and points `x + x x e / 2 + e*`, both
-have the right sign. Products of twistors only depend on `e e = 0`, so nothing else
-changes. (Equation 2.156 does not change the sign of the translation in the conjugate,
-which hides the error, but then `q* q` is not 1.)
+A twistor `q` displaces a point `x` by the product `q* x q`, where `q*` is the conjugate
+of `q`. In a product of two twistors, the left factor is therefore the displacement that
+is applied first.
 
-Order of products: because points are transformed by `q* x q`, the displacement that is
-applied first is the left factor. In equations 2.159 and 2.160 it is the right factor.
-Evaluated as printed, they give `... + 0 e1e + 2 e2e` and `... + sqrt(3) e1e - e2e`. The
-value printed after them, `... + sqrt(3) e1e + e2e`, follows from the other order.
+Errata of the dissertation:
+
+* Equation 2.24: printed `e . e* = 1`; correct `e . e* = -1`. With the printed sign,
+  `q* x q` translates points in the negative direction. Products of twistors depend on
+  `e e = 0` only, so they do not change.
+* Equation 2.40: printed `x - x x e / 2 + e*` for a point; correct
+  `x + x x e / 2 + e*`, because of the sign in equation 2.24.
+* Equation 2.156: printed `1 + Px / 2 e1e + Py / 2 e2e` for the conjugate of a
+  translation by `(Px, Py)`; correct `1 - Px / 2 e1e - Py / 2 e2e`. With the printed
+  signs, the product of the twistor and its conjugate is not 1.
+* Equation 2.159: printed translation times rotation; correct rotation times translation,
+  because the rotation is applied first. Its printed result
+  `sqrt(3) / 2 + 1 / 2 e1e2 + sqrt(3) e1e + e2e` is that of the correct order. The
+  printed order gives `0 e1e + 2 e2e`.
+* Equation 2.160: printed rotation times translation; correct translation times rotation,
+  because the translation is applied first. Its printed result, which is that of equation
+  2.159, is that of the correct order. The printed order gives `sqrt(3) e1e - e2e`.
 """
 
 import equinox as eqx
@@ -74,9 +85,11 @@ def pose(twistor: Twistor) -> Pose:
 
 
 def product(first: Twistor, second: Twistor) -> Twistor:
-    """Compute the geometric product: two displacements in sequence, in fixed axes.
+    """Compute the geometric product of two twistors.
 
-    `twistor(se2.compose(outer, inner))` is `product(twistor(inner), twistor(outer))`.
+    The product is the twistor of two displacements in sequence, both of which refer to
+    the same fixed axes. For poses, `product(twistor(inner), twistor(outer))` equals
+    `twistor(se2.compose(outer, inner))`.
 
     Args:
         first: Twistor of the displacement that is applied first; -, -, m, m.
@@ -86,7 +99,8 @@ def product(first: Twistor, second: Twistor) -> Twistor:
         The twistor of the total displacement; -, -, m, m.
 
     Source:
-        Section 2.7.4 of the dissertation, whose second way is the example.
+        Section 2.7.4 of the dissertation. The example is equation 2.160, with the factors
+        in the correct order.
 
     Example:
         >>> translation = jnp.array([1.0, 0.0, 2.0, 0.0])

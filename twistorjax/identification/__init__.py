@@ -2,11 +2,11 @@
 
 Start reading in `identify`. A test defines what is done to the mechanism and which
 sensors are read: `static_test`, `motion_test`, `vibration_test` and `hinge_test` contain
-one kind of test each. The main path is: `parameters` maps the unknown numbers of a design
-to normalized parameters, `objective` computes the residuals and their derivatives,
-`search` runs an optimizer, and `report` holds the estimates and their uncertainties.
-`experiment_design` ranks further experiments, and `posterior` draws samples of the
-posterior distribution.
+one kind of test each. The main path is: `parameters` maps the parameters of a design
+function to normalized parameters, `objective` computes the residuals and their
+derivatives, `search` runs an optimizer, and `report` holds the estimates and their
+uncertainties. `experiment_design` ranks further experiments, and `posterior` draws
+samples of the posterior distribution.
 """
 
 import lazy_loader

@@ -62,13 +62,13 @@ class ExperimentRanking(eqx.Module):
         first = max(map(len, titles))
         head = "  ".join(f"{name:>{width}}" for name in self.names)
         lines = [
-            f"{title:<{first}}  {'gain (nats)':>11}  {head}",
-            f"{before:<{first}}  {'':>11}  {cells(self.standard_errors_before)}",
+            f"{title:<{first}}  {'information (nats)':>18}  {head}",
+            f"{before:<{first}}  {'':>18}  {cells(self.standard_errors_before)}",
         ]
         for name, gain, errors in self.candidates:
-            lines.append(f"{name:<{first}}  {gain:>11.3g}  {cells(errors)}")
+            lines.append(f"{name:<{first}}  {gain:>18.3g}  {cells(errors)}")
         lines += [
-            f"{after:<{first}}  {'':>11}  {cells(self.standard_errors_after)}",
+            f"{after:<{first}}  {'':>18}  {cells(self.standard_errors_after)}",
             f"selected: {', '.join(self.selected)}",
         ]
         return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Identification of the parameters of a design from measurements."""
+"""Identification of the parameters of a mechanism from measurements."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -47,7 +47,7 @@ def identify(
     progress: bool = False,
     throw: bool = True,
 ) -> Identification:
-    """Identify the parameters of a design from measurements on its mechanism.
+    """Identify the parameters of a mechanism from measurements.
 
     The estimates minimize the sum of the squared residuals. A residual is the difference
     between the predicted and the measured value, divided by the standard deviation of the
@@ -55,18 +55,19 @@ def identify(
     The parameters are scaled by their sizes and stay within their bounds.
 
     Args:
-        design: Function that builds the mechanism from the parameters. Define it once: a
-            new function is compiled again.
-        start: Argument of the design: a pytree with the initial values. If it contains
-            `Parameter`s, these are identified, with their units and bounds. Otherwise,
-            all numbers in it are identified.
+        design: Design function, which builds the mechanism from the parameters. Define it
+            once: a new function is compiled again.
+        start: Argument of the design function: a pytree with the initial values. If it
+            contains `Parameter`s, these are identified, with their units and bounds.
+            Otherwise, all numbers in it are identified.
         data: Measurements, from `test.measurement(values)` of one or several tests.
         held_out: Further measurements, which are not used for the estimates. The result
             has their residuals.
-        method: Optimizer. The default is the Levenberg-Marquardt method. Optimizers of
-            optax receive the natural gradient, or the gradient in reverse mode. With the
-            natural gradient, `optax.sgd(1.0)` takes damped Gauss-Newton steps.
-            Least-squares solvers of optimistix are accepted, too.
+        method: Optimizer, by default the Levenberg-Marquardt method. An optimizer of
+            optax receives the natural gradient, which is the gradient of the loss times
+            the inverse of the damped Gauss-Newton matrix; `optax.sgd(1.0)` takes damped
+            Gauss-Newton steps. With reverse-mode derivatives it receives the gradient
+            itself. Least-squares solvers of optimistix are accepted, too.
         huber_threshold: Threshold of Huber's loss, which reduces the effect of outliers:
             a residual above it counts linearly instead of quadratically; in standard
             deviations. With 1.345 the estimates lose 5 % of their efficiency if there are

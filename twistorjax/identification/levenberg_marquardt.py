@@ -54,16 +54,18 @@ class LevenbergMarquardt(AbstractOptimizer):
     times as long to compile and, if the residuals vanish at the solution, four times as
     many steps, because it reduces the damping more slowly.
 
-    The method has converged if one of three criteria is met. Decreases of the loss are
-    those of the linear model.
+    The method has converged if one of three criteria is met. They use the decrease of the
+    loss that the linear model predicts. The undamped step has the largest predicted
+    decrease.
 
     1. The undamped step changes each normalized parameter by less than the tolerance, and
-       decreases the loss by at most 1e-4 + 1e-6 loss.
-    2. No step decreases the loss by more than 1e-8, or by more than 1e-8 of the loss per
-       reading if this is smaller. The distance to the minimum is then below 1e-4 standard
-       errors.
-    3. A step was rejected, no solve has failed, and the next step decreases the loss by
-       less than the tolerance times the loss, which is below its rounding errors.
+       its predicted decrease is at most `1e-4 + 1e-6 * loss`.
+    2. The predicted decrease of the undamped step is at most 1e-8, and at most 1e-8 times
+       the loss per reading. The distance to the minimum is then about 1e-4 standard
+       errors or less.
+    3. The last step was rejected although no solve has failed so far, and the predicted
+       decrease of the next step is less than the tolerance times the loss. Rounding
+       errors of the loss then prevent a further decrease.
 
     Args:
         tolerance: Tolerance of the criteria 1 and 3.

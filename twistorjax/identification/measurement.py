@@ -22,8 +22,8 @@ from .sensors import AbstractSensor
 class AbstractTest(eqx.Module):
     """Test on a mechanism: what is done to it, and which quantities are measured.
 
-    The readings of a test form a table, with a row for each trial, time or natural
-    frequency, and a column for each sensor.
+    The readings of a test form a table, with a row for each load case, time, or
+    natural frequency, and a column for each sensor.
     """
 
     @abstractmethod
@@ -65,8 +65,8 @@ class AbstractTest(eqx.Module):
         """Combine the test with the values that were measured.
 
         Args:
-            values: Row for each trial, time or natural frequency, with a value for each
-                sensor; NaN if a reading is missing; in `units`.
+            values: Row for each load case, time, or natural frequency, with a value for
+                each sensor; NaN if a reading is missing; in `units`.
             standard_deviations: Standard deviations of the readings, by default those of
                 the sensors; in `units`.
 

@@ -33,9 +33,9 @@ class MotionTest(SensorTest):
         velocities: Velocities at the start of some bodies, by default zero: a mapping
             from the name to (angular velocity, velocity along x, velocity along y);
             rad/s, m/s, m/s.
-        tolerance: Tolerance of the time integration; see `simulate`. The error of the
-            simulation limits the accuracy of the estimates: stiffnesses of stiff
-            directions need a small tolerance.
+        tolerance: Tolerance of the time integration, by default 1e-8; see `simulate`,
+            whose default is 1e-6. The error of the simulation limits the accuracy of the
+            estimates: stiffnesses of stiff directions need a small tolerance.
 
     Raises:
         ValueError: The times do not increase, there is no sensor, or nothing sets the

@@ -16,14 +16,14 @@ from .parameters import ParameterSet
 
 
 class IdentificationProblem(eqx.Module):
-    """Design with unknown parameters, and the measurements on it.
+    """A mechanism with unknown parameters, and the measurements on it.
 
     The loss is half the sum of the squared residuals. Huber's loss replaces the square of
     a residual by a linear function beyond a threshold. To minimize it by least squares,
     each residual is transformed so that its square is twice Huber's function.
 
     Args:
-        design: Function that builds the mechanism from the parameters.
+        design: Design function, which builds the mechanism from the parameters.
         parameters: Parameters with their initial values.
         data: Measurements.
         held_out: Measurements that are not used for the estimates.
@@ -41,7 +41,7 @@ class IdentificationProblem(eqx.Module):
         """Build the mechanism from normalized parameters.
 
         Raises:
-            ValueError: The design does not return a mechanism.
+            ValueError: The design function does not return a mechanism.
         """
         mechanism = self.design(self.parameters.tree(normalized))
         if not isinstance(mechanism, Mechanism):

@@ -157,11 +157,11 @@ class Parameter(eqx.Module):
 
 
 class ParameterSet(eqx.Module):
-    """All parameters of a design, in the form of one vector.
+    """All parameters of a design function, in the form of one vector.
 
     Args:
-        parameters: The argument of the design, with a `Parameter` in place of each
-            identified leaf and None in place of the others.
+        parameters: The argument of the design function, with a `Parameter` in place of
+            each identified leaf and None in place of the others.
         constants: The same pytree with the other leaves only.
         names: Names of the entries of the vector.
         units: Units of the entries of the vector.
@@ -179,8 +179,8 @@ class ParameterSet(eqx.Module):
         """Collect the parameters of a pytree.
 
         Args:
-            start: Argument of a design. Each `Parameter` in it is identified or, if there
-                is none, each number.
+            start: Argument of a design function. Each `Parameter` in it is identified or,
+                if there is none, each number.
 
         Returns:
             The parameters.
@@ -219,7 +219,7 @@ class ParameterSet(eqx.Module):
         return ravel_pytree(self._values(normalized))[0]
 
     def tree(self, normalized: Float[Array, " parameters"]) -> Any:
-        """Argument of the design: the values of the parameters, and the constants."""
+        """Argument of the design function: values of the parameters, and constants."""
         return eqx.combine(self._values(normalized), self.constants)
 
     def unflatten(self, vector: Float[Array, " parameters"]) -> Any:

@@ -96,19 +96,20 @@ def read_measurements(
     The other columns define the kind of the test:
 
     - `time_s`: a motion, with a row for each time.
-    - `load_3.force_x_N`, `load_3.moment_Nm`, `drive_6.x_um`: static trials, with a row
-      for each trial.
+    - `load_3.force_x_N`, `load_3.moment_Nm`, `drive_6.x_um`: static load cases, with a
+      row for each load case.
     - `frequency_Hz`, without other columns of readings: natural frequencies in ascending
       order.
 
     Args:
         source: File, separated by commas, semicolons or tabs; or dataset over `time` or
-            `trial`, and `body`, in which each variable has the attribute `units`, as that
-            of `motion.to_xarray()`. In a dataset "angle", "x" and "y" are poses in the
-            world frame, and `displacement_x` etc. are displacements. Loads and drives are
-            named `load_force_x` or `drive_x`, standard deviations `sd_x`.
-        standard_deviations: Standard deviations of the readings without a column for
-            them, by name: `{"3.x": 1e-6}`, or `{"x": 1e-6}` for all bodies; SI units.
+            `load_case`, and `body`, in which each variable has the attribute `units`, as
+            that of `motion.to_xarray()`. In a dataset "angle", "x" and "y" are poses in
+            the world frame, and `displacement_x` etc. are displacements. Loads and drives
+            are named `load_force_x` or `drive_x`, standard deviations `sd_x`.
+        standard_deviations: Standard deviations of the readings by name: `{"3.x": 1e-6}`,
+            or `{"x": 1e-6}` for all bodies; SI units. They replace those of the columns
+            `sd_...`, and are required for readings without such a column.
         settings: Further arguments of the test; see `MotionTest`, `StaticTest` and
             `VibrationTest`. A motion needs an initial state, loads, or drives.
 
@@ -141,7 +142,7 @@ def read_measurements(
     if inputs and (times or frequencies):
         raise ValueError(
             f"{table.source} has {inputs[0].name} as a {inputs[0].role}, but only "
-            "static trials have such columns: give `loads=` or `drives=` instead."
+            "load cases have such columns: give `loads=` or `drives=` instead."
         )
     if frequencies:
         (column,) = frequencies
@@ -170,8 +171,8 @@ def read_measurements(
             f"{table.source} has neither times, nor loads or drives: add the column "
             "`time_s`, or columns such as `load_3.force_x_N` or `drive_6.x_um`."
         )
-    trials = [_make_trial(inputs, row) for row in range(len(values))]
-    return StaticTest(trials, sensors, **settings).measurement(values, deviations)
+    load_cases = [_make_load_case(inputs, row) for row in range(len(values))]
+    return StaticTest(load_cases, sensors, **settings).measurement(values, deviations)
 
 
 def _check_columns(table: _Table, standard_deviations: Mapping[str, float]) -> None:
@@ -222,8 +223,8 @@ def _make_sensor(column: _Column, standard_deviation: float) -> BodySensor | Hin
     )
 
 
-def _make_trial(inputs: Sequence[_Column], row: int) -> list[Load | Drive]:
-    """Loads and prescribed displacements of the static trial in one row."""
+def _make_load_case(inputs: Sequence[_Column], row: int) -> list[Load | Drive]:
+    """Loads and prescribed displacements of the load case in one row."""
     wrenches: dict[str, list[float]] = {}
     displacements: dict[str, dict[str, float]] = {}
     for column in inputs:

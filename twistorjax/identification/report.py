@@ -17,7 +17,7 @@ from .optimizer import exceeds_rounding
 
 
 class Identification(eqx.Module):
-    """Estimated parameters of a design, and their uncertainties.
+    """Estimated parameters of a mechanism, and their uncertainties.
 
     The uncertainties follow from the linearization of the model at the estimates. They
     assume that the errors of the readings are normal, independent, and as large as the
@@ -35,7 +35,7 @@ class Identification(eqx.Module):
         losses: Loss at the end of the search from each start.
         steps: Number of evaluations.
         result: Result code; `result_names` returns its name.
-        problem: Design, parameters and measurements.
+        problem: Design function, parameters, and measurements.
     """
 
     estimates: Any
@@ -162,7 +162,7 @@ class Identification(eqx.Module):
 
     @property
     def mechanism(self) -> Any:
-        """Mechanism of the design with the estimated parameters."""
+        """Mechanism that the design function builds from the estimates."""
         return self.problem.design(self.estimates)
 
     @property

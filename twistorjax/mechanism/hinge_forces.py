@@ -288,7 +288,10 @@ def gradient_and_hessian(
 
 
 def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:
-    """Compute the translation scale and its first two derivatives by the angle (rad)."""
+    """Compute the translation scale, and its first and second derivative.
+
+    The derivatives are those with respect to the rotation of the hinge; rad.
+    """
 
     def scale(angle: Scalar) -> Scalar:
         displacement = displacement_at(at, (angle, 2 * at.x1, 2 * at.x2))

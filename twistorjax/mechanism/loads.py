@@ -35,8 +35,8 @@ class Load(eqx.Module):
         force: Force (fx, fy); by default zero; N. It is in world axes, or in the axes of
             the body if `follower` is True.
         moment: Moment; by default zero; N m.
-        follower: Whether the force rotates with the body, such as a pressure. Otherwise
-            its direction is constant, such as that of a weight.
+        follower: If True, the force rotates with the body, as that of a pressure does. If
+            False, its direction in the world is constant, as that of a weight is.
 
     Raises:
         ValueError: Both or neither of `wrench` and its parts are given, a shape is wrong,

@@ -93,8 +93,10 @@ def simulate(
             velocity, velocity along x, velocity along y), in world axes; zero for the
             other bodies; rad/s, m/s, m/s.
         tolerance: Absolute tolerance on the error of one step: of rotations (rad), of
-            displacements divided by a length of the mechanism, and of velocities made
-            dimensionless by this length and the slowest period. The error of a whole
+            displacements divided by a length, and of the rates of both times a time. The
+            length is the root mean square distance of the hinges from the origins of the
+            bodies that move. The time is an estimate of the longest vibration period
+            divided by 2 pi, and at most the duration of the motion. The error of a whole
             motion is about ten times larger, and more if the motion is sensitive to its
             initial state.
         solver: Solver: `Radau()` by default; `Gauss()` with a `step` for motion without

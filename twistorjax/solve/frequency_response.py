@@ -73,8 +73,8 @@ def frequency_response(
     """Compute the response to small harmonic loads and prescribed displacements.
 
     Args:
-        mechanism: The mechanism. Bodies that can move need mass and inertia; hinges may
-            be damped.
+        mechanism: The mechanism. Bodies that can move need mass and inertia, and the
+            origin of their frame at the center of mass. Hinges may be damped.
         frequencies: Frequencies of the excitation; Hz.
         loads: Amplitudes of the loads; N m, N, N.
         drives: Amplitudes of the prescribed displacements; rad, m, m.

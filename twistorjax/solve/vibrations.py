@@ -93,14 +93,16 @@ def vibrations(
     derivatives, and only their sum has second derivatives.
 
     Args:
-        mechanism: The mechanism. Bodies that can move need mass and inertia.
+        mechanism: The mechanism. Bodies that can move need mass and inertia, and the
+            origin of their frame at the center of mass.
         prescribed: Coordinates that do not vibrate because their displacement is
             prescribed: names of bodies for all three coordinates, or a mapping from names
             to some of "angle", "x", "y".
         about: The equilibrium, or its poses; by default the reference configuration;
             rad, m, m.
-        loads: Loads that act at this equilibrium. They contribute to the tangent
-            stiffness, because their moments depend on the rotations of the bodies.
+        loads: Loads that act at this equilibrium, but no follower loads. They contribute
+            to the tangent stiffness, because their moments depend on the rotations of the
+            bodies.
         constraints: Pins, sliders, and other constraints between the bodies. They must be
             satisfied at the equilibrium.
         time: Time at which time-dependent constraints are evaluated, by default zero; s.

@@ -53,7 +53,7 @@ class Grid:
                     f"`values[{name!r}]` has shape {array.shape} and type {array.dtype}, "
                     "but must be a one-dimensional array of numbers."
                 )
-            # Outputs can be differentiated by floats only.
+            # Outputs can be differentiated with respect to floats only.
             if np.issubdtype(array.dtype, np.integer):
                 self.values[name] = array.astype(float)
 

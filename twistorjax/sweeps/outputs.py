@@ -42,7 +42,8 @@ def study_output(
     Args:
         study: Function of one design.
         structure: Structure of a design.
-        derivatives: Names of the outputs that are differentiated by each parameter.
+        derivatives: Names of the outputs that are differentiated with respect to each
+            parameter.
 
     Returns:
         A function that takes the parameters of one design, in the order of

@@ -70,8 +70,9 @@ def sweep(
         designs: Mapping from names to arrays, or another tree of arrays, whose first axis
             has one entry for each design; `sample_designs` returns such a tree. A `Grid`
             contains all combinations of given values.
-        derivatives: Names of the outputs that are differentiated by each parameter in
-            the same pass. The derivative of `gain` by `web` has the name `gain_by_web`.
+        derivatives: Names of the outputs that are differentiated with respect to each
+            parameter in the same pass. The derivative of `gain` with respect to `web` has
+            the name `gain_by_web`.
         units: Units of parameters, and of outputs without a unit of their own, by name.
         chunk_size: Number of designs that a device evaluates in one call. The default is
             at most 4096 on a processor and 131,072 on an accelerator, or less if `memory`

@@ -31,7 +31,7 @@ class VarianceShare(NamedTuple):
 
     Args:
         name: Name of the variable, which is a parameter or an entry of a parameter.
-        derivative: Derivative of the output by the variable, at the means.
+        derivative: Derivative of the output with respect to the variable, at the means.
         first_order: Share of the first-order variance.
         sampled: Share of the variance of the sampled designs, by the linear function of
             the variables that fits their outputs best.

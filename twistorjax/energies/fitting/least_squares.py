@@ -51,7 +51,7 @@ def solve_constrained(
     solved again with the nearest positive definite matrix as a constraint.
 
     Args:
-        rows: Design matrix, a block of rows for each trial and a column for each
+        rows: Matrix of the problem, a block of rows for each trial and a column for each
             coefficient.
         targets: Measured values, a row for each trial, in standard deviations.
         ridge: Ridge parameter, relative to the square of the largest singular value. By
@@ -151,7 +151,7 @@ def solve_minimum_norm(
     """Solve a linear least-squares problem; the solution has the smallest norm.
 
     Args:
-        rows: Design matrix, a column for each coefficient.
+        rows: Matrix of the problem, a column for each coefficient.
         targets: Values to be fitted.
         normalize: Divide each column by its norm, so that the norm of the coefficients
             does not depend on their units.

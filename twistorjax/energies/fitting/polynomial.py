@@ -54,8 +54,9 @@ def fit_energy(
 
     Args:
         trials: Measured or computed trials.
-        order: Order of the polynomial, by default the one with the smallest expected
-            error.
+        order: Order of the polynomial, by default the order from 2 to 12 with the
+            smallest expected error. Orders above 2 are tried as long as the number of
+            terms is at most 0.8 times the number of measured values.
         coordinates: "twistor" or "twist" for a `Polynomial`, or "mixed" for a
             `MixedEnergy`. A mixed energy is by far the most accurate for flexures, which
             are stiff along axis 1.
@@ -68,8 +69,9 @@ def fit_energy(
             "free": no condition.
         ridge: Ridge parameter, relative to the square of the largest singular value. By
             default the one with the smallest expected error.
-        scale: Length by which the translations are divided, by default the largest
-            translation; m.
+        scale: Length by which the translations are divided; m. By default it is the
+            largest translation of the trials, or with "mixed" the largest transverse
+            displacement.
         hold_out: Fraction of the trials that are held out. A fit to the others is checked
             with them; the returned energy is fitted to all trials.
         seed: Seed of the random choice of the held-out trials.
@@ -273,8 +275,8 @@ def _equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Set up the linear equations for the coefficients of a polynomial.
 
-    The design matrix and the measured values are in standard deviations. They have a
-    block for each trial, with a row for each measured value.
+    The matrix of the least-squares problem and the measured values are in standard
+    deviations. They have a block for each trial, with a row for each measured value.
     """
     wrenches, energies = map(
         np.asarray, term_wrenches(trials.poses, jnp.asarray(scale), powers, coordinates)

@@ -1,4 +1,4 @@
-"""Fit of rational energies to trials, for energies with poles outside of the trials.
+"""Fit of rational energies to trials, for energies with singularities.
 
 Section 7.3 of the dissertation. Here a ridge keeps the denominator positive, and the
 result reports the range of the denominator.
@@ -59,7 +59,7 @@ class RationalFit(eqx.Module):
     largest_ratio: float
 
     @property
-    def has_poles(self) -> bool:
+    def has_singularities(self) -> bool:
         """Whether the denominator changes its sign between the given poses."""
         return self.smallest_ratio * self.largest_ratio <= 0
 
@@ -69,10 +69,10 @@ class RationalFit(eqx.Module):
         texts = []
         if self.ridge == 0 and self.rank >= self.value_count:
             texts.append(interpolation_warning(self.terms, self.value_count))
-        if self.has_poles:
+        if self.has_singularities:
             texts.append(
-                "the denominator changes sign, so the energy has poles between the given "
-                "poses. Use a larger `ridge`, or `denominator='base'`."
+                "the denominator changes sign, so the energy has singularities between "
+                "the given poses. Use a larger `ridge`, or `denominator='base'`."
             )
         return " ".join(texts) or None
 
@@ -97,8 +97,8 @@ class RationalFit(eqx.Module):
 
 
 # A row (angle, x, y) for each pose; rad, m, m
-PoleFreePoses = TypeAliasType(
-    "PoleFreePoses", Float[ArrayLike, "poses 3"] | Sequence[Sequence[ArrayLike]]
+RegularPoses = TypeAliasType(
+    "RegularPoses", Float[ArrayLike, "poses 3"] | Sequence[Sequence[ArrayLike]]
 )
 
 
@@ -112,7 +112,7 @@ def fit_rational(
     base: Polynomial | None = None,
     scale: float | None = None,
     ridge: float = 1e-4,
-    pole_free_poses: PoleFreePoses | None = None,
+    regular_poses: RegularPoses | None = None,
     normalize_columns: bool = True,
     held_out: Trials | None = None,
 ) -> RationalFit:
@@ -122,16 +122,16 @@ def fit_rational(
     must its derivatives along displacements that are fixed to body B. These equations are
     linear in the coefficients of both polynomials. Each equation is divided by the base
     of the denominator. Energies are absolute values; they are not counted from the
-    reference configuration, because the energy may have a pole there.
+    reference configuration, because the energy may be singular there.
 
     With `denominator="free"` the denominator is the sum of its base and of a polynomial
     with the terms of the numerator. This has the smallest error. The ridge is increased
     until the denominator exceeds a tenth of its base at all trials and at all
-    `pole_free_poses`. The energy has no pole at these poses, but it may have poles
-    between them.
+    `regular_poses`. The energy has no singularity at these poses, but it may have
+    singularities between them.
 
-    With `denominator="base"` the denominator is the base. There are no poles where the
-    base has no zeros. For example, a power of the distance `x1^2 + x2^2` has a zero in
+    With `denominator="base"` the denominator is the base. There is no singularity where
+    the base is not zero. For example, a power of the distance `x1^2 + x2^2` has a zero in
     the reference configuration only. Use it for an energy that is evaluated outside of
     the trials. It needs a higher order for the same error.
 
@@ -143,19 +143,19 @@ def fit_rational(
         denominator: "free" or "base".
         base: Base of the denominator, by default the constant one. It is dimensionless
             and must be positive at all poses. A suitable base grows with the distance
-            from the poles; for charges it is a power of their distance.
+            from the singularities; for charges it is a power of their distance.
         scale: Length by which the translations are divided, by default that of the base,
             or else the largest translation; m.
-        ridge: Weight of the free part of the denominator. Each of the `pole_free_poses`
+        ridge: Weight of the free part of the denominator. Each of the `regular_poses`
             adds the residual `ridge * (free part / base)`. These residuals are multiplied
             by `sqrt(trials / poses)`, so that the numbers of trials and poses do not
             matter. With zero, the denominator may vanish.
-        pole_free_poses: Poses at which the energy must not have a pole, by default those
-            of the trials. The energy need not be known there; rad, m, m.
+        regular_poses: Poses at which the energy must not be singular, by default those of
+            the trials. The energy need not be known there; rad, m, m.
         normalize_columns: If the trials do not determine all coefficients, the solution
             with the smallest norm is used. If True, the coefficients in this norm are
-            multiplied by the norm of their columns in the design matrix. The dissertation
-            uses False.
+            multiplied by the norm of their columns in the matrix of the least-squares
+            problem. The dissertation uses False.
         held_out: Other trials, to check the fit.
 
     Returns:
@@ -193,23 +193,23 @@ def fit_rational(
         raise ValueError(f"`ridge` is {ridge!r}, but must be finite and not negative.")
     if scale is not None and not 0 < scale < np.inf:
         raise ValueError(f"`scale` is {scale!r}, but must be positive and finite; m.")
-    pole_free = trials.poses
-    if pole_free_poses is not None:
+    regular = trials.poses
+    if regular_poses is not None:
         row = "have a row (angle, x, y) for each pose"
-        pole_free = require_array("`pole_free_poses`", pole_free_poses, (None, 3), row)
+        regular = require_array("`regular_poses`", regular_poses, (None, 3), row)
     powers = monomials(order, coordinates, symmetry=symmetry)
     base = require_base(trials, base, coordinates, scale)
-    poses = [trials.poses, pole_free]
+    poses = [trials.poses, regular]
     if held_out is not None:
         poses.append(held_out.poses)
-    at_trials, at_pole_free, *at_held_out = evaluate_terms(poses, powers, base)
+    at_trials, at_regular, *at_held_out = evaluate_terms(poses, powers, base)
     free = np.full(len(powers), denominator == "free")
     if set(base.powers) <= set(powers):
         # If the whole base were free, zero over zero would solve all equations.
         free[largest_base_term(base, powers, at_trials)] = False
     rows, targets = rational_equations(trials, at_trials, free)
     solution = solve_rational(
-        rows, targets, free, at_trials, at_pole_free, ridge, normalize_columns
+        rows, targets, free, at_trials, at_regular, ridge, normalize_columns
     )
     parts = solution.numerator, solution.denominator
     errors = None
@@ -217,7 +217,7 @@ def fit_rational(
         errors = errors_of_predictions(held_out, *at_held_out[0].quotient(*parts))
     ratios = [
         terms.ratio(solution.denominator)
-        for terms in (at_trials, at_pole_free, *at_held_out)
+        for terms in (at_trials, at_regular, *at_held_out)
     ]
     fit = RationalFit(
         energy=Rational(

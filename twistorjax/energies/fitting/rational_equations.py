@@ -86,7 +86,7 @@ class RationalTerms(NamedTuple):
         `numerator` holds its coefficients (J). `denominator` holds those of the
         polynomial that is added to the base.
         """
-        with np.errstate(all="ignore"):  # division by zero at a pole
+        with np.errstate(all="ignore"):  # division by zero at a singularity
             total = self.base + self.energies @ denominator
             energies = self.energies @ numerator / total
             slope = self.base_wrenches + self.wrenches @ denominator
@@ -155,7 +155,8 @@ def rational_equations(
         free: Whether each term is free in the denominator.
 
     Returns:
-        The design matrix and the right-hand side, in standard deviations.
+        The matrix of the least-squares problem and its right-hand side, in standard
+        deviations.
     """
     energies = np.asarray(trials.energies)[:, None]
     weights = 1 / (terms.base[:, None] * np.asarray(trials.energy_deviations)[:, None])
@@ -181,7 +182,7 @@ class RationalSolution(NamedTuple):
     Args:
         numerator: Coefficients of the numerator; J.
         denominator: Coefficients of the polynomial that is added to the base.
-        rank: Rank of the design matrix.
+        rank: Rank of the matrix of the problem.
         condition: Ratio of its largest to its smallest significant singular value.
         ridge: Ridge parameter that was used.
     """
@@ -198,18 +199,18 @@ def solve_rational(
     targets: np.ndarray,
     free: np.ndarray,
     at_trials: RationalTerms,
-    at_pole_free: RationalTerms,
+    at_regular: RationalTerms,
     ridge: float,
     normalize_columns: bool,
 ) -> RationalSolution:
     """Solve the equations with the smallest ridge that keeps the denominator positive.
 
     Args:
-        rows: Design matrix.
+        rows: Matrix of the least-squares problem.
         targets: Measured values, in standard deviations.
         free: Whether each term is free in the denominator.
         at_trials: Terms at the trials.
-        at_pole_free: Terms at the poses without poles.
+        at_regular: Terms at the poses at which the energy must not be singular.
         ridge: First ridge parameter. It is tripled until the denominator is positive; if
             it is zero, it remains zero.
         normalize_columns: See `solve_minimum_norm`.
@@ -218,9 +219,9 @@ def solve_rational(
         The coefficients, and the ridge parameter that was used.
     """
     terms = len(free)
-    penalty = (at_pole_free.energies / at_pole_free.base[:, None])[:, free]
+    penalty = (at_regular.energies / at_regular.base[:, None])[:, free]
     penalty = np.pad(penalty, ((0, 0), (terms, 0)))
-    penalty *= np.sqrt(len(at_trials.base) / len(at_pole_free.base))
+    penalty *= np.sqrt(len(at_trials.base) / len(at_regular.base))
     if not np.any(free):
         ridge = 0.0
     while True:
@@ -232,7 +233,7 @@ def solve_rational(
         )
         denominator = np.zeros(terms)
         denominator[free] = coefficients[terms:]
-        ratios = (at_trials.ratio(denominator), at_pole_free.ratio(denominator))
+        ratios = (at_trials.ratio(denominator), at_regular.ratio(denominator))
         smallest_ratio = min(map(np.min, ratios))
         # with this order of the comparison, NaN ends the loop
         if ridge == 0 or not smallest_ratio <= _SMALLEST_RATIO:

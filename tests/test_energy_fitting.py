@@ -244,9 +244,12 @@ def test_order_of_a_fit_is_at_least_that_of_a_stiffness(order):
 
 def test_mixed_energy_of_unsuitable_trials_raises_an_error():
     trials = tj.energies.read_trials(REFERENCE / "random_trials.csv")
-    with pytest.raises(ValueError, match="No mixed energy was found"):
-        tj.fit_energy(trials, 2, coordinates="mixed")
     poses, wrenches = np.asarray(trials.poses), np.asarray(trials.wrenches)
+    pulls_when_compressed = tj.energies.Trials(poses * [0, 1, 1], -poses * [0, 1, -1])
+    with pytest.raises(ValueError, match="No mixed energy was found"):
+        tj.fit_energy(
+            pulls_when_compressed, 2, coordinates="mixed", reference="unstressed"
+        )
     for missing, unsuitable in (
         ("displacement", tj.energies.Trials(poses * [0, 0, 1], wrenches)),
         ("force", tj.energies.Trials(poses * [0, 1, 1], wrenches * [1, 0, 1])),

@@ -122,7 +122,7 @@ def fit_mixed(
     solution = solve(measured, None)
     for _ in range(3):
         solution = solve(measured, solution.coefficients)
-    best, solution, converged = _gauss_newton(solve, predict, solution, measured, force)
+    best, solution, converged = _gauss_newton(solve, predict, solution, measured)
     if not np.isfinite(best.cost):
         return None
     energy = MixedEnergy(best.coefficients, powers, length=length, force=force)
@@ -155,12 +155,10 @@ def _gauss_newton(
     predict: Callable[[np.ndarray], _Prediction],
     solution: ConstrainedSolution,
     measured: np.ndarray,
-    force: float,
 ) -> tuple[_Prediction, ConstrainedSolution, bool]:
     """Minimize the errors of the predictions, starting from a solution.
 
-    A step is halved until the errors decrease. The terms are evaluated at axial forces of
-    at most the reference force, where W is the polynomial.
+    A step is halved until the errors decrease.
 
     Args:
         solve: Solves the least-squares problem at given axial forces (N), with the
@@ -168,7 +166,6 @@ def _gauss_newton(
         predict: Predicts the measurements for given coefficients.
         solution: The start.
         measured: Measured axial forces; they replace predictions that do not exist; N.
-        force: Reference force; N.
 
     Returns:
         The prediction with the smallest errors, the last solution, and whether the
@@ -178,7 +175,7 @@ def _gauss_newton(
     for _ in range(_MAX_STEPS):
         is_known = np.isfinite(best.axial_forces)
         axial_forces = np.where(is_known, best.axial_forces, measured)
-        solution = solve(np.clip(axial_forces, -force, force), best.coefficients)
+        solution = solve(axial_forces, best.coefficients)
         step = solution.coefficients - best.coefficients
         for fraction in 0.5 ** np.arange(11):
             trial = predict(best.coefficients + fraction * step)

@@ -81,10 +81,15 @@ def mixed_equations(
     """
     rotations, _, transverse = twists.T
     exponents = np.array(powers)
-    variables = rotations, transverse / length, axial_forces / force
+    force_ratios = axial_forces / force
+    inside = jnp.clip(force_ratios, -1.0, 1.0)
+    variables = rotations, transverse / length, inside
     (t, dt, _), (y, dy, _), (n, dn, ddn) = (
         power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
     )
+    # Outside of the reference force, W is continued by a parabola; see `MixedEnergy`.
+    outside = (force_ratios - inside)[:, None]
+    n, dn = n + outside * (dn + outside * ddn / 2), dn + outside * ddn
     return MixedEquations(
         twists,
         stresses,

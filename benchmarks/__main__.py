@@ -16,7 +16,7 @@ from rich.table import Table
 
 from . import (
     chains,
-    command,
+    first_calls,
     identification,
     leaves,
     motion,
@@ -54,7 +54,7 @@ def main(
 
     modules = (
         statics, peers, chains, peers_chains, leaves, motion, peers_motion,
-        identification, peers_identification, sweeps, command,
+        identification, peers_identification, sweeps, first_calls,
     )  # fmt: skip
     for module in modules:
         for row in module.run():

@@ -56,6 +56,26 @@ BUILD = "stage = tj.examples.stage.microstage()"
 SOLVE = "tj.equilibrium(stage, drives=[tj.Drive('6', x=5e-6)])"
 
 
+def test_each_public_map_is_one_program():
+    setup = (
+        "import numpy as np; from twistorjax.geometry import se2, twistors; "
+        "pose = jax.device_put(np.array([0.3, 1e-3, 2e-3])); "
+        "leaf = tj.Quadratic(np.eye(3))"
+    )
+    calls = (
+        "se2.compose(pose, pose)",
+        "se2.twist(pose)",
+        "se2.exp(pose)",
+        "se2.transform_wrench(pose, pose)",
+        "twistors.twistor(pose)",
+        "leaf(pose)",
+        "leaf.wrench(pose)",
+        "leaf.tangent_stiffness(pose)",
+    )
+    counts = count_programs(setup, *calls, "; ".join(calls))
+    assert counts == [[0, 0], *len(calls) * [[1, 0]], [0, 0]]
+
+
 def test_only_the_equilibrium_of_a_mechanism_is_compiled():
     assert count_programs(BUILD, SOLVE) == [[0, 0], [1, 0]]
 

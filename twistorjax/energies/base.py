@@ -6,7 +6,7 @@ dissertation.
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from typing import Protocol, runtime_checkable
 
@@ -70,7 +70,7 @@ class AbstractEnergy(eqx.Module):
             ValueError: The pose is outside the validity range. If the pose is traced, no
                 error is raised and the result is NaN.
         """
-        return self._in_range(pose, self.stored_energy(Displacement.from_pose(pose)))
+        return self._in_range(pose, *_evaluate(_energy, self, pose))
 
     def wrench(self, pose: Pose) -> Wrench:
         """Compute the wrench that body B exerts on the hinge, about frame b, in its axes.
@@ -98,11 +98,7 @@ class AbstractEnergy(eqx.Module):
             >>> leaf.wrench(jnp.array([0.0, 0.0, 0.5]))
             Array([0., 0., 5.], dtype=float64)
         """
-        slope = jax.grad(lambda pose: self.stored_energy(Displacement.from_pose(pose)))(
-            pose
-        )
-        force = se2.rotate(-pose[0], slope[1:])
-        return self._in_range(pose, jnp.concatenate([slope[:1], force]))
+        return self._in_range(pose, *_evaluate(_wrench, self, pose))
 
     def tangent_stiffness(self, pose: Pose | None = None) -> Matrix:
         """Compute the derivative of the wrench.
@@ -127,11 +123,7 @@ class AbstractEnergy(eqx.Module):
                    [0., 0., 2.]], dtype=float64)
         """
         pose = jnp.zeros(3) if pose is None else pose
-
-        def wrench(step: Twist) -> Wrench:
-            return self.wrench(se2.compose(pose, se2.exp(step)))
-
-        return jax.jacfwd(wrench)(jnp.zeros(3)) + 0.0
+        return self._in_range(pose, *_evaluate(_tangent_stiffness, self, pose))
 
     def __add__(self, other: "AbstractEnergy") -> "Sum":
         if not isinstance(other, AbstractEnergy):
@@ -147,21 +139,47 @@ class AbstractEnergy(eqx.Module):
             )
         return Scaled(factor=array, energy=self)
 
-    def _in_range(self, pose: Pose, value: Array) -> Array:
+    def _in_range(self, pose: Pose, value: Array, outside: Flag | None) -> Array:
         """Return a value at a pose, or raise an error if the pose is out of range.
 
         If the pose is traced, the value is NaN instead.
         """
-        displacement = Displacement.from_pose(pose)
-        outside = out_of_range(self, displacement)
         if outside is None:
             return value
         decided = concrete(outside)
         if decided is not None and np.any(decided):
-            message = range_message(self, displacement)
+            message = range_message(self, Displacement.from_pose(pose))
             raise ValueError(f"Outside the validity range of the energy: {message}.")
         # A product, so that derivatives are NaN as well.
         return value * jnp.where(outside, jnp.nan, 1.0)
+
+
+@eqx.filter_jit
+def _evaluate(
+    function: Callable[[AbstractEnergy, Pose], Array], energy: AbstractEnergy, pose: Pose
+) -> tuple[Array, Flag | None]:
+    """Evaluate a function at a pose, and decide whether the pose is out of range."""
+    return function(energy, pose), out_of_range(energy, Displacement.from_pose(pose))
+
+
+def _energy(energy: AbstractEnergy, pose: Pose) -> Scalar:
+    """Compute the energy at a pose; J."""
+    return energy.stored_energy(Displacement.from_pose(pose))
+
+
+def _wrench(energy: AbstractEnergy, pose: Pose) -> Wrench:
+    """Compute the wrench on the hinge in the axes of frame b; N m, N, N."""
+    slope = jax.grad(lambda pose: _energy(energy, pose))(pose)
+    return jnp.concatenate([slope[:1], se2.rotate(-pose[0], slope[1:])])
+
+
+def _tangent_stiffness(energy: AbstractEnergy, pose: Pose) -> Matrix:
+    """Differentiate the wrench with respect to displacements in the axes of frame b."""
+
+    def wrench(step: Twist) -> Wrench:
+        return _wrench(energy, se2.compose(pose, se2.exp(step)))
+
+    return jax.jacfwd(wrench)(jnp.zeros(3)) + 0.0
 
 
 class Sum(AbstractEnergy):

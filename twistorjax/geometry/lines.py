@@ -12,12 +12,14 @@ Corrections to section 2.4: the resultant `(6 + 3 sqrt(3), F, F)` with
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .._utils.types import Point, Scalar, Wrench
 from .se2 import cross
 
 
+@jax.jit
 def line(start: Point, end: Point) -> Wrench:
     """Compute the line vector from one point to another.
 
@@ -40,6 +42,7 @@ def line(start: Point, end: Point) -> Wrench:
     return jnp.concatenate([cross(start, along)[None], along])
 
 
+@jax.jit
 def force(point: Point, force: Point) -> Wrench:
     """Compute the wrench about the origin of a force that acts at a point.
 
@@ -76,6 +79,7 @@ class Resultant(eqx.Module):
     foot: Point
 
 
+@jax.jit
 def resultant(wrench: Wrench) -> Resultant:
     """Compute the magnitude, the direction and the line of action of a wrench.
 

@@ -6,11 +6,13 @@ A twist is the constant velocity that produces a displacement in unit time. Sect
 to 2.6 of the dissertation.
 """
 
+import jax
 import jax.numpy as jnp
 
 from .._utils.types import AnyArray, Arm, Matrix, Point, Pose, Scalar, Twist, Wrench
 
 
+@jax.jit
 def compose(outer: Pose, inner: Pose) -> Pose:
     """Compose two poses.
 
@@ -33,6 +35,7 @@ def compose(outer: Pose, inner: Pose) -> Pose:
     return _join(outer[0] + inner[0], act(outer, inner[1:]))
 
 
+@jax.jit
 def inverse(pose: Pose) -> Pose:
     """Invert a pose.
 
@@ -49,6 +52,7 @@ def inverse(pose: Pose) -> Pose:
     return _join(-pose[0], -rotate(-pose[0], pose[1:]))
 
 
+@jax.jit
 def between(first: Pose, second: Pose) -> Pose:
     """Compute the pose of one frame relative to another.
 
@@ -69,6 +73,7 @@ def between(first: Pose, second: Pose) -> Pose:
     return _join(second[0] - first[0], rotate(-first[0], second[1:] - first[1:]))
 
 
+@jax.jit
 def act(pose: Pose, point: Point) -> Point:
     """Transform a point from the moving frame to the fixed frame.
 
@@ -90,6 +95,7 @@ def act(pose: Pose, point: Point) -> Point:
     return pose[1:] + rotate(pose[0], point)
 
 
+@jax.jit
 def exp(twist: Twist) -> Pose:
     """Compute the pose that a constant twist reaches in unit time.
 
@@ -112,6 +118,7 @@ def exp(twist: Twist) -> Pose:
     return _join(twist[0], sinc(half) * rotate(half, twist[1:]))
 
 
+@jax.jit
 def twist(pose: Pose) -> Twist:
     """Compute the constant twist that reaches a pose in unit time.
 
@@ -141,6 +148,7 @@ def twist(pose: Pose) -> Twist:
     return _join(pose[0], rotate(-half, pose[1:]) / sinc(half))
 
 
+@jax.jit
 def pole(pose: Pose) -> Point:
     """Compute the pole of a displacement: its fixed point, the center of its rotation.
 
@@ -167,6 +175,7 @@ def pole(pose: Pose) -> Point:
     return jnp.where(rotates, jnp.stack([-across, along]) / safe, jnp.inf)
 
 
+@jax.jit
 def adjoint(pose: Pose) -> Matrix:
     """Compute the matrix that transforms a twist to another frame of reference.
 
@@ -191,6 +200,7 @@ def adjoint(pose: Pose) -> Matrix:
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
+@jax.jit
 def transform_wrench(pose: Pose, wrench: Wrench) -> Wrench:
     """Transform a wrench from the moving frame to the fixed frame.
 
@@ -219,6 +229,7 @@ def transform_wrench(pose: Pose, wrench: Wrench) -> Wrench:
     return _join(wrench[0] + cross(pose[1:], force), force)
 
 
+@jax.jit
 def transform_stiffness(pose: Pose, stiffness: Matrix) -> Matrix:
     """Transform a stiffness matrix from the moving frame to the fixed frame.
 

@@ -38,6 +38,7 @@ from .._utils.types import Point, Pose, Scalar, Twist, Twistor
 from . import se2
 
 
+@jax.jit
 def twistor(pose: Pose) -> Twistor:
     """Compute the Clifford parameters of a displacement.
 
@@ -63,6 +64,7 @@ def twistor(pose: Pose) -> Twistor:
     return jnp.stack([cos, sin, cos * x + sin * y, cos * y - sin * x])
 
 
+@jax.jit
 def pose(twistor: Twistor) -> Pose:
     """Compute the pose of a twistor.
 
@@ -84,6 +86,7 @@ def pose(twistor: Twistor) -> Pose:
     return jnp.stack([2 * jnp.arctan2(xi, sigma), x, y])
 
 
+@jax.jit
 def product(first: Twistor, second: Twistor) -> Twistor:
     """Compute the geometric product of two twistors.
 
@@ -120,6 +123,7 @@ def product(first: Twistor, second: Twistor) -> Twistor:
     )
 
 
+@jax.jit
 def conjugate(twistor: Twistor) -> Twistor:
     """Compute the conjugate of a twistor: the twistor of the inverse displacement.
 
@@ -137,6 +141,7 @@ def conjugate(twistor: Twistor) -> Twistor:
     return twistor * jnp.array([1.0, -1.0, -1.0, -1.0])
 
 
+@jax.jit
 def move(twistor: Twistor, point: Point) -> Point:
     """Displace a point by the product `q* x q`.
 

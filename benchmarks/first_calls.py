@@ -1,0 +1,140 @@
+"""Times of first calls in a new process, without and with cached programs.
+
+The start of Python, imports, and compilation are what a user waits for. Each process
+works in the same empty cache folder, so the second process of a kind finds the programs
+of the first one.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+
+from .measure import at_most, Row
+
+
+REPEATS = 3  # of second calls
+
+# Whole processes, with the largest multiple of the time of `import jax` for a second one.
+PROCESSES = {
+    "`import twistorjax`": (["-c", "import twistorjax"], 1.5),
+    "`twistorjax stage`": (["-m", "twistorjax", "stage"], 2.5),
+    "`twistorjax four-bar --json`": (["-m", "twistorjax", "four-bar", "--json"], 3.0),
+    "`twistorjax identify`": (["-m", "twistorjax", "identify"], 5.0),
+}
+
+# Preparation and call, with the largest times of a first and a second one; s.
+STAGE = "stage = tj.examples.stage.microstage()"
+PUSH = "drives = [tj.Drive('6', x=1e-6)]"
+LINKAGE = (
+    "from twistorjax.examples import four_bar; "
+    "linkage = four_bar.four_bar(damping=four_bar.RELEASED_DAMPING); "
+    "times = np.linspace(0.0, 0.2, 41)"
+)
+GRADIENT = (
+    f"{LINKAGE}; numbers, rest = eqx.partition(linkage, eqx.is_inexact_array); "
+    "value = lambda numbers: jnp.sum(four_bar.released_motion("
+    "eqx.combine(numbers, rest), times, energies=False).displacements**2)"
+)
+LEAF = (
+    "steel = tj.Material(210e9, poisson=0.3); "
+    "beam = tj.flexures.Beam(steel, length=0.05, thickness=0.5e-3, width=0.01)"
+)
+CALLS = {
+    "equilibrium": (f"{STAGE}; {PUSH}", "tj.equilibrium(stage, drives=drives)", None),
+    "linearize": (
+        f"{STAGE}; {PUSH}",
+        "tj.linearize(stage, {'6': ['x']})(drives=drives)",
+        None,
+    ),
+    "vibrations": (STAGE, "tj.vibrations(stage)", None),
+    "frequency_response": (
+        f"{STAGE}; {PUSH}",
+        "tj.frequency_response(stage, [100.0, 200.0], drives=drives)",
+        None,
+    ),
+    "simulate": (LINKAGE, "four_bar.released_motion(linkage, times)", (3.0, 1.5)),
+    "reverse-mode gradient of simulate": (
+        GRADIENT,
+        "jax.grad(value)(numbers)",
+        (8.0, 3.0),
+    ),
+    "surrogate": (LEAF, "tj.flexures.surrogate(beam, rotation=0.35)", (4.0, None)),
+}
+SCRIPT = """
+import time
+import equinox as eqx, jax, jax.numpy as jnp, numpy as np
+import twistorjax as tj
+tj.configure()
+{setup}
+start = time.perf_counter()
+jax.block_until_ready(eqx.filter({call}, eqx.is_array))
+print(time.perf_counter() - start)
+"""
+
+
+def run() -> Iterator[Row]:
+    """Yield the rows of the table."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "XDG_CACHE_HOME": cache}
+        # An installation by pip contains compiled Python files, so let Python write them.
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+        yield from _processes(environment)
+        yield from _calls(environment)
+
+
+def _processes(environment: dict[str, str]) -> Iterator[Row]:
+    """Measure whole processes, also in multiples of the time of `import jax`."""
+
+    def elapsed(arguments: list[str]) -> float:
+        start = time.perf_counter()
+        subprocess.run(
+            [sys.executable, *arguments],
+            env=environment,
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        return time.perf_counter() - start
+
+    jax_time = statistics.median(elapsed(["-c", "import jax"]) for _ in range(REPEATS))
+    yield Row("`import jax`", jax_time, "s")
+    for name, (arguments, largest) in PROCESSES.items():
+        yield Row(f"{name}: first call", elapsed(arguments), "s")
+        second = statistics.median(elapsed(arguments) for _ in range(REPEATS))
+        yield Row(f"{name}: second call", second, "s")
+        what = f"{name}: second call, in multiples of `import jax`"
+        yield at_most(what, second / jax_time, "x", largest)
+
+
+def _calls(environment: dict[str, str]) -> Iterator[Row]:
+    """Measure the first call of each solver in a new process, after all imports."""
+    for name, (setup, call, bounds) in CALLS.items():
+        code = SCRIPT.format(setup=setup, call=call)
+
+        def elapsed(code=code) -> float:
+            done = subprocess.run(
+                [sys.executable, "-c", code],
+                env=environment,
+                check=True,
+                capture_output=True,
+                text=True,
+            )
+            return float(done.stdout.split()[-1])
+
+        first = elapsed()
+        second = statistics.median(elapsed() for _ in range(REPEATS))
+        for when, value, bound in zip(
+            ("without a cache", "with a cache"),
+            (first, second),
+            bounds or (None, None),
+            strict=True,
+        ):
+            what = f"first call of {name} in a new process, {when}"
+            if bound is None:
+                yield Row(what, value, "s")
+            else:
+                yield at_most(what, value, "s", bound)

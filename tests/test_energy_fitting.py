@@ -1,13 +1,11 @@
 """Fits of polynomial and mixed energies to trials, and files of trials and energies."""
 
 import pathlib
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.optimize
 from helpers import assert_close, some_stiffness
 
 import twistorjax as tj
@@ -151,117 +149,6 @@ def test_fit_to_finite_elements_of_a_notch_is_accurate():
     assert np.all(fit.expected.relative < 2 * fit.held_out.relative)
     stiffness = jnp.diag(fit.energy.tangent_stiffness())
     np.testing.assert_allclose(stiffness, [2.3875, 1.9406e8, 1.6210e7], rtol=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("name", "limit"),
-    [("fe_leaf", 2e-4), ("fe_notch", 1e-5)],
-)
-def test_mixed_energy_fits_finite_elements_to_their_own_error(name, limit, validated):
-    """The held-out and the expected errors have the same order of magnitude."""
-    trials = tj.energies.read_trials(REFERENCE / f"{name}.csv")
-    fit = tj.fit_energy(
-        trials, order=6, coordinates="mixed", symmetry="leaf", hold_out=0.2
-    )
-    assert fit.held_out is not None
-    np.testing.assert_array_less(fit.held_out.relative, limit)
-    np.testing.assert_array_less(fit.expected.relative, limit)
-    assert np.all(fit.held_out.relative > fit.expected.relative / 10)
-    hinge = {"fe_leaf": "a leaf", "fe_notch": "a notch"}[name]
-    what = f"mixed energy of {hinge}, held-out trials (rms, worst component)"
-    oracle = "plane finite elements"
-    validated("Fits", what, 1 + np.max(fit.held_out.relative), 1.0, oracle)
-    limited = fit.with_validity_range
-    largest = trials.poses[np.argmax(np.abs(trials.poses[:, 0]))]
-    np.testing.assert_array_equal(limited.wrench(largest), fit.energy.wrench(largest))
-    with pytest.raises(ValueError, match="Outside the validity range of the energy"):
-        limited.wrench(1.01 * largest)
-
-
-def test_fit_recovers_a_mixed_energy():
-    leaf = tj.energies.MixedEnergy([0.5, 6.0, -1e-3, 0.6, -0.08, -0.01], [
-        (2, 0, 0), (0, 2, 0), (0, 0, 2), (0, 2, 1), (2, 0, 1), (0, 2, 2),
-    ], length=0.2, force=1.0)  # fmt: skip
-    poses = np.random.default_rng(0).uniform(-1, 1, (30, 3)) * [0.5, 1e-3, 0.1]
-    poses[:, 1] -= poses[:, 2] ** 2
-    wrenches = jax.vmap(leaf.wrench)(jnp.array(poses))
-    fit = tj.fit_energy(
-        tj.energies.Trials(poses, wrenches),
-        2,
-        coordinates="mixed",
-        symmetry="leaf",
-        scale=0.2,
-    )
-    np.testing.assert_array_less(fit.training.relative, 1e-10)
-    np.testing.assert_allclose(
-        fit.energy.tangent_stiffness(), leaf.tangent_stiffness(), rtol=1e-8, atol=1e-8
-    )
-
-
-def test_mixed_fit_to_noisy_trials_has_the_smallest_possible_error():
-    """SciPy minimizes the errors of the predicted wrenches over all coefficients."""
-    monomials = tj.energies.monomials(2, "mixed", symmetry="leaf")
-    powers = tuple(row for row in monomials if sum(row) > 1)
-    known = {(2, 0, 0): 0.5, (0, 2, 0): 6.0, (0, 2, 1): 0.6, (2, 0, 1): 0.08}
-    leaf = tj.energies.MixedEnergy(
-        [*known.values(), -1e-3], [*known, (0, 0, 2)], length=1.0, force=3.0
-    )
-    rng = np.random.default_rng(2)
-    poses = rng.uniform(-1, 1, (60, 3)) * [0.5, 1e-3, 0.2]
-    poses[:, 1] -= 0.2 * poses[:, 2] ** 2
-    exact = np.asarray(jax.vmap(leaf.wrench)(jnp.asarray(poses)))
-    deviations = 0.1 * np.sqrt(np.mean(exact**2, axis=0))
-    noisy = exact + deviations * rng.normal(size=exact.shape)
-    trials = tj.energies.Trials(poses, noisy, wrench_deviations=deviations)
-    fit = tj.fit_energy(
-        trials, 2, coordinates="mixed", symmetry="leaf", ridge=0.0, scale=1.0
-    )
-
-    assert isinstance(fit.energy, tj.energies.MixedEnergy)
-    found, force = fit.energy.coefficients, fit.energy.force
-
-    @jax.jit
-    def residuals(coefficients):
-        energy = tj.energies.MixedEnergy(coefficients, powers, length=1.0, force=force)
-        errors = jax.vmap(energy.wrench)(trials.poses) - noisy
-        return (errors / deviations[None]).ravel()
-
-    jacobian: Any = jax.jit(jax.jacfwd(residuals))
-    units = np.abs(found)
-    start = found + 0.03 * units * rng.normal(size=len(powers))
-    smallest = scipy.optimize.least_squares(residuals, start, jacobian, x_scale=units)
-    cost = jnp.sum(residuals(found) ** 2)
-    np.testing.assert_allclose(cost, 2 * smallest.cost, rtol=1e-6)
-    assert cost > 0.5 * residuals(found).size
-
-
-@pytest.mark.parametrize("order", [-1, 0, 1, True])
-def test_order_of_a_fit_is_at_least_that_of_a_stiffness(order):
-    trials = tj.energies.read_trials(REFERENCE / "random_trials.csv")
-    with pytest.raises(ValueError, match=f"`order` is {order}, but must be"):
-        tj.fit_energy(trials, order, coordinates="mixed", symmetry="leaf")
-
-
-def test_mixed_energy_of_unsuitable_trials_raises_an_error():
-    trials = tj.energies.read_trials(REFERENCE / "random_trials.csv")
-    poses, wrenches = np.asarray(trials.poses), np.asarray(trials.wrenches)
-    pulls_when_compressed = tj.energies.Trials(poses * [0, 1, 1], -poses * [0, 1, -1])
-    with pytest.raises(ValueError, match="No mixed energy was found"):
-        tj.fit_energy(
-            pulls_when_compressed, 2, coordinates="mixed", reference="unstressed"
-        )
-    for missing, unsuitable in (
-        ("displacement", tj.energies.Trials(poses * [0, 0, 1], wrenches)),
-        ("force", tj.energies.Trials(poses * [0, 1, 1], wrenches * [1, 0, 1])),
-    ):
-        with pytest.raises(ValueError, match=f"The axial {missing} of all"):
-            tj.fit_energy(unsuitable, 2, coordinates="mixed")
-    without_wrenches = tj.energies.Trials(trials.poses, energies=np.ones(17))
-    with pytest.raises(ValueError, match="needs the wrench of each"):
-        tj.fit_energy(without_wrenches, 2, coordinates="mixed")
-    fit = tj.fit_energy(without_wrenches, 2, symmetry="leaf")
-    with pytest.raises(ValueError, match="has no validity range"):
-        _ = fit.with_validity_range
 
 
 def test_fit_to_random_trials_interpolates_and_raises_a_warning():

@@ -1,5 +1,6 @@
 """Checks of constraints: whether they are independent, and whether they are satisfied."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -48,7 +49,13 @@ def consistent(system: System, displacements: Poses) -> Flag:
     linearized.
     """
     if not system.constraints.size:
-        return jnp.ones((), bool)
+        return jnp.asarray(True)
+    return _consistent(system, displacements)
+
+
+@eqx.filter_jit
+def _consistent(system: System, displacements: Poses) -> Flag:
+    """Decide whether constraints, of which there are some, are consistent."""
     size = jnp.linalg.norm(_scaled_jacobian(system, displacements), axis=1)
     violation = jnp.abs(system.violation(displacements)) / jnp.where(size > 0, size, 1.0)
     violated = jnp.any(violation > LARGEST_INITIAL_VIOLATION)

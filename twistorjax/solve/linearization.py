@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import concrete
-from .._utils.types import Flag, NumberLike, Poses
+from .._utils.types import Flag, NumberLike, Poses, Scalar
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
@@ -83,7 +84,7 @@ class Linearization(eqx.Module):
             RuntimeError: The equilibrium is not stable, the constraints are not
                 independent, or a value is not finite.
         """
-        mechanism, count = self.mechanism, len(self.dofs.free)
+        mechanism = self.mechanism
         prescribed, targets = prescribed_dofs(mechanism, drives)
         if sorted(prescribed) != sorted(self.dofs.prescribed):
             raise ValueError(
@@ -91,45 +92,57 @@ class Linearization(eqx.Module):
                 f"made by `linearize` for {_listed(mechanism, self.dofs.prescribed)}."
             )
         loaded_bodies(mechanism, loads)
-        applied, _ = LoadSet.of(loads, mechanism.names, mechanism.reference).apply(
-            self.about - mechanism.reference
-        )
-        applied = applied.reshape(-1)
-        dofs = DofPartition(self.dofs.total, self.dofs.free, prescribed)
-        imposed = dofs.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
-        free = jnp.array(dofs.free, int)
-        right = (applied - self.matrix @ imposed)[free]
-        multipliers, constraint = jnp.zeros(0), jnp.zeros_like(imposed)
-        if self.constraint_names:
-            right = jnp.concatenate([right, -self.jacobian @ imposed])
-        solution = self.factors.solve(right)
-        flat = imposed.at[free].set(solution[:count])
-        if self.constraint_names:
-            multipliers = -solution[count:]
-            constraint = multipliers @ self.jacobian
-        forces = self.matrix @ flat
-        stable = self.factors.is_stable()
-        result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
-        finite = self.finite & jnp.all(jnp.isfinite(applied))
-        result = RESULTS.where(finite, result, RESULTS.not_finite)
-        # The matrices of redundant constraints are not finite.
-        inconsistent = RESULTS.inconsistent_constraints
-        result = RESULTS.where(self.consistent, result, inconsistent)
-        displacements = flat.reshape(self.about.shape)
-        change = Equilibrium(
-            displacements=displacements,
-            reference=self.about,
-            reactions=dofs.reactions(forces - applied - constraint),
-            constraint_forces=multipliers,
-            energy=jnp.vdot(flat, forces) / 2,
-            reached=displacements,
-            fraction=jnp.ones(()),
-            steps=jnp.zeros((), int),
-            result=result,
-            names=mechanism.names,
-            constraint_names=self.constraint_names,
-        )
+        change = _respond(self, tuple(loads), targets, prescribed)
         return check_equilibrium(change) if throw else change
+
+
+@eqx.filter_jit
+def _respond(
+    linear: Linearization,
+    loads: tuple[Load, ...],
+    targets: tuple[Scalar, ...],
+    prescribed: tuple[int, ...],
+) -> Equilibrium:
+    """Compute the response to loads, and to displacements (rad, m) of `prescribed`."""
+    mechanism, count = linear.mechanism, len(linear.dofs.free)
+    applied, _ = LoadSet.of(loads, mechanism.names, mechanism.reference).apply(
+        linear.about - mechanism.reference
+    )
+    applied = applied.reshape(-1)
+    dofs = DofPartition(linear.dofs.total, linear.dofs.free, prescribed)
+    imposed = dofs.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
+    free = np.array(dofs.free, int)
+    right = (applied - linear.matrix @ imposed)[free]
+    multipliers, constraint = jnp.zeros(0), jnp.zeros_like(imposed)
+    if linear.constraint_names:
+        right = jnp.concatenate([right, -linear.jacobian @ imposed])
+    solution = linear.factors.solve(right)
+    flat = imposed.at[free].set(solution[:count])
+    if linear.constraint_names:
+        multipliers = -solution[count:]
+        constraint = multipliers @ linear.jacobian
+    forces = linear.matrix @ flat
+    stable = linear.factors.is_stable()
+    result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
+    finite = linear.finite & jnp.all(jnp.isfinite(applied))
+    result = RESULTS.where(finite, result, RESULTS.not_finite)
+    # The matrices of redundant constraints are not finite.
+    inconsistent = RESULTS.inconsistent_constraints
+    result = RESULTS.where(linear.consistent, result, inconsistent)
+    displacements = flat.reshape(linear.about.shape)
+    return Equilibrium(
+        displacements=displacements,
+        reference=linear.about,
+        reactions=dofs.reactions(forces - applied - constraint),
+        constraint_forces=multipliers,
+        energy=jnp.vdot(flat, forces) / 2,
+        reached=displacements,
+        fraction=jnp.ones(()),
+        steps=jnp.zeros((), int),
+        result=result,
+        names=mechanism.names,
+        constraint_names=linear.constraint_names,
+    )
 
 
 def linearize(
@@ -188,6 +201,14 @@ def linearize(
     is_consistent = consistent(system, displacements)
     if concrete(is_consistent) is not None and not is_consistent:
         raise inconsistency(mechanism, system, displacements)
+    return _linearize(mechanism, system, displacements, is_consistent)
+
+
+@eqx.filter_jit
+def _linearize(
+    mechanism: Mechanism, system: System, displacements: Poses, is_consistent: Flag
+) -> Linearization:
+    """Factorize the stiffness at given displacements; rad, m, m."""
     matrix, jacobian = system.whole_stiffness(displacements)
     free = system.free
     factors = system.factors(matrix[free[:, None], free], jacobian[:, free])
@@ -199,7 +220,7 @@ def linearize(
         factors=factors,
         finite=jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(jacobian)),
         consistent=is_consistent,
-        dofs=dofs,
+        dofs=system.dofs,
         constraint_names=system.constraints.names(),
     )
 

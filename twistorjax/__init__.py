@@ -14,6 +14,9 @@ the dissertation on which the library is based.
 import lazy_loader
 
 
+__version__ = "0.2.0"
+
+
 # The names are imported from their modules at their first use, because some of these
 # modules import packages that take long to load. `__init__.pyi` lists them.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -44,3 +44,5 @@ from .solve import (
     vibrations as vibrations,
 )
 from .sweeps import Grid as Grid, sweep as sweep
+
+__version__: str

@@ -176,10 +176,12 @@ class Mechanism(eqx.Module):
             if {3 * body, 3 * body + 1, 3 * body + 2} <= set(self.fixed):
                 rows.append(jnp.full(3, jnp.inf))
             elif mass is None or inertia is None:
-                missing = "mass" if mass is None else "inertia"
+                values = {"mass": mass, "inertia": inertia}
+                missing = [f"`{key}`" for key, value in values.items() if value is None]
                 raise ValueError(
-                    f"The body {name!r} can move, but has no `{missing}`. Give it one, "
-                    "or fix the body."
+                    f"The body {name!r} can move, but has no {' and no '.join(missing)}. "
+                    "Give it `mass` and `inertia`, or fix the body. The origin of its "
+                    "frame must be its center of mass."
                 )
             else:
                 rows.append(jnp.stack([inertia, mass, mass]))

@@ -134,7 +134,8 @@ def simulate(
         Equations 5.24, 5.25, and 6.4 of the dissertation.
 
     Example:
-        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> import jax.numpy as jnp
+        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic, simulate
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)

@@ -101,7 +101,9 @@ def frequency_response(
             finite.
 
     Example:
-        >>> from twistorjax import Body, Hinge, Quadratic
+        >>> import jax.numpy as jnp
+        >>> from twistorjax import Body, Hinge, Load, Mechanism, Quadratic
+        >>> from twistorjax import frequency_response
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 400.0, 100.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)

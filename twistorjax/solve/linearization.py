@@ -179,7 +179,8 @@ def linearize(
             the constraints are not independent or not satisfied.
 
     Example:
-        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> import jax.numpy as jnp
+        >>> from twistorjax import Body, Drive, Hinge, linearize, Mechanism, Quadratic
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])

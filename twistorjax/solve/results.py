@@ -36,7 +36,8 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     not_finite = (
         "A value of the mechanism, its loads, or its prescribed displacements is not "
         "finite: a NaN was given, or a dimension of a hinge is outside the range of its "
-        "formula."
+        "formula. Build the mechanism once without `jax.grad`, `jax.vmap`, and "
+        "`jax.jit`: the message then names the value."
     )
     unstable = (
         "A body can move without an increase of the energy, so the equilibrium is not "

@@ -146,7 +146,8 @@ def equilibrium(
         Equations 5.25 and 6.4 of the dissertation without inertia.
 
     Example:
-        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic
+        >>> import jax.numpy as jnp
+        >>> from twistorjax import Body, equilibrium, Hinge, Load, Mechanism, Quadratic
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> mechanism = Mechanism([Body("wall"), Body("block")], [hinge], fixed=["wall"])

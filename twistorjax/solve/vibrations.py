@@ -122,7 +122,8 @@ def vibrations(
         The matrices of equation 5.24 of the dissertation, linearized.
 
     Example:
-        >>> from twistorjax import Body, Hinge, Quadratic
+        >>> import jax.numpy as jnp
+        >>> from twistorjax import Body, Hinge, Mechanism, Quadratic, vibrations
         >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 400.0, 100.0])))
         >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
         >>> block = Body("block", mass=1.0, inertia=0.1)

@@ -4,6 +4,7 @@ Implicit promotion of dtypes and ranks is an error. The fixture `validated` reco
 errors of the tests for the validation page of the manual.
 """
 
+import gc
 import json
 import os
 
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 
 
+gc.set_threshold(200_000, 20, 20)  # the default takes a fifth of the time of tracing
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")

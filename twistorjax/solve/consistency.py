@@ -31,6 +31,23 @@ def independent_rows(jacobian: Float[Array, "entries n"]) -> Flag:
     return jnp.max(jnp.abs(inverse(rows @ rows.T)), initial=0.0) < _LARGEST_INVERSE
 
 
+def consistent_rows(
+    jacobian: Float[Array, "entries n"], violation: Float[Array, " entries"]
+) -> Flag:
+    """Decide whether constraints are independent and satisfied.
+
+    The columns of the Jacobian must be scaled by the units of the degrees of freedom. The
+    violation of each constraint (rad or m) is divided by the norm of its row, so that
+    units do not matter. Values that are not finite count as consistent; solvers report
+    `not_finite`.
+    """
+    size = jnp.linalg.norm(jacobian, axis=1)
+    scaled = jnp.abs(violation) / jnp.where(size > 0, size, 1.0)
+    satisfied = jnp.all(scaled <= LARGEST_INITIAL_VIOLATION)
+    finite = jnp.all(jnp.isfinite(jacobian)) & jnp.all(jnp.isfinite(violation))
+    return (independent_rows(jacobian) & satisfied) | ~finite
+
+
 def independent(system: System, displacements: Poses) -> Flag:
     """Decide whether constraints are independent at given displacements; rad, m, m.
 
@@ -56,10 +73,8 @@ def consistent(system: System, displacements: Poses) -> Flag:
 @eqx.filter_jit
 def _consistent(system: System, displacements: Poses) -> Flag:
     """Decide whether constraints, of which there are some, are consistent."""
-    size = jnp.linalg.norm(_scaled_jacobian(system, displacements), axis=1)
-    violation = jnp.abs(system.violation(displacements)) / jnp.where(size > 0, size, 1.0)
-    violated = jnp.any(violation > LARGEST_INITIAL_VIOLATION)
-    return independent(system, displacements) & ~violated
+    jacobian = _scaled_jacobian(system, displacements)
+    return consistent_rows(jacobian, system.violation(displacements))
 
 
 def inconsistency(

@@ -328,8 +328,8 @@ def _smaller_program(own_controller: bool) -> Iterator[None]:
 
     diffrax goes back from the last time by 100 roundings, in 100 calls of `prevbefore`,
     which are a quarter of the operations of a motion (jaxlib 0.10.2: 1,700 of 7,100).
-    A multiplication has the same purpose. Other step size controllers than those of
-    `simulate` may need an exact `prevbefore`.
+    Here each call subtracts one or two roundings, in two operations. Other step size
+    controllers than those of `simulate` may need an exact `prevbefore`.
     """
     error_if, prevbefore = eqxi.error_if, eqxi.prevbefore
     eqxi.error_if = lambda value, *_, **__: value

@@ -24,7 +24,7 @@ from .._utils.types import (
 from .._utils.validation import compilation_error, index_of, require_row
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
-from .consistency import independent_rows, LARGEST_INITIAL_VIOLATION
+from .consistency import consistent_rows, LARGEST_INITIAL_VIOLATION
 from .dofs import DofPartition
 from .motion_system import MotionSystem, State
 from .results import RESULTS
@@ -322,9 +322,8 @@ def _consistent(
 ) -> tuple[Flag, Array, Array]:
     """Check the initial state against the constraints, and project it onto them.
 
-    Each violation is divided by the norm of its derivatives, for displacements that are
-    divided by a length of the mechanism, so that units do not matter. Velocities that are
-    `given` must satisfy the constraints; others are projected.
+    Displacements are divided by a length of the mechanism; see `consistent_rows`.
+    Velocities that are `given` must satisfy the constraints; others are projected.
 
     Returns:
         Whether the state is consistent; the projected displacements (rad, m); and the
@@ -334,14 +333,9 @@ def _consistent(
     violation = system.violation(time, position)
     projected_position, projected_rate = system.project(time, position, rate)
     unit = jnp.where(system.free % 3 == 0, 1.0, system.length)
-    scaled = jacobian * unit[None]
-    size = jnp.linalg.norm(scaled, axis=1)
-    consistent = independent_rows(scaled)
-    consistent &= jnp.max(jnp.abs(violation) / size) <= LARGEST_INITIAL_VIOLATION
+    consistent = consistent_rows(jacobian * unit[None], violation)
     if given:
         error = jnp.linalg.norm((projected_rate - rate) / unit)
         largest = _LARGEST_VELOCITY_VIOLATION * jnp.linalg.norm(rate / unit)
-        consistent &= error <= largest
-    # Values that are not finite are reported as `not_finite`.
-    finite = jnp.all(jnp.isfinite(jacobian)) & jnp.all(jnp.isfinite(violation))
-    return consistent | ~finite, projected_position, projected_rate
+        consistent &= ~(error > largest)  # true for errors that are not finite
+    return consistent, projected_position, projected_rate

@@ -109,7 +109,9 @@ def fit_mixed(
         """Predict the measurements, and evaluate their errors."""
         wrenches, energies, axial_forces = map(
             np.asarray,
-            _predictions(powers, jnp.asarray(coefficients), length, force, trials.poses),
+            mixed_predictions(
+                powers, jnp.asarray(coefficients), length, force, trials.poses
+            ),
         )
         residuals = (wrenches - trials.wrenches) / trials.wrench_deviations
         if trials.energies is not None:
@@ -192,7 +194,7 @@ def _gauss_newton(
 
 
 @partial(jax.jit, static_argnums=0)
-def _predictions(
+def mixed_predictions(
     powers: Powers,
     coefficients: Float[Array, " terms"],
     length: Scalar | float,

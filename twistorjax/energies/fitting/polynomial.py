@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from ..._utils.validation import require_choice, require_float64
 from ..evaluation import term_wrenches
@@ -27,7 +27,7 @@ from ..monomials import (
 from ..polynomial import Polynomial
 from ..strains import Coordinates
 from .least_squares import ConstrainedSolution, solve_constrained
-from .mixed import fit_mixed
+from .mixed import fit_mixed, mixed_predictions
 from .report import (
     coordinates_of,
     describe_direction,
@@ -105,12 +105,10 @@ def fit_energy(
                 f"`trials` have a value of {np.max(np.abs(values)):g}, but a fit needs "
                 "values of at most 1e100."
             )
-    if isinstance(order, bool) or not (order is None or isinstance(order, int)):
-        raise ValueError(f"`order` is {order!r}, but must be a whole number from 2 on.")
-    if order is not None and order < 2:
+    if order is not None and (type(order) is not int or order < 2):
         raise ValueError(
-            f"`order` is {order}, but must be at least 2, because the terms of order 2 "
-            "are those of a constant stiffness."
+            f"`order` is {order!r}, but must be a whole number, 2 or larger, because the "
+            "terms of order 2 are those of a constant stiffness."
         )
     require_choice("`reference`", reference, ("stable", "unstressed", "free"))
     if not 0 <= hold_out < 1:
@@ -313,7 +311,16 @@ def _reference_terms(
 def _errors(energy: Polynomial | MixedEnergy, trials: Trials) -> Errors:
     """Compute the errors of an energy at trials."""
     if isinstance(energy, MixedEnergy):
-        wrenches, energies = map(np.asarray, _mixed_predictions(energy, trials.poses))
+        wrenches, energies, _ = map(
+            np.asarray,
+            mixed_predictions(
+                energy.powers,
+                energy.coefficients,
+                energy.length,
+                energy.force,
+                trials.poses,
+            ),
+        )
         return errors_of_predictions(trials, wrenches, energies)
     wrenches, energies = map(
         np.asarray,
@@ -322,11 +329,3 @@ def _errors(energy: Polynomial | MixedEnergy, trials: Trials) -> Errors:
     coefficients = np.asarray(energy.coefficients)
     energies = energies - reference_values(energy.powers)
     return errors_of_predictions(trials, wrenches @ coefficients, energies @ coefficients)
-
-
-@jax.jit
-def _mixed_predictions(
-    energy: MixedEnergy, poses: Float[Array, "trials 3"]
-) -> tuple[Float[Array, "trials 3"], Float[Array, " trials"]]:
-    """Compute wrenches (N m, N, N) and energies (J) of a mixed energy at many poses."""
-    return jax.vmap(energy.wrench)(poses), jax.vmap(energy)(poses)

@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .. import plotting  # loads diffrax and Matplotlib only if something is drawn
 from .._utils.host import on_host
 from .._utils.types import Corners, NumberLike, Scalar
 from ..energies.damping import DampingLike
@@ -33,7 +34,6 @@ from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
-from ..plotting.drawing import draw
 from ..plotting.figure_style import DARK_BLUE
 from ..solve.results import RESULTS
 from ..solve.statics import Equilibrium, equilibrium
@@ -272,7 +272,7 @@ def plot(stage: Mechanism, result: Amplification, *, magnify: float | int = 50) 
         The axes; their unit is the millimeter.
     """
     deformed = result.equilibrium
-    axes = draw(stage, deformed.poses, magnify=magnify)
+    axes = plotting.draw(stage, deformed.poses, magnify=magnify)
     # the labels are beside the input and below the output, where the drawing is empty
     for name, word, dx, dy in (("6", "input", 14.0, 0.0), ("4", "output", 0.0, -6.5)):
         row = deformed.names.index(name)

@@ -11,6 +11,7 @@ from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
 from .._utils.types import Matrix, NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import (
@@ -151,7 +152,7 @@ class _Samples(NamedTuple):
     stiffness: Matrix
 
 
-@jax.jit
+@fast_compile
 def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
     """Compute a beam at rotations and forces that are uniformly distributed.
 
@@ -235,7 +236,7 @@ def _powers(order: int, symmetric: bool) -> Powers:
     return tuple(row for row in powers if row not in ((0, 0, 0), (0, 0, 1)))
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(fast_compile, optimize=False)  # runs for 4 ms
 def _fit(
     powers: Powers, length: Scalar, rotation: Scalar, samples: _Samples
 ) -> WithValidityRange:

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.validation import require_kind
-from .compilation import fast_compile
 from .measurement import AbstractTest, map_in_groups
 from .report import Identification
 
@@ -151,9 +151,8 @@ def rank_experiments(
         return jnp.einsum("rcu,rcv->cuv", jacobian, jacobian)
 
     tests = list(candidates.values())
-    per_column = [
-        np.asarray(each) for each in fast_compile(map_in_groups)(information_of, tests)
-    ]
+    compute = fast_compile(map_in_groups, optimize=False)
+    per_column = [np.asarray(each) for each in compute(information_of, tests)]
     per_test = {
         name: columns.sum(axis=0)
         for name, columns in zip(candidates, per_column, strict=True)

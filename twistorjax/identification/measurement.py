@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
 from .._utils.pytrees import group_by_structure
 from .._utils.types import KeyLike, Table, TableDeviationsLike, TableLike
 from .._utils.validation import require_deviations, require_kind, require_shape
 from ..mechanism.mechanism import Mechanism
-from .compilation import fast_compile
 from .sensors import AbstractSensor
 
 
@@ -201,7 +201,9 @@ class Measurement(eqx.Module):
         return f"{count} readings of {self.test!r}"
 
 
-_predict = fast_compile(lambda test, mechanism: test.predict(mechanism, throw=False))
+_predict = fast_compile(
+    lambda test, mechanism: test.predict(mechanism, throw=False), optimize=False
+)
 
 
 def require_sensors(sensors: Sequence[AbstractSensor]) -> tuple[AbstractSensor, ...]:

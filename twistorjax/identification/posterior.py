@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._utils.compilation import fast_compile
 from .._utils.types import KeyLike
 from .._utils.validation import require_package
-from .compilation import fast_compile
 from .measurement import random_key
 from .report import Identification
 
@@ -106,7 +106,7 @@ def posterior(
     keys = jax.random.split(random_key(key), chains)
     # blackjax needs implicit promotion.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        samples = fast_compile(jax.vmap(run_chain))(keys)
+        samples = fast_compile(jax.vmap(run_chain), optimize=False)(keys)
     values = np.asarray(jax.vmap(jax.vmap(problem.parameters.vector))(samples))
     by_name = {name: values[..., k] for k, name in enumerate(identification.names)}
     return arviz.from_dict(posterior=by_name)

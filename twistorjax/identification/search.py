@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .compilation import fast_compile
+from .._utils.compilation import fast_compile
 from .objective import IdentificationProblem
 from .optimizer import AbstractOptimizer, Evaluation, from_numpy
 
@@ -154,7 +154,8 @@ def _step(
     )
 
 
-_compiled_step = fast_compile(_step)
+_compiled_step = fast_compile(_step, optimize=False)
 _compiled_evaluate = fast_compile(
-    lambda problem, point, forward: problem.evaluate(point, forward=forward)
+    lambda problem, point, forward: problem.evaluate(point, forward=forward),
+    optimize=False,
 )

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete
+from .._utils.host import all_concrete, as_float, concrete, on_host
 from .._utils.types import (
     ForceLike,
     NumberLike,
@@ -134,41 +134,56 @@ class Drive(eqx.Module):
 
 
 class LoadSet(eqx.Module):
-    """All loads on a mechanism, as functions of the displacements of its bodies.
+    """The sum of the loads on each body, as a function of its rotation.
+
+    The arrays do not depend on the number of loads and on the bodies to which they are
+    applied, so that other loads need no other compiled program. Vectors are those in the
+    reference configuration, in world axes.
 
     Args:
-        bodies: Index of the body of each load.
-        followers: Whether each load is a follower load.
-        wrenches: Moment and force of each load; N m, N, N.
-        at: Point of application of each load, in the frame of its body; m.
-        angles: Angle of the body of each load in the reference configuration; rad.
+        constant: Moments of the loads about the origin of the body, without those of
+            `arms`, and forces of constant direction; N m, N, N.
+        arms: Sum of the cross products, and of the scalar products, of arms and forces of
+            constant direction. The moment of these forces depends on the rotation; N m.
+        follower: Sum of the forces that rotate with the body; N.
+        present: Whether there is a load.
+        conservative: Whether the loads have a potential, which follower loads do not
+            have.
     """
 
-    bodies: tuple[int, ...] = eqx.field(static=True)
-    followers: tuple[bool, ...] = eqx.field(static=True)
-    wrenches: Float[Array, "loads 3"]
-    at: Float[Array, "loads 2"]
-    angles: Float[Array, " loads"]
+    constant: Float[Array, "bodies 3"]
+    arms: Float[Array, "bodies 2"]
+    follower: Float[Array, "bodies 2"]
+    present: bool = eqx.field(static=True)
+    conservative: bool = eqx.field(static=True)
 
     @classmethod
     def of(
         cls, loads: Sequence[Load], names: Sequence[str], reference: Poses
     ) -> "LoadSet":
-        """Gather loads on bodies with given names and reference poses; rad, m, m."""
-        bodies = tuple(names.index(load.body) for load in loads)
-        count = len(bodies)
+        """Sum up loads on bodies with given names and reference poses; rad, m, m."""
+        constant, arms, follower = ([0.0] * len(names) for _ in range(3))
+        for load in loads:
+            body = names.index(load.body)
+            numpy, values = on_host(reference[body, 0], load.wrench, load.at)
+            angle, (moment, fx, fy), (x, y) = values
+            cos, sin = numpy.cos(angle), numpy.sin(angle)
+            if load.follower:
+                moment = moment + x * fy - y * fx
+                rotated = numpy.stack([cos * fx - sin * fy, sin * fx + cos * fy])
+                follower[body] = follower[body] + rotated
+                fx, fy = 0.0 * fx, 0.0 * fy
+            x, y = cos * x - sin * y, sin * x + cos * y
+            products = numpy.stack([x * fy - y * fx, x * fx + y * fy])
+            constant[body] = constant[body] + numpy.stack([moment, fx, fy])
+            arms[body] = arms[body] + products
         return cls(
-            bodies=bodies,
-            followers=tuple(load.follower for load in loads),
-            wrenches=jnp.array([load.wrench for load in loads]).reshape(count, 3),
-            at=jnp.array([load.at for load in loads]).reshape(count, 2),
-            angles=reference[np.array(bodies, int), 0],
+            constant=_rows(constant, 3),
+            arms=_rows(arms, 2),
+            follower=_rows(follower, 2),
+            present=bool(loads),
+            conservative=not any(load.follower for load in loads),
         )
-
-    @property
-    def conservative(self) -> bool:
-        """Whether the loads have a potential, which follower loads do not have."""
-        return not any(self.followers)
 
     def apply(self, displacements: Poses) -> tuple[Wrenches, Wrenches]:
         """Compute the wrench that the loads apply to each body.
@@ -178,26 +193,20 @@ class LoadSet(eqx.Module):
             derivatives with respect to the angle of the body, the only coordinate on
             which they depend; N m/rad, N/rad, N/rad.
         """
-        zero = jnp.zeros_like(displacements)
-        if not self.bodies:
+        if not self.present:
+            zero = jnp.zeros_like(displacements)
             return zero, zero
-        bodies = np.array(self.bodies)
-        angle = self.angles + displacements[bodies, 0]
-        cos, sin = jnp.cos(angle), jnp.sin(angle)
-        followers = np.array(self.followers)
-        moment, fx, fy = self.wrenches.T
-        x = cos * self.at[:, 0] - sin * self.at[:, 1]
-        y = sin * self.at[:, 0] + cos * self.at[:, 1]
-        world_x = jnp.where(followers, cos * fx - sin * fy, fx)
-        world_y = jnp.where(followers, sin * fx + cos * fy, fy)
-        wrench = [moment + x * world_y - y * world_x, world_x, world_y]
-        slope = [
-            jnp.where(followers, 0.0, -x * fx - y * fy),
-            jnp.where(followers, -world_y, 0.0),
-            jnp.where(followers, world_x, 0.0),
-        ]
-        applied = zero.at[bodies].add(jnp.stack(wrench, axis=1))
-        return applied, zero.at[bodies].add(jnp.stack(slope, axis=1))
+        cos, sin = jnp.cos(displacements[:, 0]), jnp.sin(displacements[:, 0])
+        cross, dot = self.arms.T
+        moment, moment_slope = cos * cross - sin * dot, -sin * cross - cos * dot
+        if self.conservative:
+            zero = jnp.zeros_like(cos)
+            slope = jnp.stack([moment_slope, zero, zero], axis=1)
+            return self.constant.at[:, 0].add(moment), slope
+        fx, fy = self.follower.T
+        x, y = cos * fx - sin * fy, sin * fx + cos * fy
+        applied = self.constant + jnp.stack([moment, x, y], axis=1)
+        return applied, jnp.stack([moment_slope, -y, x], axis=1)
 
 
 def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:
@@ -255,3 +264,11 @@ def _number(name: str, value: NumberLike) -> Scalar:
     ):
         raise ValueError(f"{name} is {value!r}, but must be a finite number.")
     return as_float(value)
+
+
+def _rows(rows: list, size: int) -> Float[Array, "bodies size"]:
+    """Stack rows of a size, of which those without a load are the number zero."""
+    known = all_concrete(rows)
+    if known is None:
+        return jnp.stack([jnp.broadcast_to(row, size) for row in rows])
+    return as_float(np.stack([np.broadcast_to(row, size) for row in known]))

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.compilation import fast_compile
 from .._utils.host import as_float, is_traced, on_host, program_input
 from .._utils.types import Count, NumberLike, Poses, Scalar, TimesLike, VelocityLike
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
-from ..mechanism.loads import Drive, Load, loaded_bodies, prescribed_dofs
+from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from .collocation import Gauss, Radau
 from .dofs import DofPartition
@@ -180,7 +181,9 @@ def simulate(
         motion = _solve(
             mechanism,
             pad_times(instants) if pad else instants,
-            loads if callable(loads) else tuple(loads),
+            loads
+            if callable(loads)
+            else LoadSet.of(loads, mechanism.names, mechanism.reference),
             drives if callable(drives) else tuple(drives),
             constraint_set,
             displacements,
@@ -205,11 +208,11 @@ def simulate(
     return succeeded_or_raise(motion, partial(start_of_motion.error, motion))
 
 
-@eqx.filter_jit
+@fast_compile
 def _solve(
     mechanism: Mechanism,
     times: Float[Array, " times"],
-    loads: Loading,
+    loads: LoadSet | Callable[[Scalar], Sequence[Load]],
     drives: Driving,
     constraints: ConstraintSet,
     start: Poses,

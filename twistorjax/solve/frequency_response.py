@@ -125,9 +125,8 @@ def frequency_response(
     loaded_bodies(mechanism, loads)
     system = System.of(mechanism, dofs, static_loads, constraints, time)
     state = state_in_range(mechanism, "about", about)
-    response = _frequency_response(
-        mechanism, system, values, tuple(loads), targets, state
-    )
+    load_set = LoadSet.of(loads, mechanism.names, mechanism.reference)
+    response = _frequency_response(mechanism, system, values, load_set, targets, state)
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
         if name == "inconsistent_constraints":
@@ -148,7 +147,7 @@ def _frequency_response(
     mechanism: Mechanism,
     system: System,
     frequencies: Array,
-    loads: tuple[Load, ...],
+    loads: LoadSet,
     targets: tuple[Array, ...],
     displacements: Poses,
 ) -> FrequencyResponse:
@@ -161,9 +160,7 @@ def _frequency_response(
     stiffness, jacobian = system.whole_stiffness(displacements)
     inertia = mechanism.inertia().reshape(-1)
     inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
-    applied, _ = LoadSet.of(loads, mechanism.names, mechanism.reference).apply(
-        displacements
-    )
+    applied, _ = loads.apply(displacements)
     force = applied.reshape(-1).astype(complex)
     amplitudes = jnp.array(targets, float).astype(complex)
     prescribed = dofs.expand(jnp.zeros(len(free), complex), amplitudes).reshape(-1)

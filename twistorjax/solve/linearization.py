@@ -92,22 +92,21 @@ class Linearization(eqx.Module):
                 f"made by `linearize` for {_listed(mechanism, self.dofs.prescribed)}."
             )
         loaded_bodies(mechanism, loads)
-        change = _respond(self, tuple(loads), targets, prescribed)
+        load_set = LoadSet.of(loads, mechanism.names, mechanism.reference)
+        change = _respond(self, load_set, targets, prescribed)
         return check_equilibrium(change) if throw else change
 
 
 @eqx.filter_jit
 def _respond(
     linear: Linearization,
-    loads: tuple[Load, ...],
+    loads: LoadSet,
     targets: tuple[Scalar, ...],
     prescribed: tuple[int, ...],
 ) -> Equilibrium:
     """Compute the response to loads, and to displacements (rad, m) of `prescribed`."""
     mechanism, count = linear.mechanism, len(linear.dofs.free)
-    applied, _ = LoadSet.of(loads, mechanism.names, mechanism.reference).apply(
-        linear.about - mechanism.reference
-    )
+    applied, _ = loads.apply(linear.about - mechanism.reference)
     applied = applied.reshape(-1)
     dofs = DofPartition(linear.dofs.total, linear.dofs.free, prescribed)
     imposed = dofs.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)

@@ -93,7 +93,7 @@ class MotionSystem(eqx.Module):
 
     Args:
         mechanism: The mechanism.
-        loads: Loads on its bodies, or a function of time that returns them.
+        loads: The loads, or a function of time that returns them.
         drives: Prescribed displacements, or a function of time that returns them.
         constraints: Its constraints.
         inertia: Inertia of each degree of freedom, zero for fixed bodies; kg m^2, kg, kg.
@@ -106,7 +106,7 @@ class MotionSystem(eqx.Module):
     """
 
     mechanism: Mechanism
-    loads: Sequence[Load] | Callable[[Scalar], Sequence[Load]]
+    loads: LoadSet | Callable[[Scalar], Sequence[Load]]
     drives: Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
     constraints: ConstraintSet
     inertia: Float[Array, " dofs"]
@@ -200,10 +200,12 @@ class MotionSystem(eqx.Module):
             displacements, rates, free, stretches.reshape(-1, 2)
         )
         loads = self.load_set(time)
-        _, by_angle = loads.apply(displacements)
-        stiffness = add_load_stiffness(
-            tangent.stiffness, by_angle.reshape(-1), loads.bodies, free, free
-        )
+        stiffness = tangent.stiffness
+        if loads.present:
+            _, by_angle = loads.apply(displacements)
+            stiffness = add_load_stiffness(
+                stiffness, by_angle.reshape(-1), loads.conservative, free, free
+            )
         if multipliers.size:
             geometric = self.constraints.geometric_stiffness(
                 displacements, time, multipliers
@@ -293,7 +295,9 @@ class MotionSystem(eqx.Module):
 
     def load_set(self, time: Scalar) -> LoadSet:
         """Gather the loads at a time; s."""
-        loads = self.loads(time) if callable(self.loads) else self.loads
+        if isinstance(self.loads, LoadSet):
+            return self.loads
+        loads = self.loads(time)
         loaded_bodies(self.mechanism, loads)
         return LoadSet.of(loads, self.mechanism.names, self.mechanism.reference)
 

@@ -176,7 +176,7 @@ def equilibrium(
         mechanism.hinge_assembly,
         mechanism.reference,
         start_displacements,
-        tuple(loads),
+        LoadSet.of(loads, mechanism.names, mechanism.reference),
         constraint_set,
         targets,
         program_input(time, float),
@@ -219,7 +219,7 @@ def _solve_uncompiled(
     hinges: HingeAssembly,
     reference: Poses,
     start_displacements: Poses | None,
-    loads: tuple[Load, ...],
+    loads: LoadSet,
     constraints: ConstraintSet,
     targets: tuple[Scalar, ...],
     time: Scalar,
@@ -230,14 +230,7 @@ def _solve_uncompiled(
     names: tuple[str, ...],
 ) -> Equilibrium:
     """Compute the equilibrium; see `equilibrium`."""
-    system = System(
-        hinges,
-        LoadSet.of(loads, names, reference),
-        constraints,
-        jnp.array(targets, float),
-        time,
-        dofs,
-    )
+    system = System(hinges, loads, constraints, jnp.array(targets, float), time, dofs)
     start_displacements = (
         jnp.zeros_like(reference) if start_displacements is None else start_displacements
     )

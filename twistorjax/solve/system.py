@@ -212,13 +212,13 @@ class System(eqx.Module):
         `columns`.
         """
         forces, matrix = hinges.forces(), hinges.matrix(self.dofs.free, columns)
-        if not self.loads.bodies:
+        if not self.loads.present:
             return forces, matrix
         applied, by_angle = (
             fraction * value.reshape(-1) for value in self.loads.apply(displacements)
         )
         matrix = add_load_stiffness(
-            matrix, by_angle, self.loads.bodies, self.dofs.free, columns
+            matrix, by_angle, self.loads.conservative, self.dofs.free, columns
         )
         return forces - applied, matrix
 

@@ -1,7 +1,5 @@
 """Tangent stiffness of a mechanism: dense, with constraints, or in blocks."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +16,7 @@ from .factorization import ConstrainedFactors, Factors
 def add_load_stiffness(
     matrix: Float[Array, "rows columns"],
     by_angle: Float[Array, " dofs"],
-    loaded: Sequence[int],
+    conservative: bool,
     rows: tuple[int, ...],
     columns: tuple[int, ...],
 ) -> Float[Array, "rows columns"]:
@@ -28,7 +26,8 @@ def add_load_stiffness(
         matrix: Stiffness to which that of the loads is added; N m/rad, N/rad, N/m.
         by_angle: Derivative of the load on each degree of freedom with respect to the
             angle of its body, the only coordinate on which it depends; N m/rad, N/rad.
-        loaded: Indices of the bodies with loads.
+        conservative: Whether the loads have a potential, so that only their moments
+            depend on the angle.
         rows: Degrees of freedom of the rows.
         columns: Degrees of freedom of the columns.
 
@@ -39,7 +38,7 @@ def add_load_stiffness(
     entries = [
         (row, column_of[3 * (dof // 3)], dof)
         for row, dof in enumerate(rows)
-        if dof // 3 in loaded and 3 * (dof // 3) in column_of
+        if 3 * (dof // 3) in column_of and not (conservative and dof % 3)
     ]
     if not entries:
         return matrix

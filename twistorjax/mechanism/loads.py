@@ -1,13 +1,14 @@
 """Loads on the bodies of a mechanism, and prescribed displacements."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import all_concrete, as_float, concrete, on_host
+from .._utils.host import as_float, concrete, on_host
 from .._utils.types import (
     ForceLike,
     NumberLike,
@@ -136,24 +137,21 @@ class Drive(eqx.Module):
 class LoadSet(eqx.Module):
     """The sum of the loads on each body, as a function of its rotation.
 
-    The arrays do not depend on the number of loads and on the bodies to which they are
-    applied, so that other loads need no other compiled program. Vectors are those in the
-    reference configuration, in world axes.
+    The array does not depend on the number of loads and on the bodies to which they are
+    applied, so that other loads need no other compiled program.
 
     Args:
-        constant: Moments of the loads about the origin of the body, without those of
-            `arms`, and forces of constant direction; N m, N, N.
-        arms: Sum of the cross products, and of the scalar products, of arms and forces of
-            constant direction. The moment of these forces depends on the rotation; N m.
-        follower: Sum of the forces that rotate with the body; N.
+        sums: Seven sums for each body, in the reference configuration and world axes. The
+            moments about its origin that do not depend on its rotation; N m. The forces
+            of constant direction; N, N. The cross products, and the scalar products, of
+            arms and these forces, which determine their moment; N m, N m. The forces
+            that rotate with the body; N, N.
         present: Whether there is a load.
         conservative: Whether the loads have a potential, which follower loads do not
             have.
     """
 
-    constant: Float[Array, "bodies 3"]
-    arms: Float[Array, "bodies 2"]
-    follower: Float[Array, "bodies 2"]
+    sums: Float[Array | np.ndarray, "bodies 7"]
     present: bool = eqx.field(static=True)
     conservative: bool = eqx.field(static=True)
 
@@ -162,28 +160,27 @@ class LoadSet(eqx.Module):
         cls, loads: Sequence[Load], names: Sequence[str], reference: Poses
     ) -> "LoadSet":
         """Sum up loads on bodies with given names and reference poses; rad, m, m."""
-        constant, arms, follower = ([0.0] * len(names) for _ in range(3))
-        for load in loads:
-            body = names.index(load.body)
-            numpy, values = on_host(reference[body, 0], load.wrench, load.at)
-            angle, (moment, fx, fy), (x, y) = values
-            cos, sin = numpy.cos(angle), numpy.sin(angle)
-            if load.follower:
-                moment = moment + x * fy - y * fx
-                rotated = numpy.stack([cos * fx - sin * fy, sin * fx + cos * fy])
-                follower[body] = follower[body] + rotated
-                fx, fy = 0.0 * fx, 0.0 * fy
-            x, y = cos * x - sin * y, sin * x + cos * y
-            products = numpy.stack([x * fy - y * fx, x * fx + y * fy])
-            constant[body] = constant[body] + numpy.stack([moment, fx, fy])
-            arms[body] = arms[body] + products
-        return cls(
-            constant=_rows(constant, 3),
-            arms=_rows(arms, 2),
-            follower=_rows(follower, 2),
-            present=bool(loads),
-            conservative=not any(load.follower for load in loads),
+        if not loads:
+            return _no_loads(len(names))
+        bodies = np.array([names.index(load.body) for load in loads])
+        followers = np.array([load.follower for load in loads])
+        actions = [value for load in loads for value in (load.wrench, load.at)]
+        numpy, (poses, *actions) = on_host(reference, *actions)
+        moment, fx, fy = numpy.stack(actions[::2], axis=1)
+        x, y = numpy.stack(actions[1::2], axis=1)
+        cos, sin = numpy.cos(poses[bodies, 0]), numpy.sin(poses[bodies, 0])
+        zero, turned_x, turned_y = 0 * fx, cos * fx - sin * fy, sin * fx + cos * fy
+        of_followers = [moment + x * fy - y * fx, *4 * (zero,), turned_x, turned_y]
+        x, y = cos * x - sin * y, sin * x + cos * y
+        others = [moment, fx, fy, x * fy - y * fx, x * fx + y * fy, zero, zero]
+        of_loads = numpy.where(
+            followers[:, None],
+            numpy.stack(of_followers, axis=1),
+            numpy.stack(others, axis=1),
         )
+        chosen = np.arange(len(names))[:, None, None] == bodies[:, None]
+        sums = numpy.sum(numpy.where(chosen, of_loads[None], 0.0), axis=1)
+        return cls(sums, present=True, conservative=not followers.any())
 
     def apply(self, displacements: Poses) -> tuple[Wrenches, Wrenches]:
         """Compute the wrench that the loads apply to each body.
@@ -193,20 +190,26 @@ class LoadSet(eqx.Module):
             derivatives with respect to the angle of the body, the only coordinate on
             which they depend; N m/rad, N/rad, N/rad.
         """
+        zero = jnp.zeros_like(displacements)
         if not self.present:
-            zero = jnp.zeros_like(displacements)
             return zero, zero
         cos, sin = jnp.cos(displacements[:, 0]), jnp.sin(displacements[:, 0])
-        cross, dot = self.arms.T
-        moment, moment_slope = cos * cross - sin * dot, -sin * cross - cos * dot
+        sums = jnp.asarray(self.sums)
+        cross, dot, follower_x, follower_y = sums[:, 3:].T
+        applied = sums[:, :3].at[:, 0].add(cos * cross - sin * dot)
+        slope = zero.at[:, 0].set(-sin * cross - cos * dot)
         if self.conservative:
-            zero = jnp.zeros_like(cos)
-            slope = jnp.stack([moment_slope, zero, zero], axis=1)
-            return self.constant.at[:, 0].add(moment), slope
-        fx, fy = self.follower.T
-        x, y = cos * fx - sin * fy, sin * fx + cos * fy
-        applied = self.constant + jnp.stack([moment, x, y], axis=1)
-        return applied, jnp.stack([moment_slope, -y, x], axis=1)
+            return applied, slope
+        x = cos * follower_x - sin * follower_y
+        y = sin * follower_x + cos * follower_y
+        applied = applied + jnp.stack([zero[:, 0], x, y], axis=1)
+        return applied, slope + jnp.stack([zero[:, 0], -y, x], axis=1)
+
+
+@lru_cache
+def _no_loads(bodies: int) -> LoadSet:
+    """Create the empty set of loads on so many bodies."""
+    return LoadSet(np.zeros((bodies, 7)), present=False, conservative=True)
 
 
 def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:
@@ -264,11 +267,3 @@ def _number(name: str, value: NumberLike) -> Scalar:
     ):
         raise ValueError(f"{name} is {value!r}, but must be a finite number.")
     return as_float(value)
-
-
-def _rows(rows: list, size: int) -> Float[Array, "bodies size"]:
-    """Stack rows of a size, of which those without a load are the number zero."""
-    known = all_concrete(rows)
-    if known is None:
-        return jnp.stack([jnp.broadcast_to(row, size) for row in rows])
-    return as_float(np.stack([np.broadcast_to(row, size) for row in known]))

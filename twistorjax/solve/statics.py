@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from typing_extensions import TypeAliasType
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete, program_input
 from .._utils.pytrees import stop_gradient
 from .._utils.types import Count, Entries, NumberLike, Poses, PosesLike, Scalar, Wrenches
@@ -280,8 +281,8 @@ def _solve_uncompiled(
     )
 
 
-_solve = jax.jit(_solve_uncompiled, static_argnames=("dofs", "names"))
-_solve_with_functions = eqx.filter_jit(_solve_uncompiled)
+_solve = fast_compile(_solve_uncompiled, jit=jax.jit, static_argnames=("dofs", "names"))
+_solve_with_functions = fast_compile(_solve_uncompiled)
 
 
 def check_equilibrium(

@@ -97,6 +97,44 @@ def test_another_number_of_times_does_not_compile_again():
     assert counts[2][0] == 0
 
 
+def test_other_loads_do_not_compile_again():
+    counts = count_programs(
+        BUILD,
+        "tj.equilibrium(stage, loads=[tj.Load('6', force=(1.0, 0.0))])",
+        "tj.equilibrium(stage, loads=[tj.Load('6', force=(1.0, 0.0)), "
+        "tj.Load('4', moment=1e-3), tj.Load('2', (0, 0, 1), at=(1e-3, 0))])",
+    )
+    assert counts == [[0, 0], [1, 0], [0, 0]]
+
+
+def test_another_number_of_readings_does_not_compile_again():
+    setup = """
+from twistorjax.identification import BodySensor, HingeTest, Parameter, StaticTest
+def spring(stiffness):
+    energy = tj.Quadratic(jax.numpy.diag(jax.numpy.stack([1.0, stiffness, 10.0])))
+    hinge = tj.Hinge("spring", "wall", "block", energy, at=(0.0, 0.0, 0.0))
+    return tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])
+camera = BodySensor("block", "x", standard_deviation=1e-4)
+def identify(*forces):
+    cases = [[tj.Load("block", force=(force, 0.0))] for force in forces]
+    displacements = [[force / 100] for force in forces]
+    poses = [[0.0, force / 100, 0.0] for force in forces]
+    data = [
+        StaticTest(cases, [camera]).measurement(displacements),
+        HingeTest("spring", poses, (1e-3, 0.1, 0.1)).measurement(
+            [[0.0, force, 0.0] for force in forces]
+        ),
+    ]
+    found = tj.identification.identify(spring, Parameter(80.0, "N/m", lower=0), data)
+    assert abs(found.estimates - 100) < 1e-6
+    assert found.jacobian.shape == (4 * len(forces), 1)
+    assert [len(table) for table in found.residuals] == 2 * [len(forces)]
+"""
+    counts = count_programs(setup, "identify(2.0, 3.0, 5.0)", "identify(1.0, 4.0)")
+    assert counts[1][0] > 0
+    assert counts[2][0] == 0
+
+
 def solvers():
     """Return a function of each solver, and its argument."""
     loads = [tj.Load("4", force=(0.0, 1.0))]

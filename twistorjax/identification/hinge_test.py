@@ -2,9 +2,10 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Table, TrialsLike, WrenchLike
 from .._utils.validation import index_of, require_array, require_deviations
 from ..energies.fitting.trials import Trials
@@ -78,7 +79,14 @@ class HingeTest(AbstractTest):
     @property
     def standard_deviations(self) -> Table:
         """Standard deviations of the readings, equal in all trials; N m, N, N."""
-        return jnp.broadcast_to(self.standard_deviation, self.poses.shape)
+        numpy, (row,) = on_host(self.standard_deviation)
+        return as_float(numpy.broadcast_to(row, self.poses.shape))
+
+    def with_more_rows(self, count: int) -> "HingeTest":
+        poses = np.asarray(self.poses)
+        more = np.repeat(poses[-1:], count, axis=0)
+        poses = as_float(np.concatenate([poses, more]))
+        return eqx.tree_at(lambda test: test.poses, self, poses)
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True

@@ -20,6 +20,7 @@ from .levenberg_marquardt import LevenbergMarquardt
 from .measurement import as_pytree, Measurement, random_key
 from .objective import IdentificationProblem
 from .optimizer import AbstractOptimizer, from_numpy
+from .padding import cut, pad
 from .parameters import ParameterSet
 from .report import Identification
 from .search import search_compiled, search_with_progress, SearchState
@@ -152,6 +153,7 @@ def identify(
     forward = not (isinstance(optimizer, GradientDescent) and reverse)
     start_point = from_numpy(np.zeros(len(parameters.names)))
     arrays = jax.tree.leaves(eqx.filter((problem, key), eqx.is_array))
+    given, problem = problem, pad(problem)
     try:
         if restarts:
             shape = (restarts, start_point.size)
@@ -167,7 +169,11 @@ def identify(
             )
     except jax.errors.JAXTypeError as error:
         raise compilation_error("design", "about the parameters", error) from error
-    identification = _summarize(problem, state)
+    except ValueError:
+        # An error describes a test, which should be the one that was given.
+        jax.eval_shape(given.residuals, start_point)
+        raise
+    identification = cut(_summarize(problem, state), given)
     return _raise_if_failed(identification) if throw else identification
 
 

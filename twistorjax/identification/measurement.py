@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
-from .._utils.host import all_concrete, concrete
+from .._utils.host import all_concrete, as_float, concrete, on_host
 from .._utils.pytrees import group_by_structure
 from .._utils.types import KeyLike, Table, TableDeviationsLike, TableLike
 from .._utils.validation import require_deviations, require_kind, require_shape
@@ -56,6 +56,21 @@ class AbstractTest(eqx.Module):
     @abstractmethod
     def standard_deviations(self) -> Table:
         """Standard deviations of the readings, in `units`."""
+
+    def with_more_rows(self, count: int) -> "AbstractTest | None":
+        """Add rows before the last one, which must not change the other rows.
+
+        `identify` then uses one compiled program for tests with different numbers of
+        readings. By default a test cannot be changed.
+
+        Args:
+            count: Number of additional rows.
+
+        Returns:
+            The changed test; None if the test cannot be changed.
+        """
+        del count
+        return None
 
     def measurement(
         self,
@@ -152,8 +167,9 @@ class SensorTest(AbstractTest):
     @property
     def standard_deviations(self) -> Table:
         """Standard deviations of the sensors, in `units`; equal in all rows."""
-        row = jnp.stack([sensor.standard_deviation for sensor in self.sensors])
-        return jnp.broadcast_to(row, (self.row_count, len(self.sensors)))
+        numpy, row = on_host(*(sensor.standard_deviation for sensor in self.sensors))
+        shape = self.row_count, len(self.sensors)
+        return as_float(numpy.broadcast_to(numpy.stack(row), shape))
 
     def _read_sensors(
         self, mechanism: Mechanism, solution: Any

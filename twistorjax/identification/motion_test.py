@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 import diffrax as dfx
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import concrete
+from .._utils.host import as_float, concrete
 from .._utils.types import NumberLike, Poses, Scalar, Table, TimesLike, VelocityLike
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
@@ -96,6 +97,12 @@ class MotionTest(SensorTest):
     def row_count(self) -> int:
         """Number of times."""
         return len(self.times)
+
+    def with_more_rows(self, count: int) -> "MotionTest":
+        times = np.asarray(self.times)
+        more = np.linspace(times[-2], times[-1], count + 2)[1:-1]
+        times = as_float(np.insert(times, -1, more))
+        return eqx.tree_at(lambda test: test.times, self, times)
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True

@@ -77,7 +77,8 @@ class Load(eqx.Module):
             moment = _number(f"`moment` {where}", 0.0 if moment is None else moment)
             force = (0.0, 0.0) if force is None else force
             components = require_row(f"`force` {where}", force, "(fx, fy)", 2)
-            self.wrench = jnp.concatenate([moment[None], components])
+            numpy, (moment, components) = on_host(moment, components)
+            self.wrench = as_float(numpy.append(moment, components))
         self.at = require_row(f"`at` {where}", at, "(x, y)", 2)
         self.follower = follower
 

@@ -1,0 +1,103 @@
+"""Padding of measurements, so that other numbers of readings need no compilation."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Int
+
+from .._utils.host import all_concrete
+from .measurement import Measurement
+from .objective import IdentificationProblem
+
+
+if TYPE_CHECKING:
+    from .report import Identification
+
+
+_SMALLEST_ROW_COUNT = 8
+
+
+def pad(problem: IdentificationProblem) -> IdentificationProblem:
+    """Add rows without readings to all measurements, before their last rows.
+
+    The number of rows is then a power of two, so that problems with other numbers of
+    readings use the same compiled programs. Measurements that are traced, and those of
+    tests that cannot be padded, are not changed.
+    """
+    data, held_out = (
+        tuple(map(_padded, group)) for group in (problem.data, problem.held_out)
+    )
+    return replace(problem, data=data, held_out=held_out)
+
+
+def cut(
+    identification: "Identification", problem: IdentificationProblem
+) -> "Identification":
+    """Remove the rows that `pad` has added to the measurements of a problem."""
+    padded = identification.problem
+    both = zip(
+        padded.data + padded.held_out, problem.data + problem.held_out, strict=True
+    )
+    if all(after.values.shape == before.values.shape for after, before in both):
+        return replace(identification, problem=problem)
+    start, of_jacobian = 0, []
+    for after, before in zip(padded.data, problem.data, strict=True):
+        rows, columns = after.values.shape
+        index = np.arange(start, start + rows * columns).reshape(rows, columns)
+        of_jacobian.append(index[_kept_rows(len(before.values), rows)].reshape(-1))
+        start += rows * columns
+    return replace(
+        identification,
+        jacobian=_chosen(identification.jacobian, np.concatenate(of_jacobian)),
+        residuals=_cut_tables(identification.residuals, problem.data),
+        held_out_residuals=_cut_tables(
+            identification.held_out_residuals, problem.held_out
+        ),
+        problem=problem,
+    )
+
+
+def _padded(measurement: Measurement) -> Measurement:
+    """Pad one measurement to a power of two rows."""
+    if all_concrete(jax.tree.leaves(eqx.filter(measurement, eqx.is_array))) is None:
+        return measurement
+    count = len(measurement.values)
+    more = max(_SMALLEST_ROW_COUNT, 1 << (count - 1).bit_length()) - count
+    test = measurement.test.with_more_rows(more) if more else None
+    if test is None:
+        return measurement
+    values, deviations = (
+        np.asarray(table)
+        for table in (measurement.values, measurement.standard_deviations)
+    )
+    missing = np.full((more, values.shape[1]), np.nan)
+    repeated = np.repeat(deviations[-1:], more, axis=0)
+    return Measurement(
+        test,
+        jax.device_put(np.concatenate([values[:-1], missing, values[-1:]])),
+        jax.device_put(np.concatenate([deviations, repeated])),
+    )
+
+
+def _kept_rows(count: int, padded: int) -> Int[np.ndarray, " count"]:
+    """Return the rows of a padded table that are those of the table itself."""
+    return np.append(np.arange(count - 1), padded - 1)
+
+
+def _cut_tables(
+    tables: Sequence[jax.Array], data: Sequence[Measurement]
+) -> tuple[jax.Array, ...]:
+    """Remove the added rows of tables of residuals."""
+    return tuple(
+        _chosen(table, _kept_rows(len(measurement.values), len(table)))
+        for table, measurement in zip(tables, data, strict=True)
+    )
+
+
+def _chosen(rows: jax.Array, indices: np.ndarray) -> jax.Array:
+    """Select rows without the compilation of a program."""
+    return jax.device_put(np.asarray(rows)[indices])

@@ -135,6 +135,17 @@ def identify(*forces):
     assert counts[2][0] == 0
 
 
+def test_another_number_of_designs_does_not_compile_again():
+    sweep = "tj.sweep(study, {{'x': np.linspace(0.0, 1.0, {})}})"
+    counts = count_programs(
+        "import numpy as np; study = lambda design: {'y': design['x'] ** 2}",
+        sweep.format(70),
+        sweep.format(100),
+    )
+    assert counts[1][0] > 0
+    assert counts[2][0] == 0
+
+
 def solvers():
     """Return a function of each solver, and its argument."""
     loads = [tj.Load("4", force=(0.0, 1.0))]

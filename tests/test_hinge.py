@@ -168,7 +168,7 @@ def test_displacement_in_the_mid_frame_is_the_twistor():
         cos, sin, zero = jnp.cos(angle / 2), jnp.sin(angle / 2), jnp.zeros(())
         return hinge_kinematics.End(angle, x, y, cos, sin, zero, zero)
 
-    axis = jnp.ones(()), jnp.zeros(())
+    axis = hinge_kinematics.Axis(jnp.ones(()), jnp.zeros(()))
     middle = hinge_kinematics.mid_frame(end(first), end(second), axis)
     at = middle.displacement
     actual = jnp.stack([at.sigma, at.xi, at.x1, at.x2])

@@ -49,10 +49,13 @@ def fast_compile(
             return plain(*arguments, **static)
         try:
             return fast(*arguments, **static)
+        except ValueError as error:  # inside another program, of constant arguments
+            if "top-level" not in str(error):
+                raise
         except jax.errors.JaxRuntimeError as error:
             # The options are not a stable interface of XLA.
             if "No such compile option" not in str(error):
                 raise
-            return plain(*arguments, **static)
+        return plain(*arguments, **static)
 
     return compiled

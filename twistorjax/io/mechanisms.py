@@ -65,6 +65,7 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
                 "energy": energy_record(energy),
                 "damping": damping,
                 "outline": mechanism.hinge_outlines[row],
+                "misfit": mechanism.misfit_of(name),
             }
         )
     fixed: dict[str, list[str]] = {}
@@ -119,6 +120,7 @@ def load_mechanism(path: str | Path) -> Mechanism:
                     hinge.at,
                     damping=_damping_from_record(hinge.damping),
                     outline=_to_array(hinge.outline),
+                    misfit=hinge.misfit,
                 )
             )
         entry = "mechanism"

@@ -28,7 +28,8 @@ from .._utils.validation import shorten
 from ..energies.polynomial import LARGEST_POWER
 
 
-VERSION = 2
+VERSION = 3
+_READABLE_VERSIONS = (2, VERSION)  # version 2 has no misfits
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -39,7 +40,7 @@ Corners = Annotated[list[Pair], Meta(min_length=3)]
 
 
 class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base class of all objects in a file. All fields are required."""
+    """Base class of all objects in a file. Fields without a default are required."""
 
 
 class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
@@ -144,6 +145,7 @@ class Hinge(_Record, frozen=True):
     energy: Energy
     damping: float | Damping | None  # A number is a damping time; s.
     outline: Corners | None
+    misfit: Triple | None = None
 
 
 class Mechanism(_Record, frozen=True):
@@ -214,10 +216,11 @@ def read_record(path: str | Path, kind: str) -> Any:
     if not isinstance(content, dict):
         raise ValueError(f"{path} is {describe_value(content)}, but must be an object.")
     version = content.get("twistorjax")
-    if type(version) is not int or version != VERSION:
+    if type(version) is not int or version not in _READABLE_VERSIONS:
         raise ValueError(
             f"{path} has a layout that this version of twistorjax cannot read: its field "
-            f"`twistorjax` is {describe_value(version)}, but must be {VERSION}."
+            f"`twistorjax` is {describe_value(version)}, but must be "
+            f"{' or '.join(map(str, _READABLE_VERSIONS))}."
         )
     if set(content) != {"twistorjax", kind}:
         raise ValueError(

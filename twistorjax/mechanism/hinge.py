@@ -1,12 +1,15 @@
 """Elastic connection of two bodies."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.host import all_concrete, concrete
+from .._utils.host import all_concrete, as_float, concrete, on_host
 from .._utils.types import Corners, CornersLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
     require_corners,
@@ -19,11 +22,16 @@ from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
 
 
+# Displacement (angle, x, y) at which a hinge is not loaded, or that of its ports; rad, m
+MisfitLike = TypeAliasType("MisfitLike", PoseLike | Literal["ports"])
+
+
 class Hinge(eqx.Module):
     """An elastic connection of frame a on body A and frame b on body B.
 
-    In the reference configuration both frames coincide and the hinge is not loaded. Give
-    their pose in this configuration by `at`, or their poses on the two bodies by `ports`.
+    In the reference configuration both frames coincide. Give their pose in this
+    configuration by `at`, or their poses on the two bodies by `ports`. The hinge is not
+    loaded in this configuration unless it has a `misfit`.
 
     Args:
         name: Name of the hinge.
@@ -39,12 +47,21 @@ class Hinge(eqx.Module):
         damping: A `ViscousDamping`; or a time (s), by which the stiffness matrix in the
             reference configuration is multiplied to obtain the damping matrix. By default
             the hinge has no damping.
+        misfit: Displacement (angle, x, y) of frame b relative to frame a at which the
+            hinge is not loaded, by default zero; or "ports", if the frames in `ports` do
+            not coincide in the reference configuration, and the hinge is not loaded where
+            they coincide. Preload and errors of assembly are misfits; rad, m, m.
         outline: Corners of a closed polygon in the frame of the hinge, for drawing; m.
 
     Raises:
         ValueError: Both or neither of `at` and `ports` are given, a hinge connects a body
             to itself, a shape is wrong, a value is not finite, or the damping time is
             negative.
+
+    Source:
+        A misfit is divided equally among the two frames. The energy is that of the
+        displacement between frame a displaced by half the misfit, and frame b displaced
+        by half its inverse.
     """
 
     name: str = eqx.field(static=True)
@@ -54,6 +71,8 @@ class Hinge(eqx.Module):
     at: Pose | None
     ports: tuple[Pose, Pose] | None
     damping: ViscousDamping | Scalar | None
+    misfit: Pose | None
+    misfit_of_ports: bool = eqx.field(static=True)
     outline: Corners | None
 
     def __init__(
@@ -66,6 +85,7 @@ class Hinge(eqx.Module):
         *,
         ports: Sequence[PoseLike] | None = None,
         damping: DampingLike | None = None,
+        misfit: MisfitLike | None = None,
         outline: CornersLike | None = None,
     ):
         self.name = require_text("The name of a hinge", name)
@@ -96,6 +116,15 @@ class Hinge(eqx.Module):
             )
             self.ports = on_first, on_second
         self.damping = _check_damping(f"`damping` {owner}", damping)
+        self.misfit, self.misfit_of_ports = None, isinstance(misfit, str)
+        if isinstance(misfit, str):
+            if misfit != "ports" or ports is None:
+                raise ValueError(
+                    f"`misfit` {owner} is {misfit!r}, but must be a displacement (angle, "
+                    'x, y), or "ports" if `ports` are given.'
+                )
+        elif misfit is not None:
+            self.misfit = require_row(f"`misfit` {owner}", misfit, "(angle, x, y)")
         self.outline = (
             None if outline is None else require_corners(f"`outline` {owner}", outline)
         )
@@ -136,21 +165,33 @@ def check_energy(hinge: Hinge) -> None:
             )
 
 
-def frame_of(hinge: Hinge, first: Pose, second: Pose) -> Pose:
+def frame_and_misfit(
+    hinge: Hinge, first: Pose, second: Pose
+) -> tuple[Pose, Float[Array, "5"] | None]:
     """Compute the pose of both frames of a hinge in the reference configuration.
 
     `first` and `second` are the reference poses of bodies A and B; rad, m, m.
 
+    Returns:
+        The pose; rad, m, m. The five numbers of the `Misfit`, None if the hinge has none;
+        rad, m, m, m, m.
+
     Raises:
-        ValueError: The two ports do not coincide.
+        ValueError: The two ports do not coincide, and their gap is not a misfit.
     """
+    misfit = None if hinge.misfit is None else _misfit_numbers(hinge.misfit)
     if hinge.ports is None:
         assert hinge.at is not None
-        return hinge.at
+        return hinge.at, misfit
     a, b = (
         se2.compose(body, port)
         for body, port in zip((first, second), hinge.ports, strict=True)
     )
+    if hinge.misfit_of_ports:
+        # The frames of the hinge are halfway between its ports.
+        gap = se2.between(a, b)
+        middle = se2.compose(a, se2.exp(se2.twist(gap) / 2))
+        return middle, _misfit_numbers(se2.inverse(gap))
     known = all_concrete([se2.between(a, b), a, b, *hinge.ports])
     if known is not None:
         gap, *poses = known
@@ -161,6 +202,16 @@ def frame_of(hinge: Hinge, first: Pose, second: Pose) -> Pose:
                 f"The ports of the hinge {hinge.name!r} do not coincide in the reference "
                 f"configuration. Relative to port a on {hinge.first!r}, port b on "
                 f"{hinge.second!r} is rotated by {gap[0]:.6g} rad and displaced by "
-                f"({gap[1]:.6g}, {gap[2]:.6g}) m. Move a port or a body, or give `at`."
+                f"({gap[1]:.6g}, {gap[2]:.6g}) m. Move a port or a body, or give `at`. "
+                'If the hinge is bent into place, give `misfit="ports"`.'
             )
-    return a
+    return a, misfit
+
+
+def _misfit_numbers(pose: Pose) -> Float[Array, "5"]:
+    """Compute the five numbers of the `Misfit` of a displacement; rad, m, m, m, m."""
+    numpy, (known,) = on_host(pose)
+    angle, x, y = known
+    cos, sin, tan = numpy.cos(angle / 2), numpy.sin(angle / 2), numpy.tan(angle / 4)
+    e1, e2 = cos * x + sin * y, cos * y - sin * x
+    return as_float(numpy.stack([angle, e1, e2, tan * e1, tan * e2]))

@@ -15,7 +15,7 @@ from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
 from .assembly_tangent import AssemblyTangent
 from .hinge_groups import HingeGroup
-from .hinge_kinematics import End, mid_frame
+from .hinge_kinematics import Axis, End, mid_frame, Misfit, scale_misfit
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
 
 
@@ -50,6 +50,8 @@ class HingeAssembly(eqx.Module):
             reference configuration and world axes; m.
         directions: Cosine and sine of the angle of each hinge in the reference
             configuration.
+        misfits: The five numbers of the `Misfit` of each hinge; None if there are none;
+            rad, m, m, m, m.
         groups: Groups of hinges with the same kind of energy.
         sums: Energy and damping of each hinge whose energy is a sum; None for others.
     """
@@ -58,6 +60,7 @@ class HingeAssembly(eqx.Module):
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
     arms: Float[Array, "hinges 2 2"]
     directions: Float[Array, "hinges 2"]
+    misfits: Float[Array, "hinges 5"] | None
     groups: tuple[HingeGroup, ...]
     sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
 
@@ -93,15 +96,31 @@ class HingeAssembly(eqx.Module):
         ]
         return jax.tree.unflatten(tree, member_leaves)
 
-    def displacement_of(self, row: int, displacements: Poses) -> Displacement:
-        """Compute the displacement of one hinge, by its index."""
+    def with_share_of_misfits(self, share: Scalar | float) -> "HingeAssembly":
+        """Multiply the rotation and the translation of all misfits by a number."""
+        if self.misfits is None:
+            return self
+        misfits = scale_misfit(self.misfits, share)
+        return eqx.tree_at(lambda hinges: hinges.misfits, self, misfits)
+
+    def displacement_of(
+        self, row: int, displacements: Poses, of_frames: bool = False
+    ) -> Displacement:
+        """Compute the displacement of one hinge, by its index.
+
+        It is measured from the state in which the hinge is not loaded, or that of frame b
+        relative to frame a (`of_frames`), which is the same without a misfit.
+        """
         angle, x, y = displacements.T
         cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
         first, second = (
             End(*(values[body] for values in (angle, x, y, cos, sin)), *arm)
             for body, arm in zip(self.ends[row], self.arms[row], strict=True)
         )
-        axis = self.directions[row, 0], self.directions[row, 1]
+        misfit = None
+        if self.misfits is not None and not of_frames:
+            misfit = Misfit.of(self.misfits[row])
+        axis = Axis(self.directions[row, 0], self.directions[row, 1], misfit)
         return mid_frame(first, second, axis).displacement
 
     def energy(self, displacements: Poses) -> Scalar:
@@ -303,6 +322,7 @@ class HingeAssembly(eqx.Module):
         angle, x, y = displacements.T
         cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
         arms, directions = self.arms[members], self.directions[members]
+        misfit = None if self.misfits is None else Misfit.of(self.misfits[members])
 
         def end(body: np.ndarray, arm: Array) -> End:
             of_body = (values[body] for values in (angle, x, y, cos, sin))
@@ -318,7 +338,7 @@ class HingeAssembly(eqx.Module):
             leaves,
             end(first, arms[:, 0]),
             end(second, arms[:, 1]),
-            (directions[:, 0], directions[:, 1]),
+            Axis(directions[:, 0], directions[:, 1], misfit),
             *more,
         )
 

@@ -6,7 +6,7 @@ the bodies are written out here, because with JAX a sweep of stages would take t
 time to compile and 1.5 to 2 times the time to run.
 
 In all functions, `first` and `second` are the ends of the hinge on bodies A and B, and
-`axis` is the cosine and the sine of its angle in the reference configuration.
+`axis` is its axis in the reference configuration, with its misfit.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,6 +23,7 @@ from ..energies import solver_protocols
 from ..energies.base import AbstractEnergy
 from ..geometry.twistors import Displacement, half_angle_cos_sin
 from .hinge_kinematics import (
+    Axis,
     combine,
     End,
     Four,
@@ -37,9 +38,7 @@ Tree = TypeVar("Tree")
 
 
 @jax.jit
-def forces(
-    energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
-) -> Six:
+def forces(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Six:
     """Differentiate the energy with respect to the six displacements; N m, N."""
     kinematics = HingeKinematics.of(first, second, axis)
     slopes, _ = gradient_and_hessian(energy, kinematics.middle.displacement)
@@ -51,7 +50,7 @@ def generalized_stress(
     energy: AbstractEnergy,
     first: End,
     second: End,
-    axis: tuple[Scalar, Scalar],
+    axis: Axis,
 ) -> Three:
     """Differentiate the energy with respect to its coordinates; N m, N, N.
 
@@ -95,7 +94,7 @@ def tangent(
     energy: AbstractEnergy,
     first: End,
     second: End,
-    axis: tuple[Scalar, Scalar],
+    axis: Axis,
     predicted: Three | None = None,
 ) -> HingeTangent:
     """Compute the forces on the motions, their derivatives, and the generalized stress.
@@ -208,9 +207,7 @@ class Factored(NamedTuple):
 
 
 @jax.jit
-def factored(
-    energy: AbstractEnergy, first: End, second: End, axis: tuple[Scalar, Scalar]
-) -> Factored:
+def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Factored:
     """Compute the stiffness of the `tangent` in factors with accurate small entries."""
     kinematics = HingeKinematics.of(first, second, axis)
     slopes, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)

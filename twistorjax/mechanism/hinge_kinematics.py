@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .._utils.types import Scalar
 from ..geometry import se2
@@ -46,26 +47,95 @@ class End(NamedTuple):
         return se2.rotation_displacement((self.arm_x, self.arm_y), self.cos, self.sin)
 
 
+class Misfit(NamedTuple):
+    """The displacement of frame b relative to frame a at which a hinge is not loaded.
+
+    At a rotation theta of frame b, the translation in the mid-frame is measured from
+    `cos(theta / 2) e + sin(theta / 2) f`.
+
+    Args:
+        angle: Rotation at which the hinge is not loaded; rad.
+        cos: Cosine of half this rotation.
+        sin: Sine of half this rotation.
+        e1: Component of e along axis 1; m.
+        e2: Component of e along axis 2; m.
+        f1: Component of f along axis 1; m.
+        f2: Component of f along axis 2; m.
+    """
+
+    angle: Scalar
+    cos: Scalar
+    sin: Scalar
+    e1: Scalar
+    e2: Scalar
+    f1: Scalar
+    f2: Scalar
+
+    @classmethod
+    def of(cls, numbers: Float[Array, "*hinges 5"]) -> "Misfit":
+        """Create a misfit from its rotation, e, and f; rad, m, m, m, m."""
+        angle, *rest = jnp.moveaxis(numbers, -1, 0)
+        return cls(angle, jnp.cos(angle / 2), jnp.sin(angle / 2), *rest)
+
+
+def scale_misfit(
+    numbers: Float[Array, "*hinges 5"], share: Scalar | float
+) -> Float[Array, "*hinges 5"]:
+    """Multiply the rotation and the translation of misfits by a number from 0 to 1."""
+    angle, e, f = numbers[..., :1], numbers[..., 1:3], numbers[..., 3:]
+    # The part of f that keeps a misfit symmetric is not proportional to its rotation.
+    tan, scaled_tan = jnp.tan(angle / 4), jnp.tan(share * angle / 4)
+    scaled_f = share * (f + (scaled_tan - tan) * e)
+    return jnp.concatenate([share * angle, share * e, scaled_f], axis=-1)
+
+
+class Axis(NamedTuple):
+    """Axis 1 of a hinge in the reference configuration, and the misfit of the hinge.
+
+    Args:
+        cos: Cosine of the angle of the axis.
+        sin: Sine of the angle of the axis.
+        misfit: The misfit, if any hinge of the mechanism has one.
+    """
+
+    cos: Scalar
+    sin: Scalar
+    misfit: Misfit | None = None
+
+
 class MidFrame(NamedTuple):
     """The displacement of a hinge, and its mid-frame.
 
     Args:
-        displacement: Displacement of frame b relative to frame a.
+        displacement: Displacement from the state in which the hinge is not loaded.
+        half: Half the translation of frame b relative to frame a, in the mid-frame; m.
         cos: Cosine of the angle of the mid-frame in the world.
         sin: Sine of the angle of the mid-frame in the world.
+        slope: Derivative of the translation of `displacement` with respect to the
+            rotation, at a constant translation of frame b; None without misfit; m/rad.
+        curvature: The second derivative; None without misfit; m/rad^2.
     """
 
     displacement: Displacement
+    half: Two
     cos: Scalar
     sin: Scalar
+    slope: Two | None
+    curvature: Two | None
 
 
-def mid_frame(first: End, second: End, axis: tuple[Scalar, Scalar]) -> MidFrame:
+def mid_frame(first: End, second: End, axis: Axis) -> MidFrame:
     """Compute the displacement and the mid-frame of a hinge.
 
     They follow from the cosines and sines of half angles, without other trigonometric
-    functions. `axis` is the cosine and the sine of the angle of the hinge in the
-    reference configuration.
+    functions.
+
+    A misfit delta is divided among the two frames: the displacement is that between a
+    displaced by delta^(1/2) and b displaced by delta^(-1/2), so that an exchange of the
+    two bodies changes nothing. These two frames have the same mid-frame as a and b. With
+    the rotation phi and the mid-frame translation d of delta, the displacement (theta, y)
+    of b relative to a becomes (theta - phi, y - (cos(theta / 2) + tan(phi / 4)
+    sin(theta / 2)) d).
     """
     arm_ax, arm_ay = first.arm_displacement()
     arm_bx, arm_by = second.arm_displacement()
@@ -75,11 +145,25 @@ def mid_frame(first: End, second: End, axis: tuple[Scalar, Scalar]) -> MidFrame:
     xi = second.sin * first.cos - second.cos * first.sin
     mean_cos = second.cos * first.cos - second.sin * first.sin
     mean_sin = second.sin * first.cos + second.cos * first.sin
-    cos = mean_cos * axis[0] - mean_sin * axis[1]
-    sin = mean_sin * axis[0] + mean_cos * axis[1]
+    cos = mean_cos * axis.cos - mean_sin * axis.sin
+    sin = mean_sin * axis.cos + mean_cos * axis.sin
     x1, x2 = (cos * dx + sin * dy) / 2, (cos * dy - sin * dx) / 2
-    displacement = Displacement(second.angle - first.angle, sigma, xi, x1, x2)
-    return MidFrame(displacement, cos, sin)
+    angle = second.angle - first.angle
+    if axis.misfit is None:
+        displacement = Displacement(angle, sigma, xi, x1, x2)
+        return MidFrame(displacement, (x1, x2), cos, sin, None, None)
+    angle_0, cos_0, sin_0, e1, e2, f1, f2 = axis.misfit
+    free_1, free_2 = sigma * e1 + xi * f1, sigma * e2 + xi * f2
+    displacement = Displacement(
+        angle - angle_0,
+        sigma * cos_0 + xi * sin_0,
+        xi * cos_0 - sigma * sin_0,
+        x1 - free_1 / 2,
+        x2 - free_2 / 2,
+    )
+    slope = (xi * e1 - sigma * f1) / 2, (xi * e2 - sigma * f2) / 2
+    curvature = free_1 / 4, free_2 / 4
+    return MidFrame(displacement, (x1, x2), cos, sin, slope, curvature)
 
 
 class HingeKinematics(NamedTuple):
@@ -106,9 +190,7 @@ class HingeKinematics(NamedTuple):
     b2: Scalar
 
     @classmethod
-    def of(
-        cls, first: End, second: End, axis: tuple[Scalar, Scalar]
-    ) -> "HingeKinematics":
+    def of(cls, first: End, second: End, axis: Axis) -> "HingeKinematics":
         """Compute the kinematics of a hinge from its two ends; see `mid_frame`."""
         middle = mid_frame(first, second, axis)
         arms = []
@@ -121,11 +203,12 @@ class HingeKinematics(NamedTuple):
     def columns(self) -> tuple[Three, Three, Three, Three]:
         """Compute the derivatives of the coordinates with respect to the motions."""
         c, s = self.middle.cos, self.middle.sin
-        half_y1, half_y2 = self.middle.displacement.x1, self.middle.displacement.x2
+        half_y1, half_y2 = self.middle.half
         one, zero = jnp.ones_like(c), jnp.zeros_like(c)
+        k1, k2 = self.middle.slope or (zero, zero)
         return (
-            (-one, half_y2 + self.a2, -half_y1 - self.a1),
-            (one, half_y2 - self.b2, -half_y1 + self.b1),
+            (-one, half_y2 + self.a2 - k1, -half_y1 - self.a1 - k2),
+            (one, half_y2 - self.b2 + k1, -half_y1 + self.b1 + k2),
             (zero, c, -s),
             (zero, s, c),
         )
@@ -144,9 +227,12 @@ class HingeKinematics(NamedTuple):
         _, g1, g2 = slopes
         c, s = self.middle.cos, self.middle.sin
         x, y = c * g1 - s * g2, s * g1 + c * g2  # the force in world axes
-        at = self.middle.displacement
-        same = -(g1 * at.x1 + g2 * at.x2) / 2
+        half_y1, half_y2 = self.middle.half
+        same = -(g1 * half_y1 + g2 * half_y2) / 2
         mixed = same + (g1 * (self.b1 - self.a1) + g2 * (self.b2 - self.a2)) / 2
+        if self.middle.curvature is not None:
+            of_misfit = g1 * self.middle.curvature[0] + g2 * self.middle.curvature[1]
+            same, mixed = same + of_misfit, mixed - of_misfit
         zero = jnp.zeros_like(same)
         return [
             [same, mixed, -y / 2, x / 2],
@@ -163,11 +249,16 @@ class HingeKinematics(NamedTuple):
         `mean` is the mean angular velocity of the two bodies; rad/s.
         """
         c, s = self.middle.cos, self.middle.sin
-        rotation, along, across = (rate / 2 for rate in rates)
         zero = jnp.zeros_like(c)
+        (k1, k2), (p1, p2) = (
+            part or (zero, zero) for part in (self.middle.slope, self.middle.curvature)
+        )
+        rotation, along, across = (rate / 2 for rate in rates)
+        along, across = along - k1 * rotation, across - k2 * rotation
+        p1, p2 = 2 * p1 * rotation, 2 * p2 * rotation
         return (
-            (zero, across - rotation * self.a1, -along - rotation * self.a2),
-            (zero, across - rotation * self.b1, -along - rotation * self.b2),
+            (zero, across - rotation * self.a1 - p1, -along - rotation * self.a2 - p2),
+            (zero, across - rotation * self.b1 + p1, -along - rotation * self.b2 + p2),
             (zero, -mean * s, -mean * c),
             (zero, mean * c, -mean * s),
         )

@@ -22,7 +22,7 @@ from .hinge_forces import (
     on_bodies,
     product,
 )
-from .hinge_kinematics import End, HingeKinematics, Six, Three, Two
+from .hinge_kinematics import Axis, End, HingeKinematics, Six, Three, Two
 
 
 @jax.jit
@@ -31,7 +31,7 @@ def forces_in_motion(
     damping: ViscousDamping | None,
     first: End,
     second: End,
-    axis: tuple[Scalar, Scalar],
+    axis: Axis,
     rates: tuple[Three, Three],
     stretch: Two | None = None,
 ) -> tuple[Six, Two, Scalar]:
@@ -42,7 +42,7 @@ def forces_in_motion(
         damping: Damping of the hinge, if any.
         first: End on body A.
         second: End on body B.
-        axis: Cosine and sine of the angle of the hinge in the reference configuration.
+        axis: Axis of the hinge in the reference configuration, and its misfit.
         rates: Rates of (angle, x, y) of both bodies; rad/s, m/s, m/s.
         stretch: Mid-frame translation for which the forces are computed; by default that
             of the displacement. A solver may predict it, as Newton's method predicts the
@@ -88,7 +88,7 @@ def tangent_in_motion(
     damping: ViscousDamping | None,
     first: End,
     second: End,
-    axis: tuple[Scalar, Scalar],
+    axis: Axis,
     rates: tuple[Three, Three],
     stretch: Two | None = None,
 ) -> HingeMotionTangent:

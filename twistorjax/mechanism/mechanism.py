@@ -1,9 +1,8 @@
 """Mechanisms of rigid bodies that are connected by elastic hinges."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,18 +18,17 @@ from .._utils.types import (
     Wrenches,
 )
 from .._utils.validation import index_of, PLURAL, require_distinct, require_kind, shorten
-from ..energies.base import range_message
-from ..geometry import se2
 from .body import Body
-from .hinge import check_energy, frame_of, Hinge
+from .hinge import check_energy, frame_and_misfit, Hinge
 from .hinge_assembly import HingeAssembly
 from .hinge_groups import group_hinges, sums_of
+from .hinge_queries import HingeQueries
 
 
 COORDINATES = ("angle", "x", "y")
 
 
-class Mechanism(eqx.Module):
+class Mechanism(HingeQueries):
     """A mechanism of rigid bodies that are connected by elastic hinges.
 
     Some of the bodies are fixed. Arrays have a row for each body, in the order in which
@@ -38,14 +36,16 @@ class Mechanism(eqx.Module):
     each body.
 
     Args:
-        bodies: The bodies in the reference configuration, in which no hinge is loaded.
+        bodies: The bodies in the reference configuration, in which no hinge is loaded
+            unless it has a misfit.
         hinges: The hinges between them.
         fixed: Names of the bodies that cannot move; or a mapping from names of bodies to
             the names of the coordinates that cannot move: any of "angle", "x", and "y".
 
     Raises:
         ValueError: A name is unknown or occurs twice, the two ports of a hinge do not
-            coincide in the reference configuration, or the energy of a hinge is invalid.
+            coincide in the reference configuration and the hinge has no misfit, or the
+            energy of a hinge is invalid.
 
     Example:
         >>> from twistorjax import Body, Hinge, Quadratic
@@ -91,10 +91,13 @@ class Mechanism(eqx.Module):
         ends = tuple((body(hinge, "first"), body(hinge, "second")) for hinge in hinges)
         for hinge in hinges:
             check_energy(hinge)
-        frames = [
-            frame_of(hinge, bodies[first].pose, bodies[second].pose)
-            for hinge, (first, second) in zip(hinges, ends, strict=True)
-        ]
+        frames, misfits = zip(
+            *(
+                frame_and_misfit(hinge, bodies[first].pose, bodies[second].pose)
+                for hinge, (first, second) in zip(hinges, ends, strict=True)
+            ),
+            strict=True,
+        )
         self.at = _rows(frames)
         self.fixed = self.dofs_of("fixed", fixed)
         xp, (at, reference) = on_host(self.at, self.reference)
@@ -104,6 +107,7 @@ class Mechanism(eqx.Module):
             ends=ends,
             arms=as_float(at[:, None, 1:] - origins),
             directions=as_float(xp.stack([xp.cos(at[:, 0]), xp.sin(at[:, 0])], axis=1)),
+            misfits=_misfits(misfits),
             groups=group_hinges(hinges),
             sums=sums_of(hinges),
         )
@@ -186,103 +190,6 @@ class Mechanism(eqx.Module):
             else:
                 rows.append(jnp.stack([inertia, mass, mass]))
         return jnp.stack(rows)
-
-    def range_messages(self, poses: Poses) -> str:
-        """Describe the hinges whose displacement is outside their validity range.
-
-        Args:
-            poses: Poses of the bodies; rad, m, m.
-
-        Returns:
-            One sentence for each such hinge.
-        """
-        hinges, displacements = self.hinge_assembly, self.displacements(poses)
-        outside = np.asarray(hinges.out_of_range(displacements))
-        sentences = []
-        for row in map(int, np.flatnonzero(outside)):
-            at = hinges.displacement_of(row, displacements)
-            message = range_message(hinges.energy_of(row), at)
-            sentences.append(f"The hinge {self.hinge_names[row]!r}: {message}.")
-        return " ".join(sentences)
-
-    def displacement_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
-        """Compute the displacement of frame b of a hinge relative to its frame a.
-
-        Args:
-            hinge: Name of the hinge.
-            at: Equilibrium, motion, or poses of the bodies; rad, m, m. Prefer an
-                equilibrium or a motion: poses lose the digits of displacements that are
-                small compared with the positions.
-
-        Returns:
-            Angle, and translation along axes 1 and 2 of frame a; for a motion, one row
-            for each time; rad, m, m.
-
-        Raises:
-            ValueError: There is no hinge of this name, or the poses are not those of the
-                bodies.
-        """
-        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        return self._of_hinge(at, lambda poses: self._hinge_pose(row, poses))
-
-    def wrench_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
-        """Compute the wrench that body B exerts on a hinge, about frame b, in its axes.
-
-        Args:
-            hinge: Name of the hinge.
-            at: Equilibrium, motion, or poses of the bodies; rad, m, m. Prefer an
-                equilibrium or a motion: poses lose the digits of displacements that are
-                small compared with the positions.
-
-        Returns:
-            Moment, and force along axes 1 and 2 of frame b, which are the axial and the
-            transverse force of a leaf or a notch; for a motion, one row for each time;
-            N m, N, N.
-
-        Raises:
-            ValueError: There is no hinge of this name, the poses are not those of the
-                bodies, or the hinge is outside the validity range of its energy.
-        """
-        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        wrench = self.hinge_assembly.energy_of(row).wrench
-        return self._of_hinge(at, lambda poses: wrench(self._hinge_pose(row, poses)))
-
-    def _hinge_pose(self, row: int, displacements: Poses) -> Pose:
-        """Compute the pose of frame b of a hinge relative to its frame a; rad, m, m."""
-        at = self.hinge_assembly.displacement_of(row, displacements)
-        x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
-        return jnp.stack([at.angle, 2 * x, 2 * y])
-
-    def _of_hinge(
-        self, at: PosesOrResult, function: Callable[[Poses], Pose]
-    ) -> Float[Array, "*batch 3"]:
-        """Evaluate a function of displacements, or of each of a batch of them."""
-        displacements = self.displacements(at, "at")
-        flat = displacements.reshape(-1, *self.reference.shape)
-        shape = (*displacements.shape[:-2], 3)
-        if len(flat) == 1:  # not traced, so that a value out of range raises an error
-            return function(flat[0]).reshape(shape)
-        return jax.vmap(function)(flat).reshape(shape)
-
-    def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
-        """Compute the poses of the two frames of a hinge in the world.
-
-        Args:
-            hinge: Name of the hinge.
-            poses: Poses of the bodies; rad, m, m.
-
-        Returns:
-            Poses of frame a on body A and of frame b on body B; rad, m, m.
-
-        Raises:
-            ValueError: There is no hinge of this name.
-        """
-        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        first, second = (
-            se2.compose(poses[body], se2.between(self.reference[body], self.at[row]))
-            for body in self.hinge_assembly.ends[row]
-        )
-        return first, second
 
     def dof_name(self, dof: int) -> str:
         """Return the name of a degree of freedom, such as "angle of 'stage'"."""
@@ -386,6 +293,16 @@ class Mechanism(eqx.Module):
             for name in coordinates:
                 dofs.add(3 * body + index_of(where, "coordinate", name, COORDINATES))
         return tuple(sorted(dofs))
+
+
+def _misfits(
+    rows: Sequence[Float[Array, "5"] | None],
+) -> Float[Array, "hinges 5"] | None:
+    """Stack the numbers of misfits; None if there are none."""
+    if all(row is None for row in rows):
+        return None
+    xp, arrays = on_host(*(np.zeros(5) if row is None else row for row in rows))
+    return as_float(xp.stack(arrays))
 
 
 def _rows(poses: Sequence[Pose]) -> Poses:

@@ -119,8 +119,9 @@ def solve_in_increments(
     the rest, and a bifurcation of a symmetric path, may remain undetected.
 
     The forces that keep the mechanism at `start` decrease in proportion as the fraction
-    increases. They are zero in the reference configuration; in another equilibrium they
-    are its loads. A violation of constraints at `start` decreases in the same way.
+    increases. They are zero in the reference configuration, where the misfits of hinges
+    increase as the loads do; in another equilibrium they are its loads. A violation of
+    constraints at `start` decreases in the same way.
     Prescribed degrees of freedom move in the first Newton step of each increment,
     together with the first response of the free ones.
 
@@ -142,7 +143,8 @@ def solve_in_increments(
     """
     entries = system.constraints.size
     units, free_units = system.units(), system.free_units()
-    forces = system.hinges.forces(start).reshape(-1)
+    unloaded = system.hinges_at(0.0)
+    forces = unloaded.forces(start).reshape(-1)
     initial_residual = system.equations(forces, start)
     largest_violation = jnp.zeros(0)
     if entries:
@@ -244,7 +246,7 @@ def solve_in_increments(
     zero, no_steps = jnp.zeros(()), jnp.zeros((), int)
     unknowns = jnp.zeros(len(system.free) + entries)
     multipliers = jnp.zeros(entries) if entries else None
-    predicted = system.hinges.generalized_stress(start)
+    predicted = unloaded.generalized_stress(start)
     state = _State(
         displacements=start,
         multipliers=multipliers,

@@ -118,7 +118,8 @@ def equilibrium(
     implicit function theorem.
 
     Args:
-        mechanism: The mechanism. No hinge is loaded in its reference configuration.
+        mechanism: The mechanism. Without loads, the result is the equilibrium to which
+            the misfits of its hinges deform it.
         loads: Loads on its bodies.
         drives: Prescribed displacements of degrees of freedom that are not fixed.
         constraints: Pins, sliders, and other constraints between its bodies. Mechanisms
@@ -202,6 +203,11 @@ def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> 
     Raises:
         ValueError: A hinge is outside this range, and the state is not traced.
     """
+    if state is None and mechanism.hinge_assembly.misfits is not None:
+        raise ValueError(
+            "The mechanism has misfits, so its reference configuration is not an "
+            f"equilibrium. Give `{name}=equilibrium(mechanism)`."
+        )
     if state is None:
         return jnp.zeros_like(mechanism.reference)
     displacements = mechanism.displacements(state, name, single=True)
@@ -231,7 +237,10 @@ def _solve_uncompiled(
     names: tuple[str, ...],
 ) -> Equilibrium:
     """Compute the equilibrium; see `equilibrium`."""
-    system = System(hinges, loads, constraints, jnp.array(targets, float), time, dofs)
+    system = System(
+        hinges, loads, constraints, jnp.array(targets, float), time, dofs,
+        scales_misfits=start_displacements is None,
+    )  # fmt: skip
     start_displacements = (
         jnp.zeros_like(reference) if start_displacements is None else start_displacements
     )

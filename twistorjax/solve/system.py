@@ -43,6 +43,8 @@ class System(eqx.Module):
         targets: Displacements of the prescribed degrees of freedom; rad, m.
         time: Time at which the constraints are evaluated; s.
         dofs: Partition of the degrees of freedom.
+        scales_misfits: Whether a fraction of the loads means the same fraction of the
+            misfits of the hinges; otherwise misfits are always complete.
     """
 
     hinges: HingeAssembly
@@ -51,6 +53,7 @@ class System(eqx.Module):
     targets: Float[Array, " prescribed"]
     time: Scalar
     dofs: DofPartition = eqx.field(static=True)
+    scales_misfits: bool = eqx.field(static=True, default=False)
 
     @classmethod
     def of(
@@ -91,6 +94,12 @@ class System(eqx.Module):
     def free_units(self) -> Float[Array, " free"]:
         """Return the unit of each free degree of freedom; rad, m."""
         return self.units()[self.free % 3]
+
+    def hinges_at(self, fraction: Scalar | float) -> HingeAssembly:
+        """Return the hinges at a fraction of the loads."""
+        if not self.scales_misfits:
+            return self.hinges
+        return self.hinges.with_share_of_misfits(fraction)
 
     def with_displacements(
         self,
@@ -182,7 +191,7 @@ class System(eqx.Module):
             The residual, the tangent stiffness of the free degrees of freedom, and the
             tangent of the hinges alone.
         """
-        hinges = self.hinges.tangent(displacements, predicted)
+        hinges = self.hinges_at(fraction).tangent(displacements, predicted)
         layout = block_layout(self.hinges.ends, self.dofs.free)
         if not self.constraints.size and layout is not None:
             applied, by_angle = (

@@ -1,0 +1,371 @@
+"""Hinges that are not loaded at a displacement other than zero: preload and assembly."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from helpers import assert_close, some_poses, some_stiffness
+
+import twistorjax as tj
+from twistorjax.geometry import se2
+
+
+REFERENCE = np.array([[0.4, 0.1, -0.2], [-0.7, 0.5, 0.3]])
+AT = jnp.array([0.9, 0.3, 0.2])
+MISFIT = jnp.array([0.3, 0.2, -0.1])
+SPRING = tj.Quadratic(some_stiffness(3))
+
+
+def pair(
+    misfit: Any = MISFIT, energy: tj.AbstractEnergy = SPRING, first="a", damping=None
+):
+    """Return two bodies that one hinge with a misfit connects."""
+    bodies = [tj.Body("a", REFERENCE[0]), tj.Body("b", REFERENCE[1])]
+    second = "b" if first == "a" else "a"
+    hinge = tj.Hinge("h", first, second, energy, AT, misfit=misfit, damping=damping)
+    return tj.Mechanism(bodies, [hinge], fixed=["a"])
+
+
+def random_poses(seed, count=8):
+    return jnp.stack([some_poses(seed, count), some_poses(seed + 1, count) / 2], axis=1)
+
+
+def test_energy_is_that_between_frames_displaced_by_half_the_misfit():
+    """The displaced frames are composed by exponential maps."""
+    half = se2.exp(se2.twist(MISFIT) / 2)
+    without, mechanism = pair(None), pair()
+    for poses in random_poses(0):
+        a, b = without.ports("h", poses)
+        a, b = se2.compose(a, half), se2.compose(b, se2.inverse(half))
+        assert_close(mechanism.energy(poses), SPRING(se2.between(a, b)), digits=12)
+
+
+def test_exchange_of_the_bodies_changes_nothing():
+    """With frames that are exchanged, the energy is that of the inverse displacement."""
+
+    class Even(tj.AbstractEnergy):
+        def stored_energy(self, displacement):
+            angle, along, across = displacement.twist()
+            return angle**2 + 3 * along**2 + 2 * across**2 + angle * across**3
+
+    inverse = se2.inverse(MISFIT)
+    forward, backward = pair(energy=Even()), pair(inverse, Even(), first="b")
+    for poses in random_poses(2):
+        assert_close(forward.energy(poses), backward.energy(poses), digits=12)
+        assert_close(forward.wrenches(poses), backward.wrenches(poses), digits=12)
+
+
+def test_forces_and_stiffness_are_derivatives_of_the_energy():
+    mechanism = pair()
+    for poses in random_poses(4):
+        forces = -jax.grad(mechanism.energy)(poses)
+        assert_close(mechanism.wrenches(poses), forces, digits=11)
+        hessian = jax.hessian(mechanism.energy)(poses)
+        assert_close(mechanism.stiffness(poses), hessian, digits=11)
+
+
+@pytest.mark.parametrize("coordinates", ["twist", "twistor"])
+def test_tangent_in_motion_is_the_derivative_of_the_forces(coordinates):
+    damping = tj.energies.ViscousDamping(some_stiffness(5), coordinates)
+    assembly = pair(damping=damping).hinge_assembly
+    dofs = tuple(range(6))
+
+    def forces(displacements, rates):
+        return assembly.forces_in_motion(displacements, rates)[0]
+
+    for poses, rates in zip(random_poses(0), random_poses(5), strict=True):
+        displacements = 0.4 * (poses - REFERENCE)
+        tangent = assembly.tangent_in_motion(displacements, rates, dofs)
+        expected = jax.jacfwd(forces, argnums=(0, 1))(displacements, rates)
+        for matrix, derivative in zip(
+            (tangent.stiffness, tangent.damping), expected, strict=True
+        ):
+            scale = np.max(np.abs(derivative))
+            assert_close(matrix / scale, derivative.reshape(6, 6) / scale, digits=11)
+
+
+def test_viscous_forces_are_those_of_the_rate_of_the_strain():
+    """The dissipated power of a pure rate equals damping times its square."""
+    mechanism = pair(
+        damping=tj.energies.ViscousDamping(np.diag([2.0, 0.0, 0.0]), "twistor")
+    )
+    rates = jnp.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]])
+    zero = jnp.zeros((2, 3))
+    *_, power = mechanism.hinge_assembly.forces_in_motion(zero, rates)
+    cos = np.cos(0.3 / 2)  # rate of 2 sin((angle - misfit) / 2)
+    assert_close(power, 2.0 * (0.7 * cos) ** 2)
+
+
+def test_a_free_body_moves_until_its_hinge_is_not_loaded():
+    mechanism = pair()
+    found = tj.equilibrium(mechanism)
+    assert_close(mechanism.displacement_of("h", found), MISFIT, digits=10)
+    assert_close(mechanism.misfit_of("h"), MISFIT, digits=14)
+    np.testing.assert_allclose(mechanism.wrench_of("h", found), 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.reactions, 0.0, atol=1e-12)
+
+
+def test_wrench_is_about_frame_b():
+    """It balances the wrench of the hinge on body B."""
+    mechanism = pair()
+    for poses in random_poses(6):
+        _, frame = mechanism.ports("h", poses)
+        on_body = -se2.transform_wrench(frame, mechanism.wrench_of("h", poses))
+        moment, x, y = mechanism.wrenches(poses)[1]
+        moment = moment + poses[1, 1] * y - poses[1, 2] * x
+        assert_close(on_body, jnp.stack([moment, x, y]), digits=11)
+
+
+def preloaded_column(gap):
+    """Return a block between two springs along x, one of which is too long."""
+    first, second = (
+        tj.Quadratic(np.diag([1.0, 300.0, 50.0])),
+        tj.Quadratic(np.diag([1.0, 100.0, 50.0])),
+    )
+    bodies = [
+        tj.Body("left"),
+        tj.Body("block", (0, 1.0, 0)),
+        tj.Body("right", (0, 2.0, 0)),
+    ]
+    hinges = [
+        tj.Hinge("one", "left", "block", first, (0.0, 0.5, 0.0), misfit=(0.0, gap, 0.0)),
+        tj.Hinge("two", "block", "right", second, (0.0, 1.5, 0.0)),
+    ]
+    return tj.Mechanism(bodies, hinges, fixed=["left", "right"])
+
+
+def test_preload_of_two_springs():
+    """Two springs in series share the misfit in proportion to their compliances."""
+    gap = 1e-3
+    mechanism = preloaded_column(gap)
+    found = tj.equilibrium(mechanism)
+    force = gap / (1 / 300.0 + 1 / 100.0)
+    assert_close(found.displacement("block")[1], force / 100.0, digits=12)
+    for name in ("one", "two"):
+        assert_close(mechanism.wrench_of(name, found)[1], -force, digits=12)
+    slope = jax.grad(
+        lambda gap: tj.equilibrium(preloaded_column(gap)).displacement("block")[1]
+    )(gap)
+    assert_close(slope, 1 / 100.0 / (1 / 300.0 + 1 / 100.0), digits=12)
+
+
+def test_ports_that_do_not_coincide_are_bent_together():
+    """The hinge of a free body is not loaded where its ports coincide."""
+    bodies = [tj.Body("a", REFERENCE[0]), tj.Body("b", REFERENCE[1])]
+    ports = (0.2, 0.5, 0.1), (-0.4, 0.1, -0.3)
+    with pytest.raises(ValueError, match=r'do not coincide.*`misfit="ports"`'):
+        tj.Mechanism(bodies, [tj.Hinge("h", "a", "b", SPRING, ports=ports)], fixed=["a"])
+    hinge = tj.Hinge("h", "a", "b", SPRING, ports=ports, misfit="ports")
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["a"])
+    poses = tj.equilibrium(mechanism).poses
+    a, b = (
+        se2.compose(pose, np.array(port)) for pose, port in zip(poses, ports, strict=True)
+    )
+    assert_close(a, b, digits=10)
+    displaced = random_poses(8)[0]
+    a, b = (
+        se2.compose(pose, np.array(port))
+        for pose, port in zip(displaced, ports, strict=True)
+    )
+    assert_close(mechanism.energy(displaced), SPRING(se2.between(a, b)), digits=12)
+
+
+TOPOLOGIES = {
+    "chain": [(0, 1), (1, 2), (2, 3)],
+    "ring": [(0, 1), (1, 2), (2, 3), (3, 0)],
+    "parallel": [(0, 1), (0, 1), (1, 2), (1, 2)],
+    "grid": [(0, 1), (1, 3), (0, 2), (2, 3), (1, 2)],
+}
+
+
+def random_mechanism(topology, seed):
+    """Return the pieces of a random mechanism: bodies, connections, and numbers."""
+    random = np.random.default_rng(seed)
+    pairs = TOPOLOGIES[topology]
+    poses = random.normal(size=(4, 3)) * [1.0, 0.5, 0.5]
+    at = random.normal(size=(len(pairs), 3)) * [1.0, 0.5, 0.5]
+    matrices = random.normal(size=(len(pairs), 3, 3))
+    matrices = matrices @ np.swapaxes(matrices, 1, 2) + 2 * np.eye(3)
+    misfits = random.uniform(-0.3, 0.3, size=(len(pairs), 3))
+    return pairs, poses, at, matrices, misfits
+
+
+def assemble(pairs, poses, at, matrices, misfits):
+    """Return the mechanism of these pieces, the first body of which is fixed."""
+    hinges = []
+    for k, (first, second) in enumerate(pairs):
+        energy = tj.Quadratic(matrices[k], "twist")
+        hinge = tj.Hinge(
+            str(k), str(first), str(second), energy, at[k], misfit=misfits[k]
+        )
+        hinges.append(hinge)
+    used = sorted({body for ends in pairs for body in ends})
+    bodies = [tj.Body(str(body), poses[body]) for body in used]
+    return tj.Mechanism(bodies, hinges, fixed=["0"])
+
+
+def energy_by_matrices(displacements, pairs, poses, at, matrices, misfits):
+    """Sum the energies of frames that are composed as homogeneous matrices."""
+
+    def matrix(pose):
+        c, s = np.cos(pose[0]), np.sin(pose[0])
+        return np.array([[c, -s, pose[1]], [s, c, pose[2]], [0.0, 0.0, 1.0]])
+
+    def logarithm(transform):
+        angle = np.arctan2(transform[1, 0], transform[0, 0])
+        half = angle / 2
+        ratio = half / np.tan(half) if half else 1.0
+        x, y = transform[:2, 2]
+        return np.array([angle, ratio * x + half * y, ratio * y - half * x])
+
+    def exponential(twist):
+        angle, x, y = twist
+        a, b = np.sin(angle) / angle, (1 - np.cos(angle)) / angle
+        return matrix([angle, a * x - b * y, b * x + a * y])
+
+    moved = poses + displacements
+    total = 0.0
+    for k, ends in enumerate(pairs):
+        half = exponential(logarithm(matrix(misfits[k])) / 2)
+        a, b = (
+            matrix(moved[body]) @ np.linalg.solve(matrix(poses[body]), matrix(at[k]))
+            for body in ends
+        )
+        relative = np.linalg.solve(a @ half, b @ np.linalg.inv(half))
+        twist = logarithm(relative)
+        total += twist @ matrices[k] @ twist / 2
+    return total
+
+
+@pytest.mark.parametrize("topology", list(TOPOLOGIES))
+def test_assembled_mechanisms_have_the_smallest_energy(topology):
+    """SciPy minimizes the energy of frames that are composed as matrices."""
+    solve = jax.jit(
+        lambda pieces: tj.equilibrium(
+            assemble(TOPOLOGIES[topology], *pieces), throw=False
+        )
+    )
+    for seed in range(25):
+        pairs, *pieces = random_mechanism(topology, seed)
+        found = solve(pieces)
+        assert bool(found.succeeded)
+        bodies = len(found.names)
+
+        def energy(free, bodies=bodies, pieces=pieces, pairs=pairs):
+            displacements = np.zeros((4, 3))
+            displacements[1:bodies] = free.reshape(-1, 3)
+            return energy_by_matrices(displacements, pairs, *pieces)
+
+        start = np.asarray(found.displacements)[1:].reshape(-1)
+        best = scipy.optimize.minimize(energy, start + 1e-3, tol=1e-14)
+        assert_close(found.energy, energy(start), digits=10)
+        assert found.energy <= best.fun * (1 + 1e-9) + 1e-12
+        np.testing.assert_allclose(start, best.x, atol=2e-6)
+
+
+@pytest.mark.parametrize("topology", list(TOPOLOGIES))
+def test_derivatives_by_the_misfits_agree_with_differences(topology):
+    pairs, poses, at, matrices, misfits = random_mechanism(topology, 7)
+
+    def displacements(misfits):
+        mechanism = assemble(pairs, poses, at, matrices, misfits)
+        return tj.equilibrium(mechanism).displacements
+
+    displacements = jax.jit(displacements)
+    direction = np.random.default_rng(1).normal(size=misfits.shape)
+    _, rate = jax.jvp(displacements, (misfits,), (direction,))
+    step = 1e-5
+    difference = displacements(misfits + step * direction)
+    difference = (difference - displacements(misfits - step * direction)) / (2 * step)
+    scale = np.max(np.abs(rate))
+    assert_close(rate / scale, difference / scale, digits=7)
+
+
+def test_vibrations_of_a_preloaded_mechanism_need_its_equilibrium():
+    bodies = [tj.Body("wall"), tj.Body("mass", mass=2.0, inertia=0.5)]
+    hinge = tj.Hinge(
+        "h", "wall", "mass", tj.Quadratic(np.diag([2.0, 50.0, 8.0])), (0, 0, 0),
+        misfit=(0.0, 0.1, 0.0),
+    )  # fmt: skip
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    with pytest.raises(ValueError, match=r"has misfits.*`about=equilibrium"):
+        tj.vibrations(mechanism)
+    with pytest.raises(ValueError, match=r"has misfits.*`about=equilibrium"):
+        tj.linearize(mechanism)
+    found = tj.vibrations(mechanism, about=tj.equilibrium(mechanism))
+    # The spring acts halfway between the two frames, 0.05 m from the center of mass.
+    arm = -0.05
+    stiffness = np.diag([2.0 + 8.0 * arm**2, 50.0, 8.0])
+    stiffness[0, 2] = stiffness[2, 0] = 8.0 * arm
+    squares = np.linalg.eigvals(stiffness / np.array([[0.5], [2.0], [2.0]]))
+    assert_close(found.frequencies, np.sqrt(np.sort(squares)) / (2 * np.pi))
+
+
+def test_a_motion_that_starts_in_the_reference_configuration_oscillates():
+    """The block swings about the position in which its spring is not loaded."""
+    bodies = [tj.Body("wall"), tj.Body("mass", mass=2.0, inertia=0.5)]
+    spring = tj.Quadratic(np.diag([2.0, 50.0, 8.0]))
+    hinge = tj.Hinge("h", "wall", "mass", spring, (0, 0, 0), misfit=(0.0, 0.1, 0.0))
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    period = 2 * np.pi / np.sqrt(50.0 / 2.0)
+    motion = tj.simulate(mechanism, [0.0, period / 2, period], tolerance=1e-9)
+    np.testing.assert_allclose(
+        motion.displacement("mass")[:, 1], [0.0, 0.2, 0.0], atol=1e-7
+    )
+    still = tj.simulate(mechanism, [0.0, 1.0], start=tj.equilibrium(mechanism))
+    np.testing.assert_allclose(still.displacement("mass")[-1], [0, 0.1, 0], atol=1e-12)
+
+
+def test_misfits_are_saved_and_files_without_them_are_read(tmp_path):
+    file = tmp_path / "pair.json"
+    mechanism = pair()
+    tj.io.save_mechanism(mechanism, file)
+    loaded = tj.io.load_mechanism(file)
+    assert_close(loaded.misfit_of("h"), MISFIT, digits=15)
+    poses = random_poses(9)[0]
+    assert_close(loaded.energy(poses), mechanism.energy(poses), digits=14)
+    tj.io.save_mechanism(pair(None), file)
+    text = file.read_text()
+    older = text.replace('"twistorjax": 3', '"twistorjax": 2')
+    assert older != text
+    for line in ('"misfit": null', '"misfit":null'):
+        older = older.replace(f",{line}", "").replace(f", {line}", "")
+    file.write_text(older)
+    assert tj.io.load_mechanism(file).misfit_of("h") is None
+
+
+def test_a_misfit_beyond_the_range_of_a_surrogate_is_reported():
+    energy = tj.energies.WithValidityRange(
+        SPRING, rotation=0.1, force=1e6, error=[0.0, 0.0, 0.0]
+    )
+    bodies = [tj.Body("a"), tj.Body("b")]
+    hinge = tj.Hinge("h", "a", "b", energy, (0, 0, 0), misfit=(0.3, 0.0, 0.0))
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["a", "b"])
+    solution = tj.equilibrium(mechanism, throw=False)
+    assert str(tj.result_names(solution.result)) == "out_of_range"
+    with pytest.raises(RuntimeError, match=r"'h': its rotation is -0\.3 rad"):
+        tj.equilibrium(mechanism)
+
+
+@pytest.mark.parametrize(
+    ("misfit", "message"),
+    [
+        ((0.1, 0.2), r"`misfit` of the hinge 'h' has shape \(2,\)"),
+        ((0.0, np.nan, 0.0), "`misfit` of the hinge 'h' .* must be finite"),
+        ("ports", r"`misfit` of the hinge 'h' is 'ports', but .* if `ports` are given"),
+    ],
+)
+def test_invalid_misfits_are_reported(misfit, message):
+    with pytest.raises(ValueError, match=message):
+        tj.Hinge("h", "a", "b", SPRING, AT, misfit=misfit)
+
+
+def test_a_hinge_without_misfit_has_no_arrays_of_misfits():
+    """Programs of mechanisms without misfits do not compute them."""
+    fields = {field.name for field in dataclasses.fields(pair().hinge_assembly)}
+    assert "misfits" in fields
+    assert pair(None).hinge_assembly.misfits is None

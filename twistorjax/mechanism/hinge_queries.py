@@ -1,0 +1,163 @@
+"""Displacements, wrenches, and misfits of single hinges of a mechanism, by name."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.host import as_float, on_host
+from .._utils.types import Pose, Poses, PosesOrResult, Wrench
+from .._utils.validation import index_of
+from ..energies.base import range_message
+from ..geometry import se2
+from .hinge_assembly import HingeAssembly
+
+
+class HingeQueries(eqx.Module):
+    """Methods of a mechanism that describe one of its hinges."""
+
+    hinge_names: eqx.AbstractVar[tuple[str, ...]]
+    reference: eqx.AbstractVar[Poses]
+    at: eqx.AbstractVar[Float[Array, "hinges 3"]]
+    hinge_assembly: eqx.AbstractVar[HingeAssembly]
+
+    @abstractmethod
+    def displacements(
+        self, at: PosesOrResult, name: str = "poses", *, single: bool = False
+    ) -> Float[Array, "*batch bodies 3"]:
+        """Compute the displacements of the bodies from their reference poses."""
+
+    def displacement_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
+        """Compute the displacement of frame b of a hinge relative to its frame a.
+
+        Args:
+            hinge: Name of the hinge.
+            at: Equilibrium, motion, or poses of the bodies; rad, m, m. Prefer an
+                equilibrium or a motion: poses lose the digits of displacements that are
+                small compared with the positions.
+
+        Returns:
+            Angle, and translation along axes 1 and 2 of frame a; for a motion, one row
+            for each time; rad, m, m.
+
+        Raises:
+            ValueError: There is no hinge of this name, or the poses are not those of the
+                bodies.
+        """
+        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
+        return self._of_hinge(at, lambda poses: self._hinge_pose(row, poses))
+
+    def wrench_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
+        """Compute the wrench that body B exerts on a hinge, about frame b, in its axes.
+
+        Args:
+            hinge: Name of the hinge.
+            at: Equilibrium, motion, or poses of the bodies; rad, m, m. Prefer an
+                equilibrium or a motion: poses lose the digits of displacements that are
+                small compared with the positions.
+
+        Returns:
+            Moment, and force along axes 1 and 2 of frame b, which are the axial and the
+            transverse force of a leaf or a notch; for a motion, one row for each time;
+            N m, N, N.
+
+        Raises:
+            ValueError: There is no hinge of this name, the poses are not those of the
+                bodies, or the hinge is outside the validity range of its energy.
+        """
+        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
+        wrench = self.hinge_assembly.energy_of(row).wrench
+
+        def about_frame_b(poses: Poses) -> Wrench:
+            misfits = self.hinge_assembly.misfits
+            if misfits is None:
+                return wrench(self._hinge_pose(row, poses))
+            # The energy belongs to frame b displaced by half the inverse misfit.
+            angle, e1, e2, f1, f2 = misfits[row]
+            frame = jnp.stack([-angle, -e1 - f2, -e2 + f1]) / 2
+            pose = self._hinge_pose(row, poses, of_frames=False)
+            return se2.transform_wrench(frame, wrench(pose))
+
+        return self._of_hinge(at, about_frame_b)
+
+    def misfit_of(self, hinge: str) -> Pose | None:
+        """Return the displacement at which a hinge is not loaded.
+
+        Args:
+            hinge: Name of the hinge.
+
+        Returns:
+            Displacement (angle, x, y) of frame b relative to frame a; None if no hinge of
+            the mechanism has a misfit; rad, m, m.
+
+        Raises:
+            ValueError: There is no hinge of this name.
+        """
+        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
+        misfits = self.hinge_assembly.misfits
+        if misfits is None:
+            return None
+        numpy, (numbers,) = on_host(misfits[row])
+        angle, e1, e2, f1, f2 = numbers
+        cos, sin = numpy.cos(angle / 2), numpy.sin(angle / 2)
+        y1, y2 = cos * e1 + sin * f1, cos * e2 + sin * f2
+        return as_float(numpy.stack([angle, cos * y1 - sin * y2, cos * y2 + sin * y1]))
+
+    def _hinge_pose(self, row: int, displacements: Poses, of_frames: bool = True) -> Pose:
+        """Compute the displacement of a hinge, of its frames or with its misfit."""
+        at = self.hinge_assembly.displacement_of(row, displacements, of_frames)
+        x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
+        return jnp.stack([at.angle, 2 * x, 2 * y])
+
+    def _of_hinge(
+        self, at: PosesOrResult, function: Callable[[Poses], Pose]
+    ) -> Float[Array, "*batch 3"]:
+        """Evaluate a function of displacements, or of each of a batch of them."""
+        displacements = self.displacements(at, "at")
+        flat = displacements.reshape(-1, *self.reference.shape)
+        shape = (*displacements.shape[:-2], 3)
+        if len(flat) == 1:  # not traced, so that a value out of range raises an error
+            return function(flat[0]).reshape(shape)
+        return jax.vmap(function)(flat).reshape(shape)
+
+    def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
+        """Compute the poses of the two frames of a hinge in the world.
+
+        Args:
+            hinge: Name of the hinge.
+            poses: Poses of the bodies; rad, m, m.
+
+        Returns:
+            Poses of frame a on body A and of frame b on body B; rad, m, m.
+
+        Raises:
+            ValueError: There is no hinge of this name.
+        """
+        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
+        first, second = (
+            se2.compose(poses[body], se2.between(self.reference[body], self.at[row]))
+            for body in self.hinge_assembly.ends[row]
+        )
+        return first, second
+
+    def range_messages(self, poses: Poses) -> str:
+        """Describe the hinges whose displacement is outside their validity range.
+
+        Args:
+            poses: Poses of the bodies; rad, m, m.
+
+        Returns:
+            One sentence for each such hinge.
+        """
+        hinges, displacements = self.hinge_assembly, self.displacements(poses)
+        outside = np.asarray(hinges.out_of_range(displacements))
+        sentences = []
+        for row in map(int, np.flatnonzero(outside)):
+            at = hinges.displacement_of(row, displacements)
+            message = range_message(hinges.energy_of(row), at)
+            sentences.append(f"The hinge {self.hinge_names[row]!r}: {message}.")
+        return " ".join(sentences)

@@ -21,12 +21,14 @@ from .mechanism import (
     Body as Body,
     Constraint as Constraint,
     Drive as Drive,
+    Expansion as Expansion,
     Hinge as Hinge,
     Load as Load,
     Mechanism as Mechanism,
     Pin as Pin,
     plate as plate,
     Slider as Slider,
+    weights as weights,
 )
 from .plotting import animate as animate, draw as draw
 from .solve import (

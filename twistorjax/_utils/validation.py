@@ -178,6 +178,12 @@ def require_positive(name: str, value: NumberLike) -> Numbers:
     return require_interval(name, value, 0.0, largest, "must be positive and finite")
 
 
+def require_finite(name: str, value: NumberLike) -> Numbers:
+    """Require a finite number; NaN if it is traced and not finite."""
+    largest = float(np.finfo(float).max)
+    return require_interval(name, value, -np.inf, largest, "must be finite")
+
+
 def require_shape(
     name: str,
     value: ArrayOfNumbers | Sequence[Any],

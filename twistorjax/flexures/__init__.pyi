@@ -1,3 +1,4 @@
+from .actuator import piezo_stack as piezo_stack
 from .beam import Beam as Beam
 from .beam_solution import (
     beam_under_load as beam_under_load,

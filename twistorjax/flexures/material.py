@@ -3,7 +3,7 @@
 import equinox as eqx
 
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_interval, require_positive
+from .._utils.validation import require_finite, require_interval, require_positive
 
 
 class Material(eqx.Module):
@@ -13,10 +13,12 @@ class Material(eqx.Module):
         modulus: Young's modulus; Pa.
         poisson: Poisson's ratio.
         density: Density, which is only needed for masses; kg/m3.
+        expansion: Coefficient of thermal expansion, which is only needed for changes of
+            temperature; 1/K.
 
     Raises:
-        ValueError: The modulus or the density is not positive, or Poisson's ratio is not
-            between -1 and 0.5.
+        ValueError: The modulus or the density is not positive, Poisson's ratio is not
+            between -1 and 0.5, or the coefficient of expansion is not finite.
 
     Example:
         >>> aluminum = Material(modulus=69e9, poisson=0.33)
@@ -27,14 +29,22 @@ class Material(eqx.Module):
     modulus: Scalar
     poisson: Scalar
     density: Scalar | None
+    expansion: Scalar | None
 
     def __init__(
-        self, modulus: NumberLike, poisson: NumberLike, density: NumberLike | None = None
+        self,
+        modulus: NumberLike,
+        poisson: NumberLike,
+        density: NumberLike | None = None,
+        expansion: NumberLike | None = None,
     ):
         self.modulus = require_positive("`modulus`", modulus)
         requirement = "must be above -1 and at most 0.5"
         self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, requirement)
         self.density = None if density is None else require_positive("`density`", density)
+        self.expansion = None
+        if expansion is not None:
+            self.expansion = require_finite("`expansion`", expansion)
 
     @property
     def shear_modulus(self) -> Scalar:

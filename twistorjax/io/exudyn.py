@@ -37,7 +37,7 @@ def exudyn_script(
 
     Raises:
         ValueError: Double precision is disabled; a name is unknown; or a displacement is
-            prescribed twice or for a fixed coordinate.
+            prescribed twice or for a fixed coordinate; or a hinge has a misfit.
 
     Source:
         EXUDYN's `ObjectConnectorRigidBodySpringDamper`: github.com/jgerstmayr/EXUDYN.
@@ -50,6 +50,12 @@ def exudyn_script(
         True
     """
     require_float64(mechanism.reference)
+    if mechanism.hinge_assembly.misfits is not None:
+        raise ValueError(
+            "The mechanism has misfits, but the springs of the script are not loaded in "
+            "the reference configuration. Use a mechanism without misfits, strokes, and "
+            "changes of temperature."
+        )
     dofs, targets = prescribed_dofs(mechanism, drives)
     displacements = dict.fromkeys(mechanism.fixed, 0.0)
     displacements |= {dof: float(to) for dof, to in zip(dofs, targets, strict=True)}

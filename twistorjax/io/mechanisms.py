@@ -11,6 +11,7 @@ from ..energies.damping import ViscousDamping
 from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
 from ..mechanism.mechanism import COORDINATES, Mechanism
+from ..mechanism.misfits import Expansion
 from .energies import energy_from_record, energy_record
 
 
@@ -24,7 +25,8 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
             complete.
 
     Raises:
-        ValueError: Double precision is disabled; a hinge has an energy of another class;
+        ValueError: Double precision is disabled; the mechanism is that at another
+            temperature; a hinge has an energy of another class;
             a name cannot be written as UTF-8; or a value is not finite. Nothing is
             written.
         OSError: The file cannot be written.
@@ -41,6 +43,12 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
     from .records import write_record
 
     require_float64(mechanism.reference)
+    misfits = mechanism.hinge_assembly.misfits
+    if misfits is not None and np.any(np.asarray(misfits)[:, 3:]):
+        raise ValueError(
+            "The mechanism has been expanded by `at_temperature`, but a file contains a "
+            "mechanism before its expansion. Save that mechanism."
+        )
     bodies = [
         {
             "name": name,
@@ -48,6 +56,7 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
             "mass": mechanism.masses[row],
             "inertia": mechanism.inertias[row],
             "outline": mechanism.outlines[row],
+            "expansion": mechanism.expansions[row],
         }
         for row, name in enumerate(mechanism.names)
     ]
@@ -66,6 +75,7 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
                 "damping": damping,
                 "outline": mechanism.hinge_outlines[row],
                 "misfit": mechanism.misfit_of(name),
+                "expansion": mechanism.hinge_expansions[row],
             }
         )
     fixed: dict[str, list[str]] = {}
@@ -104,7 +114,16 @@ def load_mechanism(path: str | Path) -> Mechanism:
         for k, body in enumerate(record.bodies):
             entry = f"mechanism.bodies[{k}]"
             outline = _to_array(body.outline)
-            bodies.append(Body(body.name, body.pose, body.mass, body.inertia, outline))
+            bodies.append(
+                Body(
+                    body.name,
+                    body.pose,
+                    body.mass,
+                    body.inertia,
+                    outline,
+                    body.expansion,
+                )
+            )
         hinges, energies = [], {}
         for k, hinge in enumerate(record.hinges):
             entry = f"mechanism.hinges[{k}]"
@@ -121,6 +140,7 @@ def load_mechanism(path: str | Path) -> Mechanism:
                     damping=_damping_from_record(hinge.damping),
                     outline=_to_array(hinge.outline),
                     misfit=hinge.misfit,
+                    expansion=_expansion_from_record(hinge.expansion),
                 )
             )
         entry = "mechanism"
@@ -138,6 +158,11 @@ def _damping_from_record(record: Any) -> ViscousDamping | float | None:
     return ViscousDamping(
         np.array(record.damping), record.coordinates, resisted=record.resisted
     )
+
+
+def _expansion_from_record(record: Any) -> Expansion | None:
+    """Create the thermal expansion of a hinge from its record."""
+    return None if record is None else Expansion(record.coefficient, length=record.length)
 
 
 def _to_array(rows: Any) -> np.ndarray | None:

@@ -29,7 +29,7 @@ from ..energies.polynomial import LARGEST_POWER
 
 
 VERSION = 3
-_READABLE_VERSIONS = (2, VERSION)  # version 2 has no misfits
+_READABLE_VERSIONS = (2, VERSION)  # version 2 has neither misfits nor expansions
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -135,6 +135,12 @@ class Body(_Record, frozen=True):
     mass: float | None
     inertia: float | None
     outline: Corners | None
+    expansion: float | None = None
+
+
+class Expansion(_Record, frozen=True):
+    coefficient: float
+    length: float
 
 
 class Hinge(_Record, frozen=True):
@@ -146,6 +152,7 @@ class Hinge(_Record, frozen=True):
     damping: float | Damping | None  # A number is a damping time; s.
     outline: Corners | None
     misfit: Triple | None = None
+    expansion: Expansion | None = None
 
 
 class Mechanism(_Record, frozen=True):

@@ -14,6 +14,7 @@ from .._utils.types import (
 )
 from .._utils.validation import (
     require_corners,
+    require_finite,
     require_positive,
     require_row,
     require_text,
@@ -33,6 +34,8 @@ class Body(eqx.Module):
         inertia: Moment of inertia about the origin of the frame; needed for motion and
             vibrations only; kg m^2.
         outline: Corners of a closed polygon in the frame of the body, for drawing; m.
+        expansion: Coefficient of thermal expansion, by default zero; 1/K. At a change of
+            temperature the body expands about the origin of its frame.
 
     Raises:
         ValueError: A mass or a moment of inertia is not positive, a value is not finite,
@@ -44,6 +47,7 @@ class Body(eqx.Module):
     mass: Scalar | None
     inertia: Scalar | None
     outline: Corners | None
+    expansion: Scalar | None
 
     def __init__(
         self,
@@ -52,6 +56,7 @@ class Body(eqx.Module):
         mass: NumberLike | None = None,
         inertia: NumberLike | None = None,
         outline: CornersLike | None = None,
+        expansion: NumberLike | None = None,
     ):
         self.name = require_text("The name of a body", name)
         owner = f"of the body {name!r}"
@@ -63,6 +68,9 @@ class Body(eqx.Module):
         self.outline = None
         if outline is not None:
             self.outline = require_corners(f"`outline` {owner}", outline)
+        self.expansion = None
+        if expansion is not None:
+            self.expansion = require_finite(f"`expansion` {owner}", expansion)
 
 
 def plate(

@@ -20,6 +20,7 @@ from .._utils.validation import (
 from ..energies.base import AbstractEnergy, validation_error
 from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
+from .misfits import Expansion
 
 
 # Displacement (angle, x, y) at which a hinge is not loaded, or that of its ports; rad, m
@@ -52,6 +53,7 @@ class Hinge(eqx.Module):
             not coincide in the reference configuration, and the hinge is not loaded where
             they coincide. Preload and errors of assembly are misfits; rad, m, m.
         outline: Corners of a closed polygon in the frame of the hinge, for drawing; m.
+        expansion: Thermal `Expansion` of the hinge, by default none.
 
     Raises:
         ValueError: Both or neither of `at` and `ports` are given, a hinge connects a body
@@ -74,6 +76,7 @@ class Hinge(eqx.Module):
     misfit: Pose | None
     misfit_of_ports: bool = eqx.field(static=True)
     outline: Corners | None
+    expansion: Expansion | None
 
     def __init__(
         self,
@@ -87,6 +90,7 @@ class Hinge(eqx.Module):
         damping: DampingLike | None = None,
         misfit: MisfitLike | None = None,
         outline: CornersLike | None = None,
+        expansion: Expansion | None = None,
     ):
         self.name = require_text("The name of a hinge", name)
         self.first = require_text(f"`first` of the hinge {name!r}", first)
@@ -128,6 +132,7 @@ class Hinge(eqx.Module):
         self.outline = (
             None if outline is None else require_corners(f"`outline` {owner}", outline)
         )
+        self.expansion = expansion
 
 
 def _check_damping(
@@ -173,7 +178,7 @@ def frame_and_misfit(
     `first` and `second` are the reference poses of bodies A and B; rad, m, m.
 
     Returns:
-        The pose; rad, m, m. The five numbers of the `Misfit`, None if the hinge has none;
+        The pose; rad, m, m. The numbers of its `Misfit`, None if the hinge has none;
         rad, m, m, m, m.
 
     Raises:
@@ -209,9 +214,8 @@ def frame_and_misfit(
 
 
 def _misfit_numbers(pose: Pose) -> Float[Array, "5"]:
-    """Compute the five numbers of the `Misfit` of a displacement; rad, m, m, m, m."""
-    numpy, (known,) = on_host(pose)
+    """Compute the numbers of the `Misfit` of a displacement; rad, m, m, m, m."""
+    xp, (known,) = on_host(pose)
     angle, x, y = known
-    cos, sin, tan = numpy.cos(angle / 2), numpy.sin(angle / 2), numpy.tan(angle / 4)
-    e1, e2 = cos * x + sin * y, cos * y - sin * x
-    return as_float(numpy.stack([angle, e1, e2, tan * e1, tan * e2]))
+    cos, sin, zero = xp.cos(angle / 2), xp.sin(angle / 2), 0 * angle
+    return as_float(xp.stack([angle, cos * x + sin * y, cos * y - sin * x, zero, zero]))

@@ -15,7 +15,7 @@ from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
 from .assembly_tangent import AssemblyTangent
 from .hinge_groups import HingeGroup
-from .hinge_kinematics import Axis, End, mid_frame, Misfit, scale_misfit
+from .hinge_kinematics import Axis, End, mid_frame, Misfit
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
 
 
@@ -50,8 +50,8 @@ class HingeAssembly(eqx.Module):
             reference configuration and world axes; m.
         directions: Cosine and sine of the angle of each hinge in the reference
             configuration.
-        misfits: The five numbers of the `Misfit` of each hinge; None if there are none;
-            rad, m, m, m, m.
+        misfits: The five numbers of each hinge from which its `Misfit` is created; None
+            if there are none; rad, m, m, m, m.
         groups: Groups of hinges with the same kind of energy.
         sums: Energy and damping of each hinge whose energy is a sum; None for others.
     """
@@ -97,11 +97,10 @@ class HingeAssembly(eqx.Module):
         return jax.tree.unflatten(tree, member_leaves)
 
     def with_share_of_misfits(self, share: Scalar | float) -> "HingeAssembly":
-        """Multiply the rotation and the translation of all misfits by a number."""
+        """Multiply all misfits by a number."""
         if self.misfits is None:
             return self
-        misfits = scale_misfit(self.misfits, share)
-        return eqx.tree_at(lambda hinges: hinges.misfits, self, misfits)
+        return eqx.tree_at(lambda hinges: hinges.misfits, self, share * self.misfits)
 
     def displacement_of(
         self, row: int, displacements: Poses, of_frames: bool = False

@@ -73,20 +73,16 @@ class Misfit(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Float[Array, "*hinges 5"]) -> "Misfit":
-        """Create a misfit from its rotation, e, and f; rad, m, m, m, m."""
-        angle, *rest = jnp.moveaxis(numbers, -1, 0)
-        return cls(angle, jnp.cos(angle / 2), jnp.sin(angle / 2), *rest)
+        """Create a misfit from five numbers, to which further misfits may be added.
 
-
-def scale_misfit(
-    numbers: Float[Array, "*hinges 5"], share: Scalar | float
-) -> Float[Array, "*hinges 5"]:
-    """Multiply the rotation and the translation of misfits by a number from 0 to 1."""
-    angle, e, f = numbers[..., :1], numbers[..., 1:3], numbers[..., 3:]
-    # The part of f that keeps a misfit symmetric is not proportional to its rotation.
-    tan, scaled_tan = jnp.tan(angle / 4), jnp.tan(share * angle / 4)
-    scaled_f = share * (f + (scaled_tan - tan) * e)
-    return jnp.concatenate([share * angle, share * e, scaled_f], axis=-1)
+        The numbers are the rotation (rad) and the mid-frame translation (m, m) of the
+        misfit, and the distance (m, m) along both axes from the point of body A that the
+        misfit belongs to, to that of body B, in the reference configuration. The frames
+        of the hinge are halfway between these points.
+        """
+        angle, d1, d2, gap1, gap2 = jnp.moveaxis(numbers, -1, 0)
+        cos, sin, tan = jnp.cos(angle / 2), jnp.sin(angle / 2), jnp.tan(angle / 4)
+        return cls(angle, cos, sin, d1 - gap1, d2 - gap2, tan * d1, tan * d2)
 
 
 class Axis(NamedTuple):

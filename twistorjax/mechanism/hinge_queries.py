@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, on_host
-from .._utils.types import Pose, Poses, PosesOrResult, Wrench
+from .._utils.types import Pose, Poses, PosesOrResult, Scalar, Wrench
 from .._utils.validation import index_of
 from ..energies.base import range_message
 from ..geometry import se2
 from .hinge_assembly import HingeAssembly
+from .hinge_kinematics import Misfit
 
 
 class HingeQueries(eqx.Module):
@@ -77,12 +78,35 @@ class HingeQueries(eqx.Module):
             if misfits is None:
                 return wrench(self._hinge_pose(row, poses))
             # The energy belongs to frame b displaced by half the inverse misfit.
-            angle, e1, e2, f1, f2 = misfits[row]
-            frame = jnp.stack([-angle, -e1 - f2, -e2 + f1]) / 2
+            misfit = Misfit.of(misfits[row])
+            x, y = -misfit.e1 - misfit.f2, -misfit.e2 + misfit.f1
+            frame = jnp.stack([-misfit.angle, x, y]) / 2
             pose = self._hinge_pose(row, poses, of_frames=False)
             return se2.transform_wrench(frame, wrench(pose))
 
         return self._of_hinge(at, about_frame_b)
+
+    def energy_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch"]:
+        """Compute the energy that is stored in a hinge.
+
+        Args:
+            hinge: Name of the hinge.
+            at: Equilibrium, motion, or poses of the bodies; rad, m, m.
+
+        Returns:
+            The energy; for a motion, one for each time; J.
+
+        Raises:
+            ValueError: There is no hinge of this name, the poses are not those of the
+                bodies, or the hinge is outside the validity range of its energy.
+        """
+        row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
+        energy = self.hinge_assembly.energy_of(row)
+
+        def stored(poses: Poses) -> Scalar:
+            return energy(self._hinge_pose(row, poses, of_frames=False))
+
+        return self._of_hinge(at, stored)
 
     def misfit_of(self, hinge: str) -> Pose | None:
         """Return the displacement at which a hinge is not loaded.
@@ -101,11 +125,11 @@ class HingeQueries(eqx.Module):
         misfits = self.hinge_assembly.misfits
         if misfits is None:
             return None
-        numpy, (numbers,) = on_host(misfits[row])
-        angle, e1, e2, f1, f2 = numbers
-        cos, sin = numpy.cos(angle / 2), numpy.sin(angle / 2)
-        y1, y2 = cos * e1 + sin * f1, cos * e2 + sin * f2
-        return as_float(numpy.stack([angle, cos * y1 - sin * y2, cos * y2 + sin * y1]))
+        xp, (numbers,) = on_host(misfits[row])
+        angle, d1, d2, gap1, gap2 = numbers
+        cos, sin = xp.cos(angle / 2), xp.sin(angle / 2)
+        y1, y2 = d1 - cos * gap1, d2 - cos * gap2
+        return as_float(xp.stack([angle, cos * y1 - sin * y2, cos * y2 + sin * y1]))
 
     def _hinge_pose(self, row: int, displacements: Poses, of_frames: bool = True) -> Pose:
         """Compute the displacement of a hinge, of its frames or with its misfit."""
@@ -114,15 +138,15 @@ class HingeQueries(eqx.Module):
         return jnp.stack([at.angle, 2 * x, 2 * y])
 
     def _of_hinge(
-        self, at: PosesOrResult, function: Callable[[Poses], Pose]
-    ) -> Float[Array, "*batch 3"]:
+        self, at: PosesOrResult, function: Callable[[Poses], Array]
+    ) -> Float[Array, "..."]:
         """Evaluate a function of displacements, or of each of a batch of them."""
         displacements = self.displacements(at, "at")
         flat = displacements.reshape(-1, *self.reference.shape)
-        shape = (*displacements.shape[:-2], 3)
-        if len(flat) == 1:  # not traced, so that a value out of range raises an error
-            return function(flat[0]).reshape(shape)
-        return jax.vmap(function)(flat).reshape(shape)
+        # One state is not traced, so that a value out of range raises an error.
+        single = len(flat) == 1
+        values = function(flat[0])[None] if single else jax.vmap(function)(flat)
+        return values.reshape(*displacements.shape[:-2], *values.shape[1:])
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
         """Compute the poses of the two frames of a hinge in the world.

@@ -135,6 +135,46 @@ class Drive(eqx.Module):
         return tuple(name for name in COORDINATES if getattr(self, name) is not None)
 
 
+def weights(
+    mechanism: Mechanism, gravity: ForceLike = (0.0, -9.80665)
+) -> tuple[Load, ...]:
+    """Compute the weights of all bodies that can move.
+
+    Args:
+        mechanism: The mechanism. The origin of the frame of a body must be its center of
+            mass.
+        gravity: Acceleration along x and along y, or another force per mass; m/s^2.
+
+    Returns:
+        A load on each body that can move.
+
+    Raises:
+        ValueError: A body that can move has no mass, or a shape is wrong.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
+        >>> hinge = Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+        >>> bodies = [Body("wall"), Body("block", mass=2.0)]
+        >>> weights(Mechanism(bodies, [hinge], fixed=["wall"]))[0].wrench
+        Array([  0.    ,   0.    , -19.6133], dtype=float64)
+    """
+    field = require_row("`gravity`", gravity, "(along x, along y)", 2)
+    loads = []
+    for body, (name, mass) in enumerate(
+        zip(mechanism.names, mechanism.masses, strict=True)
+    ):
+        if {3 * body, 3 * body + 1, 3 * body + 2} <= set(mechanism.fixed):
+            continue
+        if mass is None:
+            raise ValueError(
+                f"The body {name!r} can move, but has no `mass`, and thus no weight."
+            )
+        _, (of_body, acceleration) = on_host(mass, field)
+        loads.append(Load(name, force=as_float(of_body * acceleration)))
+    return tuple(loads)
+
+
 class LoadSet(eqx.Module):
     """The sum of the loads on each body, as a function of its rotation.
 

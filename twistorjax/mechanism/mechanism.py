@@ -1,6 +1,7 @@
 """Mechanisms of rigid bodies that are connected by elastic hinges."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +12,10 @@ from .._utils.host import as_float, on_host
 from .._utils.types import (
     Corners,
     Displaced,
+    NamedNumbers,
+    NumberLike,
     Pose,
+    PoseLike,
     Poses,
     PosesOrResult,
     Scalar,
@@ -23,6 +27,7 @@ from .hinge import check_energy, frame_and_misfit, Hinge
 from .hinge_assembly import HingeAssembly
 from .hinge_groups import group_hinges, sums_of
 from .hinge_queries import HingeQueries
+from .misfits import expanded, Expansion, with_more_misfit
 
 
 COORDINATES = ("angle", "x", "y")
@@ -62,8 +67,10 @@ class Mechanism(HingeQueries):
     masses: tuple[Scalar | None, ...]
     inertias: tuple[Scalar | None, ...]
     outlines: tuple[Corners | None, ...]
+    expansions: tuple[Scalar | None, ...]
     at: Float[Array, "hinges 3"]
     hinge_outlines: tuple[Corners | None, ...]
+    hinge_expansions: tuple[Expansion | None, ...]
     hinge_assembly: HingeAssembly
 
     def __init__(
@@ -80,7 +87,9 @@ class Mechanism(HingeQueries):
         self.masses = tuple(body.mass for body in bodies)
         self.inertias = tuple(body.inertia for body in bodies)
         self.outlines = tuple(body.outline for body in bodies)
+        self.expansions = tuple(body.expansion for body in bodies)
         self.hinge_outlines = tuple(hinge.outline for hinge in hinges)
+        self.hinge_expansions = tuple(hinge.expansion for hinge in hinges)
         if not hinges:
             raise ValueError("`hinges` is empty, but a mechanism needs at least one.")
 
@@ -111,6 +120,66 @@ class Mechanism(HingeQueries):
             groups=group_hinges(hinges),
             sums=sums_of(hinges),
         )
+
+    def with_strokes(self, strokes: Mapping[str, PoseLike]) -> "Mechanism":
+        """Return the mechanism with strokes of actuators.
+
+        A stroke is a displacement by which the state is displaced in which a hinge is not
+        loaded. It is added to the misfit of the hinge.
+
+        Args:
+            strokes: A mapping from names of hinges to displacements (angle, x, y) of
+                frame b relative to frame a; rad, m, m.
+
+        Returns:
+            The mechanism.
+
+        Raises:
+            ValueError: There is no hinge of a name, or a shape is wrong.
+
+        Example:
+            >>> from twistorjax import Body, equilibrium, Hinge, Quadratic
+            >>> actuator = Quadratic(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
+            >>> hinge = Hinge("actuator", "wall", "block", actuator, at=(0, 0, 0))
+            >>> bodies = [Body("wall"), Body("block")]
+            >>> mechanism = Mechanism(bodies, [hinge], fixed=["wall"])
+            >>> moved = equilibrium(mechanism.with_strokes({"actuator": (0, 1e-3, 0)}))
+            >>> moved.displacement("block")[1]
+            Array(0.001, dtype=float64)
+        """
+        return with_more_misfit(self, strokes)
+
+    def at_temperature(
+        self,
+        change: NumberLike,
+        *,
+        bodies: NamedNumbers = MappingProxyType({}),
+        hinges: NamedNumbers = MappingProxyType({}),
+        gradients: NamedNumbers = MappingProxyType({}),
+    ) -> "Mechanism":
+        """Return the mechanism at another temperature.
+
+        Bodies expand about the origins of their frames. Hinges with an `expansion` become
+        longer, and bend at a gradient of the temperature. This changes their misfits.
+        Stiffnesses do not change.
+
+        Args:
+            change: Change of the temperature; K.
+            bodies: Changes of single bodies, by name, instead of `change`; K.
+            hinges: Changes of single hinges, by name, instead of `change`; K.
+            gradients: Gradients of the temperature along axis 2 of hinges, by name; K/m.
+
+        Returns:
+            The mechanism.
+
+        Raises:
+            ValueError: A name is unknown, or a value is not finite.
+
+        Source:
+            A hinge of length L becomes longer by `expansion * change * L`, and rotates by
+            `-expansion * gradient * L`.
+        """
+        return expanded(self, change, bodies, hinges, gradients)
 
     def index(self, name: str) -> int:
         """Return the row of a body in arrays of poses and wrenches.

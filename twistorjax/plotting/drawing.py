@@ -241,8 +241,7 @@ def _hinge_values(
             )
         poses_array, energies = jnp.asarray(poses), {}
         for row, name in enumerate(mechanism.hinge_names):
-            displacement = mechanism.displacement_of(name, poses_array)
-            energies[row] = float(mechanism.hinge_assembly.energy_of(row)(displacement))
+            energies[row] = float(mechanism.energy_of(name, poses_array))
         factor, unit = prefixed_unit("J", max(map(abs, energies.values())))
         scaled = {row: factor * energy for row, energy in energies.items()}
         return scaled, f"energy ({unit})"

@@ -1,16 +1,20 @@
 """Linearization of a mechanism about an equilibrium."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import concrete
-from .._utils.types import Flag, NumberLike, Poses, Scalar
+from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.support import require_support
@@ -25,10 +29,10 @@ from .system import System
 class Linearization(eqx.Module):
     """Linear map from small loads and prescribed displacements to the response.
 
-    Call it as `linear(loads=..., drives=..., throw=...)`. The tangent stiffness is
-    factorized once. A call returns an `Equilibrium`. Its displacements, reactions, and
-    constraint forces are the first-order changes from the equilibrium about which the
-    mechanism was linearized.
+    Call it as `linear(loads=..., drives=..., strokes=..., throw=...)`. The tangent
+    stiffness is factorized once. A call returns an `Equilibrium`. Its displacements,
+    reactions, and constraint forces are the first-order changes from the equilibrium
+    about which the mechanism was linearized.
 
     Its energy is half the product of displacements and forces. For a linearization about
     the reference configuration, this is the energy stored in the hinges. For one about a
@@ -64,6 +68,7 @@ class Linearization(eqx.Module):
         *,
         loads: Sequence[Load] = (),
         drives: Sequence[Drive] = (),
+        strokes: Mapping[str, PoseLike] = MappingProxyType({}),
         throw: bool = True,
     ) -> Equilibrium:
         """Compute the first-order response.
@@ -72,6 +77,8 @@ class Linearization(eqx.Module):
             loads: Small loads, in addition to those that act at the equilibrium.
             drives: Small prescribed displacements. They must be given for all coordinates
                 that were named as `prescribed` in `linearize`; rad, m.
+            strokes: Small strokes of actuators, by the names of their hinges; see
+                `Mechanism.with_strokes`; rad, m, m.
             throw: Whether a failure raises an error; otherwise it is reported by
                 `result`.
 
@@ -93,7 +100,8 @@ class Linearization(eqx.Module):
             )
         loaded_bodies(mechanism, loads)
         load_set = LoadSet.of(loads, mechanism.names, mechanism.reference)
-        change = _respond(self, load_set, targets, prescribed)
+        moved = mechanism.with_strokes(strokes).hinge_assembly if strokes else None
+        change = _respond(self, load_set, moved, targets, prescribed)
         return check_equilibrium(change) if throw else change
 
 
@@ -101,12 +109,18 @@ class Linearization(eqx.Module):
 def _respond(
     linear: Linearization,
     loads: LoadSet,
+    moved: HingeAssembly | None,
     targets: tuple[Scalar, ...],
     prescribed: tuple[int, ...],
 ) -> Equilibrium:
-    """Compute the response to loads, and to displacements (rad, m) of `prescribed`."""
+    """Compute the response to loads, and to displacements (rad, m) of `prescribed`.
+
+    The hinges after strokes of actuators are `moved`.
+    """
     mechanism, count = linear.mechanism, len(linear.dofs.free)
     applied, _ = loads.apply(linear.about - mechanism.reference)
+    if moved is not None:
+        applied = applied - _stroke_forces(linear, moved)
     applied = applied.reshape(-1)
     dofs = DofPartition(linear.dofs.total, linear.dofs.free, prescribed)
     imposed = dofs.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
@@ -142,6 +156,19 @@ def _respond(
         names=mechanism.names,
         constraint_names=linear.constraint_names,
     )
+
+
+def _stroke_forces(linear: Linearization, moved: HingeAssembly) -> Wrenches:
+    """Compute the forces of the hinges due to strokes, to first order; N m, N, N."""
+    displacements = linear.about - linear.mechanism.reference
+    assert moved.misfits is not None
+    before = linear.mechanism.hinge_assembly.misfits
+    before = jnp.zeros_like(moved.misfits) if before is None else before
+
+    def forces(misfits: Array) -> Wrenches:
+        return replace(moved, misfits=misfits).forces(displacements)
+
+    return jax.jvp(forces, (before,), (moved.misfits - before,))[1]
 
 
 def linearize(

@@ -148,14 +148,7 @@ def _stop_message(motion: "Motion", mechanism: Mechanism) -> str:
     speeds = np.linalg.norm(np.asarray(motion.velocities)[last, :, 1:], axis=1)
     fastest = mechanism.names[int(np.argmax(speeds))]
     poses = motion.poses[last]
-    energies = [
-        float(
-            mechanism.hinge_assembly.energy_of(row)(
-                mechanism.displacement_of(name, poses)
-            )
-        )
-        for row, name in enumerate(mechanism.hinge_names)
-    ]
+    energies = [float(mechanism.energy_of(name, poses)) for name in mechanism.hinge_names]
     largest = mechanism.hinge_names[int(np.argmax(energies))]
     return (
         f"{text} At {float(motion.times[last]):.6g} s the body {fastest!r} was the "

@@ -1,0 +1,259 @@
+"""Changes of temperature, strokes of actuators, and weights."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from helpers import assert_close
+
+import twistorjax as tj
+from twistorjax.geometry import se2
+
+
+STEEL = tj.Material(210e9, poisson=0.3, expansion=12e-6)
+LENGTH, THICKNESS, WIDTH, SPACING = 0.05, 0.5e-3, 0.01, 0.04
+LEAF = tj.flexures.leaf(STEEL, length=LENGTH, thickness=THICKNESS, width=WIDTH)
+GROWTH = tj.Expansion(STEEL, length=LENGTH)
+AREA = THICKNESS * WIDTH
+
+
+def guide(offset=0.0, expansion=STEEL.expansion):
+    """Return a table on two parallel leaves; its origin may be anywhere."""
+    bodies = [
+        tj.Body("base", (0.0, 0.01, -0.02), expansion=expansion),
+        tj.Body("table", (0.3, offset, LENGTH + offset), expansion=expansion),
+    ]
+    hinges = [
+        tj.Hinge(
+            name, "base", "table", LEAF, (np.pi / 2, x, LENGTH / 2), expansion=GROWTH
+        )
+        for name, x in (("left", -SPACING / 2), ("right", SPACING / 2))
+    ]
+    return tj.Mechanism(bodies, hinges, fixed=["base"])
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+def test_one_material_at_one_temperature_only_scales(offset):
+    change = 40.0
+    mechanism = guide(offset)
+    warm = mechanism.at_temperature(change)
+    found = tj.equilibrium(warm)
+    strain = 12e-6 * change
+    origins = mechanism.reference[:, 1:]
+    expected = strain * (origins[1] - origins[0])
+    np.testing.assert_allclose(found.displacement("table"), [0.0, *expected], atol=1e-17)
+    for name in ("left", "right"):
+        wrench = warm.wrench_of(name, found)
+        largest = 1e-12 * 210e9 * strain * AREA
+        assert np.all(np.abs(wrench[1:]) < largest)
+        assert abs(wrench[0]) < largest * LENGTH
+
+
+def test_gain_does_not_depend_on_a_uniform_temperature():
+    """The compliance in newtons per meter does not change if only misfits change."""
+
+    def compliance(mechanism):
+        load = tj.Load("table", force=(1e-3, 0.0))
+        state = tj.equilibrium(mechanism)
+        linear = tj.linearize(mechanism, about=state)
+        return linear(loads=[load]).displacement("table")[1]
+
+    mechanism = guide()
+    cold = tj.linearize(mechanism)(loads=[tj.Load("table", force=(1e-3, 0.0))])
+    warm = compliance(mechanism.at_temperature(1e-6))
+    assert_close(warm / cold.displacement("table")[1], 1.0, digits=11)
+
+
+def warm_leaf_energy(displacement, change):
+    """Energy of the two leaves, between clamped ends, one of which has grown."""
+    angle, x, y = displacement
+    total = 0.0
+    for position, growth in (
+        (-SPACING / 2, 12e-6 * change * LENGTH), (SPACING / 2, 0.0)
+    ):  # fmt: skip
+        frame = jnp.array([np.pi / 2, position, LENGTH / 2])
+        c, s = jnp.cos(angle), jnp.sin(angle)
+        px, py = position, -LENGTH / 2  # from the origin of the table
+        moved = jnp.stack(
+            [frame[0] + angle, x + c * px - s * py, y + LENGTH + s * px + c * py]
+        )
+        # Frames at the middle move apart by half the growth each.
+        a = frame + growth / 2 * jnp.array([0.0, 0.0, 1.0])
+        b = moved - growth / 2 * jnp.stack([0.0 * s, -s, c])
+        total += LEAF(se2.between(a, b))
+    return total
+
+
+def test_one_warm_leaf_tilts_the_table():
+    change = 30.0
+    mechanism = guide(expansion=None)
+    warm = mechanism.at_temperature(0.0, hinges={"left": change})
+    found = tj.equilibrium(warm)
+    first_order = -12e-6 * change * LENGTH / SPACING
+    assert_close(found.displacement("table")[0], first_order, digits=2)
+    scale = np.array([1e-3, 1e-5, 1e-5])
+    value = jax.jit(lambda free: warm_leaf_energy(scale * free, change))
+    best = scipy.optimize.minimize(
+        value, np.asarray(mechanism.displacements(found)[1]) / scale * 1.05,
+        jac=jax.jit(jax.grad(value)), hess=jax.jit(jax.hessian(value)),
+        method="trust-exact", options={"gtol": 1e-14},
+    )  # fmt: skip
+    # The origin of the table of the test is the middle of its leaves.
+    table = se2.between(mechanism.reference[1], jnp.array([0.0, 0.0, LENGTH]))
+    moved = se2.compose(found.pose("table"), table)
+    np.testing.assert_allclose(
+        moved - jnp.array([0.0, 0.0, LENGTH]), scale * best.x, rtol=1e-8, atol=1e-15
+    )
+
+
+def cantilever(elements):
+    """Return a chain of leaves, 6 m long and 0.4 m deep, clamped at the left."""
+    size = 6.0 / elements
+    leaf = tj.Quadratic(np.diag([1.0 / size, 1e6 / size, 12.0 / size**3]))
+    growth = tj.Expansion(1.2e-5, length=size)
+    bodies = [tj.Body(str(k), (0.0, k * size, 0.0)) for k in range(elements + 1)]
+    hinges = [
+        tj.Hinge(
+            str(k), str(k), str(k + 1), leaf, (0.0, (k + 0.5) * size, 0.0),
+            expansion=growth,
+        )
+        for k in range(elements)
+    ]  # fmt: skip
+    return tj.Mechanism(bodies, hinges, fixed=["0"])
+
+
+@pytest.mark.parametrize(
+    ("share", "deflection"), [(lambda x: 1.0, 10.80e-3), (lambda x: x, 3.600e-3)]
+)
+def test_a_gradient_of_the_temperature_bends_a_cantilever(share, deflection):
+    """A difference of 20 K over the depth; deflections alpha dT L^2 / (2 h) and / (6 h).
+
+    The beam bends away from its warmer side.
+    """
+    elements = 100
+    gradients = {
+        str(k): share((k + 0.5) / elements) * 20.0 / 0.4 for k in range(elements)
+    }
+    found = tj.equilibrium(cantilever(elements).at_temperature(0.0, gradients=gradients))
+    assert_close(found.displacement("100")[2], -deflection, digits=4)
+
+
+def test_drift_per_kelvin_is_a_derivative():
+    def height(change):
+        mechanism = guide(expansion=None)
+        warm = mechanism.at_temperature(change, hinges={"left": 2 * change})
+        return tj.equilibrium(warm).displacement("table")
+
+    drift = jax.jacrev(height)(0.0)
+    step = 1e-2
+    difference = (height(step) - height(-step)) / (2 * step)
+    np.testing.assert_allclose(drift, difference, rtol=1e-6, atol=1e-15)
+    assert_close(drift[0], -12e-6 * LENGTH / SPACING, digits=6)
+
+
+def test_expansions_are_saved(tmp_path):
+    file = tmp_path / "guide.json"
+    mechanism = guide()
+    tj.io.save_mechanism(mechanism, file)
+    loaded = tj.io.load_mechanism(file)
+    for before, after in zip(
+        jax.tree.leaves(mechanism.at_temperature(3.0)),
+        jax.tree.leaves(loaded.at_temperature(3.0)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(before, after)
+    with pytest.raises(ValueError, match="has been expanded by `at_temperature`"):
+        tj.io.save_mechanism(mechanism.at_temperature(3.0), file)
+
+
+def stage_on_piezo(stiffness=1e6):
+    """Return a block on a spring that a piezo stack drives."""
+    stack = tj.flexures.piezo_stack(
+        free_stroke=15e-6, blocking_force=800.0, length=18e-3, width=5e-3
+    )
+    spring = tj.Quadratic(jnp.diag(jnp.array([1e3, stiffness, 1e6])))
+    hinges = [
+        tj.Hinge("piezo", "base", "block", stack, (0.0, -0.01, 0.0)),
+        tj.Hinge("spring", "block", "base", spring, (0.0, 0.01, 0.0)),
+    ]
+    return tj.Mechanism([tj.Body("base"), tj.Body("block")], hinges, fixed=["base"])
+
+
+def test_stroke_of_a_piezo_stack_against_a_spring():
+    """The stroke is x0 kp / (kp + k), on the load line of the stack."""
+    stiff, spring = 800.0 / 15e-6, 1e6
+    mechanism = stage_on_piezo(spring)
+    driven = mechanism.with_strokes({"piezo": (0.0, 15e-6, 0.0)})
+    found = tj.equilibrium(driven)
+    stroke = 15e-6 * stiff / (stiff + spring)
+    assert_close(found.displacement("block")[1] / stroke, 1.0, digits=10)
+    force = -driven.wrench_of("piezo", found)[1]
+    assert_close(force, 800.0 * (1 - stroke / 15e-6), digits=10)
+    linear = tj.linearize(mechanism)(strokes={"piezo": (0.0, 15e-6, 0.0)})
+    assert_close(linear.displacement("block")[1] / stroke, 1.0, digits=10)
+    gain = jax.grad(
+        lambda x: tj.equilibrium(
+            mechanism.with_strokes({"piezo": (0.0, x, 0.0)})
+        ).displacement("block")[1]
+    )(0.0)
+    assert_close(gain, stiff / (stiff + spring), digits=10)
+
+
+def test_linear_response_to_strokes_is_the_derivative_at_a_loaded_equilibrium():
+    mechanism = stage_on_piezo().with_strokes({"piezo": (0.0, 10e-6, 1e-6)})
+    state = tj.equilibrium(mechanism)
+    change = {"piezo": (1e-6, 2e-6, -1e-6), "spring": (0.0, 1e-6, 0.0)}
+    linear = tj.linearize(mechanism, about=state)(strokes=change)
+
+    def displaced(share):
+        strokes = {name: share * np.array(stroke) for name, stroke in change.items()}
+        moved = mechanism.with_strokes(strokes)
+        return tj.equilibrium(moved, start=state).displacements
+
+    difference = (displaced(0.1) - displaced(-0.1)) / 0.1
+    scale = 1e-6
+    np.testing.assert_allclose(
+        linear.displacements / scale, difference / 2 / scale, atol=1e-6
+    )
+
+
+def test_weights_hang_a_mechanism_from_its_springs():
+    spring = tj.Quadratic(np.diag([2.0, 50.0, 80.0]))
+    hinge = tj.Hinge("h", "wall", "mass", spring, (0, 0, 0))
+    bodies = [tj.Body("wall"), tj.Body("mass", mass=2.0, inertia=0.5)]
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    found = tj.equilibrium(mechanism, loads=tj.weights(mechanism, gravity=(0.0, -9.81)))
+    assert_close(found.displacement("mass"), [0.0, 0.0, -2.0 * 9.81 / 80.0])
+    assert len(tj.weights(mechanism)) == 1
+    assert_close(found.reaction("wall")[2], 2.0 * 9.81)
+    with pytest.raises(ValueError, match="'table' can move, but has no `mass`"):
+        tj.weights(guide())
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: guide().at_temperature(np.nan), "`change` is nan, but must be finite"),
+        (
+            lambda: guide().at_temperature(1.0, bodies={"lid": 1.0}),
+            "`bodies` names the body 'lid', but the bodies are 'base', 'table'",
+        ),
+        (
+            lambda: guide().with_strokes({"piezo": (0, 0, 0)}),
+            "`strokes` names the hinge 'piezo', but the hinges are 'left', 'right'",
+        ),
+        (
+            lambda: tj.Expansion(tj.Material(1.0, 0.3), length=1.0),
+            "The material has no `expansion`",
+        ),
+        (lambda: tj.Expansion(1e-6, length=0.0), "`length` is 0, but must be positive"),
+        (
+            lambda: tj.io.exudyn_script(guide().at_temperature(1.0)),
+            "The mechanism has misfits, but the springs of the script",
+        ),
+    ],
+)
+def test_invalid_changes_are_reported(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

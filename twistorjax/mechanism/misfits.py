@@ -1,0 +1,158 @@
+"""Changes of the misfits of a mechanism: strokes of actuators, and thermal expansion."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
+
+from .._utils.host import as_float, on_host
+from .._utils.types import NamedNumbers, NumberLike, PoseLike, Scalar
+from .._utils.validation import (
+    index_of,
+    require_finite,
+    require_positive,
+    require_row,
+)
+from ..flexures.material import Material
+
+
+if TYPE_CHECKING:
+    from .mechanism import Mechanism
+
+
+# Material with a coefficient of thermal expansion, or this coefficient; 1/K
+ExpansionLike = TypeAliasType("ExpansionLike", Material | NumberLike)
+
+
+class Expansion(eqx.Module):
+    """Thermal expansion of a hinge between its two clamped ends.
+
+    Args:
+        material: Material with its coefficient of thermal expansion, or this coefficient;
+            1/K.
+        length: Free length of the hinge along axis 1, in the middle of which its frames
+            are; m.
+
+    Raises:
+        ValueError: The material has no coefficient, the coefficient is not finite, or the
+            length is not positive.
+
+    Example:
+        >>> Expansion(12e-6, length=0.05).coefficient
+        Array(1.2e-05, dtype=float64)
+    """
+
+    coefficient: Scalar
+    length: Scalar
+
+    def __init__(self, material: ExpansionLike, *, length: NumberLike):
+        coefficient: Any = material
+        if isinstance(material, Material):
+            if material.expansion is None:
+                raise ValueError(
+                    "The material has no `expansion`, but a hinge needs a coefficient of "
+                    "thermal expansion (1/K): `Material(..., expansion=12e-6)`."
+                )
+            coefficient = material.expansion
+        self.coefficient = require_finite("`material`", coefficient)
+        self.length = require_positive("`length`", length)
+
+
+def with_more_misfit(
+    mechanism: "Mechanism", strokes: Mapping[str, PoseLike]
+) -> "Mechanism":
+    """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
+    rows: list[Any] = [np.zeros(3) for _ in mechanism.hinge_names]
+    for name, stroke in strokes.items():
+        row = index_of("`strokes`", "hinge", name, mechanism.hinge_names)
+        where = f"`strokes` of the hinge {name!r}"
+        rows[row] = require_row(where, stroke, "(angle, x, y)")
+    xp, values = on_host(*rows)
+    angle, x, y = xp.stack(values, axis=1)
+    cos, sin = xp.cos(angle / 2), xp.sin(angle / 2)
+    along, across = cos * x + sin * y, cos * y - sin * x
+    change = xp.stack([angle, along, across, 0 * along, 0 * along], axis=1)
+    return _with_misfits(mechanism, as_float(change))
+
+
+def expanded(
+    mechanism: "Mechanism",
+    change: NumberLike,
+    bodies: NamedNumbers,
+    hinges: NamedNumbers,
+    gradients: NamedNumbers,
+) -> "Mechanism":
+    """Expand bodies and hinges; see `Mechanism.at_temperature`."""
+    of_bodies = _by_name("`bodies`", "body", bodies, mechanism.names, change)
+    of_hinges = _by_name("`hinges`", "hinge", hinges, mechanism.hinge_names, change)
+    across = _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0)
+    coefficients = [0.0 if value is None else value for value in mechanism.expansions]
+    of_hinge = [
+        (0.0, 0.0) if value is None else (value.coefficient, value.length)
+        for value in mechanism.hinge_expansions
+    ]
+    assembly = mechanism.hinge_assembly
+    count = len(mechanism.hinge_names)
+    parts = [*of_bodies, *coefficients, *of_hinges, *across]
+    parts += [number for pair in of_hinge for number in pair]
+    xp, (at, arms, directions, *numbers) = on_host(
+        mechanism.at, assembly.arms, assembly.directions, *parts
+    )
+    values = xp.stack(numbers)
+    bodies_end = 2 * len(mechanism.names)
+    strains = xp.prod(values[:bodies_end].reshape(2, -1), axis=0)
+    temperatures, slopes = values[bodies_end : bodies_end + 2 * count].reshape(2, count)
+    coefficient, length = values[bodies_end + 2 * count :].reshape(count, 2).T
+    ends = np.array(assembly.ends).reshape(-1, 2)
+    # The clamped ends of a hinge, not its middle, move with the bodies.
+    to_clamp = np.array([-0.5, 0.5])[None, :, None] * length[:, None, None]
+    clamps = arms + to_clamp * directions[:, None]
+    moved = strains[ends][:, :, None] * clamps
+    middle, gap = xp.sum(moved, axis=1) / 2, moved[:, 1] - moved[:, 0]
+    cos, sin = directions.T
+    gap_along = cos * gap[:, 0] + sin * gap[:, 1]
+    gap_across = cos * gap[:, 1] - sin * gap[:, 0]
+    growth, rotation = coefficient * length * temperatures, coefficient * length * slopes
+    warm = eqx.tree_at(
+        lambda warm: (warm.at, warm.hinge_assembly.arms),
+        mechanism,
+        (
+            as_float(xp.concatenate([at[:, :1], at[:, 1:] + middle], axis=1)),
+            as_float(arms + middle[:, None]),
+        ),
+    )
+    columns = [-rotation, growth, 0 * growth, gap_along, gap_across]
+    return _with_misfits(warm, as_float(xp.stack(columns, axis=1)))
+
+
+def _by_name(
+    argument: str,
+    noun: str,
+    given: NamedNumbers,
+    names: Sequence[str],
+    default: NumberLike,
+) -> list[Any]:
+    """Return a number for each name."""
+    values: list[Any] = [require_finite("`change`", default)] * len(names)
+    for name, value in given.items():
+        where = f"{argument} of the {noun} {name!r}"
+        values[index_of(argument, noun, name, names)] = require_finite(where, value)
+    return values
+
+
+def _with_misfits(
+    mechanism: "Mechanism", change: Float[Array, "hinges 5"]
+) -> "Mechanism":
+    """Add to the numbers of the misfits; rad, m, m, m, m."""
+    old = mechanism.hinge_assembly.misfits
+    zero = np.zeros(change.shape)
+    _, (numbers, increment) = on_host(zero if old is None else old, change)
+    return eqx.tree_at(
+        lambda mechanism: mechanism.hinge_assembly.misfits,
+        mechanism,
+        as_float(numbers + increment),
+        is_leaf=lambda leaf: leaf is None,
+    )

@@ -61,17 +61,29 @@ class Expansion(eqx.Module):
         self.length = require_positive("`length`", length)
 
 
-def with_more_misfit(
+def stroke_rows(
     mechanism: "Mechanism", strokes: Mapping[str, PoseLike]
-) -> "Mechanism":
-    """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
+) -> Float[Array, "hinges 3"]:
+    """Arrange strokes (rad, m, m) in rows, which are zero for hinges without a stroke.
+
+    Raises:
+        ValueError: There is no hinge of a name, or a shape is wrong.
+    """
     rows: list[Any] = [np.zeros(3) for _ in mechanism.hinge_names]
     for name, stroke in strokes.items():
         row = index_of("`strokes`", "hinge", name, mechanism.hinge_names)
         where = f"`strokes` of the hinge {name!r}"
         rows[row] = require_row(where, stroke, "(angle, x, y)")
     xp, values = on_host(*rows)
-    angle, x, y = xp.stack(values, axis=1)
+    return as_float(xp.stack(values))
+
+
+def with_more_misfit(
+    mechanism: "Mechanism", strokes: Mapping[str, PoseLike]
+) -> "Mechanism":
+    """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
+    xp, (rows,) = on_host(stroke_rows(mechanism, strokes))
+    angle, x, y = rows.T
     cos, sin = xp.cos(angle / 2), xp.sin(angle / 2)
     along, across = cos * x + sin * y, cos * y - sin * x
     change = xp.stack([angle, along, across, 0 * along, 0 * along], axis=1)

@@ -14,9 +14,9 @@ from .._utils.host import concrete
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
-from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.misfits import stroke_rows
 from ..mechanism.support import require_support
 from .consistency import consistent, inconsistency
 from .dofs import DofPartition
@@ -100,8 +100,8 @@ class Linearization(eqx.Module):
             )
         loaded_bodies(mechanism, loads)
         load_set = LoadSet.of(loads, mechanism.names, mechanism.reference)
-        moved = mechanism.with_strokes(strokes).hinge_assembly if strokes else None
-        change = _respond(self, load_set, moved, targets, prescribed)
+        rows = stroke_rows(mechanism, strokes) if strokes else None
+        change = _respond(self, load_set, rows, targets, prescribed)
         return check_equilibrium(change) if throw else change
 
 
@@ -109,18 +109,15 @@ class Linearization(eqx.Module):
 def _respond(
     linear: Linearization,
     loads: LoadSet,
-    moved: HingeAssembly | None,
+    strokes: Float[Array, "hinges 3"] | None,
     targets: tuple[Scalar, ...],
     prescribed: tuple[int, ...],
 ) -> Equilibrium:
-    """Compute the response to loads, and to displacements (rad, m) of `prescribed`.
-
-    The hinges after strokes of actuators are `moved`.
-    """
+    """Compute the response to loads, strokes, and prescribed displacements; rad, m."""
     mechanism, count = linear.mechanism, len(linear.dofs.free)
     applied, _ = loads.apply(linear.about - mechanism.reference)
-    if moved is not None:
-        applied = applied - _stroke_forces(linear, moved)
+    if strokes is not None:
+        applied = applied - _stroke_forces(linear, strokes)
     applied = applied.reshape(-1)
     dofs = DofPartition(linear.dofs.total, linear.dofs.free, prescribed)
     imposed = dofs.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
@@ -158,17 +155,17 @@ def _respond(
     )
 
 
-def _stroke_forces(linear: Linearization, moved: HingeAssembly) -> Wrenches:
+def _stroke_forces(linear: Linearization, strokes: Float[Array, "hinges 3"]) -> Wrenches:
     """Compute the forces of the hinges due to strokes, to first order; N m, N, N."""
+    hinges = linear.mechanism.hinge_assembly
     displacements = linear.about - linear.mechanism.reference
-    assert moved.misfits is not None
-    before = linear.mechanism.hinge_assembly.misfits
-    before = jnp.zeros_like(moved.misfits) if before is None else before
+    change = jnp.concatenate([strokes, jnp.zeros((len(strokes), 2))], axis=1)
+    misfits = jnp.zeros_like(change) if hinges.misfits is None else hinges.misfits
 
     def forces(misfits: Array) -> Wrenches:
-        return replace(moved, misfits=misfits).forces(displacements)
+        return replace(hinges, misfits=misfits).forces(displacements)
 
-    return jax.jvp(forces, (before,), (moved.misfits - before,))[1]
+    return jax.jvp(forces, (misfits,), (change,))[1]
 
 
 def linearize(

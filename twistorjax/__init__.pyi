@@ -32,6 +32,7 @@ from .mechanism import (
 )
 from .plotting import animate as animate, draw as draw
 from .solve import (
+    constraint_analysis as constraint_analysis,
     Equilibrium as Equilibrium,
     equilibrium as equilibrium,
     frequency_response as frequency_response,
@@ -39,6 +40,7 @@ from .solve import (
     Linearization as Linearization,
     linearize as linearize,
     Motion as Motion,
+    port_compliance as port_compliance,
     result_names as result_names,
     RESULTS as RESULTS,
     simulate as simulate,

@@ -1,4 +1,8 @@
 from .collocation import Gauss as Gauss, Radau as Radau
+from .constraint_analysis import (
+    constraint_analysis as constraint_analysis,
+    ConstraintAnalysis as ConstraintAnalysis,
+)
 from .dynamics import simulate as simulate
 from .frequency_response import (
     frequency_response as frequency_response,
@@ -6,6 +10,10 @@ from .frequency_response import (
 )
 from .linearization import Linearization as Linearization, linearize as linearize
 from .motion import Energies as Energies, Motion as Motion
+from .port_compliance import (
+    port_compliance as port_compliance,
+    PortCompliance as PortCompliance,
+)
 from .progress import ProgressBar as ProgressBar
 from .results import result_names as result_names, RESULTS as RESULTS
 from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium

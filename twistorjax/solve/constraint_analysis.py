@@ -1,0 +1,234 @@
+"""Mechanisms and over-constraints: motions and stresses that stiff hinges allow."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.types import NumberLike, Poses
+from .._utils.validation import require_float64
+from ..geometry.twistors import Displacement
+from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.hinge_forces import displacement_at, hinge_coordinates
+from ..mechanism.mechanism import COORDINATES, Mechanism
+from .dofs import DofPartition
+from .statics import state_in_range, StateLike
+from .system import System
+
+
+_DIRECTIONS = ("moment", "axial force", "transverse force")
+# Singular values, and entries of vectors, below this fraction are rounding errors.
+_ROUNDING = 1e-9
+
+
+class ConstraintAnalysis(NamedTuple):
+    """Motions that no stiff direction resists, and states of self-stress.
+
+    Args:
+        motions: Displacements of the bodies in each independent motion that no stiff
+            direction resists. The largest coordinate of each motion is 1, with
+            translations divided by `length`; -, -, -.
+        self_stresses: Forces in the stiff directions of each independent state of
+            self-stress, the largest of which is 1. Such forces are in equilibrium without
+            loads: the mechanism is over-constrained.
+        directions: Name of each stiff direction, such as "axial force of 'left'".
+        length: Characteristic length of the mechanism; m.
+        names: Names of the bodies.
+    """
+
+    motions: Float[np.ndarray, "motions bodies 3"]
+    self_stresses: Float[np.ndarray, "states directions"]
+    directions: tuple[str, ...]
+    length: float
+    names: tuple[str, ...]
+
+    @property
+    def moving_bodies(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the bodies that move in each motion."""
+        return tuple(
+            tuple(
+                name
+                for name, row in zip(self.names, motion, strict=True)
+                if np.any(np.abs(row) > _ROUNDING)
+            )
+            for motion in self.motions
+        )
+
+    @property
+    def releases(self) -> tuple[tuple[str, ...], ...]:
+        """Stiff directions of which one must be released, for each self-stress."""
+        return tuple(
+            tuple(
+                name
+                for name, force in zip(self.directions, state, strict=True)
+                if abs(force) > _ROUNDING
+            )
+            for state in self.self_stresses
+        )
+
+    def __repr__(self) -> str:
+        def count(number: int, noun: str) -> str:
+            return f"{number} {noun}{'' if number == 1 else 's'}"
+
+        lines = [
+            f"{count(len(self.motions), 'motion')} that no stiff direction resists, "
+            f"{count(len(self.self_stresses), 'over-constraint')}"
+        ]
+        for motion, bodies in zip(self.motions, self.moving_bodies, strict=True):
+            body, coordinate = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
+            lines.append(
+                f"motion of {', '.join(map(repr, bodies))}, mainly "
+                f"{COORDINATES[coordinate]} of {self.names[body]!r}"
+            )
+        lines += [
+            f"over-constraint: release one of {', '.join(directions)}"
+            for directions in self.releases
+        ]
+        return "\n".join(lines)
+
+
+def constraint_analysis(
+    mechanism: Mechanism,
+    *,
+    ratio: float = 1e-3,
+    about: StateLike | None = None,
+    constraints: Sequence[AbstractConstraint] = (),
+    prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
+    time: NumberLike = 0.0,
+) -> ConstraintAnalysis:
+    """Find motions that no stiff direction of a hinge resists, and over-constraints.
+
+    The stiff directions of hinges are taken as rigid, and the others as free. A direction
+    of a hinge is stiff if its stiffness is at least the `ratio` times the largest one of
+    the mechanism. Rotational stiffnesses are divided by the square of the characteristic
+    length. For leaves of equal length, the ratio of transverse to axial stiffness is
+    (thickness / length)^2, so that only their axial direction is stiff by default.
+
+    Args:
+        mechanism: The mechanism. It may have bodies without support.
+        ratio: Ratio of stiffnesses above which a direction is stiff.
+        about: Equilibrium or poses at which the mechanism is analyzed; by default the
+            reference configuration; rad, m, m.
+        constraints: Constraints between the bodies, which are rigid.
+        prescribed: Coordinates with prescribed displacements, which cannot move; see
+            `linearize`.
+        time: Time at which time-dependent constraints are evaluated; s.
+
+    Returns:
+        The motions and the states of self-stress, by the names of bodies and hinges.
+
+    Raises:
+        ValueError: The ratio is not between 0 and 1, or a name is unknown.
+
+    Source:
+        Motions are the null space of the matrix of the constraint rows, and states of
+        self-stress that of its transpose: Pellegrino and Calladine, Int. J. Solids
+        Structures 22, 1986.
+
+    Example:
+        >>> import numpy as np
+        >>> from twistorjax import Body, Hinge, Quadratic
+        >>> leaf = Quadratic(np.diag([1.0, 1e8, 1e4]))
+        >>> hinges = [
+        ...     Hinge(name, "base", "table", leaf, at=(np.pi / 2, x, 0.0))
+        ...     for name, x in (("left", -0.1), ("middle", 0.0), ("right", 0.1))
+        ... ]
+        >>> bodies = [Body("base"), Body("table")]
+        >>> constraint_analysis(Mechanism(bodies, hinges, fixed=["base"]))
+        1 motion that no stiff direction resists, 1 over-constraint
+        motion of 'table', mainly x of 'table'
+        over-constraint: release one of axial force of 'left', axial force of 'middle',
+        axial force of 'right'
+    """
+    require_float64(mechanism.reference)
+    if not 0 < ratio < 1:
+        raise ValueError(f"`ratio` is {ratio!r}, but must be between 0 and 1.")
+    held = set(mechanism.dofs_of("prescribed", prescribed)) - set(mechanism.fixed)
+    dofs = DofPartition.of(mechanism, sorted(held))
+    system = System.of(mechanism, dofs, (), constraints, time)
+    state = state_in_range(mechanism, "about", about)
+    rows, stiffness = map(np.asarray, _hinge_matrices(mechanism, state))
+    length = float(system.units()[1])
+    units = np.array([length, 1.0, 1.0])
+    scaled = stiffness / (units[:, None] * units)
+    values, vectors = np.linalg.eigh(scaled)
+    column_units = np.where(np.array(dofs.free, int) % 3, length, 1.0)
+    stiff, names = [], []
+    largest = np.max(np.abs(values), initial=0.0)
+    for k, name in enumerate(mechanism.hinge_names):
+        for value, vector in zip(values[k], vectors[k].T, strict=True):
+            if value >= ratio * largest:
+                row = (vector * units) @ rows[k][:, dofs.free] * column_units
+                stiff.append(row / length)
+                names.append(f"{_DIRECTIONS[np.argmax(np.abs(vector))]} of {name!r}")
+    jacobian = np.asarray(system.jacobian(state))[:, dofs.free] * column_units
+    for name, row in zip(system.constraints.names(), jacobian, strict=True):
+        stiff.append(row / max(np.linalg.norm(row), np.finfo(float).tiny))
+        names.append(f"constraint {name!r}")
+    matrix = np.array(stiff).reshape(len(names), len(dofs.free))
+    free_motions = _sparse_null_space(matrix)
+    motions = np.zeros((len(free_motions), dofs.total))
+    motions[:, list(dofs.free)] = free_motions
+    return ConstraintAnalysis(
+        motions=motions.reshape(-1, len(mechanism.names), 3),
+        self_stresses=_sparse_null_space(matrix.T),
+        directions=tuple(names),
+        length=length,
+        names=mechanism.names,
+    )
+
+
+@eqx.filter_jit
+def _hinge_matrices(
+    mechanism: Mechanism, displacements: Poses
+) -> tuple[Float[Array, "hinges 3 dofs"], Float[Array, "hinges 3 3"]]:
+    """Differentiate the coordinates of each hinge, and compute its stiffness in them."""
+    hinges, rows = mechanism.hinge_assembly, range(len(mechanism.hinge_names))
+
+    def at(row: int, flat: Array) -> Displacement:
+        return hinges.displacement_of(row, flat.reshape(displacements.shape))
+
+    def coordinates(flat: Array) -> Float[Array, "hinges 3"]:
+        return jnp.stack([jnp.stack(hinge_coordinates(at(row, flat))) for row in rows])
+
+    flat = displacements.reshape(-1)
+    matrices = []
+    for row in rows:
+        energy, displacement = hinges.energy_of(row), at(row, flat)
+
+        def stored(values: Array, energy=energy, displacement=displacement) -> Array:
+            angle, y1, y2 = values
+            return energy.stored_energy(displacement_at(displacement, (angle, y1, y2)))
+
+        center = jnp.stack(hinge_coordinates(displacement))
+        matrices.append(jax.hessian(stored)(center))
+    return jax.jacfwd(coordinates)(flat), jnp.stack(matrices)
+
+
+def _sparse_null_space(
+    matrix: Float[np.ndarray, "rows columns"],
+) -> Float[np.ndarray, "vectors columns"]:
+    """Compute a basis of the null space whose vectors have many zeros.
+
+    The orthonormal basis is reduced to row echelon form, with the largest entries as
+    pivots.
+    """
+    columns = matrix.shape[1]
+    if not matrix.size:
+        return np.eye(columns)
+    _, values, rows = np.linalg.svd(matrix)
+    rank = int(np.sum(values > _ROUNDING * max(values[0], np.finfo(float).tiny)))
+    basis = rows[rank:].copy()
+    for k in range(len(basis)):
+        rest = np.abs(basis[k:])
+        row, pivot = np.unravel_index(np.argmax(rest), rest.shape)
+        basis[[k, k + row]] = basis[[k + row, k]]
+        basis[k] /= basis[k, pivot]
+        others = np.arange(len(basis)) != k
+        basis[others] -= basis[others, pivot][:, None] * basis[k]
+    basis[np.abs(basis) < _ROUNDING] = 0.0
+    return basis / np.max(np.abs(basis), axis=1, keepdims=True, initial=0.0)

@@ -1,0 +1,183 @@
+"""Compliance and stiffness of a mechanism at a port: a frame on one of its bodies."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.host import all_concrete
+from .._utils.types import BatchScalar, Matrix, NumberLike, Pose, PoseLike
+from .._utils.validation import index_of, require_row
+from ..geometry import se2
+from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.loads import Load
+from ..mechanism.mechanism import Mechanism
+from .linearization import Linearization, linearize
+from .statics import StateLike
+
+
+class PortCompliance(eqx.Module):
+    """Compliance of a mechanism at a port, a frame on one of its bodies.
+
+    Args:
+        compliance: Displacements (angle, x, y) of the port for unit wrenches (moment, fx,
+            fy) about it, in the axes of the port; rad/(N m), rad/N, m/N.
+        body: Name of the body.
+    """
+
+    compliance: Float[Array, "*batch 3 3"]
+    body: str = eqx.field(static=True)
+
+    @property
+    def stiffness(self) -> Float[Array, "*batch 3 3"]:
+        """Stiffness at the port, the inverse of the compliance; N m/rad, N/rad, N/m."""
+        return jnp.linalg.inv(self.compliance)
+
+    @property
+    def center(self) -> Float[Array, "*batch 2"]:
+        """Center of compliance, as seen from the port; m.
+
+        A moment rotates the port about this point, and a force through this point
+        displaces it without rotation.
+        """
+        rotation = self.compliance[..., 0, 0]
+        x, y = self.compliance[..., 1, 0], self.compliance[..., 2, 0]
+        return jnp.stack([-y / rotation, x / rotation], axis=-1)
+
+    @property
+    def rotational_stiffness(self) -> BatchScalar:
+        """Moment per rotation of the free port; N m/rad."""
+        return 1 / self.compliance[..., 0, 0]
+
+    @property
+    def principal_stiffnesses(self) -> Float[Array, "*batch 2"]:
+        """Translational stiffnesses at the center, the larger one first; N/m."""
+        return 1 / self._principal()[0]
+
+    @property
+    def principal_directions(self) -> Float[Array, "*batch 2 2"]:
+        """Directions of the principal stiffnesses in the axes of the port, in rows."""
+        return jnp.swapaxes(self._principal()[1], -1, -2)
+
+    def _principal(self) -> tuple[Array, Array]:
+        """Compute principal compliances and directions of forces through the center."""
+        rotation = self.compliance[..., 0, 0]
+        coupling = self.compliance[..., 1:, 0]
+        outer = coupling[..., :, None] * coupling[..., None, :]
+        at_center = self.compliance[..., 1:, 1:] - outer / rotation[..., None, None]
+        values, vectors = jnp.linalg.eigh(at_center)
+        return values, vectors
+
+    def __repr__(self) -> str:
+        known = all_concrete([self.compliance])
+        if known is None or known[0].ndim > 2:
+            return eqx.tree_pformat(self)
+        center, stiffness = np.asarray(self.center), np.asarray(self.stiffness)
+        first, second = np.asarray(self.principal_stiffnesses)
+        x, y = np.asarray(self.principal_directions)[0]
+        direction = np.degrees(np.arctan2(y, x))
+        lines = [
+            f"port on {self.body!r}: center of compliance at ({center[0]:.6g}, "
+            f"{center[1]:.6g}) m",
+            f"rotational stiffness     {float(self.rotational_stiffness):.6g} N m/rad",
+            f"principal stiffnesses    {first:.6g} N/m at {direction % 180:.4g} degrees, "
+            f"{second:.6g} N/m across",
+            "stiffness at the port    (N m/rad, N/rad, N/m)",
+        ]
+        lines += [" ".join(f"{value:>14.6g}" for value in row) for row in stiffness]
+        return "\n".join(lines)
+
+
+def port_compliance(
+    mechanism: Mechanism,
+    body: str,
+    at: PoseLike = (0.0, 0.0, 0.0),
+    *,
+    prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
+    about: StateLike | None = None,
+    loads: Sequence[Load] = (),
+    constraints: Sequence[AbstractConstraint] = (),
+    time: NumberLike = 0.0,
+) -> PortCompliance:
+    """Compute the compliance at a port, about an equilibrium.
+
+    Args:
+        mechanism: The mechanism.
+        body: Name of the body of the port.
+        at: Pose of the port in the frame of its body; rad, m, m.
+        prescribed: Coordinates with prescribed displacements, which do not move; see
+            `linearize`.
+        about: Equilibrium or poses; by default the reference configuration; rad, m, m.
+        loads: Loads that act at this equilibrium.
+        constraints: Constraints between the bodies.
+        time: Time at which time-dependent constraints are evaluated; s.
+
+    Returns:
+        The compliance. It is NaN if the equilibrium is not stable.
+
+    Raises:
+        ValueError: There is no body of this name, a coordinate of the body is fixed or
+            prescribed, or `linearize` raises an error.
+
+    Source:
+        In the plane, the center of compliance is the point at which rotation and
+        translation decouple: Lipkin and Patterson, Trans. ASME, J. Mech. Des. 114, 1992.
+
+    Example:
+        >>> from twistorjax import Body, Hinge, Quadratic
+        >>> spring = Quadratic(jnp.diag(jnp.array([2.0, 50.0, 80.0])))
+        >>> hinge = Hinge("spring", "base", "table", spring, at=(0, 0.1, 0))
+        >>> bodies = [Body("base"), Body("table")]
+        >>> mechanism = Mechanism(bodies, [hinge], fixed=["base"])
+        >>> port_compliance(mechanism, "table")
+        port on 'table': center of compliance at (0.1, 0) m
+        rotational stiffness     2 N m/rad
+        principal stiffnesses    80 N/m at 90 degrees, 50 N/m across
+        stiffness at the port    (N m/rad, N/rad, N/m)
+                   2.8              0              8
+                     0             50              0
+                     8              0             80
+    """
+    row = index_of("`body`", "body", body, mechanism.names)
+    frame = require_row("`at`", at, "(angle, x, y)")
+    linear = linearize(
+        mechanism, prescribed, about=about, loads=loads, constraints=constraints,
+        time=time,
+    )  # fmt: skip
+    held = [3 * row + k for k in range(3) if 3 * row + k not in linear.dofs.free]
+    if held:
+        names = " and ".join(mechanism.dof_name(dof) for dof in held)
+        raise ValueError(
+            f"The port is on {body!r}, but {names} cannot move, so its compliance has no "
+            "inverse. Choose another body, or free this coordinate."
+        )
+    return PortCompliance(_compliance(linear, row, frame), body)
+
+
+@eqx.filter_jit
+def _compliance(linear: Linearization, body: int, frame: Pose) -> Matrix:
+    """Compute the compliance of a frame on a body, in the axes of the frame."""
+    pose = linear.about[body]
+    arm = se2.rotate(pose[0], frame[1:])
+    axis = pose[0] + frame[0]
+    cos, sin = jnp.cos(axis), jnp.sin(axis)
+    # Derivatives of the displacement of the frame with respect to those of its body.
+    one, zero = jnp.ones_like(cos), jnp.zeros_like(cos)
+    rows = jnp.stack(
+        [
+            jnp.stack([one, zero, zero]),
+            jnp.stack([sin * arm[0] - cos * arm[1], cos, sin]),
+            jnp.stack([cos * arm[0] + sin * arm[1], -sin, cos]),
+        ]
+    )
+    free = np.array(linear.dofs.free, int)
+    columns = [int(np.flatnonzero(free == 3 * body + k)[0]) for k in range(3)]
+    size = len(free) + len(linear.constraint_names)
+    forces = jnp.zeros((3, size)).at[:, np.array(columns)].set(rows)
+    response = jax.vmap(linear.factors.solve)(forces)
+    compliance = response[:, np.array(columns)] @ rows.T
+    usable = linear.factors.is_stable() & linear.finite & linear.consistent
+    return jnp.where(usable, (compliance + compliance.T) / 2, jnp.nan)

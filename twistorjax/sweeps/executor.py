@@ -35,8 +35,8 @@ def default_chunk_size(count: int, mesh: Mesh | None) -> int:
 
     Returns:
         The size of a chunk, which is a power of two, so that sweeps over other numbers of
-        designs use the same program. In a large sweep, the padding of the last chunk
-        takes at most an eighth of the time.
+        designs use the same program. With more designs than the smallest chunk has, the
+        padding of the last chunk is at most a quarter of the designs, if possible.
     """
     devices = jax.devices()[:1] if mesh is None else list(mesh.devices.flat)
     per_device = -(-count // len(devices))
@@ -44,7 +44,10 @@ def default_chunk_size(count: int, mesh: Mesh | None) -> int:
     smallest, largest = _CPU_CHUNK_SIZES if on_cpu else _ACCELERATOR_CHUNK_SIZES
     if per_device <= smallest:
         return 1 << (per_device - 1).bit_length()
-    return min(largest, max(smallest, 1 << (per_device // 8).bit_length() - 1))
+    size = largest
+    while size > smallest and -per_device % size > per_device / 4:
+        size //= 2
+    return size
 
 
 class Program:

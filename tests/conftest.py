@@ -33,20 +33,34 @@ def run(tmp_path_factory):
     return CommandLine(tmp_path_factory.mktemp("run"))
 
 
-@pytest.fixture
-def run_here(monkeypatch, capsys):
-    """Run `twistorjax` in this process, which is faster."""
+class CommandLineHere:
+    """Calls of the command line in this process, which is faster.
 
-    # Not before the plugin of jaxtyping has prepared the import of the package.
-    from twistorjax.cli.app import main
+    Args:
+        folder: Folder in which the commands run.
+        monkeypatch: Fixture of pytest.
+        capsys: Fixture of pytest.
+    """
 
-    def run_here(*arguments):
-        monkeypatch.setattr(sys, "argv", ["twistorjax", *arguments])
+    def __init__(self, folder, monkeypatch, capsys):
+        self.folder, self.monkeypatch, self.capsys = folder, monkeypatch, capsys
+
+    def __call__(self, *arguments):
+        """Run `twistorjax` in this process."""
+        # Not before the plugin of jaxtyping has prepared the import of the package.
+        from twistorjax.cli.app import main
+
+        self.monkeypatch.setattr(sys, "argv", ["twistorjax", *arguments])
         with pytest.raises(SystemExit) as exit_info:
             main()
-        out, err = capsys.readouterr()
+        out, err = self.capsys.readouterr()
         code = exit_info.value.code
         assert isinstance(code, int)
         return subprocess.CompletedProcess(arguments, code, out, err)
 
-    return run_here
+
+@pytest.fixture
+def run_here(tmp_path, monkeypatch, capsys):
+    """Run `twistorjax` in this process, in a folder of the test."""
+    monkeypatch.chdir(tmp_path)
+    return CommandLineHere(tmp_path, monkeypatch, capsys)

@@ -80,8 +80,8 @@ def test_stage_draws_the_mechanism(run, name):
     assert (run.folder / name).stat().st_size > 10_000
 
 
-def test_the_transient_response_of_the_stage_ends_at_its_static_gain(run):
-    done = run("stage", "--transient", "--step", "--json", "--plot", "transient.png")
+def test_the_transient_response_of_the_stage_ends_at_its_static_gain(run_here):
+    done = run_here("stage", "--transient", "--step", "--json", "--plot", "transient.png")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert abs(result["gain"] - result["static_gain"]) < 1e-8 * result["gain"]
@@ -138,19 +138,19 @@ def test_fit_energy_reports_trials_that_determine_no_coefficient(run_here, tmp_p
     assert done.returncode == 2 and "The axial force of all" in done.stderr
 
 
-def test_random_data_warns_that_the_fit_interpolates(run):
-    done = run("random-data", "--json", "--plot", "random.png")
+def test_random_data_warns_that_the_fit_interpolates(run_here):
+    done = run_here("random-data", "--json", "--plot", "random.png")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert (result["terms"], result["value_count"], result["rank"]) == (69, 51, 51)
     assert max(result["largest_error_training"]) < 2.6e-5
     assert min(result["relative_error_held_out"]) > 1
     assert "the fit interpolates" in result["warning"]
-    assert (run.folder / "random.png").stat().st_size > 10_000
+    assert (run_here.folder / "random.png").stat().st_size > 10_000
 
 
-def test_water_compares_its_fits(run):
-    done = run("water", "--order", "4", "--json", "--plot", "water.png")
+def test_water_compares_its_fits(run_here):
+    done = run_here("water", "--order", "4", "--json", "--plot", "water.png")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert (result["fitted"], result["held_out"]) == (500, 2000)
@@ -161,11 +161,11 @@ def test_water_compares_its_fits(run):
         "regularized rational",
     ]
     assert errors["regularized rational"] < errors["polynomial"] / 10
-    assert (run.folder / "water.png").stat().st_size > 10_000
+    assert (run_here.folder / "water.png").stat().st_size > 10_000
 
 
-def test_identify_finds_the_true_stiffnesses(run):
-    done = run("identify", "--json", "--seed", "2")
+def test_identify_finds_the_true_stiffnesses(run_here):
+    done = run_here("identify", "--json", "--seed", "2")
     result = json.loads(done.stdout)
     for name, true in result["true"].items():
         error = abs(result["estimates"][name] - true)
@@ -187,9 +187,9 @@ def test_an_exported_model_can_be_exported_again(run_here, tmp_path, suffix):
         assert out.read_bytes() == model.read_bytes()
 
 
-def test_a_sweep_can_be_resumed(run):
+def test_a_sweep_can_be_resumed(run_here):
     command = ("sweep", "stage", "--web", "0.1e-3:0.4e-3:31", "--chunk", "8", "--json")
-    done = run(*command, "--out", "stage.zarr", "--plot", "gains.png")
+    done = run_here(*command, "--out", "stage.zarr", "--plot", "gains.png")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     # the fitted stiffness of a notch is negative below a ratio of web to hole of 0.0157
@@ -197,22 +197,22 @@ def test_a_sweep_can_be_resumed(run):
     gain = result["outputs"]["gain"]
     np.testing.assert_allclose(gain["minimum"], 20.5625079, rtol=1e-7)
     assert result["outputs"]["gain_by_web"]["unit"] == "1/m"
-    assert (run.folder / "gains.png").stat().st_size > 10_000
-    resumed = run(*command, "--out", "stage.zarr", "--resume")
+    assert (run_here.folder / "gains.png").stat().st_size > 10_000
+    resumed = run_here(*command, "--out", "stage.zarr", "--resume")
     assert json.loads(resumed.stdout)["outputs"] == result["outputs"]
-    repeated = run(*command, "--out", "stage.zarr")
+    repeated = run_here(*command, "--out", "stage.zarr")
     assert repeated.returncode == 2 and repeated.stdout == ""
     assert "Continue it with --resume" in repeated.stderr
     assert repeated.stderr.count("\n") == 1
 
 
-def test_resuming_a_sweep_repairs_damaged_files(run):
+def test_resuming_a_sweep_repairs_damaged_files(run_here):
     command = ("sweep", "stage", "--web", "0.3e-3:0.4e-3:6", "--chunk", "3", "--json")
-    first = run(*command, "--out", "damaged.zarr")
+    first = run_here(*command, "--out", "damaged.zarr")
     for damaged in ("finished/sums/c/1", "web/c/0"):
-        file = run.folder / "damaged.zarr" / damaged
+        file = run_here.folder / "damaged.zarr" / damaged
         file.write_bytes(bytes(3))
-        resumed = run(*command, "--out", "damaged.zarr", "--resume")
+        resumed = run_here(*command, "--out", "damaged.zarr", "--resume")
         assert (resumed.returncode, resumed.stderr) == (0, "")
         assert resumed.stdout == first.stdout
         assert len(file.read_bytes()) > 3

@@ -38,13 +38,13 @@ def test_invalid_input_of_stage(run_here, arguments, message):
     assert_usage_error(run_here("stage", *arguments), message)
 
 
-def test_a_web_that_the_formula_does_not_allow(run):
+def test_a_web_that_the_formula_does_not_allow(run_here):
     message = "cannot be used with holes of 3 mm: `web / hole` is 0.000333333"
-    assert_usage_error(run("stage", "--web", "1e-6"), message)
+    assert_usage_error(run_here("stage", "--web", "1e-6"), message)
 
 
-def test_an_input_displacement_without_equilibrium_is_a_failure(run):
-    done = run("stage", "--input", "1.0", "--json")
+def test_an_input_displacement_without_equilibrium_is_a_failure(run_here):
+    done = run_here("stage", "--input", "1.0", "--json")
     assert done.returncode == 1
     assert done.stderr.startswith("twistorjax: --input 1: No equilibrium")
     assert "(fraction 0.0" in done.stderr
@@ -153,16 +153,16 @@ def test_a_folder_that_is_no_store(run):
     assert_usage_error(done, "'empty' is not a store of a sweep")
 
 
-def test_a_store_that_cannot_be_used(run):
+def test_a_store_that_cannot_be_used(run_here):
     """One store is damaged, and one is in a folder that is not writable."""
-    sums = run.folder / "damaged" / "finished" / "sums"
+    sums = run_here.folder / "damaged" / "finished" / "sums"
     sums.mkdir(parents=True)
     (sums / "manifest.json").write_text("{}")
     for out, message in (
         ("damaged", "The store 'damaged' is damaged: its file 'finished/sums/manifest"),
         ("/proc/s.zarr", "The store '/proc/s.zarr' cannot be written: "),
     ):
-        done = run("sweep", "stage", "--web", "0.3e-3", "--out", out)
+        done = run_here("sweep", "stage", "--web", "0.3e-3", "--out", out)
         assert done.returncode == 1 and done.stdout == ""
         assert done.stderr.startswith(f"twistorjax: {message}")
         assert done.stderr.count("\n") == 1
@@ -253,8 +253,8 @@ def test_an_error_in_the_program_is_not_hidden(run_here, monkeypatch):
         (("stage", "--transient", "--input", "1e300"), "--input 1e+300: No equilibrium"),
     ],
 )
-def test_numbers_near_the_limits_of_double_precision(run, arguments, message):
-    done = run(*arguments)
+def test_numbers_near_the_limits_of_double_precision(run_here, arguments, message):
+    done = run_here(*arguments)
     assert done.returncode in (1, 2)
     assert done.stderr.startswith("twistorjax: ") and done.stderr.count("\n") == 1
     assert message in done.stderr

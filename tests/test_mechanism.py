@@ -334,3 +334,27 @@ def test_invalid_plates_are_reported(corners, density, message):
     material = tj.Material(modulus=1.0, poisson=0.3, density=density)
     with pytest.raises(ValueError, match=message):
         tj.plate("p", corners, width=1.0, material=material)
+
+
+@pytest.mark.parametrize(
+    ("build", "name"),
+    [
+        (lambda: tj.Body("a", (90.0, 0.0, 0.0)), "The angle of `pose` of the body 'a'"),
+        (
+            lambda: tj.Hinge("h", "a", "b", tj.Quadratic(jnp.eye(3)), (90.0, 0.0, 0.0)),
+            "The angle of `at` of the hinge 'h'",
+        ),
+        (lambda: tj.Drive("a", angle=90.0), "`angle` of the drive of 'a'"),
+    ],
+)
+def test_angles_in_degrees_are_noticed(build, name):
+    with pytest.warns(
+        UserWarning, match=rf"{name} is 90 rad.*90 degrees are 1\.5708 rad"
+    ):
+        build()
+
+
+@pytest.mark.parametrize("modulus", [210.0, 210e18])
+def test_moduli_of_no_solid_are_noticed(modulus):
+    with pytest.warns(UserWarning, match="a thousand times off every solid"):
+        tj.Material(modulus, poisson=0.3)

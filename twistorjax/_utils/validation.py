@@ -7,6 +7,7 @@ not known, so most functions return it unchanged.
 """
 
 import importlib
+import warnings
 from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any, TypeVar
@@ -240,6 +241,27 @@ def require_row(
 ) -> Float[Array, " size"]:
     """Require a finite vector of `size` numbers, which the message calls `entries`."""
     return require_array(name, value, (size,), f"be {entries}")
+
+
+def require_pose(name: str, value: NumbersLike) -> Float[Array, "3"]:
+    """Require a finite pose or displacement (angle, x, y), and check its angle."""
+    pose = require_row(name, value, "(angle, x, y)")
+    known = concrete(pose)
+    if known is not None:
+        warn_if_degrees(f"The angle of {name}", known[0])
+    return pose
+
+
+def warn_if_degrees(name: str, angle: NumberLike) -> None:
+    """Warn if an angle that is not traced is more than a full turn; rad."""
+    known = concrete(angle)
+    if known is not None and np.any(np.abs(known) > 2 * np.pi):
+        value = float(known)
+        warnings.warn(
+            f"{name} is {value:g} rad, more than a full turn. Angles are in radians: "
+            f"{value:g} degrees are {np.radians(value):.6g} rad.",
+            stacklevel=4,
+        )
 
 
 def require_corners(

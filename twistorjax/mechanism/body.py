@@ -15,8 +15,8 @@ from .._utils.types import (
 from .._utils.validation import (
     require_corners,
     require_finite,
+    require_pose,
     require_positive,
-    require_row,
     require_text,
 )
 from ..flexures.material import Material
@@ -60,7 +60,7 @@ class Body(eqx.Module):
     ):
         self.name = require_text("The name of a body", name)
         owner = f"of the body {name!r}"
-        self.pose = require_row(f"`pose` {owner}", pose, "(angle, x, y)")
+        self.pose = require_pose(f"`pose` {owner}", pose)
         self.mass, self.inertia = (
             None if value is None else require_positive(f"`{argument}` {owner}", value)
             for argument, value in (("mass", mass), ("inertia", inertia))

@@ -19,7 +19,13 @@ from .._utils.types import (
     Poses,
     Scalar,
 )
-from .._utils.validation import index_of, require_kind, require_row, require_text
+from .._utils.validation import (
+    index_of,
+    require_kind,
+    require_pose,
+    require_row,
+    require_text,
+)
 from ..geometry import se2
 from .mechanism import Mechanism
 
@@ -162,7 +168,7 @@ class Slider(AbstractConstraint):
     def __init__(self, name: str, first: str, second: str, at: PoseLike):
         self.name = require_text("The name of a slider", name)
         self.bodies = _two_bodies("slider", name, first, second)
-        self.at = require_row(f"`at` of the slider {name!r}", at, "(angle, x, y)")
+        self.at = require_pose(f"`at` of the slider {name!r}", at)
 
     def violation(
         self, poses: Poses, references: Poses, time: Scalar

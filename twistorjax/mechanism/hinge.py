@@ -14,7 +14,7 @@ from .._utils.types import Corners, CornersLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
     require_corners,
     require_interval,
-    require_row,
+    require_pose,
     require_text,
 )
 from ..energies.base import AbstractEnergy, validation_error
@@ -112,10 +112,10 @@ class Hinge(eqx.Module):
         owner = f"of the hinge {name!r}"
         self.at = self.ports = None
         if at is not None:
-            self.at = require_row(f"`at` {owner}", at, "(angle, x, y)")
+            self.at = require_pose(f"`at` {owner}", at)
         if ports is not None:
             on_first, on_second = (
-                require_row(f"`ports[{k}]` {owner}", port, "(angle, x, y)")
+                require_pose(f"`ports[{k}]` {owner}", port)
                 for k, port in enumerate(ports)
             )
             self.ports = on_first, on_second
@@ -128,7 +128,7 @@ class Hinge(eqx.Module):
                     'x, y), or "ports" if `ports` are given.'
                 )
         elif misfit is not None:
-            self.misfit = require_row(f"`misfit` {owner}", misfit, "(angle, x, y)")
+            self.misfit = require_pose(f"`misfit` {owner}", misfit)
         self.outline = (
             None if outline is None else require_corners(f"`outline` {owner}", outline)
         )

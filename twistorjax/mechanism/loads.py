@@ -20,7 +20,12 @@ from .._utils.types import (
     Wrenches,
     WrenchLike,
 )
-from .._utils.validation import index_of, require_kind, require_row
+from .._utils.validation import (
+    index_of,
+    require_kind,
+    require_row,
+    warn_if_degrees,
+)
 from .mechanism import COORDINATES, Mechanism
 
 
@@ -128,6 +133,8 @@ class Drive(eqx.Module):
             else _number(f"`{name}` of the drive of {body!r}", value)
             for name, value in values.items()
         )
+        if self.angle is not None:
+            warn_if_degrees(f"`angle` of the drive of {body!r}", self.angle)
 
     @property
     def coordinates(self) -> tuple[str, ...]:

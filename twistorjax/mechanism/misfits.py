@@ -13,8 +13,8 @@ from .._utils.types import NamedNumbers, NumberLike, PoseLike, Scalar
 from .._utils.validation import (
     index_of,
     require_finite,
+    require_pose,
     require_positive,
-    require_row,
 )
 from ..flexures.material import Material
 
@@ -73,7 +73,7 @@ def stroke_rows(
     for name, stroke in strokes.items():
         row = index_of("`strokes`", "hinge", name, mechanism.hinge_names)
         where = f"`strokes` of the hinge {name!r}"
-        rows[row] = require_row(where, stroke, "(angle, x, y)")
+        rows[row] = require_pose(where, stroke)
     xp, values = on_host(*rows)
     return as_float(xp.stack(values))
 

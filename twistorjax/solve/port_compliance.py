@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._utils.host import all_concrete
 from .._utils.types import BatchScalar, Matrix, NumberLike, Pose, PoseLike
-from .._utils.validation import index_of, require_row
+from .._utils.validation import index_of, require_pose
 from ..geometry import se2
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
@@ -142,7 +142,7 @@ def port_compliance(
                      8              0             80
     """
     row = index_of("`body`", "body", body, mechanism.names)
-    frame = require_row("`at`", at, "(angle, x, y)")
+    frame = require_pose("`at`", at)
     linear = linearize(
         mechanism, prescribed, about=about, loads=loads, constraints=constraints,
         time=time,

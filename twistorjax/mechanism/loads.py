@@ -213,21 +213,21 @@ class LoadSet(eqx.Module):
         bodies = np.array([names.index(load.body) for load in loads])
         followers = np.array([load.follower for load in loads])
         actions = [value for load in loads for value in (load.wrench, load.at)]
-        numpy, (poses, *actions) = on_host(reference, *actions)
-        moment, fx, fy = numpy.stack(actions[::2], axis=1)
-        x, y = numpy.stack(actions[1::2], axis=1)
-        cos, sin = numpy.cos(poses[bodies, 0]), numpy.sin(poses[bodies, 0])
+        xp, (poses, *actions) = on_host(reference, *actions)
+        moment, fx, fy = xp.stack(actions[::2], axis=1)
+        x, y = xp.stack(actions[1::2], axis=1)
+        cos, sin = xp.cos(poses[bodies, 0]), xp.sin(poses[bodies, 0])
         zero, turned_x, turned_y = 0 * fx, cos * fx - sin * fy, sin * fx + cos * fy
         of_followers = [moment + x * fy - y * fx, *4 * (zero,), turned_x, turned_y]
         x, y = cos * x - sin * y, sin * x + cos * y
         others = [moment, fx, fy, x * fy - y * fx, x * fx + y * fy, zero, zero]
-        of_loads = numpy.where(
+        of_loads = xp.where(
             followers[:, None],
-            numpy.stack(of_followers, axis=1),
-            numpy.stack(others, axis=1),
+            xp.stack(of_followers, axis=1),
+            xp.stack(others, axis=1),
         )
         chosen = np.arange(len(names))[:, None, None] == bodies[:, None]
-        sums = numpy.sum(numpy.where(chosen, of_loads[None], 0.0), axis=1)
+        sums = xp.sum(xp.where(chosen, of_loads[None], 0.0), axis=1)
         return cls(sums, present=True, conservative=not followers.any())
 
     def apply(self, displacements: Poses) -> tuple[Wrenches, Wrenches]:

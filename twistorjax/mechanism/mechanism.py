@@ -27,7 +27,7 @@ from .hinge import check_energy, frame_and_misfit, Hinge
 from .hinge_assembly import HingeAssembly
 from .hinge_groups import group_hinges, sums_of
 from .hinge_queries import HingeQueries
-from .misfits import expanded, Expansion, with_more_misfit
+from .misfits import expanded, Expansion, with_strokes
 
 
 COORDINATES = ("angle", "x", "y")
@@ -147,7 +147,7 @@ class Mechanism(HingeQueries):
             >>> moved.displacement("block")[1]
             Array(0.001, dtype=float64)
         """
-        return with_more_misfit(self, strokes)
+        return with_strokes(self, strokes)
 
     def at_temperature(
         self,

@@ -78,9 +78,7 @@ def stroke_rows(
     return as_float(xp.stack(values))
 
 
-def with_more_misfit(
-    mechanism: "Mechanism", strokes: Mapping[str, PoseLike]
-) -> "Mechanism":
+def with_strokes(mechanism: "Mechanism", strokes: Mapping[str, PoseLike]) -> "Mechanism":
     """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
     xp, (rows,) = on_host(stroke_rows(mechanism, strokes))
     angle, x, y = rows.T
@@ -98,26 +96,20 @@ def expanded(
     gradients: NamedNumbers,
 ) -> "Mechanism":
     """Expand bodies and hinges; see `Mechanism.at_temperature`."""
-    of_bodies = _by_name("`bodies`", "body", bodies, mechanism.names, change)
-    of_hinges = _by_name("`hinges`", "hinge", hinges, mechanism.hinge_names, change)
-    across = _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0)
-    coefficients = [0.0 if value is None else value for value in mechanism.expansions]
-    of_hinge = [
-        (0.0, 0.0) if value is None else (value.coefficient, value.length)
-        for value in mechanism.hinge_expansions
-    ]
-    assembly = mechanism.hinge_assembly
-    count = len(mechanism.hinge_names)
-    parts = [*of_bodies, *coefficients, *of_hinges, *across]
-    parts += [number for pair in of_hinge for number in pair]
-    xp, (at, arms, directions, *numbers) = on_host(
-        mechanism.at, assembly.arms, assembly.directions, *parts
+    assembly, expansions = mechanism.hinge_assembly, mechanism.hinge_expansions
+    numbers = (
+        _by_name("`bodies`", "body", bodies, mechanism.names, change),
+        [0.0 if value is None else value for value in mechanism.expansions],
+        _by_name("`hinges`", "hinge", hinges, mechanism.hinge_names, change),
+        _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0),
+        [0.0 if value is None else value.coefficient for value in expansions],
+        [0.0 if value is None else value.length for value in expansions],
     )
-    values = xp.stack(numbers)
-    bodies_end = 2 * len(mechanism.names)
-    strains = xp.prod(values[:bodies_end].reshape(2, -1), axis=0)
-    temperatures, slopes = values[bodies_end : bodies_end + 2 * count].reshape(2, count)
-    coefficient, length = values[bodies_end + 2 * count :].reshape(count, 2).T
+    xp, (at, arms, directions, *arrays) = on_host(
+        mechanism.at, assembly.arms, assembly.directions, *map(_stacked, numbers)
+    )
+    of_bodies, of_material, of_hinges, slopes, coefficient, length = arrays
+    strains = of_bodies * of_material
     ends = np.array(assembly.ends).reshape(-1, 2)
     # The clamped ends of a hinge, not its middle, move with the bodies.
     to_clamp = np.array([-0.5, 0.5])[None, :, None] * length[:, None, None]
@@ -127,7 +119,7 @@ def expanded(
     cos, sin = directions.T
     gap_along = cos * gap[:, 0] + sin * gap[:, 1]
     gap_across = cos * gap[:, 1] - sin * gap[:, 0]
-    growth, rotation = coefficient * length * temperatures, coefficient * length * slopes
+    growth, rotation = coefficient * length * of_hinges, coefficient * length * slopes
     warm = eqx.tree_at(
         lambda warm: (warm.at, warm.hinge_assembly.arms),
         mechanism,
@@ -153,6 +145,12 @@ def _by_name(
         where = f"{argument} of the {noun} {name!r}"
         values[index_of(argument, noun, name, names)] = require_finite(where, value)
     return values
+
+
+def _stacked(values: Sequence[Any]) -> Float[Array | np.ndarray, " values"]:
+    """Stack numbers, without a compilation if they are not traced."""
+    xp, numbers = on_host(*values)
+    return xp.stack(numbers)
 
 
 def _with_misfits(

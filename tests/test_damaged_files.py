@@ -56,6 +56,7 @@ def test_a_damaged_file_of_a_mechanism_or_energy(tmp_path, damaged, examples):
     check_examples(examples, damaged(originals), check)
 
 
+@pytest.mark.filterwarnings("ignore:.*more than a full turn")
 @pytest.mark.parametrize("damaged", [damaged_columns, damaged_bytes])
 @random_examples(usual=120, release=1200)
 def test_a_damaged_csv_file(tmp_path, damaged, examples):

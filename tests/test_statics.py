@@ -21,6 +21,7 @@ MATTIASSON = [
 ]
 
 
+@pytest.mark.filterwarnings("ignore:.*more than a full turn")
 def test_twist_energy_is_undefined_above_a_full_rotation():
     """The twistor energy is defined there."""
     spring = np.diag([1.0, 100.0, 10.0])

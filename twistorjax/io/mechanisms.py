@@ -9,9 +9,9 @@ from .._utils.json_files import EntryError
 from .._utils.validation import require_float64
 from ..energies.damping import ViscousDamping
 from ..mechanism.body import Body
+from ..mechanism.expansion import Expansion
 from ..mechanism.hinge import Hinge
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from ..mechanism.misfits import Expansion
 from .energies import energy_from_record, energy_record
 
 

@@ -20,7 +20,7 @@ from .._utils.validation import (
 from ..energies.base import AbstractEnergy, validation_error
 from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
-from .misfits import Expansion
+from .expansion import Expansion
 
 
 # Displacement (angle, x, y) at which a hinge is not loaded, or that of its ports; rad, m

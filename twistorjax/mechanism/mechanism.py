@@ -23,11 +23,12 @@ from .._utils.types import (
 )
 from .._utils.validation import index_of, PLURAL, require_distinct, require_kind, shorten
 from .body import Body
+from .expansion import Expansion
 from .hinge import check_energy, frame_and_misfit, Hinge
 from .hinge_assembly import HingeAssembly
 from .hinge_groups import group_hinges, sums_of
 from .hinge_queries import HingeQueries
-from .misfits import expanded, Expansion, with_strokes
+from .misfits import expanded, with_strokes
 
 
 COORDINATES = ("angle", "x", "y")

@@ -6,59 +6,18 @@ from typing import Any, TYPE_CHECKING
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
-from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, on_host
-from .._utils.types import NamedNumbers, NumberLike, PoseLike, Scalar
+from .._utils.types import NamedNumbers, NumberLike, PoseLike
 from .._utils.validation import (
     index_of,
     require_finite,
     require_pose,
-    require_positive,
 )
-from ..flexures.material import Material
 
 
 if TYPE_CHECKING:
     from .mechanism import Mechanism
-
-
-# Material with a coefficient of thermal expansion, or this coefficient; 1/K
-ExpansionLike = TypeAliasType("ExpansionLike", Material | NumberLike)
-
-
-class Expansion(eqx.Module):
-    """Thermal expansion of a hinge between its two clamped ends.
-
-    Args:
-        material: Material with its coefficient of thermal expansion, or this coefficient;
-            1/K.
-        length: Free length of the hinge along axis 1, in the middle of which its frames
-            are; m.
-
-    Raises:
-        ValueError: The material has no coefficient, the coefficient is not finite, or the
-            length is not positive.
-
-    Example:
-        >>> Expansion(12e-6, length=0.05).coefficient
-        Array(1.2e-05, dtype=float64)
-    """
-
-    coefficient: Scalar
-    length: Scalar
-
-    def __init__(self, material: ExpansionLike, *, length: NumberLike):
-        coefficient: Any = material
-        if isinstance(material, Material):
-            if material.expansion is None:
-                raise ValueError(
-                    "The material has no `expansion`, but a hinge needs a coefficient of "
-                    "thermal expansion (1/K): `Material(..., expansion=12e-6)`."
-                )
-            coefficient = material.expansion
-        self.coefficient = require_finite("`material`", coefficient)
-        self.length = require_positive("`length`", length)
 
 
 def stroke_rows(

@@ -64,3 +64,17 @@ def program_input(value: Any, dtype: type) -> Any:
     """
     known = concrete(value)
     return jnp.asarray(value, dtype) if known is None else known.astype(dtype)
+
+
+def take_rows(values: Any, rows: Any) -> Any:
+    """Select rows of an array, without a compilation if it is not traced."""
+    known = concrete(values)
+    return values[rows] if known is None else jax.device_put(known[rows])
+
+
+def padded_size(count: int, smallest: int = 1) -> int:
+    """Return the size to which arrays are padded, so that many sizes share a program.
+
+    The size is a power of two, and the `smallest` one or more.
+    """
+    return max(smallest, 1 << max(0, count - 1).bit_length())

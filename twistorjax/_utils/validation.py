@@ -255,8 +255,7 @@ def require_pose(name: str, value: NumbersLike) -> Float[Array, "3"]:
 def warn_if_degrees(name: str, angle: NumberLike) -> None:
     """Warn if an angle that is not traced is more than a full turn; rad."""
     known = concrete(angle)
-    if known is not None and np.any(np.abs(known) > 2 * np.pi):
-        value = float(known)
+    if known is not None and abs(value := float(known)) > 2 * np.pi:
         warnings.warn(
             f"{name} is {value:g} rad, more than a full turn. Angles are in radians: "
             f"{value:g} degrees are {np.radians(value):.6g} rad.",

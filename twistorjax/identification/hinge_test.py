@@ -79,8 +79,8 @@ class HingeTest(AbstractTest):
     @property
     def standard_deviations(self) -> Table:
         """Standard deviations of the readings, equal in all trials; N m, N, N."""
-        numpy, (row,) = on_host(self.standard_deviation)
-        return as_float(numpy.broadcast_to(row, self.poses.shape))
+        xp, (row,) = on_host(self.standard_deviation)
+        return as_float(xp.broadcast_to(row, self.poses.shape))
 
     def with_more_rows(self, count: int) -> "HingeTest":
         poses = np.asarray(self.poses)

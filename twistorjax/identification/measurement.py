@@ -167,9 +167,9 @@ class SensorTest(AbstractTest):
     @property
     def standard_deviations(self) -> Table:
         """Standard deviations of the sensors, in `units`; equal in all rows."""
-        numpy, row = on_host(*(sensor.standard_deviation for sensor in self.sensors))
+        xp, row = on_host(*(sensor.standard_deviation for sensor in self.sensors))
         shape = self.row_count, len(self.sensors)
-        return as_float(numpy.broadcast_to(numpy.stack(row), shape))
+        return as_float(xp.broadcast_to(xp.stack(row), shape))
 
     def _read_sensors(
         self, mechanism: Mechanism, solution: Any

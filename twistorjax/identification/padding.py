@@ -1,6 +1,5 @@
 """Padding of measurements, so that other numbers of readings need no compilation."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from .._utils.host import all_concrete
+from .._utils.host import all_concrete, padded_size, take_rows
 from .measurement import Measurement
 from .objective import IdentificationProblem
 
@@ -38,25 +37,27 @@ def cut(
     identification: "Identification", problem: IdentificationProblem
 ) -> "Identification":
     """Remove the rows that `pad` has added to the measurements of a problem."""
-    padded = identification.problem
-    both = zip(
-        padded.data + padded.held_out, problem.data + problem.held_out, strict=True
-    )
-    if all(after.values.shape == before.values.shape for after, before in both):
-        return replace(identification, problem=problem)
     start, of_jacobian = 0, []
-    for after, before in zip(padded.data, problem.data, strict=True):
+    for after, before in zip(identification.problem.data, problem.data, strict=True):
         rows, columns = after.values.shape
         index = np.arange(start, start + rows * columns).reshape(rows, columns)
         of_jacobian.append(index[_kept_rows(len(before.values), rows)].reshape(-1))
         start += rows * columns
+    residuals, held_out_residuals = (
+        tuple(
+            take_rows(table, _kept_rows(len(measurement.values), len(table)))
+            for table, measurement in zip(tables, data, strict=True)
+        )
+        for tables, data in (
+            (identification.residuals, problem.data),
+            (identification.held_out_residuals, problem.held_out),
+        )
+    )
     return replace(
         identification,
-        jacobian=_chosen(identification.jacobian, np.concatenate(of_jacobian)),
-        residuals=_cut_tables(identification.residuals, problem.data),
-        held_out_residuals=_cut_tables(
-            identification.held_out_residuals, problem.held_out
-        ),
+        jacobian=take_rows(identification.jacobian, np.concatenate(of_jacobian)),
+        residuals=residuals,
+        held_out_residuals=held_out_residuals,
         problem=problem,
     )
 
@@ -66,7 +67,7 @@ def _padded(measurement: Measurement) -> Measurement:
     if all_concrete(jax.tree.leaves(eqx.filter(measurement, eqx.is_array))) is None:
         return measurement
     count = len(measurement.values)
-    more = max(_SMALLEST_ROW_COUNT, 1 << (count - 1).bit_length()) - count
+    more = padded_size(count, _SMALLEST_ROW_COUNT) - count
     test = measurement.test.with_more_rows(more) if more else None
     if test is None:
         return measurement
@@ -86,18 +87,3 @@ def _padded(measurement: Measurement) -> Measurement:
 def _kept_rows(count: int, padded: int) -> Int[np.ndarray, " count"]:
     """Return the rows of a padded table that are those of the table itself."""
     return np.append(np.arange(count - 1), padded - 1)
-
-
-def _cut_tables(
-    tables: Sequence[jax.Array], data: Sequence[Measurement]
-) -> tuple[jax.Array, ...]:
-    """Remove the added rows of tables of residuals."""
-    return tuple(
-        _chosen(table, _kept_rows(len(measurement.values), len(table)))
-        for table, measurement in zip(tables, data, strict=True)
-    )
-
-
-def _chosen(rows: jax.Array, indices: np.ndarray) -> jax.Array:
-    """Select rows without the compilation of a program."""
-    return jax.device_put(np.asarray(rows)[indices])

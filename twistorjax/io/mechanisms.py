@@ -26,9 +26,8 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
 
     Raises:
         ValueError: Double precision is disabled; the mechanism is that at another
-            temperature; a hinge has an energy of another class;
-            a name cannot be written as UTF-8; or a value is not finite. Nothing is
-            written.
+            temperature; a hinge has an energy of another class; a name cannot be written
+            as UTF-8; or a value is not finite. Nothing is written.
         OSError: The file cannot be written.
 
     Example:

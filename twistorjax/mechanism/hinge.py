@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.host import all_concrete, as_float, concrete, on_host
+from .._utils.host import all_concrete, concrete
 from .._utils.types import Corners, CornersLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
     require_corners,
@@ -21,6 +21,7 @@ from ..energies.base import AbstractEnergy, validation_error
 from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
 from .expansion import Expansion
+from .hinge_kinematics import misfit_numbers
 
 
 # Displacement (angle, x, y) at which a hinge is not loaded, or that of its ports; rad, m
@@ -184,7 +185,7 @@ def frame_and_misfit(
     Raises:
         ValueError: The two ports do not coincide, and their gap is not a misfit.
     """
-    misfit = None if hinge.misfit is None else _misfit_numbers(hinge.misfit)
+    misfit = None if hinge.misfit is None else misfit_numbers(hinge.misfit)
     if hinge.ports is None:
         assert hinge.at is not None
         return hinge.at, misfit
@@ -196,7 +197,7 @@ def frame_and_misfit(
         # The frames of the hinge are halfway between its ports.
         gap = se2.between(a, b)
         middle = se2.compose(a, se2.exp(se2.twist(gap) / 2))
-        return middle, _misfit_numbers(se2.inverse(gap))
+        return middle, misfit_numbers(se2.inverse(gap))
     known = all_concrete([se2.between(a, b), a, b, *hinge.ports])
     if known is not None:
         gap, *poses = known
@@ -211,11 +212,3 @@ def frame_and_misfit(
                 'If the hinge is bent into place, give `misfit="ports"`.'
             )
     return a, misfit
-
-
-def _misfit_numbers(pose: Pose) -> Float[Array, "5"]:
-    """Compute the numbers of the `Misfit` of a displacement; rad, m, m, m, m."""
-    xp, (known,) = on_host(pose)
-    angle, x, y = known
-    cos, sin, zero = xp.cos(angle / 2), xp.sin(angle / 2), 0 * angle
-    return as_float(xp.stack([angle, cos * x + sin * y, cos * y - sin * x, zero, zero]))

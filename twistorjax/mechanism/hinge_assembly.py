@@ -206,6 +206,22 @@ class HingeAssembly(eqx.Module):
         remainder = self._assemble(jnp.moveaxis(local.remainder, 0, -1), free, free)
         return rows.reshape(size).T, local.weights.reshape(-1), remainder
 
+    def rows_and_stiffness(
+        self, displacements: Poses
+    ) -> tuple[Float[Array, "hinges 3 dofs"], Float[Array, "hinges 3 3"]]:
+        """Compute the derivatives of the coordinates of each hinge, and its stiffness.
+
+        The coordinates are the rotation and the mid-frame translation; rad, m, m.
+        """
+        function = _elastic(hinge_forces.rows_and_stiffness)
+        local, stiffness = self._evaluate(function, displacements)
+        order, hinges = np.array(self._order()), len(self.ends)
+        rows = jnp.zeros((hinges, 3, 3 * self.bodies))
+        # The terms of a sum have the same coordinates.
+        index = order[:, None, None], np.arange(3)[:, None], self._dofs().T[:, None]
+        rows = rows.at[index].set(local)
+        return rows, jnp.zeros((hinges, 3, 3)).at[order].add(stiffness)
+
     def forces_in_motion(
         self,
         displacements: Poses,

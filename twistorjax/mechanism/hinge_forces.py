@@ -211,7 +211,7 @@ def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Fac
     """Compute the stiffness of the `tangent` in factors with accurate small entries."""
     kinematics = HingeKinematics.of(first, second, axis)
     slopes, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
-    hessian = jnp.stack(jax.vmap(curvature_times)(*jnp.eye(3)), axis=1)
+    hessian = as_matrix(curvature_times)
     (a, b, c), (_, d, e), (_, _, f) = hessian
     # Gaussian elimination, as long as the stiffness is positive. The remaining matrix is
     # not eliminated, because it could lose digits.
@@ -232,6 +232,21 @@ def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Fac
     motions = jnp.asarray(MOTIONS)
     remainder = product(product(motions, remainder), motions.T)
     return Factored(product(rows, motions.T), weights, remainder)
+
+
+@jax.jit
+def rows_and_stiffness(
+    energy: AbstractEnergy, first: End, second: End, axis: Axis
+) -> tuple[Float[Array, "3 6"], Float[Array, "3 3"]]:
+    """Compute the derivatives of the coordinates, and the stiffness against them.
+
+    The derivatives are those with respect to the six displacements; the stiffness is in
+    N m/rad, N/rad, N/m.
+    """
+    kinematics = HingeKinematics.of(first, second, axis)
+    _, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
+    rows = product(jnp.asarray(MOTIONS), as_array(kinematics.columns())).T
+    return rows, as_matrix(curvature_times)
 
 
 def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
@@ -257,6 +272,11 @@ def product(
 def as_array(rows: Sequence[Sequence[Scalar]]) -> Float[Array, "rows columns"]:
     """Convert rows of scalars to an array."""
     return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def as_matrix(times: Callable[..., Three]) -> Float[Array, "3 3"]:
+    """Convert a function that multiplies a 3 by 3 matrix by a vector to the matrix."""
+    return jnp.stack(jax.vmap(times)(*jnp.eye(3)), axis=1)
 
 
 def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEnergy:

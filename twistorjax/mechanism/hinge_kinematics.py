@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Scalar
 from ..geometry import se2
 from ..geometry.twistors import Displacement
@@ -83,6 +84,18 @@ class Misfit(NamedTuple):
         angle, d1, d2, gap1, gap2 = jnp.moveaxis(numbers, -1, 0)
         cos, sin, tan = jnp.cos(angle / 2), jnp.sin(angle / 2), jnp.tan(angle / 4)
         return cls(angle, cos, sin, d1 - gap1, d2 - gap2, tan * d1, tan * d2)
+
+
+def misfit_numbers(poses: Float[Array, "*hinges 3"]) -> Float[Array, "*hinges 5"]:
+    """Compute the five numbers of misfits, from displacements (angle, x, y); rad, m, m.
+
+    The translations are resolved in the mid-frame.
+    """
+    xp, (known,) = on_host(poses)
+    angle, x, y = xp.moveaxis(known, -1, 0)
+    cos, sin, zero = xp.cos(angle / 2), xp.sin(angle / 2), 0 * angle
+    along, across = cos * x + sin * y, cos * y - sin * x
+    return as_float(xp.stack([angle, along, across, zero, zero], axis=-1))
 
 
 class Axis(NamedTuple):

@@ -14,6 +14,7 @@ from ..energies.strains import half_square, strain
 from ..geometry.twistors import Displacement
 from .hinge_forces import (
     as_array,
+    as_matrix,
     displacement_at,
     dot,
     gradient_and_hessian,
@@ -101,7 +102,7 @@ def tangent_in_motion(
     at, _ = _with_stretch(kinematics.middle.displacement, stretch)
     columns = as_array(kinematics.columns())
     slopes, curvature_times = gradient_and_hessian(energy, at)
-    hessian = jnp.stack(jax.vmap(curvature_times)(*jnp.eye(3)), axis=1)
+    hessian = as_matrix(curvature_times)
     products, viscous_products = product(columns, hessian), None
     if damping is not None:
         hinge_rates = kinematics.rates(*rates)

@@ -171,7 +171,7 @@ def weights(
     for body, (name, mass) in enumerate(
         zip(mechanism.names, mechanism.masses, strict=True)
     ):
-        if {3 * body, 3 * body + 1, 3 * body + 2} <= set(mechanism.fixed):
+        if mechanism.is_fixed(body):
             continue
         if mass is None:
             raise ValueError(
@@ -204,16 +204,18 @@ class LoadSet(eqx.Module):
     conservative: bool = eqx.field(static=True)
 
     @classmethod
-    def of(
-        cls, loads: Sequence[Load], names: Sequence[str], reference: Poses
-    ) -> "LoadSet":
-        """Sum up loads on bodies with given names and reference poses; rad, m, m."""
+    def of(cls, mechanism: Mechanism, loads: Sequence[Load]) -> "LoadSet":
+        """Sum up the loads on each body of a mechanism.
+
+        Raises:
+            ValueError: A name of a body is unknown, or an element is not a load.
+        """
+        bodies, count = np.array(loaded_bodies(mechanism, loads)), len(mechanism.names)
         if not loads:
-            return _no_loads(len(names))
-        bodies = np.array([names.index(load.body) for load in loads])
+            return _no_loads(count)
         followers = np.array([load.follower for load in loads])
         actions = [value for load in loads for value in (load.wrench, load.at)]
-        xp, (poses, *actions) = on_host(reference, *actions)
+        xp, (poses, *actions) = on_host(mechanism.reference, *actions)
         moment, fx, fy = xp.stack(actions[::2], axis=1)
         x, y = xp.stack(actions[1::2], axis=1)
         cos, sin = xp.cos(poses[bodies, 0]), xp.sin(poses[bodies, 0])
@@ -226,7 +228,7 @@ class LoadSet(eqx.Module):
             xp.stack(of_followers, axis=1),
             xp.stack(others, axis=1),
         )
-        chosen = np.arange(len(names))[:, None, None] == bodies[:, None]
+        chosen = np.arange(count)[:, None, None] == bodies[:, None]
         sums = xp.sum(xp.where(chosen, of_loads[None], 0.0), axis=1)
         return cls(sums, present=True, conservative=not followers.any())
 

@@ -196,6 +196,10 @@ class Mechanism(HingeQueries):
         """
         return index_of("`name`", "body", name, self.names)
 
+    def is_fixed(self, body: int) -> bool:
+        """Decide whether no coordinate of a body can move, by its index."""
+        return {3 * body, 3 * body + 1, 3 * body + 2} <= set(self.fixed)
+
     def energy(self, poses: Poses) -> Scalar:
         """Compute the energy that is stored in all hinges.
 
@@ -247,7 +251,7 @@ class Mechanism(HingeQueries):
         rows = []
         for body, name in enumerate(self.names):
             mass, inertia = self.masses[body], self.inertias[body]
-            if {3 * body, 3 * body + 1, 3 * body + 2} <= set(self.fixed):
+            if self.is_fixed(body):
                 rows.append(jnp.full(3, jnp.inf))
             elif mass is None or inertia is None:
                 values = {"mass": mass, "inertia": inertia}

@@ -14,6 +14,7 @@ from .._utils.validation import (
     require_finite,
     require_pose,
 )
+from .hinge_kinematics import misfit_numbers
 
 
 if TYPE_CHECKING:
@@ -33,18 +34,12 @@ def stroke_rows(
         row = index_of("`strokes`", "hinge", name, mechanism.hinge_names)
         where = f"`strokes` of the hinge {name!r}"
         rows[row] = require_pose(where, stroke)
-    xp, values = on_host(*rows)
-    return as_float(xp.stack(values))
+    return as_float(_stacked(rows))
 
 
 def with_strokes(mechanism: "Mechanism", strokes: Mapping[str, PoseLike]) -> "Mechanism":
     """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
-    xp, (rows,) = on_host(stroke_rows(mechanism, strokes))
-    angle, x, y = rows.T
-    cos, sin = xp.cos(angle / 2), xp.sin(angle / 2)
-    along, across = cos * x + sin * y, cos * y - sin * x
-    change = xp.stack([angle, along, across, 0 * along, 0 * along], axis=1)
-    return _with_misfits(mechanism, as_float(change))
+    return _with_misfits(mechanism, misfit_numbers(stroke_rows(mechanism, strokes)))
 
 
 def expanded(
@@ -106,8 +101,8 @@ def _by_name(
     return values
 
 
-def _stacked(values: Sequence[Any]) -> Float[Array | np.ndarray, " values"]:
-    """Stack numbers, without a compilation if they are not traced."""
+def _stacked(values: Sequence[Any]) -> Float[Array | np.ndarray, "values ..."]:
+    """Stack numbers or rows, without a compilation if they are not traced."""
     xp, numbers = on_host(*values)
     return xp.stack(numbers)
 

@@ -61,10 +61,9 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
     Returns:
         The bodies, then the lines of bodies without an outline, then the hinges.
     """
-    fixed_dofs = set(mechanism.fixed)
     bodies, lines, hinges = [], [], []
     for body, outline in enumerate(mechanism.outlines):
-        fixed = {3 * body, 3 * body + 1, 3 * body + 2} <= fixed_dofs
+        fixed = mechanism.is_fixed(body)
         if outline is not None:
             corners = to_world(poses[body], outline)
             bodies.append(Shape("fixed" if fixed else "body", corners, body))

@@ -3,17 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from .._utils.types import NumberLike, Poses
+from .._utils.types import NumberLike
 from .._utils.validation import require_float64
-from ..geometry.twistors import Displacement
 from ..mechanism.constraints import AbstractConstraint
-from ..mechanism.hinge_forces import displacement_at, hinge_coordinates
+from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from .dofs import DofPartition
 from .statics import state_in_range, StateLike
@@ -21,6 +18,7 @@ from .system import System
 
 
 _DIRECTIONS = ("moment", "axial force", "transverse force")
+_hinge_rows = jax.jit(HingeAssembly.rows_and_stiffness)
 # Singular values, and entries of vectors, below this fraction are rounding errors.
 _ROUNDING = 1e-9
 
@@ -49,26 +47,12 @@ class ConstraintAnalysis(NamedTuple):
     @property
     def moving_bodies(self) -> tuple[tuple[str, ...], ...]:
         """Names of the bodies that move in each motion."""
-        return tuple(
-            tuple(
-                name
-                for name, row in zip(self.names, motion, strict=True)
-                if np.any(np.abs(row) > _ROUNDING)
-            )
-            for motion in self.motions
-        )
+        return tuple(_nonzero(self.names, motion) for motion in self.motions)
 
     @property
     def releases(self) -> tuple[tuple[str, ...], ...]:
         """Stiff directions of which one must be released, for each self-stress."""
-        return tuple(
-            tuple(
-                name
-                for name, force in zip(self.directions, state, strict=True)
-                if abs(force) > _ROUNDING
-            )
-            for state in self.self_stresses
-        )
+        return tuple(_nonzero(self.directions, row) for row in self.self_stresses)
 
     def __repr__(self) -> str:
         def count(number: int, noun: str) -> str:
@@ -151,7 +135,7 @@ def constraint_analysis(
     dofs = DofPartition.of(mechanism, sorted(held))
     system = System.of(mechanism, dofs, (), constraints, time)
     state = state_in_range(mechanism, "about", about)
-    rows, stiffness = map(np.asarray, _hinge_matrices(mechanism, state))
+    rows, stiffness = map(np.asarray, _hinge_rows(mechanism.hinge_assembly, state))
     length = float(system.units()[1])
     units = np.array([length, 1.0, 1.0])
     scaled = stiffness / (units[:, None] * units)
@@ -182,31 +166,13 @@ def constraint_analysis(
     )
 
 
-@eqx.filter_jit
-def _hinge_matrices(
-    mechanism: Mechanism, displacements: Poses
-) -> tuple[Float[Array, "hinges 3 dofs"], Float[Array, "hinges 3 3"]]:
-    """Differentiate the coordinates of each hinge, and compute its stiffness in them."""
-    hinges, rows = mechanism.hinge_assembly, range(len(mechanism.hinge_names))
-
-    def at(row: int, flat: Array) -> Displacement:
-        return hinges.displacement_of(row, flat.reshape(displacements.shape))
-
-    def coordinates(flat: Array) -> Float[Array, "hinges 3"]:
-        return jnp.stack([jnp.stack(hinge_coordinates(at(row, flat))) for row in rows])
-
-    flat = displacements.reshape(-1)
-    matrices = []
-    for row in rows:
-        energy, displacement = hinges.energy_of(row), at(row, flat)
-
-        def stored(values: Array, energy=energy, displacement=displacement) -> Array:
-            angle, y1, y2 = values
-            return energy.stored_energy(displacement_at(displacement, (angle, y1, y2)))
-
-        center = jnp.stack(hinge_coordinates(displacement))
-        matrices.append(jax.hessian(stored)(center))
-    return jax.jacfwd(coordinates)(flat), jnp.stack(matrices)
+def _nonzero(names: Sequence[str], values: np.ndarray) -> tuple[str, ...]:
+    """Return the names of the rows that have values other than zero."""
+    return tuple(
+        name
+        for name, row in zip(names, values, strict=True)
+        if np.any(np.abs(row) > _ROUNDING)
+    )
 
 
 def _sparse_null_space(

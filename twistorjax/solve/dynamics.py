@@ -18,7 +18,7 @@ from .._utils.host import as_float, is_traced, on_host, program_input
 from .._utils.types import Count, NumberLike, Poses, Scalar, TimesLike, VelocityLike
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
-from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
+from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from .collocation import Gauss, Radau
 from .dofs import DofPartition
@@ -160,7 +160,7 @@ def simulate(
     with explain_compilation(first, drives=drives, loads=loads):
         first_drives = drives(first) if callable(drives) else drives
         first_loads = loads(first) if callable(loads) else loads
-    loaded_bodies(mechanism, first_loads)
+    load_set = LoadSet.of(mechanism, first_loads)
     dofs = DofPartition.of(mechanism, prescribed_dofs(mechanism, first_drives)[0])
     displacements = jnp.zeros_like(mechanism.reference)
     if start is not None:
@@ -181,9 +181,7 @@ def simulate(
         motion = _solve(
             mechanism,
             pad_times(instants) if pad else instants,
-            loads
-            if callable(loads)
-            else LoadSet.of(loads, mechanism.names, mechanism.reference),
+            loads if callable(loads) else load_set,
             drives if callable(drives) else tuple(drives),
             constraint_set,
             displacements,

@@ -10,7 +10,7 @@ from jaxtyping import Array, Complex, Float
 from .._utils.types import FrequenciesLike, NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
-from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
+from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from .consistency import consistent, inconsistency
 from .dofs import DofPartition
@@ -122,10 +122,9 @@ def frequency_response(
         )
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
-    loaded_bodies(mechanism, loads)
+    load_set = LoadSet.of(mechanism, loads)
     system = System.of(mechanism, dofs, static_loads, constraints, time)
     state = state_in_range(mechanism, "about", about)
-    load_set = LoadSet.of(loads, mechanism.names, mechanism.reference)
     response = _frequency_response(mechanism, system, values, load_set, targets, state)
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:

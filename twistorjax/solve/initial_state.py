@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete
+from .._utils.host import as_float, concrete, padded_size
 from .._utils.pytrees import stop_gradient
 from .._utils.types import (
     Count,
@@ -66,7 +66,7 @@ def pad_times(times: Float[Array, " times"]) -> Float[Array, " padded"]:
     The times must not be traced. The number is a power of two, and 64 or more, so that
     motions with different numbers of times use the same program.
     """
-    count = max(_SMALLEST_TIME_COUNT, 1 << (len(times) - 1).bit_length())
+    count = padded_size(len(times), _SMALLEST_TIME_COUNT)
     return as_float(np.pad(times, (0, count - len(times)), mode="edge"))
 
 

@@ -14,7 +14,7 @@ from .._utils.host import concrete
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
-from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
+from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_rows
 from ..mechanism.support import require_support
@@ -98,8 +98,7 @@ class Linearization(eqx.Module):
                 f"`drives` prescribes {_listed(mechanism, prescribed)}, but this map was "
                 f"made by `linearize` for {_listed(mechanism, self.dofs.prescribed)}."
             )
-        loaded_bodies(mechanism, loads)
-        load_set = LoadSet.of(loads, mechanism.names, mechanism.reference)
+        load_set = LoadSet.of(mechanism, loads)
         rows = stroke_rows(mechanism, strokes) if strokes else None
         change = _respond(self, load_set, rows, targets, prescribed)
         return check_equilibrium(change) if throw else change

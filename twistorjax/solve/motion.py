@@ -1,5 +1,6 @@
 """Motion of a mechanism, as the solution of a simulation."""
 
+from functools import partial
 from typing import Any
 
 import diffrax as dfx
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._utils.host import all_concrete, concrete
+from .._utils.host import all_concrete, take_rows
 from .._utils.types import BatchScalar, NumberLike, Numbers, Poses
 from .motion_system import MotionSystem
 from .results import count_results, PoseSolution, result_names, RESULTS
@@ -99,10 +100,7 @@ class Motion(PoseSolution):
             more = [motion.constraint_forces, motion.energies]
             return [*histories, *more, solution.ts[0], solution.ys[0]]
 
-        def first(values: Array) -> Array:
-            known = concrete(values)
-            return values[:count] if known is None else jax.device_put(known[:count])
-
+        first = partial(take_rows, rows=slice(count))
         return eqx.tree_at(saved, self, jax.tree.map(first, saved(self)))
 
     def velocity(self, body: str) -> Float[Array, "*batch times 3"]:

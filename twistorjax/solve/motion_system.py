@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from .._utils.types import Entries, Poses, Scalar, Wrenches
 from ..mechanism.constraints import ConstraintSet
-from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
+from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from .dofs import DofPartition
 from .small_matrices import inverse
@@ -297,9 +297,7 @@ class MotionSystem(eqx.Module):
         """Gather the loads at a time; s."""
         if isinstance(self.loads, LoadSet):
             return self.loads
-        loads = self.loads(time)
-        loaded_bodies(self.mechanism, loads)
-        return LoadSet.of(loads, self.mechanism.names, self.mechanism.reference)
+        return LoadSet.of(self.mechanism, self.loads(time))
 
     def _displacements(self, position: Array, targets: Array) -> Poses:
         """Arrange displacements by bodies; the fixed ones are those at the start."""

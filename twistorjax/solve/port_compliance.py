@@ -160,19 +160,9 @@ def port_compliance(
 @eqx.filter_jit
 def _compliance(linear: Linearization, body: int, frame: Pose) -> Matrix:
     """Compute the compliance of a frame on a body, in the axes of the frame."""
-    pose = linear.about[body]
-    arm = se2.rotate(pose[0], frame[1:])
-    axis = pose[0] + frame[0]
-    cos, sin = jnp.cos(axis), jnp.sin(axis)
-    # Derivatives of the displacement of the frame with respect to those of its body.
-    one, zero = jnp.ones_like(cos), jnp.zeros_like(cos)
-    rows = jnp.stack(
-        [
-            jnp.stack([one, zero, zero]),
-            jnp.stack([sin * arm[0] - cos * arm[1], cos, sin]),
-            jnp.stack([cos * arm[0] + sin * arm[1], -sin, cos]),
-        ]
-    )
+    # The coordinates of a body are a twist about its origin, in the axes of the world.
+    body_frame = linear.about[body] * jnp.array([1.0, 0.0, 0.0])
+    rows = se2.adjoint(se2.inverse(se2.compose(body_frame, frame)))
     free = np.array(linear.dofs.free, int)
     columns = [int(np.flatnonzero(free == 3 * body + k)[0]) for k in range(3)]
     size = len(free) + len(linear.constraint_names)

@@ -15,7 +15,7 @@ from .._utils.types import Count, Entries, NumberLike, Poses, PosesLike, Scalar,
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
-from ..mechanism.loads import Drive, Load, loaded_bodies, LoadSet, prescribed_dofs
+from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.support import require_support
 from . import newton
@@ -165,7 +165,7 @@ def equilibrium(
             f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but "
             "`tolerance` must be between 0 and 1, and `max_steps` at least 1."
         )
-    loaded_bodies(mechanism, loads)
+    load_set = LoadSet.of(mechanism, loads)
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
     start_displacements = None
@@ -178,7 +178,7 @@ def equilibrium(
         mechanism.hinge_assembly,
         mechanism.reference,
         start_displacements,
-        LoadSet.of(loads, mechanism.names, mechanism.reference),
+        load_set,
         constraint_set,
         targets,
         program_input(time, float),

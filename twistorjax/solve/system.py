@@ -19,7 +19,7 @@ from .._utils.types import Entries, NumberLike, Poses, Scalar, Wrenches
 from ..mechanism.assembly_tangent import AssemblyTangent
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.hinge_assembly import HingeAssembly
-from ..mechanism.loads import Load, loaded_bodies, LoadSet
+from ..mechanism.loads import Load, LoadSet
 from ..mechanism.mechanism import Mechanism
 from .block_factorization import block_layout
 from .dofs import DofPartition
@@ -65,10 +65,9 @@ class System(eqx.Module):
         time: NumberLike = 0.0,
     ) -> "System":
         """Assemble equations in which all prescribed displacements are zero."""
-        loaded_bodies(mechanism, loads)
         return cls(
             mechanism.hinge_assembly,
-            LoadSet.of(loads, mechanism.names, mechanism.reference),
+            LoadSet.of(mechanism, loads),
             gather_constraints(mechanism, constraints),
             jnp.zeros(len(dofs.prescribed)),
             as_float(time),

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from .._utils.host import padded_size
 from .designs import Designs, DesignStructure
 from .outputs import study_output, StudyOutput
 
@@ -43,7 +44,7 @@ def default_chunk_size(count: int, mesh: Mesh | None) -> int:
     on_cpu = devices[0].platform == "cpu"
     smallest, largest = _CPU_CHUNK_SIZES if on_cpu else _ACCELERATOR_CHUNK_SIZES
     if per_device <= smallest:
-        return 1 << (per_device - 1).bit_length()
+        return padded_size(per_device)
     size = largest
     while size > smallest and -per_device % size > per_device / 4:
         size //= 2

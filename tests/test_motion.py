@@ -3,6 +3,7 @@
 from functools import partial
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.integrate import solve_ivp
 import twistorjax as tj
 from twistorjax.examples import four_bar
 from twistorjax.geometry import se2
+from twistorjax.solve import motion_adjoint
 
 
 def table(text):
@@ -282,3 +284,59 @@ def test_motion_that_starts_at_an_equilibrium_stays_there_under_the_same_loads()
     half_period = [0.0, np.pi / 5]
     released = tj.simulate(mechanism, half_period, start=equilibrium, tolerance=1e-9)
     assert_close(released.displacement("block")[-1, 1], -0.02, digits=7)
+
+
+@pytest.fixture
+def few_recorded_states(monkeypatch):
+    """Record so few states that the backward pass has to replay steps."""
+    monkeypatch.setattr(motion_adjoint, "_RECORDED_STATES", 8)
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
+
+
+def loaded_motion(inputs, adjoint=None):
+    """Return a sum that depends on all results of a motion of at least 300 steps."""
+    mechanism, force, end = inputs
+    motion = tj.simulate(
+        mechanism,
+        jnp.linspace(0.0, 1.0, 5) * end,
+        loads=lambda time: [tj.Load("block", force=(force * time, 0.0))],
+        step=1 / 300,
+        max_steps=1000,
+        adjoint=adjoint,
+    )
+    values = motion.displacements, motion.energies.dissipated, motion.times
+    return sum(jnp.sum(value**2) for value in values)
+
+
+def test_gradients_of_long_motions_agree_with_those_of_diffrax(few_recorded_states):
+    """Eight of 300 states are recorded; the load closes over a differentiated value."""
+    inputs = oscillator(0.02), 2.0, 0.999
+    exact = eqx.filter_jit(eqx.filter_grad(loaded_motion))
+    expected = jax.tree.leaves(exact(inputs, dfx.RecursiveCheckpointAdjoint()))
+    for gradient, by_diffrax in zip(
+        jax.tree.leaves(exact(inputs)), expected, strict=True
+    ):
+        assert_close(gradient, by_diffrax, digits=8)
+    assert max(float(jnp.max(jnp.abs(value))) for value in expected) > 0.01
+
+
+def test_gradients_of_batches_and_second_derivatives_of_motions():
+    mechanism = oscillator(0.02)
+
+    def loss(force, adjoint=None):
+        return loaded_motion((mechanism, force, 1.0), adjoint)
+
+    forces = jnp.array([-1.0, 2.0, 5.0])
+    slopes = jax.jit(jax.vmap(jax.grad(loss)))(forces)
+    curvatures = jax.jit(jax.vmap(jax.jacfwd(jax.grad(loss))))(forces)
+    slope = jax.jacfwd(partial(loss, adjoint=dfx.ForwardMode()))
+    in_forward_mode = jax.jit(
+        jax.vmap(lambda force: (slope(force), jax.jacfwd(slope)(force)))
+    )
+    for actual, expected in zip(
+        (slopes, curvatures), in_forward_mode(forces), strict=True
+    ):
+        assert jnp.all(jnp.abs(expected) > 1e-3)
+        assert_close(actual / expected, jnp.ones(3), digits=9)

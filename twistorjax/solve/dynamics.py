@@ -34,6 +34,7 @@ from .initial_state import (
     pad_times,
 )
 from .motion import Energies, Motion
+from .motion_adjoint import StepwiseAdjoint
 from .motion_errors import StartOfMotion
 from .motion_system import equation, MotionSystem, State
 from .projection import Projected
@@ -77,7 +78,8 @@ def simulate(
     prescribed velocities and accelerations are the time derivatives of the prescribed
     displacements. The motion has reverse-mode derivatives with respect to all values of
     the mechanism, the loads, and the initial state. For forward-mode derivatives, use
-    `adjoint=diffrax.ForwardMode()`.
+    `adjoint=diffrax.ForwardMode()`; for second derivatives, the forward-mode derivatives
+    of the gradient.
 
     Args:
         mechanism: The mechanism. Bodies that can move need mass and inertia, and the
@@ -112,7 +114,10 @@ def simulate(
             time and, as the state, an object with `poses`, `displacements`, and
             `velocities` of the bodies.
         progress_meter: Progress meter of diffrax; by default none.
-        adjoint: Method of differentiation of diffrax; by default reverse mode.
+        adjoint: Method of differentiation of diffrax; by default reverse mode. It repeats
+            the steps of the motion in reverse order, or is
+            `diffrax.RecursiveCheckpointAdjoint()` with an `event`, a `saveat`, a
+            `controller`, or another solver.
         max_steps: Largest number of steps of the solver.
         energies: Whether the dissipated energy and the work of loads are computed, which
             takes about a tenth of the run time. If False, they are zero, and
@@ -193,7 +198,7 @@ def simulate(
             saveat,
             event,
             dfx.NoProgressMeter() if progress_meter is None else progress_meter,
-            dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
+            adjoint,
             max_steps,
             energies,
             dofs,
@@ -222,7 +227,7 @@ def _solve(
     saveat: dfx.SaveAt | None,
     event: dfx.Event | None,
     progress_meter: dfx.AbstractProgressMeter,
-    adjoint: dfx.AbstractAdjoint,
+    adjoint: dfx.AbstractAdjoint | None,
     max_steps: int,
     energies: bool,
     dofs: DofPartition,
@@ -230,6 +235,9 @@ def _solve(
 ) -> Motion:
     """Integrate the equations of motion; see `simulate`."""
     collocation = isinstance(solver, Radau | Gauss)
+    if adjoint is None:
+        stepwise = collocation and controller is None and saveat is None and event is None
+        adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
     saveat = dfx.SaveAt() if saveat is None else saveat
     problem = initial_value_problem(
         mechanism, times, loads, drives, constraints, start, velocities, energies, dofs,

@@ -1,5 +1,6 @@
 """All hinges of a mechanism: their energy, forces, and stiffness."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
 from .assembly_tangent import AssemblyTangent
 from .hinge_groups import HingeGroup
-from .hinge_kinematics import Axis, End, mid_frame, Misfit
+from .hinge_kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
 
 
@@ -54,6 +55,7 @@ class HingeAssembly(eqx.Module):
             if there are none; rad, m, m, m, m.
         groups: Groups of hinges with the same kind of energy.
         sums: Energy and damping of each hinge whose energy is a sum; None for others.
+        misfit_rates: Time derivatives of the misfits; None if they are constant.
     """
 
     bodies: int = eqx.field(static=True)
@@ -63,6 +65,7 @@ class HingeAssembly(eqx.Module):
     misfits: Float[Array, "hinges 5"] | None
     groups: tuple[HingeGroup, ...]
     sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
+    misfit_rates: Float[Array, "hinges 5"] | None = None
 
     def characteristic_length(self, free: tuple[int, ...]) -> Scalar:
         """Compute the root mean square distance from origins of bodies to hinges; m.
@@ -101,6 +104,19 @@ class HingeAssembly(eqx.Module):
         if self.misfits is None:
             return self
         return eqx.tree_at(lambda hinges: hinges.misfits, self, share * self.misfits)
+
+    def with_strokes(
+        self,
+        strokes: Float[Array, "hinges 3"],
+        rates: Float[Array, "hinges 3"] | None = None,
+    ) -> "HingeAssembly":
+        """Add strokes to the misfits, and their time derivatives; rad, m, m, 1/s."""
+        misfits, misfit_rates = misfit_numbers(strokes), None
+        if rates is not None:
+            misfits, misfit_rates = jax.jvp(misfit_numbers, (strokes,), (rates,))
+        if self.misfits is not None:
+            misfits = misfits + self.misfits
+        return replace(self, misfits=misfits, misfit_rates=misfit_rates)
 
     def displacement_of(
         self, row: int, displacements: Poses, of_frames: bool = False
@@ -227,8 +243,8 @@ class HingeAssembly(eqx.Module):
         displacements: Poses,
         rates: Poses,
         stretches: Float[Array, "hinges 2"] | None = None,
-    ) -> tuple[Wrenches, Float[Array, "hinges 2"], Scalar]:
-        """Compute elastic and viscous forces on each body, and the dissipated power.
+    ) -> tuple[Wrenches, Float[Array, "hinges 2"], tuple[Scalar, Scalar]]:
+        """Compute elastic and viscous forces on each body, and two powers.
 
         Args:
             displacements: Displacement of each body from its reference pose; rad, m, m.
@@ -238,14 +254,15 @@ class HingeAssembly(eqx.Module):
 
         Returns:
             The forces; N m, N, N. The mid-frame translations of the displacements minus
-            the stretches; m. The power; W.
+            the stretches; m. The power that is dissipated, and that of strokes; W.
         """
         more = self._motion_arguments(rates, stretches)
-        local, excess, power = self._evaluate(
+        local, excess, (dissipated, by_strokes) = self._evaluate(
             hinge_motion.forces_in_motion, displacements, *more
         )
         forces = self._gather(local).reshape(displacements.shape)
-        return forces, jnp.stack(excess, axis=1), jnp.sum(power)
+        powers = jnp.sum(dissipated), jnp.sum(by_strokes)
+        return forces, jnp.stack(excess, axis=1), powers
 
     def tangent_in_motion(
         self,
@@ -337,7 +354,12 @@ class HingeAssembly(eqx.Module):
         angle, x, y = displacements.T
         cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
         arms, directions = self.arms[members], self.directions[members]
-        misfit = None if self.misfits is None else Misfit.of(self.misfits[members])
+        misfit = misfit_rate = None
+        if self.misfits is not None and self.misfit_rates is None:
+            misfit = Misfit.of(self.misfits[members])
+        elif self.misfits is not None and self.misfit_rates is not None:
+            numbers, rates = self.misfits[members], self.misfit_rates[members]
+            misfit, misfit_rate = jax.jvp(Misfit.of, (numbers,), (rates,))
 
         def end(body: np.ndarray, arm: Array) -> End:
             of_body = (values[body] for values in (angle, x, y, cos, sin))
@@ -353,7 +375,7 @@ class HingeAssembly(eqx.Module):
             leaves,
             end(first, arms[:, 0]),
             end(second, arms[:, 1]),
-            Axis(directions[:, 0], directions[:, 1], misfit),
+            Axis(directions[:, 0], directions[:, 1], misfit, misfit_rate),
             *more,
         )
 

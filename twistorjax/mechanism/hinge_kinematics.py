@@ -105,11 +105,13 @@ class Axis(NamedTuple):
         cos: Cosine of the angle of the axis.
         sin: Sine of the angle of the axis.
         misfit: The misfit, if any hinge of the mechanism has one.
+        misfit_rate: Its time derivative, if strokes change with time.
     """
 
     cos: Scalar
     sin: Scalar
     misfit: Misfit | None = None
+    misfit_rate: Misfit | None = None
 
 
 class MidFrame(NamedTuple):
@@ -123,14 +125,19 @@ class MidFrame(NamedTuple):
         slope: Derivative of the translation of `displacement` with respect to the
             rotation, at a constant translation of frame b; None without misfit; m/rad.
         curvature: The second derivative; None without misfit; m/rad^2.
+        drift: Rates of the coordinates of the hinge at constant poses of its bodies; None
+            if its misfit is constant; rad/s, m/s, m/s.
+        drift_slope: Derivative of the last two with respect to the rotation; m/(rad s).
     """
 
     displacement: Displacement
     half: Two
     cos: Scalar
     sin: Scalar
-    slope: Two | None
-    curvature: Two | None
+    slope: Two | None = None
+    curvature: Two | None = None
+    drift: Three | None = None
+    drift_slope: Two | None = None
 
 
 def mid_frame(first: End, second: End, axis: Axis) -> MidFrame:
@@ -160,7 +167,7 @@ def mid_frame(first: End, second: End, axis: Axis) -> MidFrame:
     angle = second.angle - first.angle
     if axis.misfit is None:
         displacement = Displacement(angle, sigma, xi, x1, x2)
-        return MidFrame(displacement, (x1, x2), cos, sin, None, None)
+        return MidFrame(displacement, (x1, x2), cos, sin)
     angle_0, cos_0, sin_0, e1, e2, f1, f2 = axis.misfit
     free_1, free_2 = sigma * e1 + xi * f1, sigma * e2 + xi * f2
     displacement = Displacement(
@@ -172,7 +179,14 @@ def mid_frame(first: End, second: End, axis: Axis) -> MidFrame:
     )
     slope = (xi * e1 - sigma * f1) / 2, (xi * e2 - sigma * f2) / 2
     curvature = free_1 / 4, free_2 / 4
-    return MidFrame(displacement, (x1, x2), cos, sin, slope, curvature)
+    drift = drift_slope = None
+    if axis.misfit_rate is not None:
+        rate, _, _, e1, e2, f1, f2 = axis.misfit_rate
+        drift = -rate, -sigma * e1 - xi * f1, -sigma * e2 - xi * f2
+        drift_slope = (xi * e1 - sigma * f1) / 2, (xi * e2 - sigma * f2) / 2
+    return MidFrame(
+        displacement, (x1, x2), cos, sin, slope, curvature, drift, drift_slope
+    )
 
 
 class HingeKinematics(NamedTuple):
@@ -223,9 +237,19 @@ class HingeKinematics(NamedTuple):
         )
 
     def rates(self, first: Three, second: Three) -> Three:
-        """Compute the rates of the coordinates from the rates of (angle, x, y)."""
+        """Compute the rates of the coordinates from the rates of (angle, x, y).
+
+        The misfit is taken as constant.
+        """
         motions = first[0], second[0], second[1] - first[1], second[2] - first[2]
         return combine(self.columns(), motions)
+
+    def with_drift(self, rates: Three) -> Three:
+        """Add the rates that are due to the change of the misfit."""
+        drift = self.middle.drift
+        if drift is None:
+            return rates
+        return rates[0] + drift[0], rates[1] + drift[1], rates[2] + drift[2]
 
     def geometric_stiffness(self, slopes: Three) -> list[list[Scalar]]:
         """Compute the second derivatives of the coordinates times given forces.
@@ -253,18 +277,21 @@ class HingeKinematics(NamedTuple):
     def rate_columns(
         self, rates: Three, mean: Scalar
     ) -> tuple[Three, Three, Three, Three]:
-        """Differentiate the `rates` (rad/s, m/s, m/s) with respect to the motions.
+        """Differentiate the rates of the coordinates with respect to the motions.
 
-        `mean` is the mean angular velocity of the two bodies; rad/s.
+        `rates` are those at a constant misfit; rad/s, m/s, m/s. `mean` is the mean
+        angular velocity of the two bodies; rad/s.
         """
         c, s = self.middle.cos, self.middle.sin
         zero = jnp.zeros_like(c)
-        (k1, k2), (p1, p2) = (
-            part or (zero, zero) for part in (self.middle.slope, self.middle.curvature)
+        middle = self.middle
+        (k1, k2), (p1, p2), (r1, r2) = (
+            part or (zero, zero)
+            for part in (middle.slope, middle.curvature, middle.drift_slope)
         )
         rotation, along, across = (rate / 2 for rate in rates)
         along, across = along - k1 * rotation, across - k2 * rotation
-        p1, p2 = 2 * p1 * rotation, 2 * p2 * rotation
+        p1, p2 = 2 * p1 * rotation + r1, 2 * p2 * rotation + r2
         return (
             (zero, across - rotation * self.a1 - p1, -along - rotation * self.a2 - p2),
             (zero, across - rotation * self.b1 + p1, -along - rotation * self.b2 + p2),

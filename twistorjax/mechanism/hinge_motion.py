@@ -35,15 +35,16 @@ def forces_in_motion(
     axis: Axis,
     rates: tuple[Three, Three],
     stretch: Two | None = None,
-) -> tuple[Six, Two, Scalar]:
-    """Compute elastic and viscous forces, and the dissipated power.
+) -> tuple[Six, Two, Two]:
+    """Compute elastic and viscous forces, the dissipated power, and that of the stroke.
 
     Args:
         energy: Energy of the hinge.
         damping: Damping of the hinge, if any.
         first: End on body A.
         second: End on body B.
-        axis: Axis of the hinge in the reference configuration, and its misfit.
+        axis: Axis of the hinge in the reference configuration, its misfit, and the rate
+            of this misfit.
         rates: Rates of (angle, x, y) of both bodies; rad/s, m/s, m/s.
         stretch: Mid-frame translation for which the forces are computed; by default that
             of the displacement. A solver may predict it, as Newton's method predicts the
@@ -51,17 +52,20 @@ def forces_in_motion(
 
     Returns:
         The forces (N m, N); the translation of the displacement minus the `stretch` (m);
-        and the power (W).
+        and the powers (W).
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at, excess = _with_stretch(kinematics.middle.displacement, stretch)
     slopes, _ = gradient_and_hessian(energy, at)
-    if damping is None:
-        return on_bodies(kinematics, slopes), excess, jnp.zeros_like(slopes[0])
-    hinge_rates = kinematics.rates(*rates)
-    viscous = _viscous_slopes(energy, damping, at, hinge_coordinates(at), hinge_rates)
-    total = _sum(slopes, viscous)
-    return on_bodies(kinematics, total), excess, dot(viscous, hinge_rates)
+    dissipated = by_stroke = jnp.zeros_like(slopes[0])
+    if damping is not None:
+        hinge_rates = kinematics.with_drift(kinematics.rates(*rates))
+        viscous = _viscous_slopes(energy, damping, at, hinge_coordinates(at), hinge_rates)
+        dissipated = dot(viscous, hinge_rates)
+        slopes = _sum(slopes, viscous)
+    if kinematics.middle.drift is not None:
+        by_stroke = dot(slopes, kinematics.middle.drift)
+    return on_bodies(kinematics, slopes), excess, (dissipated, by_stroke)
 
 
 class HingeMotionTangent(NamedTuple):
@@ -105,20 +109,20 @@ def tangent_in_motion(
     hessian = as_matrix(curvature_times)
     products, viscous_products = product(columns, hessian), None
     if damping is not None:
-        hinge_rates = kinematics.rates(*rates)
+        constant_misfit = kinematics.rates(*rates)
         viscous, derivative = jax.linearize(
             lambda coordinates, rates: _viscous_slopes(
                 energy, damping, at, coordinates, rates, at
             ),
             hinge_coordinates(at),
-            hinge_rates,
+            kinematics.with_drift(constant_misfit),
         )
         unit_coordinates, unit_rates = jnp.split(jnp.eye(6), 2, axis=1)
         by_both = jax.vmap(derivative)(tuple(unit_coordinates.T), tuple(unit_rates.T))
         by_both = jnp.stack(by_both, axis=1)
         hessian = hessian + by_both[:3]
         mean = (rates[0][0] + rates[1][0]) / 2
-        rate_columns = as_array(kinematics.rate_columns(hinge_rates, mean))
+        rate_columns = as_array(kinematics.rate_columns(constant_misfit, mean))
         products = product(columns, hessian) + product(rate_columns, by_both[3:])
         viscous_products = product(columns, by_both[3:])
         slopes = _sum(slopes, viscous)

@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, on_host
-from .._utils.types import NamedNumbers, NumberLike, PoseLike
+from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Wrenches
 from .._utils.validation import (
     index_of,
     require_finite,
@@ -18,6 +20,7 @@ from .hinge_kinematics import misfit_numbers
 
 
 if TYPE_CHECKING:
+    from .hinge_assembly import HingeAssembly
     from .mechanism import Mechanism
 
 
@@ -40,6 +43,27 @@ def stroke_rows(
 def with_strokes(mechanism: "Mechanism", strokes: Mapping[str, PoseLike]) -> "Mechanism":
     """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
     return _with_misfits(mechanism, misfit_numbers(stroke_rows(mechanism, strokes)))
+
+
+def stroke_forces(
+    hinges: "HingeAssembly", displacements: Poses, strokes: Float[Array, "hinges 3"]
+) -> tuple[Wrenches, Wrenches]:
+    """Compute the forces of the hinges on the bodies due to small strokes.
+
+    Returns:
+        The elastic forces due to strokes (rad, m, m), and the viscous forces due to their
+        rates (rad/s, m/s, m/s), to be added to the forces that hinges resist with; N m,
+        N, N.
+    """
+    zero = jnp.zeros_like(strokes)
+
+    def forces(strokes: Array, rates: Array) -> Wrenches:
+        displaced = hinges.with_strokes(strokes, rates)
+        return displaced.forces_in_motion(displacements, jnp.zeros_like(displacements))[0]
+
+    _, elastic = jax.jvp(forces, (zero, zero), (strokes, zero))
+    _, viscous = jax.jvp(forces, (zero, zero), (zero, strokes))
+    return elastic, viscous
 
 
 def expanded(

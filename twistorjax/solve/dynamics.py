@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import diffrax as dfx
@@ -15,11 +16,20 @@ from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
 from .._utils.host import as_float, is_traced, on_host, program_input
-from .._utils.types import Count, NumberLike, Poses, Scalar, TimesLike, VelocityLike
+from .._utils.types import (
+    Count,
+    NumberLike,
+    PoseLike,
+    Poses,
+    Scalar,
+    TimesLike,
+    VelocityLike,
+)
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.misfits import stroke_rows
 from .collocation import Gauss, Radau
 from .dofs import DofPartition
 from .events import with_snapshots
@@ -49,6 +59,10 @@ _SMALLEST_STEP = 1e-12
 # A constant list, or a function of time (s) that returns a list
 Loading = TypeAliasType("Loading", Sequence[Load] | Callable[[Scalar], Sequence[Load]])
 Driving = TypeAliasType("Driving", Sequence[Drive] | Callable[[Scalar], Sequence[Drive]])
+# Constant strokes by hinges, or a function of time (s) that returns them
+Strokes = TypeAliasType(
+    "Strokes", Mapping[str, PoseLike] | Callable[[Scalar], Mapping[str, PoseLike]]
+)
 
 
 def simulate(
@@ -57,6 +71,7 @@ def simulate(
     *,
     loads: Loading = (),
     drives: Driving = (),
+    strokes: Strokes = MappingProxyType({}),
     constraints: Sequence[AbstractConstraint] = (),
     start: StateLike | None = None,
     velocities: Mapping[str, VelocityLike] | None = None,
@@ -89,6 +104,8 @@ def simulate(
         drives: Prescribed displacements of degrees of freedom that are not fixed, or a
             smooth function of time that returns them. Define this function once: a new
             function is compiled again.
+        strokes: Strokes of actuators, by the names of their hinges, or a smooth function
+            of time that returns them; see `Mechanism.with_strokes`; rad, m, m.
         constraints: Pins, sliders, and other constraints between its bodies.
         start: Poses at the start, or an equilibrium; by default the reference
             configuration; rad, m, m.
@@ -162,9 +179,14 @@ def simulate(
             "`solver` is `Gauss()`, which has no step size control. Give a `step` that "
             "is short compared with the period of the fastest motion of interest."
         )
-    with explain_compilation(first, drives=drives, loads=loads):
+    functions = {"loads": loads, "drives": drives, "strokes": strokes}
+    with explain_compilation(first, **functions):
         first_drives = drives(first) if callable(drives) else drives
         first_loads = loads(first) if callable(loads) else loads
+        first_strokes = strokes(first) if callable(strokes) else strokes
+    stroke_rows(mechanism, first_strokes)  # checks the names
+    if first_strokes and not callable(strokes):
+        mechanism = mechanism.with_strokes(first_strokes)
     load_set = LoadSet.of(mechanism, first_loads)
     dofs = DofPartition.of(mechanism, prescribed_dofs(mechanism, first_drives)[0])
     displacements = jnp.zeros_like(mechanism.reference)
@@ -179,15 +201,16 @@ def simulate(
     if throw:
         start_of_motion.check()
     # In a program that is traced, for example for a batch, padding would only cost time.
-    arguments = mechanism, instants, loads, drives, constraint_set, displacements
+    arguments = mechanism, instants, loads, drives, strokes, constraint_set, displacements
     pad = saveat is None and not is_traced((*arguments, tolerance))
     time_count = len(instants)
-    with explain_compilation(first, drives=drives, loads=loads):
+    with explain_compilation(first, **functions):
         motion = _solve(
             mechanism,
             pad_times(instants) if pad else instants,
             loads if callable(loads) else load_set,
             drives if callable(drives) else tuple(drives),
+            strokes if callable(strokes) else None,
             constraint_set,
             displacements,
             rates,
@@ -217,6 +240,7 @@ def _solve(
     times: Float[Array, " times"],
     loads: LoadSet | Callable[[Scalar], Sequence[Load]],
     drives: Driving,
+    strokes: Callable[[Scalar], Mapping[str, PoseLike]] | None,
     constraints: ConstraintSet,
     start: Poses,
     velocities: Poses | None,
@@ -240,8 +264,8 @@ def _solve(
         adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
     saveat = dfx.SaveAt() if saveat is None else saveat
     problem = initial_value_problem(
-        mechanism, times, loads, drives, constraints, start, velocities, energies, dofs,
-        tolerance, step, check_accelerations=not collocation,
+        mechanism, times, loads, drives, strokes, constraints, start, velocities,
+        energies, dofs, tolerance, step, check_accelerations=not collocation,
         time_count=time_count, saved_times=getattr(saveat.subs, "ts", None),
     )  # fmt: skip
     system = problem.system
@@ -296,7 +320,9 @@ def _solve(
     output = jax.vmap(partial(_output, system))(
         jnp.where(valid, saved_times, problem.times[0]), states
     )
-    outside = jax.vmap(mechanism.hinge_assembly.out_of_range)(output[0])
+    outside = jax.vmap(lambda time, at: system.hinges(time).out_of_range(at))(
+        jnp.where(valid, saved_times, problem.times[0]), output[0]
+    )
     after_exit = jnp.cumsum(valid & jnp.any(outside, axis=1)) > 0
     left_range = is_success(result) & jnp.any(after_exit)
     result = RESULTS.where(left_range, RESULTS.out_of_range, result)
@@ -373,12 +399,14 @@ def _output(system: MotionSystem, time: Scalar, state: State):
     displacements, velocities = system.expand(time, position, rate)
     now = system.instant(time, position, rate)
     works = state.work if state.work.size else jnp.zeros(3)
+    by_strokes = works[3] if works.size > 3 else jnp.zeros(())
     energy = Energies(
-        elastic=system.mechanism.hinge_assembly.energy(displacements),
+        elastic=system.hinges(time).energy(displacements),
         kinetic=jnp.sum(system.inertia * velocities.reshape(-1) ** 2) / 2,
         dissipated=works[0],
         by_loads=works[1],
         by_drives=works[2],
+        by_strokes=by_strokes,
     )
     return displacements, velocities, now.reactions, now.multipliers, energy
 

@@ -1,17 +1,19 @@
 """Harmonic response of a mechanism about an equilibrium."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from .._utils.types import FrequenciesLike, NumberLike, Poses
+from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.misfits import stroke_forces, stroke_rows
 from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .factorization import null_space
@@ -64,6 +66,7 @@ def frequency_response(
     *,
     loads: Sequence[Load] = (),
     drives: Sequence[Drive] = (),
+    strokes: Mapping[str, PoseLike] = MappingProxyType({}),
     about: StateLike | None = None,
     static_loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
@@ -78,6 +81,8 @@ def frequency_response(
         frequencies: Frequencies of the excitation; Hz.
         loads: Amplitudes of the loads; N m, N, N.
         drives: Amplitudes of the prescribed displacements; rad, m, m.
+        strokes: Amplitudes of the strokes of actuators, by the names of their hinges; see
+            `Mechanism.with_strokes`; rad, m, m.
         about: Equilibrium about which the mechanism vibrates, or its poses; by default
             the reference configuration; rad, m, m.
         static_loads: Constant loads that act at this equilibrium. They contribute to the
@@ -123,9 +128,12 @@ def frequency_response(
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
     load_set = LoadSet.of(mechanism, loads)
+    rows = stroke_rows(mechanism, strokes) if strokes else None
     system = System.of(mechanism, dofs, static_loads, constraints, time)
     state = state_in_range(mechanism, "about", about)
-    response = _frequency_response(mechanism, system, values, load_set, targets, state)
+    response = _frequency_response(
+        mechanism, system, values, load_set, rows, targets, state
+    )
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
         if name == "inconsistent_constraints":
@@ -147,6 +155,7 @@ def _frequency_response(
     system: System,
     frequencies: Array,
     loads: LoadSet,
+    strokes: Float[Array, "hinges 3"] | None,
     targets: tuple[Array, ...],
     displacements: Poses,
 ) -> FrequencyResponse:
@@ -161,6 +170,13 @@ def _frequency_response(
     inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
     applied, _ = loads.apply(displacements)
     force = applied.reshape(-1).astype(complex)
+    force_by_omega = jnp.zeros_like(force)
+    if strokes is not None:
+        elastic, viscous = (
+            forces.reshape(-1).astype(complex)
+            for forces in stroke_forces(system.hinges, displacements, strokes)
+        )
+        force, force_by_omega = force - elastic, -1j * viscous
     amplitudes = jnp.array(targets, float).astype(complex)
     prescribed = dofs.expand(jnp.zeros(len(free), complex), amplitudes).reshape(-1)
     jacobian = jacobian.astype(complex)
@@ -178,7 +194,8 @@ def _frequency_response(
         omega = 2 * jnp.pi * frequency
         real = stiffness - omega**2 * jnp.diag(inertia)
         matrix = jax.lax.complex(real, omega * damping)
-        right = (force - matrix @ prescribed)[free]
+        exciting = force + omega.astype(complex) * force_by_omega
+        right = (exciting - matrix @ prescribed)[free]
         reduced = matrix[free[:, None], free]
         # Rows and columns are scaled by their sizes, so that units do not matter.
         size = (
@@ -197,7 +214,7 @@ def _frequency_response(
         if basis is not None:
             solved = basis @ solved
         amplitude = prescribed.at[free].add(solved)
-        unbalanced = matrix @ amplitude - force
+        unbalanced = matrix @ amplitude - exciting
         multipliers = jnp.zeros(0, complex)
         if basis is not None:
             multipliers = pseudo_inverse.T @ unbalanced[free]

@@ -171,6 +171,7 @@ def initial_value_problem(
     times: Float[Array, " times"],
     loads,
     drives,
+    strokes,
     constraints: ConstraintSet,
     start: Poses,
     velocities: Poses | None,
@@ -195,6 +196,7 @@ def initial_value_problem(
         mechanism=mechanism,
         loads=loads,
         drives=drives,
+        strokes=strokes,
         constraints=constraints,
         inertia=jnp.where(jnp.isinf(inertia), 0.0, inertia),
         length=jnp.ones(()),
@@ -203,7 +205,7 @@ def initial_value_problem(
         dofs=dofs,
     )
     position = start.reshape(-1)[system.free]
-    length, period, first = _scales(system, start, times[-1] - times[0])
+    length, period, first = _scales(system, start, times[0], times[-1] - times[0])
     system = eqx.tree_at(
         lambda system: (system.length, system.period), system, (length, period)
     )
@@ -243,7 +245,8 @@ def initial_value_problem(
     for passed, item in reversed(checks):
         result = RESULTS.where(passed, result, item)
     starts = result == RESULTS.successful
-    works = jnp.zeros(3 if energies else 0)
+    work_count = 3 if strokes is None else 4
+    works = jnp.zeros(work_count if energies else 0)
     position, rate = (jnp.where(starts, value, 0.0) for value in (position, rate))
     return InitialValueProblem(
         system=system,
@@ -256,7 +259,7 @@ def initial_value_problem(
 
 
 def _scales(
-    system: MotionSystem, start: Poses, duration: Array
+    system: MotionSystem, start: Poses, time: Array, duration: Array
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Compute a length (m) and two times (s) that scale errors and the first step.
 
@@ -264,11 +267,12 @@ def _scales(
     that move. If this is zero, it is the square root of rotational over translational
     stiffness. The times are estimates of the periods of the slowest and of the fastest
     vibration, divided by two pi. They follow from the sums of the squares of all periods
-    and of all frequencies, and are limited by the `duration` of the motion (s).
+    and of all frequencies at the start (at `time`; s), and are limited by the `duration`
+    of the motion (s).
     """
-    system, start, duration = stop_gradient((system, start, duration))
+    system, start, time, duration = stop_gradient((system, start, time, duration))
     # The steps of the solver call the same function, so that it is traced once.
-    hinges, mass = system.mechanism.hinge_assembly, system.mass
+    hinges, mass = system.hinges(time), system.mass
     stretches = hinges.stretches(start)
     no_velocities = jnp.zeros_like(start)
     tangent = hinges.tangent_in_motion(start, no_velocities, system.dofs.free, stretches)

@@ -1,22 +1,20 @@
 """Linearization of a mechanism about an equilibrium."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import concrete
-from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar, Wrenches
+from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.misfits import stroke_rows
+from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
 from .consistency import consistent, inconsistency
 from .dofs import DofPartition
@@ -116,7 +114,9 @@ def _respond(
     mechanism, count = linear.mechanism, len(linear.dofs.free)
     applied, _ = loads.apply(linear.about - mechanism.reference)
     if strokes is not None:
-        applied = applied - _stroke_forces(linear, strokes)
+        hinges, displacements = mechanism.hinge_assembly, linear.about
+        displacements = displacements - mechanism.reference
+        applied = applied - stroke_forces(hinges, displacements, strokes)[0]
     applied = applied.reshape(-1)
     dofs = DofPartition(linear.dofs.total, linear.dofs.free, prescribed)
     imposed = dofs.expand(jnp.zeros(count), jnp.array(targets, float)).reshape(-1)
@@ -152,19 +152,6 @@ def _respond(
         names=mechanism.names,
         constraint_names=linear.constraint_names,
     )
-
-
-def _stroke_forces(linear: Linearization, strokes: Float[Array, "hinges 3"]) -> Wrenches:
-    """Compute the forces of the hinges due to strokes, to first order; N m, N, N."""
-    hinges = linear.mechanism.hinge_assembly
-    displacements = linear.about - linear.mechanism.reference
-    change = jnp.concatenate([strokes, jnp.zeros((len(strokes), 2))], axis=1)
-    misfits = jnp.zeros_like(change) if hinges.misfits is None else hinges.misfits
-
-    def forces(misfits: Array) -> Wrenches:
-        return replace(hinges, misfits=misfits).forces(displacements)
-
-    return jax.jvp(forces, (misfits,), (change,))[1]
 
 
 def linearize(

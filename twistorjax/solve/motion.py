@@ -21,7 +21,7 @@ class Energies(eqx.Module):
     """Energy balance of a motion, with one entry for each time; J.
 
     In an exact solution, the sum of elastic and kinetic energy is its initial value, plus
-    the work of loads and prescribed motions, minus the dissipated energy.
+    the work of loads, prescribed motions, and strokes, minus the dissipated energy.
 
     Args:
         elastic: Energy stored in the hinges.
@@ -30,6 +30,7 @@ class Energies(eqx.Module):
         by_loads: Work of the loads since the start.
         by_drives: Work of prescribed motions and of time-dependent constraints since the
             start.
+        by_strokes: Work of the actuators whose strokes change, since the start.
     """
 
     elastic: Numbers
@@ -37,12 +38,13 @@ class Energies(eqx.Module):
     dissipated: Numbers
     by_loads: Numbers
     by_drives: Numbers
+    by_strokes: Numbers
 
     @property
     def imbalance(self) -> Numbers:
         """Error of the energy balance; J."""
         stored = self.elastic + self.kinetic
-        supplied = self.by_loads + self.by_drives - self.dissipated
+        supplied = self.by_loads + self.by_drives + self.by_strokes - self.dissipated
         return (stored - stored[..., :1]) - (supplied - supplied[..., :1])
 
 

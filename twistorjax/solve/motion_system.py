@@ -1,6 +1,6 @@
 """Equations of motion of a mechanism: forces and accelerations at an instant."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import diffrax as dfx
@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Entries, Poses, Scalar, Wrenches
+from .._utils.types import Entries, PoseLike, Poses, Scalar, Wrenches
 from ..mechanism.constraints import ConstraintSet
+from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.misfits import stroke_rows
 from .dofs import DofPartition
 from .small_matrices import inverse
 from .tangent_stiffness import add_load_stiffness
@@ -25,8 +27,8 @@ class State(NamedTuple):
     Args:
         position: Displacements of the free degrees of freedom; rad, m.
         rate: Their rates; rad/s, m/s.
-        work: Dissipated energy, work of loads, and work of prescribed motions; empty if
-            they are not computed; J.
+        work: Dissipated energy, work of loads, work of prescribed motions, and work of
+            strokes that change; empty if they are not computed; J.
     """
 
     position: Float[Array, " free"]
@@ -76,14 +78,14 @@ class Instant(NamedTuple):
         acceleration: Acceleration of the free degrees of freedom; rad/s^2, m/s^2.
         multipliers: Constraint forces; N m, N.
         reactions: External wrench on fixed and prescribed degrees of freedom; N m, N, N.
-        powers: Dissipated power, power of the loads, and power of prescribed motions and
-            time-dependent constraints; W.
+        powers: Dissipated power, power of the loads, power of prescribed motions and
+            time-dependent constraints, and power of strokes that change; W.
     """
 
     acceleration: Float[Array, " free"]
     multipliers: Entries
     reactions: Wrenches
-    powers: Float[Array, "3"]
+    powers: Float[Array, " powers"]
 
 
 class MotionSystem(eqx.Module):
@@ -95,6 +97,7 @@ class MotionSystem(eqx.Module):
         mechanism: The mechanism.
         loads: The loads, or a function of time that returns them.
         drives: Prescribed displacements, or a function of time that returns them.
+        strokes: A function of time that returns strokes; None if they are constant.
         constraints: Its constraints.
         inertia: Inertia of each degree of freedom, zero for fixed bodies; kg m^2, kg, kg.
         length: Length of the mechanism by which displacements are scaled; m.
@@ -108,6 +111,7 @@ class MotionSystem(eqx.Module):
     mechanism: Mechanism
     loads: LoadSet | Callable[[Scalar], Sequence[Load]]
     drives: Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
+    strokes: Callable[[Scalar], Mapping[str, PoseLike]] | None
     constraints: ConstraintSet
     inertia: Float[Array, " dofs"]
     length: Scalar
@@ -175,7 +179,7 @@ class MotionSystem(eqx.Module):
         """
         displacements, rates = self.expand(time, position, rate)
         stretches = None if stretches is None else stretches.reshape(-1, 2)
-        resisting, excess, _ = self.mechanism.hinge_assembly.forces_in_motion(
+        resisting, excess, _ = self.hinges(time).forces_in_motion(
             displacements, rates, stretches
         )
         applied, _ = self.load_set(time).apply(displacements)
@@ -196,7 +200,7 @@ class MotionSystem(eqx.Module):
         """Compute the derivatives of the `forces`, for the same arguments."""
         displacements, rates = self.expand(time, position, rate)
         free = self.dofs.free
-        tangent = self.mechanism.hinge_assembly.tangent_in_motion(
+        tangent = self.hinges(time).tangent_in_motion(
             displacements, rates, free, stretches.reshape(-1, 2)
         )
         loads = self.load_set(time)
@@ -223,7 +227,7 @@ class MotionSystem(eqx.Module):
     def instant(self, time: Scalar, position: Array, rate: Array) -> Instant:
         """Compute accelerations, forces, and powers; dissertation, equation 5.25."""
         displacements, rates = self.expand(time, position, rate)
-        resisting, _, dissipated = self.mechanism.hinge_assembly.forces_in_motion(
+        resisting, _, (dissipated, by_strokes) = self.hinges(time).forces_in_motion(
             displacements, rates
         )
         applied, _ = self.load_set(time).apply(displacements)
@@ -238,8 +242,10 @@ class MotionSystem(eqx.Module):
         total = self.inertia * self.dofs.expand(acceleration, prescribed).reshape(-1)
         reactions = self.dofs.reactions(total - net - constraint)
         by_drives = jnp.vdot(reactions, rates) - power
-        powers = jnp.stack([dissipated, jnp.vdot(applied, rates), by_drives])
-        return Instant(acceleration, multipliers, reactions, powers)
+        powers = [dissipated, jnp.vdot(applied, rates), by_drives]
+        if self.strokes is not None:
+            powers.append(by_strokes)
+        return Instant(acceleration, multipliers, reactions, jnp.stack(powers))
 
     def _multipliers(
         self, time: Scalar, position: Array, rate: Array, displacements: Poses, net: Array
@@ -292,6 +298,17 @@ class MotionSystem(eqx.Module):
         if not self.constraints.size:
             return jnp.zeros((0, position.size))
         return jax.jacrev(lambda position: self.violation(time, position))(position)
+
+    def hinges(self, time: Scalar) -> HingeAssembly:
+        """Return the hinges with their strokes at a time; s."""
+        hinges, strokes = self.mechanism.hinge_assembly, self.strokes
+        if strokes is None:
+            return hinges
+
+        def rows(time: Scalar) -> Float[Array, "hinges 3"]:
+            return stroke_rows(self.mechanism, strokes(time))
+
+        return hinges.with_strokes(*jax.jvp(rows, (time,), (jnp.ones_like(time),)))
 
     def load_set(self, time: Scalar) -> LoadSet:
         """Gather the loads at a time; s."""

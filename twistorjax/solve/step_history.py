@@ -41,7 +41,7 @@ class StepHistory(NamedTuple):
         """Return the history for the first step, with constant polynomials."""
         now = system.instant(time, state.position, state.rate)
         displacements, _ = system.expand(time, state.position, state.rate)
-        stretches = system.mechanism.hinge_assembly.stretches(displacements).reshape(-1)
+        stretches = system.hinges(time).stretches(displacements).reshape(-1)
 
         def constant(value: Array) -> Float[Array, "degrees values"]:
             degrees = len(scheme.history_to_coefficients)

@@ -1,0 +1,180 @@
+"""Strokes that change with time, and harmonic strokes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close, some_stiffness
+from scipy.integrate import solve_ivp
+
+import twistorjax as tj
+
+
+STIFFNESS, DAMPING, MASS = 400.0, 0.3, 2.0  # N/m, N s/m, kg
+
+
+def actuated_block():
+    """Return a block between an actuator and a spring, which only move along x."""
+    actuator = tj.Quadratic(jnp.diag(jnp.array([1.0, STIFFNESS, 1.0])))
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 1.0])))
+    hinges = [
+        tj.Hinge(
+            "actuator", "wall", "block", actuator, (0, 0, 0),
+            damping=tj.energies.ViscousDamping(jnp.diag(jnp.array([0.0, DAMPING, 0.0]))),
+        ),
+        tj.Hinge("spring", "block", "wall", spring, (0, 0, 0)),
+    ]  # fmt: skip
+    bodies = [tj.Body("wall"), tj.Body("block", mass=MASS, inertia=0.1)]
+    return tj.Mechanism(bodies, hinges, fixed=["wall"])
+
+
+def stroke(time):
+    return 1e-2 * jnp.sin(20 * time) * time
+
+
+def test_a_block_follows_an_actuator_as_a_base_excited_oscillator():
+    """The actuator is a spring and a damper whose other ends move by the stroke."""
+    times = np.linspace(0.0, 1.0, 6)
+    motion = tj.simulate(
+        actuated_block(),
+        times,
+        strokes=lambda time: {"actuator": (0.0, stroke(time), 0.0)},
+        tolerance=1e-10,
+    )
+
+    def slope(time, state):
+        x, speed = state
+        base, base_speed = jax.jvp(stroke, (time,), (1.0,))
+        force = STIFFNESS * (base - x) + DAMPING * (base_speed - speed) - 100.0 * x
+        return [speed, float(force) / MASS]
+
+    exact = solve_ivp(slope, (0, 1), [0, 0], t_eval=times, rtol=1e-10, atol=1e-13)
+    assert np.max(np.abs(exact.y[0])) > 5e-3
+    np.testing.assert_allclose(motion.displacement("block")[:, 1], exact.y[0], atol=1e-9)
+    by_strokes = np.max(np.abs(motion.energies.by_strokes))
+    assert by_strokes > 1e-2
+    assert np.max(np.abs(motion.energies.imbalance)) < 1e-8 * by_strokes
+
+
+def whirling_mechanism(misfit=None, damping_time=1e-2):
+    """Return two bodies on damped hinges that are displaced in all directions."""
+    energy = tj.Quadratic(some_stiffness(3))
+    damping = tj.energies.ViscousDamping(damping_time * some_stiffness(3))
+    bodies = [
+        tj.Body("ground"),
+        tj.Body("first", (0.1, 0.2, 0.0), mass=1.0, inertia=0.02),
+        tj.Body("second", (-0.2, 0.5, 0.3), mass=2.0, inertia=0.05),
+    ]
+    hinges = [
+        tj.Hinge("a", "ground", "first", energy, (0.3, 0.1, 0.0), damping=damping),
+        tj.Hinge(
+            "b",
+            "second",
+            "first",
+            energy,
+            (1.0, 0.4, 0.1),
+            damping=damping,
+            misfit=misfit,
+        ),
+    ]
+    return tj.Mechanism(bodies, hinges, fixed=["ground"])
+
+
+def whirling_strokes(time):
+    return {
+        "a": (0.2 * jnp.sin(3 * time), 0.05 * time, 0.02 * time**2),
+        "b": (0.3 * time, 0.02 * jnp.sin(5 * time), -0.04 * time),
+    }
+
+
+@pytest.mark.parametrize("misfit", [None, (0.2, 0.03, -0.05)])
+def test_energy_is_balanced_while_hinges_are_displaced_and_turned(misfit):
+    """The balance contains the work of the strokes and of the damping."""
+    motion = tj.simulate(
+        whirling_mechanism(misfit),
+        np.linspace(0.0, 1.0, 5),
+        strokes=whirling_strokes,
+        tolerance=1e-9,
+    )
+    energies = motion.energies
+    assert float(energies.dissipated[-1]) > 1e-3
+    assert float(jnp.max(jnp.abs(energies.imbalance))) < 1e-6 * float(
+        energies.elastic[-1]
+    )
+
+
+def test_constant_strokes_are_misfits_in_a_motion():
+    mechanism, strokes = whirling_mechanism(), whirling_strokes(0.7)
+    times = [0.0, 0.2]
+    by_function = tj.simulate(mechanism, times, strokes=lambda time: strokes)
+    for other in (
+        tj.simulate(mechanism, times, strokes=strokes),
+        tj.simulate(mechanism.with_strokes(strokes), times),
+    ):
+        assert_close(other.displacements, by_function.displacements, digits=12)
+
+
+def test_a_motion_has_derivatives_by_its_strokes():
+    mechanism = whirling_mechanism()
+
+    def angle(amplitude):
+        motion = tj.simulate(
+            mechanism,
+            [0.0, 0.5],
+            strokes=lambda time: {"a": (amplitude * time, 0.0, 0.0)},
+            tolerance=1e-10,
+            energies=False,
+        )
+        return motion.displacement("second")[-1, 0]
+
+    difference = (angle(0.301) - angle(0.299)) / 0.002
+    assert_close(jax.jit(jax.grad(angle))(0.3) / difference, jnp.ones(()), digits=5)
+
+
+def test_the_response_to_a_harmonic_stroke_is_that_of_the_motion():
+    mechanism, frequency = actuated_block(), 1.5
+    response = tj.frequency_response(
+        mechanism, [0.0, frequency], strokes={"actuator": (0.0, 1e-3, 0.0)}
+    )
+    omega = 2 * np.pi * np.array([0.0, frequency])
+    base = STIFFNESS + 1j * omega * DAMPING
+    expected = 1e-3 * base / (base + 100.0 - MASS * omega**2)
+    np.testing.assert_allclose(response.displacement("block")[:, 1], expected, rtol=1e-12)
+
+
+def test_a_harmonic_stroke_about_a_preloaded_equilibrium():
+    """A motion that starts in the harmonic response stays in it."""
+    mechanism = whirling_mechanism((0.2, 0.03, -0.05), damping_time=0.3)
+    about, frequency, amplitude = tj.equilibrium(mechanism), 2.0, 1e-6
+    shape = jnp.array([1.0, 0.2, -0.1])
+    response = tj.frequency_response(
+        mechanism, [frequency], about=about, strokes={"a": shape}
+    )
+    expected, omega = amplitude * response.displacements[0], 2 * np.pi * frequency
+    times = np.linspace(0.0, 0.5, 9)
+    motion = tj.simulate(
+        mechanism,
+        times,
+        start=about.displacements + mechanism.reference + expected.real,
+        velocities={
+            name: -omega * expected[row].imag
+            for row, name in enumerate(mechanism.names)
+            if name != "ground"
+        },
+        strokes=lambda time: {"a": amplitude * jnp.cos(omega * time) * shape},
+        tolerance=1e-13,
+        energies=False,
+    )
+    change = np.asarray(motion.displacements) - np.asarray(about.displacements)
+    harmonic = np.exp(1j * omega * times)[:, None, None] * np.asarray(expected)
+    size = np.max(np.abs(harmonic), axis=(0, 1))
+    np.testing.assert_allclose(change / size, harmonic.real / size, atol=1e-5)
+
+
+def test_unknown_actuators_are_named():
+    with pytest.raises(ValueError, match="piezo"):
+        tj.simulate(
+            actuated_block(), [0, 1], strokes=lambda time: {"piezo": (0, time, 0)}
+        )
+    with pytest.raises(ValueError, match="piezo"):
+        tj.frequency_response(actuated_block(), [1.0], strokes={"piezo": (0, 1, 0)})

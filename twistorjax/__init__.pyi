@@ -41,6 +41,7 @@ from .solve import (
     linearize as linearize,
     Motion as Motion,
     port_compliance as port_compliance,
+    port_motion as port_motion,
     result_names as result_names,
     RESULTS as RESULTS,
     simulate as simulate,

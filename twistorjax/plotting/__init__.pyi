@@ -1,3 +1,4 @@
 from .animation import animate as animate
 from .drawing import draw as draw
 from .hinge_plots import draw_energy as draw_energy
+from .port_plots import draw_port_motion as draw_port_motion

@@ -14,6 +14,7 @@ from .port_compliance import (
     port_compliance as port_compliance,
     PortCompliance as PortCompliance,
 )
+from .port_motion import port_motion as port_motion, PortMotion as PortMotion
 from .progress import ProgressBar as ProgressBar
 from .results import result_names as result_names, RESULTS as RESULTS
 from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium

@@ -14,7 +14,7 @@ from .._utils.validation import index_of, require_pose
 from ..geometry import se2
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
-from ..mechanism.mechanism import Mechanism
+from ..mechanism.mechanism import COORDINATES, Mechanism
 from .linearization import Linearization, linearize
 from .statics import StateLike
 
@@ -35,6 +35,31 @@ class PortCompliance(eqx.Module):
     def stiffness(self) -> Float[Array, "*batch 3 3"]:
         """Stiffness at the port, the inverse of the compliance; N m/rad, N/rad, N/m."""
         return jnp.linalg.inv(self.compliance)
+
+    def stiffness_along(
+        self, direction: str, held: Sequence[str] = ()
+    ) -> Float[Array, "*batch"]:
+        """Compute the force per displacement of one coordinate.
+
+        Args:
+            direction: Coordinate that is displaced: "angle", "x", or "y".
+            held: Other coordinates that are held. The rest is free.
+
+        Returns:
+            The stiffness; N m/rad or N/m.
+
+        Raises:
+            ValueError: A coordinate is unknown.
+        """
+        chosen = [
+            index_of("`stiffness_along`", "coordinate", name, COORDINATES)
+            for name in (direction, *held)
+        ]
+        free = [k for k in range(3) if k not in chosen[1:]]
+        # The compliance of the coordinates that are not held, while the others are held.
+        stiffness = self.stiffness[..., np.array(free)[:, None], np.array(free)]
+        own = free.index(chosen[0])
+        return 1 / jnp.linalg.inv(stiffness)[..., own, own]
 
     @property
     def center(self) -> Float[Array, "*batch 2"]:

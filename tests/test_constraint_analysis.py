@@ -145,3 +145,19 @@ def test_the_result_does_not_depend_on_the_unit_of_length():
 def test_an_invalid_ratio_is_reported():
     with pytest.raises(ValueError, match=r"`ratio` is 2\.0, but must be between 0 and 1"):
         tj.constraint_analysis(guide(0.0), ratio=2.0)
+
+
+def test_a_failed_solve_names_the_bodies_that_nothing_holds():
+    """A block that only a hinge without rotational stiffness holds, and a free pair."""
+    pin = tj.Quadratic(np.diag([0.0, 1e6, 1e6]))
+    hinges = [
+        tj.Hinge("pin", "base", "lever", pin, (0.0, 0.1, 0.0)),
+        tj.Hinge("weld", "lever", "tool", tj.Quadratic(np.eye(3)), (0.0, 0.3, 0.0)),
+    ]
+    bodies = [tj.Body("base"), tj.Body("lever"), tj.Body("tool")]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["base"])
+    with pytest.raises(RuntimeError) as error:
+        tj.equilibrium(mechanism)
+    assert "Nothing resists the motion of 'lever', 'tool'" in str(error.value)
+    held = tj.equilibrium(mechanism, drives=[tj.Drive("lever", angle=0.0)])
+    assert held.succeeded

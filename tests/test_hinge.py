@@ -208,7 +208,7 @@ def test_viscous_forces_dissipate_the_power_of_the_viscous_wrench(coordinates):
         return se2.between(*frames(poses))
 
     for poses, rates in zip(random_states(0, 8), random_states(5, 8), strict=True):
-        forces, _, power = hinge_assembly.forces_in_motion(poses - REFERENCE, rates)
+        forces, _, (power, _) = hinge_assembly.forces_in_motion(poses - REFERENCE, rates)
         assert_close(power, jnp.sum(forces * rates), digits=10)
         pose, pose_rate = jax.jvp(relative_pose, (poses,), (rates,))
         assert_close(power, 2 * damping(pose, pose_rate), digits=10)

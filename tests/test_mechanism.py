@@ -358,3 +358,25 @@ def test_angles_in_degrees_are_noticed(build, name):
 def test_moduli_of_no_solid_are_noticed(modulus):
     with pytest.warns(UserWarning, match="a thousand times off every solid"):
         tj.Material(modulus, poisson=0.3)
+
+
+def outlined(x, y, angle=np.pi / 2):
+    """Return a leaf of 10 mm between two plates whose outlines are 10 mm apart."""
+    square = np.array([[-5e-3, -2e-3], [5e-3, -2e-3], [5e-3, 2e-3], [-5e-3, 2e-3]])
+    bodies = [
+        tj.Body("base", (0.0, 0.3, -7e-3), outline=square),
+        tj.Body("table", (np.pi, 0.3, 7e-3), outline=square),
+    ]
+    steel = tj.Material(210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=10e-3, thickness=0.5e-3, width=5e-3)
+    hinge = tj.Hinge("leaf", "base", "table", leaf, at=(angle, x, y))
+    return tj.Mechanism(bodies, [hinge], fixed=["base"])
+
+
+def test_flexures_far_from_their_bodies_are_reported():
+    outlined(0.3, 0.0)  # a warning is an error
+    outlined(0.3 + 14e-3, 0.0)  # 9 mm beside both outlines, less than the length
+    with pytest.warns(UserWarning, match="0.011 m and 0.011 m away from"):
+        outlined(0.3 + 16e-3, 0.0)
+    with pytest.warns(UserWarning, match="'leaf', of length 0.01 m"):
+        outlined(0.0, 0.3)  # x and y exchanged

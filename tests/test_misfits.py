@@ -95,7 +95,7 @@ def test_viscous_forces_are_those_of_the_rate_of_the_strain():
     )
     rates = jnp.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]])
     zero = jnp.zeros((2, 3))
-    *_, power = mechanism.hinge_assembly.forces_in_motion(zero, rates)
+    _, _, (power, _) = mechanism.hinge_assembly.forces_in_motion(zero, rates)
     cos = np.cos(0.3 / 2)  # rate of 2 sin((angle - misfit) / 2)
     assert_close(power, 2.0 * (0.7 * cos) ** 2)
 

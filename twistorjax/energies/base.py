@@ -272,6 +272,22 @@ class HasValidityRange(Protocol):
 
 
 @runtime_checkable
+class HasRangeShare(Protocol):
+    """An energy that is accurate for small displacements only."""
+
+    def range_share(self, displacement: Displacement) -> Scalar | None:
+        """Compute the share of a displacement in the largest accurate one.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+
+        Returns:
+            1 where the error is 5 %; None if the energy is accurate everywhere.
+        """
+        ...
+
+
+@runtime_checkable
 class HasValidationError(Protocol):
     """An energy that checks whether its values are valid."""
 
@@ -316,6 +332,20 @@ def range_message(energy: AbstractEnergy, displacement: Displacement) -> str:
             if outside is not None and concrete(outside) is not None and outside:
                 return part.range_message(displacement)
     return "the energy is valid everywhere"
+
+
+def range_share(energy: AbstractEnergy, displacement: Displacement) -> Scalar | None:
+    """Compute the largest share of a displacement in the range of a linear flexure.
+
+    The result is None if no nested energy is that of a linear flexure.
+    """
+    shares = [
+        part.range_share(displacement)
+        for part in nested(energy)
+        if isinstance(part, HasRangeShare)
+    ]
+    shares = [share for share in shares if share is not None]
+    return jnp.max(jnp.stack(shares)) if shares else None
 
 
 def validation_error(energy: AbstractEnergy) -> str | None:

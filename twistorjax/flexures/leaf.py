@@ -99,7 +99,7 @@ def leaf(
         shear_compliance = length / (shear_modulus * area * 5 / 6)
         transverse_compliance = transverse_compliance + shear_compliance
     diagonal = [bending, modulus * area / length, 1 / transverse_compliance]
-    return Quadratic(as_float(xp.diag(xp.stack(diagonal))), coordinates)
+    return Quadratic(as_float(xp.diag(xp.stack(diagonal))), coordinates, flexure=True)
 
 
 def quartic_leaf(

@@ -110,7 +110,8 @@ def notch(
     }[formula](ratio)
     scale = modulus * width
     units = xp.stack([scale * hole**2, scale, scale])
-    return Quadratic(as_float(xp.diag(units * xp.stack(stiffnesses))), coordinates)
+    stiffness = as_float(xp.diag(units * xp.stack(stiffnesses)))
+    return Quadratic(stiffness, coordinates, flexure=True)
 
 
 def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial:

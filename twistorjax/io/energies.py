@@ -124,7 +124,7 @@ def energy_from_record(record: Any, entry: str) -> AbstractEnergy:
             return energy_from_record(value, f"{entry}.{name}")
         if name == "parts":
             return tuple(to_argument(f"parts[{k}]", part) for k, part in enumerate(value))
-        if name in ("powers", "coordinates"):
+        if name in ("powers", "coordinates", "flexure"):
             return value
         return jnp.asarray(value, float)
 

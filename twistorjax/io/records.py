@@ -50,6 +50,7 @@ class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
 class Quadratic(_EnergyRecord, frozen=True):
     stiffness: Matrix
     coordinates: str
+    flexure: bool = False
 
 
 class Polynomial(_EnergyRecord, frozen=True):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.types import Poses, Scalar, Wrenches
-from ..energies.base import AbstractEnergy, out_of_range
+from ..energies.base import AbstractEnergy, out_of_range, range_share
 from ..energies.damping import ViscousDamping
 from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
@@ -163,17 +163,34 @@ class HingeAssembly(eqx.Module):
 
     def out_of_range(self, displacements: Poses) -> Bool[Array, " hinges"]:
         """Decide whether each hinge is outside the validity range of its energy."""
+        outside = self._of_energies(out_of_range, displacements, bool)
+        return jnp.zeros(len(self.ends), bool) if outside is None else outside
 
-        def is_outside(energy, damping, first, second, axis):
+    def range_shares(self, displacements: Poses) -> Float[Array, " hinges"] | None:
+        """Compute the share of each displacement in the range of a linear flexure.
+
+        It is zero for other hinges; None if there are no linear flexures.
+        """
+        displacements = jax.lax.stop_gradient(displacements)
+        return self._of_energies(range_share, displacements, float)
+
+    def _of_energies(self, function, displacements: Poses, dtype: type) -> Array | None:
+        """Evaluate a function of an energy and its displacement for all hinges.
+
+        It may return None, for which the result is zero, or None for all hinges.
+        """
+
+        def of_hinge(energy, damping, first, second, axis):
             del damping
-            return out_of_range(energy, mid_frame(first, second, axis).displacement)
+            return function(energy, mid_frame(first, second, axis).displacement)
 
-        outside = jnp.zeros(len(self.ends), bool)
+        values = None
         for group in self.groups:
-            of_members = self._map(is_outside, group, displacements)
+            of_members = self._map(of_hinge, group, displacements)
             if of_members is not None:
-                outside = outside.at[np.array(group.members)].max(of_members)
-        return outside
+                values = jnp.zeros(len(self.ends), dtype) if values is None else values
+                values = values.at[np.array(group.members)].max(of_members)
+        return values
 
     def tangent(
         self, displacements: Poses, predicted: Float[Array, "3 hinges"] | None = None
@@ -354,12 +371,9 @@ class HingeAssembly(eqx.Module):
         angle, x, y = displacements.T
         cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
         arms, directions = self.arms[members], self.directions[members]
-        misfit = misfit_rate = None
-        if self.misfits is not None and self.misfit_rates is None:
-            misfit = Misfit.of(self.misfits[members])
-        elif self.misfits is not None and self.misfit_rates is not None:
-            numbers, rates = self.misfits[members], self.misfit_rates[members]
-            misfit, misfit_rate = jax.jvp(Misfit.of, (numbers,), (rates,))
+        numbers, rates = self.misfits, self.misfit_rates
+        numbers = None if numbers is None else numbers[members]
+        rates = None if rates is None else rates[members]
 
         def end(body: np.ndarray, arm: Array) -> End:
             of_body = (values[body] for values in (angle, x, y, cos, sin))
@@ -375,7 +389,7 @@ class HingeAssembly(eqx.Module):
             leaves,
             end(first, arms[:, 0]),
             end(second, arms[:, 1]),
-            Axis(directions[:, 0], directions[:, 1], misfit, misfit_rate),
+            Axis(directions[:, 0], directions[:, 1], *Misfit.with_rate(numbers, rates)),
             *more,
         )
 

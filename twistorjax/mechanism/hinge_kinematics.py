@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -84,6 +85,17 @@ class Misfit(NamedTuple):
         angle, d1, d2, gap1, gap2 = jnp.moveaxis(numbers, -1, 0)
         cos, sin, tan = jnp.cos(angle / 2), jnp.sin(angle / 2), jnp.tan(angle / 4)
         return cls(angle, cos, sin, d1 - gap1, d2 - gap2, tan * d1, tan * d2)
+
+    @classmethod
+    def with_rate(
+        cls,
+        numbers: Float[Array, "hinges 5"] | None,
+        rates: Float[Array, "hinges 5"] | None,
+    ) -> tuple["Misfit | None", "Misfit | None"]:
+        """Create misfits and their time derivatives; None for those not given."""
+        if numbers is None or rates is None:
+            return None if numbers is None else cls.of(numbers), None
+        return jax.jvp(cls.of, (numbers,), (rates,))
 
 
 def misfit_numbers(poses: Float[Array, "*hinges 3"]) -> Float[Array, "*hinges 5"]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, on_host
+from .._utils.host import all_concrete, as_float, on_host
 from .._utils.types import (
     Corners,
     Displaced,
@@ -29,6 +29,7 @@ from .hinge_assembly import HingeAssembly
 from .hinge_groups import group_hinges, sums_of
 from .hinge_queries import HingeQueries
 from .misfits import expanded, with_strokes
+from .placement import warn_if_misplaced
 
 
 COORDINATES = ("angle", "x", "y")
@@ -111,6 +112,9 @@ class Mechanism(HingeQueries):
         self.at = _rows(frames)
         self.fixed = self.dofs_of("fixed", fixed)
         xp, (at, reference) = on_host(self.at, self.reference)
+        if (known := all_concrete([at])) is not None:
+            pairs = [(bodies[first], bodies[second]) for first, second in ends]
+            warn_if_misplaced(hinges, pairs, known[0])
         origins = reference[np.array(ends, int).reshape(-1, 2), 1:]
         self.hinge_assembly = HingeAssembly(
             bodies=len(bodies),

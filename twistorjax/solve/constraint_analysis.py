@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from .._utils.types import NumberLike
+from .._utils.types import NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.hinge_assembly import HingeAssembly
@@ -54,6 +54,18 @@ class ConstraintAnalysis(NamedTuple):
         """Stiff directions of which one must be released, for each self-stress."""
         return tuple(_nonzero(self.directions, row) for row in self.self_stresses)
 
+    @property
+    def motion_descriptions(self) -> tuple[str, ...]:
+        """Sentences such as "motion of 'table', mainly x of 'table'", for each motion."""
+        descriptions = []
+        for motion, bodies in zip(self.motions, self.moving_bodies, strict=True):
+            body, coordinate = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
+            descriptions.append(
+                f"motion of {', '.join(map(repr, bodies))}, mainly "
+                f"{COORDINATES[coordinate]} of {self.names[body]!r}"
+            )
+        return tuple(descriptions)
+
     def __repr__(self) -> str:
         def count(number: int, noun: str) -> str:
             return f"{number} {noun}{'' if number == 1 else 's'}"
@@ -62,12 +74,7 @@ class ConstraintAnalysis(NamedTuple):
             f"{count(len(self.motions), 'motion')} that no stiff direction resists, "
             f"{count(len(self.self_stresses), 'over-constraint')}"
         ]
-        for motion, bodies in zip(self.motions, self.moving_bodies, strict=True):
-            body, coordinate = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
-            lines.append(
-                f"motion of {', '.join(map(repr, bodies))}, mainly "
-                f"{COORDINATES[coordinate]} of {self.names[body]!r}"
-            )
+        lines += self.motion_descriptions
         lines += [
             f"over-constraint: release one of {', '.join(directions)}"
             for directions in self.releases
@@ -133,8 +140,20 @@ def constraint_analysis(
         raise ValueError(f"`ratio` is {ratio!r}, but must be between 0 and 1.")
     held = set(mechanism.dofs_of("prescribed", prescribed)) - set(mechanism.fixed)
     dofs = DofPartition.of(mechanism, sorted(held))
-    system = System.of(mechanism, dofs, (), constraints, time)
     state = state_in_range(mechanism, "about", about)
+    return analyze(mechanism, dofs, constraints, state, time, ratio)
+
+
+def analyze(
+    mechanism: Mechanism,
+    dofs: DofPartition,
+    constraints: Sequence[AbstractConstraint],
+    state: Poses,
+    time: NumberLike,
+    ratio: float,
+) -> ConstraintAnalysis:
+    """Analyze displacements (rad, m, m); see `constraint_analysis`."""
+    system = System.of(mechanism, dofs, (), constraints, time)
     rows, stiffness = map(np.asarray, _hinge_rows(mechanism.hinge_assembly, state))
     length = float(system.units()[1])
     units = np.array([length, 1.0, 1.0])

@@ -1,14 +1,11 @@
 """Motion of a mechanism under loads, prescribed motions, and constraints."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -31,6 +28,7 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_rows
 from .collocation import Gauss, Radau
+from .diffrax_interface import convert_result, smaller_program, with_end
 from .dofs import DofPartition
 from .events import with_snapshots
 from .initial_state import (
@@ -40,7 +38,6 @@ from .initial_state import (
     check_velocities,
     explain_compilation,
     initial_value_problem,
-    InitialValueProblem,
     pad_times,
 )
 from .motion import Energies, Motion
@@ -285,7 +282,7 @@ def _solve(
         )
     if constraints.size and not collocation:
         solver = Projected(solver)
-    with _smaller_program(own_controller):
+    with smaller_program(own_controller):
         solution = dfx.diffeqsolve(
             equation,
             solver,
@@ -294,7 +291,7 @@ def _solve(
             problem.step,
             problem.state,
             args=system,
-            saveat=_with_end(saveat, problem),
+            saveat=with_end(saveat, problem),
             stepsize_controller=controller,
             event=None if event is None else with_snapshots(event),
             progress_meter=progress_meter,
@@ -305,7 +302,7 @@ def _solve(
     assert solution.ts is not None and solution.ys is not None
     final = solution.ys[1]
     finite = jnp.all(jnp.isfinite(final.position)) & jnp.all(jnp.isfinite(final.rate))
-    result = _result(solution.result, finite)
+    result = convert_result(solution.result, finite)
     started = problem.result == RESULTS.successful
     result = RESULTS.where(started, result, problem.result)
     solution = eqx.tree_at(
@@ -353,46 +350,6 @@ def _solve(
     )
 
 
-@contextmanager
-def _smaller_program(own_controller: bool) -> Iterator[None]:
-    """Trace diffrax without its checks at run time, and without one unrolled loop.
-
-    The checks are callbacks to Python. JAX does not store a program with callbacks in its
-    persistent cache, so each process would compile it again. The same arguments are
-    checked in `initial_state`.
-
-    diffrax goes back from the last time by 100 roundings, in 100 calls of `prevbefore`,
-    which are a quarter of the operations of a motion (jaxlib 0.10.2: 1,700 of 7,100).
-    Here each call subtracts one or two roundings, in two operations. Other step size
-    controllers than those of `simulate` may need an exact `prevbefore`.
-    """
-    error_if, prevbefore = eqxi.error_if, eqxi.prevbefore
-    eqxi.error_if = lambda value, *_, **__: value
-    if own_controller:
-        eqxi.prevbefore = lambda time: time - jnp.finfo(time.dtype).eps * jnp.abs(time)
-    try:
-        yield
-    finally:
-        eqxi.error_if, eqxi.prevbefore = error_if, prevbefore
-
-
-def _result(result: dfx.RESULTS, finite: Array) -> RESULTS:
-    """Convert the result of diffrax; `finite` is true if the final state is finite."""
-    codes: Any = dfx.RESULTS
-    converted = RESULTS.solver_failed
-    for code, item in (
-        (codes.successful, RESULTS.successful),
-        (codes.event_occurred, RESULTS.event_occurred),
-        (codes.max_steps_reached, RESULTS.max_steps_reached),
-        (codes.dt_min_reached, RESULTS.step_too_short),
-        (codes.nonlinear_divergence, RESULTS.step_too_long),
-        (codes.nonfinite, RESULTS.not_finite),
-        (codes.nonfinite_input, RESULTS.not_finite),
-    ):
-        converted = RESULTS.where(result == code, item, converted)
-    return RESULTS.where(finite, converted, RESULTS.not_finite)
-
-
 def _output(system: MotionSystem, time: Scalar, state: State):
     """Compute the quantities of a `Motion` at one time."""
     position, rate = system.project(time, state.position, state.rate)
@@ -409,25 +366,3 @@ def _output(system: MotionSystem, time: Scalar, state: State):
         by_strokes=by_strokes,
     )
     return displacements, velocities, now.reactions, now.multipliers, energy
-
-
-def _with_end(saveat: dfx.SaveAt, problem: InitialValueProblem) -> dfx.SaveAt:
-    """Add the final state to the saved states."""
-    given = dfx.SubSaveAt(ts=problem.times) if saveat.subs is None else saveat.subs
-    if not isinstance(given, dfx.SubSaveAt) or given.fn is not dfx.SubSaveAt(t1=True).fn:
-        raise ValueError(
-            "`saveat` has several `subs` or a `fn`, but a motion reports all quantities "
-            "at all saved times. Give `ts`, `steps`, or `dense`."
-        )
-    if saveat.subs is not None and given.ts is not None:
-        # A motion that cannot start has no times between its first and its last.
-        started = problem.result == RESULTS.successful
-        ts = jnp.where(started, jnp.asarray(given.ts, float), problem.times[0])
-        given = eqx.tree_at(lambda given: given.ts, given, ts)
-    return dfx.SaveAt(
-        subs=[given, dfx.SubSaveAt(t1=True)],
-        dense=saveat.dense,
-        solver_state=saveat.solver_state,
-        controller_state=saveat.controller_state,
-        made_jump=saveat.made_jump,
-    )

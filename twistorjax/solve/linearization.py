@@ -148,6 +148,7 @@ def _respond(
         reached=displacements,
         fraction=jnp.ones(()),
         steps=jnp.zeros((), int),
+        range_shares=None,
         result=result,
         names=mechanism.names,
         constraint_names=linear.constraint_names,

@@ -1,11 +1,13 @@
 """Static equilibrium of a mechanism under loads and prescribed displacements."""
 
+import warnings
 from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
@@ -34,6 +36,10 @@ from .system import System
 from .tables import Column, Columns
 
 
+# A stiffness below this fraction of the largest one does not count in messages.
+_NO_STIFFNESS = 1e-12
+
+
 class Equilibrium(PoseSolution):
     """A static equilibrium of a mechanism.
 
@@ -53,6 +59,9 @@ class Equilibrium(PoseSolution):
         fraction: Fraction of the loads and prescribed displacements that was reached:
             1, or less if the solve failed.
         steps: Number of Newton steps.
+        range_shares: Displacement of each linear flexure, such as `flexures.leaf`,
+            divided by the one at which its force or moment errs by 5 %; zero for other
+            hinges; None if there are no linear flexures.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
@@ -67,6 +76,7 @@ class Equilibrium(PoseSolution):
     reached: Poses
     fraction: Scalar
     steps: Count
+    range_shares: Float[Array, "*batch hinges"] | None
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
@@ -284,6 +294,7 @@ def _solve_uncompiled(
         reached=solution.displacements,
         fraction=solution.fraction,
         steps=solution.steps,
+        range_shares=hinges.range_shares(solution.displacements),
         result=result,
         names=names,
         constraint_names=constraints.names(),
@@ -292,6 +303,26 @@ def _solve_uncompiled(
 
 _solve = fast_compile(_solve_uncompiled, jit=jax.jit, static_argnames=("dofs", "names"))
 _solve_with_functions = fast_compile(_solve_uncompiled)
+
+
+def _free_motions(
+    mechanism: Mechanism,
+    constraints: ConstraintSet | None,
+    dofs: DofPartition,
+    solution: Equilibrium,
+    time: NumberLike,
+) -> str:
+    """Name the bodies that can move without any resistance, for a message."""
+    from .constraint_analysis import analyze  # which imports this module
+
+    given = () if constraints is None else constraints.constraints
+    reached = solution.reached
+    if not np.all(np.isfinite(reached)):
+        return ""
+    analysis = analyze(mechanism, dofs, given, reached, time, ratio=_NO_STIFFNESS)
+    if not analysis.motion_descriptions:
+        return ""
+    return f" Nothing resists the {'; the '.join(analysis.motion_descriptions)}."
 
 
 def check_equilibrium(
@@ -324,8 +355,23 @@ def check_equilibrium(
                     constraints, dofs, mechanism, solution.reached, time
                 )
                 return ValueError(f"{text} {detail}")
+            if item == "unstable" and dofs is not None:
+                text += _free_motions(mechanism, constraints, dofs, solution, time)
         return RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )
 
-    return succeeded_or_raise(solution, error)
+    solution = succeeded_or_raise(solution, error)
+    shares = None if mechanism is None else solution.range_shares
+    known = None if shares is None else concrete(shares)
+    if known is not None and np.any(known > 1):
+        assert mechanism is not None
+        hinge = mechanism.hinge_names[np.argmax(known) % known.shape[-1]]
+        warnings.warn(
+            f"The hinge {hinge!r} has a linear energy (`flexures.leaf` or "
+            f"`flexures.notch`), but its displacement is {np.max(known):.3g} times the "
+            "one at which its force or moment errs by 5 %. Use `flexures.surrogate`, "
+            "whose error is certified in its validity range, or `flexures.quartic_leaf`.",
+            stacklevel=3,
+        )
+    return solution

@@ -1,0 +1,108 @@
+"""Warnings of displacements for which linear flexures are not accurate."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+import twistorjax as tj
+from twistorjax.energies.base import range_share
+from twistorjax.geometry.twistors import Displacement
+
+
+UNIT = tj.Material(modulus=1.0, poisson=0.3)
+LEAF = tj.flexures.leaf(UNIT, length=1.0, thickness=0.01, width=12e6)
+
+
+def elastica(moment, force):
+    """Return a leaf of unit length and bending stiffness, which does not stretch.
+
+    `moment` and `force` along y act on its end. The result is (angle, translation in the
+    mid-frame) of the two frames in its middle, and the wrench about frame b.
+    """
+    s = np.linspace(0, 1, 101)
+    start = np.stack([moment * s, moment + 0 * s, s, 0 * s])
+    solution = solve_bvp(
+        lambda _, y: [y[1], -force * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])],
+        lambda a, b: [a[0], b[1] - moment, a[2], a[3]],
+        s, start, tol=1e-8, max_nodes=10_000,
+    )  # fmt: skip
+    assert solution.success
+    angle, _, x, y = solution.y[:, -1]
+    x, y = x - np.cos(angle) / 2 - 0.5, y - np.sin(angle) / 2
+    cos, sin = np.cos(angle / 2), np.sin(angle / 2)
+    across = cos * y - sin * x
+    transverse = np.cos(angle) * force
+    return angle, across, np.array([moment + transverse / 2, transverse])
+
+
+def pose_of(angle, across):
+    """Return the pose of frame b without a mid-frame translation along axis 1."""
+    return jnp.array([angle, -np.sin(angle / 2) * across, np.cos(angle / 2) * across])
+
+
+@pytest.mark.parametrize("coordinates", ["twistor", "twist"])
+def test_within_its_range_a_linear_leaf_errs_by_at_most_five_percent(coordinates):
+    """Force and moment against the elastica, in twelve directions of the plane."""
+    energy = tj.Quadratic(LEAF.stiffness, coordinates, flexure=True)
+    units, inside, outside = np.array([1.0, np.sqrt(1 / 12)]), [], []
+    for direction in np.radians(np.arange(0, 180, 15)):
+        for size in (0.8, 0.9, 1.0, 1.1, 1.6):
+            rotation = 0.35 * size * np.cos(direction)
+            force = 12 * 0.15 * size * np.sin(direction)
+            angle, across, exact = elastica(rotation - force / 2, force)
+            pose = pose_of(angle, across)
+            linear = np.asarray(energy.wrench(pose))[np.array([0, 2])]
+            error = np.linalg.norm(units * (linear - exact))
+            share = _share(energy, Displacement.from_pose(pose))
+            found = inside if share <= 1 else outside
+            found.append(error / np.linalg.norm(units * exact))
+    assert 0.03 < max(inside) < 0.05
+    assert max(outside) > 0.1
+
+
+def _share(energy, displacement):
+    share = range_share(energy, displacement)
+    assert share is not None
+    return float(share)
+
+
+def cantilever(energy):
+    hinge = tj.Hinge("leaf", "wall", "tip", energy, at=(0, 0, 0))
+    return tj.Mechanism([tj.Body("wall"), tj.Body("tip")], [hinge], fixed=["wall"])
+
+
+def test_large_displacements_of_linear_leaves_are_reported():
+    steel = tj.Material(210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+    mechanism = cantilever(leaf)
+    drive = [tj.Drive("tip", y=1.19)]
+    with pytest.warns(UserWarning, match="The hinge 'leaf' has a linear energy"):
+        tj.equilibrium(mechanism, drives=drive)
+    tj.equilibrium(mechanism, drives=[tj.Drive("tip", y=1e-3)])  # a warning is an error
+    spring = tj.Quadratic(leaf.stiffness)
+    tj.equilibrium(cantilever(spring), drives=drive)
+
+
+def test_a_batch_reports_its_shares():
+    """Nothing is printed inside a compiled program."""
+
+    def share(travel):
+        solution = tj.equilibrium(cantilever(LEAF), drives=[tj.Drive("tip", y=travel)])
+        assert solution.range_shares is not None
+        return solution.range_shares[0]
+
+    shares = jax.jit(jax.vmap(share))(jnp.array([0.0, 0.01, 0.3]))
+    assert float(shares[0]) == 0.0
+    assert bool(shares[1] < 1) and bool(shares[2] > 1)
+    assert bool(jnp.isfinite(jax.grad(share)(0.0)))
+
+
+def test_sums_and_files_keep_the_range(tmp_path):
+    both = LEAF + 2 * tj.Quadratic(jnp.eye(3))
+    at = Displacement.from_pose(jnp.array([0.7, 0.0, 0.0]))
+    np.testing.assert_allclose(_share(both, at), 2.0)
+    tj.io.save_energy(LEAF, tmp_path / "leaf.json")
+    loaded = tj.io.load_energy(tmp_path / "leaf.json")
+    np.testing.assert_allclose(_share(loaded, at), 2.0)

@@ -1,0 +1,85 @@
+"""Check that hinges are near the bodies that they connect."""
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .._utils.host import all_concrete, concrete
+from ..energies.quadratic import Quadratic
+from .body import Body
+from .hinge import Hinge
+
+
+def warn_if_misplaced(
+    hinges: Sequence[Hinge],
+    bodies: Sequence[tuple[Body, Body]],
+    frames: Float[np.ndarray, "hinges 3"],
+) -> None:
+    """Warn of flexures that end far from the outlines of both of their bodies.
+
+    A flexure is reported if the distance of its ends from both outlines is more than its
+    length. Bodies without an outline, and flexures of unknown length, are not checked.
+
+    Args:
+        hinges: The hinges.
+        bodies: The two bodies of each hinge.
+        frames: Pose of each hinge in the reference configuration; rad, m, m.
+    """
+    for hinge, pair, (angle, *center) in zip(hinges, bodies, frames, strict=True):
+        if any(body.outline is None for body in pair):
+            continue
+        length = _length(hinge)
+        if length is None:
+            continue
+        along = np.array([np.cos(angle), np.sin(angle)]) * length / 2
+        ends = np.array(center) - along, np.array(center) + along
+        gaps = [min(_distance(body, end) for end in ends) for body in pair]
+        if min(gaps) > length:
+            warnings.warn(
+                f"The ends of the hinge {hinge.name!r}, of length {length:.4g} m, are "
+                f"{gaps[0]:.4g} m and {gaps[1]:.4g} m away from the outlines of its "
+                f"bodies {hinge.first!r} and {hinge.second!r}. Check the pose `at` "
+                "(angle, x, y) of the hinge, whose axis 1 is along its length.",
+                stacklevel=4,
+            )
+
+
+def _length(hinge: Hinge) -> float | None:
+    """Return the length of a flexure along axis 1, if it is known; m."""
+    energy = hinge.energy
+    if hinge.outline is not None:
+        corners = concrete(hinge.outline)
+        return None if corners is None else float(np.ptp(corners[:, 0]))
+    if hinge.expansion is not None:
+        length = concrete(hinge.expansion.length)
+        return None if length is None else float(length)
+    if isinstance(energy, Quadratic) and energy.flexure:
+        stiffness = concrete(energy.stiffness)
+        if stiffness is not None:
+            return float(np.sqrt(12 * stiffness[0, 0] / stiffness[2, 2]))
+    return None
+
+
+def _distance(body: Body, point: Float[np.ndarray, "2"]) -> float:
+    """Return the distance of a point in the world from the outline of a body; m.
+
+    It is zero inside the outline, and for outlines that are traced.
+    """
+    known = all_concrete([body.pose, body.outline])
+    if known is None:
+        return 0.0
+    (angle, *origin), corners = known
+    cos, sin = np.cos(angle), np.sin(angle)
+    local = np.array([[cos, sin], [-sin, cos]]) @ (point - np.array(origin))
+    starts, edges = corners, np.roll(corners, -1, axis=0) - corners
+    arms = local - starts
+    lengths = np.maximum(np.sum(edges**2, axis=1), np.finfo(float).tiny)
+    shares = np.clip(np.sum(arms * edges, axis=1) / lengths, 0, 1)
+    distance = np.min(np.linalg.norm(arms - shares[:, None] * edges, axis=1))
+    # The point is inside if a ray along x crosses an odd number of edges.
+    crosses = (arms[:, 1] >= 0) != (arms[:, 1] >= edges[:, 1])
+    slopes = np.where(crosses, edges[:, 1], 1.0)
+    right = arms[:, 0] < arms[:, 1] * edges[:, 0] / slopes
+    return 0.0 if np.sum(crosses & right) % 2 else float(distance)

@@ -8,6 +8,8 @@ import scipy.optimize
 from helpers import assert_close
 
 import twistorjax as tj
+from twistorjax.examples import stage
+from twistorjax.examples.warm_stage import thermal_drift
 from twistorjax.geometry import se2
 
 
@@ -51,26 +53,72 @@ def test_one_material_at_one_temperature_only_scales(offset):
 
 
 def test_gain_does_not_depend_on_a_uniform_temperature():
-    """The compliance in newtons per meter does not change if only misfits change."""
+    """The travel grows with the stage, whose hinges have larger dimensions as well."""
+    scale = 1 + 23.6e-6 * 50.0
+    cold = thermal_drift(0.0)
+    warm = thermal_drift(50.0, travel=scale * stage.TRAVEL)
+    assert_close(cold.gain, stage.amplification(stage.microstage()).gain, digits=10)
+    assert_close(warm.gain / cold.gain, 1.0, digits=12)
+    output = stage.microstage().reference[3, 1:]
+    np.testing.assert_allclose(warm.output[1:], (scale - 1) * output, atol=1e-17)
+    assert abs(float(warm.output[0])) < 1e-15
 
-    def compliance(mechanism):
-        load = tj.Load("table", force=(1e-3, 0.0))
-        state = tj.equilibrium(mechanism)
-        linear = tj.linearize(mechanism, about=state)
-        return linear(loads=[load]).displacement("table")[1]
 
-    mechanism = guide()
-    cold = tj.linearize(mechanism)(loads=[tj.Load("table", force=(1e-3, 0.0))])
-    warm = compliance(mechanism.at_temperature(1e-6))
-    assert_close(warm / cold.displacement("table")[1], 1.0, digits=11)
+def surrogate_guide(scale):
+    """Return a table on a surrogate and a sum of energies, with scaled dimensions."""
+    size = scale * np.array([LENGTH, THICKNESS, WIDTH])
+    dimensions = dict(zip(("length", "thickness", "width"), size, strict=True))
+    beam = tj.flexures.Beam(STEEL, **dimensions)
+    energies = {
+        "left": tj.flexures.surrogate(beam, rotation=0.1),
+        "right": tj.flexures.leaf(STEEL, **dimensions)
+        + 2.0 * tj.flexures.quartic_leaf(STEEL, **dimensions),
+    }
+    growth = tj.Expansion(STEEL, length=scale * LENGTH)
+    bodies = [
+        tj.Body("base", expansion=STEEL.expansion),
+        tj.Body("table", (0.0, 0.0, scale * LENGTH), expansion=STEEL.expansion),
+    ]
+    hinges = [
+        tj.Hinge(
+            name, "base", "table", energies[name],
+            (np.pi / 2, scale * x, scale * LENGTH / 2), expansion=growth,
+        )
+        for name, x in (("left", -SPACING / 2), ("right", SPACING / 2))
+    ]  # fmt: skip
+    return tj.Mechanism(bodies, hinges, fixed=["base"])
+
+
+def test_a_warm_mechanism_is_one_with_larger_dimensions():
+    """Surrogates, sums, and multiples have the energies of their new dimensions."""
+    scale = 1 + 12e-6 * 300.0
+    warm, larger = surrogate_guide(1.0).at_temperature(300.0), surrogate_guide(scale)
+    load = [tj.Load("table", force=(2.0, -3.0), moment=0.01)]
+    found, expected = (
+        tj.equilibrium(mechanism, loads=load) for mechanism in (warm, larger)
+    )
+    np.testing.assert_allclose(
+        found.pose("table"), expected.pose("table"), rtol=1e-9, atol=1e-12
+    )
+    for name in ("left", "right"):
+        wrench, exact = warm.wrench_of(name, found), larger.wrench_of(name, expected)
+        # Frame b of the warm leaf keeps its distance from the end that is on body B.
+        exact = exact.at[0].add(-exact[2] * (scale - 1) * LENGTH / 2)
+        np.testing.assert_allclose(wrench, exact, rtol=1e-6, atol=1e-9)
 
 
 def warm_leaf_energy(displacement, change):
     """Energy of the two leaves, between clamped ends, one of which has grown."""
     angle, x, y = displacement
-    total = 0.0
-    for position, growth in (
-        (-SPACING / 2, 12e-6 * change * LENGTH), (SPACING / 2, 0.0)
+    total, strain = 0.0, 12e-6 * change
+    larger = tj.flexures.leaf(
+        STEEL,
+        length=(1 + strain) * LENGTH,
+        thickness=(1 + strain) * THICKNESS,
+        width=(1 + strain) * WIDTH,
+    )
+    for energy, position, growth in (
+        (larger, -SPACING / 2, strain * LENGTH), (LEAF, SPACING / 2, 0.0)
     ):  # fmt: skip
         frame = jnp.array([np.pi / 2, position, LENGTH / 2])
         c, s = jnp.cos(angle), jnp.sin(angle)
@@ -81,7 +129,7 @@ def warm_leaf_energy(displacement, change):
         # Frames at the middle move apart by half the growth each.
         a = frame + growth / 2 * jnp.array([0.0, 0.0, 1.0])
         b = moved - growth / 2 * jnp.stack([0.0 * s, -s, c])
-        total += LEAF(se2.between(a, b))
+        total += energy(se2.between(a, b))
     return total
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from .common import (
+    check_finite,
     check_positive,
     EnergyOption,
     JsonOption,
@@ -35,6 +36,13 @@ def stage(
     coordinates: EnergyOption = "twistor",
     as_json: JsonOption = False,
     plot: PlotOption = None,
+    temperature: Annotated[
+        float | None,
+        typer.Option(
+            help="Also print the drift of the output if the stage is warmer by this; K.",
+            callback=check_finite,
+        ),
+    ] = None,
     transient: Annotated[
         bool,
         typer.Option(
@@ -59,20 +67,25 @@ def stage(
 
     twistorjax stage --input 2e-6 --json
 
+    twistorjax stage --temperature 1.0
+
     twistorjax stage --transient --plot transient.png
     """
     if step and not transient:
         raise UsageError("--step needs --transient: it selects the input of a motion.")
+    if transient and temperature is not None:
+        raise UsageError("--temperature is for the static gain, without --transient.")
     if transient:
         _transient(travel, web, coordinates, as_json, plot, step, damping_time)
     else:
-        _static(travel, web, coordinates, as_json, plot)
+        _static(travel, web, coordinates, temperature, as_json, plot)
 
 
 def _static(
     travel: float,
     web: float,
     coordinates: Literal["twistor", "twist"],
+    temperature: float | None,
     as_json: bool,
     plot: Path | None,
 ) -> None:
@@ -107,7 +120,37 @@ def _static(
     poses = np.asarray(deformed.reference) + np.asarray(deformed.displacements)
     by_body = dict(zip(deformed.names, poses.tolist(), strict=True))
     record = {**values, "poses": by_body, "result": name}
-    print_result(_table(values, web, travel), record, as_json, plot=plot)
+    text = _table(values, web, travel)
+    if temperature is not None:
+        drift, lines = _drift(temperature, web, travel)
+        record, text = {**record, "drift": drift}, f"{text}\n{lines}"
+    print_result(text, record, as_json, plot=plot)
+
+
+def _drift(temperature: float, web: float, travel: float) -> tuple[dict[str, Any], str]:
+    """Compute the drift at another temperature (K), as fields and as text."""
+    from ..examples.warm_stage import thermal_drift
+
+    fields, lines = {}, [f"at {temperature:+g} K"]
+    for key, words in (
+        ("guide_expands", "guide of the input expands"),
+        ("guide_keeps_its_place", "guide keeps its place"),
+    ):
+        drift = thermal_drift(
+            temperature, web=web, travel=travel, guide_expands=key == "guide_expands"
+        )
+        angle, x, y = (float(value) for value in drift.output)
+        fields[key] = {
+            "output_angle_rad": angle,
+            "output_x_m": x,
+            "output_y_m": y,
+            "gain": float(drift.gain),
+        }
+        lines.append(
+            f"{words:<28}output {x / 1e-9:.2f} nm along x, {y / 1e-9:.2f} nm along y, "
+            f"gain {float(drift.gain):.6f}"
+        )
+    return fields, "\n".join(lines)
 
 
 def _table(values: dict[str, float], web: float, travel: float) -> str:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete
+from .._utils.host import as_float, concrete, on_host
 from .._utils.types import CoefficientsLike, NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
@@ -123,6 +123,23 @@ class MixedEnergy(CoordinateEnergy):
         rotation, axial, transverse = strain(displacement, "twist")
         series = self.force_series(rotation, transverse)
         return maximum_over_force(series, self.force * axial)
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "MixedEnergy":
+        """Return the energy if all dimensions of the hinge are multiplied."""
+        xp, (scale, coefficients, length, force) = on_host(
+            scale, self.coefficients, self.length, self.force
+        )
+        shape = (*np.shape(scale), coefficients.shape[-1])
+        factors = xp.broadcast_to(xp.asarray(scale**3)[..., None], shape)
+        return eqx.tree_at(
+            lambda energy: (energy.coefficients, energy.length, energy.force),
+            self,
+            (
+                as_float(factors * xp.broadcast_to(coefficients, factors.shape)),
+                as_float(scale * length),
+                as_float(scale**2 * force),
+            ),
+        )
 
     def newton_model(self, axial_force: Scalar) -> "AbstractEnergy":
         return _NewtonModel(self, axial_force / self.force)

@@ -2,8 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete
+from .._utils.host import as_float, concrete, on_host
 from .._utils.types import Flag, Matrix, MatrixLike, Scalar
 from .._utils.validation import require_choice
 from ..geometry.twistors import Displacement
@@ -115,6 +116,14 @@ class Quadratic(CoordinateEnergy):
         along, across = 2 * displacement.x1, 2 * displacement.x2
         squares = (along / 0.05) ** 2 + (across / 0.15) ** 2
         return jnp.sqrt((displacement.angle / 0.35) ** 2 + squares / length_squared)
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "Quadratic":
+        """Return the energy if all dimensions of the hinge are multiplied."""
+        xp, (scale, stiffness) = on_host(scale, self.stiffness)
+        units = xp.stack([scale**1.5, scale**0.5, scale**0.5], axis=-1)
+        factors = units[..., :, None] * units[..., None, :]
+        stiffness = factors * xp.broadcast_to(stiffness, factors.shape)
+        return eqx.tree_at(lambda energy: energy.stiffness, self, as_float(stiffness))
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
         """Multiply the stiffness by a time (s).

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._utils.host import all_concrete
+from .._utils.host import all_concrete, as_float, on_host
 from .._utils.types import Flag, NumberLike, Scalar, WrenchLike
 from .._utils.validation import require_positive, require_row
 from ..geometry.twistors import Displacement
@@ -73,6 +73,12 @@ class WithValidityRange(AbstractWrapper):
         valid_rotation = jnp.abs(displacement.angle) <= slack * self.rotation
         largest_force = (slack + 3 * jnp.max(self.error)) * self.force
         return ~(valid_rotation & (self._force_magnitude(displacement) <= largest_force))
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "WithValidityRange":
+        """Return the range if all dimensions of the hinge are multiplied."""
+        _, (scale, force) = on_host(scale, self.force)
+        new = as_float(scale**2 * force)
+        return eqx.tree_at(lambda energy: energy.force, self, new)
 
     def _force_magnitude(self, displacement: Displacement) -> Scalar:
         """Compute the magnitude of the force at a displacement; N."""

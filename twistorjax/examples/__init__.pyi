@@ -5,5 +5,6 @@ from . import (
     stage as stage,
     stage_motion as stage_motion,
     sweep_studies as sweep_studies,
+    warm_stage as warm_stage,
     water as water,
 )

@@ -31,6 +31,7 @@ from ..energies.strains import Coordinates
 from ..flexures import Material, notch, notch_outline
 from ..flexures.notch import Formula
 from ..mechanism.body import Body
+from ..mechanism.expansion import Expansion
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
@@ -76,8 +77,11 @@ _HINGES = {
 
 
 def aluminum() -> Material:
-    """Return aluminum 6061-T6, with the properties that the dissertation uses."""
-    return Material(modulus=69e9, poisson=0.33, density=2.7e3)
+    """Return aluminum 6061-T6, with the properties that the dissertation uses.
+
+    The coefficient of thermal expansion is from the data sheet of the alloy.
+    """
+    return Material(modulus=69e9, poisson=0.33, density=2.7e3, expansion=23.6e-6)
 
 
 def microstage(
@@ -89,6 +93,7 @@ def microstage(
     formula: Formula = "fitted",
     coordinates: Coordinates = "twistor",
     damping: DampingLike | None = None,
+    guided: bool = True,
 ) -> Mechanism:
     """Build the micropositioning stage.
 
@@ -102,11 +107,12 @@ def microstage(
         coordinates: Coordinates of the quadratic hinge energies, "twistor" or "twist".
         damping: Damping of each hinge, used by simulations only: a `ViscousDamping`, or
             the ratio of damping to stiffness; s.
+        guided: Whether body "6" can only move along x, which is the direction of the
+            input displacement.
 
     Returns:
         A mechanism with the bodies "1" to "6" and the hinges "a" to "g", named as in the
-        dissertation. Body "1" is fixed. Body "6" can only move along x, which is the
-        direction of the input displacement.
+        dissertation. Body "1" is fixed.
 
     Raises:
         ValueError: A dimension is not positive or outside the range of the formula, or
@@ -142,6 +148,9 @@ def microstage(
         necks = [neck(each) for each in jnp.asarray(web, float)]
     else:
         necks = [neck(web)] * len(_HINGES)
+    expansion = None
+    if material.expansion is not None:
+        expansion = Expansion(material, length=hole)
     hinges = []
     for name, (energy, outline) in zip(_HINGES, necks, strict=True):
         first, second, (x, y) = _HINGES[name]
@@ -154,11 +163,14 @@ def microstage(
                 at=(0.0, x, y),
                 damping=damping,
                 outline=outline,
+                expansion=expansion,
             )
         )
-    frame = Body("1", outline=_OUTLINES["1"] * _MM - np.array(_CENTERS["1"]))
+    outline = _OUTLINES["1"] * _MM - np.array(_CENTERS["1"])
+    frame = Body("1", outline=outline, expansion=material.expansion)
     moving = [_moving_body(name, material, width) for name in ("2", "3", "4", "5", "6")]
-    fixed = {"1": ("angle", "x", "y"), "6": ("angle", "y")}
+    held = {"6": ("angle", "y")} if guided else {}
+    fixed = {"1": ("angle", "x", "y"), **held}
     return Mechanism([frame, *moving], hinges, fixed=fixed)
 
 
@@ -297,7 +309,7 @@ def _moving_body(name: str, material: Material, width: float) -> Body:
     outline = _OUTLINES[name] * _MM - np.array(center)
     pose = (0.0, *center)
     if material.density is None:
-        return Body(name, pose=pose, outline=outline)
+        return Body(name, pose=pose, outline=outline, expansion=material.expansion)
     area, second_moment = _areas(name)
     _, (density, width) = on_host(material.density, width)
     mass_per_area = density * width
@@ -307,6 +319,7 @@ def _moving_body(name: str, material: Material, width: float) -> Body:
         mass=mass_per_area * area,
         inertia=mass_per_area * second_moment,
         outline=outline,
+        expansion=material.expansion,
     )
 
 

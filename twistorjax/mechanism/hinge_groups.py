@@ -7,13 +7,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from .._utils.host import all_concrete
+from .._utils.host import all_concrete, as_float
 from .._utils.pytrees import group_by_structure
 from .._utils.types import Scalar
 from ..energies.base import AbstractEnergy
 from ..energies.damping import ViscousDamping
+from ..energies.dilation import dilated
 from ..energies.solver_protocols import (
     has_resisted_rates,
     parallel_terms,
@@ -69,6 +70,28 @@ def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
         members = tuple(rows[k] for k in indices)
         groups.append(HingeGroup(members, energy, damping, tuple(batch_axes)))
     return tuple(groups)
+
+
+def dilate_groups(
+    groups: Sequence[HingeGroup], scales: Float[Array | np.ndarray, " hinges"]
+) -> tuple[HingeGroup, ...]:
+    """Multiply the dimensions of all hinges by factors, as thermal expansion does."""
+    new = []
+    for group in groups:
+        energy = dilated(group.energy, as_float(scales[np.array(group.members)]))
+        old_leaves = jax.tree.leaves(group.energy)
+        changed = [
+            leaf is not old
+            for leaf, old in zip(jax.tree.leaves(energy), old_leaves, strict=True)
+        ]
+        # Arrays that the hinges shared were stacked, because their factors may differ.
+        axes = [
+            0 if stacked else axis
+            for stacked, axis in zip(changed, group.batch_axes, strict=False)
+        ]
+        axes += group.batch_axes[len(changed) :]
+        new.append(HingeGroup(group.members, energy, group.damping, tuple(axes)))
+    return tuple(new)
 
 
 def sums_of(

@@ -165,8 +165,10 @@ class Mechanism(HingeQueries):
         """Return the mechanism at another temperature.
 
         Bodies expand about the origins of their frames. Hinges with an `expansion` become
-        longer, and bend at a gradient of the temperature. This changes their misfits.
-        Stiffnesses do not change.
+        longer, and bend at a gradient of the temperature, which changes their misfits.
+        The stiffness of leaves, notches, and surrogates is that of their new dimensions,
+        so that a mechanism of one material at one temperature is only scaled. Moduli of
+        materials do not change.
 
         Args:
             change: Change of the temperature; K.

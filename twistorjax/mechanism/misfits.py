@@ -16,6 +16,9 @@ from .._utils.validation import (
     require_finite,
     require_pose,
 )
+from ..energies.base import AbstractEnergy
+from ..energies.dilation import dilated
+from .hinge_groups import dilate_groups
 from .hinge_kinematics import misfit_numbers
 
 
@@ -98,16 +101,35 @@ def expanded(
     gap_along = cos * gap[:, 0] + sin * gap[:, 1]
     gap_across = cos * gap[:, 1] - sin * gap[:, 0]
     growth, rotation = coefficient * length * of_hinges, coefficient * length * slopes
+    scales = 1 + coefficient * of_hinges
     warm = eqx.tree_at(
-        lambda warm: (warm.at, warm.hinge_assembly.arms),
+        lambda warm: (
+            warm.at,
+            warm.hinge_assembly.arms,
+            warm.hinge_assembly.groups,
+            warm.hinge_assembly.sums,
+        ),
         mechanism,
         (
             as_float(xp.concatenate([at[:, :1], at[:, 1:] + middle], axis=1)),
             as_float(arms + middle[:, None]),
+            dilate_groups(assembly.groups, scales),
+            tuple(map(_dilated_sum, assembly.sums, scales)),
         ),
+        is_leaf=lambda leaf: leaf is None,
     )
     columns = [-rotation, growth, 0 * growth, gap_along, gap_across]
     return _with_misfits(warm, as_float(xp.stack(columns, axis=1)))
+
+
+def _dilated_sum(
+    given: tuple[AbstractEnergy, Any] | None, scale: NumberLike
+) -> tuple[AbstractEnergy, Any] | None:
+    """Multiply the dimensions of a hinge whose energy is a sum; it keeps its damping."""
+    if given is None:
+        return None
+    energy, damping = given
+    return dilated(energy, as_float(scale)), damping
 
 
 def _by_name(

@@ -1,0 +1,51 @@
+"""Energies of hinges whose dimensions grow in proportion, as by thermal expansion."""
+
+from dataclasses import fields
+from operator import attrgetter
+from typing import Protocol, runtime_checkable
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from .base import AbstractEnergy
+
+
+@runtime_checkable
+class CanDilate(Protocol):
+    """An energy that knows that of a hinge whose dimensions are a multiple."""
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> AbstractEnergy:
+        """Return the energy if all dimensions of the hinge are multiplied.
+
+        The energy at a rotation and a translation becomes `scale^3` times that at the
+        rotation and the translation divided by `scale`.
+
+        Args:
+            scale: The factor; one for each energy if the energies are stacked.
+
+        Returns:
+            The energy of the larger hinge.
+        """
+        ...
+
+
+def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEnergy:
+    """Return an energy if all dimensions of its hinge are multiplied by a factor.
+
+    It applies to all energies in sums, multiples, and other wrappers. An energy that is
+    not `CanDilate` does not change.
+    """
+    if isinstance(energy, CanDilate):
+        energy = energy.dilated(scale)
+    for field in fields(energy):
+        value = getattr(energy, field.name, None)
+        if isinstance(value, AbstractEnergy):
+            new = dilated(value, scale)
+        elif isinstance(value, tuple) and any(
+            isinstance(part, AbstractEnergy) for part in value
+        ):
+            new = tuple(dilated(part, scale) for part in value)
+        else:
+            continue
+        energy = eqx.tree_at(attrgetter(field.name), energy, new)
+    return energy

@@ -177,6 +177,7 @@ def test_a_stroke_is_an_input():
     )  # fmt: skip
     np.testing.assert_allclose(motion.gain, -0.75, rtol=1e-12)
     assert_close(1e3 * motion.lost_motion[-1], 0.5, digits=12)
+    np.testing.assert_allclose(motion.force, 75.0 * motion.travel, rtol=1e-12)
 
 
 def test_gains_are_differentiable_and_batched():

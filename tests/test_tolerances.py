@@ -299,3 +299,38 @@ def test_tolerances_of_the_webs_propagate_to_the_gain_of_the_stage():
     exact = 10e-6 * np.hypot.reduce(derivatives)
     np.testing.assert_allclose(result.first_order_standard_deviation, exact, rtol=1e-9)
     assert abs(result.first_order_error) < 0.005
+
+
+def test_errors_of_assembly_load_an_over_constrained_guide():
+    """Three leaves hold a table that needs two: their ends are not on one line.
+
+    The middle leaf keeps a third of (2 e2 - e1 - e3), where e are the errors of the
+    lengths, with the standard deviation sqrt(6) / 3 of that of one error.
+    """
+    length, thickness, width, deviation = 50e-3, 0.5e-3, 10e-3, 5e-6
+    steel = tj.Material(210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=length, thickness=thickness, width=width)
+
+    def study(design):
+        hinges = [
+            tj.Hinge(
+                str(k), "base", "table", leaf, (np.pi / 2, x, length / 2),
+                misfit=(0.0, design["error"][k], 0.0),
+            )
+            for k, x in enumerate((-0.04, 0.0, 0.04))
+        ]  # fmt: skip
+        bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, length))]
+        mechanism = tj.Mechanism(bodies, hinges, fixed=["base"])
+        solution = tj.equilibrium(mechanism, throw=False)
+        stress = mechanism.wrench_of("1", solution)[1] / (thickness * width)
+        return {"stress": stress, "tilt": solution.displacement("table")[0]}
+
+    errors = {"error": tj.sweeps.Normal(np.zeros(3), deviation)}
+    result = tj.sweeps.tolerances(study, errors, "stress", count=512)
+    exact = 210e9 * deviation / length * np.sqrt(6) / 3
+    # The leaves also bend, which reduces the force by (thickness / spacing)^2.
+    np.testing.assert_allclose(result.first_order_standard_deviation, exact, rtol=1e-4)
+    assert abs(result.first_order_error) < 0.02
+    # The outer leaves tilt the table by (e3 - e1) / (2 spacing).
+    tilt = float(result.table["tilt"].std())
+    np.testing.assert_allclose(tilt, deviation / (np.sqrt(2) * 0.04), rtol=0.02)

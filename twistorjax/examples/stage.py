@@ -15,6 +15,7 @@ places: its masses are those for 2.8e3 kg/m3, equation 6.12 has 0.0952 instead o
 of um.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -94,6 +95,7 @@ def microstage(
     coordinates: Coordinates = "twistor",
     damping: DampingLike | None = None,
     guided: bool = True,
+    more_hinges: Sequence[Hinge] = (),
 ) -> Mechanism:
     """Build the micropositioning stage.
 
@@ -109,6 +111,7 @@ def microstage(
             the ratio of damping to stiffness; s.
         guided: Whether body "6" can only move along x, which is the direction of the
             input displacement.
+        more_hinges: Further hinges, such as an actuator between the bodies "1" and "6".
 
     Returns:
         A mechanism with the bodies "1" to "6" and the hinges "a" to "g", named as in the
@@ -171,7 +174,7 @@ def microstage(
     moving = [_moving_body(name, material, width) for name in ("2", "3", "4", "5", "6")]
     held = {"6": ("angle", "y")} if guided else {}
     fixed = {"1": ("angle", "x", "y"), **held}
-    return Mechanism([frame, *moving], hinges, fixed=fixed)
+    return Mechanism([frame, *moving], [*hinges, *more_hinges], fixed=fixed)
 
 
 class Amplification(Tabular):

@@ -1,6 +1,7 @@
 """Motion of a port along the travel of an input: gain, parasitic motion, lost motion."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -46,7 +47,7 @@ class PortMotion(Tabular):
         travel: Displacement of the input; rad or m.
         displacement: Displacement (angle, x, y) of the port from the start; rad, m, m.
         rate: Derivative of the displacement with respect to the travel.
-        force: Force or moment of a prescribed displacement; NaN for a stroke; N m or N.
+        force: Force or moment of the input in the direction of its travel; N m or N.
         rigid_gain: Gain of the mechanism if the stiff directions of its hinges were
             rigid; None if it is unknown.
         result: `RESULTS.successful` or the reason of the failure at each position.
@@ -318,8 +319,16 @@ def _path(
 
     shares = jnp.linspace(0.0, 1.0, positions)
     displacements, rates, solution = jax.vmap(solve_with_rate)(shares)
-    force = jnp.full(positions, jnp.nan)
-    if dof is not None:
+
+    def actuator_force(strokes: Array, share: Scalar, displacements: Poses) -> Scalar:
+        """Compute the power of the actuator per rate of the travel."""
+        moved = mechanism.hinge_assembly.with_strokes(share * strokes, strokes / travel)
+        no_rates = jnp.zeros_like(displacements)
+        return moved.forces_in_motion(displacements, no_rates)[2][1]
+
+    if strokes is not None:
+        force = jax.vmap(partial(actuator_force, strokes))(shares, displacements)
+    else:
         force = solution.reactions.reshape(positions, -1)[:, dof]
     angle = mechanism.reference[body, 0]
     displacement, rate = jax.vmap(_port_motion, in_axes=(None, None, None, 0, 0))(

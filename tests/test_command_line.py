@@ -249,3 +249,17 @@ def test_only_several_cpu_cores_force_a_sweep_to_the_cpu(
     printed_platform, printed_devices = done.stdout.split()
     assert printed_platform == platform
     assert max(int(printed_devices), 1) == devices
+
+
+def test_a_warm_stage_drifts(run_here):
+    """A plate that expands as a whole keeps its gain; 23.6e-6 / K times 24 mm."""
+    done = run_here("stage", "--temperature", "2.0", "--json")
+    drift = json.loads(done.stdout)["drift"]
+    free, held = drift["guide_expands"], drift["guide_keeps_its_place"]
+    np.testing.assert_allclose(free["output_y_m"], 2 * 23.6e-6 * 24e-3, rtol=1e-9)
+    assert abs(free["output_x_m"]) < 1e-15
+    np.testing.assert_allclose(free["gain"], json.loads(done.stdout)["gain"], rtol=1e-6)
+    # The lever ratio multiplies the displacement of the input relative to the plate.
+    relative = 2 * 23.6e-6 * 7e-3
+    assert 20 * relative < held["output_x_m"] < 36 * relative
+    assert "guide keeps its place" in run_here("stage", "--temperature", "2.0").stdout

@@ -31,6 +31,7 @@ def assert_usage_error(done, message):
         (["--plot", "nowhere/stage.png"], "there is no folder nowhere"),
         (["--plot", "stage.poem"], "'--plot': stage.poem must end with one of"),
         (["--step"], "--step needs --transient"),
+        (["--transient", "--temperature", "1"], "--temperature is for the static gain"),
         (["--gian"], "No such option: --gian"),
     ],
 )

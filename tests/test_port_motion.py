@@ -166,7 +166,7 @@ def test_a_stroke_is_an_input():
     actuator = tj.Quadratic(np.diag([1.0, 300.0, 1.0]))
     spring = tj.Quadratic(np.diag([1.0, 100.0, 1.0]))
     hinges = [
-        tj.Hinge("actuator", "wall", "stage", actuator, (0, 0, 0)),
+        tj.Hinge("actuator", "wall", "stage", actuator, (0, 0, 0), damping=0.1),
         tj.Hinge("spring", "stage", "wall", spring, (0, 0, 0)),
     ]
     bodies = [tj.Body("wall"), tj.Body("stage")]

@@ -1,5 +1,7 @@
 """Strokes that change with time, and harmonic strokes."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -178,3 +180,31 @@ def test_unknown_actuators_are_named():
         )
     with pytest.raises(ValueError, match="piezo"):
         tj.frequency_response(actuated_block(), [1.0], strokes={"piezo": (0, 1, 0)})
+
+
+def test_hinges_are_queried_with_the_strokes_of_a_solution():
+    """Energies and wrenches of a motion, and of a linear response, include strokes."""
+    mechanism = whirling_mechanism((0.2, 0.03, -0.05))
+    times = np.linspace(0.0, 0.5, 3)
+    motion = tj.simulate(mechanism, times, strokes=whirling_strokes)
+    total = sum(mechanism.energy_of(name, motion) for name in "ab")
+    assert_close(total, motion.energies.elastic, digits=12)
+    columns = motion.columns()
+    assert_close(columns["energy_by_strokes"].values, motion.energies.by_strokes)
+    for k, time in enumerate(times):
+        displaced = mechanism.with_strokes(whirling_strokes(time))
+        expected = displaced.wrench_of("b", motion.poses[k])
+        assert_close(mechanism.wrench_of("b", motion)[k], expected, digits=9)
+    plain = actuated_block()
+    response = tj.linearize(plain)(strokes={"actuator": (0.0, 1e-4, 0.0)})
+    wrenches = [plain.wrench_of(name, response)[1] for name in ("actuator", "spring")]
+    # Both hinges are compressed by the same force, that of two springs in series.
+    force = -1e-4 / (1 / STIFFNESS + 1 / 100.0)
+    np.testing.assert_allclose(wrenches, force, rtol=1e-9)
+
+
+@pytest.mark.untyped
+def test_strokes_that_are_no_mapping_are_refused():
+    strokes: Any = (0, 1e-6, 0)
+    with pytest.raises(ValueError, match="must be a mapping from names of hinges"):
+        tj.simulate(actuated_block(), [0, 1], strokes=strokes)

@@ -305,3 +305,17 @@ def test_weights_hang_a_mechanism_from_its_springs():
 def test_invalid_changes_are_reported(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_parts_that_cannot_expand_are_reported():
+    hinge = tj.Hinge("leaf", "base", "table", LEAF, (np.pi / 2, 0.0, LENGTH / 2))
+    bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, LENGTH))]
+    rigid = tj.Mechanism(bodies, [hinge], fixed=["base"])
+    with pytest.raises(ValueError, match="No body and no hinge has an `expansion`"):
+        rigid.at_temperature(1.0)
+    with pytest.raises(ValueError, match="'leaf' has no `expansion`"):
+        rigid.at_temperature(0.0, gradients={"leaf": 1.0})
+    bodies[1] = tj.Body("table", (0.0, 0.0, LENGTH), expansion=12e-6)
+    warm = tj.Mechanism(bodies, [hinge], fixed=["base"])
+    with pytest.warns(UserWarning, match="'leaf' is a flexure without an `expansion`"):
+        warm.at_temperature(1.0)

@@ -78,6 +78,11 @@ def matrix_error(name: str, matrix: Float[Array, "... 3 3"]) -> str | None:
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = values / size[..., :, None] / size[..., None, :]
         asymmetry = np.max(np.abs(scaled - np.swapaxes(scaled, -1, -2)))
+    if asymmetry > 1e-9 and values.dtype == np.float32:
+        return (
+            f"`{name}` is in single precision. Enable double precision before you create "
+            "any array: `twistorjax.configure()`."
+        )
     if asymmetry > 1e-9:
         return (
             f"`{name}` is not symmetric: {values.tolist()}. Use its symmetric part, "

@@ -50,7 +50,11 @@ class HingeQueries(eqx.Module):
                 bodies.
         """
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        return self._of_hinge(at, lambda poses: self._hinge_pose(row, poses))
+
+        def pose(hinges: HingeAssembly, displacements: Poses) -> Pose:
+            return _hinge_pose(hinges, row, displacements)
+
+        return self._of_hinge(at, pose)
 
     def wrench_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
         """Compute the wrench that body B exerts on a hinge, about frame b, in its axes.
@@ -73,15 +77,15 @@ class HingeQueries(eqx.Module):
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
         wrench = self.hinge_assembly.energy_of(row).wrench
 
-        def about_frame_b(poses: Poses) -> Wrench:
-            misfits = self.hinge_assembly.misfits
+        def about_frame_b(hinges: HingeAssembly, displacements: Poses) -> Wrench:
+            misfits = hinges.misfits
             if misfits is None:
-                return wrench(self._hinge_pose(row, poses))
+                return wrench(_hinge_pose(hinges, row, displacements))
             # The energy belongs to frame b displaced by half the inverse misfit.
             misfit = Misfit.of(misfits[row])
             x, y = -misfit.e1 - misfit.f2, -misfit.e2 + misfit.f1
             frame = jnp.stack([-misfit.angle, x, y]) / 2
-            pose = self._hinge_pose(row, poses, of_frames=False)
+            pose = _hinge_pose(hinges, row, displacements, of_frames=False)
             return se2.transform_wrench(frame, wrench(pose))
 
         return self._of_hinge(at, about_frame_b)
@@ -103,8 +107,8 @@ class HingeQueries(eqx.Module):
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
         energy = self.hinge_assembly.energy_of(row)
 
-        def stored(poses: Poses) -> Scalar:
-            return energy(self._hinge_pose(row, poses, of_frames=False))
+        def stored(hinges: HingeAssembly, displacements: Poses) -> Scalar:
+            return energy(_hinge_pose(hinges, row, displacements, of_frames=False))
 
         return self._of_hinge(at, stored)
 
@@ -131,22 +135,33 @@ class HingeQueries(eqx.Module):
         y1, y2 = d1 - cos * gap1, d2 - cos * gap2
         return as_float(xp.stack([angle, cos * y1 - sin * y2, cos * y2 + sin * y1]))
 
-    def _hinge_pose(self, row: int, displacements: Poses, of_frames: bool = True) -> Pose:
-        """Compute the displacement of a hinge, of its frames or with its misfit."""
-        at = self.hinge_assembly.displacement_of(row, displacements, of_frames)
-        x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
-        return jnp.stack([at.angle, 2 * x, 2 * y])
-
     def _of_hinge(
-        self, at: PosesOrResult, function: Callable[[Poses], Array]
+        self, at: PosesOrResult, function: Callable[[HingeAssembly, Poses], Array]
     ) -> Float[Array, "..."]:
-        """Evaluate a function of displacements, or of each of a batch of them."""
+        """Evaluate a function of hinges and displacements, or of a batch of them.
+
+        A solution with strokes displaces the misfits of the hinges.
+        """
         displacements = self.displacements(at, "at")
-        flat = displacements.reshape(-1, *self.reference.shape)
+        batch = displacements.shape[:-2]
+        states = [displacements.reshape(-1, *self.reference.shape)]
+        strokes = getattr(at, "strokes", None)
+        if strokes is not None:
+            strokes = jnp.broadcast_to(strokes, (*batch, *strokes.shape[-2:]))
+            states.append(strokes.reshape(-1, *strokes.shape[-2:]))
+
+        def evaluate(displacements: Poses, *strokes: Array) -> Array:
+            hinges = self.hinge_assembly
+            for rows in strokes:
+                hinges = hinges.with_strokes(rows)
+            return function(hinges, displacements)
+
         # One state is not traced, so that a value out of range raises an error.
-        single = len(flat) == 1
-        values = function(flat[0])[None] if single else jax.vmap(function)(flat)
-        return values.reshape(*displacements.shape[:-2], *values.shape[1:])
+        if len(states[0]) == 1:
+            values = evaluate(*(part[0] for part in states))[None]
+        else:
+            values = jax.vmap(evaluate)(*states)
+        return values.reshape(*batch, *values.shape[1:])
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
         """Compute the poses of the two frames of a hinge in the world.
@@ -185,3 +200,12 @@ class HingeQueries(eqx.Module):
             message = range_message(hinges.energy_of(row), at)
             sentences.append(f"The hinge {self.hinge_names[row]!r}: {message}.")
         return " ".join(sentences)
+
+
+def _hinge_pose(
+    hinges: HingeAssembly, row: int, displacements: Poses, of_frames: bool = True
+) -> Pose:
+    """Compute the displacement of a hinge, of its frames or with its misfit."""
+    at = hinges.displacement_of(row, displacements, of_frames)
+    x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
+    return jnp.stack([at.angle, 2 * x, 2 * y])

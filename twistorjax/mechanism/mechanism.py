@@ -130,7 +130,8 @@ class Mechanism(HingeQueries):
         """Return the mechanism with strokes of actuators.
 
         A stroke is a displacement by which the state is displaced in which a hinge is not
-        loaded. It is added to the misfit of the hinge.
+        loaded. To strokes and misfits that the hinge already has, the angle and the
+        translation in the mid-frame are added, so that the order does not matter.
 
         Args:
             strokes: A mapping from names of hinges to displacements (angle, x, y) of
@@ -168,7 +169,7 @@ class Mechanism(HingeQueries):
         longer, and bend at a gradient of the temperature, which changes their misfits.
         The stiffness of leaves, notches, and surrogates is that of their new dimensions,
         so that a mechanism of one material at one temperature is only scaled. Moduli of
-        materials do not change.
+        materials, and misfits that the hinges already have, do not change.
 
         Args:
             change: Change of the temperature; K.
@@ -180,7 +181,8 @@ class Mechanism(HingeQueries):
             The mechanism.
 
         Raises:
-            ValueError: A name is unknown, or a value is not finite.
+            ValueError: A name is unknown, a value is not finite, or a hinge with a
+                temperature has no `expansion`.
 
         Source:
             A hinge of length L becomes longer by `expansion * change * L`, and rotates by

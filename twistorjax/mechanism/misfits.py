@@ -1,5 +1,6 @@
 """Changes of the misfits of a mechanism: strokes of actuators, and thermal expansion."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from .._utils.validation import (
     index_of,
     require_finite,
     require_pose,
+    shorten,
 )
 from ..energies.base import AbstractEnergy
 from ..energies.dilation import dilated
@@ -33,8 +35,14 @@ def stroke_rows(
     """Arrange strokes (rad, m, m) in rows, which are zero for hinges without a stroke.
 
     Raises:
-        ValueError: There is no hinge of a name, or a shape is wrong.
+        ValueError: `strokes` is not a mapping, there is no hinge of a name, or a shape is
+            wrong.
     """
+    if not isinstance(strokes, Mapping):
+        raise ValueError(
+            f"`strokes` is {shorten(repr(strokes))}, but must be a mapping from names of "
+            'hinges to displacements (angle, x, y), such as {"piezo": (0.0, 1e-6, 0.0)}.'
+        )
     rows: list[Any] = [np.zeros(3) for _ in mechanism.hinge_names]
     for name, stroke in strokes.items():
         row = index_of("`strokes`", "hinge", name, mechanism.hinge_names)
@@ -78,6 +86,7 @@ def expanded(
 ) -> "Mechanism":
     """Expand bodies and hinges; see `Mechanism.at_temperature`."""
     assembly, expansions = mechanism.hinge_assembly, mechanism.hinge_expansions
+    _require_expansions(mechanism, {**hinges, **gradients})
     numbers = (
         _by_name("`bodies`", "body", bodies, mechanism.names, change),
         [0.0 if value is None else value for value in mechanism.expansions],
@@ -130,6 +139,42 @@ def _dilated_sum(
         return None
     energy, damping = given
     return dilated(energy, as_float(scale)), damping
+
+
+def _require_expansions(mechanism: "Mechanism", named: NamedNumbers) -> None:
+    """Check that parts can expand.
+
+    Raises:
+        ValueError: A hinge with a temperature or a gradient has no expansion, or neither
+            bodies nor hinges have one.
+    """
+    expansions = dict(zip(mechanism.hinge_names, mechanism.hinge_expansions, strict=True))
+    for name in named:
+        if name in expansions and expansions[name] is None:
+            raise ValueError(
+                f"The hinge {name!r} has no `expansion`, so its temperature has no "
+                "effect. Give it one: `Hinge(..., expansion=Expansion(material, "
+                "length=...))`."
+            )
+    parts = [*expansions.values(), *mechanism.expansions]
+    if all(expansion is None for expansion in parts):
+        raise ValueError(
+            "No body and no hinge has an `expansion`, so the temperature has no effect. "
+            "Give `Body(..., expansion=12e-6)` (1/K) and `Hinge(..., "
+            "expansion=Expansion(material, length=...))`."
+        )
+    for row, (name, expansion) in enumerate(expansions.items()):
+        energy = mechanism.hinge_assembly.energy_of(row)
+        bodies = mechanism.hinge_assembly.ends[row]
+        expands = any(mechanism.expansions[body] is not None for body in bodies)
+        if expansion is None and expands and getattr(energy, "flexure", False):
+            warnings.warn(
+                f"The hinge {name!r} is a flexure without an `expansion`. The bodies "
+                "move its middle instead of its clamped ends, and it does not expand. "
+                "Give `expansion=Expansion(material, length=...)`, also if its own "
+                "temperature does not change.",
+                stacklevel=4,
+            )
 
 
 def _by_name(

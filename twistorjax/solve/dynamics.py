@@ -182,8 +182,10 @@ def simulate(
         first_loads = loads(first) if callable(loads) else loads
         first_strokes = strokes(first) if callable(strokes) else strokes
     stroke_rows(mechanism, first_strokes)  # checks the names
-    if first_strokes and not callable(strokes):
-        mechanism = mechanism.with_strokes(first_strokes)
+    strokes_in_time = strokes if callable(strokes) else None
+    if not callable(strokes) and strokes:
+        given = {name: as_float(stroke) for name, stroke in strokes.items()}
+        strokes_in_time = eqx.Partial(_constant, given)
     load_set = LoadSet.of(mechanism, first_loads)
     dofs = DofPartition.of(mechanism, prescribed_dofs(mechanism, first_drives)[0])
     displacements = jnp.zeros_like(mechanism.reference)
@@ -207,7 +209,7 @@ def simulate(
             pad_times(instants) if pad else instants,
             loads if callable(loads) else load_set,
             drives if callable(drives) else tuple(drives),
-            strokes if callable(strokes) else None,
+            strokes_in_time,
             constraint_set,
             displacements,
             rates,
@@ -314,11 +316,10 @@ def _solve(
     )
     saved_times, states = solution.ts[0], solution.ys[0]
     valid = jnp.isfinite(saved_times)
-    output = jax.vmap(partial(_output, system))(
-        jnp.where(valid, saved_times, problem.times[0]), states
-    )
+    output_times = jnp.where(valid, saved_times, problem.times[0])
+    output = jax.vmap(partial(_output, system))(output_times, states)
     outside = jax.vmap(lambda time, at: system.hinges(time).out_of_range(at))(
-        jnp.where(valid, saved_times, problem.times[0]), output[0]
+        output_times, output[0]
     )
     after_exit = jnp.cumsum(valid & jnp.any(outside, axis=1)) > 0
     left_range = is_success(result) & jnp.any(after_exit)
@@ -345,9 +346,16 @@ def _solve(
         result=result,
         solution=solution,
         system=None if solution.interpolation is None else system,
+        strokes=None if strokes is None else jax.vmap(system.stroke_rows)(output_times),
         names=mechanism.names,
         constraint_names=constraints.names(),
     )
+
+
+def _constant(strokes: Mapping[str, PoseLike], time: Scalar) -> Mapping[str, PoseLike]:
+    """Return strokes that do not depend on the time."""
+    del time
+    return strokes
 
 
 def _output(system: MotionSystem, time: Scalar, state: State):

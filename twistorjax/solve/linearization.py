@@ -152,6 +152,7 @@ def _respond(
         result=result,
         names=mechanism.names,
         constraint_names=linear.constraint_names,
+        strokes=strokes,
     )
 
 

@@ -1,5 +1,6 @@
 """Motion of a mechanism, as the solution of a simulation."""
 
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -71,6 +72,7 @@ class Motion(PoseSolution):
             its name.
         solution: The solution that diffrax returned.
         system: Equations of motion with `SaveAt(dense=True)`; otherwise None.
+        strokes: Strokes of all hinges, if `simulate` had strokes; rad, m, m.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
     """
@@ -88,6 +90,7 @@ class Motion(PoseSolution):
     result: RESULTS
     solution: dfx.Solution
     system: MotionSystem | None
+    strokes: Float[Array, "*batch times hinges 3"] | None
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
 
@@ -100,6 +103,8 @@ class Motion(PoseSolution):
             names = ("times", "displacements", "velocities", "reactions")
             histories = [getattr(motion, name) for name in names]
             more = [motion.constraint_forces, motion.energies]
+            if motion.strokes is not None:
+                more.append(motion.strokes)
             return [*histories, *more, solution.ts[0], solution.ys[0]]
 
         first = partial(take_rows, rows=slice(count))
@@ -155,9 +160,9 @@ class Motion(PoseSolution):
             **self._body_columns("time"),
             **columns(self.velocities, ("time", "body"), *velocity, body=self.names),
         }
-        for name in ("elastic", "kinetic", "dissipated", "by_loads", "by_drives"):
-            energy = getattr(self.energies, name)
-            table[f"energy_{name}"] = Column(energy, ("time",), "J")
+        for field in fields(self.energies):
+            energy = getattr(self.energies, field.name)
+            table[f"energy_{field.name}"] = Column(energy, ("time",), "J")
         return {**table, "steps": Column(self.steps), "rejected": Column(self.rejected)}
 
     def __repr__(self) -> str:

@@ -301,14 +301,16 @@ class MotionSystem(eqx.Module):
 
     def hinges(self, time: Scalar) -> HingeAssembly:
         """Return the hinges with their strokes at a time; s."""
-        hinges, strokes = self.mechanism.hinge_assembly, self.strokes
-        if strokes is None:
+        hinges = self.mechanism.hinge_assembly
+        if self.strokes is None:
             return hinges
+        one = jnp.ones_like(time)
+        return hinges.with_strokes(*jax.jvp(self.stroke_rows, (time,), (one,)))
 
-        def rows(time: Scalar) -> Float[Array, "hinges 3"]:
-            return stroke_rows(self.mechanism, strokes(time))
-
-        return hinges.with_strokes(*jax.jvp(rows, (time,), (jnp.ones_like(time),)))
+    def stroke_rows(self, time: Scalar) -> Float[Array, "hinges 3"]:
+        """Arrange the strokes at a time (s) in rows; rad, m, m."""
+        assert self.strokes is not None
+        return stroke_rows(self.mechanism, self.strokes(time))
 
     def load_set(self, time: Scalar) -> LoadSet:
         """Gather the loads at a time; s."""

@@ -49,8 +49,13 @@ class PortCompliance(eqx.Module):
             The stiffness; N m/rad or N/m.
 
         Raises:
-            ValueError: A coordinate is unknown.
+            ValueError: A coordinate is unknown, or the direction is held.
         """
+        if isinstance(held, str) or direction in held:
+            raise ValueError(
+                f"`held` is {held!r}, but must be a list of other coordinates than "
+                f"{direction!r}, such as ['angle']."
+            )
         chosen = [
             index_of("`stiffness_along`", "coordinate", name, COORDINATES)
             for name in (direction, *held)

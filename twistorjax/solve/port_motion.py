@@ -16,19 +16,18 @@ from .._utils.types import (
     BatchScalar,
     NumberLike,
     Numbers,
-    Point,
     Pose,
     PoseLike,
     Poses,
     Scalar,
 )
 from .._utils.validation import index_of, require_choice, require_finite, require_pose
-from ..geometry import se2
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_rows
 from .constraint_analysis import constraint_analysis
+from .port_kinematics import displacement_and_rate
 from .results import is_success, RESULTS
 from .statics import check_equilibrium, Equilibrium, equilibrium
 from .tables import Column, Columns, Tabular
@@ -95,7 +94,8 @@ class PortMotion(Tabular):
         """Travel that does not move the port, because hinges deform; rad or m.
 
         It is the travel minus the one with which the rigid mechanism would move the port
-        as far.
+        as far, if its gain were that at the start. So the change of the gain with the
+        travel is counted as well.
 
         Raises:
             ValueError: The gain of the rigid mechanism is unknown.
@@ -148,7 +148,9 @@ class PortMotion(Tabular):
             f"start, {last:.6g} at the end"
         )
         lines = [title]
-        if self.rigid_gain is not None:
+        if self.rigid_gain is None:
+            lines.append("lost motion: unknown; give `rigid_gain` to `port_motion`")
+        else:
             lost = float(np.asarray(self.lost_motion)[-1])
             share = 100 * lost / travel[-1] if travel[-1] else 0.0
             lines.append(
@@ -192,7 +194,8 @@ def port_motion(
         drive: The input, a prescribed displacement of one coordinate at the end of the
             travel, which starts at zero; rad or m.
         strokes: The input, the stroke of one actuator at the end of the travel, instead
-            of `drive`. The travel is the length of its translation; rad, m, m.
+            of `drive`. The travel is the length of its translation, and the gain refers
+            to this free stroke; rad, m, m.
         loads: Constant loads.
         constraints: Constraints between the bodies.
         time: Time at which time-dependent constraints are evaluated; s.
@@ -282,6 +285,11 @@ def _input(
             f"`drive` prescribes {', '.join(drive.coordinates)} of {drive.body!r}, but "
             "the input is one coordinate. Hold others by a `Slider` or a `Constraint`."
         )
+    if (known := all_concrete([targets[0]])) is not None and known[0] == 0:
+        raise ValueError(
+            f"The drive of {drive.body!r} prescribes the displacement zero, so the input "
+            "has no travel. Give its displacement at the end of the travel."
+        )
     return targets[0], dofs[0], None
 
 
@@ -321,44 +329,23 @@ def _path(
     displacements, rates, solution = jax.vmap(solve_with_rate)(shares)
 
     def actuator_force(strokes: Array, share: Scalar, displacements: Poses) -> Scalar:
-        """Compute the power of the actuator per rate of the travel."""
-        moved = mechanism.hinge_assembly.with_strokes(share * strokes, strokes / travel)
-        no_rates = jnp.zeros_like(displacements)
-        return moved.forces_in_motion(displacements, no_rates)[2][1]
+        """Differentiate the elastic energy with respect to the travel."""
+
+        def energy(share: Scalar) -> Scalar:
+            hinges = mechanism.hinge_assembly.with_strokes(share * strokes)
+            return hinges.energy(displacements)
+
+        return jax.grad(energy)(share) / travel
 
     if strokes is not None:
         force = jax.vmap(partial(actuator_force, strokes))(shares, displacements)
     else:
         force = solution.reactions.reshape(positions, -1)[:, dof]
     angle = mechanism.reference[body, 0]
-    displacement, rate = jax.vmap(_port_motion, in_axes=(None, None, None, 0, 0))(
-        angle, frame, displacements[0, body], displacements[:, body], rates[:, body]
-    )
+    displacement, rate = jax.vmap(
+        displacement_and_rate, in_axes=(None, None, None, 0, 0)
+    )(angle, frame, displacements[0, body], displacements[:, body], rates[:, body])
     return solution, displacement, rate / travel, force
-
-
-def _port_motion(
-    reference: Scalar, frame: Pose, start: Pose, now: Pose, rate: Pose
-) -> tuple[Pose, Pose]:
-    """Compute displacement and rate of a port from those of its body (angle, x, y).
-
-    `reference` is the angle of the body in the reference configuration; rad. `start` is
-    the displacement of the body at the start of the travel; rad, m, m.
-    """
-    angle = now[0] - start[0]
-    arm = se2.rotate(reference + start[0], frame[1:])
-    turned = se2.rotation_displacement(tuple(arm), jnp.cos(angle / 2), jnp.sin(angle / 2))
-    turned = jnp.stack(turned)
-    translation = now[1:] - start[1:] + turned
-    velocity = rate[1:] + rate[0] * _perpendicular(arm + turned)
-    to_port = -(reference + start[0] + frame[0])
-    displacement = jnp.append(angle, se2.rotate(to_port, translation))
-    return displacement, jnp.append(rate[0], se2.rotate(to_port, velocity))
-
-
-def _perpendicular(vector: Point) -> Point:
-    """Rotate a vector by 90 degrees counterclockwise."""
-    return jnp.stack([-vector[1], vector[0]])
 
 
 def _rigid_gain(
@@ -387,7 +374,7 @@ def _rigid_gain(
         return None
     rate = jnp.asarray(motions[moving[0], body] / inputs[moving[0]])
     start_pose = start[body]
-    _, of_port = _port_motion(
+    _, of_port = displacement_and_rate(
         mechanism.reference[body, 0], frame, start_pose, start_pose, rate
     )
     return of_port[COORDINATES.index(direction)]

@@ -66,6 +66,7 @@ class Equilibrium(PoseSolution):
             its name.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
+        strokes: Strokes of all hinges in a linear response to strokes; rad, m, m.
     """
 
     displacements: Poses
@@ -80,6 +81,7 @@ class Equilibrium(PoseSolution):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+    strokes: Float[Array, "*batch hinges 3"] | None = None
 
     def columns(self) -> Columns:
         energy = Column(self.energy, (), "J")

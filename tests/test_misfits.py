@@ -369,3 +369,21 @@ def test_a_hinge_without_misfit_has_no_arrays_of_misfits():
     fields = {field.name for field in dataclasses.fields(pair().hinge_assembly)}
     assert "misfits" in fields
     assert pair(None).hinge_assembly.misfits is None
+
+
+@pytest.mark.parametrize("misfit", [1e-4, 2e-3])
+def test_a_leaf_that_is_too_long_needs_few_steps(misfit):
+    """It tilts the table of a guide; the force of a stiff leaf is large at first."""
+    steel = tj.Material(210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=0.05, thickness=0.5e-3, width=10e-3)
+    hinges = [
+        tj.Hinge(
+            name, "base", "table", leaf, (np.pi / 2, x, 0.025), misfit=(0.0, extra, 0.0)
+        )
+        for name, x, extra in (("left", -0.02, misfit), ("right", 0.02, 0.0))
+    ]
+    bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, 0.05))]
+    found = tj.equilibrium(tj.Mechanism(bodies, hinges, fixed=["base"]))
+    assert int(found.steps) <= 5
+    # The axial strain is negligible, so the table rises and tilts without strain.
+    np.testing.assert_allclose(found.displacement("table")[0], -misfit / 0.04, rtol=2e-3)

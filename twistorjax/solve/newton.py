@@ -78,9 +78,10 @@ class _State(NamedTuple):
         energy_scale: Energy change of the first step of this increment; J.
         first_correction: Norm of the first correction of this increment.
         last_correction: Norm of the last correction.
-        imbalance: Residual at the start of this increment, with the opposite sign.
-        response: Response to this imbalance and to the prescribed displacements, by the
-            tangent at the start of the increment.
+        imbalance: Residual at the start of this increment without the forces due to the
+            change of misfits, with the opposite sign.
+        response: Response to this imbalance, to the change of misfits, and to the
+            prescribed displacements, by the tangent at the start of the increment.
         nonlinearity: Largest nonlinearity that was observed in this increment, as a
             fraction of its bound.
         steps: Total number of Newton steps.
@@ -280,7 +281,7 @@ class _Step(NamedTuple):
         energies: Energy change for each unknown; J.
         work: Sum of the absolute values of force times displacement of the hinges before
             the step; J.
-        imbalance: Residual at the start of the increment, with the opposite sign.
+        imbalance: Residual at the start of the increment, as in `_State`.
         response: Response to the whole increment by the tangent before the step.
         goal: Fraction at the end of the increment.
         stable: Whether the tangent stiffness indicates a stable equilibrium.
@@ -318,9 +319,13 @@ def _newton_step(
     residual = residual - (1 - goal) * initial_residual
     right = -(residual + tangent.prescribed_forces(prescribed_change))
     factors = tangent.factors(system.loads.conservative)
-    imbalance = jnp.where(state.tries == 0, -residual, state.imbalance)
+    # The forces due to misfits and prescribed displacements follow from the tangent.
+    misfit_forces = system.misfit_forces(state.displacements, goal, state.increment)
+    if misfit_forces is None:
+        misfit_forces = jnp.zeros_like(residual)
+    imbalance = jnp.where(state.tries == 0, misfit_forces - residual, state.imbalance)
     whole_change = state.increment * (system.targets - begin)
-    forcing = imbalance - tangent.prescribed_forces(whole_change)
+    forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)
     step, response = jax.vmap(factors.solve)(jnp.stack([right, forcing]))
     displacements = system.with_displacements(
         state.displacements,

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
@@ -99,6 +100,23 @@ class System(eqx.Module):
         if not self.scales_misfits:
             return self.hinges
         return self.hinges.with_share_of_misfits(fraction)
+
+    def misfit_forces(
+        self, displacements: Poses, fraction: Scalar, increment: Scalar
+    ) -> Float[Array, " unknowns"] | None:
+        """Compute the forces due to an increment of the misfits, to first order; N m, N.
+
+        The result is None if the misfits are constant.
+        """
+        if not self.scales_misfits or self.hinges.misfits is None:
+            return None
+
+        def forces(fraction: Scalar) -> Float[Array, " dofs"]:
+            return self.hinges_at(fraction).forces(displacements).reshape(-1)
+
+        _, change = jax.jvp(forces, (fraction,), (increment,))
+        unknowns = len(self.free) + self.constraints.size
+        return jnp.zeros(unknowns).at[np.arange(len(self.free))].set(change[self.free])
 
     def with_displacements(
         self,

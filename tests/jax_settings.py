@@ -5,8 +5,10 @@ errors of the tests for the validation page of the manual.
 """
 
 import gc
+import itertools
 import json
 import os
+import pathlib
 
 
 # Most of the time of the tests is compilation, because a program runs only once.
@@ -25,6 +27,23 @@ gc.set_threshold(200_000, 20, 20)  # the default takes a fifth of the time of tr
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+# Each compiled program takes several memory maps, of which Linux allows 65,530 for each
+# process. XLA crashes if there are no more.
+_MOST_MAPS = 30_000
+_tests = itertools.count(1)
+
+
+@pytest.fixture(autouse=True)
+def _programs_are_dropped():
+    """Drop all compiled programs before the process has too many memory maps."""
+    yield
+    maps = pathlib.Path("/proc/self/maps")
+    due = next(_tests) % 10 == 0 and maps.exists()
+    if due and maps.read_bytes().count(b"\n") > _MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(autouse=True)

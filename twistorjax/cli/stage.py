@@ -132,13 +132,11 @@ def _drift(temperature: float, web: float, travel: float) -> tuple[dict[str, Any
     from ..examples.warm_stage import thermal_drift
 
     fields, lines = {}, [f"at {temperature:+g} K"]
-    for key, words in (
-        ("guide_expands", "guide of the input expands"),
-        ("guide_keeps_its_place", "guide keeps its place"),
+    for expands, key, words in (
+        (True, "guide_expands", "guide of the input expands"),
+        (False, "guide_keeps_its_place", "guide keeps its place"),
     ):
-        drift = thermal_drift(
-            temperature, web=web, travel=travel, guide_expands=key == "guide_expands"
-        )
+        drift = thermal_drift(temperature, web=web, travel=travel, guide_expands=expands)
         angle, x, y = (float(value) for value in drift.output)
         fields[key] = {
             "output_angle_rad": angle,

@@ -7,8 +7,6 @@ gain does not change. If the guide keeps its place, it loads the hinges.
 
 from typing import NamedTuple
 
-import numpy as np
-
 from .._utils.types import NumberLike, Pose, Scalar
 from .._utils.validation import require_finite
 from ..mechanism.loads import Drive
@@ -65,11 +63,11 @@ def thermal_drift(
     input_body = stage.index("6")
     expansion = stage.expansions[input_body]
     assert expansion is not None
-    growth = expansion * change * stage.reference[input_body]
-    growth = growth * np.array(1.0 if guide_expands else 0.0)
+    _, x, y = stage.reference[input_body]
+    strain = expansion * change if guide_expands else 0.0
 
     def solve(travel: NumberLike) -> Equilibrium:
-        drive = Drive("6", angle=0.0, x=growth[1] + travel, y=growth[2])
+        drive = Drive("6", angle=0.0, x=strain * x + travel, y=strain * y)
         return equilibrium(warm, drives=[drive])
 
     start, moved = solve(0.0), solve(travel)

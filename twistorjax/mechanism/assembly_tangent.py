@@ -1,4 +1,6 @@
-"""Forces of all hinges of a mechanism, and their derivatives, for Newton's method."""
+"""Derivatives of the forces of all hinges, for Newton's method and for motions."""
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -97,3 +99,20 @@ def _compressed_entries() -> tuple[np.ndarray, np.ndarray]:
     index[UPPER_TRIANGLE] = np.arange(10)
     index = np.maximum(index, index.T)
     return index[motion][:, motion].reshape(-1), np.outer(sign, sign).reshape(-1)
+
+
+class AssemblyMotionTangent(NamedTuple):
+    """Derivatives of the forces of all hinges with respect to free degrees of freedom.
+
+    Args:
+        stiffness: Derivatives with respect to displacements; N m/rad, N/rad, N/m.
+        damping: Derivatives with respect to rates; N m s/rad, N s/rad, N s/m.
+        stretch_by_displacement: Derivatives of the mid-frame translations; m/rad, -.
+        force_by_stretch: Derivatives of the forces with respect to the mid-frame
+            translations; N, N/m.
+    """
+
+    stiffness: Float[Array, "free free"]
+    damping: Float[Array, "free free"]
+    stretch_by_displacement: Float[Array, "free stretches"]
+    force_by_stretch: Float[Array, "free stretches"]

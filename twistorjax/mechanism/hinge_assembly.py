@@ -1,7 +1,6 @@
 """All hinges of a mechanism: their energy, forces, and stiffness."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,32 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
 from ..energies.damping import ViscousDamping
 from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
-from .assembly_tangent import AssemblyTangent
+from .assembly_tangent import AssemblyMotionTangent, AssemblyTangent
 from .hinge_groups import HingeGroup
 from .hinge_kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
-
-
-class AssemblyMotionTangent(NamedTuple):
-    """Derivatives of the forces of all hinges with respect to free degrees of freedom.
-
-    Args:
-        stiffness: Derivatives with respect to displacements; N m/rad, N/rad, N/m.
-        damping: Derivatives with respect to rates; N m s/rad, N s/rad, N s/m.
-        stretch_by_displacement: Derivatives of the mid-frame translations; m/rad, -.
-        force_by_stretch: Derivatives of the forces with respect to the mid-frame
-            translations; N, N/m.
-    """
-
-    stiffness: Float[Array, "free free"]
-    damping: Float[Array, "free free"]
-    stretch_by_displacement: Float[Array, "free stretches"]
-    force_by_stretch: Float[Array, "free stretches"]
 
 
 class HingeAssembly(eqx.Module):
@@ -111,12 +94,19 @@ class HingeAssembly(eqx.Module):
         rates: Float[Array, "hinges 3"] | None = None,
     ) -> "HingeAssembly":
         """Add strokes to the misfits, and their time derivatives; rad, m, m, 1/s."""
-        misfits, misfit_rates = misfit_numbers(strokes), None
-        if rates is not None:
-            misfits, misfit_rates = jax.jvp(misfit_numbers, (strokes,), (rates,))
+        if rates is None:
+            return self.with_more_misfit(misfit_numbers(strokes))
+        numbers = jax.jvp(misfit_numbers, (strokes,), (rates,))
+        return self.with_more_misfit(*numbers)
+
+    def with_more_misfit(
+        self, numbers: Float[Array, "hinges 5"], rates: Array | None = None
+    ) -> "HingeAssembly":
+        """Add to the five numbers of the misfits, and set their time derivatives."""
         if self.misfits is not None:
-            misfits = misfits + self.misfits
-        return replace(self, misfits=misfits, misfit_rates=misfit_rates)
+            _, (old, more) = on_host(self.misfits, numbers)
+            numbers = as_float(old + more)
+        return replace(self, misfits=numbers, misfit_rates=rates)
 
     def displacement_of(
         self, row: int, displacements: Poses, of_frames: bool = False

@@ -144,23 +144,23 @@ class HingeQueries(eqx.Module):
         """
         displacements = self.displacements(at, "at")
         batch = displacements.shape[:-2]
-        states = [displacements.reshape(-1, *self.reference.shape)]
+        flat = displacements.reshape(-1, *self.reference.shape)
         strokes = getattr(at, "strokes", None)
         if strokes is not None:
             strokes = jnp.broadcast_to(strokes, (*batch, *strokes.shape[-2:]))
-            states.append(strokes.reshape(-1, *strokes.shape[-2:]))
+            strokes = strokes.reshape(-1, *strokes.shape[-2:])
 
-        def evaluate(displacements: Poses, *strokes: Array) -> Array:
+        def evaluate(displacements: Poses, strokes: Array | None) -> Array:
             hinges = self.hinge_assembly
-            for rows in strokes:
-                hinges = hinges.with_strokes(rows)
+            if strokes is not None:
+                hinges = hinges.with_strokes(strokes)
             return function(hinges, displacements)
 
         # One state is not traced, so that a value out of range raises an error.
-        if len(states[0]) == 1:
-            values = evaluate(*(part[0] for part in states))[None]
+        if len(flat) == 1:
+            values = evaluate(flat[0], None if strokes is None else strokes[0])[None]
         else:
-            values = jax.vmap(evaluate)(*states)
+            values = jax.vmap(evaluate)(flat, strokes)
         return values.reshape(*batch, *values.shape[1:])
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TYPE_CHECKING
 
 import equinox as eqx
@@ -20,8 +21,8 @@ from .._utils.validation import (
 )
 from ..energies.base import AbstractEnergy
 from ..energies.dilation import dilated
+from ..energies.quadratic import Quadratic
 from .hinge_groups import dilate_groups
-from .hinge_kinematics import misfit_numbers
 
 
 if TYPE_CHECKING:
@@ -53,7 +54,15 @@ def stroke_rows(
 
 def with_strokes(mechanism: "Mechanism", strokes: Mapping[str, PoseLike]) -> "Mechanism":
     """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
-    return _with_misfits(mechanism, misfit_numbers(stroke_rows(mechanism, strokes)))
+    return with_stroke_rows(mechanism, stroke_rows(mechanism, strokes))
+
+
+def with_stroke_rows(
+    mechanism: "Mechanism", rows: Float[Array, "hinges 3"]
+) -> "Mechanism":
+    """Add strokes that are arranged in rows (rad, m, m) to the misfits of all hinges."""
+    hinges = mechanism.hinge_assembly.with_strokes(rows)
+    return eqx.tree_at(lambda new: new.hinge_assembly, mechanism, hinges)
 
 
 def stroke_forces(
@@ -111,24 +120,17 @@ def expanded(
     gap_across = cos * gap[:, 1] - sin * gap[:, 0]
     growth, rotation = coefficient * length * of_hinges, coefficient * length * slopes
     scales = 1 + coefficient * of_hinges
-    warm = eqx.tree_at(
-        lambda warm: (
-            warm.at,
-            warm.hinge_assembly.arms,
-            warm.hinge_assembly.groups,
-            warm.hinge_assembly.sums,
-        ),
-        mechanism,
-        (
-            as_float(xp.concatenate([at[:, :1], at[:, 1:] + middle], axis=1)),
-            as_float(arms + middle[:, None]),
-            dilate_groups(assembly.groups, scales),
-            tuple(map(_dilated_sum, assembly.sums, scales)),
-        ),
-        is_leaf=lambda leaf: leaf is None,
-    )
     columns = [-rotation, growth, 0 * growth, gap_along, gap_across]
-    return _with_misfits(warm, as_float(xp.stack(columns, axis=1)))
+    warm = replace(
+        assembly,
+        arms=as_float(arms + middle[:, None]),
+        groups=dilate_groups(assembly.groups, scales),
+        sums=tuple(map(_dilated_sum, assembly.sums, scales)),
+    )
+    warm = warm.with_more_misfit(as_float(xp.stack(columns, axis=1)))
+    moved_at = as_float(xp.concatenate([at[:, :1], at[:, 1:] + middle], axis=1))
+    parts = moved_at, warm
+    return eqx.tree_at(lambda new: (new.at, new.hinge_assembly), mechanism, parts)
 
 
 def _dilated_sum(
@@ -164,10 +166,12 @@ def _require_expansions(mechanism: "Mechanism", named: NamedNumbers) -> None:
             "expansion=Expansion(material, length=...))`."
         )
     for row, (name, expansion) in enumerate(expansions.items()):
-        energy = mechanism.hinge_assembly.energy_of(row)
         bodies = mechanism.hinge_assembly.ends[row]
         expands = any(mechanism.expansions[body] is not None for body in bodies)
-        if expansion is None and expands and getattr(energy, "flexure", False):
+        if expansion is not None or not expands:
+            continue
+        energy = mechanism.hinge_assembly.energy_of(row)
+        if isinstance(energy, Quadratic) and energy.flexure:
             warnings.warn(
                 f"The hinge {name!r} is a flexure without an `expansion`. The bodies "
                 "move its middle instead of its clamped ends, and it does not expand. "
@@ -196,18 +200,3 @@ def _stacked(values: Sequence[Any]) -> Float[Array | np.ndarray, "values ..."]:
     """Stack numbers or rows, without a compilation if they are not traced."""
     xp, numbers = on_host(*values)
     return xp.stack(numbers)
-
-
-def _with_misfits(
-    mechanism: "Mechanism", change: Float[Array, "hinges 5"]
-) -> "Mechanism":
-    """Add to the numbers of the misfits; rad, m, m, m, m."""
-    old = mechanism.hinge_assembly.misfits
-    zero = np.zeros(change.shape)
-    _, (numbers, increment) = on_host(zero if old is None else old, change)
-    return eqx.tree_at(
-        lambda mechanism: mechanism.hinge_assembly.misfits,
-        mechanism,
-        as_float(numbers + increment),
-        is_leaf=lambda leaf: leaf is None,
-    )

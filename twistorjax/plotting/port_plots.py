@@ -38,19 +38,17 @@ def draw_port_motion(motion: PortMotion) -> "Figure":
             f"`motion` is a batch of shape {motion.travel.shape[:-1]}, but one motion "
             "can be drawn: `jax.tree.map(lambda values: values[0], motion)` is the first."
         )
-    travel, unit = np.asarray(motion.travel), motion.unit
-    factor, travel_unit = prefixed_unit(unit, np.nanmax(np.abs(travel)))
-    output_unit = "rad" if motion.direction == "angle" else "m"
+    table = motion.columns()
+    travel = np.asarray(motion.travel)
+    factor, travel_unit = prefixed_unit(motion.unit, np.nanmax(np.abs(travel)))
     figure, panels = subplots(2, 2, size=(8.0, 5.6))
-    curves = {f"output {motion.direction}": (motion.output, output_unit)}
-    curves["gain"] = motion.gain, ""
-    for name, values in motion.parasitic.items():
-        curves[f"parasitic {name}"] = values, "rad" if name == "angle" else "m"
-    for (label, (values, of_values)), axes in zip(
-        curves.items(), panels.flat, strict=True
-    ):
-        values = np.asarray(values)
-        scale, shown = prefixed_unit(of_values, np.nanmax(np.abs(values)))
+    curves = {f"output {motion.direction}": table[f"displacement_{motion.direction}"]}
+    curves["gain"] = table["gain"]
+    for name in motion.parasitic:
+        curves[f"parasitic {name}"] = table[f"displacement_{name}"]
+    for (label, column), axes in zip(curves.items(), panels.flat, strict=True):
+        values = np.asarray(column.values)
+        scale, shown = prefixed_unit(column.unit, np.nanmax(np.abs(values)))
         color = ORANGE if label.startswith("parasitic") else DARK_BLUE
         axes.plot(factor * travel, scale * values, color=color)
         axes.set_xlabel(f"travel of the input ({travel_unit})")

@@ -112,10 +112,10 @@ def _respond(
 ) -> Equilibrium:
     """Compute the response to loads, strokes, and prescribed displacements; rad, m."""
     mechanism, count = linear.mechanism, len(linear.dofs.free)
-    applied, _ = loads.apply(linear.about - mechanism.reference)
+    displacements = linear.about - mechanism.reference
+    applied, _ = loads.apply(displacements)
     if strokes is not None:
-        hinges, displacements = mechanism.hinge_assembly, linear.about
-        displacements = displacements - mechanism.reference
+        hinges = mechanism.hinge_assembly
         applied = applied - stroke_forces(hinges, displacements, strokes)[0]
     applied = applied.reshape(-1)
     dofs = DofPartition(linear.dofs.total, linear.dofs.free, prescribed)

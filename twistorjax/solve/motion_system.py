@@ -97,7 +97,7 @@ class MotionSystem(eqx.Module):
         mechanism: The mechanism.
         loads: The loads, or a function of time that returns them.
         drives: Prescribed displacements, or a function of time that returns them.
-        strokes: A function of time that returns strokes; None if they are constant.
+        strokes: A function of time that returns strokes; None if there are none.
         constraints: Its constraints.
         inertia: Inertia of each degree of freedom, zero for fixed bodies; kg m^2, kg, kg.
         length: Length of the mechanism by which displacements are scaled; m.

@@ -321,8 +321,6 @@ def _newton_step(
     factors = tangent.factors(system.loads.conservative)
     # The forces due to misfits and prescribed displacements follow from the tangent.
     misfit_forces = system.misfit_forces(state.displacements, goal, state.increment)
-    if misfit_forces is None:
-        misfit_forces = jnp.zeros_like(residual)
     imbalance = jnp.where(state.tries == 0, misfit_forces - residual, state.imbalance)
     whole_change = state.increment * (system.targets - begin)
     forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)

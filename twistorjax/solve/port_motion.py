@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .._utils.host import all_concrete, program_input
 from .._utils.types import (
+    BatchFlag,
     BatchScalar,
     NumberLike,
     Numbers,
@@ -25,7 +25,7 @@ from .._utils.validation import index_of, require_choice, require_finite, requir
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from ..mechanism.misfits import stroke_rows
+from ..mechanism.misfits import stroke_rows, with_stroke_rows
 from .constraint_analysis import constraint_analysis
 from .port_kinematics import displacement_and_rate
 from .results import is_success, RESULTS
@@ -66,7 +66,7 @@ class PortMotion(Tabular):
     unit: str = eqx.field(static=True)
 
     @property
-    def succeeded(self) -> Any:
+    def succeeded(self) -> BatchFlag:
         """Whether the equilibrium was found, at each position."""
         return is_success(self.result)
 
@@ -245,7 +245,9 @@ def port_motion(
     if throw:
         check_equilibrium(solution, mechanism)
     if rigid_gain is None and dof is not None:
-        gain = _rigid_gain(mechanism, row, frame, direction, dof, solution, constraints)
+        start = solution.displacements[0]
+        gain = _rigid_gain(mechanism, row, frame, dof, start, constraints, time)
+        gain = None if gain is None else gain[COORDINATES.index(direction)]
     else:
         gain = None if rigid_gain is None else require_finite("`rigid_gain`", rigid_gain)
     return PortMotion(
@@ -314,8 +316,7 @@ def _path(
         if drive is not None:
             drives = [jax.tree.map(lambda value: share * value, drive)]
         if strokes is not None:
-            names = mechanism.hinge_names
-            moved = mechanism.with_strokes(dict(zip(names, share * strokes, strict=True)))
+            moved = with_stroke_rows(mechanism, share * strokes)
         solution = equilibrium(
             moved, loads=loads, drives=drives, constraints=constraints, time=time,
             throw=False,
@@ -352,29 +353,26 @@ def _rigid_gain(
     mechanism: Mechanism,
     body: int,
     frame: Pose,
-    direction: str,
     dof: int,
-    solution: Equilibrium,
+    start: Poses,
     constraints: Sequence[AbstractConstraint],
-) -> Scalar | None:
-    """Compute the gain of the mechanism with rigid hinges, if it is unique."""
-    start = solution.displacements[0] if solution.displacements.ndim == 3 else None
-    known = all_concrete([*jax.tree.leaves(eqx.filter(mechanism, eqx.is_array)), frame])
-    if start is None or known is None or all_concrete([start]) is None:
+    time: NumberLike,
+) -> Pose | None:
+    """Compute the rate of a port per rate of a degree of freedom, with rigid hinges.
+
+    The result is None if it is not unique, or if a value is traced.
+    """
+    leaves = jax.tree.leaves(eqx.filter(mechanism, eqx.is_array))
+    if all_concrete([*leaves, frame, start]) is None or not np.all(np.isfinite(start)):
         return None
-    if not np.all(np.isfinite(start)):
-        return None
-    poses = mechanism.reference + start
-    analysis = constraint_analysis(mechanism, about=poses, constraints=constraints)
-    lengths = np.array([1.0, analysis.length, analysis.length])
-    motions = analysis.motions * lengths
+    analysis = constraint_analysis(
+        mechanism, about=mechanism.reference + start, constraints=constraints, time=time
+    )
+    motions = analysis.motions * np.array([1.0, analysis.length, analysis.length])
     inputs = motions[:, dof // 3, dof % 3]
     (moving,) = np.nonzero(inputs)
     if len(moving) != 1:
         return None
     rate = jnp.asarray(motions[moving[0], body] / inputs[moving[0]])
-    start_pose = start[body]
-    _, of_port = displacement_and_rate(
-        mechanism.reference[body, 0], frame, start_pose, start_pose, rate
-    )
-    return of_port[COORDINATES.index(direction)]
+    angle = mechanism.reference[body, 0]
+    return displacement_and_rate(angle, frame, start[body], start[body], rate)[1]

@@ -364,10 +364,9 @@ def check_equilibrium(
         )
 
     solution = succeeded_or_raise(solution, error)
-    shares = None if mechanism is None else solution.range_shares
+    shares = solution.range_shares
     known = None if shares is None else concrete(shares)
-    if known is not None and np.any(known > 1):
-        assert mechanism is not None
+    if mechanism is not None and known is not None and np.any(known > 1):
         hinge = mechanism.hinge_names[np.argmax(known) % known.shape[-1]]
         warnings.warn(
             f"The hinge {hinge!r} has a linear energy (`flexures.leaf` or "

@@ -103,20 +103,19 @@ class System(eqx.Module):
 
     def misfit_forces(
         self, displacements: Poses, fraction: Scalar, increment: Scalar
-    ) -> Float[Array, " unknowns"] | None:
+    ) -> Float[Array, " unknowns"]:
         """Compute the forces due to an increment of the misfits, to first order; N m, N.
 
-        The result is None if the misfits are constant.
+        They are zero if the misfits are constant, and in the rows of constraints.
         """
         if not self.scales_misfits or self.hinges.misfits is None:
-            return None
+            return jnp.zeros(len(self.free) + self.constraints.size)
 
-        def forces(fraction: Scalar) -> Float[Array, " dofs"]:
-            return self.hinges_at(fraction).forces(displacements).reshape(-1)
+        def equations(fraction: Scalar) -> Float[Array, " unknowns"]:
+            forces = self.hinges_at(fraction).forces(displacements)
+            return self.equations(forces.reshape(-1), displacements)
 
-        _, change = jax.jvp(forces, (fraction,), (increment,))
-        unknowns = len(self.free) + self.constraints.size
-        return jnp.zeros(unknowns).at[np.arange(len(self.free))].set(change[self.free])
+        return jax.jvp(equations, (fraction,), (increment,))[1]
 
     def with_displacements(
         self,

@@ -28,6 +28,7 @@ from .mechanism import (
     Pin as Pin,
     plate as plate,
     Slider as Slider,
+    Temperature as Temperature,
     weights as weights,
 )
 from .plotting import animate as animate, draw as draw

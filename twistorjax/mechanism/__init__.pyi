@@ -2,5 +2,6 @@ from .body import Body as Body, plate as plate
 from .constraints import Constraint as Constraint, Pin as Pin, Slider as Slider
 from .expansion import Expansion as Expansion
 from .hinge import Hinge as Hinge
+from .hinge_changes import Temperature as Temperature
 from .loads import Drive as Drive, Load as Load, weights as weights
 from .mechanism import Mechanism as Mechanism

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
+from typing import cast, TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -15,7 +16,12 @@ from .._utils.validation import index_of
 from ..energies.base import range_message
 from ..geometry import se2
 from .hinge_assembly import HingeAssembly
+from .hinge_changes import HingeState
 from .hinge_kinematics import Misfit
+
+
+if TYPE_CHECKING:
+    from .mechanism import Mechanism
 
 
 class HingeQueries(eqx.Module):
@@ -75,9 +81,9 @@ class HingeQueries(eqx.Module):
                 bodies, or the hinge is outside the validity range of its energy.
         """
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        wrench = self.hinge_assembly.energy_of(row).wrench
 
         def about_frame_b(hinges: HingeAssembly, displacements: Poses) -> Wrench:
+            wrench = hinges.energy_of(row).wrench
             misfits = hinges.misfits
             if misfits is None:
                 return wrench(_hinge_pose(hinges, row, displacements))
@@ -105,9 +111,9 @@ class HingeQueries(eqx.Module):
                 bodies, or the hinge is outside the validity range of its energy.
         """
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
-        energy = self.hinge_assembly.energy_of(row)
 
         def stored(hinges: HingeAssembly, displacements: Poses) -> Scalar:
+            energy = hinges.energy_of(row)
             return energy(_hinge_pose(hinges, row, displacements, of_frames=False))
 
         return self._of_hinge(at, stored)
@@ -140,27 +146,23 @@ class HingeQueries(eqx.Module):
     ) -> Float[Array, "..."]:
         """Evaluate a function of hinges and displacements, or of a batch of them.
 
-        A solution with strokes displaces the misfits of the hinges.
+        The hinges have the strokes and the temperatures of a solution.
         """
         displacements = self.displacements(at, "at")
         batch = displacements.shape[:-2]
         flat = displacements.reshape(-1, *self.reference.shape)
-        strokes = getattr(at, "strokes", None)
-        if strokes is not None:
-            strokes = jnp.broadcast_to(strokes, (*batch, *strokes.shape[-2:]))
-            strokes = strokes.reshape(-1, *strokes.shape[-2:])
+        state = HingeState.of_solution(at, batch)
+        mechanism = cast("Mechanism", self)  # the only class with these methods
 
-        def evaluate(displacements: Poses, strokes: Array | None) -> Array:
-            hinges = self.hinge_assembly
-            if strokes is not None:
-                hinges = hinges.with_strokes(strokes)
-            return function(hinges, displacements)
+        def evaluate(displacements: Poses, state: HingeState) -> Array:
+            return function(state.hinges(mechanism), displacements)
 
         # One state is not traced, so that a value out of range raises an error.
         if len(flat) == 1:
-            values = evaluate(flat[0], None if strokes is None else strokes[0])[None]
+            single = jax.tree.map(lambda values: values[0], state)
+            values = evaluate(flat[0], single)[None]
         else:
-            values = jax.vmap(evaluate)(flat, strokes)
+            values = jax.vmap(evaluate)(flat, state)
         return values.reshape(*batch, *values.shape[1:])
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:

@@ -24,9 +24,9 @@ from .._utils.types import (
 )
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
+from ..mechanism.hinge_changes import HingeChanges, TemperatureInTime
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.misfits import stroke_rows
 from .collocation import Gauss, Radau
 from .diffrax_interface import convert_result, smaller_program, with_end
 from .dofs import DofPartition
@@ -69,6 +69,7 @@ def simulate(
     loads: Loading = (),
     drives: Driving = (),
     strokes: Strokes = MappingProxyType({}),
+    temperature: TemperatureInTime | None = None,
     constraints: Sequence[AbstractConstraint] = (),
     start: StateLike | None = None,
     velocities: Mapping[str, VelocityLike] | None = None,
@@ -103,6 +104,9 @@ def simulate(
             function is compiled again.
         strokes: Strokes of actuators, by the names of their hinges, or a smooth function
             of time that returns them; see `Mechanism.with_strokes`; rad, m, m.
+        temperature: A smooth function of time that returns the change of the temperature
+            of all parts (K), or a `Temperature` with the changes of single parts. For a
+            constant one, simulate `Mechanism.at_temperature`.
         constraints: Pins, sliders, and other constraints between its bodies.
         start: Poses at the start, or an equilibrium; by default the reference
             configuration; rad, m, m.
@@ -176,16 +180,15 @@ def simulate(
             "`solver` is `Gauss()`, which has no step size control. Give a `step` that "
             "is short compared with the period of the fastest motion of interest."
         )
-    functions = {"loads": loads, "drives": drives, "strokes": strokes}
+    changes = _changes(strokes, temperature)
+    functions = {
+        "loads": loads, "drives": drives, "strokes": strokes, "temperature": temperature,
+    }  # fmt: skip
     with explain_compilation(first, **functions):
         first_drives = drives(first) if callable(drives) else drives
         first_loads = loads(first) if callable(loads) else loads
-        first_strokes = strokes(first) if callable(strokes) else strokes
-    stroke_rows(mechanism, first_strokes)  # checks the names
-    strokes_in_time = strokes if callable(strokes) else None
-    if not callable(strokes) and strokes:
-        given = {name: as_float(stroke) for name, stroke in strokes.items()}
-        strokes_in_time = eqx.Partial(_constant, given)
+        if changes is not None:
+            changes.state(mechanism, first).hinges(mechanism)  # checks the names
     load_set = LoadSet.of(mechanism, first_loads)
     dofs = DofPartition.of(mechanism, prescribed_dofs(mechanism, first_drives)[0])
     displacements = jnp.zeros_like(mechanism.reference)
@@ -209,7 +212,7 @@ def simulate(
             pad_times(instants) if pad else instants,
             loads if callable(loads) else load_set,
             drives if callable(drives) else tuple(drives),
-            strokes_in_time,
+            changes,
             constraint_set,
             displacements,
             rates,
@@ -239,7 +242,7 @@ def _solve(
     times: Float[Array, " times"],
     loads: LoadSet | Callable[[Scalar], Sequence[Load]],
     drives: Driving,
-    strokes: Callable[[Scalar], Mapping[str, PoseLike]] | None,
+    changes: HingeChanges | None,
     constraints: ConstraintSet,
     start: Poses,
     velocities: Poses | None,
@@ -263,7 +266,7 @@ def _solve(
         adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
     saveat = dfx.SaveAt() if saveat is None else saveat
     problem = initial_value_problem(
-        mechanism, times, loads, drives, strokes, constraints, start, velocities,
+        mechanism, times, loads, drives, changes, constraints, start, velocities,
         energies, dofs, tolerance, step, check_accelerations=not collocation,
         time_count=time_count, saved_times=getattr(saveat.subs, "ts", None),
     )  # fmt: skip
@@ -332,6 +335,7 @@ def _solve(
         ),
         output,
     )
+    hinge_states = jax.vmap(system.hinge_state)(output_times)
     return Motion(
         times=jnp.where(valid, saved_times, jnp.nan),
         displacements=displacements,
@@ -346,10 +350,23 @@ def _solve(
         result=result,
         solution=solution,
         system=None if solution.interpolation is None else system,
-        strokes=None if strokes is None else jax.vmap(system.stroke_rows)(output_times),
+        strokes=hinge_states.strokes,
+        temperature=hinge_states.temperature,
         names=mechanism.names,
         constraint_names=constraints.names(),
     )
+
+
+def _changes(
+    strokes: Strokes, temperature: TemperatureInTime | None
+) -> HingeChanges | None:
+    """Gather strokes and temperatures; constant strokes become a function of time."""
+    if callable(strokes):
+        return HingeChanges(strokes, temperature)
+    given = not isinstance(strokes, Mapping) or strokes
+    if not given and temperature is None:
+        return None
+    return HingeChanges(eqx.Partial(_constant, strokes) if given else None, temperature)
 
 
 def _constant(strokes: Mapping[str, PoseLike], time: Scalar) -> Mapping[str, PoseLike]:

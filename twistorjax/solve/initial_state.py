@@ -23,6 +23,7 @@ from .._utils.types import (
 )
 from .._utils.validation import compilation_error, index_of, require_row
 from ..mechanism.constraints import ConstraintSet
+from ..mechanism.hinge_changes import HingeChanges
 from ..mechanism.mechanism import Mechanism
 from .consistency import consistent_rows, LARGEST_INITIAL_VIOLATION
 from .dofs import DofPartition
@@ -171,7 +172,7 @@ def initial_value_problem(
     times: Float[Array, " times"],
     loads,
     drives,
-    strokes,
+    changes: HingeChanges | None,
     constraints: ConstraintSet,
     start: Poses,
     velocities: Poses | None,
@@ -196,7 +197,7 @@ def initial_value_problem(
         mechanism=mechanism,
         loads=loads,
         drives=drives,
-        strokes=strokes,
+        changes=changes,
         constraints=constraints,
         inertia=jnp.where(jnp.isinf(inertia), 0.0, inertia),
         length=jnp.ones(()),
@@ -245,7 +246,7 @@ def initial_value_problem(
     for passed, item in reversed(checks):
         result = RESULTS.where(passed, result, item)
     starts = result == RESULTS.successful
-    work_count = 3 if strokes is None else 4
+    work_count = 3 if changes is None else 4
     works = jnp.zeros(work_count if energies else 0)
     position, rate = (jnp.where(starts, value, 0.0) for value in (position, rate))
     return InitialValueProblem(

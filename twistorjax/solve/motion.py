@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from .._utils.host import all_concrete, take_rows
 from .._utils.types import BatchScalar, NumberLike, Numbers, Poses
+from ..mechanism.hinge_changes import Temperature
 from .motion_system import MotionSystem
 from .results import count_results, PoseSolution, result_names, RESULTS
 from .tables import Column, Columns, columns
@@ -22,7 +23,8 @@ class Energies(eqx.Module):
     """Energy balance of a motion, with one entry for each time; J.
 
     In an exact solution, the sum of elastic and kinetic energy is its initial value, plus
-    the work of loads, prescribed motions, and strokes, minus the dissipated energy.
+    the work of loads, prescribed motions, strokes, and temperatures, minus the dissipated
+    energy.
 
     Args:
         elastic: Energy stored in the hinges.
@@ -31,7 +33,7 @@ class Energies(eqx.Module):
         by_loads: Work of the loads since the start.
         by_drives: Work of prescribed motions and of time-dependent constraints since the
             start.
-        by_strokes: Work of the actuators whose strokes change, since the start.
+        by_strokes: Work of strokes and of temperatures that change, since the start.
     """
 
     elastic: Numbers
@@ -73,6 +75,7 @@ class Motion(PoseSolution):
         solution: The solution that diffrax returned.
         system: Equations of motion with `SaveAt(dense=True)`; otherwise None.
         strokes: Strokes of all hinges, if `simulate` had strokes; rad, m, m.
+        temperature: Changes of the temperature, if `simulate` had them; K, K/m.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
     """
@@ -91,6 +94,7 @@ class Motion(PoseSolution):
     solution: dfx.Solution
     system: MotionSystem | None
     strokes: Float[Array, "*batch times hinges 3"] | None
+    temperature: Temperature | None
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
 
@@ -103,8 +107,8 @@ class Motion(PoseSolution):
             names = ("times", "displacements", "velocities", "reactions")
             histories = [getattr(motion, name) for name in names]
             more = [motion.constraint_forces, motion.energies]
-            if motion.strokes is not None:
-                more.append(motion.strokes)
+            changes = [motion.strokes, motion.temperature]
+            more.extend(change for change in changes if change is not None)
             return [*histories, *more, solution.ts[0], solution.ys[0]]
 
         first = partial(take_rows, rows=slice(count))

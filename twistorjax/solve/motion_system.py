@@ -1,6 +1,6 @@
 """Equations of motion of a mechanism: forces and accelerations at an instant."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import diffrax as dfx
@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Entries, PoseLike, Poses, Scalar, Wrenches
+from .._utils.types import Entries, Poses, Scalar, Wrenches
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.hinge_assembly import HingeAssembly
+from ..mechanism.hinge_changes import HingeChanges, HingeState
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.misfits import stroke_rows
 from .dofs import DofPartition
 from .small_matrices import inverse
 from .tangent_stiffness import add_load_stiffness
@@ -28,7 +28,7 @@ class State(NamedTuple):
         position: Displacements of the free degrees of freedom; rad, m.
         rate: Their rates; rad/s, m/s.
         work: Dissipated energy, work of loads, work of prescribed motions, and work of
-            strokes that change; empty if they are not computed; J.
+            strokes and temperatures that change; empty if they are not computed; J.
     """
 
     position: Float[Array, " free"]
@@ -79,7 +79,8 @@ class Instant(NamedTuple):
         multipliers: Constraint forces; N m, N.
         reactions: External wrench on fixed and prescribed degrees of freedom; N m, N, N.
         powers: Dissipated power, power of the loads, power of prescribed motions and
-            time-dependent constraints, and power of strokes that change; W.
+            time-dependent constraints, and power of strokes and temperatures that
+            change; W.
     """
 
     acceleration: Float[Array, " free"]
@@ -97,7 +98,7 @@ class MotionSystem(eqx.Module):
         mechanism: The mechanism.
         loads: The loads, or a function of time that returns them.
         drives: Prescribed displacements, or a function of time that returns them.
-        strokes: A function of time that returns strokes; None if there are none.
+        changes: Strokes and temperatures as functions of time; None if there are none.
         constraints: Its constraints.
         inertia: Inertia of each degree of freedom, zero for fixed bodies; kg m^2, kg, kg.
         length: Length of the mechanism by which displacements are scaled; m.
@@ -111,7 +112,7 @@ class MotionSystem(eqx.Module):
     mechanism: Mechanism
     loads: LoadSet | Callable[[Scalar], Sequence[Load]]
     drives: Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
-    strokes: Callable[[Scalar], Mapping[str, PoseLike]] | None
+    changes: HingeChanges | None
     constraints: ConstraintSet
     inertia: Float[Array, " dofs"]
     length: Scalar
@@ -243,8 +244,9 @@ class MotionSystem(eqx.Module):
         reactions = self.dofs.reactions(total - net - constraint)
         by_drives = jnp.vdot(reactions, rates) - power
         powers = [dissipated, jnp.vdot(applied, rates), by_drives]
-        if self.strokes is not None:
-            powers.append(by_strokes)
+        if self.changes is not None:
+            by_dilation = self.changes.dilation_power(self.mechanism, time, displacements)
+            powers.append(by_strokes + by_dilation)
         return Instant(acceleration, multipliers, reactions, jnp.stack(powers))
 
     def _multipliers(
@@ -300,17 +302,16 @@ class MotionSystem(eqx.Module):
         return jax.jacrev(lambda position: self.violation(time, position))(position)
 
     def hinges(self, time: Scalar) -> HingeAssembly:
-        """Return the hinges with their strokes at a time; s."""
-        hinges = self.mechanism.hinge_assembly
-        if self.strokes is None:
-            return hinges
-        one = jnp.ones_like(time)
-        return hinges.with_strokes(*jax.jvp(self.stroke_rows, (time,), (one,)))
+        """Return the hinges with their strokes and temperatures at a time; s."""
+        if self.changes is None:
+            return self.mechanism.hinge_assembly
+        return self.changes.hinges(self.mechanism, time)
 
-    def stroke_rows(self, time: Scalar) -> Float[Array, "hinges 3"]:
-        """Arrange the strokes at a time (s) in rows; rad, m, m."""
-        assert self.strokes is not None
-        return stroke_rows(self.mechanism, self.strokes(time))
+    def hinge_state(self, time: Scalar) -> HingeState:
+        """Return the strokes and the temperatures at a time; s."""
+        if self.changes is None:
+            return HingeState(None, None)
+        return self.changes.state(self.mechanism, time)
 
     def load_set(self, time: Scalar) -> LoadSet:
         """Gather the loads at a time; s."""

@@ -15,7 +15,6 @@ from .energies import (
     fit_energy as fit_energy,
     Quadratic as Quadratic,
 )
-from .flexures import Material as Material
 from .identification import identify as identify, Parameter as Parameter
 from .mechanism import (
     Body as Body,
@@ -24,6 +23,7 @@ from .mechanism import (
     Expansion as Expansion,
     Hinge as Hinge,
     Load as Load,
+    Material as Material,
     Mechanism as Mechanism,
     Pin as Pin,
     plate as plate,

@@ -21,7 +21,7 @@ from .strains import Coordinates
 
 
 Powers = tuple[tuple[int, ...], ...]  # a row for each term, an entry for each variable
-Symmetry = Literal["leaf", "mirror", "ends", "exchange", "sign"]
+Symmetry = Literal["leaf", "mirror", "ends", "arch", "exchange", "sign"]
 Symmetries = TypeAliasType("Symmetries", Symmetry | Sequence[Symmetry])  # one or several
 FitCoordinates = TypeAliasType("FitCoordinates", Coordinates | Literal["mixed"])
 
@@ -35,6 +35,7 @@ VARIABLES = {
 _ODD_VARIABLES = {
     "mirror": {"xi", "x2", "tau", "t2"},
     "ends": {"xi", "tau"},
+    "arch": {"x2", "t2"},
     "exchange": {"xi", "x1", "x2", "tau", "t1", "t2", "n"},
     "sign": {"sigma", "xi", "x1", "x2"},
 }
@@ -65,6 +66,9 @@ def monomials(
             * "ends": The hinge does not change if it is rotated by pi, which interchanges
               its two ends and reverses its axes. Only the sign of the rotation changes:
               that of tau, or of xi.
+            * "arch": The hinge equals its mirror image about axis 2, as an arch with
+              equal ends does; the image interchanges its ends. Only the sign of the
+              displacement along axis 2 changes: that of t2, or of x2.
             * "exchange": The energy of a pose equals that of the inverse pose: the two
               bodies are interchanged, but the axes are not reversed. The signs of all
               coordinates except sigma change.

@@ -25,10 +25,11 @@ from .._utils.validation import index_of
 from ..energies.base import AbstractEnergy
 from ..energies.damping import DampingLike
 from ..energies.strains import Coordinates
-from ..flexures import leaf, leaf_outline, Material, notch, notch_outline
+from ..flexures import leaf, leaf_outline, notch, notch_outline
 from ..mechanism.body import Body, plate
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
+from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.drawing import draw
 from ..plotting.figure_style import subplots

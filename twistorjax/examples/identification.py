@@ -16,7 +16,7 @@ from .._utils.types import Key, NamedNumbers, TimesLike
 from ..energies.base import AbstractEnergy
 from ..energies.mixed import MixedEnergy
 from ..energies.quadratic import Quadratic
-from ..flexures import Beam, Material, quartic_leaf, surrogate
+from ..flexures import Beam, quartic_leaf, surrogate
 from ..identification import (
     AbstractSensor,
     BodySensor,
@@ -30,6 +30,7 @@ from ..identification import (
 from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive, Load
+from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from . import four_bar, stage
 

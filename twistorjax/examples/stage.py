@@ -29,12 +29,13 @@ from .._utils.types import Corners, NumberLike, Scalar
 from ..energies.damping import DampingLike
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
-from ..flexures import Material, notch, notch_outline
+from ..flexures import notch, notch_outline
 from ..flexures.notch import Formula
 from ..mechanism.body import Body
 from ..mechanism.expansion import Expansion
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
+from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import DARK_BLUE
 from ..solve.results import RESULTS

@@ -5,13 +5,13 @@ from .beam_solution import (
     BeamSolution as BeamSolution,
     largest_rotation as largest_rotation,
 )
+from .chain import Chain as Chain, chain as chain
 from .exact_beam import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
 from .leaf import (
     leaf as leaf,
     leaf_outline as leaf_outline,
     quartic_leaf as quartic_leaf,
 )
-from .material import Material as Material
 from .notch import (
     notch as notch,
     notch_outline as notch_outline,

@@ -1,8 +1,8 @@
-"""Straight flexures of any thickness profile, as geometrically exact planar beams.
+"""Flexures of any thickness profile and curvature, as geometrically exact planar beams.
 
-The only geometry is the thickness along the axis, so a leaf, a notch and a hinge with
-fillets are the same model. `beam_under_load` computes the deformed state under a load,
-and `beam_at_pose` at a given displacement.
+The geometry is the thickness and the curvature along the axis, so a leaf, a notch, a
+hinge with fillets, and an arch are the same model. `beam_under_load` computes the
+deformed state under a load, and `beam_at_pose` at a given displacement.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,13 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_choice, require_instance, require_positive
-from .material import Material
+from .._utils.validation import (
+    require_choice,
+    require_finite,
+    require_instance,
+    require_positive,
+)
+from ..mechanism.material import Material
 
 
 Law = Literal["linear", "saint-venant-kirchhoff"]
@@ -24,21 +29,30 @@ Law = Literal["linear", "saint-venant-kirchhoff"]
 
 # One number, or a function of the arc length; m
 ThicknessLike = TypeAliasType("ThicknessLike", NumberLike | Callable[[Scalar], Scalar])
+# One number, or a function of the arc length; 1/m
+CurvatureLike = TypeAliasType("CurvatureLike", NumberLike | Callable[[Scalar], Scalar])
 
 
 class Beam(eqx.Module):
-    """A straight flexure that is defined by its thickness along the axis.
+    """A flexure that is defined by its thickness and its curvature along the axis.
 
     Its frames a and b coincide at the middle of the undeformed beam, with axis 1 along
     the beam. Frame a is fixed to its first end, and frame b to its second end.
 
     Args:
         material: Material of the plate.
-        length: Free length along axis 1, without the clamped parts; m.
+        length: Free length along the axis, without the clamped parts; m.
         thickness: In-plane thickness across the axis; m. Either a number, or a function
             of the position along the axis from -length / 2 to length / 2, such as
             `notch_profile` returns.
         width: Out-of-plane width, which is the thickness of the plate; m.
+        curvature: Curvature of the undeformed beam, by default zero; 1/m. Either a
+            number, or a function of the same position. A positive curvature turns the
+            axis from axis 1 towards axis 2. A beam that is made straight and bent into
+            place is a straight beam; give the misfit of its ports, see `Hinge`.
+        bending_factor: Factor of the bending stiffness only. A leaf that is wide compared
+            with its length bends as a plate, and is stiffer by up to
+            `1 / (1 - poisson**2)`.
         law: Constitutive law. With "linear", the forces are linear in the strains of a
             section. With "saint-venant-kirchhoff", the stress is linear in the Green
             strain, as in finite-element programs for large displacements. The wrenches of
@@ -50,7 +64,8 @@ class Beam(eqx.Module):
             the axis, such as the neck of a notch, needs more steps, for example 48.
 
     Raises:
-        ValueError: A dimension is not positive.
+        ValueError: A dimension or the factor is not positive, the curvature is not
+            finite, or a curved beam has another law than "linear".
 
     Source:
         Reissner, On one-dimensional finite-strain beam theory: the plane problem, ZAMP
@@ -67,6 +82,8 @@ class Beam(eqx.Module):
     length: Scalar
     profile: Callable[[Scalar], Scalar]
     width: Scalar
+    curvature: Callable[[Scalar], Scalar] | None
+    bending_factor: Scalar
     shear_factor: Scalar | None
     law: Law = eqx.field(static=True)
     steps: int = eqx.field(static=True)
@@ -78,6 +95,8 @@ class Beam(eqx.Module):
         length: NumberLike,
         thickness: ThicknessLike,
         width: NumberLike,
+        curvature: CurvatureLike | None = None,
+        bending_factor: NumberLike = 1.0,
         law: Law = "linear",
         shear_factor: NumberLike | None = 5 / 6,
         steps: int = 16,
@@ -85,7 +104,12 @@ class Beam(eqx.Module):
         self.material = require_instance("material", material, Material)
         self.length = require_positive("`length`", length)
         self.width = require_positive("`width`", width)
+        self.bending_factor = require_positive("`bending_factor`", bending_factor)
         self.law = require_choice("`law`", law, ("linear", "saint-venant-kirchhoff"))
+        if curvature is not None and law != "linear":
+            raise ValueError(
+                f'`law` is {law!r}, but a curved beam has the law "linear" only.'
+            )
         self.shear_factor = None
         if shear_factor is None and law != "linear":
             raise ValueError(
@@ -99,24 +123,36 @@ class Beam(eqx.Module):
         self.steps = steps
         if not callable(thickness):
             thickness = require_positive("`thickness`", thickness)
-            self.profile = jax.tree_util.Partial(uniform_thickness, thickness)
-        elif isinstance(thickness, jax.tree_util.Partial):
-            self.profile = thickness
-        else:
-            self.profile = jax.tree_util.Partial(thickness)
+        self.profile = _along_axis(thickness)
+        self.curvature = None
+        if curvature is not None:
+            if not callable(curvature):
+                curvature = require_finite("`curvature`", curvature)
+            self.curvature = _along_axis(curvature)
 
     @property
     def rotational_stiffness(self) -> Scalar:
         """Rotational stiffness E I / L, with E I of the middle section; N m/rad."""
         height = self.profile(jnp.zeros(()))
-        modulus = self.material.modulus
+        modulus = self.bending_factor * self.material.modulus
         return modulus * self.width * height**3 / (12 * self.length)
 
 
-def uniform_thickness(thickness: Scalar, position: Scalar) -> Scalar:
-    """Return the thickness of a leaf, which is the same at any position; m."""
+def _along_axis(
+    value: Scalar | Callable[[Scalar], Scalar],
+) -> Callable[[Scalar], Scalar]:
+    """Return a function of the position; m."""
+    if not callable(value):
+        return jax.tree_util.Partial(uniform, value)
+    if isinstance(value, jax.tree_util.Partial):
+        return value
+    return jax.tree_util.Partial(value)
+
+
+def uniform(value: Scalar, position: Scalar) -> Scalar:
+    """Return a value that is the same at any position."""
     del position
-    return thickness
+    return value
 
 
 def load_units(beam: Beam) -> Float[Array, "3"]:

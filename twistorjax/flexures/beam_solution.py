@@ -63,6 +63,18 @@ class BeamSolution(eqx.Module):
     stress: SectionStresses
 
 
+class ReferenceEnds(NamedTuple):
+    """Poses of the two ends of the undeformed beam, in frame a; dimensionless.
+
+    Args:
+        first: Pose of the first end; rad, -, -.
+        second: Pose of the second end; rad, -, -.
+    """
+
+    first: Pose
+    second: Pose
+
+
 class SectionState(NamedTuple):
     """Position of a cross-section and energy of the beam up to it, dimensionless."""
 
@@ -113,11 +125,12 @@ def _solve(beam: Beam, load: Wrench, sections: int) -> BeamSolution:
     units = load_units(beam)
     parameters = jnp.asarray(np.linspace(-1.0, 1.0, sections))
     steps = -(-beam.steps // (sections - 1))
-    states = _integrate(beam, load / units, sections - 1, steps)
+    ends = reference_ends(beam)
+    states = _integrate(beam, load / units, ends.first, sections - 1, steps)
     length = beam.length
     # With the same steps as in `ExactBeam`, both have the same discretization error.
-    end = end_section(beam, load / units)
-    pose, wrench = pose_and_wrench(beam, load, end)
+    end = end_section(beam, load / units, ends)
+    pose, wrench = pose_and_wrench(beam, load, end, ends)
     return BeamSolution(
         pose=pose,
         wrench=wrench,
@@ -159,33 +172,53 @@ def largest_rotation(beam: Beam, stress: NumberLike) -> Scalar:
     return beam_under_load(beam, jnp.stack([moment, 0 * moment, 0 * moment])).pose[0]
 
 
-def end_section(beam: Beam, load: Wrench) -> SectionState:
+def reference_ends(beam: Beam) -> ReferenceEnds:
+    """Compute the ends of the undeformed beam, whose middle is frame a; dimensionless."""
+    half = jnp.stack([jnp.zeros(()), jnp.ones(()) / 2, jnp.zeros(())])
+    if beam.curvature is None:
+        return ReferenceEnds(-half, half)
+    # The first end is at the inverse of the pose of the middle relative to it.
+    no_load = jnp.zeros(3)
+    steps = -(-beam.steps // 2)
+    states = _integrate(beam, no_load, jnp.zeros(3), 2, steps)
+    middle = jnp.stack([states.angle[1], states.x[1], states.y[1]])
+    first = se2.inverse(middle)
+    # The second end has the same discretization error as that of the loaded beam.
+    end = _last(_integrate(beam, no_load, first, 1, beam.steps))
+    return ReferenceEnds(first, jnp.stack([end.angle, end.x, end.y]))
+
+
+def end_section(beam: Beam, load: Wrench, ends: ReferenceEnds) -> SectionState:
     """Compute the dimensionless state of the second end of a beam under a load.
 
     The load is about the origin of frame a and in its axes, over `load_units`.
     """
-    return _last(_integrate(beam, load, 1, beam.steps))
+    return _last(_integrate(beam, load, ends.first, 1, beam.steps))
 
 
-def pose_and_wrench(beam: Beam, load: Wrench, end: SectionState) -> tuple[Pose, Wrench]:
+def pose_and_wrench(
+    beam: Beam, load: Wrench, end: SectionState, ends: ReferenceEnds
+) -> tuple[Pose, Wrench]:
     """Compute the pose of frame b, and the wrench on the beam in frame b.
 
     Args:
         beam: The beam.
         load: Load about the origin of frame a and in its axes; N m, N, N.
         end: State of the second end, dimensionless.
+        ends: Ends of the undeformed beam.
 
     Returns:
         The pose of frame b relative to frame a; rad, m, m. The wrench that body B exerts,
         about the displaced origin of frame b and in its axes; N m, N, N.
     """
     length = beam.length
-    half = jnp.stack([length / 2, jnp.zeros(())])
-    origin = length * jnp.stack([end.x, end.y]) - se2.rotate(end.angle, half)
+    angle = end.angle - ends.second[0]
+    to_end = length * ends.second[1:]
+    origin = length * jnp.stack([end.x, end.y]) - se2.rotate(angle, to_end)
     moment = load[0] - se2.cross(origin, load[1:])
-    force = se2.rotate(-end.angle, load[1:])
+    force = se2.rotate(-angle, load[1:])
     return (
-        jnp.concatenate([end.angle[None], origin]),
+        jnp.concatenate([angle[None], origin]),
         jnp.concatenate([moment[None], force]),
     )
 
@@ -195,7 +228,7 @@ def _last(states: SectionState) -> SectionState:
     return jax.tree.map(lambda values: values[-1], states)
 
 
-def _position(parameter: Scalar) -> tuple[Scalar, Scalar]:
+def position_of(parameter: Scalar) -> tuple[Scalar, Scalar]:
     """Map the parameter of integration to the position along the axis over the length.
 
     The parameter is from -1 to 1. The positions, from -1/2 to 1/2, are denser at the
@@ -212,15 +245,17 @@ def _section(
 
     Load, state and results are dimensionless. The strains are stretch, shear, curvature.
     """
-    position, _ = _position(parameter)
+    position, _ = position_of(parameter)
     moment = load[0] - (state.x * load[2] - state.y * load[1])
     cos, sin = jnp.cos(state.angle), jnp.sin(state.angle)
     axial, shear = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
     return (cos, sin), *section_strains(beam, position, (axial, shear, moment))
 
 
-def _integrate(beam: Beam, load: Wrench, intervals: int, steps: int) -> SectionState:
-    """Integrate the equations of a beam from its first end, all dimensionless.
+def _integrate(
+    beam: Beam, load: Wrench, start: Pose, intervals: int, steps: int
+) -> SectionState:
+    """Integrate the equations of a beam from the pose of its first end, dimensionless.
 
     The steps are those of the method of Dormand and Prince of order 8. Its stages are a
     loop, so the equations are compiled once; with `diffrax.Dopri8` they are compiled for
@@ -235,10 +270,14 @@ def _integrate(beam: Beam, load: Wrench, intervals: int, steps: int) -> SectionS
     coefficients, nodes = jnp.asarray(_COEFFICIENTS), jnp.asarray(_NODES)
 
     def derivative(parameter: Scalar, state: Float[Array, "4"]) -> Float[Array, "4"]:
-        _, rate = _position(parameter)
+        _, rate = position_of(parameter)
         (cos, sin), (stretch, shear, curvature), density = _section(
             beam, load, parameter, SectionState(*state)
         )
+        if beam.curvature is not None:
+            position, _ = position_of(parameter)
+            initial = beam.length * beam.curvature(position * beam.length)
+            curvature = curvature + initial
         x_rate = cos * (1 + stretch) - sin * shear
         y_rate = sin * (1 + stretch) + cos * shear
         return rate * jnp.stack([curvature, x_rate, y_rate, density])
@@ -255,7 +294,7 @@ def _integrate(beam: Beam, load: Wrench, intervals: int, steps: int) -> SectionS
         return state, state
 
     zero = jnp.zeros_like(load[0])
-    first = jnp.stack([zero, zero - 0.5, zero, zero])
+    first = jnp.stack([zero + start[0], zero + start[1], zero + start[2], zero])
     starts = jnp.asarray(np.arange(intervals * steps) * step - 1.0)
     _, states = lax.scan(advance, first, starts)
     states = jnp.concatenate([first[None], states[steps - 1 :: steps]])
@@ -267,7 +306,7 @@ def _stress(
 ) -> Float[Array, "2"]:
     """Compute the signed stress of the two outermost fibers of a cross-section; Pa."""
     _, (stretch, shear, curvature), _ = _section(beam, load, parameter, state)
-    position, _ = _position(parameter)
+    position, _ = position_of(parameter)
     half_height = beam.profile(position * beam.length) / beam.length / 2
     strain = stretch + jnp.stack([-half_height, half_height]) * curvature
     if beam.law == "saint-venant-kirchhoff":

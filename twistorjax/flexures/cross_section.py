@@ -2,7 +2,7 @@
 
 All quantities are dimensionless: lengths over the length `L` of the beam, moments over
 `E I / L` and forces over `E I / L^2`, where `E I` is the bending stiffness of the middle
-section.
+section, with its factor.
 """
 
 import jax
@@ -33,7 +33,9 @@ def section_strains(
     height = beam.profile(position * beam.length) / middle
     slenderness = middle / beam.length
     material = beam.material
-    axial_stiffness, bending_stiffness = 12 / slenderness**2 * height, height**3
+    bending_factor = beam.bending_factor
+    axial_stiffness = 12 / (bending_factor * slenderness**2) * height
+    bending_stiffness = height**3
     shear_stiffness = jnp.full_like(axial_stiffness, jnp.inf)
     if beam.shear_factor is not None:
         effective = axial_stiffness * beam.shear_factor

@@ -13,7 +13,14 @@ from ..energies.base import AbstractEnergy
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .beam import Beam, load_units
-from .beam_solution import beam_under_load, BeamSolution, end_section, pose_and_wrench
+from .beam_solution import (
+    beam_under_load,
+    BeamSolution,
+    end_section,
+    pose_and_wrench,
+    reference_ends,
+    ReferenceEnds,
+)
 
 
 # Increments of the displacement, and as many for stiffening the auxiliary spring
@@ -89,7 +96,8 @@ def _energy(beam: Beam, pose: Pose) -> Scalar:
 
 def _integrated_energy(beam: Beam, pose: Pose) -> Scalar:
     """Compute the energy of a beam at a pose (rad, m, m) from its load; J."""
-    return load_units(beam)[0] * end_section(beam, _load(beam, pose)).energy
+    end = end_section(beam, _load(beam, pose), reference_ends(beam))
+    return load_units(beam)[0] * end.energy
 
 
 @_energy.def_jvp
@@ -124,6 +132,7 @@ def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
     """
     units = _pose_units(beam)
     twist = se2.twist(pose)
+    ends = reference_ends(beam)
 
     def newton_step(k: Array, load: Array) -> Array:
         fraction = jnp.minimum(k // 2 + 1, _INCREMENTS) / _INCREMENTS
@@ -133,14 +142,14 @@ def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
         )
         half = fraction * pose[0] / 2
         axis = jnp.stack([jnp.zeros(()), jnp.cos(half), jnp.sin(half)])
-        reached, derivative = value_and_jacfwd(partial(_reached, beam), load)
+        reached, derivative = value_and_jacfwd(partial(_reached, beam, ends), load)
         spring = compliance * axis * (axis @ load)
         residual = se2.exp(twist * fraction) / units - reached - spring
         matrix = derivative + compliance * jnp.outer(axis, axis)
         return load + jnp.linalg.solve(matrix, residual)
 
     load = jax.lax.fori_loop(0, 4 * _INCREMENTS + 4, newton_step, jnp.zeros(3))
-    residual = jnp.max(jnp.abs(_reached(beam, load) - pose / units))
+    residual = jnp.max(jnp.abs(_reached(beam, ends, load) - pose / units))
     return jnp.where(residual < 1e-9, load, jnp.nan)
 
 
@@ -149,10 +158,10 @@ def _load_jvp(primals, tangents):
     # Implicit differentiation of reached(beam, load) = pose
     beam, pose = primals
     load = _load(beam, pose)
-    derivative = jax.jacfwd(partial(_reached, beam))(load)
+    derivative = jax.jacfwd(partial(_reached, beam, reference_ends(beam)))(load)
 
     def residual(beam: Beam, pose: Pose) -> Array:
-        return pose / _pose_units(beam) - _reached(beam, load)
+        return pose / _pose_units(beam) - _reached(beam, reference_ends(beam), load)
 
     _, rate = eqx.filter_jvp(residual, primals, tangents)
     if rate is None:
@@ -165,7 +174,8 @@ def _pose_units(beam: Beam) -> Float[Array, "3"]:
     return jnp.stack([jnp.ones(()), beam.length, beam.length])
 
 
-def _reached(beam: Beam, load: Array) -> Float[Array, "3"]:
+def _reached(beam: Beam, ends: ReferenceEnds, load: Array) -> Float[Array, "3"]:
     """Compute the dimensionless pose that a dimensionless load produces."""
-    pose, _ = pose_and_wrench(beam, load * load_units(beam), end_section(beam, load))
+    end = end_section(beam, load, ends)
+    pose, _ = pose_and_wrench(beam, load * load_units(beam), end, ends)
     return pose / _pose_units(beam)

@@ -15,7 +15,7 @@ from .._utils.validation import (
 from ..energies.mixed import MixedEnergy
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
-from .material import Material
+from ..mechanism.material import Material
 
 
 Theory = Literal["euler-bernoulli", "timoshenko"]

@@ -16,7 +16,7 @@ from .._utils.validation import (
 )
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
-from .material import Material
+from ..mechanism.material import Material
 
 
 Stiffnesses = tuple[Any, Any, Any]  # arrays of NumPy or JAX

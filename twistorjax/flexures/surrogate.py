@@ -1,6 +1,6 @@
 """Polynomial surrogates of geometrically exact beams."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -28,8 +28,8 @@ from ..energies.fitting.mixed_equations import (
 from ..energies.mixed import MixedEnergy
 from ..energies.monomials import monomials, Powers, Symmetry
 from ..energies.validity import WithValidityRange
-from .beam import Beam, load_units, uniform_thickness
-from .beam_solution import end_section, pose_and_wrench
+from .beam import Beam, load_units, uniform
+from .beam_solution import end_section, pose_and_wrench, reference_ends
 
 
 _ORDERS = (4, 6, 8, 10)
@@ -99,11 +99,11 @@ def surrogate(
         raise ValueError(f"`order` is {order!r}, but must be one of {_ORDERS}.")
     if force is not None:
         force = require_positive("`force`", force)
-    symmetric = _is_symmetric(beam)
+    symmetry = _symmetry(beam)
     middle = beam.profile(jnp.zeros(()))
     samples = _sample(beam, rotation, force)
     if all_concrete([middle, rotation, *jax.tree.leaves(samples)]) is None:
-        return _fit(_powers(order or 6, symmetric), beam.length, rotation, samples)
+        return _fit(_powers(order or 6, symmetry), beam.length, rotation, samples)
     limits = (
         f"a rotation of {float(rotation):.4g} rad and a force of "
         f"{float(samples.force):.4g} N"
@@ -117,7 +117,7 @@ def surrogate(
         )
     errors = {}
     for tried in _ORDERS if order is None else (order,):
-        energy = _fit(_powers(tried, symmetric), beam.length, rotation, samples)
+        energy = _fit(_powers(tried, symmetry), beam.length, rotation, samples)
         errors[tried] = float(jnp.max(energy.error))
         if errors[tried] <= error:
             return energy
@@ -159,10 +159,11 @@ def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
     Rotation (rad) and force (N) are the largest ones. The samples for the fit are
     followed by those for the error estimate.
     """
-    units = load_units(beam)
+    units, ends = load_units(beam), reference_ends(beam)
 
     def displace(load: Wrench) -> tuple[Pose, Wrench]:
-        return pose_and_wrench(beam, load * units, end_section(beam, load))
+        end = end_section(beam, load, ends)
+        return pose_and_wrench(beam, load * units, end, ends)
 
     stiffness = jnp.linalg.inv(
         jax.jacfwd(lambda load: displace(load)[0])(jnp.zeros(3)) / units[None]
@@ -170,12 +171,16 @@ def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
     limit = 5 * stiffness[0, 0] / beam.length if force is None else force
     # The samples are constants for differentiation; only their poses and wrenches at
     # given loads depend on the beam.
-    constant_beam, largest_rotation, largest_force, compliance = lax.stop_gradient(
-        (beam, rotation, limit / units[1], units[0] / stiffness[0, 0])
+    constant_beam, constant_ends, largest_rotation, largest_force, compliance = (
+        lax.stop_gradient(
+            (beam, ends, rotation, limit / units[1], units[0] / stiffness[0, 0])
+        )
     )
 
     def angle(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
-        return end_section(constant_beam, jnp.concatenate([moment[None], force])).angle
+        load = jnp.concatenate([moment[None], force])
+        end = end_section(constant_beam, load, constant_ends)
+        return end.angle - constant_ends.second[0]
 
     def find_load(point: Float[Array, "3"]) -> tuple[Wrench, Scalar]:
         """Find the load of a point in the unit cube, and the error of its rotation."""
@@ -195,7 +200,10 @@ def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
         rotation_error = jnp.abs(angle(moment, force) - target)
         return jnp.concatenate([moment[None], force]), rotation_error
 
-    loads, errors = jax.vmap(find_load)(_low_discrepancy_points())
+    for_fit = low_discrepancy_points(_SAMPLES)
+    for_error = low_discrepancy_points(_SAMPLES // 2, start=0.5)
+    points = jnp.asarray(np.concatenate([for_fit, for_error]))
+    loads, errors = jax.vmap(find_load)(points)
     poses, wrenches = jax.vmap(displace)(lax.stop_gradient(loads))
     errors = jnp.where(jnp.isfinite(errors), errors, jnp.inf)
     forces = units[1] * jnp.linalg.norm(loads[:, 1:], axis=1)
@@ -203,37 +211,44 @@ def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
     return _Samples(poses, wrenches, errors, least_failed_force, limit, stiffness)
 
 
-def _low_discrepancy_points() -> Float[Array, "samples 3"]:
-    """Return uniformly distributed points of the unit cube.
+def low_discrepancy_points(count: int, start: float = 0.0) -> np.ndarray:
+    """Return uniformly distributed points of the unit cube, one in each row.
 
-    The points are multiples of powers of the generalized golden ratio, modulo 1. The
-    points of the error estimate are a second sequence, shifted by half the cube.
+    The points are multiples of powers of the generalized golden ratio, modulo 1. Another
+    `start` shifts all points.
     """
     golden = 1.2207440846057596  # the root of x^4 = x + 1
     steps = golden ** -np.arange(1.0, 4.0)
-    for_fit = np.arange(1, _SAMPLES + 1)[:, None] * steps
-    for_error = 0.5 + np.arange(1, _SAMPLES // 2 + 1)[:, None] * steps
-    return jnp.asarray(np.concatenate([for_fit, for_error]) % 1)
+    return (start + np.arange(1, count + 1)[:, None] * steps) % 1
 
 
-def _is_symmetric(beam: Beam) -> bool:
-    """Return whether a beam is known to be symmetric about its middle section."""
-    if getattr(beam.profile, "func", None) is uniform_thickness:
-        return True
-    positions = jnp.asarray(np.linspace(-0.5, 0.5, 101)) * beam.length
-    heights = concrete(jax.vmap(beam.profile)(positions))
-    return heights is not None and np.allclose(heights, heights[::-1], rtol=1e-9, atol=0)
+def _symmetry(beam: Beam) -> tuple[Symmetry, ...]:
+    """Return the symmetries that a beam is known to have."""
+    along = [beam.profile] if beam.curvature is None else [beam.profile, beam.curvature]
+    ends_equal = all(
+        getattr(function, "func", None) is uniform or _is_even(function, beam.length)
+        for function in along
+    )
+    if beam.curvature is None:
+        return ("mirror", "ends") if ends_equal else ("mirror",)
+    return ("arch",) if ends_equal else ()
 
 
-def _powers(order: int, symmetric: bool) -> Powers:
-    """List the powers of the terms of a beam, which is symmetric about its axis.
+def _is_even(function: Callable[[Scalar], Scalar], length: Scalar) -> bool:
+    """Decide whether a function of the position is even; false if it is traced."""
+    positions = jnp.asarray(np.linspace(-0.5, 0.5, 101)) * length
+    values = concrete(jax.vmap(function)(positions))
+    return values is not None and np.allclose(values, values[::-1], rtol=1e-9, atol=0)
 
-    The constant and the term that is linear in the axial force are left out, because the
-    reference configuration has no energy and no displacement.
+
+def _powers(order: int, symmetry: tuple[Symmetry, ...]) -> Powers:
+    """List the powers of the terms of a beam with some symmetries.
+
+    The constant and the linear terms are left out, because the reference configuration
+    has no energy, no displacement, and no load.
     """
-    symmetry: Sequence[Symmetry] = ("mirror", "ends") if symmetric else ("mirror",)
     powers = monomials(order, "mixed", symmetry=symmetry)
-    return tuple(row for row in powers if row not in ((0, 0, 0), (0, 0, 1)))
+    return tuple(row for row in powers if sum(row) > 1)
 
 
 @partial(fast_compile, optimize=False)  # runs for 4 ms
@@ -286,12 +301,16 @@ def _quadratic_coefficients(
     length: Scalar, samples: _Samples
 ) -> dict[tuple[int, ...], Scalar]:
     """Return the coefficients that follow from the stiffness, and are not fitted; J."""
-    stiffness = samples.stiffness
+    (k00, k01, k02), (_, k11, k12), (_, _, k22) = samples.stiffness
+    force = samples.force
+    # The axial displacement is replaced by the axial force.
     return {
-        (2, 0, 0): stiffness[0, 0] / 2,
-        (1, 1, 0): stiffness[0, 2] * length,
-        (0, 2, 0): stiffness[2, 2] * length**2 / 2,
-        (0, 0, 2): -(samples.force**2) / (2 * stiffness[1, 1]),
+        (2, 0, 0): (k00 - k01**2 / k11) / 2,
+        (1, 1, 0): (k02 - k01 * k12 / k11) * length,
+        (0, 2, 0): (k22 - k12**2 / k11) * length**2 / 2,
+        (1, 0, 1): force * k01 / k11,
+        (0, 1, 1): force * length * k12 / k11,
+        (0, 0, 2): -(force**2) / (2 * k11),
     }
 
 

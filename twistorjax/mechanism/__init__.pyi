@@ -4,4 +4,5 @@ from .expansion import Expansion as Expansion
 from .hinge import Hinge as Hinge
 from .hinge_changes import Temperature as Temperature
 from .loads import Drive as Drive, Load as Load, weights as weights
+from .material import Material as Material
 from .mechanism import Mechanism as Mechanism

@@ -19,7 +19,7 @@ from .._utils.validation import (
     require_positive,
     require_text,
 )
-from ..flexures.material import Material
+from .material import Material
 
 
 class Body(eqx.Module):

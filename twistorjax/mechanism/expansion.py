@@ -7,7 +7,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_finite, require_positive
-from ..flexures.material import Material
+from .material import Material
 
 
 # Material with a coefficient of thermal expansion, or this coefficient; 1/K

@@ -14,6 +14,7 @@ from .export import export
 from .fit_energy import fit_energy
 from .four_bar import four_bar
 from .identify import identify
+from .parallelogram import parallelogram
 from .random_data import random_data
 from .stage import stage
 from .sweep import sweep
@@ -26,6 +27,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 _SHORT_HELP = {
     stage: "Gain of the micropositioning stage.",
     four_bar: "Motion of the four-bar linkages.",
+    parallelogram: "Parallelogram flexure under large loads.",
     fit_energy: "Fit the energy of a hinge to trials.",
     identify: "Identify stiffnesses from a motion.",
     random_data: "Overfitting study on random wrenches.",

@@ -1,6 +1,7 @@
 from . import (
     four_bar as four_bar,
     identification as identification,
+    parallelogram as parallelogram,
     random_data as random_data,
     stage as stage,
     stage_motion as stage_motion,

@@ -103,7 +103,7 @@ def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, na
     """Scale of translations, model for Newton's method, damping, and resisted rates."""
     terms = solver_protocols.parallel_terms(combinations(energy)[name])
     at = Displacement.from_pose(POSE)
-    force = jnp.array(2.5)
+    stress = jnp.array([0.3, 2.5, -0.7])
     forces, damping, model, resisted = [], [], [], []
     for term in terms:
         if not np.any(term.tangent_stiffness()):
@@ -112,7 +112,7 @@ def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, na
         forces.append(share)
         scale = solver_protocols.translation_scale(term, at)
         assert_close(scale, solver_protocols.translation_scale(energy, at))
-        model.append(solver_protocols.newton_model(term, share * force)(POSE))
+        model.append(solver_protocols.newton_model(term, tuple(share * stress))(POSE))
         if not isinstance(
             energy, tj.energies.PointCharges
         ):  # which are not in equilibrium
@@ -124,7 +124,7 @@ def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, na
             term
         ) == solver_protocols.has_resisted_rates(energy)
     assert_close(sum(forces), 1.0)
-    assert_close(sum(model), solver_protocols.newton_model(energy, force)(POSE))
+    assert_close(sum(model), solver_protocols.newton_model(energy, tuple(stress))(POSE))
     if damping:
         whole = solver_protocols.proportional_damping(energy, jnp.array(0.1)).damping
         assert_close(sum(damping), whole)

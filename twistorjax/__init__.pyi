@@ -15,6 +15,7 @@ from .energies import (
     fit_energy as fit_energy,
     Quadratic as Quadratic,
 )
+from .flexures import surrogate as surrogate
 from .identification import identify as identify, Parameter as Parameter
 from .mechanism import (
     Body as Body,
@@ -28,6 +29,7 @@ from .mechanism import (
     Pin as Pin,
     plate as plate,
     Slider as Slider,
+    SubMechanism as SubMechanism,
     Temperature as Temperature,
     weights as weights,
 )

@@ -11,6 +11,7 @@ from .fitting import (
 from .fitting.trials import Errors as Errors
 from .mixed import MixedEnergy as MixedEnergy
 from .monomials import monomials as monomials
+from .one_freedom import OneFreedomEnergy as OneFreedomEnergy
 from .point_charges import PointCharges as PointCharges
 from .polynomial import (
     Polynomial as Polynomial,

@@ -141,8 +141,8 @@ class MixedEnergy(CoordinateEnergy):
             ),
         )
 
-    def newton_model(self, axial_force: Scalar) -> "AbstractEnergy":
-        return _NewtonModel(self, axial_force / self.force)
+    def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
+        return _NewtonModel(self, stress[1] / self.force)
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
         return ViscousDamping(time * self.tangent_stiffness(), "twist", resisted=True)

@@ -16,6 +16,7 @@ from .damping import ViscousDamping
 
 
 Rates = tuple[Scalar, Scalar, Scalar]
+Stress = tuple[Scalar, Scalar, Scalar]
 
 
 @runtime_checkable
@@ -38,15 +39,16 @@ class HasTranslationScale(Protocol):
 class HasNewtonModel(Protocol):
     """An energy that Newton's method replaces by another energy, to need fewer steps."""
 
-    def newton_model(self, axial_force: Scalar) -> AbstractEnergy:
+    def newton_model(self, stress: Stress) -> AbstractEnergy:
         """Return the energy that replaces it in a Newton step.
 
         Args:
-            axial_force: Predicted force along axis 1; N.
+            stress: Predicted generalized stress: moment, axial force, and transverse
+                force; N m, N, N.
 
         Returns:
             An energy whose derivatives agree with those of this energy to first order,
-            near the predicted force.
+            near the predicted stress.
         """
         ...
 
@@ -103,17 +105,18 @@ def translation_scale(energy: AbstractEnergy, displacement: Displacement) -> Sca
     return jnp.ones_like(displacement.angle)
 
 
-def newton_model(energy: AbstractEnergy, axial_force: Scalar) -> AbstractEnergy:
-    """Return the energy that replaces another one near a predicted axial force; N."""
+def newton_model(energy: AbstractEnergy, stress: Stress) -> AbstractEnergy:
+    """Return the energy that replaces another one near a predicted stress; N m, N, N."""
     if isinstance(energy, AbstractWrapper):
         if energy.multiple is None:
-            return newton_model(energy.energy, axial_force)
+            return newton_model(energy.energy, stress)
         positive = energy.multiple > 0
-        share = axial_force / jnp.where(positive, energy.multiple, 1.0)
-        share = jnp.where(positive, share, 0.0)
-        return Scaled(factor=energy.multiple, energy=newton_model(energy.energy, share))
+        multiple = jnp.where(positive, energy.multiple, 1.0)
+        m, n1, n2 = (jnp.where(positive, part / multiple, 0.0) for part in stress)
+        model = newton_model(energy.energy, (m, n1, n2))
+        return Scaled(factor=energy.multiple, energy=model)
     if isinstance(energy, HasNewtonModel):
-        return energy.newton_model(axial_force)
+        return energy.newton_model(stress)
     return energy
 
 

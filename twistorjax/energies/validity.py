@@ -25,6 +25,8 @@ class WithValidityRange(AbstractWrapper):
         error: Relative error of (moment, force 1, force 2) in the range: the rms error
             divided by the rms value, on samples that were not used to determine the
             energy.
+        displacement: Largest displacement along axis 2 in both directions, by default
+            without limit; m.
 
     Raises:
         ValueError: `energy` is not an energy; `rotation` or `force` is not positive;
@@ -47,6 +49,7 @@ class WithValidityRange(AbstractWrapper):
     rotation: Scalar
     force: Scalar
     error: Float[Array, "3"]
+    displacement: Scalar | None
 
     def __init__(
         self,
@@ -54,6 +57,7 @@ class WithValidityRange(AbstractWrapper):
         rotation: NumberLike,
         force: NumberLike,
         error: WrenchLike,
+        displacement: NumberLike | None = None,
     ):
         if not isinstance(energy, AbstractEnergy):
             raise ValueError(
@@ -65,6 +69,9 @@ class WithValidityRange(AbstractWrapper):
         self.error = require_row(
             "`error`", error, "one number for each of (moment, force 1, force 2)"
         )
+        self.displacement = None
+        if displacement is not None:
+            self.displacement = require_positive("`displacement`", displacement)
 
     def out_of_range(self, displacement: Displacement) -> Flag:
         """Decide whether the rotation or the force exceeds the validity range."""
@@ -72,13 +79,21 @@ class WithValidityRange(AbstractWrapper):
         slack = 1 + 1e-9
         valid_rotation = jnp.abs(displacement.angle) <= slack * self.rotation
         largest_force = (slack + 3 * jnp.max(self.error)) * self.force
-        return ~(valid_rotation & (self._force_magnitude(displacement) <= largest_force))
+        valid = valid_rotation & (self._force_magnitude(displacement) <= largest_force)
+        if self.displacement is not None:
+            valid &= jnp.abs(_transverse(displacement)) <= slack * self.displacement
+        return ~valid
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "WithValidityRange":
         """Return the range if all dimensions of the hinge are multiplied."""
         _, (scale, force) = on_host(scale, self.force)
-        new = as_float(scale**2 * force)
-        return eqx.tree_at(lambda energy: energy.force, self, new)
+        new = eqx.tree_at(lambda energy: energy.force, self, as_float(scale**2 * force))
+        if self.displacement is None:
+            return new
+        _, (scale, largest) = on_host(scale, self.displacement)
+        return eqx.tree_at(
+            lambda energy: energy.displacement, new, as_float(scale * largest)
+        )
 
     def _force_magnitude(self, displacement: Displacement) -> Scalar:
         """Compute the magnitude of the force at a displacement; N."""
@@ -101,9 +116,16 @@ class WithValidityRange(AbstractWrapper):
         if values is None:
             return "its rotation or its force exceeds its validity range"
         rotation, force, largest_rotation, largest_force = map(float, values)
+        transverse = limit = ""
+        if self.displacement is not None:
+            transverse = (
+                f", its transverse displacement {_transverse(displacement):.4g} m,"
+            )
+            limit = f", {float(self.displacement):.4g} m,"
         return (
-            f"its rotation is {rotation:.4g} rad and its force {force:.4g} N, but the "
-            f"energy is valid up to {largest_rotation:.4g} rad and {largest_force:.4g} N"
+            f"its rotation is {rotation:.4g} rad{transverse} and its force {force:.4g} "
+            f"N, but the energy is valid up to {largest_rotation:.4g} rad{limit} and "
+            f"{largest_force:.4g} N"
         )
 
     def __repr__(self) -> str:
@@ -113,8 +135,17 @@ class WithValidityRange(AbstractWrapper):
         rotation, force, (moment, axial, transverse) = values
         terms = getattr(self.energy, "powers", None)
         size = "" if terms is None else f" with {len(terms)} terms"
+        limit = ""
+        if self.displacement is not None:
+            limit = f", {float(self.displacement):.4g} m"
         return (
-            f"{type(self.energy).__name__}{size}, valid up to {float(rotation):.4g} rad "
-            f"and {float(force):.4g} N; rms error {100 * moment:.2g} % in moment, "
-            f"{100 * axial:.2g} % in axial, {100 * transverse:.2g} % in transverse force"
+            f"{type(self.energy).__name__}{size}, valid up to {float(rotation):.4g} rad"
+            f"{limit} and {float(force):.4g} N; rms error {100 * moment:.2g} % in "
+            f"moment, {100 * axial:.2g} % in axial, {100 * transverse:.2g} % in "
+            "transverse force"
         )
+
+
+def _transverse(displacement: Displacement) -> Scalar:
+    """Return the displacement along axis 2 of the mid-frame; m."""
+    return 2 * displacement.x2

@@ -41,7 +41,8 @@ BENDING_FACTOR = 1.04
 
 _LOADS = ("transverse_EI_L2", "axial_EI_L2", "moment_EI_L")
 _DISPLACEMENTS = ("ux_L", "uy_L", "phi_rad")
-_SMALLEST_FORCE = 45.0  # range of the leaves, which are then three segments; E I / L^2
+# Range of the leaves, which are three segments, or up to ten for larger loads; E I / L^2
+_SMALLEST_FORCE, _LARGEST_FORCE = 45.0, 500.0
 _SMALLEST_BATCH = 128  # smaller numbers of load cases share a program
 
 
@@ -237,7 +238,8 @@ def study(cases: LoadCases, bending_factor: float = BENDING_FACTOR) -> Study:
     # The platform turns little, so its moment is carried by axial forces of the leaves.
     couple = (transverse / 2 + moment) * LENGTH / SPACING
     bound = float(np.max(axial + transverse / 2 + couple))
-    mechanism = parallelogram(bending_factor, force=max(_SMALLEST_FORCE, bound))
+    force = min(max(_SMALLEST_FORCE, bound), _LARGEST_FORCE)
+    mechanism = parallelogram(bending_factor, force)
     rows = len(cases.loads)
     padding = padded_size(rows, _SMALLEST_BATCH) - rows
     loads = np.pad(cases.loads, ((0, padding), (0, 0)))

@@ -6,7 +6,27 @@ from .beam_solution import (
     largest_rotation as largest_rotation,
 )
 from .chain import Chain as Chain, chain as chain
+from .condensed import Condensed as Condensed
+from .contour_stiffness import (
+    elliptical_notch as elliptical_notch,
+    filleted_leaf as filleted_leaf,
+    parabolic_notch as parabolic_notch,
+    reinforced_leaf as reinforced_leaf,
+    v_notch as v_notch,
+)
+from .contours import (
+    elliptical_notch_profile as elliptical_notch_profile,
+    filleted_leaf_profile as filleted_leaf_profile,
+    power_law_notch_profile as power_law_notch_profile,
+    reinforced_leaf_profile as reinforced_leaf_profile,
+    v_notch_profile as v_notch_profile,
+)
 from .exact_beam import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
+from .guides import (
+    double_parallelogram as double_parallelogram,
+    folded_beam as folded_beam,
+    parallelogram as parallelogram,
+)
 from .leaf import (
     leaf as leaf,
     leaf_outline as leaf_outline,
@@ -16,6 +36,12 @@ from .notch import (
     notch as notch,
     notch_outline as notch_outline,
     notch_profile as notch_profile,
+)
+from .plates import bending_factor as bending_factor
+from .pivots import (
+    butterfly_pivot as butterfly_pivot,
+    cartwheel_pivot as cartwheel_pivot,
+    cross_spring_pivot as cross_spring_pivot,
 )
 from .stress import (
     largest_stress as largest_stress,

@@ -12,7 +12,16 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
-from .._utils.types import Corners, NumberLike, Pose, PoseLike, Scalar, Wrench
+from .._utils.types import (
+    Corners,
+    NumberLike,
+    Pose,
+    PoseLike,
+    Poses,
+    Scalar,
+    Wrench,
+    Wrenches,
+)
 from .._utils.validation import (
     require_float64,
     require_instance,
@@ -34,7 +43,8 @@ from .beam_solution import (
     position_of,
     reference_ends,
 )
-from .surrogate import low_discrepancy_points, surrogate
+from .samples import low_discrepancy_points
+from .surrogate import surrogate
 
 
 _LARGEST_FORCE = 5.0  # in one segment, in E I / l^2
@@ -138,20 +148,21 @@ def chain(
     parts = [_segment(beam, count, k) for k in range(count)]
     largest = _segment_rotation(beam, count, rotation, relative_force, stress)
     energies = _energies(name, parts, largest, limit, error)
-    errors = _errors(tuple(parts), energies, largest, limit)
+    # The errors are not differentiated, which saves compilation.
+    errors = _errors(*jax.lax.stop_gradient((tuple(parts), energies, largest, limit)))
     worst = concrete(jnp.max(errors))
     if worst is not None and not worst <= error:
         raise ValueError(
             f"The flexure {name!r} in {count} segments has an error of {worst:.2g}, but "
             f"`error` is {error:g}. Divide it into more `segments`."
         )
-    middles, ends = _layout(tuple(parts), beam, pose)
+    middles, ends, chords = _layout(tuple(parts), beam, pose)
     names = [f"{name} {k + 1}" for k in range(count)]
     sections = [first, *names[:-1], second]
     hinges = tuple(
         Hinge(
             names[k], sections[k], sections[k + 1], energies[k], middles[k],
-            outline=_outline(parts[k]), expansion=_expansion(parts[k]),
+            outline=beam_outline(parts[k]), expansion=_expansion(parts[k], chords[k]),
         )
         for k in range(count)
     )  # fmt: skip
@@ -278,7 +289,7 @@ def _errors(
         to_second = se2.inverse(scale * ends.second)
         return se2.transform_wrench(to_second, on_second), (pose, on_second)
 
-    def under_load(point: Float[Array, "3"]) -> tuple[Pose, Wrench]:
+    def under_load(point: Float[Array, "3"]) -> tuple[Poses, Wrenches]:
         direction = 2 * np.pi * point[2]
         magnitude = force * jnp.sqrt(point[1])
         axial, transverse = magnitude * jnp.cos(direction), magnitude * jnp.sin(direction)
@@ -298,8 +309,11 @@ def _errors(
 
 
 @jax.jit
-def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list]:
-    """Compute the poses of the middles of all segments, and of their second ends."""
+def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list, list]:
+    """Compute the poses of the middles of all segments, and of their second ends.
+
+    The distances of the ends of each segment along its axis 1 are returned as well; m.
+    """
 
     def in_meters(part: Beam) -> tuple[Pose, Pose]:
         scale = jnp.stack([jnp.ones(()), part.length, part.length])
@@ -307,14 +321,15 @@ def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list]:
         return scale * ends.first, scale * ends.second
 
     end = se2.compose(at, in_meters(beam)[0])
-    middles, ends = [], []
+    middles, ends, chords = [], [], []
     for part in parts:
         to_first, to_second = in_meters(part)
         middle = se2.compose(end, se2.inverse(to_first))
         end = se2.compose(middle, to_second)
         middles.append(middle)
         ends.append(end)
-    return middles, ends
+        chords.append(to_second[1] - to_first[1])
+    return middles, ends, chords
 
 
 def _body(name: str, pose: Pose, before: Beam) -> Body:
@@ -332,7 +347,7 @@ def _body(name: str, pose: Pose, before: Beam) -> Body:
 
 
 @partial(jax.jit, static_argnames="points")
-def _outline(part: Beam, points: int = 12) -> Corners:
+def beam_outline(part: Beam, points: int = 12) -> Corners:
     """Compute the outline of a segment in its frame, for drawing; m."""
     if part.curvature is None:
         positions = part.length * jnp.asarray(np.linspace(-0.5, 0.5, points))
@@ -348,8 +363,12 @@ def _outline(part: Beam, points: int = 12) -> Corners:
     return jnp.concatenate([axis + normal, (axis - normal)[::-1]])
 
 
-def _expansion(part: Beam) -> Expansion | None:
-    """Return the thermal expansion of a segment; None if its material has none."""
+def _expansion(part: Beam, chord: Scalar) -> Expansion | None:
+    """Return the thermal expansion of a segment; None if its material has none.
+
+    Its ends have the distance `chord` (m) along axis 1, which is less than its length if
+    it is curved.
+    """
     if part.material.expansion is None:
         return None
-    return Expansion(part.material, length=part.length)
+    return Expansion(part.material, length=chord)

@@ -51,11 +51,7 @@ class ExactBeam(AbstractEnergy):
     beam: Beam
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        cos, sin = displacement.sigma, displacement.xi
-        half_1, half_2 = displacement.x1, displacement.x2
-        half = jnp.stack([cos * half_1 - sin * half_2, sin * half_1 + cos * half_2])
-        pose = jnp.concatenate([displacement.angle[None], 2 * half])
-        return _energy(self.beam, pose)
+        return _energy(self.beam, displacement.pose())
 
 
 def beam_at_pose(beam: Beam, pose: Pose, sections: int = 21) -> BeamSolution:

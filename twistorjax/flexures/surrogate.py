@@ -1,22 +1,19 @@
-"""Polynomial surrogates of geometrically exact beams."""
+"""Polynomial surrogates of exact beams and of sub-mechanisms."""
 
+import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
-from .._utils.types import Matrix, NumberLike, Pose, Scalar, Wrench
+from .._utils.types import NumberLike, Scalar
 from .._utils.validation import (
     require_float64,
-    require_instance,
     require_interval,
     require_positive,
 )
@@ -27,56 +24,70 @@ from ..energies.fitting.mixed_equations import (
 )
 from ..energies.mixed import MixedEnergy
 from ..energies.monomials import monomials, Powers, Symmetry
+from ..energies.one_freedom import Freedom
 from ..energies.validity import WithValidityRange
-from .beam import Beam, load_units, uniform
-from .beam_solution import end_section, pose_and_wrench, reference_ends
+from ..mechanism.sub_mechanism import SubMechanism
+from .beam import Beam, uniform
+from .mechanism_surrogate import fit_mechanism, mechanism_powers, sample_mechanism
+from .samples import least_squares, sample_beam, SAMPLES, Samples
 
 
 _ORDERS = (4, 6, 8, 10)
-_SAMPLES = 800  # for the fit; half as many more are for the error estimate
 
 
 def surrogate(
-    beam: Beam,
+    flexure: Beam | SubMechanism,
     *,
-    rotation: NumberLike,
+    rotation: NumberLike | None = None,
+    displacement: NumberLike | None = None,
     force: NumberLike | None = None,
+    stress: NumberLike | None = None,
     error: float = 1e-3,
     order: int | None = None,
 ) -> WithValidityRange:
-    """Approximate the energy of a beam by a polynomial over a range of displacements.
+    """Approximate the energy of a beam or a sub-mechanism by a polynomial.
 
-    The energy is a `MixedEnergy`, which needs as few terms for a very slender leaf as for
-    a thick one. In the reference configuration it has the stiffness of the beam. Its
-    derivatives with respect to the dimensions of the beam have about the same relative
-    error as its wrench. To compute surrogates of many beams, use `jax.jit` and
-    `jax.lax.map`, and give `order`.
+    The energy is valid in a range of displacements and forces. That of a beam is a
+    `MixedEnergy`, and that of a sub-mechanism a `OneFreedomEnergy`, which need as few
+    terms for very slender leaves as for thick ones. In the reference configuration, the
+    energy has the stiffness of the flexure. Its derivatives with respect to dimensions
+    have about the same relative error as its wrench. To compute surrogates of many
+    flexures, use `jax.jit` and `jax.lax.map`, and give `order`.
 
     Args:
-        beam: A beam of any thickness profile.
-        rotation: Largest rotation, in both directions; rad.
-        force: Largest magnitude of the force, in any direction; N. The default is
-            5 E I / L^2, for a leaf with the length L. Above about 10 E I / L^2, a beam in
-            compression buckles between its ends, which a polynomial cannot represent.
+        flexure: A beam of any thickness profile and curvature, or a sub-mechanism that is
+            compliant in one direction.
+        rotation: Largest rotation, in both directions; rad. A sub-mechanism is then a
+            pivot, which is compliant in rotation.
+        displacement: Instead of the rotation, largest displacement along axis 2 of a
+            sub-mechanism that is compliant in this direction, such as a parallelogram; m.
+        force: Largest magnitude of the force, in any direction; N. The default for a
+            beam is 5 E I / L^2, with the length L. Above about 10 E I / L^2, a beam in
+            compression buckles between its ends, which a polynomial cannot represent; see
+            `chain`. The default for a sub-mechanism is half of the smallest range of a
+            surrogate in it.
+        stress: Allowable bending stress of a beam, if the rotation is not given; Pa. The
+            rotation is then that of a beam with the smallest thickness that is bent to an
+            arc at this stress.
         error: Largest relative error of a component of the wrench: the rms error divided
-            by the rms value, on samples that are not used in the fit. If the beam is
+            by the rms value, on samples that are not used in the fit. If the flexure is
             traced, the error cannot be checked, and is only returned.
-        order: Order of the polynomial in the rotation and the transverse displacement: 4,
-            6, 8 or 10. The default is the lowest order with an accepted error, or 6 if
-            the beam is traced.
+        order: Order of the polynomial in the displacements: 4, 6, 8 or 10. The default is
+            the lowest order with an accepted error, or 6 if the flexure is traced.
 
     Returns:
         The energy with its validity range. Its field `error` has the relative errors of
         the moment, the axial force and the transverse force. They are computed on
-        separate samples, which are uniformly distributed over rotations and forces.
+        separate samples, which are uniformly distributed over displacements and forces.
 
     Raises:
-        ValueError: Double precision is disabled, the error is not reached, the beam
-            buckles within the range, or an argument is out of its range.
+        ValueError: Double precision is disabled, the error is not reached, a beam buckles
+            or a hinge of a sub-mechanism leaves its range within the range, or an
+            argument is out of its range.
 
     Source:
-        The polynomial energies of section 4.7 of the dissertation, in the form of
-        `MixedEnergy`, and fitted to a beam instead of measurements.
+        The polynomial energies of section 4.7 of the dissertation, as complementary
+        energies of the stiff directions, and fitted to a beam instead of measurements.
 
     Example:
         >>> import twistorjax as tj
@@ -88,36 +99,156 @@ def surrogate(
         >>> energy.wrench(exact.pose)[2].round(2), exact.wrench[2].round(2)
         (Array(1.88, dtype=float64), Array(1.88, dtype=float64))
     """
-    require_instance("beam", beam, Beam)
-    require_float64(beam.length)
-    rotation = require_interval(
-        "`rotation`", rotation, 0.0, 2 * np.pi, "must be positive and at most 2 pi"
-    )
+    if not isinstance(flexure, Beam | SubMechanism):
+        raise ValueError(
+            f"`flexure` is a {type(flexure).__name__}, but must be a `Beam` or a "
+            "`SubMechanism`."
+        )
     if not error > 0:
         raise ValueError(f"`error` is {error!r}, but must be positive.")
     if order is not None and order not in _ORDERS:
         raise ValueError(f"`order` is {order!r}, but must be one of {_ORDERS}.")
     if force is not None:
         force = require_positive("`force`", force)
+    if displacement is not None:
+        displacement = require_positive("`displacement`", displacement)
+    if stress is not None:
+        stress = require_positive("`stress`", stress)
+        if isinstance(flexure, Beam) and rotation is None:
+            rotation = _rotation_at_stress(flexure, stress)
+    if rotation is not None:
+        requirement = "must be positive and at most 2 pi"
+        rotation = require_interval("`rotation`", rotation, 0.0, 2 * np.pi, requirement)
+    if isinstance(flexure, Beam):
+        if rotation is None or displacement is not None:
+            raise ValueError(
+                "The range of a beam is given by `rotation` or `stress`, and not by "
+                "`displacement`."
+            )
+        return _beam_surrogate(flexure, rotation, force, error, order)
+    return _mechanism_surrogate(flexure, rotation, displacement, force, error, order)
+
+
+def _rotation_at_stress(beam: Beam, stress: Scalar) -> Scalar:
+    """Compute the rotation at which a beam in pure bending has a stress (Pa); rad."""
+    positions = beam.length * jnp.asarray(np.linspace(-0.5, 0.5, 201))
+    thinnest = jnp.min(jax.vmap(beam.profile)(positions))
+    return 2 * stress * beam.length / (beam.material.modulus * thinnest)
+
+
+def _beam_surrogate(
+    beam: Beam,
+    rotation: Scalar,
+    force: Scalar | None,
+    error: float,
+    order: int | None,
+) -> WithValidityRange:
+    """Compute the surrogate of a beam; see `surrogate`."""
+    require_float64(beam.length)
     symmetry = _symmetry(beam)
     middle = beam.profile(jnp.zeros(()))
-    samples = _sample(beam, rotation, force)
+    samples = sample_beam(beam, rotation, force)
     if all_concrete([middle, rotation, *jax.tree.leaves(samples)]) is None:
         return _fit(_powers(order or 6, symmetry), beam.length, rotation, samples)
     limits = (
         f"a rotation of {float(rotation):.4g} rad and a force of "
         f"{float(samples.force):.4g} N"
     )
+    unit = float(beam.rotational_stiffness / beam.length)
+    parts = max(
+        2,
+        math.ceil(math.sqrt(float(samples.force) / unit / 5)),
+        math.ceil(rotation / 1.2),
+    )
+    advice = (
+        f"Divide the beam into {parts}, by `twistorjax.flexures.chain(..., "
+        f"segments={parts})`, or use a smaller `rotation` or `force`"
+    )
     if not float(jnp.max(samples.rotation_error)) < 1e-6:
         raise ValueError(
             f"The beam cannot be computed everywhere up to {limits}: from "
             f"{float(samples.least_failed_force):.3g} N on, no equilibrium is found at "
             "some rotations. A beam in compression buckles between its ends at about "
-            "10 E I / L^2. Use a smaller `rotation` or `force`."
+            f"10 E I / L^2. {advice}."
         )
+
+    def fit(order: int) -> WithValidityRange:
+        return _fit(_powers(order, symmetry), beam.length, rotation, samples)
+
+    return _lowest_order(fit, order, error, limits, advice)
+
+
+def _mechanism_surrogate(
+    part: SubMechanism,
+    rotation: Scalar | None,
+    displacement: Scalar | None,
+    force: Scalar | None,
+    error: float,
+    order: int | None,
+) -> WithValidityRange:
+    """Compute the surrogate of a sub-mechanism; see `surrogate`."""
+    require_float64(part.mechanism.reference)
+    if (rotation is None) == (displacement is None):
+        raise ValueError(
+            "Give either `rotation`, if the sub-mechanism is compliant in rotation, or "
+            "`displacement`, if it is compliant along axis 2, but "
+            f"{'neither is' if rotation is None else 'both are'} given."
+        )
+    force = _half_of_smallest_range(part) if force is None else force
+    freedom: Freedom = "rotation" if displacement is None else "transverse"
+    size = rotation if displacement is None else displacement
+    assert size is not None
+    samples = sample_mechanism(part, size, force, freedom=freedom)
+    known = all_concrete([size, force, samples.succeeded])
+    if known is None:
+        powers = mechanism_powers(part, samples, order or 6, freedom)
+        return fit_mechanism(powers, freedom, size, samples)
+    unit = "rad" if displacement is None else "m"
+    limits = f"{float(size):.4g} {unit} and {float(force):.4g} N"
+    name = "rotation" if displacement is None else "displacement"
+    advice = f"Use a smaller `{name}` or `force`"
+    failed = np.mean(~known[2])
+    if failed > 0:
+        raise ValueError(
+            f"The sub-mechanism cannot be computed everywhere up to {limits}: for "
+            f"{100 * failed:.2g} % of the loads, there is no stable equilibrium, or a "
+            f"hinge is outside its validity range. {advice}, or hinges with a larger "
+            "validity range."
+        )
+
+    def fit(order: int) -> WithValidityRange:
+        powers = mechanism_powers(part, samples, order, freedom)
+        return fit_mechanism(powers, freedom, size, samples)
+
+    return _lowest_order(fit, order, error, limits, advice)
+
+
+def _half_of_smallest_range(part: SubMechanism) -> Scalar:
+    """Return half of the smallest range of forces of a hinge of a sub-mechanism; N."""
+    ranges = []
+    for row in range(len(part.mechanism.hinge_names)):
+        energy = part.mechanism.hinge_assembly.energy_of(row)
+        if isinstance(energy, WithValidityRange):
+            ranges.append(energy.force)
+    if not ranges:
+        raise ValueError(
+            "`force` is not given, but no hinge of the sub-mechanism has a validity "
+            "range from which it could follow. Give the largest force (N)."
+        )
+    return jnp.min(jnp.stack(ranges)) / 2
+
+
+def _lowest_order(
+    fit: Callable[[int], WithValidityRange],
+    order: int | None,
+    error: float,
+    limits: str,
+    advice: str,
+) -> WithValidityRange:
+    """Return the energy of the lowest order with an accepted error."""
     errors = {}
     for tried in _ORDERS if order is None else (order,):
-        energy = _fit(_powers(tried, symmetry), beam.length, rotation, samples)
+        energy = fit(tried)
         errors[tried] = float(jnp.max(energy.error))
         if errors[tried] <= error:
             return energy
@@ -125,101 +256,9 @@ def surrogate(
         f"{worst:.2g} with order {tried}" for tried, worst in errors.items()
     )
     raise ValueError(
-        f"The `error` of {error:g} is not reached up to {limits}; it is {listed}. Use a "
-        "smaller range, or accept a larger `error`."
+        f"The `error` of {error:g} is not reached up to {limits}; it is {listed}. "
+        f"{advice}, or accept a larger `error`."
     )
-
-
-class _Samples(NamedTuple):
-    """Displacements of a beam and their wrenches.
-
-    Args:
-        poses: Poses of frame b relative to frame a; rad, m, m.
-        wrenches: Wrenches that body B exerts on the beam, in frame b; N m, N, N.
-        rotation_error: Magnitude of computed minus prescribed rotation; rad.
-        least_failed_force: Smallest force at which the prescribed rotation was not
-            reached, infinite if there is none; N.
-        force: Largest force; N.
-        stiffness: Stiffness of the beam in the reference configuration; N m/rad, N/rad,
-            N/m.
-    """
-
-    poses: Float[Array, "samples 3"]
-    wrenches: Float[Array, "samples 3"]
-    rotation_error: Float[Array, " samples"]
-    least_failed_force: Scalar
-    force: Scalar
-    stiffness: Matrix
-
-
-@fast_compile
-def _sample(beam: Beam, rotation: Scalar, force: Scalar | None) -> _Samples:
-    """Compute a beam at rotations and forces that are uniformly distributed.
-
-    Rotation (rad) and force (N) are the largest ones. The samples for the fit are
-    followed by those for the error estimate.
-    """
-    units, ends = load_units(beam), reference_ends(beam)
-
-    def displace(load: Wrench) -> tuple[Pose, Wrench]:
-        end = end_section(beam, load, ends)
-        return pose_and_wrench(beam, load * units, end, ends)
-
-    stiffness = jnp.linalg.inv(
-        jax.jacfwd(lambda load: displace(load)[0])(jnp.zeros(3)) / units[None]
-    )
-    limit = 5 * stiffness[0, 0] / beam.length if force is None else force
-    # The samples are constants for differentiation; only their poses and wrenches at
-    # given loads depend on the beam.
-    constant_beam, constant_ends, largest_rotation, largest_force, compliance = (
-        lax.stop_gradient(
-            (beam, ends, rotation, limit / units[1], units[0] / stiffness[0, 0])
-        )
-    )
-
-    def angle(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
-        load = jnp.concatenate([moment[None], force])
-        end = end_section(constant_beam, load, constant_ends)
-        return end.angle - constant_ends.second[0]
-
-    def find_load(point: Float[Array, "3"]) -> tuple[Wrench, Scalar]:
-        """Find the load of a point in the unit cube, and the error of its rotation."""
-        target = largest_rotation * (2 * point[0] - 1)
-        direction_angle = 2 * np.pi * point[2]
-        direction = jnp.stack([jnp.cos(direction_angle), jnp.sin(direction_angle)])
-        force = largest_force * jnp.sqrt(point[1]) * direction
-
-        def newton_step(_, moment: Scalar) -> Scalar:
-            one = jnp.ones_like(moment)
-            value, slope = jax.jvp(lambda m: angle(m, force), (moment,), (one,))
-            # A larger step could lead to a solution with another number of windings.
-            residual = jnp.clip(target - value, -1.0, 1.0)
-            return moment + residual / jnp.maximum(slope, 0.03 * compliance)
-
-        moment = lax.fori_loop(0, 10, newton_step, target / compliance)
-        rotation_error = jnp.abs(angle(moment, force) - target)
-        return jnp.concatenate([moment[None], force]), rotation_error
-
-    for_fit = low_discrepancy_points(_SAMPLES)
-    for_error = low_discrepancy_points(_SAMPLES // 2, start=0.5)
-    points = jnp.asarray(np.concatenate([for_fit, for_error]))
-    loads, errors = jax.vmap(find_load)(points)
-    poses, wrenches = jax.vmap(displace)(lax.stop_gradient(loads))
-    errors = jnp.where(jnp.isfinite(errors), errors, jnp.inf)
-    forces = units[1] * jnp.linalg.norm(loads[:, 1:], axis=1)
-    least_failed_force = jnp.min(jnp.where(errors < 1e-6, jnp.inf, forces))
-    return _Samples(poses, wrenches, errors, least_failed_force, limit, stiffness)
-
-
-def low_discrepancy_points(count: int, start: float = 0.0) -> np.ndarray:
-    """Return uniformly distributed points of the unit cube, one in each row.
-
-    The points are multiples of powers of the generalized golden ratio, modulo 1. Another
-    `start` shifts all points.
-    """
-    golden = 1.2207440846057596  # the root of x^4 = x + 1
-    steps = golden ** -np.arange(1.0, 4.0)
-    return (start + np.arange(1, count + 1)[:, None] * steps) % 1
 
 
 def _symmetry(beam: Beam) -> tuple[Symmetry, ...]:
@@ -253,26 +292,26 @@ def _powers(order: int, symmetry: tuple[Symmetry, ...]) -> Powers:
 
 @partial(fast_compile, optimize=False)  # runs for 4 ms
 def _fit(
-    powers: Powers, length: Scalar, rotation: Scalar, samples: _Samples
+    powers: Powers, length: Scalar, rotation: Scalar, samples: Samples
 ) -> WithValidityRange:
     """Fit an energy, and estimate its error on the samples that are not fitted."""
     coefficients = _fit_coefficients(powers, length, samples)
     energy = MixedEnergy(coefficients, powers, length=length, force=samples.force)
-    wrenches = jax.vmap(energy.wrench)(samples.poses[_SAMPLES:])
-    exact = samples.wrenches[_SAMPLES:]
+    wrenches = jax.vmap(energy.wrench)(samples.poses[SAMPLES:])
+    exact = samples.wrenches[SAMPLES:]
     square = jnp.mean((wrenches - exact) ** 2, axis=0)
     error = jnp.sqrt(square / jnp.mean(exact**2, axis=0))
     return WithValidityRange(energy, rotation, samples.force, error)
 
 
 def _fit_coefficients(
-    powers: Powers, length: Scalar, samples: _Samples
+    powers: Powers, length: Scalar, samples: Samples
 ) -> Float[Array, " terms"]:
     """Fit the coefficients (J) that do not follow from the stiffness.
 
     All components of the wrench have the same relative weight.
     """
-    poses, wrenches = samples.poses[:_SAMPLES], samples.wrenches[:_SAMPLES]
+    poses, wrenches = samples.poses[:SAMPLES], samples.wrenches[:SAMPLES]
     rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))
     deviations = jnp.broadcast_to(rms, wrenches.shape)
     twists, stresses, to_wrenches = twists_and_stresses(poses, wrenches, deviations)
@@ -288,7 +327,7 @@ def _fit_coefficients(
         """Solve with the weights of a previous solution."""
         rows, targets = weighted_equations(equations, coefficients)
         rows, targets = rows.reshape(-1, len(powers)), targets.reshape(-1)
-        found = _least_squares(rows[:, free], targets - rows @ start)
+        found = least_squares(rows[:, free], targets - rows @ start)
         return start.at[free].set(found)
 
     coefficients = solve(None)
@@ -298,7 +337,7 @@ def _fit_coefficients(
 
 
 def _quadratic_coefficients(
-    length: Scalar, samples: _Samples
+    length: Scalar, samples: Samples
 ) -> dict[tuple[int, ...], Scalar]:
     """Return the coefficients that follow from the stiffness, and are not fitted; J."""
     (k00, k01, k02), (_, k11, k12), (_, _, k22) = samples.stiffness
@@ -312,16 +351,3 @@ def _quadratic_coefficients(
         (0, 1, 1): force * length * k12 / k11,
         (0, 0, 2): -(force**2) / (2 * k11),
     }
-
-
-def _least_squares(
-    rows: Float[Array, "equations terms"], targets: Float[Array, " equations"]
-) -> Float[Array, " terms"]:
-    """Solve linear least squares by normal equations of columns of unit norm.
-
-    Normal equations are easy to differentiate.
-    """
-    norms = jnp.sqrt(jnp.sum(rows**2, axis=0))
-    scaled = rows / norms[None]
-    factor = cho_factor(scaled.T @ scaled)
-    return cho_solve(factor, scaled.T @ targets) / norms

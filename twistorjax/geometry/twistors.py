@@ -202,6 +202,12 @@ class Displacement(eqx.Module):
         """
         return cls(pose[0], *twistor(pose))
 
+    def pose(self) -> Pose:
+        """Return the pose of the second frame relative to the first; rad, m, m."""
+        half_x = self.sigma * self.x1 - self.xi * self.x2
+        half_y = self.xi * self.x1 + self.sigma * self.x2
+        return jnp.stack([self.angle, 2 * half_x, 2 * half_y])
+
     def strain(self) -> Twist:
         """Return twice the vector part of the twistor; -, m, m.
 

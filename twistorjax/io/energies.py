@@ -9,10 +9,13 @@ import jax.numpy as jnp
 from .._utils.json_files import EntryError
 from ..energies.base import AbstractEnergy, Scaled, Sum, validation_error
 from ..energies.mixed import MixedEnergy
+from ..energies.one_freedom import OneFreedomEnergy
 from ..energies.point_charges import PointCharges
 from ..energies.polynomial import Polynomial, Rational, SumOfSquares
 from ..energies.quadratic import Quadratic
 from ..energies.validity import WithValidityRange
+from ..flexures.condensed import Condensed
+from ..mechanism.sub_mechanism import SubMechanism
 
 
 _CLASSES = {
@@ -24,6 +27,8 @@ _CLASSES = {
         SumOfSquares,
         MixedEnergy,
         WithValidityRange,
+        OneFreedomEnergy,
+        Condensed,
         PointCharges,
         Sum,
         Scaled,
@@ -36,8 +41,8 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
 
     Args:
         energy: Energy of one of the classes `Quadratic`, `Polynomial`, `Rational`,
-            `SumOfSquares`, `MixedEnergy`, `WithValidityRange` and `PointCharges`, or a
-            sum or a multiple of such energies.
+            `SumOfSquares`, `MixedEnergy`, `OneFreedomEnergy`, `WithValidityRange`,
+            `Condensed` and `PointCharges`, or a sum or a multiple of such energies.
         path: Path of the file. A file that exists is replaced once the new one is
             complete.
 
@@ -99,6 +104,8 @@ def energy_record(energy: AbstractEnergy) -> dict[str, Any]:
     def content(value: Any) -> Any:
         if isinstance(value, AbstractEnergy):
             return energy_record(value)
+        if isinstance(value, SubMechanism):
+            return _mechanisms().sub_mechanism_record(value)
         return [content(part) for part in value] if isinstance(value, tuple) else value
 
     record: dict[str, Any] = {"kind": name}
@@ -112,6 +119,13 @@ def energy_record(energy: AbstractEnergy) -> dict[str, Any]:
     return record
 
 
+def _mechanisms():
+    """Return the module `mechanisms`, which imports this one."""
+    from . import mechanisms
+
+    return mechanisms
+
+
 def energy_from_record(record: Any, entry: str) -> AbstractEnergy:
     """Create an energy from its record, which has this name in the file.
 
@@ -120,11 +134,15 @@ def energy_from_record(record: Any, entry: str) -> AbstractEnergy:
     """
 
     def to_argument(name: str, value: Any) -> Any:
+        if name == "part":
+            return _mechanisms().sub_mechanism_from_record(value, f"{entry}.part")
+        if value is None:
+            return None
         if hasattr(value, "__struct_fields__"):  # the record of an energy
             return energy_from_record(value, f"{entry}.{name}")
         if name == "parts":
             return tuple(to_argument(f"parts[{k}]", part) for k, part in enumerate(value))
-        if name in ("powers", "coordinates", "flexure"):
+        if name in ("powers", "coordinates", "flexure", "freedom"):
             return value
         return jnp.asarray(value, float)
 

@@ -6,12 +6,15 @@ from typing import Any
 import numpy as np
 
 from .._utils.json_files import EntryError
+from .._utils.types import Corners
 from .._utils.validation import require_float64
 from ..energies.damping import ViscousDamping
 from ..mechanism.body import Body
 from ..mechanism.expansion import Expansion
 from ..mechanism.hinge import Hinge
 from ..mechanism.mechanism import COORDINATES, Mechanism
+from ..mechanism.outline import AbstractOutline
+from ..mechanism.sub_mechanism import SubMechanism
 from .energies import energy_from_record, energy_record
 
 
@@ -42,6 +45,95 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
     from .records import write_record
 
     require_float64(mechanism.reference)
+    write_record(path, "mechanism", _mechanism_record(mechanism))
+
+
+def load_mechanism(path: str | Path) -> Mechanism:
+    """Read a mechanism from a JSON file that `save_mechanism` or a user wrote.
+
+    All values are in SI units. The manual page on files shows the layout.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        The mechanism. Hinges with equal energies share one energy.
+
+    Raises:
+        ValueError: The file is damaged or of another version; an entry is unknown,
+            missing, of a wrong type or out of range; or the entries do not make a valid
+            mechanism. The message names the file and the entry.
+        OSError: The file cannot be read.
+    """
+    from .records import read_record
+
+    record = read_record(path, "mechanism")
+    try:
+        return _mechanism_from_record(record, "mechanism")
+    except EntryError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _mechanism_from_record(record: Any, name: str) -> Mechanism:
+    """Create a mechanism from its record, which has this name in the file.
+
+    Raises:
+        EntryError: The values of the record do not make a valid mechanism.
+    """
+    from msgspec.json import encode
+
+    entry = name
+    try:
+        bodies = []
+        for k, body in enumerate(record.bodies):
+            entry = f"{name}.bodies[{k}]"
+            outline = _to_array(body.outline)
+            bodies.append(
+                Body(
+                    body.name,
+                    body.pose,
+                    body.mass,
+                    body.inertia,
+                    outline,
+                    body.expansion,
+                )
+            )
+        hinges, energies = [], {}
+        for k, hinge in enumerate(record.hinges):
+            entry = f"{name}.hinges[{k}]"
+            content = encode(hinge.energy)
+            if content not in energies:
+                energies[content] = energy_from_record(hinge.energy, f"{entry}.energy")
+            hinges.append(
+                Hinge(
+                    hinge.name,
+                    hinge.first,
+                    hinge.second,
+                    energies[content],
+                    hinge.at,
+                    damping=_damping_from_record(hinge.damping),
+                    outline=_outline_from_record(hinge.outline, f"{entry}.outline"),
+                    misfit=hinge.misfit,
+                    expansion=_expansion_from_record(hinge.expansion),
+                )
+            )
+        entry = name
+        return Mechanism(bodies, hinges, fixed=record.fixed)
+    except EntryError:
+        raise
+    except ValueError as error:
+        raise EntryError(f"the entry `{entry}`: {error}") from error
+
+
+def _outline_from_record(record: Any, entry: str) -> np.ndarray | SubMechanism | None:
+    """Create the outline of a hinge from its record, which has this name in the file."""
+    if hasattr(record, "__struct_fields__"):
+        return sub_mechanism_from_record(record, entry)
+    return _to_array(record)
+
+
+def _mechanism_record(mechanism: Mechanism) -> dict[str, Any]:
+    """Return the content of the record of a mechanism, for `write_record`."""
     misfits = mechanism.hinge_assembly.misfits
     if misfits is not None and np.any(np.asarray(misfits)[:, 3:]):
         raise ValueError(
@@ -72,7 +164,7 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
                 "at": mechanism.at[row],
                 "energy": energy_record(energy),
                 "damping": damping,
-                "outline": mechanism.hinge_outlines[row],
+                "outline": _outline_record(mechanism.hinge_outlines[row]),
                 "misfit": mechanism.misfit_of(name),
                 "expansion": mechanism.hinge_expansions[row],
             }
@@ -81,73 +173,30 @@ def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:
     for dof in mechanism.fixed:
         name = mechanism.names[dof // 3]
         fixed.setdefault(name, []).append(COORDINATES[dof % 3])
-    record = {"bodies": bodies, "hinges": hinges, "fixed": fixed}
-    write_record(path, "mechanism", record)
+    return {"bodies": bodies, "hinges": hinges, "fixed": fixed}
 
 
-def load_mechanism(path: str | Path) -> Mechanism:
-    """Read a mechanism from a JSON file that `save_mechanism` or a user wrote.
+def _outline_record(outline: Corners | AbstractOutline | None) -> Any:
+    """Return the content of the record of the outline of a hinge."""
+    return sub_mechanism_record(outline) if isinstance(outline, SubMechanism) else outline
 
-    All values are in SI units. The manual page on files shows the layout.
 
-    Args:
-        path: Path of the file.
+def sub_mechanism_record(part: SubMechanism) -> dict[str, Any]:
+    """Return the content of the record of a sub-mechanism, for `write_record`."""
+    return {"mechanism": _mechanism_record(part.mechanism), "second": part.second}
 
-    Returns:
-        The mechanism. Hinges with equal energies share one energy.
+
+def sub_mechanism_from_record(record: Any, entry: str) -> SubMechanism:
+    """Create a sub-mechanism from its record, which has this name in the file.
 
     Raises:
-        ValueError: The file is damaged or of another version; an entry is unknown,
-            missing, of a wrong type or out of range; or the entries do not make a valid
-            mechanism. The message names the file and the entry.
-        OSError: The file cannot be read.
+        EntryError: The values of the record do not make a valid sub-mechanism.
     """
-    from msgspec.json import encode
-
-    from .records import read_record
-
-    record = read_record(path, "mechanism")
-    entry = "mechanism"
+    mechanism = _mechanism_from_record(record.mechanism, f"{entry}.mechanism")
     try:
-        bodies = []
-        for k, body in enumerate(record.bodies):
-            entry = f"mechanism.bodies[{k}]"
-            outline = _to_array(body.outline)
-            bodies.append(
-                Body(
-                    body.name,
-                    body.pose,
-                    body.mass,
-                    body.inertia,
-                    outline,
-                    body.expansion,
-                )
-            )
-        hinges, energies = [], {}
-        for k, hinge in enumerate(record.hinges):
-            entry = f"mechanism.hinges[{k}]"
-            content = encode(hinge.energy)
-            if content not in energies:
-                energies[content] = energy_from_record(hinge.energy, f"{entry}.energy")
-            hinges.append(
-                Hinge(
-                    hinge.name,
-                    hinge.first,
-                    hinge.second,
-                    energies[content],
-                    hinge.at,
-                    damping=_damping_from_record(hinge.damping),
-                    outline=_to_array(hinge.outline),
-                    misfit=hinge.misfit,
-                    expansion=_expansion_from_record(hinge.expansion),
-                )
-            )
-        entry = "mechanism"
-        return Mechanism(bodies, hinges, fixed=record.fixed)
-    except EntryError as error:
-        raise ValueError(f"{path}: {error}") from error
+        return SubMechanism(mechanism, record.second)
     except ValueError as error:
-        raise ValueError(f"{path}: the entry `{entry}`: {error}") from error
+        raise EntryError(f"the entry `{entry}`: {error}") from error
 
 
 def _damping_from_record(record: Any) -> ViscousDamping | float | None:

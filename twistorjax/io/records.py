@@ -28,8 +28,9 @@ from .._utils.validation import shorten
 from ..energies.polynomial import LARGEST_POWER
 
 
-VERSION = 3
-_READABLE_VERSIONS = (2, VERSION)  # version 2 has neither misfits nor expansions
+VERSION = 4
+# Version 2 has neither misfits nor expansions, and version 3 no sub-mechanisms.
+_READABLE_VERSIONS = (2, 3, VERSION)
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -92,6 +93,19 @@ class WithValidityRange(_EnergyRecord, frozen=True):
     rotation: float
     force: float
     error: Triple
+    displacement: float | None = None
+
+
+class OneFreedomEnergy(_EnergyRecord, frozen=True):
+    coefficients: list[float]
+    length: float
+    force: float
+    powers: Powers
+    freedom: str
+
+
+class Condensed(_EnergyRecord, frozen=True):
+    part: "SubMechanism"
 
 
 class PointCharges(_EnergyRecord, frozen=True):
@@ -118,6 +132,8 @@ Energy = (
     | SumOfSquares
     | MixedEnergy
     | WithValidityRange
+    | OneFreedomEnergy
+    | Condensed
     | PointCharges
     | Sum
     | Scaled
@@ -151,7 +167,7 @@ class Hinge(_Record, frozen=True):
     at: Triple
     energy: Energy
     damping: float | Damping | None  # A number is a damping time; s.
-    outline: Corners | None
+    outline: "Corners | SubMechanism | None"
     misfit: Triple | None = None
     expansion: Expansion | None = None
 
@@ -175,6 +191,11 @@ class Mechanism(_Record, frozen=True):
                     f"{describe_value((invalid or listed)[0])}, but must be a list of "
                     "coordinates: 'angle', 'x' and 'y'."
                 )
+
+
+class SubMechanism(_Record, frozen=True):
+    mechanism: Mechanism
+    second: str
 
 
 _KINDS: dict[str, Any] = {"energy": Energy, "mechanism": Mechanism}

@@ -6,3 +6,4 @@ from .hinge_changes import Temperature as Temperature
 from .loads import Drive as Drive, Load as Load, weights as weights
 from .material import Material as Material
 from .mechanism import Mechanism as Mechanism
+from .sub_mechanism import SubMechanism as SubMechanism

@@ -22,10 +22,13 @@ from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
 from .expansion import Expansion
 from .hinge_kinematics import misfit_numbers
+from .outline import AbstractOutline
 
 
 # Displacement (angle, x, y) at which a hinge is not loaded, or that of its ports; rad, m
 MisfitLike = TypeAliasType("MisfitLike", PoseLike | Literal["ports"])
+# Corners of a polygon (m), or the parts that are drawn
+OutlineLike = TypeAliasType("OutlineLike", CornersLike | AbstractOutline)
 
 
 class Hinge(eqx.Module):
@@ -54,6 +57,7 @@ class Hinge(eqx.Module):
             not coincide in the reference configuration, and the hinge is not loaded where
             they coincide. Preload and errors of assembly are misfits; rad, m, m.
         outline: Corners of a closed polygon in the frame of the hinge, for drawing; m.
+            Or a `SubMechanism`, which is drawn with all of its parts.
         expansion: Thermal `Expansion` of the hinge, by default none.
 
     Raises:
@@ -76,7 +80,7 @@ class Hinge(eqx.Module):
     damping: ViscousDamping | Scalar | None
     misfit: Pose | None
     misfit_of_ports: bool = eqx.field(static=True)
-    outline: Corners | None
+    outline: Corners | AbstractOutline | None
     expansion: Expansion | None
 
     def __init__(
@@ -90,7 +94,7 @@ class Hinge(eqx.Module):
         ports: Sequence[PoseLike] | None = None,
         damping: DampingLike | None = None,
         misfit: MisfitLike | None = None,
-        outline: CornersLike | None = None,
+        outline: OutlineLike | None = None,
         expansion: Expansion | None = None,
     ):
         self.name = require_text("The name of a hinge", name)
@@ -130,9 +134,11 @@ class Hinge(eqx.Module):
                 )
         elif misfit is not None:
             self.misfit = require_pose(f"`misfit` {owner}", misfit)
-        self.outline = (
-            None if outline is None else require_corners(f"`outline` {owner}", outline)
-        )
+        self.outline = None
+        if isinstance(outline, AbstractOutline):
+            self.outline = outline
+        elif outline is not None:
+            self.outline = require_corners(f"`outline` {owner}", outline)
         self.expansion = expansion
 
 

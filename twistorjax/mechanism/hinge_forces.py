@@ -283,7 +283,7 @@ def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEn
     """Return the model of an energy for a Newton step, if a stress is predicted."""
     if predicted is None:
         return energy
-    return solver_protocols.newton_model(energy, predicted[1])
+    return solver_protocols.newton_model(energy, predicted)
 
 
 def gradient_and_hessian(

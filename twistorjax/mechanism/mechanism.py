@@ -29,6 +29,7 @@ from .hinge_assembly import HingeAssembly
 from .hinge_groups import group_hinges, sums_of
 from .hinge_queries import HingeQueries
 from .misfits import expanded, with_strokes
+from .outline import AbstractOutline
 from .placement import warn_if_misplaced
 
 
@@ -71,7 +72,7 @@ class Mechanism(HingeQueries):
     outlines: tuple[Corners | None, ...]
     expansions: tuple[Scalar | None, ...]
     at: Float[Array, "hinges 3"]
-    hinge_outlines: tuple[Corners | None, ...]
+    hinge_outlines: tuple[Corners | AbstractOutline | None, ...]
     hinge_expansions: tuple[Expansion | None, ...]
     hinge_assembly: HingeAssembly
 

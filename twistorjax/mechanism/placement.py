@@ -10,6 +10,7 @@ from .._utils.host import all_concrete, concrete
 from ..energies.quadratic import Quadratic
 from .body import Body
 from .hinge import Hinge
+from .outline import AbstractOutline
 
 
 def warn_if_misplaced(
@@ -49,6 +50,8 @@ def warn_if_misplaced(
 def _length(hinge: Hinge) -> float | None:
     """Return the length of a flexure along axis 1, if it is known; m."""
     energy = hinge.energy
+    if isinstance(hinge.outline, AbstractOutline):
+        return None
     if hinge.outline is not None:
         corners = concrete(hinge.outline)
         return None if corners is None else float(np.ptp(corners[:, 0]))

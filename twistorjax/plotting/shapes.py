@@ -6,10 +6,13 @@ animation ten times slower.
 
 from typing import Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._utils.types import Corners, Pose
+from ..flexures.condensed import drawn_displacements
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.sub_mechanism import SubMechanism
 
 
 _SPRING_RADIUS = 0.015  # relative to the size of the mechanism
@@ -48,6 +51,13 @@ def mechanism_size(mechanism: Mechanism) -> float:
     ):
         if outline is not None:
             points.append(to_world(pose, outline))
+    for pose, outline in zip(
+        np.asarray(mechanism.at), mechanism.hinge_outlines, strict=True
+    ):
+        if isinstance(outline, SubMechanism):
+            inner = shapes(outline.mechanism, np.asarray(outline.mechanism.reference))
+            corners = np.concatenate([shape.corners for shape in inner])
+            points.append(to_world(pose, corners))
     return float(np.ptp(np.concatenate(points), axis=0).max()) or 1.0
 
 
@@ -72,7 +82,9 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         zip(mechanism.hinge_assembly.ends, mechanism.hinge_outlines, strict=True)
     ):
         frames = hinge_frames(mechanism, poses, hinge)
-        corners = np.zeros((1, 2)) if outline is None else np.asarray(outline)
+        polygon = outline is not None and not isinstance(outline, SubMechanism)
+        corners = np.asarray(outline) if polygon else np.zeros((1, 2))
+
         extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
         for body, frame, end in zip(ends, frames, extent, strict=True):
             if mechanism.outlines[body] is None:
@@ -83,9 +95,32 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
             share = np.linspace(0, 1, len(spiral))[:, None]
             center = (1 - share) * frames[0][1:] + share * frames[1][1:]
             hinges.append(Shape("spring", center + spiral, hinge))
+        elif isinstance(outline, SubMechanism):
+            hinges.extend(_parts(outline, frames, hinge))
+
         else:
             hinges.append(Shape("hinge", _deform(*frames, extent, corners), hinge))
     return bodies + lines + hinges
+
+
+def _parts(
+    part: SubMechanism, frames: tuple[np.ndarray, np.ndarray], hinge: int
+) -> list[Shape]:
+    """Return the outlines of a sub-mechanism between two frames (rad, m, m).
+
+    They have the row of the hinge. Bodies A and B are drawn with the mechanism.
+    """
+    mechanism = part.mechanism
+    pose = np.array([frames[1][0] - frames[0][0], 0.0, 0.0])
+    cos, sin = np.cos(frames[0][0]), np.sin(frames[0][0])
+    pose[1:] = np.array([[cos, sin], [-sin, cos]]) @ (frames[1][1:] - frames[0][1:])
+    displacements = np.asarray(drawn_displacements(part, jnp.asarray(pose)))
+    outer = {mechanism.index(part.first), mechanism.index(part.second)}
+    return [
+        shape._replace(corners=to_world(frames[0], shape.corners), row=hinge)
+        for shape in shapes(mechanism, np.asarray(mechanism.reference) + displacements)
+        if shape.kind != "line" or shape.row not in outer
+    ]
 
 
 def to_world(pose: np.ndarray, points: np.ndarray | Corners) -> np.ndarray:

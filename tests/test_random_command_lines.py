@@ -77,6 +77,7 @@ COMMANDS = {
         {"--hinges": TEXTS, "--release": NUMBERS, "--times": TEXTS, "--animate": PATHS},
         [["--energy", "heat"], ["--times", "0.2,0.1"], ["--animate", "motion.avi"]],
     ),
+    "four-bar-models": ({"--plot": PATHS}, [["--plot", "a.poem"], ["--jsno"]]),
     "identify": (
         {
             "--seed": NUMBERS,
@@ -90,6 +91,10 @@ COMMANDS = {
         [["--order", "5"], ["--seed", "9" * 20], ["--points", "1"]],
     ),
     "random-data": ({"--plot": PATHS}, [["--plot", "a.poem"], ["--jsno"]]),
+    "parallelogram": (
+        {"--cases": PATHS, "--bending-factor": NUMBERS, "--plot": PATHS},
+        [["--bending-factor", "0"], ["--cases", "none.csv"], ["--plot", "a.poem"]],
+    ),
     "fit-energy": (
         {"--order": NUMBERS, "--symmetry": TEXTS, "--hold-out": NUMBERS, "--out": PATHS},
         [["none.csv"], ["."], ["\udcff.csv"], ["a", "b"], []],

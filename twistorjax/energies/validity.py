@@ -21,7 +21,8 @@ class WithValidityRange(AbstractWrapper):
     Args:
         energy: The energy.
         rotation: Largest rotation in both directions; rad.
-        force: Largest magnitude of the force; N.
+        force: Largest magnitude of the force; N. If a displacement is given, it is that
+            of the axial force, because the displacement limits the transverse force.
         error: Relative error of (moment, force 1, force 2) in the range: the rms error
             divided by the rms value, on samples that were not used to determine the
             energy.
@@ -96,7 +97,7 @@ class WithValidityRange(AbstractWrapper):
         )
 
     def _force_magnitude(self, displacement: Displacement) -> Scalar:
-        """Compute the magnitude of the force at a displacement; N."""
+        """Compute the magnitude of the force that is limited, at a displacement; N."""
 
         def stored_energy(y1: Scalar, y2: Scalar) -> Scalar:
             angle, sigma, xi = displacement.angle, displacement.sigma, displacement.xi
@@ -107,6 +108,8 @@ class WithValidityRange(AbstractWrapper):
         force_1, force_2 = jax.grad(stored_energy, (0, 1))(
             2 * displacement.x1, 2 * displacement.x2
         )
+        if self.displacement is not None:
+            return jnp.abs(force_1)
         return jnp.sqrt(force_1**2 + force_2**2)
 
     def range_message(self, displacement: Displacement) -> str:

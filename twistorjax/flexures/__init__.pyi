@@ -37,12 +37,12 @@ from .notch import (
     notch_outline as notch_outline,
     notch_profile as notch_profile,
 )
-from .plates import bending_factor as bending_factor
 from .pivots import (
     butterfly_pivot as butterfly_pivot,
     cartwheel_pivot as cartwheel_pivot,
     cross_spring_pivot as cross_spring_pivot,
 )
+from .plates import bending_factor as bending_factor
 from .stress import (
     largest_stress as largest_stress,
     leaf_stress as leaf_stress,

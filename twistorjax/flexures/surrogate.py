@@ -61,7 +61,8 @@ def surrogate(
             pivot, which is compliant in rotation.
         displacement: Instead of the rotation, largest displacement along axis 2 of a
             sub-mechanism that is compliant in this direction, such as a parallelogram; m.
-        force: Largest magnitude of the force, in any direction; N. The default for a
+        force: Largest magnitude of the force, in any direction, or of the axial force if
+            the displacement is given; N. The default for a
             beam is 5 E I / L^2, with the length L. Above about 10 E I / L^2, a beam in
             compression buckles between its ends, which a polynomial cannot represent; see
             `chain`. The default for a sub-mechanism is half of the smallest range of a

@@ -1,0 +1,403 @@
+"""Sub-mechanisms that act as one hinge: exact energies, surrogates, ready-made ones."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose as assert_close
+from scipy.optimize import minimize
+
+import twistorjax as tj
+from twistorjax.energies import solver_protocols
+from twistorjax.flexures import Condensed
+from twistorjax.geometry import se2
+from twistorjax.geometry.twistors import Displacement
+from twistorjax.plotting.shapes import shapes
+
+
+STEEL = tj.Material(modulus=210e9, poisson=0.3)
+LENGTH, THICKNESS = 20e-3, 0.4e-3
+BEAM = tj.flexures.Beam(
+    STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3, shear_factor=None
+)
+BENDING = float(BEAM.rotational_stiffness)  # E I / L; N m/rad
+DEGREES_20 = np.radians(20)
+
+
+@pytest.fixture(scope="module")
+def leaf():
+    return tj.surrogate(BEAM, rotation=0.5)
+
+
+QUADRATIC_LEAF = tj.flexures.leaf(STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3)
+
+
+def guide_of_quadratic_leaves(scale=1.0):
+    """Build a double parallelogram; the leaves are stiffer by a factor."""
+    return tj.flexures.double_parallelogram(
+        BEAM, scale * QUADRATIC_LEAF, outer_spacing=20e-3, inner_spacing=12e-3
+    )
+
+
+GUIDE_POSE = jnp.array([2e-4, -4e-6, 2e-3])
+
+
+class TestExact:
+    def test_it_is_the_smallest_energy_over_the_poses_of_the_inner_body(self):
+        part = guide_of_quadratic_leaves()
+        rows = np.zeros((3, 3))
+        rows[part.mechanism.index("B")] = GUIDE_POSE
+        inner = part.mechanism.index("middle")
+        units = np.array([1e-3, 1e-5, 1e-3])
+        reference = part.mechanism.reference
+        energy = jax.jit(lambda rows: part.mechanism.energy(reference + rows))
+        gradient = jax.jit(jax.grad(lambda rows: part.mechanism.energy(reference + rows)))
+
+        def at(values):
+            rows[inner] = values * units
+            return float(energy(rows)), np.asarray(gradient(rows)[inner]) * units
+
+        found = minimize(at, np.zeros(3), jac=True, tol=1e-14)
+        assert_close(Condensed(part)(GUIDE_POSE), found.fun, rtol=1e-9)
+
+    def test_its_wrench_is_the_reaction_of_body_b(self):
+        part = guide_of_quadratic_leaves()
+        angle, x, y = GUIDE_POSE
+        moved = tj.Drive("B", angle=angle, x=x, y=y)
+        reaction = tj.equilibrium(part.mechanism, drives=[moved]).reaction("B")
+        expected = jnp.concatenate([reaction[:1], se2.rotate(-angle, reaction[1:])])
+        assert_close(Condensed(part).wrench(GUIDE_POSE), expected, rtol=1e-9)
+
+    def test_third_derivatives_agree_with_differences_of_the_second_ones(self):
+        hessian = jax.jit(jax.hessian(Condensed(guide_of_quadratic_leaves())))
+        step = jnp.array([0.0, 0.0, 1e-6])
+        slope = (hessian(GUIDE_POSE + step) - hessian(GUIDE_POSE - step)) / 2e-6
+        _, derivative = jax.jvp(hessian, (GUIDE_POSE,), (step * 1e6,))
+        size = jnp.max(jnp.abs(derivative))
+        assert_close(derivative / size, slope / size, atol=1e-6)
+
+    def test_a_derivative_by_the_stiffness_agrees_with_differences(self):
+        @jax.jit
+        def wrench(scale):
+            return Condensed(guide_of_quadratic_leaves(scale)).wrench(GUIDE_POSE)
+
+        slope = (wrench(1.001) - wrench(0.999)) / 0.002
+        assert_close(jax.jacfwd(wrench)(1.0), slope, rtol=1e-6)
+
+    def test_a_hinge_with_it_moves_as_the_whole_mechanism(self):
+        part = guide_of_quadratic_leaves()
+        hinge = tj.Hinge("guide", "A", "B", Condensed(part), at=(0.5, 0.01, 0.02))
+        bodies = [tj.Body("A"), tj.Body("B", (0.5, 0.01, 0.02))]
+        condensed = tj.Mechanism(bodies, [hinge], fixed=["A"])
+        load = jnp.array([0.02, 3.0, 1.0])
+        world = jnp.concatenate([load[:1], se2.rotate(jnp.array(0.5), load[1:])])
+        of_hinge = tj.equilibrium(condensed, loads=[tj.Load("B", world)])
+        of_all = tj.equilibrium(part.mechanism, loads=[tj.Load("B", load)])
+        angle, x, y = of_all.displacement("B")
+        moved = se2.rotate(jnp.array(0.5), jnp.stack([x, y]))
+        expected = jnp.concatenate([angle[None], moved])
+        assert_close(of_hinge.displacement("B"), expected, rtol=1e-7, atol=1e-13)
+
+
+# The ready-made flexures; the compliant stiffness over E I / L or E I / L^3
+FLEXURES = {
+    "cross-spring": (
+        lambda leaf: tj.flexures.cross_spring_pivot(BEAM, leaf, crossing=0.2),
+        0,
+        8 * (1 - 3 * 0.2 + 3 * 0.2**2),
+    ),
+    "cartwheel": (
+        lambda leaf: tj.flexures.cartwheel_pivot(BEAM, leaf, hub=2e-3),
+        0,
+        4 * 1.33,
+    ),
+    "butterfly": (
+        lambda leaf: tj.flexures.butterfly_pivot(BEAM, leaf, radius=5e-3),
+        0,
+        8 * (1 + 3 * 0.25 + 3 * 0.25**2),
+    ),
+    "parallelogram": (
+        lambda leaf: tj.flexures.parallelogram(BEAM, leaf, spacing=12e-3),
+        2,
+        24.0,
+    ),
+    "double parallelogram": (
+        lambda leaf: tj.flexures.double_parallelogram(
+            BEAM, leaf, outer_spacing=20e-3, inner_spacing=12e-3
+        ),
+        2,
+        12.0,
+    ),
+    "folded beam": (
+        lambda leaf: tj.flexures.folded_beam(
+            BEAM, leaf, outer_spacing=20e-3, inner_spacing=12e-3, gap=6e-3
+        ),
+        2,
+        24.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FLEXURES)
+def test_the_stiffness_of_ready_made_flexures_is_that_of_beam_theory(name):
+    """A leaf whose axis passes the center at r resists with 4 E I / L (1 + 3 s + 3 s^2).
+
+    The ratio s is r / L. The leaves are extensible, which the formula neglects.
+    """
+    build, direction, factor = FLEXURES[name]
+    part = build(QUADRATIC_LEAF)
+    stiffness = tj.port_compliance(part.mechanism, "B").stiffness[direction, direction]
+    unit = BENDING if direction == 0 else BENDING / LENGTH**2
+    assert_close(stiffness / unit, factor, rtol=2e-3)
+
+
+def linkage_of(energy):
+    hinge = tj.Hinge("flexure", "A", "B", energy, at=(0, 0, 0))
+    return tj.Mechanism([tj.Body("A"), tj.Body("B")], [hinge], fixed=["A"])
+
+
+@pytest.mark.parametrize("name", ["cross-spring", "cartwheel", "double parallelogram"])
+def test_a_surrogate_agrees_with_the_whole_mechanism(name, leaf):
+    """Moment, displacement of the center, and stiffness, within 0.1 % to 20 degrees."""
+    build, direction, _ = FLEXURES[name]
+    part = build(leaf)
+    if direction == 0:
+        fast = tj.surrogate(part, rotation=0.36, force=20.0)
+        size, key = DEGREES_20, "angle"
+    else:
+        fast = tj.surrogate(part, displacement=2.1e-3, force=20.0, error=1e-4)
+        size, key = 2e-3, "y"
+
+    def solve(mechanism):
+        found = []
+        for value in (-size, -size / 3, size / 2, size):
+            load = tj.Load("B", force=(8.0, 5.0 * (direction == 0)))
+            drive = tj.Drive("B", **{key: value})
+            found.append(tj.equilibrium(mechanism, drives=[drive], loads=[load]))
+        moved = np.stack([solution.displacement("B") for solution in found])
+        reactions = np.stack([solution.reaction("B")[direction] for solution in found])
+        port = tj.port_compliance(mechanism, "B", about=found[-1])
+        return moved, reactions, np.asarray(port.stiffness)
+
+    moved, reactions, stiffness = solve(part.mechanism)
+    fast_moved, fast_reactions, fast_stiffness = solve(linkage_of(fast))
+    assert_close(fast_reactions, reactions, atol=1e-3 * np.max(np.abs(reactions)))
+    scale = np.max(np.abs(moved), axis=0)
+    assert_close(fast_moved / scale, moved / scale, atol=1e-3)
+    units = np.sqrt(np.diag(stiffness))
+    scaled = (fast_stiffness - stiffness) / np.outer(units, units)
+    assert_close(scaled, np.zeros((3, 3)), atol=1e-3)
+    assert len(fast.energy.powers) <= 52  # the symmetries have been found
+
+
+def test_the_derivative_of_a_surrogate_by_the_geometry_agrees_with_differences():
+    pose = jnp.array([0.25, 1.4e-4, 1.8e-5])
+
+    @jax.jit
+    def wrench(thickness):
+        leaf = tj.flexures.leaf(STEEL, length=LENGTH, thickness=thickness, width=10e-3)
+        pivot = tj.flexures.cross_spring_pivot(BEAM, leaf)
+        fast = tj.surrogate(pivot, rotation=0.3, force=20.0, order=6)
+        return fast.energy.wrench(pose)
+
+    step = 1e-7
+    slope = (wrench(THICKNESS + step) - wrench(THICKNESS - step)) / (2 * step)
+    assert_close(jax.jacfwd(wrench)(THICKNESS), slope, rtol=1e-4)
+
+
+POWERS = [
+    (i, j, k)
+    for i in range(4)
+    for j in range(4)
+    for k in range(4)
+    if 1 < i + j + k < 6 and j + k <= 4
+]
+
+
+class TestOneFreedomEnergy:
+    def energy(self, freedom):
+        values = 0.02 * np.random.default_rng(3).normal(size=len(POWERS))
+        for row, value in {(2, 0, 0): 1.0, (0, 2, 0): -0.5, (0, 0, 2): -0.4}.items():
+            values[POWERS.index(row)] = value
+        return tj.energies.OneFreedomEnergy(
+            values, POWERS, freedom=freedom, length=0.5, force=2.0
+        )
+
+    @pytest.mark.parametrize("freedom", ["rotation", "transverse"])
+    def test_it_is_the_maximum_over_both_forces(self, freedom):
+        energy = self.energy(freedom)
+        twist = np.array([0.2, 0.1, -0.07])
+        compliant = twist[0] if freedom == "rotation" else twist[2] / 0.5
+        stretch = twist[1:] * 2.0 if freedom == "rotation" else twist[:2] * [1.0, 2.0]
+
+        def negative(forces):
+            terms = [compliant**i * forces[0] ** j * forces[1] ** k for i, j, k in POWERS]
+            return -(forces @ stretch + np.dot(energy.coefficients, terms))
+
+        found = minimize(negative, np.zeros(2), tol=1e-13, method="Nelder-Mead")
+        assert np.all(np.abs(found.x) < 1)  # no saturation
+        assert_close(energy(se2.exp(jnp.asarray(twist))), -found.fun, rtol=1e-10)
+
+    @pytest.mark.parametrize("factor", [1.0, 10.0])
+    def test_it_is_smooth_inside_and_outside_of_the_reference_forces(self, factor):
+        energy = self.energy("rotation")
+        pose = factor * jnp.array([0.1, 0.3, -0.2])
+        gradient = jax.grad(energy)
+        step = 1e-6 * jnp.eye(3)
+        rows = [(gradient(pose + row) - gradient(pose - row)) / 2e-6 for row in step]
+        assert_close(jax.hessian(energy)(pose), jnp.stack(rows), rtol=1e-6, atol=1e-7)
+
+    def test_its_damping_is_proportional_to_the_stiffness_at_any_displacement(self):
+        """A stretch is damped with one time, also where the hinge is softer."""
+        energy, time = self.energy("rotation"), 0.1
+        pose = jnp.array([0.6, -0.05, 0.02])
+        rates = jnp.array([0.0, 0.02, -0.01])
+        at = Displacement.from_pose(pose)
+        resisted = solver_protocols.resisted_rates(energy, at, tuple(rates))
+        matrix = solver_protocols.proportional_damping(energy, jnp.array(time)).damping
+        power = jnp.stack(resisted) @ matrix @ jnp.stack(resisted)
+        twist = se2.twist(pose)
+        stiffness = jax.hessian(lambda twist: energy(se2.exp(twist)))(twist)
+        assert_close(power, time * rates @ stiffness @ rates, rtol=1e-9)
+
+
+class TestRange:
+    def test_a_displacement_outside_the_range_is_reported(self):
+        guide = FLEXURES["parallelogram"][0](QUADRATIC_LEAF)
+        fast = tj.surrogate(guide, displacement=1e-3, force=20.0)
+        with pytest.raises(ValueError, match=r"transverse displacement 0\.0015 m"):
+            fast(jnp.array([0.0, -1e-4, 1.5e-3]))
+
+    def test_a_hinge_outside_its_range_is_reported(self, leaf):
+        pivot = FLEXURES["cartwheel"][0](leaf)
+        with pytest.raises(ValueError, match="hinge is outside its validity range"):
+            tj.surrogate(pivot, rotation=1.5, force=20.0)
+
+    def test_the_force_follows_from_the_surrogates_in_it(self, leaf):
+        pivot = FLEXURES["cross-spring"][0](leaf)
+        assert_close(tj.surrogate(pivot, rotation=0.2).force, leaf.force / 2)
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            ({}, "Give either `rotation`"),
+            ({"rotation": 0.1, "displacement": 1e-3}, "both are given"),
+            ({"rotation": 0.1}, "`force` is not given"),
+        ],
+    )
+    def test_ranges_that_are_incomplete(self, arguments, message):
+        with pytest.raises(ValueError, match=message):
+            tj.surrogate(guide_of_quadratic_leaves(), **arguments)
+
+    @pytest.mark.untyped
+    def test_other_flexures(self):
+        with pytest.raises(ValueError, match="must be a `Beam` or a `SubMechanism`"):
+            tj.surrogate(STEEL, rotation=0.1)
+
+
+class TestErrors:
+    def parts(self, **changes):
+        energy = tj.flexures.leaf(STEEL, length=LENGTH, thickness=THICKNESS, width=0.01)
+        hinge = tj.Hinge("leaf", "A", "B", energy, at=(0, 0, 0), **changes)
+        return [tj.Body("A"), tj.Body("B")], [hinge]
+
+    @pytest.mark.parametrize(
+        ("fixed", "second", "message"),
+        [
+            ([], "B", "no body"),
+            (["A", "B"], "B", "'A', 'B'"),
+            ({"A": ["angle", "x", "y"], "B": ["x"]}, "B", "1 other coordinates"),
+            (["A"], "A", "is the fixed body"),
+            (["A"], "C", "`second`"),
+        ],
+    )
+    def test_bodies(self, fixed, second, message):
+        with pytest.raises(ValueError, match=message):
+            tj.SubMechanism(tj.Mechanism(*self.parts(), fixed=fixed), second)
+
+    def test_misfits(self):
+        mechanism = tj.Mechanism(*self.parts(misfit=(0.01, 0, 0)), fixed=["A"])
+        with pytest.raises(ValueError, match="has a misfit"):
+            tj.SubMechanism(mechanism, "B")
+
+    @pytest.mark.parametrize(
+        ("build", "message"),
+        [
+            (
+                lambda leaf: tj.flexures.cross_spring_pivot(BEAM, leaf, angle=4.0),
+                "`angle`",
+            ),
+            (
+                lambda leaf: tj.flexures.cross_spring_pivot(BEAM, leaf, crossing=2),
+                "crossing",
+            ),
+            (lambda leaf: tj.flexures.cartwheel_pivot(BEAM, leaf, hub=-1e-3), "`hub`"),
+            (
+                lambda leaf: tj.flexures.butterfly_pivot(BEAM, leaf, radius=0.0),
+                "`radius`",
+            ),
+            (
+                lambda leaf: tj.flexures.parallelogram(BEAM, leaf, spacing=0.0),
+                "`spacing`",
+            ),
+            (
+                lambda leaf: tj.flexures.double_parallelogram(
+                    BEAM, leaf, outer_spacing=0.01, inner_spacing=0.02
+                ),
+                "below 1",
+            ),
+        ],
+    )
+    def test_dimensions_of_ready_made_flexures(self, build, message, leaf):
+        with pytest.raises(ValueError, match=message):
+            build(leaf)
+
+    def test_curved_leaves(self, leaf):
+        arc = tj.flexures.Beam(
+            STEEL, length=LENGTH, thickness=THICKNESS, width=0.01, curvature=1.0
+        )
+        with pytest.raises(ValueError, match="is curved"):
+            tj.flexures.cross_spring_pivot(arc, leaf)
+
+
+def test_files_keep_condensed_hinges_and_their_outlines(tmp_path):
+    pivot = FLEXURES["cross-spring"][0](QUADRATIC_LEAF)
+    fast = tj.surrogate(pivot, rotation=0.3, force=20.0)
+    hinges = [
+        tj.Hinge("exact", "1", "2", Condensed(pivot), at=(0, 0, 0), outline=pivot),
+        tj.Hinge("fast", "2", "3", fast, at=(0, 0.05, 0), outline=pivot),
+    ]
+    bodies = [tj.Body("1"), tj.Body("2"), tj.Body("3")]
+    path = tmp_path / "pivots.json"
+    tj.io.save_mechanism(tj.Mechanism(bodies, hinges, fixed=["1"]), path)
+    loaded = tj.io.load_mechanism(path)
+    pose = jnp.array([0.2, 0.0, 0.0])
+    for name, energy in (("exact", Condensed(pivot)), ("fast", fast.energy)):
+        row = loaded.hinge_names.index(name)
+        found = loaded.hinge_assembly.energy_of(row)
+        found = getattr(found, "energy", found)
+        assert_close(found(pose), energy(pose), rtol=0)
+    (first, _) = loaded.hinge_outlines
+    assert repr(first) == repr(pivot)
+    assert_close(first.mechanism.at, pivot.mechanism.at, rtol=0)
+
+
+def test_a_drawing_shows_the_leaves_of_a_condensed_hinge():
+    pivot = FLEXURES["cartwheel"][0](QUADRATIC_LEAF)
+    at = np.array([0.3, 0.01, 0.02])
+    hinge = tj.Hinge("pivot", "1", "2", Condensed(pivot), at=at, outline=pivot)
+    mechanism = tj.Mechanism([tj.Body("1"), tj.Body("2")], [hinge], fixed=["1"])
+    drawn = shapes(mechanism, np.asarray(mechanism.reference))
+    assert [shape.kind for shape in drawn].count("hinge") == 4
+    (hub,) = [shape for shape in drawn if shape.kind == "body"]
+    assert_close(np.mean(hub.corners, axis=0), at[1:], atol=1e-12)
+    # By symmetry, the hub rotates by half of the rotation.
+    moved = tj.equilibrium(mechanism, drives=[tj.Drive("2", angle=0.2)])
+    drawn = shapes(mechanism, np.asarray(moved.displacements + mechanism.reference))
+    (turned,) = [shape for shape in drawn if shape.kind == "body"]
+    edge, before = (
+        np.diff(turned.corners[:2], axis=0)[0],
+        np.diff(hub.corners[:2], axis=0)[0],
+    )
+    angle = np.arctan2(before[0] * edge[1] - before[1] * edge[0], before @ edge)
+    assert_close(angle, 0.1, rtol=1e-3)

@@ -60,7 +60,13 @@ def run(path: Path, keep: bool) -> str:
     notebook = nbformat.read(path, as_version=4)
     metadata = dict(notebook.metadata)
     start = time.perf_counter()
-    NotebookClient(notebook, timeout=TIMEOUT, record_timing=False).execute()
+    client = NotebookClient(
+        notebook,
+        timeout=TIMEOUT,
+        record_timing=False,
+        resources={"metadata": {"path": str(path.parent)}},  # as Jupyter
+    )
+    client.execute()
     seconds = time.perf_counter() - start
     sizes = [
         len(str(o)) for c in notebook.cells for o in c.get("outputs", [])

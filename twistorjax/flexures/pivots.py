@@ -28,7 +28,7 @@ def cross_spring_pivot(
 ) -> SubMechanism:
     """Create a pivot of two leaves that cross without touching each other.
 
-    Its rotational stiffness without a load is `4 E I / L (1 - 3 c + 3 c^2)`, with the
+    Its rotational stiffness without a load is `8 E I / L (1 - 3 c + 3 c^2)`, with the
     length L of a leaf and the crossing c; the pivot with `c = 0.5` is the most compliant.
 
     Args:

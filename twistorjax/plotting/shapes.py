@@ -88,7 +88,7 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
         for body, frame, end in zip(ends, frames, extent, strict=True):
             if mechanism.outlines[body] is None:
-                (tip,) = to_world(frame, np.array([[end, 0.0]]))
+                (tip,) = to_world(frame, np.array([[end, _axis_at(corners, end)]]))
                 lines.append(Shape("line", np.stack([poses[body][1:], tip]), body))
         if outline is None:
             # The spiral starts at the first frame and ends at the second one.
@@ -173,6 +173,15 @@ def attached_frame(
     motion = poses[body] - np.array([reference[0], 0.0, 0.0])
     (origin,) = to_world(motion, (frame[1:] - reference[1:])[None])
     return np.array([frame[0] + motion[0], *origin])
+
+
+def _axis_at(corners: np.ndarray, end: float) -> float:
+    """Return the coordinate along axis 2 at an end of an outline; m.
+
+    It is not zero for a curved leaf.
+    """
+    near = np.abs(corners[:, 0] - end) <= 0.02 * np.ptp(corners[:, 0])
+    return float(np.mean(corners[near, 1]))
 
 
 def _unit_spiral() -> np.ndarray:

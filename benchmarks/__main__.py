@@ -16,6 +16,7 @@ from rich.table import Table
 
 from . import (
     chains,
+    condensed,
     first_calls,
     identification,
     leaves,
@@ -53,7 +54,7 @@ def main(
         table.add_row(*format_row(row))
 
     modules = (
-        statics, peers, chains, peers_chains, leaves, motion, peers_motion,
+        statics, peers, chains, peers_chains, leaves, condensed, motion, peers_motion,
         identification, peers_identification, sweeps, first_calls,
     )  # fmt: skip
     for module in modules:

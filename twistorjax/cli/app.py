@@ -13,6 +13,7 @@ from .common import ClickException
 from .export import export
 from .fit_energy import fit_energy
 from .four_bar import four_bar
+from .four_bar_models import four_bar_models
 from .identify import identify
 from .parallelogram import parallelogram
 from .random_data import random_data
@@ -27,6 +28,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 _SHORT_HELP = {
     stage: "Gain of the micropositioning stage.",
     four_bar: "Motion of the four-bar linkages.",
+    four_bar_models: "Hinge models of the four-bar linkages.",
     parallelogram: "Parallelogram flexure under large loads.",
     fit_energy: "Fit the energy of a hinge to trials.",
     identify: "Identify stiffnesses from a motion.",

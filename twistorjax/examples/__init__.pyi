@@ -1,5 +1,6 @@
 from . import (
     four_bar as four_bar,
+    four_bar_models as four_bar_models,
     identification as identification,
     parallelogram as parallelogram,
     random_data as random_data,

@@ -223,6 +223,8 @@ def test_an_exact_beam_is_a_hinge_of_a_mechanism():
     solution = tj.equilibrium(mechanism, loads=[tj.Load("tip", (0.0, 0.0, 8.0))])
     tip = under_tip_force(beam, np.array([0.0, 8.0])).centerline[-1]
     np.testing.assert_allclose(solution.pose("tip"), tip, rtol=1e-7)
+    without_load = tj.equilibrium(mechanism, loads=[tj.Load("tip", (0.0, 0.0, 0.0))])
+    np.testing.assert_array_equal(without_load.displacements, 0.0)
 
 
 @pytest.mark.untyped

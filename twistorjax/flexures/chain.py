@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
@@ -53,6 +54,10 @@ _MOST_SEGMENTS = 24
 _LOADS = 1000  # for the error estimate
 
 
+# Number of segments
+SegmentsLike = TypeAliasType("SegmentsLike", int | Literal["auto"])
+
+
 class Chain(NamedTuple):
     """A flexure as bodies and hinges of a mechanism.
 
@@ -79,7 +84,7 @@ def chain(
     rotation: NumberLike = 1.0,
     force: NumberLike | None = None,
     stress: NumberLike | None = None,
-    segments: int | Literal["auto"] = "auto",
+    segments: SegmentsLike = "auto",
     error: float = 1e-3,
 ) -> Chain:
     """Divide a flexure into segments with surrogates, for large loads and displacements.

@@ -2,12 +2,16 @@
 
 from dataclasses import fields
 from operator import attrgetter
-from typing import Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from .._utils.host import as_float, on_host
 from .base import AbstractEnergy
+
+
+Energy = TypeVar("Energy", bound=AbstractEnergy)
 
 
 @runtime_checkable
@@ -49,3 +53,32 @@ def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEn
             continue
         energy = eqx.tree_at(attrgetter(field.name), energy, new)
     return energy
+
+
+def dilated_potential(energy: Energy, scale: Float[Array, "*batch"]) -> Energy:
+    """Return an energy with the fields `coefficients`, `length`, and `force`.
+
+    Args:
+        energy: An energy whose coefficients (J) belong to displacements over the length
+            (m) and forces over the force (N).
+        scale: The factor of all dimensions of its hinge.
+
+    Returns:
+        The energy of the larger hinge.
+    """
+    xp, (scale, *values) = on_host(scale, *_potential_fields(energy))
+    coefficients, length, force = values
+    shape = (*xp.shape(scale), coefficients.shape[-1])
+    factors = xp.broadcast_to(xp.asarray(scale**3)[..., None], shape)
+    return eqx.tree_at(
+        _potential_fields,
+        energy,
+        (
+            as_float(factors * xp.broadcast_to(coefficients, factors.shape)),
+            as_float(scale * length),
+            as_float(scale**2 * force),
+        ),
+    )
+
+
+_potential_fields = attrgetter("coefficients", "length", "force")

@@ -13,12 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete, on_host
+from .._utils.host import as_float, concrete
 from .._utils.types import CoefficientsLike, NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
+from .dilation import dilated_potential
 from .evaluation import evaluate_polynomial
 from .mixed_potential import (
     axial_force_ratio,
@@ -126,20 +127,7 @@ class MixedEnergy(CoordinateEnergy):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "MixedEnergy":
         """Return the energy if all dimensions of the hinge are multiplied."""
-        xp, (scale, coefficients, length, force) = on_host(
-            scale, self.coefficients, self.length, self.force
-        )
-        shape = (*np.shape(scale), coefficients.shape[-1])
-        factors = xp.broadcast_to(xp.asarray(scale**3)[..., None], shape)
-        return eqx.tree_at(
-            lambda energy: (energy.coefficients, energy.length, energy.force),
-            self,
-            (
-                as_float(factors * xp.broadcast_to(coefficients, factors.shape)),
-                as_float(scale * length),
-                as_float(scale**2 * force),
-            ),
-        )
+        return dilated_potential(self, scale)
 
     def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
         return _NewtonModel(self, stress[1] / self.force)

@@ -8,12 +8,13 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete, on_host
+from .._utils.host import as_float, concrete
 from .._utils.types import CoefficientsLike, NumberLike, Scalar
 from .._utils.validation import require_choice, require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
+from .dilation import dilated_potential
 from .monomials import Powers
 from .one_freedom_potential import (
     ForceRatios,
@@ -127,20 +128,7 @@ class OneFreedomEnergy(CoordinateEnergy):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "OneFreedomEnergy":
         """Return the energy if all dimensions of the hinge are multiplied."""
-        xp, (scale, coefficients, length, force) = on_host(
-            scale, self.coefficients, self.length, self.force
-        )
-        shape = (*xp.shape(scale), coefficients.shape[-1])
-        factors = xp.broadcast_to(xp.asarray(scale**3)[..., None], shape)
-        return eqx.tree_at(
-            lambda energy: (energy.coefficients, energy.length, energy.force),
-            self,
-            (
-                as_float(factors * xp.broadcast_to(coefficients, factors.shape)),
-                as_float(scale * length),
-                as_float(scale**2 * force),
-            ),
-        )
+        return dilated_potential(self, scale)
 
     def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
         return _NewtonModel(self, self.force_ratios(stress))

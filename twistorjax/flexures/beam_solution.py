@@ -20,7 +20,7 @@ from typing_extensions import TypeAliasType
 from .._utils.types import NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import require_positive
 from ..geometry import se2
-from .beam import Beam, load_units
+from .beam import Beam, load_units, uniform
 from .cross_section import section_strains, Strains
 
 
@@ -84,14 +84,18 @@ class SectionState(NamedTuple):
     energy: Scalar
 
 
-def beam_under_load(beam: Beam, load: Wrench, sections: int = 21) -> BeamSolution:
+def beam_under_load(
+    beam: Beam, load: Wrench, sections: int | None = None
+) -> BeamSolution:
     """Compute the deformed state of a beam under a load on body B. Body A is fixed.
 
     Args:
         beam: The beam.
         load: Wrench that body B exerts on the beam, about the origin of frame a and in
             the axes of frame a; N m, N, N.
-        sections: Number of cross-sections of the result, including both ends.
+        sections: Number of cross-sections of the result, including both ends. The default
+            is 21 for a uniform thickness. Otherwise it is 201, because the stress changes
+            rapidly along the beam.
 
     Returns:
         The deformed state. It is NaN if a cross-section cannot carry its bending moment:
@@ -114,6 +118,9 @@ def beam_under_load(beam: Beam, load: Wrench, sections: int = 21) -> BeamSolutio
         >>> solution.pose[0]
         Array(1., dtype=float64)
     """
+    if sections is None:
+        uniform_thickness = getattr(beam.profile, "func", None) is uniform
+        sections = 21 if uniform_thickness else 201
     if sections < 2:
         raise ValueError(f"`sections` is {sections!r}, but must be 2 or more.")
     return _solve(beam, load, sections)

@@ -54,14 +54,14 @@ class ExactBeam(AbstractEnergy):
         return _energy(self.beam, displacement.pose())
 
 
-def beam_at_pose(beam: Beam, pose: Pose, sections: int = 21) -> BeamSolution:
+def beam_at_pose(beam: Beam, pose: Pose, sections: int | None = None) -> BeamSolution:
     """Compute the deformed state of a beam at a given displacement of its ends.
 
     Args:
         beam: The beam.
         pose: Pose of frame b relative to frame a, for example the displacement of a hinge
             as `Mechanism.displacement_of` returns it; rad, m, m.
-        sections: Number of cross-sections of the result, including both ends.
+        sections: Number of cross-sections of the result; see `beam_under_load`.
 
     Returns:
         The deformed state. It is NaN if no load is found for this displacement; see

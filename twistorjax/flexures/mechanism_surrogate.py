@@ -23,7 +23,12 @@ from ..mechanism.sub_mechanism import SubMechanism
 from ..solve.results import RESULTS
 from ..solve.statics import equilibrium
 from .condensed import Condensed, reference_stiffness
-from .samples import least_squares, low_discrepancy_points, SAMPLES
+from .samples import (
+    least_squares,
+    low_discrepancy_points,
+    relative_errors,
+    SAMPLES,
+)
 
 
 _FORCE_ORDER = 4  # largest sum of the powers of both forces
@@ -151,10 +156,7 @@ def fit_mechanism(
         length=samples.length,
         force=samples.force,
     )
-    wrenches = jax.vmap(energy.wrench)(samples.poses[SAMPLES:])
-    exact = samples.wrenches[SAMPLES:]
-    square = jnp.mean((wrenches - exact) ** 2, axis=0)
-    error = jnp.sqrt(square / jnp.mean(exact**2, axis=0))
+    error = relative_errors(energy, samples.poses[SAMPLES:], samples.wrenches[SAMPLES:])
     if freedom == "rotation":
         return WithValidityRange(energy, size, samples.force, error)
     largest = jnp.max(jnp.abs(jax.lax.stop_gradient(samples.poses[:, 0])))

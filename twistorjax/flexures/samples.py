@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.types import Matrix, Pose, Scalar, Wrench
+from ..energies.base import AbstractEnergy
 from .beam import Beam, load_units
 from .beam_solution import end_section, pose_and_wrench, reference_ends
 
@@ -121,3 +122,16 @@ def least_squares(
     scaled = rows / norms[None]
     factor = cho_factor(scaled.T @ scaled)
     return cho_solve(factor, scaled.T @ targets) / norms
+
+
+def relative_errors(
+    energy: AbstractEnergy,
+    poses: Float[Array, "samples 3"],
+    wrenches: Float[Array, "samples 3"],
+) -> Wrench:
+    """Compute the rms error of each component of the wrench over its rms value.
+
+    The wrenches are in frame b (N m, N, N), at the poses of frame b (rad, m, m).
+    """
+    change = jax.vmap(energy.wrench)(poses) - wrenches
+    return jnp.sqrt(jnp.mean(change**2, axis=0) / jnp.mean(wrenches**2, axis=0))

@@ -12,10 +12,10 @@ def largest_stress(solution: BeamSolution) -> BatchScalar:
 
     The field `stress` of the solution is signed, so its maximum is the largest tension.
     The compression may be larger in magnitude, as in the example. A notch or a leaf with
-    fillets under a transverse force needs a solution with about 201 cross-sections,
-    because its most stressed section is neither in the middle nor at an end. Like
-    `stress`, the result does not include the stress concentration at notches, fillets or
-    sharp corners.
+    fillets under a transverse force needs a solution with about 201 cross-sections, which
+    is the default, because its most stressed section is neither in the middle nor at an
+    end. Like `stress`, the result does not include the stress concentration at notches,
+    fillets or sharp corners.
 
     Args:
         solution: Deformed state of a beam, or a batch of them.

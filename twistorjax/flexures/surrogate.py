@@ -29,7 +29,7 @@ from ..energies.validity import WithValidityRange
 from ..mechanism.sub_mechanism import SubMechanism
 from .beam import Beam, uniform
 from .mechanism_surrogate import fit_mechanism, mechanism_powers, sample_mechanism
-from .samples import least_squares, sample_beam, SAMPLES, Samples
+from .samples import least_squares, relative_errors, sample_beam, SAMPLES, Samples
 
 
 _ORDERS = (4, 6, 8, 10)
@@ -298,10 +298,7 @@ def _fit(
     """Fit an energy, and estimate its error on the samples that are not fitted."""
     coefficients = _fit_coefficients(powers, length, samples)
     energy = MixedEnergy(coefficients, powers, length=length, force=samples.force)
-    wrenches = jax.vmap(energy.wrench)(samples.poses[SAMPLES:])
-    exact = samples.wrenches[SAMPLES:]
-    square = jnp.mean((wrenches - exact) ** 2, axis=0)
-    error = jnp.sqrt(square / jnp.mean(exact**2, axis=0))
+    error = relative_errors(energy, samples.poses[SAMPLES:], samples.wrenches[SAMPLES:])
     return WithValidityRange(energy, rotation, samples.force, error)
 
 

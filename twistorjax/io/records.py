@@ -249,7 +249,7 @@ def read_record(path: str | Path, kind: str) -> Any:
         raise ValueError(
             f"{path} has a layout that this version of twistorjax cannot read: its field "
             f"`twistorjax` is {describe_value(version)}, but must be "
-            f"{' or '.join(map(str, _READABLE_VERSIONS))}."
+            f"one of {', '.join(map(str, _READABLE_VERSIONS))}."
         )
     if set(content) != {"twistorjax", kind}:
         raise ValueError(

@@ -181,6 +181,7 @@ def test_a_surrogate_agrees_with_the_whole_mechanism(name, leaf):
     fast_moved, fast_reactions, fast_stiffness = solve(linkage_of(fast))
     assert_close(fast_reactions, reactions, atol=1e-3 * np.max(np.abs(reactions)))
     scale = np.max(np.abs(moved), axis=0)
+    scale[0] = fast.rotation  # A guide hardly rotates without a moment.
     assert_close(fast_moved / scale, moved / scale, atol=1e-3)
     units = np.sqrt(np.diag(stiffness))
     scaled = (fast_stiffness - stiffness) / np.outer(units, units)
@@ -213,8 +214,27 @@ class TestRange:
 
     def test_a_hinge_outside_its_range_is_reported(self, leaf):
         pivot = FLEXURES["cartwheel"][0](leaf)
-        with pytest.raises(ValueError, match="hinge is outside its validity range"):
+        with pytest.raises(ValueError, match="of the loads a hinge is outside"):
             tj.surrogate(pivot, rotation=1.5, force=20.0)
+
+    @pytest.mark.parametrize("name", ["cross-spring", "cartwheel"])
+    def test_leaves_outside_their_range_are_reported_of_an_exact_energy(self, name):
+        """With and without inner bodies; the leaves of a cartwheel rotate by half."""
+        leaf = tj.energies.WithValidityRange(
+            QUADRATIC_LEAF, rotation=0.1, force=1e9, error=[1e-3, 1e-3, 1e-3]
+        )
+        mechanism = linkage_of(Condensed(FLEXURES[name][0](leaf)))
+        solve = jax.jit(
+            lambda angle: tj.equilibrium(
+                mechanism, drives=[tj.Drive("B", angle=angle)], throw=False
+            )
+        )
+        limit = 0.1 if name == "cross-spring" else 0.2
+        inside, outside = solve(0.99 * limit), solve(1.01 * limit)
+        assert tj.result_names(inside.result) == "successful"
+        assert tj.result_names(outside.result) == "out_of_range"
+        with pytest.raises(ValueError, match="The hinge 'leaf 1': its rotation"):
+            Condensed(FLEXURES[name][0](leaf))(jnp.array([1.01 * limit, 0.0, 0.0]))
 
     def test_the_force_follows_from_the_surrogates_in_it(self, leaf):
         pivot = FLEXURES["cross-spring"][0](leaf)
@@ -231,6 +251,20 @@ class TestRange:
     def test_ranges_that_are_incomplete(self, arguments, message):
         with pytest.raises(ValueError, match=message):
             tj.surrogate(guide_of_quadratic_leaves(), **arguments)
+
+    @pytest.mark.parametrize(
+        ("name", "arguments", "message"),
+        [
+            ("parallelogram", {"rotation": 0.1}, "along axis 2: give `displacement`"),
+            ("cross-spring", {"displacement": 1e-3}, "along axis 2: give `rotation`"),
+        ],
+    )
+    def test_the_other_direction_is_the_compliant_one(self, name, arguments, message):
+        leaf = tj.energies.WithValidityRange(
+            QUADRATIC_LEAF, rotation=0.5, force=100.0, error=[1e-3, 1e-3, 1e-3]
+        )
+        with pytest.raises(ValueError, match=message):
+            tj.surrogate(FLEXURES[name][0](leaf), **arguments)
 
     @pytest.mark.untyped
     def test_other_flexures(self):
@@ -294,6 +328,11 @@ class TestErrors:
     def test_dimensions_of_ready_made_flexures(self, build, message, leaf):
         with pytest.raises(ValueError, match=message):
             build(leaf)
+
+    @pytest.mark.untyped
+    def test_a_beam_that_is_not_an_energy(self):
+        with pytest.raises(ValueError, match="must be an energy, such as"):
+            tj.flexures.parallelogram(BEAM, BEAM, spacing=0.01)  # pyright: ignore[reportArgumentType]
 
     def test_curved_leaves(self, leaf):
         arc = tj.flexures.Beam(

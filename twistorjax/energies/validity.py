@@ -9,7 +9,7 @@ from .._utils.host import all_concrete, as_float, on_host
 from .._utils.types import Flag, NumberLike, Scalar, WrenchLike
 from .._utils.validation import require_positive, require_row
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy, AbstractWrapper
+from .base import AbstractEnergy, AbstractWrapper, Scaled, Sum
 
 
 class WithValidityRange(AbstractWrapper):
@@ -119,16 +119,17 @@ class WithValidityRange(AbstractWrapper):
         if values is None:
             return "its rotation or its force exceeds its validity range"
         rotation, force, largest_rotation, largest_force = map(float, values)
-        transverse = limit = ""
+        transverse = limit = axial = ""
         if self.displacement is not None:
+            axial = "axial "
             transverse = (
                 f", its transverse displacement {_transverse(displacement):.4g} m,"
             )
             limit = f", {float(self.displacement):.4g} m,"
         return (
-            f"its rotation is {rotation:.4g} rad{transverse} and its force {force:.4g} "
-            f"N, but the energy is valid up to {largest_rotation:.4g} rad{limit} and "
-            f"{largest_force:.4g} N"
+            f"its rotation is {rotation:.4g} rad{transverse} and its {axial}force "
+            f"{force:.4g} N, but the energy is valid up to {largest_rotation:.4g} rad"
+            f"{limit} and {largest_force:.4g} N"
         )
 
     def __repr__(self) -> str:
@@ -152,3 +153,21 @@ class WithValidityRange(AbstractWrapper):
 def _transverse(displacement: Displacement) -> Scalar:
     """Return the displacement along axis 2 of the mid-frame; m."""
     return 2 * displacement.x2
+
+
+def without_ranges(energy: AbstractEnergy) -> AbstractEnergy:
+    """Remove the validity ranges of an energy, and of its terms and factors.
+
+    Args:
+        energy: The energy.
+
+    Returns:
+        The energy without `WithValidityRange`.
+    """
+    if isinstance(energy, WithValidityRange):
+        return without_ranges(energy.energy)
+    if isinstance(energy, Sum):
+        return Sum(tuple(without_ranges(part) for part in energy.parts))
+    if isinstance(energy, Scaled):
+        return Scaled(factor=energy.factor, energy=without_ranges(energy.energy))
+    return energy

@@ -232,7 +232,7 @@ def study(cases: LoadCases, bending_factor: float = BENDING_FACTOR) -> Study:
     Example:
         >>> cases = LoadCases(np.array([[1.0, 0.0, 0.0]]), None)
         >>> study(cases).displacements.round(4)
-        array([[-0.0011,  0.0401,  0.0001]])
+        array([[-0.001 ,  0.0401,  0.0001]])
     """
     transverse, axial, moment = np.abs(cases.loads).T
     # The platform turns little, so its moment is carried by axial forces of the leaves.

@@ -131,7 +131,7 @@ def chain(
         ... )
         >>> weight = tj.Load("stage", force=(0.0, -2.0))
         >>> tj.equilibrium(mechanism, loads=[weight]).displacement("stage")[2]
-        Array(-0.0301..., dtype=float64)
+        Array(-0.02799..., dtype=float64)
     """
     require_instance("beam", beam, Beam)
     require_float64(beam.length)

@@ -1,15 +1,18 @@
 """Exact energy of a sub-mechanism as a function of the displacement of its two ends."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Matrix, Pose, Poses, Scalar
+from .._utils.types import Flag, Matrix, Pose, Poses, Scalar
 from ..energies.base import AbstractEnergy
 from ..geometry.twistors import Displacement
 from ..mechanism.loads import Drive
+from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
 from ..solve.statics import equilibrium
 
@@ -20,8 +23,8 @@ class Condensed(AbstractEnergy):
     It is the smallest energy of all hinges at a displacement of body B relative to body
     A. Its derivative is the wrench of the hinges on body B at this equilibrium (envelope
     theorem), and its stiffness is the Schur complement of that of the sub-mechanism.
-    Derivatives of all orders are exact. If there is no stable equilibrium, or a hinge is
-    outside its validity range, the energy is NaN.
+    Derivatives of all orders are exact. If there is no stable equilibrium, the energy is
+    NaN. The energy is valid where all hinges are in their validity ranges.
 
     An evaluation solves for the equilibrium of the inner bodies; `surrogate` makes a fast
     energy of a sub-mechanism.
@@ -51,25 +54,43 @@ class Condensed(AbstractEnergy):
     part: SubMechanism
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        return _energy(self.part, displacement.pose())
+        part = self.part.without_ranges()
+        return _energy(part, self.part.second, displacement.pose())
+
+    def out_of_range(self, displacement: Displacement) -> Flag:
+        """Decide whether a hinge of the sub-mechanism is out of its validity range."""
+        hinges = self.part.mechanism.hinge_assembly
+        return jnp.any(hinges.out_of_range(self._displacements(displacement)))
+
+    def range_message(self, displacement: Displacement) -> str:
+        """Describe the displacements of the hinges that are out of range."""
+        mechanism = self.part.mechanism
+        return mechanism.range_messages(
+            mechanism.reference + self._displacements(displacement)
+        ).rstrip(".")
+
+    def _displacements(self, displacement: Displacement) -> Poses:
+        """Compute the displacements of all bodies; rad, m, m."""
+        mechanism = self.part.without_ranges()
+        return inner_displacements(mechanism, self.part.second, displacement.pose())
 
 
-def inner_displacements(part: SubMechanism, pose: Pose) -> Poses:
+def inner_displacements(mechanism: Mechanism, second: str, pose: Pose) -> Poses:
     """Compute the equilibrium of the inner bodies at a displacement of body B.
 
     Args:
-        part: The sub-mechanism.
+        mechanism: The mechanism of a sub-mechanism, without validity ranges.
+        second: Name of body B.
         pose: Pose of frame b relative to frame a; rad, m, m.
 
     Returns:
         The displacements of all bodies of the sub-mechanism, in its frame; NaN if there
         is no equilibrium; rad, m, m.
     """
-    mechanism = part.mechanism
     if len(mechanism.names) == 2:
-        row = mechanism.index(part.second)
+        row = mechanism.index(second)
         return jnp.zeros_like(mechanism.reference).at[row].set(pose)
-    moved = Drive(part.second, angle=pose[0], x=pose[1], y=pose[2])
+    moved = Drive(second, angle=pose[0], x=pose[1], y=pose[2])
     return equilibrium(mechanism, drives=[moved], throw=False).displacements
 
 
@@ -98,7 +119,7 @@ def drawn_displacements(part: SubMechanism, pose: Pose) -> Poses:
     Returns:
         The displacements of all bodies of the sub-mechanism, in its frame; rad, m, m.
     """
-    exact = inner_displacements(part, pose)
+    exact = inner_displacements(part.without_ranges(), part.second, pose)
     block, coupling, _ = _blocks(part)
     row = part.mechanism.index(part.second)
     linear = jnp.zeros_like(exact).at[row].set(pose)
@@ -130,22 +151,24 @@ def _blocks(
 
 
 @eqx.filter_custom_jvp
-def _energy(part: SubMechanism, pose: Pose) -> Scalar:
+def _energy(mechanism: Mechanism, second: str, pose: Pose) -> Scalar:
     """Compute the energy at a pose of frame b relative to frame a (rad, m, m); J."""
-    return _energy_at(part, pose, inner_displacements(part, pose))
+    inner = inner_displacements(mechanism, second, pose)
+    return _energy_at(inner, second, mechanism, pose)
 
 
 @_energy.def_jvp
 def _energy_jvp(primals, tangents):
     # At the equilibrium, the derivative with respect to the inner bodies is zero.
-    inner = inner_displacements(*primals)
+    mechanism, second, pose = primals
+    inner = inner_displacements(mechanism, second, pose)
     energy, rate = eqx.filter_jvp(
-        lambda part, pose: _energy_at(part, pose, inner), primals, tangents
+        partial(_energy_at, inner, second), (mechanism, pose), (tangents[0], tangents[2])
     )
     return energy, jnp.zeros_like(energy) if rate is None else rate
 
 
-def _energy_at(part: SubMechanism, pose: Pose, inner: Poses) -> Scalar:
+def _energy_at(inner: Poses, second: str, mechanism: Mechanism, pose: Pose) -> Scalar:
     """Compute the energy at given displacements of the inner bodies (rad, m, m); J."""
-    displacements = inner.at[part.mechanism.index(part.second)].set(pose)
-    return part.mechanism.hinge_assembly.energy(displacements)
+    displacements = inner.at[mechanism.index(second)].set(pose)
+    return mechanism.hinge_assembly.energy(displacements)

@@ -13,7 +13,7 @@ from ..energies.base import AbstractEnergy
 from ..mechanism.body import Body
 from ..mechanism.sub_mechanism import SubMechanism
 from .beam import Beam
-from .leaf_assembly import assemble, box, FIRST, Leaf, SECOND
+from .leaf_assembly import assemble, box, FIRST, Leaf, require_leaf, SECOND
 
 
 def parallelogram(
@@ -43,6 +43,7 @@ def parallelogram(
         >>> tj.flexures.Condensed(guide).tangent_stiffness()[2, 2]
         Array(4200., dtype=float64)
     """
+    require_leaf(beam, energy)
     half = require_positive("`spacing`", spacing) / 2
     start = -beam.length / 2
     leaves = [Leaf(FIRST, SECOND, (0.0, side * half), 0.0, start) for side in (1, -1)]
@@ -92,6 +93,7 @@ def double_parallelogram(
         >>> tj.flexures.Condensed(guide).tangent_stiffness()[2, 2]
         Array(2100., dtype=float64)
     """
+    require_leaf(beam, energy)
     outer = require_positive("`outer_spacing`", outer_spacing) / 2
     inner = _inner_half(outer, "inner_spacing", inner_spacing)
     half = beam.length / 2
@@ -151,6 +153,7 @@ def folded_beam(
         >>> tj.flexures.Condensed(guide).tangent_stiffness()[2, 2]
         Array(4200., dtype=float64)
     """
+    require_leaf(beam, energy)
     outer = require_positive("`outer_spacing`", outer_spacing) / 2
     inner = _inner_half(outer, "inner_spacing", inner_spacing)
     start = require_interval("`gap`", gap, -1e-12, np.inf, "must not be negative") / 2

@@ -21,6 +21,22 @@ from .chain import beam_outline
 FIRST, SECOND = "A", "B"  # names of the outer bodies of ready-made flexures
 
 
+def require_leaf(beam: Beam, energy: AbstractEnergy) -> None:
+    """Check a leaf of a ready-made flexure.
+
+    Raises:
+        ValueError: The beam is curved, or an argument has another type.
+    """
+    require_instance("beam", beam, Beam)
+    if not isinstance(energy, AbstractEnergy):
+        raise ValueError(
+            f"`energy` is a {type(energy).__name__}, but must be an energy, such as "
+            "`tj.surrogate(beam, rotation=0.5)`."
+        )
+    if beam.curvature is not None:
+        raise ValueError("`beam` is curved, but the leaves of this flexure are straight.")
+
+
 class Leaf(NamedTuple):
     """A leaf on a line through a point.
 
@@ -49,13 +65,7 @@ def assemble(
 
     The frame of the flexure is that of the world.
 
-    Raises:
-        ValueError: The beam is curved, or an argument has another type.
     """
-    require_instance("beam", beam, Beam)
-    require_instance("energy", energy, AbstractEnergy)
-    if beam.curvature is not None:
-        raise ValueError("`beam` is curved, but the leaves of this flexure are straight.")
     outline = beam_outline(beam)
     hinges = [
         Hinge(
@@ -94,3 +104,11 @@ def largest_thickness(beam: Beam) -> Scalar:
     """Return the thickness at the middle or at an end, whichever is larger; m."""
     half = beam.length / 2
     return jnp.maximum(beam.profile(jnp.zeros(())), beam.profile(half))
+
+
+def sector(inner: Scalar, outer: Scalar, first: Scalar, last: Scalar) -> Corners:
+    """Return the corners of a sector of a ring between two angles (rad); m."""
+    xp, (inner, outer, first, last) = on_host(inner, outer, first, last)
+    angles = first + (last - first) * np.linspace(0.0, 1.0, 13)
+    directions = xp.stack([xp.cos(angles), xp.sin(angles)], axis=1)
+    return as_float(xp.concatenate([outer * directions, inner * directions[::-1]]))

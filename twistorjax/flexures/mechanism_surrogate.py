@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import concrete
-from .._utils.types import Flag, Matrix, Pose, Scalar, Wrench
+from .._utils.types import Matrix, Pose, Scalar, Wrench
 from ..energies.evaluation import power_derivatives
 from ..energies.fitting.mixed_equations import twists_and_stresses
 from ..energies.monomials import Powers
@@ -47,7 +47,8 @@ class MechanismSamples(NamedTuple):
     Args:
         poses: Poses of frame b relative to frame a; rad, m, m.
         wrenches: Wrenches that act on body B, in frame b; N m, N, N.
-        succeeded: Whether an equilibrium was found.
+        succeeded: Whether an equilibrium was found, and all hinges are in their ranges.
+        outside: Whether a hinge is outside its validity range.
         stiffness: Stiffness in the reference configuration; N m/rad, N/rad, N/m.
         length: Reference length; m.
         force: Reference force; N.
@@ -56,6 +57,7 @@ class MechanismSamples(NamedTuple):
     poses: Float[Array, "samples 3"]
     wrenches: Float[Array, "samples 3"]
     succeeded: Bool[Array, " samples"]
+    outside: Bool[Array, " samples"]
     stiffness: Matrix
     length: Scalar
     force: Scalar
@@ -76,7 +78,7 @@ def sample_mechanism(
     stiffness = reference_stiffness(part)
     length = jnp.sqrt(stiffness[0, 0] / stiffness[1, 1])
 
-    def sample(point: Float[Array, "3"]) -> tuple[Pose, Wrench, Flag]:
+    def sample(point: Float[Array, "3"]) -> tuple[Pose, Wrench, RESULTS]:
         moved = size * (2 * point[0] - 1)
         zero = jnp.zeros(())
         if freedom == "rotation":
@@ -94,13 +96,21 @@ def sample_mechanism(
         pose = found.displacement(part.second)
         total = load + found.reaction(part.second)
         in_b = jnp.concatenate([total[:1], se2.rotate(-pose[0], total[1:])])
-        return pose, in_b, found.result == RESULTS.successful
+        return pose, in_b, found.result
 
     for_fit = low_discrepancy_points(SAMPLES)
     for_error = low_discrepancy_points(SAMPLES // 2, start=0.5)
     points = jnp.asarray(np.concatenate([for_fit, for_error]))
-    poses, wrenches, succeeded = jax.vmap(sample)(points)
-    return MechanismSamples(poses, wrenches, succeeded, stiffness, length, force)
+    poses, wrenches, results = jax.vmap(sample)(points)
+    return MechanismSamples(
+        poses,
+        wrenches,
+        results == RESULTS.successful,
+        results == RESULTS.out_of_range,
+        stiffness,
+        length,
+        force,
+    )
 
 
 def mechanism_powers(

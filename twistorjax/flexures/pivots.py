@@ -13,10 +13,19 @@ from ..energies.base import AbstractEnergy
 from ..mechanism.body import Body
 from ..mechanism.sub_mechanism import SubMechanism
 from .beam import Beam
-from .leaf_assembly import assemble, box, FIRST, largest_thickness, Leaf, SECOND
+from .leaf_assembly import (
+    assemble,
+    box,
+    FIRST,
+    largest_thickness,
+    Leaf,
+    require_leaf,
+    SECOND,
+    sector,
+)
 
 
-_ANGLE = "must be between 0 and pi"
+_ANGLE = "must be between 0 and pi, in radians"
 
 
 def cross_spring_pivot(
@@ -58,6 +67,7 @@ def cross_spring_pivot(
         >>> energy.tangent_stiffness()[0, 0]  # 2 E I / L
         Array(0.875, dtype=float64)
     """
+    require_leaf(beam, energy)
     angle = require_interval("`angle`", angle, 0.0, np.pi, _ANGLE)
     crossing = require_interval(
         "`crossing`", crossing, -1e-12, 1 + 1e-12, "must be between 0 and 1"
@@ -104,6 +114,7 @@ def cartwheel_pivot(
         >>> tj.flexures.Condensed(pivot).tangent_stiffness()[0, 0].round(2)  # 4 E I / L
         Array(4.37, dtype=float64)
     """
+    require_leaf(beam, energy)
     angle = require_interval("`angle`", angle, 0.0, np.pi, _ANGLE)
     radius = require_interval("`hub`", hub, -1e-12, np.inf, "must not be negative")
     name = "hub"
@@ -158,6 +169,7 @@ def butterfly_pivot(
         >>> tj.flexures.butterfly_pivot(beam, leaf, radius=5e-3)
         SubMechanism of 4 bodies (A, B, upper, lower) and 8 hinges, from A to B
     """
+    require_leaf(beam, energy)
     angle = require_interval("`angle`", angle, 0.0, np.pi, _ANGLE)
     opening = require_interval("`opening`", opening, 0.0, np.pi, _ANGLE)
     radius = require_positive("`radius`", radius)
@@ -170,7 +182,7 @@ def butterfly_pivot(
                 Leaf(first, name, (0.0, 0.0), middle + sign * angle / 2, radius)
                 for sign in (1, -1)
             ]
-        inner.append(
-            Body(name, (0.0, 0.0, side * outer), outline=box(outer, beam.length / 5))
-        )
+        middle, half = side * np.pi / 2, (opening + angle) / 2 + 0.05
+        ring = sector(outer, outer + beam.length / 5, middle - half, middle + half)
+        inner.append(Body(name, outline=ring))
     return assemble(beam, energy, leaves, inner)

@@ -61,12 +61,13 @@ def surrogate(
             pivot, which is compliant in rotation.
         displacement: Instead of the rotation, largest displacement along axis 2 of a
             sub-mechanism that is compliant in this direction, such as a parallelogram; m.
-        force: Largest magnitude of the force, in any direction, or of the axial force if
-            the displacement is given; N. The default for a
+        force: Largest magnitude of the force, in any direction; N. The default for a
             beam is 5 E I / L^2, with the length L. Above about 10 E I / L^2, a beam in
             compression buckles between its ends, which a polynomial cannot represent; see
-            `chain`. The default for a sub-mechanism is half of the smallest range of a
-            surrogate in it.
+            `chain`. If the displacement is given, it is the largest axial force, and
+            moments are up to this force times `sqrt(k_rotation / k_axial)`, with the
+            stiffness of the flexure. The default for a sub-mechanism is half of the
+            smallest range of a surrogate in it.
         stress: Allowable bending stress of a beam, if the rotation is not given; Pa. The
             rotation is then that of a beam with the smallest thickness that is bent to an
             arc at this stress.
@@ -118,7 +119,7 @@ def surrogate(
         if isinstance(flexure, Beam) and rotation is None:
             rotation = _rotation_at_stress(flexure, stress)
     if rotation is not None:
-        requirement = "must be positive and at most 2 pi"
+        requirement = "must be positive and at most 2 pi, in radians"
         rotation = require_interval("`rotation`", rotation, 0.0, 2 * np.pi, requirement)
     if isinstance(flexure, Beam):
         if rotation is None or displacement is not None:
@@ -200,7 +201,7 @@ def _mechanism_surrogate(
     size = rotation if displacement is None else displacement
     assert size is not None
     samples = sample_mechanism(part, size, force, freedom=freedom)
-    known = all_concrete([size, force, samples.succeeded])
+    known = all_concrete([size, force, samples.succeeded, samples.outside])
     if known is None:
         powers = mechanism_powers(part, samples, order or 6, freedom)
         return fit_mechanism(powers, freedom, size, samples)
@@ -208,13 +209,14 @@ def _mechanism_surrogate(
     limits = f"{float(size):.4g} {unit} and {float(force):.4g} N"
     name = "rotation" if displacement is None else "displacement"
     advice = f"Use a smaller `{name}` or `force`"
-    failed = np.mean(~known[2])
-    if failed > 0:
+    outside, failed = np.mean(known[3]), np.mean(~known[2] & ~known[3])
+    if outside or failed:
         raise ValueError(
             f"The sub-mechanism cannot be computed everywhere up to {limits}: for "
-            f"{100 * failed:.2g} % of the loads, there is no stable equilibrium, or a "
-            f"hinge is outside its validity range. {advice}, or hinges with a larger "
-            "validity range."
+            f"{100 * outside:.3g} % of the loads a hinge is outside its validity range, "
+            f"and for {100 * failed:.3g} % no stable equilibrium is found. "
+            f"{_wrong_freedom(np.asarray(samples.stiffness), freedom)}{advice}, or "
+            "hinges with a larger validity range."
         )
 
     def fit(order: int) -> WithValidityRange:
@@ -222,6 +224,21 @@ def _mechanism_surrogate(
         return fit_mechanism(powers, freedom, size, samples)
 
     return _lowest_order(fit, order, error, limits, advice)
+
+
+def _wrong_freedom(stiffness: np.ndarray, freedom: Freedom) -> str:
+    """Describe the compliant direction, if it is not the given one."""
+    axial, transverse = stiffness[1, 1], stiffness[2, 2]
+    if axial < 0.1 * transverse:
+        return (
+            "It is compliant along axis 1: rotate the frame `at` of the sub-mechanism by "
+            "pi / 2, and give `displacement`. "
+        )
+    if freedom == "rotation" and transverse < 0.1 * axial:
+        return "It is compliant along axis 2: give `displacement`. "
+    if freedom == "transverse" and transverse > 0.1 * axial:
+        return "It is stiff along axis 2: give `rotation`. "
+    return ""
 
 
 def _half_of_smallest_range(part: SubMechanism) -> Scalar:

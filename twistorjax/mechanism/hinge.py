@@ -103,7 +103,8 @@ class Hinge(eqx.Module):
         if not isinstance(energy, AbstractEnergy):
             raise ValueError(
                 f"`energy` of the hinge {name!r} is a {type(energy).__name__}, but must "
-                "be an energy: `Quadratic(stiffness)`, `leaf(...)`, `notch(...)`."
+                "be an energy: `Quadratic(stiffness)`, `leaf(...)`, `notch(...)`, or "
+                "`surrogate(...)` of a beam or a sub-mechanism."
             )
         self.energy = energy
         if first == second:

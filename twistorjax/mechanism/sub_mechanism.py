@@ -1,9 +1,14 @@
 """A mechanism that acts as one hinge between two of its bodies."""
 
+from collections.abc import Callable
+
 import equinox as eqx
+import jax.numpy as jnp
 
 from .._utils.types import Pose, PoseLike
 from .._utils.validation import index_of, require_instance, require_pose
+from ..energies.base import AbstractEnergy
+from ..energies.validity import without_ranges
 from ..geometry import se2
 from .body import Body
 from .hinge import Hinge
@@ -15,10 +20,11 @@ class SubMechanism(AbstractOutline):
     """A mechanism that is used as one hinge between two of its bodies.
 
     Body A is the one that is fixed. Frame a on body A and frame b on body B coincide in
-    the reference configuration. The other bodies are inner bodies; no loads act on them,
-    and their masses are neglected. `flexures.Condensed` is the exact energy of the
-    sub-mechanism, and `flexures.surrogate` computes a fast one. Give the sub-mechanism as
-    the `outline` of the hinge, and its leaves and inner bodies are drawn.
+    the reference configuration. The other bodies are inner bodies, on which no loads act.
+    Masses, damping, and expansions of its bodies and hinges are not used.
+    `flexures.Condensed` is the exact energy of the sub-mechanism, and
+    `flexures.surrogate` computes a fast one. Give the sub-mechanism as the `outline` of
+    the hinge, and its leaves and inner bodies are drawn.
 
     Args:
         mechanism: The mechanism. One body is fixed, and its hinges have no misfits.
@@ -75,8 +81,13 @@ class SubMechanism(AbstractOutline):
                 "the sub-mechanism a misfit."
             )
         frame = mechanism.reference[row] if at is None else require_pose("`at`", at)
-        self.mechanism = _in_frame(mechanism, second, frame)
+        self.mechanism = _in_frame(mechanism, second, frame, lambda energy: energy)
         self.second = second
+
+    def without_ranges(self) -> Mechanism:
+        """Return its mechanism without the validity ranges of the hinges."""
+        origin = jnp.zeros(3)
+        return _in_frame(self.mechanism, self.second, origin, without_ranges)
 
     @property
     def first(self) -> str:
@@ -91,10 +102,15 @@ class SubMechanism(AbstractOutline):
         )
 
 
-def _in_frame(mechanism: Mechanism, second: str, frame: Pose) -> Mechanism:
+def _in_frame(
+    mechanism: Mechanism,
+    second: str,
+    frame: Pose,
+    change: Callable[[AbstractEnergy], AbstractEnergy],
+) -> Mechanism:
     """Express a mechanism in a frame (rad, m, m), which becomes that of body B.
 
-    The frame of body A is that of the world.
+    The frame of body A is that of the world. The energies of the hinges are changed.
     """
     to_frame = se2.inverse(frame)
     origin = (0.0, 0.0, 0.0)
@@ -110,7 +126,7 @@ def _in_frame(mechanism: Mechanism, second: str, frame: Pose) -> Mechanism:
             name,
             mechanism.names[first],
             mechanism.names[second_row],
-            mechanism.hinge_assembly.energy_of(row),
+            change(mechanism.hinge_assembly.energy_of(row)),
             se2.compose(to_frame, mechanism.at[row]),
             outline=mechanism.hinge_outlines[row],
         )

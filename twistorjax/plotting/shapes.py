@@ -86,6 +86,14 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         corners = np.asarray(outline) if polygon else np.zeros((1, 2))
 
         extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
+        if isinstance(outline, SubMechanism):
+            parts, attached = _parts(outline, frames, hinge)
+            hinges.extend(parts)
+            for body, tips in zip(ends, attached, strict=True):
+                if mechanism.outlines[body] is None:
+                    arm = np.stack([poses[body][1:], np.mean(tips, axis=0)])
+                    lines += [Shape("line", tips, body), Shape("line", arm, body)]
+            continue
         for body, frame, end in zip(ends, frames, extent, strict=True):
             if mechanism.outlines[body] is None:
                 (tip,) = to_world(frame, np.array([[end, _axis_at(corners, end)]]))
@@ -95,8 +103,6 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
             share = np.linspace(0, 1, len(spiral))[:, None]
             center = (1 - share) * frames[0][1:] + share * frames[1][1:]
             hinges.append(Shape("spring", center + spiral, hinge))
-        elif isinstance(outline, SubMechanism):
-            hinges.extend(_parts(outline, frames, hinge))
 
         else:
             hinges.append(Shape("hinge", _deform(*frames, extent, corners), hinge))
@@ -105,22 +111,35 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
 
 def _parts(
     part: SubMechanism, frames: tuple[np.ndarray, np.ndarray], hinge: int
-) -> list[Shape]:
+) -> tuple[list[Shape], tuple[np.ndarray, np.ndarray]]:
     """Return the outlines of a sub-mechanism between two frames (rad, m, m).
 
-    They have the row of the hinge. Bodies A and B are drawn with the mechanism.
+    They have the row of the hinge. Bodies A and B are drawn with the mechanism; the ends
+    of the leaves on each of them are returned as well, in the order of their angles.
     """
     mechanism = part.mechanism
     pose = np.array([frames[1][0] - frames[0][0], 0.0, 0.0])
     cos, sin = np.cos(frames[0][0]), np.sin(frames[0][0])
     pose[1:] = np.array([[cos, sin], [-sin, cos]]) @ (frames[1][1:] - frames[0][1:])
     displacements = np.asarray(drawn_displacements(part, jnp.asarray(pose)))
-    outer = {mechanism.index(part.first), mechanism.index(part.second)}
-    return [
-        shape._replace(corners=to_world(frames[0], shape.corners), row=hinge)
+    rows = mechanism.index(part.first), mechanism.index(part.second)
+    inner = [
+        shape._replace(corners=to_world(frames[0], shape.corners))
         for shape in shapes(mechanism, np.asarray(mechanism.reference) + displacements)
-        if shape.kind != "line" or shape.row not in outer
     ]
+    attached = []
+    for row, frame in zip(rows, frames, strict=True):
+        ends = [s.corners[-1] for s in inner if s.kind == "line" and s.row == row]
+        tips = np.array(ends)
+        arms = tips - np.mean(tips, axis=0)
+        directions = np.arctan2(arms[:, 1], arms[:, 0]) - frame[0]
+        attached.append(tips[np.argsort(np.mod(directions, 2 * np.pi))])
+    parts = [
+        shape._replace(row=hinge)
+        for shape in inner
+        if shape.kind != "line" or shape.row not in rows
+    ]
+    return parts, (attached[0], attached[1])
 
 
 def to_world(pose: np.ndarray, points: np.ndarray | Corners) -> np.ndarray:

@@ -208,8 +208,11 @@ def assemble(pairs, poses, at, matrices, misfits):
     return tj.Mechanism(bodies, hinges, fixed=["0"])
 
 
-def energy_by_matrices(displacements, pairs, poses, at, matrices, misfits):
-    """Sum the energies of frames that are composed as homogeneous matrices."""
+def residuals_by_matrices(displacements, pairs, poses, at, matrices, misfits):
+    """Return numbers the sum of whose squares is twice the energy.
+
+    The frames are composed as homogeneous matrices.
+    """
 
     def matrix(pose):
         c, s = np.cos(pose[0]), np.sin(pose[0])
@@ -228,7 +231,7 @@ def energy_by_matrices(displacements, pairs, poses, at, matrices, misfits):
         return matrix([angle, a * x - b * y, b * x + a * y])
 
     moved = poses + displacements
-    total = 0.0
+    residuals = []
     for k, ends in enumerate(pairs):
         half = exponential(logarithm(matrix(misfits[k])) / 2)
         a, b = (
@@ -236,9 +239,8 @@ def energy_by_matrices(displacements, pairs, poses, at, matrices, misfits):
             for body in ends
         )
         relative = np.linalg.solve(a @ half, b @ np.linalg.inv(half))
-        twist = logarithm(relative)
-        total += twist @ matrices[k] @ twist / 2
-    return total
+        residuals.append(np.linalg.cholesky(matrices[k]).T @ logarithm(relative))
+    return np.concatenate(residuals)
 
 
 @pytest.mark.parametrize("topology", list(TOPOLOGIES))
@@ -255,16 +257,17 @@ def test_assembled_mechanisms_have_the_smallest_energy(topology):
         assert bool(found.succeeded)
         bodies = len(found.names)
 
-        def energy(free, bodies=bodies, pieces=pieces, pairs=pairs):
+        def residuals(free, bodies=bodies, pieces=pieces, pairs=pairs):
             displacements = np.zeros((4, 3))
             displacements[1:bodies] = free.reshape(-1, 3)
-            return energy_by_matrices(displacements, pairs, *pieces)
+            return residuals_by_matrices(displacements, pairs, *pieces)
 
         start = np.asarray(found.displacements)[1:].reshape(-1)
-        best = scipy.optimize.minimize(energy, start + 1e-3, tol=1e-14)
-        assert_close(found.energy, energy(start), digits=10)
-        assert found.energy <= best.fun * (1 + 1e-9) + 1e-12
-        np.testing.assert_allclose(start, best.x, atol=2e-6)
+        best = scipy.optimize.least_squares(
+            residuals, start + 1e-3, jac="3-point", ftol=1e-15, xtol=1e-15, gtol=1e-15
+        )
+        assert_close(found.energy, best.cost, digits=10)
+        np.testing.assert_allclose(start, best.x, atol=1e-7)
 
 
 @pytest.mark.parametrize("topology", list(TOPOLOGIES))

@@ -101,6 +101,7 @@ def test_a_column_in_segments_buckles_at_the_load_of_euler(under_loads, validate
     validated("Surrogates", what, found, euler, oracle)
 
 
+@pytest.mark.release
 def test_the_derivative_of_a_displacement_by_the_thickness(under_loads):
     """A slender leaf depends on F / t^3 only, so y(t) changes as y(F) does, times -3."""
     force = np.array([[0.0, 2.0, 3.0]])

@@ -11,13 +11,14 @@ from jaxtyping import Array, Bool, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import concrete
-from .._utils.types import Matrix, Pose, Scalar, Wrench
+from .._utils.types import Matrix, Pose, Scalar, Twist, Wrench
 from ..energies.evaluation import power_derivatives
 from ..energies.fitting.mixed_equations import twists_and_stresses
 from ..energies.monomials import Powers
 from ..energies.one_freedom import Freedom, FREEDOM_VARIABLES, OneFreedomEnergy
 from ..energies.validity import WithValidityRange
 from ..geometry import se2
+from ..geometry.twistors import Displacement
 from ..mechanism.loads import Drive, Load
 from ..mechanism.sub_mechanism import SubMechanism
 from ..solve.results import RESULTS
@@ -149,7 +150,11 @@ def _symmetry_errors(
     twists = jax.vmap(se2.twist)(poses)
     signs = jnp.asarray([(1, 1, 1), *_SIGNS.values()], float)
     images = signs[:, None] * twists[None]
-    values = jax.vmap(jax.vmap(lambda twist: energy(se2.exp(twist))))(images)
+
+    def stored_energy(twist: Twist) -> Scalar:
+        return energy.stored_energy(Displacement.from_pose(se2.exp(twist)))
+
+    values = jax.vmap(jax.vmap(stored_energy))(images)
     return jnp.max(jnp.abs(values[1:] / values[:1] - 1), axis=1)
 
 

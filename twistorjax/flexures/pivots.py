@@ -61,10 +61,9 @@ def cross_spring_pivot(
         >>> import twistorjax as tj
         >>> steel = tj.Material(modulus=210e9, poisson=0.3)
         >>> beam = Beam(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
-        >>> leaf = tj.flexures.surrogate(beam, rotation=0.5)
+        >>> leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
         >>> pivot = tj.flexures.cross_spring_pivot(beam, leaf)
-        >>> energy = tj.flexures.surrogate(pivot, rotation=0.35, force=10.0)
-        >>> energy.tangent_stiffness()[0, 0]  # 2 E I / L
+        >>> tj.flexures.Condensed(pivot).tangent_stiffness()[0, 0]  # 2 E I / L
         Array(0.875, dtype=float64)
     """
     require_leaf(beam, energy)

@@ -4,6 +4,8 @@ Start reading in `leaf` and `notch`, which return the energy of a hinge for smal
 rotations, from its dimensions and its material. `beam` and `beam_solution` model a
 geometrically exact beam of any thickness profile. `exact_beam` makes an energy of it, and
 `surrogate` approximates this energy by a polynomial, which is as fast as any other hinge.
+`chain` divides a beam into several surrogates, and `condensed` makes one energy of a
+sub-mechanism such as those of `pivots` and `guides`. `contours` are thickness profiles.
 `stress` computes the largest stress in a flexure.
 """
 

@@ -310,6 +310,7 @@ def loaded_motion(inputs, adjoint=None):
     return sum(jnp.sum(value**2) for value in values)
 
 
+@pytest.mark.release
 def test_gradients_of_long_motions_agree_with_those_of_diffrax(few_recorded_states):
     """Eight of 300 states are recorded; the load closes over a differentiated value."""
     inputs = oscillator(0.02), 2.0, 0.999

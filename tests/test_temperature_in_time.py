@@ -120,6 +120,7 @@ def test_a_constant_temperature_is_that_of_the_mechanism():
     assert_close(found.displacements, expected.displacements, digits=10)
 
 
+@pytest.mark.release
 def test_a_motion_has_derivatives_by_its_temperature():
     mechanism = heated_block()
 

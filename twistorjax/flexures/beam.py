@@ -11,6 +11,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
@@ -159,3 +160,15 @@ def load_units(beam: Beam) -> Float[Array, "3"]:
     """Return the units of a load, (E I / L, E I / L^2, E I / L^2); N m, N, N."""
     moment = beam.rotational_stiffness
     return jnp.stack([moment, moment / beam.length, moment / beam.length])
+
+
+def smallest_thickness(beam: Beam) -> Scalar:
+    """Return the smallest of the thicknesses at 201 positions along a beam; m."""
+    positions = beam.length * jnp.asarray(np.linspace(-0.5, 0.5, 201))
+    return jnp.min(jax.vmap(beam.profile)(positions))
+
+
+def arc_rotation(beam: Beam, stress: Scalar) -> Scalar:
+    """Compute the rotation of an arc of the smallest thickness at a stress (Pa); rad."""
+    strain = stress / beam.material.modulus
+    return 2 * strain * beam.length / smallest_thickness(beam)

@@ -20,7 +20,7 @@ from typing_extensions import TypeAliasType
 from .._utils.types import NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import require_positive
 from ..geometry import se2
-from .beam import Beam, load_units, uniform
+from .beam import Beam, load_units, smallest_thickness, uniform
 from .cross_section import section_strains, Strains
 
 
@@ -173,9 +173,7 @@ def largest_rotation(beam: Beam, stress: NumberLike) -> Scalar:
         Array(0.23188406, dtype=float64)
     """
     allowable = require_positive("`stress`", stress)
-    positions = beam.length * jnp.asarray(np.linspace(-0.5, 0.5, 201))
-    thinnest = jnp.min(jax.vmap(beam.profile)(positions))
-    moment = allowable * beam.width * thinnest**2 / 6
+    moment = allowable * beam.width * smallest_thickness(beam) ** 2 / 6
     return beam_under_load(beam, jnp.stack([moment, 0 * moment, 0 * moment])).pose[0]
 
 

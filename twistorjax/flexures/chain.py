@@ -36,7 +36,7 @@ from ..geometry import se2
 from ..mechanism.body import Body
 from ..mechanism.expansion import Expansion
 from ..mechanism.hinge import Hinge
-from .beam import Beam, load_units, uniform
+from .beam import arc_rotation, Beam, load_units, uniform
 from .beam_solution import (
     beam_under_load,
     end_section,
@@ -238,10 +238,7 @@ def _segment_rotation(
         largest = jnp.minimum(largest, bound)
     if stress is None:
         return largest
-    positions = beam.length * jnp.asarray(np.linspace(-0.5, 0.5, 201))
-    thinnest = jnp.min(jax.vmap(beam.profile)(positions))
-    strain = stress / beam.material.modulus
-    return jnp.minimum(largest, 2 * strain * beam.length / (count * thinnest))
+    return jnp.minimum(largest, arc_rotation(beam, stress) / count)
 
 
 def _energies(

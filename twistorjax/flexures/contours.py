@@ -30,9 +30,8 @@ def filleted_leaf_profile(
 
     With a `Beam` of 48 steps, the relative error of the stiffness is at most 5e-5. With
     the default of 16 steps it is up to 3e-3. Under a transverse force the largest stress
-    is near the beginning of a fillet. With 201 sections, `beam_under_load` finds it
-    within 0.3 %, and with the default of 21 within some percent. The stress concentration
-    at the fillet is not included.
+    is near the beginning of a fillet. `beam_under_load` finds it within 0.3 %. The stress
+    concentration at the fillet is not included.
 
     Args:
         length: Free length along axis 1, including the fillets; m.
@@ -66,8 +65,7 @@ def elliptical_notch_profile(
     One semi-axis is half of the length, along axis 1. The other is the depth. With equal
     semi-axes this is `notch_profile`. With a `Beam` of 48 steps, the relative error of
     the stiffness is below 1e-8 for web / depth from 0.02 up. With the default of 16 steps
-    it is up to 1e-4. The largest stress under a transverse force needs about 201 sections
-    of `beam_under_load`. The stress concentration at the neck is not included.
+    it is up to 1e-4. The stress concentration at the neck is not included.
 
     Args:
         length: Length along axis 1, which is the length of one axis of the ellipses; m.
@@ -106,8 +104,7 @@ def power_law_notch_profile(
     The thickness is `web + 2 depth |2 x / length|^exponent`. With the exponent 2 the
     sides are parabolas. A high exponent approaches a leaf with rounded corners. With a
     `Beam` of 48 steps, the relative error of the stiffness is below 3e-7 for web / depth
-    from 0.02 up. With the default of 16 steps it is up to 4e-4. The largest stress under
-    a transverse force needs about 201 sections of `beam_under_load`. The stress
+    from 0.02 up. With the default of 16 steps it is up to 4e-4. The stress
     concentration at the neck is not included.
 
     Args:
@@ -161,10 +158,9 @@ def v_notch_profile(
 
     With a `Beam` of 48 steps, the relative error of the stiffness is at most 3e-5 for a
     radius from a tenth of the length up. A radius of a fiftieth of the length needs more
-    steps: the error is up to 1e-3 with 96 steps and 1e-4 with 200. The largest stress
-    under a transverse force needs about 201 sections of `beam_under_load`; with the
-    default of 21 it may be a quarter too small. The stress concentration at the root is
-    not included. It is large if the radius is smaller than the web.
+    steps: the error is up to 1e-3 with 96 steps and 1e-4 with 200. The stress
+    concentration at the root is not included. It is large if the radius is smaller than
+    the web.
 
     Args:
         length: Length along axis 1; m.

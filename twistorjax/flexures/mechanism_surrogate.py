@@ -114,23 +114,20 @@ def sample_mechanism(
     )
 
 
-def mechanism_powers(
-    part: SubMechanism, samples: MechanismSamples, order: int, freedom: Freedom
-) -> Powers:
-    """List the powers of the terms of a sub-mechanism.
-
-    The terms have the symmetries that the energies of a few samples have. If they are
-    traced, no symmetry is assumed.
-    """
+def mechanism_symmetries(part: SubMechanism, samples: MechanismSamples) -> list[str]:
+    """List the symmetries that the energies of a few samples have; none if traced."""
     changes = concrete(_symmetry_errors(part, samples.poses[:4]))
+    if changes is None:
+        return []
+    return [name for name, change in zip(_SIGNS, changes, strict=True) if change < 1e-8]
+
+
+def mechanism_powers(symmetries: list[str], order: int, freedom: Freedom) -> Powers:
+    """List the powers of the terms of a sub-mechanism with some symmetries."""
     names = FREEDOM_VARIABLES[freedom]
-    odd = []
-    if changes is not None:
-        odd = [
-            [name in _ODD_VARIABLES[symmetry] for name in names]
-            for symmetry, change in zip(_SIGNS, changes, strict=True)
-            if change < 1e-8
-        ]
+    odd = [
+        [name in _ODD_VARIABLES[symmetry] for name in names] for symmetry in symmetries
+    ]
     rows = product(range(order + 1), *2 * (range(_FORCE_ORDER + 1),))
     return tuple(
         row

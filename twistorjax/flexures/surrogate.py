@@ -27,8 +27,13 @@ from ..energies.monomials import monomials, Powers, Symmetry
 from ..energies.one_freedom import Freedom
 from ..energies.validity import WithValidityRange
 from ..mechanism.sub_mechanism import SubMechanism
-from .beam import Beam, uniform
-from .mechanism_surrogate import fit_mechanism, mechanism_powers, sample_mechanism
+from .beam import arc_rotation, Beam, uniform
+from .mechanism_surrogate import (
+    fit_mechanism,
+    mechanism_powers,
+    mechanism_symmetries,
+    sample_mechanism,
+)
 from .samples import least_squares, relative_errors, sample_beam, SAMPLES, Samples
 
 
@@ -117,7 +122,7 @@ def surrogate(
     if stress is not None:
         stress = require_positive("`stress`", stress)
         if isinstance(flexure, Beam) and rotation is None:
-            rotation = _rotation_at_stress(flexure, stress)
+            rotation = arc_rotation(flexure, stress)
     if rotation is not None:
         requirement = "must be positive and at most 2 pi, in radians"
         rotation = require_interval("`rotation`", rotation, 0.0, 2 * np.pi, requirement)
@@ -129,13 +134,6 @@ def surrogate(
             )
         return _beam_surrogate(flexure, rotation, force, error, order)
     return _mechanism_surrogate(flexure, rotation, displacement, force, error, order)
-
-
-def _rotation_at_stress(beam: Beam, stress: Scalar) -> Scalar:
-    """Compute the rotation at which a beam in pure bending has a stress (Pa); rad."""
-    positions = beam.length * jnp.asarray(np.linspace(-0.5, 0.5, 201))
-    thinnest = jnp.min(jax.vmap(beam.profile)(positions))
-    return 2 * stress * beam.length / (beam.material.modulus * thinnest)
 
 
 def _beam_surrogate(
@@ -203,7 +201,8 @@ def _mechanism_surrogate(
     samples = sample_mechanism(part, size, force, freedom=freedom)
     known = all_concrete([size, force, samples.succeeded, samples.outside])
     if known is None:
-        powers = mechanism_powers(part, samples, order or 6, freedom)
+        symmetries = mechanism_symmetries(part, samples)
+        powers = mechanism_powers(symmetries, order or 6, freedom)
         return fit_mechanism(powers, freedom, size, samples)
     unit = "rad" if displacement is None else "m"
     limits = f"{float(size):.4g} {unit} and {float(force):.4g} N"
@@ -220,9 +219,10 @@ def _mechanism_surrogate(
         )
 
     def fit(order: int) -> WithValidityRange:
-        powers = mechanism_powers(part, samples, order, freedom)
+        powers = mechanism_powers(symmetries, order, freedom)
         return fit_mechanism(powers, freedom, size, samples)
 
+    symmetries = mechanism_symmetries(part, samples)
     return _lowest_order(fit, order, error, limits, advice)
 
 

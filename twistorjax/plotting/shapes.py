@@ -82,10 +82,6 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         zip(mechanism.hinge_assembly.ends, mechanism.hinge_outlines, strict=True)
     ):
         frames = hinge_frames(mechanism, poses, hinge)
-        polygon = outline is not None and not isinstance(outline, SubMechanism)
-        corners = np.asarray(outline) if polygon else np.zeros((1, 2))
-
-        extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
         if isinstance(outline, SubMechanism):
             parts, attached = _parts(outline, frames, hinge)
             hinges.extend(parts)
@@ -94,6 +90,8 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
                     arm = np.stack([poses[body][1:], np.mean(tips, axis=0)])
                     lines += [Shape("line", tips, body), Shape("line", arm, body)]
             continue
+        corners = np.zeros((1, 2)) if outline is None else np.asarray(outline)
+        extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
         for body, frame, end in zip(ends, frames, extent, strict=True):
             if mechanism.outlines[body] is None:
                 (tip,) = to_world(frame, np.array([[end, _axis_at(corners, end)]]))
@@ -103,7 +101,6 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
             share = np.linspace(0, 1, len(spiral))[:, None]
             center = (1 - share) * frames[0][1:] + share * frames[1][1:]
             hinges.append(Shape("spring", center + spiral, hinge))
-
         else:
             hinges.append(Shape("hinge", _deform(*frames, extent, corners), hinge))
     return bodies + lines + hinges

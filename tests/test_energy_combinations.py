@@ -61,6 +61,7 @@ ENERGIES = {
     "point charges": tj.energies.PointCharges(
         [1e-6, -1e-6], [[0.0, 0.1], [0.3, 0.0]], [1e-6], [[0.5, 0.5]]
     ),
+    "axial spring": tj.energies.AxialSpring(500.0, length=0.8),
     "user-defined": Quartic(jnp.array(3.0)),
 }
 EACH = pytest.mark.parametrize("energy", ENERGIES.values(), ids=ENERGIES)

@@ -43,6 +43,8 @@ from .solve import (
     Linearization as Linearization,
     linearize as linearize,
     Motion as Motion,
+    Path as Path,
+    path as path,
     port_compliance as port_compliance,
     port_motion as port_motion,
     result_names as result_names,

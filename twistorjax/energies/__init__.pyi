@@ -1,3 +1,4 @@
+from .axial_spring import AxialSpring as AxialSpring
 from .base import AbstractEnergy as AbstractEnergy
 from .damping import ViscousDamping as ViscousDamping
 from .fitting import (

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from .._utils.json_files import EntryError
+from ..energies.axial_spring import AxialSpring
 from ..energies.base import AbstractEnergy, Scaled, Sum, validation_error
 from ..energies.mixed import MixedEnergy
 from ..energies.one_freedom import OneFreedomEnergy
@@ -30,6 +31,7 @@ _CLASSES = {
         OneFreedomEnergy,
         Condensed,
         PointCharges,
+        AxialSpring,
         Sum,
         Scaled,
     )
@@ -42,7 +44,8 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
     Args:
         energy: Energy of one of the classes `Quadratic`, `Polynomial`, `Rational`,
             `SumOfSquares`, `MixedEnergy`, `OneFreedomEnergy`, `WithValidityRange`,
-            `Condensed` and `PointCharges`, or a sum or a multiple of such energies.
+            `Condensed`, `PointCharges` and `AxialSpring`, or a sum or a multiple of
+            such energies.
         path: Path of the file. A file that exists is replaced once the new one is
             complete.
 

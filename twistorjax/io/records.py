@@ -116,6 +116,11 @@ class PointCharges(_EnergyRecord, frozen=True):
     constant: float
 
 
+class AxialSpring(_EnergyRecord, frozen=True):
+    stiffness: float
+    length: float
+
+
 class Sum(_EnergyRecord, frozen=True):
     parts: Annotated[list["Energy"], Meta(min_length=1)]
 
@@ -135,6 +140,7 @@ Energy = (
     | OneFreedomEnergy
     | Condensed
     | PointCharges
+    | AxialSpring
     | Sum
     | Scaled
 )

@@ -10,6 +10,13 @@ from .frequency_response import (
 )
 from .linearization import Linearization as Linearization, linearize as linearize
 from .motion import Energies as Energies, Motion as Motion
+from .path import path as path
+from .path_results import (
+    CriticalPoint as CriticalPoint,
+    CriticalPoints as CriticalPoints,
+    Path as Path,
+    PathPoint as PathPoint,
+)
 from .port_compliance import (
     port_compliance as port_compliance,
     PortCompliance as PortCompliance,

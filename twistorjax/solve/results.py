@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
@@ -25,6 +26,9 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     * Linear responses and vibrations end as `successful`, `not_finite`, `unstable`, or
       `inconsistent_constraints`; frequency responses as `successful`, `not_finite`, or
       `inconsistent_constraints`.
+    * Paths end as `successful` at a limit of the load factor, `event_occurred`,
+      `returned_to_start`, `max_points_reached`, `out_of_range`, `path_interrupted`, or
+      `not_finite`.
     * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,
       `out_of_range`, `step_too_long`, `step_too_short`, or `solver_failed`. If they
       cannot start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,
@@ -64,7 +68,7 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
         "larger range, or reduce the loads."
     )
 
-    event_occurred = "The motion ended at an event."
+    event_occurred = "The motion or the path ended at an event."
     max_steps_reached = (
         "The largest number of steps was reached before the last time. Increase "
         "`max_steps`, or simulate a shorter time."
@@ -111,6 +115,18 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
         "values at which every solve succeeds."
     )
 
+    returned_to_start = "The path is closed: it returned to its first point."
+    max_points_reached = (
+        "The largest number of points was reached before the end of the path. Increase "
+        "`max_points` or `largest_step`."
+    )
+    path_interrupted = (
+        "No next point of the path was found, even at a very short distance. Several "
+        "branches may meet at one point, as in a mechanism with several symmetries, or "
+        "an energy may not be smooth. Break the symmetry by a small load, or use smooth "
+        "energies."
+    )
+
 
 def result_names(result: RESULTS) -> np.ndarray | None:
     """Return the names of results, such as "successful".
@@ -132,10 +148,14 @@ def is_success(result: RESULTS) -> BatchFlag:
 
     If the result is not traced, no program is compiled for the comparison.
     """
-    successes = RESULTS.successful, RESULTS.event_occurred
+    successes = (
+        RESULTS.successful,
+        RESULTS.event_occurred,
+        RESULTS.returned_to_start,
+    )
     index = concrete(result._value)
     if index is None:
-        return (result == successes[0]) | (result == successes[1])
+        return jnp.any(jnp.stack([result == item for item in successes]), axis=0)
     return jax.device_put(np.isin(index, [int(item._value) for item in successes]))
 
 
@@ -210,7 +230,7 @@ class BodySolution(Tabular):
 
     @property
     def succeeded(self) -> BatchFlag:
-        """Whether the solve succeeded, or an event ended the motion."""
+        """Whether the solve succeeded, or an event ended the motion or the path."""
         return is_success(self.result)
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:

@@ -218,13 +218,13 @@ class System(eqx.Module):
             )
             return hinges.forces() - applied, tangent, hinges
         columns = self.dofs.free + self.dofs.prescribed
-        residual, matrix = self._with_loads(hinges, displacements, columns, fraction)
+        residual, matrix = self.with_loads(hinges, displacements, columns, fraction)
         if not self.constraints.size:
             return residual, DenseTangent(matrix), hinges
         assert multipliers is not None
         return *self._constrained(displacements, residual, matrix, multipliers), hinges
 
-    def _with_loads(
+    def with_loads(
         self,
         hinges: AssemblyTangent,
         displacements: Poses,
@@ -259,7 +259,7 @@ class System(eqx.Module):
         count = self.dofs.total
         whole = replace(self, dofs=DofPartition(count, tuple(range(count))))
         hinges = self.hinges.tangent(displacements)
-        _, matrix = whole._with_loads(hinges, displacements, whole.dofs.free)
+        _, matrix = whole.with_loads(hinges, displacements, whole.dofs.free)
         if self.constraints.size:
             matrix += self.constraint_stiffness(displacements)
         return matrix, self.jacobian(displacements)

@@ -1,0 +1,63 @@
+"""Mechanisms with known equilibrium paths."""
+
+from itertools import pairwise
+
+import jax.numpy as jnp
+import numpy as np
+
+import twistorjax as tj
+
+
+BAR_STIFFNESS = 1000.0
+
+
+def von_mises_truss(rise=0.3, stiffness=BAR_STIFFNESS):
+    """Two bars from supports at x = -1 and x = 1 to an apex, which does not rotate."""
+    length, angle = jnp.hypot(1.0, rise), jnp.arctan2(rise, 1.0)
+    bar = tj.energies.AxialSpring(stiffness, length=length)
+    bodies = [tj.Body("wall"), tj.Body("apex", pose=(0.0, 0.0, rise))]
+    hinges = [
+        tj.Hinge("left", "wall", "apex", bar, at=(angle, -0.5, rise / 2)),
+        tj.Hinge("right", "apex", "wall", bar, at=(-angle, 0.5, rise / 2)),
+    ]
+    fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"]}
+    return tj.Mechanism(bodies, hinges, fixed=fixed)
+
+
+def von_mises_force(height, rise=0.3, stiffness=BAR_STIFFNESS):
+    """Force on the apex of the truss, downward, at a height of the apex."""
+    length, deformed = jnp.hypot(1.0, rise), jnp.hypot(1.0, height)
+    return 2 * stiffness * height * (length / deformed - 1)
+
+
+def von_mises_limit_height(rise=0.3):
+    """Height of the apex at the first limit point."""
+    return jnp.sqrt(jnp.hypot(1.0, rise) ** (2 / 3) - 1)
+
+
+def von_mises_limit_force(rise=0.3, stiffness=BAR_STIFFNESS):
+    """Largest force that the truss carries before it snaps through."""
+    return von_mises_force(von_mises_limit_height(rise), rise, stiffness)
+
+
+def column(count=6, rotational=1.0, stiff=1e7):
+    """Vertical column of unit length: rigid links, clamped at the lower end."""
+    length = 1.0 / count
+    spring = tj.Quadratic(np.diag([rotational, stiff, stiff]))
+    names = ["base", *(f"link {k}" for k in range(count))]
+    bodies = [tj.Body("base")]
+    bodies += [
+        tj.Body(name, pose=(0.0, 0.0, (k + 0.5) * length))
+        for k, name in enumerate(names[1:])
+    ]
+    hinges = [
+        tj.Hinge(f"hinge {k}", first, second, spring, at=(np.pi / 2, 0.0, k * length))
+        for k, (first, second) in enumerate(pairwise(names))
+    ]
+    return tj.Mechanism(bodies, hinges, fixed=["base"])
+
+
+def column_load(count=6, force=1.0):
+    """Force at the upper end of the column, downward."""
+    last = f"link {count - 1}"
+    return tj.Load(last, force=(0.0, -force), at=(0.0, 0.5 / count))

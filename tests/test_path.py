@@ -1,0 +1,276 @@
+"""Equilibrium paths: von Mises truss, column of rigid links, errors, and tables."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from helpers import assert_close
+from path_helpers import (
+    BAR_STIFFNESS,
+    column,
+    column_load,
+    von_mises_force,
+    von_mises_limit_force,
+    von_mises_limit_height,
+    von_mises_truss,
+)
+
+import twistorjax as tj
+
+
+PUSH = tj.Load("apex", force=(0.0, -20.0))
+
+
+@pytest.fixture(scope="module")
+def snap():
+    return tj.path(von_mises_truss(), loads=[PUSH])
+
+
+class TestVonMisesTruss:
+    def test_all_points_are_on_the_closed_form(self, snap):
+        height = 0.3 + snap.displacement("apex")[:, 2]
+        assert_close(20 * snap.load_factors, von_mises_force(height), digits=9)
+        assert np.min(height) < -0.35 and float(snap.load_factors[0]) == 0.0
+        assert_close(snap.load_factors[-1], 1.0)
+        assert str(tj.result_names(snap.result)) == "successful"
+
+    def test_both_limit_points(self, snap):
+        points = snap.critical_points
+        assert [point.kind for point in points] == ["limit", "limit"]
+        force, height = von_mises_limit_force(), von_mises_limit_height()
+        assert_close(20 * points.load_factors, np.array([force, -force]), digits=10)
+        for sign, point in zip((1, -1), points, strict=True):
+            assert_close(point.pose("apex")[2], sign * height, digits=10)
+            # Only the height changes; the unit is the characteristic length.
+            assert_close(np.abs(point.mode[1]), np.array([0.0, 0.0, 1.0]))
+
+    def test_equilibria_between_the_limit_points_are_unstable(self, snap):
+        height = np.abs(0.3 + snap.displacement("apex")[:, 2])
+        np.testing.assert_array_equal(snap.stable, height > von_mises_limit_height())
+
+    def test_energy_is_that_of_both_bars(self, snap):
+        height = 0.3 + snap.displacement("apex")[:, 2]
+        stretch = np.hypot(1.0, height) - np.hypot(1.0, 0.3)
+        assert_close(snap.energies, BAR_STIFFNESS * stretch**2, digits=10)
+
+    def test_reactions_balance_the_load(self, snap):
+        assert_close(
+            snap.reaction("wall")[:, 1:],
+            np.stack([0 * snap.load_factors, 20 * snap.load_factors], axis=1),
+            digits=9,
+        )
+
+    def test_a_path_of_prescribed_displacements_has_the_same_force(self):
+        lowered = tj.path(
+            von_mises_truss(), drives=[tj.Drive("apex", y=-0.7)], load_factors=(0, 1)
+        )
+        height = 0.3 - 0.7 * lowered.load_factors
+        assert_close(lowered.reaction("apex")[:, 2], -von_mises_force(height), digits=9)
+        assert len(lowered.critical_points) == 0 and lowered.stable.all()
+
+    def test_the_path_ends_where_a_function_changes_its_sign(self):
+        flat = tj.path(
+            von_mises_truss(), loads=[PUSH], until=lambda point: point.pose("apex")[2]
+        )
+        assert str(tj.result_names(flat.result)) == "event_occurred"
+        assert_close(flat.pose("apex")[-1, 2], 0.0)
+        assert_close(flat.load_factors[-1], 0.0)
+        assert len(flat.critical_points) == 1
+
+    def test_a_path_in_the_other_direction(self):
+        up = tj.path(von_mises_truss(), loads=[PUSH], direction=-1)
+        height = 0.3 + up.displacement("apex")[:, 2]
+        assert_close(20 * up.load_factors, von_mises_force(height), digits=9)
+        assert_close(up.load_factors[-1], -1.0)
+        assert up.stable.all()
+
+    def test_loads_that_are_too_large_by_a_factor_of_a_thousand(self):
+        heavy = [tj.Load("apex", force=(0.0, -20e3))]
+        found = tj.path(von_mises_truss(), loads=heavy, load_factors=(-1e-3, 1e-3))
+        force = von_mises_limit_force()
+        factors = 20e3 * found.critical_points.load_factors
+        assert_close(factors, np.array([force, -force]), digits=8)
+
+    def test_a_path_from_an_equilibrium_under_constant_loads(self):
+        weight = tj.Load("apex", force=(0.0, -4.0))
+        found = tj.path(von_mises_truss(), loads=[PUSH], constant_loads=[weight])
+        height = 0.3 + found.displacement("apex")[:, 2]
+        assert_close(4 + 20 * found.load_factors, von_mises_force(height), digits=8)
+        assert_close(found.load_factors[0], 0.0)
+        first = tj.equilibrium(von_mises_truss(), loads=[weight])
+        assert_close(found.displacements[0], first.displacements, digits=9)
+
+    def test_strokes_that_move_the_ends_of_the_bars_apart(self):
+        """A stroke of -d moves the ends of a bar on both bodies along it, by d / 2."""
+        weight = [tj.Load("apex", force=(0.0, -2.0))]
+        stroke = {name: (0.0, -0.05, 0.0) for name in ("left", "right")}
+        found = tj.path(von_mises_truss(), strokes=stroke, constant_loads=weight)
+        length = np.hypot(1.0, 0.3)
+        along = 1.0 + 0.05 * found.load_factors / length
+        height = 0.3 + found.displacement("apex")[:, 2]
+        height = height + 0.05 * 0.3 * found.load_factors / length
+        stretched = np.hypot(along, height)
+        force = -2 * BAR_STIFFNESS * (stretched - length) * height / stretched
+        assert_close(force, 2.0 + 0 * force, digits=8)
+
+
+class TestDerivatives:
+    @staticmethod
+    def first_limit(rise):
+        found = tj.path(von_mises_truss(rise), loads=[PUSH], max_points=100)
+        point = found.critical_points[0]
+        return jnp.stack([20 * point.load_factor, point.pose("apex")[2]])
+
+    @staticmethod
+    def closed_form(rise):
+        return jnp.stack([von_mises_limit_force(rise), von_mises_limit_height(rise)])
+
+    def test_first_and_second_derivatives_of_a_limit_point(self):
+        exact = jax.jacfwd(self.closed_form)
+        forward = jax.jit(jax.jacfwd(self.first_limit))
+        assert_close(forward(0.3), exact(0.3), digits=10)
+        reverse = jax.jit(jax.jacfwd(jax.jacrev(self.first_limit)))
+        assert_close(reverse(0.3), jax.jacfwd(exact)(0.3), digits=9)
+
+    def test_a_batch_of_trusses(self):
+        rises = jnp.linspace(0.1, 0.35, 7)
+        found = jax.jit(jax.vmap(self.first_limit))(rises)
+        assert_close(found, jax.vmap(self.closed_form)(rises), digits=9)
+
+    def test_the_last_point_stays_at_its_load_factor(self):
+        def last_height(rise):
+            found = tj.path(
+                von_mises_truss(rise), loads=[PUSH], load_factors=(-1, 0.3), max_points=60
+            )
+            return found.load_factors[found.count - 1], found.poses[found.count - 1, 1, 2]
+
+        def residual(height, rise):
+            return von_mises_force(height, rise) - 6.0
+
+        (_, height), (factor_slope, slope) = jax.jit(
+            lambda rise: jax.jvp(last_height, (rise,), (jnp.ones(()),))
+        )(0.3)
+        by_height, by_rise = jax.grad(residual, argnums=(0, 1))(height, 0.3)
+        assert_close(factor_slope, 0.0)
+        assert_close(slope, -by_rise / by_height, digits=9)
+
+
+class TestColumn:
+    COUNT = 6
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def straight(cls):
+        return tj.path(column(), loads=[column_load()], load_factors=(0, 30))
+
+    def test_branch_points_are_the_buckling_loads(self, straight):
+        """Eigenvalues of inextensible links with small rotations."""
+        count = self.COUNT
+        springs = 2 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
+        springs[-1, -1] = 1.0
+        exact = count * np.linalg.eigvalsh(springs)
+        points = straight.critical_points
+        assert all(point.kind == "branch" for point in points)
+        np.testing.assert_allclose(points.load_factors, exact, rtol=2e-6)
+        np.testing.assert_array_equal(straight.negative_eigenvalues[-1], self.COUNT)
+
+    @pytest.mark.parametrize("side", [1, -1])
+    def test_the_buckled_column_is_followed_to_both_sides(self, straight, side):
+        """Minimum of the energy of inextensible links; each spring has k (1 - cos)."""
+        buckled = tj.path(
+            column(),
+            loads=[column_load()],
+            start=straight.critical_points[0],
+            direction=side,
+            load_factors=(0, 0.8),
+        )
+        assert buckled.stable[1:].all()
+        top = f"link {self.COUNT - 1}"
+        assert side * float(buckled.displacement(top)[-1, 1]) > 0.3
+
+        def energy(angles):
+            bends = np.diff(angles, prepend=0.0)
+            return np.sum(1 - np.cos(bends)) + 0.8 * np.mean(np.cos(angles))
+
+        start = -side * np.linspace(0.1, 1.0, self.COUNT)
+        angles = scipy.optimize.minimize(energy, start, tol=1e-12).x
+        names = [f"link {k}" for k in range(self.COUNT)]
+        found = np.array([buckled.displacement(name)[-1, 0] for name in names])
+        np.testing.assert_allclose(found, angles, rtol=2e-4)
+
+
+def test_follower_load_on_a_single_link_has_no_limit_point():
+    """The moment of a follower force about the spring does not depend on the rotation."""
+    load = tj.Load("link 0", force=(0.1, 0.0), at=(0.0, 0.5), follower=True)
+    found = tj.path(column(1), loads=[load], load_factors=(-1, 5))
+    angle = np.asarray(found.displacement("link 0")[:, 0])
+    # The energy of the twistor has the moment k sin(angle).
+    np.testing.assert_allclose(np.sin(angle), -0.1 * found.load_factors, rtol=1e-5)
+    assert len(found.critical_points) == 0
+    assert set(np.asarray(found.negative_eigenvalues)) == {0}
+
+
+def test_pins_instead_of_stiff_hinges():
+    """A link on a pin with a rotational spring, pulled by a force on its end."""
+    spring = tj.Quadratic(np.diag([1.0, 0.0, 0.0]), coordinates="twist")
+    mechanism = tj.Mechanism(
+        [tj.Body("base"), tj.Body("link", pose=(0.0, 0.0, 0.5))],
+        [tj.Hinge("spring", "base", "link", spring, at=(0.0, 0.0, 0.0))],
+        fixed=["base"],
+    )
+    pin = tj.Pin("pin", "base", "link", at=(0.0, 0.0))
+    load = tj.Load("link", force=(-0.1, -2.0), at=(0.0, 0.5))
+    found = tj.path(mechanism, loads=[load], constraints=[pin])
+    angle = np.asarray(found.displacement("link")[:, 0])
+    moment = found.load_factors * (0.1 * np.cos(angle) + 2.0 * np.sin(angle))
+    assert_close(moment, angle, digits=8)
+    assert_close(found.constraint_force("pin")[-1], np.array([0.1, 2.0]), digits=8)
+    assert found.stable.all()
+
+
+def test_a_path_is_printed_and_converted_to_a_table(snap):
+    lines = repr(snap).splitlines()
+    assert lines[0].startswith("successful: ") and "load factor 0 to 1" in lines[0]
+    assert lines[2].split() == ["limit", "0.49749585", "y", "of", "'apex'"]
+    table = snap.to_xarray()
+    assert table.load_factor.dims == ("point",) and table.y.attrs["units"] == "m"
+    np.testing.assert_array_equal(table.energy, snap.energies)
+
+
+class TestErrors:
+    def test_nothing_is_multiplied(self):
+        with pytest.raises(ValueError, match="Nothing is multiplied by the load factor"):
+            tj.path(von_mises_truss())
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            ({"direction": 2}, "`direction` is 2, but must be 1 or -1"),
+            ({"load_factors": (1, 0)}, r"`load_factors` is \(1, 0\)"),
+            ({"max_points": 2}, "`max_points` must be at least 3"),
+            ({"largest_step": 0.0}, "`largest_step`"),
+        ],
+    )
+    def test_settings(self, arguments, message):
+        with pytest.raises(ValueError, match=message):
+            tj.path(von_mises_truss(), loads=[PUSH], **arguments)
+
+    def test_too_few_points(self):
+        with pytest.raises(RuntimeError, match="largest number of points") as error:
+            tj.path(von_mises_truss(), loads=[PUSH], max_points=20)
+        assert "20 points up to the load factor" in str(error.value)
+        found = tj.path(von_mises_truss(), loads=[PUSH], max_points=20, throw=False)
+        assert len(found.load_factors) == 20 and not bool(found.succeeded)
+
+    def test_a_hinge_leaves_its_validity_range(self):
+        narrow = tj.energies.WithValidityRange(
+            tj.Quadratic(np.eye(3)), rotation=0.5, force=1e6, error=[0.0, 0.0, 0.0]
+        )
+        hinge = tj.Hinge("spring", "wall", "block", narrow, at=(0.0, 0.0, 0.0))
+        block = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])
+        turn = [tj.Load("block", moment=1.0)]
+        with pytest.raises(RuntimeError, match="outside the validity range"):
+            tj.path(block, loads=turn)
+        found = tj.path(block, loads=turn, throw=False)
+        assert 0.3 < float(found.displacement("block")[-1, 0]) <= 0.5

@@ -1,0 +1,64 @@
+"""Energy of a straight spring or bar whose ends are free to rotate."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.host import as_float, concrete, on_host
+from .._utils.types import NumberLike, Scalar
+from .._utils.validation import require_positive
+from ..geometry.twistors import Displacement
+from .base import AbstractEnergy
+
+
+class AxialSpring(AbstractEnergy):
+    """Elastic energy of a straight spring or bar that is hinged at both of its ends.
+
+    The frames are in the middle of the spring, with axis 1 along it, as those of a leaf.
+    One end is attached to body A at `-length / 2` along axis 1 of frame a, the other one
+    to body B at `length / 2` along axis 1 of frame b. The energy is
+    `stiffness (distance - length)^2 / 2`, at any distance of the ends except zero.
+
+    Args:
+        stiffness: Axial stiffness, such as E A / length of a bar; N/m.
+        length: Length without load; m.
+
+    Raises:
+        ValueError: The stiffness or the length is not positive.
+
+    Example:
+        >>> spring = AxialSpring(100.0, length=0.5)
+        >>> spring.wrench(jnp.array([0.0, 0.1, 0.0]))[1]  # longer by 0.1 m
+        Array(10., dtype=float64)
+        >>> spring(jnp.array([0.0, -0.5, 0.4])).round(12)  # of length 0.4
+        Array(0.5, dtype=float64)
+    """
+
+    stiffness: Scalar
+    length: Scalar
+
+    def __init__(self, stiffness: NumberLike, *, length: NumberLike):
+        self.stiffness = require_positive("`stiffness`", stiffness)
+        self.length = require_positive("`length`", length)
+
+    def validation_error(self) -> str | None:
+        """Describe the first value that is not positive; None if both are."""
+        for name in ("stiffness", "length"):
+            value = concrete(getattr(self, name))
+            if value is not None and not np.all((value > 0) & np.isfinite(value)):
+                return f"`{name}` must be positive and finite, but is {value}."
+        return None
+
+    def stored_energy(self, displacement: Displacement) -> Scalar:
+        # The vector from one end to the other one in the mid-frame
+        along = 2 * displacement.x1 + self.length * displacement.sigma
+        across = 2 * displacement.x2
+        stretch = jnp.sqrt(along**2 + across**2) - self.length
+        return self.stiffness * stretch**2 / 2
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "AxialSpring":
+        """Return the energy if all dimensions of the spring are multiplied."""
+        _, (scale, stiffness, length) = on_host(scale, self.stiffness, self.length)
+        new = as_float(stiffness * scale), as_float(length * scale)
+        return eqx.tree_at(lambda spring: (spring.stiffness, spring.length), self, new)

@@ -1,0 +1,266 @@
+"""Limit points and branch points of a path, and their derivatives.
+
+At both of them the tangent stiffness is singular. They are located on a segment of the
+path. Their derivatives follow from equations that are regular there: those of the path,
+and the condition that the stiffness is singular (Griewank and Reddien, Characterization
+and computation of generalized turning points, SIAM J. Numer. Anal. 21, 1984).
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._utils.types import Count, Flag, Scalar
+from .continuation import AT_EVENT, AT_LIMIT, Metric, PathEvent, Step, Trace
+from .path_location import locate, Segment
+from .path_system import PathSystem
+
+
+_SAME_POINT = 1e-3  # largest distance of two critical points that are one point
+
+
+class Criticals(NamedTuple):
+    """Critical points of a path. Those after the first `number` are NaN.
+
+    Args:
+        points: The points.
+        tangents: Unit tangents of the path, divided by the units.
+        is_branch: Whether each of them is a branch point; otherwise it is a limit point.
+        number: Number of critical points.
+    """
+
+    points: Float[Array, "critical n"]
+    tangents: Float[Array, "critical n"]
+    is_branch: Bool[Array, " critical"]
+    number: Count
+
+
+class _Search(NamedTuple):
+    """State of the search for the end of a path and its critical points.
+
+    Args:
+        trace: The path, whose last point is replaced by its end.
+        criticals: Critical points that were found.
+        row: Index of the point that precedes the last critical point.
+        ended: Whether the end has been located.
+    """
+
+    trace: Trace
+    criticals: Criticals
+    row: Count
+    ended: Flag
+
+
+def locate_points(
+    system: PathSystem,
+    metric: Metric,
+    trace: Trace,
+    limits: Float[Array, "2"],
+    event: PathEvent | None,
+    largest_count: int,
+) -> tuple[Trace, Criticals]:
+    """Locate the end of a path and its critical points, between its points.
+
+    Args:
+        system: The equations.
+        metric: Units of the unknowns.
+        trace: The path, as found by `follow`.
+        limits: Interval of the load factor.
+        event: Function of a point whose change of sign ended the path.
+        largest_count: Largest number of critical points.
+
+    Returns:
+        The path up to its end, and the critical points.
+    """
+
+    def flags(trace: Trace) -> tuple[Array, Array]:
+        """Decide between which points there are limit points, and branch points."""
+        used = jnp.arange(len(trace.points) - 1) < trace.number - 1
+        rates, orientations = trace.tangents[:, -1], trace.orientations
+        turns = used & (rates[:-1] * rates[1:] < 0)
+        return turns, used & (orientations[:-1] * orientations[1:] < 0)
+
+    def next_row(search: _Search) -> tuple[Count, Flag]:
+        """Return the next row with a critical point, and whether there is one."""
+        turns, branches = flags(search.trace)
+        later = (turns | branches) & (np.arange(len(turns)) > search.row)
+        return jnp.argmax(later), jnp.any(later)
+
+    def improve(search: _Search) -> _Search:
+        trace, found = search.trace, search.criticals
+        row, _ = next_row(search)
+        row = jnp.where(search.ended, row, trace.number - 2)
+        points = jax.lax.dynamic_slice_in_dim(trace.points, row, 2)
+        tangents = jax.lax.dynamic_slice_in_dim(trace.tangents, row, 2)
+        determinants = jax.lax.dynamic_slice_in_dim(trace.log_determinants, row, 2)
+        signs = jax.lax.dynamic_slice_in_dim(trace.orientations, row, 2)
+        reference = jnp.max(determinants)
+        branch = search.ended & (signs[0] * signs[1] < 0)
+        limit = jnp.where(points[1, -1] > limits[1], limits[1], limits[0])
+        by_event = trace.status == AT_EVENT
+
+        def function(point: Array, step: Step) -> Scalar:
+            determinant = jnp.exp(step.log_determinant - reference)
+            critical = jnp.where(branch, step.orientation * determinant, step.tangent[-1])
+            end = point[-1] - limit
+            if event is not None:
+                end = jnp.where(by_event, event(point), end)
+            return jnp.where(search.ended, critical, end)
+
+        values = jnp.stack(
+            [
+                function(
+                    points[k], Step(0 * points[k], tangents[k], limit, signs[k], size)
+                )
+                for k, size in enumerate(determinants)
+            ]
+        )
+        segment = Segment(points, tangents)
+        point, step = locate(system, metric, segment, function, values, ~branch)
+        # On the path that branches off, the load factor is stationary at a branch point,
+        # which is not a limit point in addition.
+        before = found.points[found.number - 1]
+        distance = metric.length((point - before) / metric.units)
+        same = (found.number > 0) & (distance < _SAME_POINT)
+        index = jnp.where(search.ended, found.number - same.astype(int), largest_count)
+        found = Criticals(
+            found.points.at[index].set(point, mode="drop"),
+            found.tangents.at[index].set(step.tangent, mode="drop"),
+            found.is_branch.at[index].set(
+                branch | (same & found.is_branch[found.number - 1]), mode="drop"
+            ),
+            found.number + (search.ended & ~same).astype(int),
+        )
+        last = jnp.where(search.ended, len(trace.points), trace.number - 1)
+        trace = trace._replace(
+            points=trace.points.at[last].set(point, mode="drop"),
+            tangents=trace.tangents.at[last].set(step.tangent, mode="drop"),
+            orientations=trace.orientations.at[last].set(step.orientation, mode="drop"),
+        )
+        row = jnp.where(search.ended, row, search.row)
+        return _Search(trace, found, row, jnp.ones((), bool))
+
+    nothing = jnp.full((largest_count, trace.points.shape[1]), jnp.nan)
+    none = jnp.zeros(largest_count, bool)
+    found = Criticals(nothing, nothing, none, jnp.zeros((), int))
+    located = (trace.status != AT_LIMIT) & (trace.status != AT_EVENT)
+    search = _Search(trace, found, -jnp.ones((), int), located)
+
+    def unfinished(search: _Search) -> Flag:
+        return ~search.ended | (
+            next_row(search)[1] & (search.criticals.number < largest_count)
+        )
+
+    search = jax.lax.while_loop(unfinished, improve, search)
+    return search.trace, search.criticals
+
+
+def null_vectors(
+    system: PathSystem, metric: Metric, criticals: Criticals
+) -> Float[Array, "critical n"]:
+    """Compute the null vectors of the stiffness, divided by the units, of unit length.
+
+    At a branch point, the part along the path is removed. The largest entry is positive.
+    """
+
+    def one(point: Array, tangent: Array, branch: Flag) -> Float[Array, " n"]:
+        _, right = singular_vectors(system, metric, point)
+        mode = jnp.concatenate([right, jnp.zeros(1)])
+        along = jnp.sum(metric.weights * tangent * mode)
+        mode = jnp.where(branch, mode - along * tangent, mode)
+        mode = mode / metric.length(mode)
+        largest = mode[jnp.argmax(jnp.abs(metric.weights * mode))]
+        return jnp.where(largest < 0, -1.0, 1.0) * mode
+
+    return jax.vmap(one)(criticals.points, criticals.tangents, criticals.is_branch)
+
+
+def singular_vectors(
+    system: PathSystem, metric: Metric, point: Float[Array, " n"]
+) -> tuple[Float[Array, " unknowns"], Float[Array, " unknowns"]]:
+    """Compute the singular vectors of the smallest singular value of the stiffness.
+
+    The left one belongs to the rows of the scaled stiffness; see `scaled_jacobian`.
+    """
+    matrix = scaled_jacobian(system, metric, point)
+    left, _, right = jnp.linalg.svd(matrix)
+    return left[:, -1], right[-1]
+
+
+def scaled_jacobian(
+    system: PathSystem, metric: Metric, point: Float[Array, " n"]
+) -> Float[Array, "unknowns unknowns"]:
+    """Compute the derivative of the residual, in the units of the metric.
+
+    A force is multiplied by the unit of its displacement, and a violation by that of its
+    constraint force. The matrix is divided by its largest entry.
+    """
+    units = metric.units[:-1]
+    return units[:, None] * system.tangent(point).jacobian * units[None]
+
+
+def with_derivatives(
+    system: PathSystem, metric: Metric, points: Array, is_branch: Array
+) -> Float[Array, "critical n"]:
+    """Return critical points with derivatives with respect to the system."""
+    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
+
+    def one(point: Array, branch: Flag) -> Array:
+        return _critical(static, dynamic, metric, point, branch)
+
+    return jax.vmap(one)(points, is_branch)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _critical(static: PathSystem, dynamic: PathSystem, metric, point, branch):
+    """Return the critical point; see `with_derivatives`."""
+    del static, dynamic, metric, branch
+    return point
+
+
+@_critical.defjvp
+def _(static, primals, tangents):
+    dynamic, metric, point, branch = primals
+    point = _critical(static, dynamic, metric, point, branch)
+    found = jnp.all(jnp.isfinite(point))
+    metric, at = jax.lax.stop_gradient((metric, jnp.where(found, point, 0.0)))
+    left, right = jax.lax.stop_gradient(
+        singular_vectors(eqx.combine(jax.lax.stop_gradient(dynamic), static), metric, at)
+    )
+    row_units, units = metric.units[:-1], metric.units
+
+    def equations(dynamic: PathSystem, unknowns: Array) -> Array:
+        """Residual, unfolding, and condition of singularity, in the units of the metric.
+
+        The unfolding is an additional force along the left null vector, by which the
+        equations of a branch point are regular. It is zero.
+        """
+        system = eqx.combine(dynamic, static)
+        scaled, unfolding = unknowns[:-1], unknowns[-1]
+        moved = units * scaled
+        matrix = scaled_jacobian(system, metric, moved)
+        bordered = jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
+        last = jnp.zeros(len(bordered)).at[-1].set(1.0)
+        singular = jnp.linalg.solve(bordered, last)[-1]
+        null = jnp.linalg.solve(bordered.T, last)[:-1]
+        rate = jnp.sum(null * row_units * system.by_factor(moved))
+        residual = row_units * system.residual(moved) + unfolding * left
+        closing = jnp.where(branch, rate, unfolding)
+        return jnp.concatenate([residual, jnp.stack([singular, closing])])
+
+    unknowns = jnp.concatenate([jnp.where(found, point, 0.0) / units, jnp.zeros(1)])
+    _, rate = jax.jvp(
+        lambda dynamic: equations(dynamic, unknowns), (dynamic,), (tangents[0],)
+    )
+    matrix = jax.jacfwd(equations, argnums=1)(dynamic, unknowns)
+    matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
+    scale = jnp.max(jnp.abs(matrix), axis=1)
+    scale = jax.lax.stop_gradient(jnp.where(scale > 0, scale, 1.0))
+    change = -jnp.linalg.solve(matrix / scale[:, None], rate / scale)
+    change = jnp.where(found, units * change[:-1], 0.0)
+    return point, change

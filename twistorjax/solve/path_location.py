@@ -1,0 +1,172 @@
+"""Location of a point on a segment of a path: an end, a limit point, a branch point."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._utils.types import Count, Flag, Scalar
+from .continuation import Metric, solve_step, Step
+from .path_system import PathSystem
+
+
+_ITERATIONS = 60
+_CORRECTED = 1e-7  # largest correction of an accurate point, as a fraction of the segment
+_ROUNDING = 1e-12  # of the position on the segment, as a fraction of its length
+_CLOSE = 1e-5  # from here an extrapolation is as accurate as a correction
+
+
+class Segment(NamedTuple):
+    """Part of a path between two successive points.
+
+    Args:
+        points: Both points.
+        tangents: Unit tangents at both of them, divided by the units.
+    """
+
+    points: Float[Array, "2 n"]
+    tangents: Float[Array, "2 n"]
+
+
+class _Search(NamedTuple):
+    """State of the search for a root on a segment.
+
+    Args:
+        ends: Both ends of the interval that contains the root.
+        values: Values of the function at both ends.
+        position: Position of the current point.
+        scaled: Current point, divided by the units.
+        step: Step at the last accurate point.
+        base: Last accurate point, divided by the units.
+        base_position: Its position.
+        finished: Whether the root has been found.
+        iterations: Number of evaluations.
+    """
+
+    ends: Float[Array, "2"]
+    values: Float[Array, "2"]
+    position: Scalar
+    scaled: Float[Array, " n"]
+    step: Step
+    base: Float[Array, " n"]
+    base_position: Scalar
+    finished: Flag
+    iterations: Count
+
+
+def locate(
+    system: PathSystem,
+    metric: Metric,
+    segment: Segment,
+    function: Callable[[Float[Array, " n"], Step], Scalar],
+    values: Float[Array, "2"],
+    regular: Flag,
+) -> tuple[Float[Array, " n"], Step]:
+    """Find the point of a segment at which a function is zero.
+
+    The position on the segment is that along its first tangent. The root stays in an
+    interval, at the ends of which the function has different signs (Illinois method).
+
+    Args:
+        system: The equations.
+        metric: Units of the unknowns.
+        segment: The segment.
+        function: The function of a point and of the step there.
+        values: Values of the function at both ends, with different signs.
+        regular: Whether the equations of a correction are regular at the root. Otherwise
+            the root is extrapolated from a point nearby.
+
+    Returns:
+        The point, and the step there or nearby.
+    """
+    border = metric.weights * segment.tangents[0]
+    first, last = segment.points / metric.units[None]
+    length = jnp.sum(border * (last - first))
+    slopes = segment.tangents / (segment.tangents @ border)[:, None]
+
+    def interpolate(position: Scalar) -> Float[Array, " n"]:
+        """Evaluate the cubic polynomial with the points and tangents of both ends."""
+        u = position / length
+        return (
+            (1 + 2 * u) * (1 - u) ** 2 * first
+            + u**2 * (3 - 2 * u) * last
+            + length * u * (1 - u) * ((1 - u) * slopes[0] - u * slopes[1])
+        )
+
+    def improve(search: _Search) -> _Search:
+        """Correct the point, or move it if it is accurate already."""
+        tangent = system.tangent(metric.units * search.scaled)
+        excess = jnp.sum(border * (search.scaled - first)) - search.position
+        step = solve_step(tangent, metric, segment.tangents[0], excess)
+        size = metric.length(step.correction)
+        # At a branch point, only rounding errors would be corrected.
+        singular = ~regular & ~(size <= 0.1 * length)
+        scaled = search.scaled + jnp.where(singular, 0.0, step.correction)
+        # Rounding errors need not become smaller.
+        accurate = singular | (size <= _CORRECTED * length)
+        accurate |= search.iterations % 6 == 5
+
+        value = function(metric.units * scaled, step)
+        at_left = value * search.values[0] > 0
+        last_end = jnp.where(at_left, search.ends[0], search.ends[1])
+        # The value at an end that stays twice is halved.
+        kept = jnp.where(search.base_position == last_end, 0.5, 1.0)
+        ends = jnp.stack(
+            [
+                jnp.where(at_left, search.position, search.ends[0]),
+                jnp.where(at_left, search.ends[1], search.position),
+            ]
+        )
+        at_ends = jnp.stack(
+            [
+                jnp.where(at_left, value, kept * search.values[0]),
+                jnp.where(at_left, kept * search.values[1], value),
+            ]
+        )
+        found = (value == 0) | singular
+        root = jnp.where(found, search.position, _secant(ends, at_ends))
+        change = root - search.position
+        slope = step.tangent / jnp.sum(border * step.tangent)
+        near = jnp.abs(change) < 0.05 * length
+        ahead = jnp.where(near, scaled + change * slope, interpolate(root))
+        ahead = jnp.where(found, scaled, ahead)
+        enough = jnp.where(regular, _ROUNDING, _CLOSE) * length
+        finished = (jnp.abs(change) <= enough) | found
+        finished |= ends[1] - ends[0] <= _ROUNDING * length
+        moved = _Search(
+            ends, at_ends, root, ahead, step, scaled, search.position, finished,
+            search.iterations + 1,
+        )  # fmt: skip
+        corrected = search._replace(scaled=scaled, iterations=search.iterations + 1)
+        return jax.tree.map(lambda a, b: jnp.where(accurate, a, b), moved, corrected)
+
+    zero, ends = jnp.zeros(()), jnp.stack([jnp.zeros(()), length])
+    position = _secant(ends, values)
+    nothing = Step(0 * first, segment.tangents[0], zero, zero, zero)
+    search = _Search(
+        ends=ends,
+        values=values,
+        position=position,
+        scaled=interpolate(position),
+        step=nothing,
+        base=first,
+        base_position=-jnp.ones(()),
+        finished=jnp.zeros((), bool),
+        iterations=jnp.zeros((), int),
+    )
+    search = jax.lax.while_loop(
+        lambda search: ~search.finished & (search.iterations < _ITERATIONS),
+        improve,
+        search,
+    )
+    return metric.units * search.scaled, search.step
+
+
+def _secant(ends: Float[Array, "2"], values: Float[Array, "2"]) -> Scalar:
+    """Return the root of the secant, or the middle if this is not in the interval."""
+    left, right = ends
+    root = right - values[1] * (right - left) / (values[1] - values[0])
+    inside = jnp.isfinite(root) & (root > left) & (root < right)
+    return jnp.where(inside, root, (left + right) / 2)

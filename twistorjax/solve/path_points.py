@@ -1,0 +1,117 @@
+"""Points of a path as displacements, reactions, energies, and stability."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._utils.types import Count
+from .continuation import determinant_sign, Metric
+from .factorization import null_space
+from .path_system import PathSystem
+
+
+class PointValues(NamedTuple):
+    """Quantities at one point of a path, or with one more axis at many points.
+
+    Args:
+        load_factor: Load factor.
+        displacements: Displacement of each body from its reference pose; rad, m, m.
+        reactions: Reactions on fixed and prescribed degrees of freedom; N m, N, N.
+        constraint_forces: Constraint forces; N m, N.
+        energy: Energy stored in the hinges; J.
+    """
+
+    load_factor: Float[Array, "..."]
+    displacements: Float[Array, "... bodies 3"]
+    reactions: Float[Array, "... bodies 3"]
+    constraint_forces: Float[Array, "... entries"]
+    energy: Float[Array, "..."]
+
+
+def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointValues:
+    """Compute the quantities at points of a path."""
+
+    def one(point: Float[Array, " n"]) -> PointValues:
+        equations, displacements, multipliers = system.split(point)
+        return PointValues(
+            point[-1],
+            displacements,
+            equations.reactions(displacements, multipliers),
+            multipliers,
+            equations.hinges.energy(displacements),
+        )
+
+    return jax.vmap(one)(points)
+
+
+def negative_eigenvalues(
+    system: PathSystem, metric: Metric, points: Float[Array, "points n"]
+) -> Int[Array, " points"]:
+    """Count the negative eigenvalues of the stiffness at points of a path.
+
+    They are those for displacements that the constraints allow. With follower loads, the
+    stiffness is not symmetric, and the number is that of the factor -1 in the sign of its
+    determinant: 0 or 1.
+    """
+    free = len(system.dofs.free)
+    units = metric.units[:free]
+
+    def one(point: Float[Array, " n"]) -> Count:
+        jacobian = system.tangent(point).jacobian
+        matrix = units[:, None] * jacobian[:free, :free] * units[None]
+        if system.constraints.size:
+            _, basis = null_space(jacobian[free:, :free] * units[None])
+            matrix = basis.T @ matrix @ basis
+        if not system.symmetric:
+            sign = determinant_sign(*jax.scipy.linalg.lu_factor(matrix))
+            return jnp.asarray(sign < 0, int)
+        return jnp.sum(jnp.linalg.eigvalsh(matrix) < 0)
+
+    return jax.vmap(one)(points)
+
+
+def on_path(
+    system: PathSystem,
+    points: Float[Array, "points n"],
+    normals: Float[Array, "points n"],
+) -> Float[Array, "points n"]:
+    """Return points of a path with derivatives with respect to the system.
+
+    If the system changes, a point moves in the plane that is perpendicular to its normal.
+    """
+    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
+    return jax.vmap(partial(_on_path, static, dynamic))(points, normals)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _on_path(static: PathSystem, dynamic: PathSystem, point, normal):
+    """Return the point; see `on_path`."""
+    del static, dynamic, normal
+    return point
+
+
+@_on_path.defjvp
+def _(static, primals, tangents):
+    dynamic, point, normal = primals
+    point = _on_path(static, dynamic, point, normal)
+    normal = jax.lax.stop_gradient(normal)
+    found = jnp.all(jnp.isfinite(point))
+    at = jnp.where(found, point, 0.0)
+
+    def residual(dynamic: PathSystem) -> Array:
+        return eqx.combine(dynamic, static).residual(at)
+
+    _, rate = jax.jvp(residual, (dynamic,), (tangents[0],))
+    tangent = eqx.combine(dynamic, static).tangent(at)
+    rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
+    matrix = jnp.concatenate([rows, normal[None]])
+    matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
+    scale = jnp.max(jnp.abs(matrix), axis=1)
+    scale = jax.lax.stop_gradient(jnp.where(scale > 0, scale, 1.0))
+    right = jnp.concatenate([rate, jnp.zeros(1)]) / scale
+    change = -jnp.linalg.solve(matrix / scale[:, None], right)
+    return point, jnp.where(found, change, 0.0)

@@ -1,0 +1,198 @@
+"""Programs that follow a path, and compute the quantities at its points.
+
+The points of a path are computed in one program, and their quantities in another one,
+because the number of points is known only after the first. Inside `jax.jit` and under
+`jax.grad` there is one program.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from typing_extensions import TypeAliasType
+
+from .._utils.compilation import fast_compile
+from .._utils.host import take_rows
+from .._utils.pytrees import stop_gradient
+from .._utils.types import Poses, Scalar
+from . import continuation
+from .continuation import follow, Metric, metric_of, Node, start_at, Trace
+from .critical_points import Criticals, locate_points, null_vectors, with_derivatives
+from .path_points import negative_eigenvalues, on_path, point_values
+from .path_results import CriticalPoint, CriticalPoints, Path, PathPoint
+from .path_system import PathSystem
+from .results import RESULTS
+
+
+# Condition for the end of a path: a function whose change of sign ends it
+Until = TypeAliasType("Until", Callable[[PathPoint], Scalar])
+
+
+class PathRun(NamedTuple):
+    """Result of the continuation.
+
+    Args:
+        metric: Units of the unknowns.
+        trace: The points.
+        criticals: The critical points.
+        end_normal: Normal of the plane in which the last point is for other parameters.
+    """
+
+    metric: Metric
+    trace: Trace
+    criticals: Criticals
+    end_normal: Float[Array, " n"]
+
+
+def _run_uncompiled(
+    system: PathSystem,
+    displacements: Poses,
+    first_factor: Scalar,
+    branch: CriticalPoint | None,
+    limits: Float[Array, "2"],
+    largest_step: Scalar,
+    direction: int,
+    until: Until | None,
+    max_points: int,
+    max_critical: int,
+) -> PathRun:
+    """Follow the path, and locate its end and its critical points."""
+    system, displacements, first_factor, branch = stop_gradient(
+        (system, displacements, first_factor, branch)
+    )
+    event = None if until is None else _event(system, until)
+    equations = system.at(first_factor)
+    free = displacements.reshape(-1)[equations.free]
+    multipliers = equations.constraint_forces(displacements)
+    point = jnp.concatenate([free, multipliers, first_factor[None]])
+    if branch is None:
+        metric, start = start_at(system, point, float(direction))
+    else:
+        metric = metric_of(system, system.tangent(point), point)
+        metric = Metric(metric.units.at[-1].set(branch.factor_unit), metric.weights)
+        mode = branch.mode.reshape(-1)[equations.free]
+        mode = jnp.concatenate([mode, 0 * multipliers, jnp.zeros(1)])
+        zero = jnp.zeros(())
+        start = Node(point, direction * mode / metric.length(mode), zero, zero)
+    trace = follow(system, metric, start, limits, largest_step, event, max_points)
+    trace, criticals = locate_points(system, metric, trace, limits, event, max_critical)
+    normal = jnp.zeros_like(point).at[-1].set(1.0)
+    if event is not None:
+        by_event = trace.status == continuation.AT_EVENT
+        slope = jax.grad(event)(trace.points[trace.number - 1])
+        normal = jnp.where(by_event, slope, normal)
+    return PathRun(metric, trace, criticals, normal)
+
+
+def _event(system: PathSystem, until: Until) -> continuation.PathEvent:
+    """Convert a function of a `PathPoint` to one of a vector."""
+
+    def event(point: Float[Array, " n"]) -> Scalar:
+        equations, displacements, _ = system.split(point)
+        energy = equations.hinges.energy(displacements)
+        mechanism = system.mechanism
+        reference, names = mechanism.reference, mechanism.names
+        return until(PathPoint(point[-1], displacements, reference, energy, names))
+
+    return event
+
+
+def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
+    """Compute the quantities at the points, and give them derivatives."""
+    metric, trace, criticals, end_normal = run
+    fixed, mechanism = stop_gradient(system), system.mechanism
+    rows = jnp.asarray(np.arange(len(trace.points)))
+    used = rows < trace.number
+    known = jnp.where(used[:, None], trace.points, trace.points[:1])
+    normals = trace.tangents * (metric.weights / metric.units)[None]
+    ended = (trace.status == continuation.AT_LIMIT) | (
+        trace.status == continuation.AT_EVENT
+    )
+    is_end = ended & (rows == trace.number - 1)
+    normals = jnp.where(is_end[:, None], end_normal[None], normals)
+    # The first point stays at its load factor.
+    normals = normals.at[0].set(jnp.zeros(len(end_normal)).at[-1].set(1.0))
+    values = point_values(system, on_path(system, known, normals))
+    negative = negative_eigenvalues(fixed, metric, known)
+    masked = jax.tree.map(lambda array: _masked(used, array), values)
+
+    count = jnp.minimum(criticals.number, len(criticals.points))
+    found = jnp.asarray(np.arange(len(criticals.points))) < count
+    at = jnp.where(found[:, None], criticals.points, trace.points[:1])
+    at = with_derivatives(system, metric, at, criticals.is_branch)
+    critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
+    free = len(system.dofs.free)
+    no_change = jnp.zeros(len(system.dofs.prescribed))
+    filled = jax.tree.map(
+        lambda values, other: jnp.where(found[:, None], values, other),
+        (criticals.points, criticals.tangents),
+        (trace.points[:1], trace.tangents[:1]),
+    )
+    modes = null_vectors(
+        fixed, metric, criticals._replace(points=filled[0], tangents=filled[1])
+    )
+    modes = jax.vmap(lambda mode: system.dofs.expand(mode[:free], no_change))(modes)
+    result = RESULTS.successful
+    for status, item in (
+        (continuation.AT_EVENT, RESULTS.event_occurred),
+        (continuation.RETURNED, RESULTS.returned_to_start),
+        (continuation.OUT_OF_RANGE, RESULTS.out_of_range),
+        (continuation.FULL, RESULTS.max_points_reached),
+        (continuation.TOO_SHORT, RESULTS.path_interrupted),
+        (continuation.NOT_FINITE, RESULTS.not_finite),
+    ):
+        result = RESULTS.where(trace.status == status, item, result)
+    length = fixed.at(known[0, -1]).units()[1]
+    return Path(
+        load_factors=masked.load_factor,
+        displacements=masked.displacements,
+        reference=mechanism.reference,
+        reactions=masked.reactions,
+        constraint_forces=masked.constraint_forces,
+        energies=masked.energy,
+        negative_eigenvalues=jnp.where(used, negative, -1),
+        critical_points=CriticalPoints(
+            load_factors=critical.load_factor,
+            displacements=critical.displacements,
+            reference=mechanism.reference,
+            energies=critical.energy,
+            modes=_masked(found, modes),
+            is_branch=criticals.is_branch,
+            count=count,
+            factor_unit=metric.units[-1],
+            length=length,
+            names=mechanism.names,
+        ),
+        count=trace.number,
+        steps=trace.steps,
+        result=result,
+        names=mechanism.names,
+        constraint_names=system.constraints.names(),
+    )
+
+
+def first_rows(run: PathRun, rows: int) -> PathRun:
+    """Return the first rows of the points of a path."""
+    trace = run.trace
+    names = ("points", "tangents", "orientations", "log_determinants")
+    first = {name: take_rows(getattr(trace, name), slice(rows)) for name in names}
+    return run._replace(trace=trace._replace(**first))
+
+
+def _masked(used: Bool[Array, " rows"], values: Array) -> Array:
+    """Replace the rows that are not used by NaN."""
+    return jnp.where(used.reshape(-1, *(values.ndim - 1) * (1,)), values, jnp.nan)
+
+
+def _solve_uncompiled(system: PathSystem, *arguments: Any) -> Path:
+    """Follow the path and evaluate its points, inside another program."""
+    return _evaluate_uncompiled(system, _run_uncompiled(system, *arguments))
+
+
+solve_path = eqx.filter_jit(_solve_uncompiled)
+run_path = fast_compile(_run_uncompiled)
+evaluate_path = fast_compile(_evaluate_uncompiled)

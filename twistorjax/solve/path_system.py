@@ -1,0 +1,160 @@
+"""Equations of an equilibrium path: those of statics with a load factor as an unknown."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.types import Entries, Flag, Poses, Scalar
+from ..mechanism.assembly_tangent import AssemblyTangent
+from ..mechanism.constraints import ConstraintSet
+from ..mechanism.hinge_changes import HingeChanges
+from ..mechanism.loads import LoadSet
+from ..mechanism.mechanism import Mechanism
+from .dofs import DofPartition
+from .system import System
+
+
+class PathTangent(eqx.Module):
+    """Residual of a path and its derivatives at one point.
+
+    Args:
+        residual: Forces on the free degrees of freedom, then violations of constraints;
+            N m, N, rad, m.
+        jacobian: Derivatives of the residual with respect to the free degrees of freedom
+            and the constraint forces.
+        by_factor: Derivatives of the residual with respect to the load factor.
+        hinges: Tangent of the hinges.
+    """
+
+    residual: Float[Array, " unknowns"]
+    jacobian: Float[Array, "unknowns unknowns"]
+    by_factor: Float[Array, " unknowns"]
+    hinges: AssemblyTangent
+
+
+class PathSystem(eqx.Module):
+    """Equations of a mechanism whose loads are multiplied by a load factor.
+
+    A point of a path is a vector: the displacements of the free degrees of freedom (rad,
+    m), the constraint forces (N m, N), and the load factor.
+
+    Args:
+        mechanism: The mechanism.
+        loads: Loads that are multiplied by the load factor.
+        constant_loads: Loads that are not.
+        constraints: The constraints.
+        changes: Strokes and temperatures as functions of the load factor; None if there
+            are none.
+        start: Displacements at the load factor zero, of which those of the fixed and the
+            prescribed degrees of freedom are used; rad, m, m.
+        targets: Displacements of the prescribed degrees of freedom at the load factor 1;
+            rad, m.
+        time: Time at which the constraints are evaluated; s.
+        dofs: Partition of the degrees of freedom.
+    """
+
+    mechanism: Mechanism
+    loads: LoadSet
+    constant_loads: LoadSet
+    constraints: ConstraintSet
+    changes: HingeChanges | None
+    start: Poses
+    targets: Float[Array, " prescribed"]
+    time: Scalar
+    dofs: DofPartition = eqx.field(static=True)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns without the load factor."""
+        return len(self.dofs.free) + self.constraints.size
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether all loads have a potential."""
+        return self.loads.conservative and self.constant_loads.conservative
+
+    def at(self, factor: Scalar) -> System:
+        """Return the equations at a load factor."""
+        constant, proportional = self.constant_loads, self.loads
+        loads = LoadSet(
+            jnp.asarray(constant.sums) + factor * jnp.asarray(proportional.sums),
+            present=constant.present or proportional.present,
+            conservative=self.symmetric,
+        )
+        hinges = self.mechanism.hinge_assembly
+        if self.changes is not None:
+            state = self.changes.state(self.mechanism, factor)
+            hinges = state.hinges(self.mechanism)
+        begin = self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
+        targets = begin + factor * (self.targets - begin)
+        return System(hinges, loads, self.constraints, targets, self.time, self.dofs)
+
+    def split(self, point: Float[Array, " n"]) -> tuple[System, Poses, Entries]:
+        """Return equations, displacements, and constraint forces of a point."""
+        system = self.at(point[-1])
+        count = len(self.dofs.free)
+        displacements = system.with_displacements(
+            self.start, free=point[:count], prescribed=system.targets
+        )
+        return system, displacements, point[count:-1]
+
+    def residual(self, point: Float[Array, " n"]) -> Float[Array, " unknowns"]:
+        """Compute the forces on the free degrees of freedom, and the violations."""
+        system, displacements, multipliers = self.split(point)
+        forces = system.residual(displacements, multipliers)
+        return system.equations(forces, displacements)
+
+    def tangent(
+        self,
+        point: Float[Array, " n"],
+        predicted: Float[Array, "3 hinges"] | None = None,
+    ) -> PathTangent:
+        """Compute the residual at a point, and its derivatives.
+
+        `predicted` is the stress of the hinges that determines their geometric stiffness,
+        by default the stress at this point; N m, N, N.
+        """
+        system, displacements, multipliers = self.split(point)
+        hinges = system.hinges.tangent(displacements, predicted)
+        forces, matrix = system.with_loads(hinges, displacements, self.dofs.free)
+        if self.constraints.size:
+            rows = system.jacobian(displacements)
+            forces = forces - multipliers @ rows
+            rows = rows[:, system.free]
+            geometric = self.constraints.geometric_stiffness(
+                displacements, self.time, multipliers
+            )
+            matrix = matrix + geometric[system.free[:, None], system.free]
+            corner = jnp.zeros((len(rows), len(rows)))
+            matrix = jnp.block([[matrix, -rows.T], [rows, corner]])
+        return PathTangent(
+            residual=system.equations(forces, displacements),
+            jacobian=matrix,
+            by_factor=self.by_factor(point),
+            hinges=hinges,
+        )
+
+    def by_factor(self, point: Float[Array, " n"]) -> Float[Array, " unknowns"]:
+        """Differentiate the residual with respect to the load factor."""
+        direction = jnp.zeros_like(point).at[-1].set(1.0)
+        return jax.jvp(self.residual, (point,), (direction,))[1]
+
+    def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 hinges"]:
+        """Compute the generalized stress of the hinges at a point; N m, N, N."""
+        system, displacements, _ = self.split(point)
+        return system.hinges.generalized_stress(displacements)
+
+    def out_of_range(self, point: Float[Array, " n"]) -> Flag:
+        """Decide whether a hinge is outside the validity range of its energy."""
+        system, displacements, _ = self.split(point)
+        return jnp.any(system.hinges.out_of_range(displacements))
+
+    def displacement_change(
+        self, change: Float[Array, " n"], rate: Scalar | float = 1.0
+    ) -> Poses:
+        """Arrange a change of a point by bodies; rad, m, m."""
+        begin = self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
+        prescribed = rate * change[-1] * (self.targets - begin)
+        return self.dofs.expand(change[: len(self.dofs.free)], prescribed)

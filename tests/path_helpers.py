@@ -43,7 +43,7 @@ def von_mises_limit_force(rise=0.3, stiffness=BAR_STIFFNESS):
 def column(count=6, rotational=1.0, stiff=1e7):
     """Vertical column of unit length: rigid links, clamped at the lower end."""
     length = 1.0 / count
-    spring = tj.Quadratic(np.diag([rotational, stiff, stiff]))
+    spring = tj.Quadratic(jnp.diag(jnp.array([rotational, stiff, stiff])))
     names = ["base", *(f"link {k}" for k in range(count))]
     bodies = [tj.Body("base")]
     bodies += [

@@ -35,6 +35,10 @@ from .mechanism import (
 )
 from .plotting import animate as animate, draw as draw
 from .solve import (
+    Bistability as Bistability,
+    bistability as bistability,
+    Buckling as Buckling,
+    buckling as buckling,
     constraint_analysis as constraint_analysis,
     Equilibrium as Equilibrium,
     equilibrium as equilibrium,

@@ -255,6 +255,13 @@ class LoadSet(eqx.Module):
         applied = applied + jnp.stack([zero[:, 0], x, y], axis=1)
         return applied, slope + jnp.stack([zero[:, 0], -y, x], axis=1)
 
+    def work(self, displacements: Poses) -> Scalar:
+        """Compute the work of loads with a potential, from the reference poses; J."""
+        angle, x, y = displacements.T
+        moment, fx, fy, cross, dot = jnp.asarray(self.sums).T[:5]
+        turned = jnp.sin(angle) * cross + (jnp.cos(angle) - 1) * dot
+        return jnp.sum(moment * angle + fx * x + fy * y + turned)
+
 
 @lru_cache
 def _no_loads(bodies: int) -> LoadSet:

@@ -1,3 +1,5 @@
+from .bistability import Bistability as Bistability, bistability as bistability
+from .buckling import Buckling as Buckling, buckling as buckling
 from .collocation import Gauss as Gauss, Radau as Radau
 from .constraint_analysis import (
     constraint_analysis as constraint_analysis,

@@ -1,45 +1,20 @@
 """Equilibrium path of a mechanism, with its stable and unstable equilibria."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-from typing_extensions import TypeAliasType
-
 from .._utils.host import as_float, concrete, is_traced, padded_size, take_rows
-from .._utils.types import NumberLike, NumbersLike, PoseLike, Poses, Scalar
-from .._utils.validation import require_float64, require_positive
-from ..mechanism.constraints import AbstractConstraint, gather_constraints
-from ..mechanism.hinge_changes import (
-    as_temperature,
-    HingeChanges,
-    Temperature,
-    TemperatureInTime,
-)
-from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
+from .._utils.types import NumberLike, NumbersLike
+from .._utils.validation import require_positive
+from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.support import require_support
-from .dofs import DofPartition
 from .path_program import evaluate_path, first_rows, run_path, solve_path, Until
-from .path_results import CriticalPoint, Path
-from .path_system import PathSystem
+from .path_results import Path
+from .path_setup import assemble_path, PathStrokes, PathTemperature, StartLike
 from .results import result_message, succeeded_or_raise
-from .statics import equilibrium, StateLike
-
-
-# Strokes by hinges, or a function of the load factor that returns them
-PathStrokes = TypeAliasType(
-    "PathStrokes", Mapping[str, PoseLike] | Callable[[Scalar], Mapping[str, PoseLike]]
-)
-# A change of the temperature, or a function of the load factor that returns it; K
-PathTemperature = TypeAliasType(
-    "PathTemperature", NumberLike | Temperature | TemperatureInTime
-)
-StartLike = TypeAliasType("StartLike", StateLike | CriticalPoint)
 
 
 def path(
@@ -126,41 +101,13 @@ def path(
         >>> snap.critical_points.load_factors  # the truss snaps at 9.95 N
         Array([ 0.4975, -0.4975], dtype=float64)
     """
-    require_float64(mechanism.reference)
-    constraint_set = gather_constraints(mechanism, constraints)
-    require_support(mechanism, constraint_set.bodies)
     _check_settings(direction, load_factors, max_points, max_critical)
     step = require_positive("`largest_step`", largest_step)
-    changes = _changes(strokes, temperature)
-    if not loads and not drives and changes is None:
-        raise ValueError(
-            "Nothing is multiplied by the load factor. Give `loads`, `drives`, "
-            "`strokes`, or `temperature`."
-        )
-    prescribed, targets = prescribed_dofs(mechanism, drives)
-    dofs = DofPartition.of(mechanism, prescribed)
-    first_factor = jnp.zeros(())
-    if isinstance(start, CriticalPoint):
-        displacements, first_factor = start.displacements, start.load_factor
-        begin = dofs.fixed_part(displacements)
-    else:
-        displacements = begin = _first_displacements(
-            mechanism, changes, constant_loads, constraints, start, time
-        )
-    system = PathSystem(
-        mechanism=mechanism,
-        loads=LoadSet.of(mechanism, loads),
-        constant_loads=LoadSet.of(mechanism, constant_loads),
-        constraints=constraint_set,
-        changes=changes,
-        start=begin,
-        targets=jnp.array(targets, float),
-        time=as_float(time),
-        dofs=dofs,
-    )
-    branch = start if isinstance(start, CriticalPoint) else None
-    limits = as_float(load_factors)
-    arguments = system, displacements, first_factor, branch, limits, step
+    system, first = assemble_path(
+        mechanism, loads, drives, strokes, temperature, constant_loads, constraints,
+        start, time,
+    )  # fmt: skip
+    arguments = system, *first, as_float(load_factors), step
     numbers = direction, until, max_points, max_critical
     if is_traced(arguments):
         return solve_path(*arguments, *numbers)
@@ -192,51 +139,6 @@ def _check_settings(
             f"`max_points` is {max_points!r} and `max_critical` is {max_critical!r}, but "
             "`max_points` must be at least 3, and `max_critical` at least 1."
         )
-
-
-def _changes(
-    strokes: PathStrokes, temperature: PathTemperature | None
-) -> HingeChanges | None:
-    """Gather strokes and temperatures as functions of the load factor."""
-    of_strokes = of_temperature = None
-    if callable(strokes):
-        of_strokes = strokes
-    elif not isinstance(strokes, Mapping) or strokes:
-        of_strokes = eqx.Partial(_multiplied, strokes)
-    if callable(temperature):
-        of_temperature = temperature
-    elif temperature is not None:
-        of_temperature = eqx.Partial(_multiplied, as_temperature(temperature))
-    if of_strokes is None and of_temperature is None:
-        return None
-    return HingeChanges(of_strokes, of_temperature)
-
-
-def _multiplied(values: Any, factor: Scalar) -> Any:
-    """Multiply strokes or temperatures by the load factor."""
-    return jax.tree.map(lambda value: factor * jnp.asarray(value, float), values)
-
-
-def _first_displacements(
-    mechanism: Mechanism,
-    changes: HingeChanges | None,
-    constant_loads: Sequence[Load],
-    constraints: Sequence[AbstractConstraint],
-    start: StateLike | None,
-    time: NumberLike,
-) -> Poses:
-    """Compute the equilibrium at the load factor zero; rad, m, m."""
-    if start is not None:
-        start = mechanism.displacements(start, "start", single=True)
-    if changes is not None:
-        hinges = changes.state(mechanism, jnp.zeros(())).hinges(mechanism)
-        mechanism = eqx.tree_at(lambda new: new.hinge_assembly, mechanism, hinges)
-    deformed = mechanism.hinge_assembly.misfits is not None
-    if start is None and not (deformed or constant_loads or constraints):
-        return jnp.zeros_like(mechanism.reference)
-    return equilibrium(
-        mechanism, loads=constant_loads, constraints=constraints, start=start, time=time
-    ).displacements
 
 
 def _first_points(found: Path, count: int) -> Path:

@@ -48,7 +48,7 @@ class PathRun(NamedTuple):
     end_normal: Float[Array, " n"]
 
 
-def _run_uncompiled(
+def run_uncompiled(
     system: PathSystem,
     displacements: Poses,
     first_factor: Scalar,
@@ -190,9 +190,9 @@ def _masked(used: Bool[Array, " rows"], values: Array) -> Array:
 
 def _solve_uncompiled(system: PathSystem, *arguments: Any) -> Path:
     """Follow the path and evaluate its points, inside another program."""
-    return _evaluate_uncompiled(system, _run_uncompiled(system, *arguments))
+    return _evaluate_uncompiled(system, run_uncompiled(system, *arguments))
 
 
 solve_path = eqx.filter_jit(_solve_uncompiled)
-run_path = fast_compile(_run_uncompiled)
+run_path = fast_compile(run_uncompiled)
 evaluate_path = fast_compile(_evaluate_uncompiled)

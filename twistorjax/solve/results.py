@@ -53,9 +53,9 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
         "No equilibrium at the full loads and prescribed displacements was found that "
         "is connected to the start. `fraction` is the part of them that was reached: "
         "there the mechanism may buckle or snap through, or a hinge may leave the range "
-        "of its energy. Reduce the loads, prescribe a displacement instead of a load, "
-        "or, if a symmetric mechanism may buckle to either side, add a small load that "
-        "selects a side."
+        "of its energy. `path` follows the mechanism beyond such a point. Reduce the "
+        "loads, prescribe a displacement instead of a load, or, if a symmetric mechanism "
+        "may buckle to either side, add a small load that selects a side."
     )
     steps_used_up = (
         "The largest number of Newton steps was reached. `fraction` is the part of the "

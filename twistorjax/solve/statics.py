@@ -1,7 +1,7 @@
 """Static equilibrium of a mechanism under loads and prescribed displacements."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -199,10 +199,19 @@ def equilibrium(
         dofs=dofs,
         names=mechanism.names,
     )
-    return (
-        check_equilibrium(solution, mechanism, constraint_set, dofs, time)
-        if throw
-        else solution
+    if not throw:
+        return solution
+
+    def first_critical_point() -> str:
+        from .path_message import describe_critical_point  # which imports this module
+
+        if start is not None or mechanism.hinge_assembly.misfits is not None:
+            return ""  # The forces at the start, or the misfits, change along the path.
+        proportional = load_set, constraint_set, targets, dofs
+        return describe_critical_point(mechanism, *proportional, solution, time)
+
+    return check_equilibrium(
+        solution, mechanism, constraint_set, dofs, time, first_critical_point
     )
 
 
@@ -333,11 +342,13 @@ def check_equilibrium(
     constraints: ConstraintSet | None = None,
     dofs: DofPartition | None = None,
     time: NumberLike = 0.0,
+    first_critical_point: Callable[[], str] | None = None,
 ) -> Equilibrium:
     """Return the solution if it succeeded, and raise its error otherwise.
 
     The mechanism, its constraints, its degrees of freedom, and the time (s) are needed
-    only to name the hinges that are out of range, and the inconsistent constraints.
+    only to name the hinges that are out of range, and the inconsistent constraints. A
+    function describes the critical point that the load increments did not pass.
     """
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
@@ -357,6 +368,8 @@ def check_equilibrium(
                     constraints, dofs, mechanism, solution.reached, time
                 )
                 return ValueError(f"{text} {detail}")
+            if item == "no_equilibrium" and first_critical_point is not None:
+                text += first_critical_point()
             if item == "unstable" and dofs is not None:
                 text += _free_motions(mechanism, constraints, dofs, solution, time)
         return RuntimeError(

@@ -1,0 +1,147 @@
+"""Equations and first point of a path, from the arguments of a user."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from typing_extensions import TypeAliasType
+
+from .._utils.host import as_float
+from .._utils.types import NumberLike, PoseLike, Poses, Scalar
+from .._utils.validation import require_float64
+from ..mechanism.constraints import AbstractConstraint, gather_constraints
+from ..mechanism.hinge_changes import (
+    as_temperature,
+    HingeChanges,
+    Temperature,
+    TemperatureInTime,
+)
+from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
+from ..mechanism.mechanism import Mechanism
+from ..mechanism.support import require_support
+from .dofs import DofPartition
+from .path_results import CriticalPoint
+from .path_system import PathSystem
+from .statics import equilibrium, StateLike
+
+
+# Strokes by hinges, or a function of the load factor that returns them
+PathStrokes = TypeAliasType(
+    "PathStrokes", Mapping[str, PoseLike] | Callable[[Scalar], Mapping[str, PoseLike]]
+)
+# A change of the temperature, or a function of the load factor that returns it; K
+PathTemperature = TypeAliasType(
+    "PathTemperature", NumberLike | Temperature | TemperatureInTime
+)
+StartLike = TypeAliasType("StartLike", StateLike | CriticalPoint)
+
+
+class FirstPoint(NamedTuple):
+    """First point of a path.
+
+    Args:
+        displacements: Displacements of the bodies; rad, m, m.
+        factor: Load factor.
+        branch: The branch point from which the path starts; None at another point.
+    """
+
+    displacements: Poses
+    factor: Scalar
+    branch: CriticalPoint | None
+
+
+def assemble_path(
+    mechanism: Mechanism,
+    loads: Sequence[Load],
+    drives: Sequence[Drive],
+    strokes: PathStrokes,
+    temperature: PathTemperature | None,
+    constant_loads: Sequence[Load],
+    constraints: Sequence[AbstractConstraint],
+    start: StartLike | None,
+    time: NumberLike,
+) -> tuple[PathSystem, FirstPoint]:
+    """Check the arguments of `path`, and assemble the equations and the first point.
+
+    Raises:
+        ValueError: An argument is invalid; see `path`.
+        RuntimeError: There is no first equilibrium.
+    """
+    require_float64(mechanism.reference)
+    constraint_set = gather_constraints(mechanism, constraints)
+    require_support(mechanism, constraint_set.bodies)
+    changes = _changes(strokes, temperature)
+    if not loads and not drives and changes is None:
+        raise ValueError(
+            "Nothing is multiplied by the load factor. Give `loads`, `drives`, "
+            "`strokes`, or `temperature`."
+        )
+    prescribed, targets = prescribed_dofs(mechanism, drives)
+    dofs = DofPartition.of(mechanism, prescribed)
+    if isinstance(start, CriticalPoint):
+        first = FirstPoint(start.displacements, start.load_factor, start)
+        begin = dofs.fixed_part(start.displacements)
+    else:
+        begin = _first_displacements(
+            mechanism, changes, constant_loads, constraints, start, time
+        )
+        first = FirstPoint(begin, jnp.zeros(()), None)
+    system = PathSystem(
+        mechanism=mechanism,
+        loads=LoadSet.of(mechanism, loads),
+        constant_loads=LoadSet.of(mechanism, constant_loads),
+        constraints=constraint_set,
+        changes=changes,
+        start=begin,
+        targets=jnp.array(targets, float),
+        time=as_float(time),
+        dofs=dofs,
+    )
+    return system, first
+
+
+def _changes(
+    strokes: PathStrokes, temperature: PathTemperature | None
+) -> HingeChanges | None:
+    """Gather strokes and temperatures as functions of the load factor."""
+    of_strokes = of_temperature = None
+    if callable(strokes):
+        of_strokes = strokes
+    elif not isinstance(strokes, Mapping) or strokes:
+        of_strokes = eqx.Partial(_multiplied, strokes)
+    if callable(temperature):
+        of_temperature = temperature
+    elif temperature is not None:
+        of_temperature = eqx.Partial(_multiplied, as_temperature(temperature))
+    if of_strokes is None and of_temperature is None:
+        return None
+    return HingeChanges(of_strokes, of_temperature)
+
+
+def _multiplied(values: Any, factor: Scalar) -> Any:
+    """Multiply strokes or temperatures by the load factor."""
+    return jax.tree.map(lambda value: factor * jnp.asarray(value, float), values)
+
+
+def _first_displacements(
+    mechanism: Mechanism,
+    changes: HingeChanges | None,
+    constant_loads: Sequence[Load],
+    constraints: Sequence[AbstractConstraint],
+    start: StateLike | None,
+    time: NumberLike,
+) -> Poses:
+    """Compute the equilibrium at the load factor zero; rad, m, m."""
+    if start is not None:
+        start = mechanism.displacements(start, "start", single=True)
+    if changes is not None:
+        hinges = changes.state(mechanism, jnp.zeros(())).hinges(mechanism)
+        mechanism = eqx.tree_at(lambda new: new.hinge_assembly, mechanism, hinges)
+    deformed = mechanism.hinge_assembly.misfits is not None
+    if start is None and not (deformed or constant_loads or constraints):
+        return jnp.zeros_like(mechanism.reference)
+    return equilibrium(
+        mechanism, loads=constant_loads, constraints=constraints, start=start, time=time
+    ).displacements

@@ -95,6 +95,10 @@ COMMANDS = {
         {"--cases": PATHS, "--bending-factor": NUMBERS, "--plot": PATHS},
         [["--bending-factor", "0"], ["--cases", "none.csv"], ["--plot", "a.poem"]],
     ),
+    "truss": (
+        {"--rise": NUMBERS, "--half-span": NUMBERS, "--plot": PATHS},
+        [["--rise", "0"], ["--stiffness", "nan"], ["--plot", "a.poem"], ["--help"]],
+    ),
     "fit-energy": (
         {"--order": NUMBERS, "--symmetry": TEXTS, "--hold-out": NUMBERS, "--out": PATHS},
         [["none.csv"], ["."], ["\udcff.csv"], ["a", "b"], []],

@@ -19,6 +19,7 @@ from .parallelogram import parallelogram
 from .random_data import random_data
 from .stage import stage
 from .sweep import sweep
+from .truss import truss
 from .water import water
 
 
@@ -30,6 +31,7 @@ _SHORT_HELP = {
     four_bar: "Motion of the four-bar linkages.",
     four_bar_models: "Hinge models of the four-bar linkages.",
     parallelogram: "Parallelogram flexure under large loads.",
+    truss: "Snap-through of the truss of von Mises.",
     fit_energy: "Fit the energy of a hinge to trials.",
     identify: "Identify stiffnesses from a motion.",
     random_data: "Overfitting study on random wrenches.",

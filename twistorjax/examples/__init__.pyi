@@ -7,6 +7,7 @@ from . import (
     stage as stage,
     stage_motion as stage_motion,
     sweep_studies as sweep_studies,
+    truss as truss,
     warm_stage as warm_stage,
     water as water,
 )

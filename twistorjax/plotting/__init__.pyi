@@ -1,4 +1,5 @@
 from .animation import animate as animate
 from .drawing import draw as draw
 from .hinge_plots import draw_energy as draw_energy
+from .path_plots import draw_path as draw_path
 from .port_plots import draw_port_motion as draw_port_motion

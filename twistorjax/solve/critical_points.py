@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.types import Count, Flag, Scalar
 from .continuation import AT_EVENT, AT_LIMIT, Metric, PathEvent, Step, Trace
@@ -31,12 +31,14 @@ class Criticals(NamedTuple):
         points: The points.
         tangents: Unit tangents of the path, divided by the units.
         is_branch: Whether each of them is a branch point; otherwise it is a limit point.
+        rows: Index of the point of the path that precedes each of them.
         number: Number of critical points.
     """
 
     points: Float[Array, "critical n"]
     tangents: Float[Array, "critical n"]
     is_branch: Bool[Array, " critical"]
+    rows: Int[Array, " critical"]
     number: Count
 
 
@@ -134,6 +136,7 @@ def locate_points(
             found.is_branch.at[index].set(
                 branch | (same & found.is_branch[found.number - 1]), mode="drop"
             ),
+            found.rows.at[index].set(row, mode="drop"),
             found.number + (search.ended & ~same).astype(int),
         )
         last = jnp.where(search.ended, len(trace.points), trace.number - 1)
@@ -147,7 +150,8 @@ def locate_points(
 
     nothing = jnp.full((largest_count, trace.points.shape[1]), jnp.nan)
     none = jnp.zeros(largest_count, bool)
-    found = Criticals(nothing, nothing, none, jnp.zeros((), int))
+    rows = jnp.zeros(largest_count, int)
+    found = Criticals(nothing, nothing, none, rows, jnp.zeros((), int))
     located = (trace.status != AT_LIMIT) & (trace.status != AT_EVENT)
     search = _Search(trace, found, -jnp.ones((), int), located)
 

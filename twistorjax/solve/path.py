@@ -152,7 +152,14 @@ def _first_points(found: Path, count: int) -> Path:
         "energies",
         "negative_eigenvalues",
     )
-    of_criticals = ("load_factors", "displacements", "energies", "modes", "is_branch")
+    of_criticals = (
+        "load_factors",
+        "displacements",
+        "energies",
+        "modes",
+        "is_branch",
+        "rows",
+    )
 
     def first(source: Any, names: Sequence[str], rows: int) -> dict[str, Any]:
         return {name: take_rows(getattr(source, name), slice(rows)) for name in names}

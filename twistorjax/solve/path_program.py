@@ -162,6 +162,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
             energies=critical.energy,
             modes=_masked(found, modes),
             is_branch=criticals.is_branch,
+            rows=criticals.rows,
             count=count,
             factor_unit=metric.units[-1],
             length=length,

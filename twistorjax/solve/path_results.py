@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import equinox as eqx
-import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -108,6 +108,7 @@ class CriticalPoints(eqx.Module):
         energies: Energy stored in the hinges; J.
         modes: Displacements without stiffness; see `CriticalPoint`.
         is_branch: Whether each of them is a branch point.
+        rows: Index of the point of the path that precedes each of them.
         count: Number of critical points that were found.
         factor_unit: Unit of the load factor in the arc length of the path.
         length: Characteristic length of the mechanism; m.
@@ -120,6 +121,7 @@ class CriticalPoints(eqx.Module):
     energies: Float[Array, "*batch critical"]
     modes: Float[Array, "*batch critical bodies 3"]
     is_branch: Bool[Array, "*batch critical"]
+    rows: Int[Array, "*batch critical"]
     count: Int[Array, "*batch"]
     factor_unit: Float[Array, "*batch"]
     length: Float[Array, "*batch"]
@@ -149,7 +151,7 @@ class CriticalPoints(eqx.Module):
     @property
     def limit_factors(self) -> Float[Array, " critical"]:
         """Load factors of the limit points; NaN for branch points."""
-        return jax.numpy.where(self.is_branch, jax.numpy.nan, self.load_factors)
+        return jnp.where(self.is_branch, jnp.nan, self.load_factors)
 
 
 class Path(PoseSolution):

@@ -35,6 +35,10 @@ _GROWTH = 2.0
 _REDUCTION = 0.4  # of a step that was rejected
 _BLOCK = 16  # steps, after which points are stored
 _FIRST_STEP = 0.1  # as a fraction of the largest one
+_FIRST_BRANCH_STEP = 0.3
+# The direction of a branch is known less exactly than that of a path.
+_LARGEST_BRANCH_CORRECTION = 0.8
+_LARGEST_BRANCH_ANGLE = 1.2
 
 
 # A function of a point of the path
@@ -173,7 +177,8 @@ def metric_of(
 ) -> Metric:
     """Choose the units of the unknowns at a point; that of the load factor is 1."""
     count = len(system.dofs.free)
-    units = system.at(point[-1]).free_units()
+    is_angle = np.array(system.dofs.free, int) % 3 == 0
+    units = jnp.where(is_angle, 1.0, system.length())
     weights = jnp.asarray(np.arange(point.size) < count, float).at[-1].set(1.0)
     if system.constraints.size:
         stiffness = units[:, None] * tangent.jacobian[:count, :count] * units[None]
@@ -250,7 +255,9 @@ def follow(
         The points. If the load factor leaves its interval, or the event occurs, the last
         point is the first one behind.
     """
-    size = _FIRST_STEP * largest_step
+    # The branches of a mechanism that is nearly symmetric do not quite meet.
+    at_branch = start.orientation == 0
+    size = jnp.where(at_branch, _FIRST_BRANCH_STEP, _FIRST_STEP) * largest_step
     smallest = _SMALLEST_STEP * largest_step
 
     def advance(state: _State, _) -> tuple[_State, tuple[Flag, Node]]:
@@ -263,7 +270,11 @@ def follow(
         length = metric.length(step.correction)
         first = state.tries == 0
         ratio = jnp.where(first, length / state.size, length / state.last_correction)
-        largest = jnp.where(first, _LARGEST_CORRECTION, _LARGEST_CONTRACTION)
+        leaves_branch = at_branch & (state.number == 1)
+        largest = jnp.where(
+            leaves_branch, _LARGEST_BRANCH_CORRECTION, _LARGEST_CORRECTION
+        )
+        largest = jnp.where(first, largest, _LARGEST_CONTRACTION)
         rounded = length <= _ROUNDING * state.size
         # The error after a Newton correction is the correction times the contraction.
         small = length * jnp.minimum(ratio, 1.0) <= _TOLERANCE * largest_step
@@ -274,7 +285,8 @@ def follow(
         branches = step.orientation * last.orientation < 0
         valid = (ratio <= largest) | (length <= _SMALL_CORRECTION * state.size)
         valid &= jnp.all(jnp.isfinite(step.correction))
-        valid &= ~small | (step.angle <= _LARGEST_ANGLE)
+        angle = jnp.where(leaves_branch, _LARGEST_BRANCH_ANGLE, _LARGEST_ANGLE)
+        valid &= ~small | (step.angle <= angle)
         # Limit points and branch points are located one by one.
         valid &= ~(small & turns & branches) | (state.size <= 4 * smallest)
         converged = valid & small
@@ -285,8 +297,8 @@ def follow(
         kept = converged & ~outside & (state.status == RUNNING)
         count = state.number + kept.astype(int)
         slow = jnp.where(state.tries >= 4, 0.7, _GROWTH)
-        angle = jnp.where(step.angle > 0, step.angle, 1e-12)
-        growth = jnp.clip(jnp.minimum(_GOOD_ANGLE / angle, slow), 0.3, _GROWTH)
+        growth = _GOOD_ANGLE / jnp.where(step.angle > 0, step.angle, 1e-12)
+        growth = jnp.clip(jnp.minimum(growth, slow), 0.3, _GROWTH)
         size = state.size * jnp.where(
             converged, growth, jnp.where(rejected, _REDUCTION, 1.0)
         )
@@ -301,7 +313,10 @@ def follow(
         again = last.point + metric.units * again
         iterate = jnp.where(rejected, again, point + jnp.where(converged, ahead, 0.0))
         stress = tangent.hinges.predicted_stress(system.displacement_change(change))
-        far = system.displacement_change(change + jnp.where(converged, ahead, 0.0))
+        # Along the path, the stress of a stiff hinge grows in proportion. A displacement
+        # by the curvature would appear to stretch it.
+        along = metric.units * size * step.tangent
+        far = system.displacement_change(change + jnp.where(converged, along, 0.0))
         next_stress = tangent.hinges.predicted_stress(far)
         next_stress = jnp.where(rejected, state.predicted[1], next_stress)
         own_stress = jnp.where(converged, stress, state.predicted[1])

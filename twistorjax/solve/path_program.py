@@ -146,7 +146,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
         (continuation.NOT_FINITE, RESULTS.not_finite),
     ):
         result = RESULTS.where(trace.status == status, item, result)
-    length = fixed.at(known[0, -1]).units()[1]
+    length = fixed.length()
     return Path(
         load_factors=masked.load_factor,
         displacements=masked.displacements,

@@ -75,6 +75,14 @@ class PathSystem(eqx.Module):
         """Whether all loads have a potential."""
         return self.loads.conservative and self.constant_loads.conservative
 
+    def length(self) -> Scalar:
+        """Return the unit of length: the rms distance of hinges from their mean; m."""
+        places = jax.lax.stop_gradient(self.mechanism.at[:, 1:])
+        offsets = places - jnp.mean(places, axis=0)[None]
+        size = jnp.sqrt(jnp.mean(jnp.sum(offsets**2, axis=1)))
+        characteristic = self.at(jnp.zeros(())).units()[1]
+        return jnp.maximum(size, characteristic)
+
     def at(self, factor: Scalar) -> System:
         """Return the equations at a load factor."""
         constant, proportional = self.constant_loads, self.loads

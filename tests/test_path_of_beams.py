@@ -1,0 +1,149 @@
+"""Equilibrium paths of leaves in segments: a column, and a bistable curved beam."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.special
+from test_chain import deep_arch, lee_frame
+
+import twistorjax as tj
+
+
+class TestColumn:
+    """A slender cantilever of 20 surrogates under an axial force at its end."""
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def euler(cls):
+        """Buckling load of the column (N), and the column of unit length."""
+        steel = tj.Material(modulus=210e9, poisson=0.3)
+        leaf = tj.flexures.Beam(steel, length=1.0, thickness=1e-3, width=10e-3)
+        load = np.pi**2 / 4 * float(leaf.rotational_stiffness)
+        chain = tj.flexures.chain(
+            "leaf", leaf, "wall", "end", at=(np.pi / 2, 0.0, 0.5), rotation=2.2,
+            force=5 * load, segments=20,
+        )  # fmt: skip
+        bodies = [tj.Body("wall"), tj.Body("end", pose=(np.pi / 2, 0.0, 1.0))]
+        column = tj.Mechanism([*bodies, *chain.bodies], chain.hinges, fixed=["wall"])
+        return load, column
+
+    def test_both_buckled_sides_are_the_elastica(self, euler):
+        load, column = euler
+        press = [tj.Load("end", force=(0.0, -load))]
+        straight = tj.path(column, loads=press, load_factors=(0.0, 1.2), max_points=64)
+        first = straight.critical_points[0]
+        assert first.kind == "branch"
+        # A column is shortened by the load, and the buckling load grows by this strain.
+        np.testing.assert_allclose(first.load_factor, 1.0, rtol=1e-5)
+        for side in (1, -1):
+            buckled = tj.path(
+                column, loads=press, start=first, direction=side,
+                load_factors=(0.0, 4.0), largest_step=0.3,
+                until=lambda point: abs(point.displacement("end")[0]) - 2.0,
+            )  # fmt: skip
+            assert buckled.stable[1:].all()
+            rotation, x, y = np.asarray(buckled.displacement("end"))[5:].T
+            modulus = np.sin(np.abs(rotation) / 2) ** 2
+            complete = scipy.special.ellipk(modulus)
+            exact = (2 * complete / np.pi) ** 2
+            np.testing.assert_allclose(buckled.load_factors[5:], exact, rtol=1e-4)
+            down = 2 - 2 * scipy.special.ellipe(modulus) / complete
+            np.testing.assert_allclose(-y, down, rtol=1e-4, atol=1e-5)
+            sideways = 2 * np.sqrt(modulus) / complete
+            np.testing.assert_allclose(np.abs(x), sideways, rtol=1e-4)
+            assert np.ptp(np.sign(x)) == 0 and np.sign(x[0]) == -np.sign(rotation[0])
+
+
+RISE, LENGTH, THICKNESS, WIDTH = 3e-3, 0.1, 0.5e-3, 10e-3
+
+
+def cosine_curvature(position):
+    """Curvature of the first half of y = h / 2 (1 - cos(2 pi x / L)); 1/m."""
+    x = position + LENGTH / 4
+    wave = 2 * jnp.pi / LENGTH
+    return RISE / 2 * wave**2 * jnp.cos(wave * x)
+
+
+class TestCurvedBeam:
+    """Half of a clamped cosine beam with a guided middle, and h / t = 6.
+
+    Qiu, Lang and Slocum, A curved-beam bistable mechanism, J. MEMS 13, 2004. The second
+    mode is suppressed by the guide. The force is that of the whole beam in units of
+    E I h / L^3, and the displacement is in units of h.
+    """
+
+    UNIT = 210e9 * WIDTH * THICKNESS**3 / 12 * RISE / LENGTH**3
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def half(cls):
+        steel = tj.Material(modulus=210e9, poisson=0.3)
+        curvature = jax.tree_util.Partial(cosine_curvature)
+        leaf = tj.flexures.Beam(
+            steel, length=LENGTH / 2, thickness=THICKNESS, width=WIDTH,
+            curvature=curvature,
+        )  # fmt: skip
+        slope = np.arctan(np.pi * RISE / LENGTH)
+        chain = tj.flexures.chain(
+            "beam", leaf, "wall", "shuttle", at=(slope, LENGTH / 4, RISE / 2),
+            rotation=0.6, force=1750.0, segments=8, error=2e-3,
+        )  # fmt: skip
+        shuttle = tj.Body("shuttle", pose=(0.0, LENGTH / 2, RISE))
+        fixed = {"wall": ["angle", "x", "y"], "shuttle": ["angle", "x"]}
+        bodies = [tj.Body("wall"), shuttle, *chain.bodies]
+        return tj.Mechanism(bodies, chain.hinges, fixed=fixed)
+
+    @staticmethod
+    def force_on_the_branch(displacement):
+        """Linear theory under the axial load of the third mode, with all modes.
+
+        The mode 1 - cos(N x / L) with N = 2 pi, 6 pi, 10 pi, ... has the bending
+        stiffness N^4 / 2 and the axial load reduces it by 16 pi^2 N^2 / 2. The closed
+        form of the paper has the first mode only.
+        """
+        waves = (4 * np.arange(50) + 2) * np.pi
+        compliances = 8 / (waves**4 - 16 * np.pi**2 * waves**2)
+        return (4 / 3 - displacement) / -np.sum(compliances)
+
+    def test_the_force_falls_on_a_line_and_the_beam_is_bistable(self, half):
+        down = [tj.Drive("shuttle", y=-2.2 * RISE)]
+        before = tj.path(half, drives=down, load_factors=(0.0, 0.12), max_points=64)
+        first = before.critical_points[0]
+        assert first.kind == "branch"  # to the third mode
+        found = tj.path(
+            half, drives=down, load_factors=(0.0, 1.0), start=first, largest_step=0.2,
+            until=lambda point: -point.displacement("shuttle")[2] / RISE - 1.7,
+        )  # fmt: skip
+        displacement = -np.asarray(found.displacement("shuttle")[:, 2]) / RISE
+        force = -2 * np.asarray(found.reaction("shuttle")[:, 2]) / self.UNIT
+        on_line = (displacement > 0.25) & (displacement < 1.7)
+        exact = self.force_on_the_branch(displacement)
+        error = np.abs(force - exact)[on_line]
+        assert np.max(error) < 0.02 * np.max(exact)
+        zero = np.interp(0.0, -force, displacement)
+        np.testing.assert_allclose(zero, 4 / 3, rtol=0.01)
+        assert np.min(force) < -0.3 * np.max(force)  # It stays on the other side.
+        np.testing.assert_allclose(
+            force[0], self.force_on_the_branch(displacement[0]), rtol=0.02
+        )
+
+
+@pytest.mark.release
+def test_the_limit_load_of_lees_frame():
+    """The published values are 1.85567 and 48.735."""
+    push = tj.Load("load", force=(0.0, -2500.0))
+    found = tj.path(lee_frame(), loads=[push], throw=False)
+    first = found.critical_points[0]
+    np.testing.assert_allclose(2500 * first.load_factor, 1855.67, rtol=1e-4)
+    np.testing.assert_allclose(first.displacement("load")[2], -0.48735, rtol=2e-4)
+
+
+@pytest.mark.release
+def test_the_critical_load_of_a_deep_arch():
+    """The published value is 897."""
+    push = tj.Load("crown", force=(0.0, -1000.0))
+    found = tj.path(deep_arch(force=700.0), loads=[push], throw=False)
+    first = found.critical_points[0]
+    assert first.kind == "limit"
+    np.testing.assert_allclose(1000 * first.load_factor, 897.0, rtol=2e-3)

@@ -172,7 +172,8 @@ def null_vectors(
     At a branch point, the part along the path is removed. The largest entry is positive.
     """
 
-    def one(point: Array, tangent: Array, branch: Flag) -> Float[Array, " n"]:
+    def one(values: tuple[Array, Array, Flag]) -> Float[Array, " n"]:
+        point, tangent, branch = values
         _, right = singular_vectors(system, metric, point)
         mode = jnp.concatenate([right, jnp.zeros(1)])
         along = jnp.sum(metric.weights * tangent * mode)
@@ -181,7 +182,9 @@ def null_vectors(
         largest = mode[jnp.argmax(jnp.abs(metric.weights * mode))]
         return jnp.where(largest < 0, -1.0, 1.0) * mode
 
-    return jax.vmap(one)(criticals.points, criticals.tangents, criticals.is_branch)
+    # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
+    values = criticals.points, criticals.tangents, criticals.is_branch
+    return jax.lax.map(one, values)
 
 
 def singular_vectors(

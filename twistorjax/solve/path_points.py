@@ -71,7 +71,8 @@ def negative_eigenvalues(
             return jnp.asarray(sign < 0, int)
         return jnp.sum(jnp.linalg.eigvalsh(matrix) < 0)
 
-    return jax.vmap(one)(points)
+    # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
+    return jax.lax.map(one, points)
 
 
 def on_path(

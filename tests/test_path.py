@@ -54,6 +54,24 @@ class TestVonMisesTruss:
         stretch = np.hypot(1.0, height) - np.hypot(1.0, 0.3)
         assert_close(snap.energies, BAR_STIFFNESS * stretch**2, digits=10)
 
+    def test_the_animation_goes_through_the_points(self, snap):
+        animation = tj.animate(von_mises_truss(), snap)
+        draw_frame = animation._func  # pyright: ignore[reportAttributeAccessIssue]
+        patches = draw_frame(len(snap.load_factors) - 1)
+        animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
+        assert patches[0].axes.get_title() == "load factor 1.000"
+
+    def test_the_figure_shows_the_closed_form(self, snap):
+        figure = tj.plotting.draw_path(snap, "apex", "y", load=20.0)
+        stable, unstable, limits = figure.axes[0].get_lines()
+        for line in (stable, unstable, limits):
+            down, force = np.asarray(line.get_xydata()).T  # mm, N
+            known = np.isfinite(force)
+            height = 0.3 + 1e-3 * down[known]
+            np.testing.assert_allclose(force[known], von_mises_force(height), rtol=1e-7)
+        height = np.abs(0.3 + 1e-3 * np.asarray(unstable.get_xdata()))
+        assert np.nanmax(height) < von_mises_limit_height() + 1e-9
+
     def test_reactions_balance_the_load(self, snap):
         assert_close(
             snap.reaction("wall")[:, 1:],

@@ -9,6 +9,7 @@ from typing_extensions import TypeAliasType
 
 from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
+from ..solve.path_results import Path
 from ..solve.statics import Equilibrium
 from ..solve.vibrations import Vibrations
 from .drawing import draw, draw_reference, figure_size
@@ -37,7 +38,8 @@ class _Frames(NamedTuple):
 
 # What can be animated; poses in rad, m, m
 Animated = TypeAliasType(
-    "Animated", Motion | Vibrations | Equilibrium | Float[ArrayLike, "frames bodies 3"]
+    "Animated",
+    Motion | Vibrations | Equilibrium | Path | Float[ArrayLike, "frames bodies 3"],
 )
 
 
@@ -51,15 +53,16 @@ def animate(
     frames: int = 120,
     axes: "Axes | None" = None,
 ) -> "FuncAnimation":
-    """Animate a motion, a vibration mode, or a sequence of equilibria of a mechanism.
+    """Animate a motion, a vibration mode, a path, or a batch of equilibria.
 
     All frames have the same duration. The speed of the animation is therefore correct
     only if the times of the motion are evenly spaced.
 
     Args:
         mechanism: The mechanism.
-        motion: A motion, vibrations, a batch of equilibria, or poses; rad, m, m. One mode
-            of the vibrations is shown. Its amplitude is 8 % of the size of the mechanism.
+        motion: A motion, vibrations, an equilibrium path, a batch of equilibria, or
+            poses; rad, m, m. One mode of the vibrations is shown. Its amplitude is 8 % of
+            the size of the mechanism.
         mode: Index of the vibration mode. Mode 0 has the lowest frequency.
         magnify: Factor on all displacements, including angles. It is stated in the title.
         slower: Factor by which the animation is slower than the motion.
@@ -147,7 +150,7 @@ def _frames(
     if isinstance(motion, Motion):
         times, poses = np.asarray(motion.times), np.asarray(motion.poses)
     else:
-        poses = motion.poses if isinstance(motion, Equilibrium) else motion
+        poses = motion.poses if isinstance(motion, Equilibrium | Path) else motion
         poses = np.asarray(poses)
     if poses.ndim > 3:
         raise ValueError(
@@ -165,6 +168,10 @@ def _frames(
     rows = finite[np.linspace(0, len(finite) - 1, count).round().astype(int)]
     drawn_poses = (reference + magnify * (poses - reference))[rows]
     suffix = "" if magnify == 1 else f"; displacements magnified {magnify:g} times"
+    if isinstance(motion, Path):
+        factors = np.asarray(motion.load_factors)[rows]
+        titles = [f"load factor {factor:.3f}{suffix}" for factor in factors]
+        return _Frames(drawn_poses, titles, 3000 / count)
     if not len(times):
         titles = [f"{row + 1} of {len(poses)}{suffix}" for row in rows]
         return _Frames(drawn_poses, titles, 3000 / count)

@@ -22,6 +22,9 @@ from .path_system import PathSystem
 
 
 _SAME_POINT = 1e-3  # largest distance of two critical points that are one point
+_REFINEMENTS = 6  # Newton corrections of a branch point
+_STEP = 1e-6  # of finite differences for them, in the units of the metric
+_LARGEST_REFINEMENT = 0.05  # in the units of the metric
 
 
 class Criticals(NamedTuple):
@@ -29,14 +32,12 @@ class Criticals(NamedTuple):
 
     Args:
         points: The points.
-        tangents: Unit tangents of the path, divided by the units.
         is_branch: Whether each of them is a branch point; otherwise it is a limit point.
         rows: Index of the point of the path that precedes each of them.
         number: Number of critical points.
     """
 
     points: Float[Array, "critical n"]
-    tangents: Float[Array, "critical n"]
     is_branch: Bool[Array, " critical"]
     rows: Int[Array, " critical"]
     number: Count
@@ -132,7 +133,6 @@ def locate_points(
         index = jnp.where(search.ended, found.number - same.astype(int), largest_count)
         found = Criticals(
             found.points.at[index].set(point, mode="drop"),
-            found.tangents.at[index].set(step.tangent, mode="drop"),
             found.is_branch.at[index].set(
                 branch | (same & found.is_branch[found.number - 1]), mode="drop"
             ),
@@ -151,7 +151,7 @@ def locate_points(
     nothing = jnp.full((largest_count, trace.points.shape[1]), jnp.nan)
     none = jnp.zeros(largest_count, bool)
     rows = jnp.zeros(largest_count, int)
-    found = Criticals(nothing, nothing, none, rows, jnp.zeros((), int))
+    found = Criticals(nothing, none, rows, jnp.zeros((), int))
     located = (trace.status != AT_LIMIT) & (trace.status != AT_EVENT)
     search = _Search(trace, found, -jnp.ones((), int), located)
 
@@ -165,26 +165,21 @@ def locate_points(
 
 
 def null_vectors(
-    system: PathSystem, metric: Metric, criticals: Criticals
-) -> Float[Array, "critical n"]:
+    system: PathSystem, metric: Metric, points: Float[Array, "critical n"]
+) -> Float[Array, "critical unknowns"]:
     """Compute the null vectors of the stiffness, divided by the units, of unit length.
 
-    At a branch point, the part along the path is removed. The largest entry is positive.
+    The largest entry is positive.
     """
 
-    def one(values: tuple[Array, Array, Flag]) -> Float[Array, " n"]:
-        point, tangent, branch = values
-        _, right = singular_vectors(system, metric, point)
-        mode = jnp.concatenate([right, jnp.zeros(1)])
-        along = jnp.sum(metric.weights * tangent * mode)
-        mode = jnp.where(branch, mode - along * tangent, mode)
-        mode = mode / metric.length(mode)
-        largest = mode[jnp.argmax(jnp.abs(metric.weights * mode))]
+    def one(point: Array) -> Float[Array, " unknowns"]:
+        _, mode = singular_vectors(system, metric, point)
+        mode = mode / metric.length(jnp.concatenate([mode, jnp.zeros(1)]))
+        largest = mode[jnp.argmax(jnp.abs(metric.weights[:-1] * mode))]
         return jnp.where(largest < 0, -1.0, 1.0) * mode
 
     # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
-    values = criticals.points, criticals.tangents, criticals.is_branch
-    return jax.lax.map(one, values)
+    return jax.lax.map(one, points)
 
 
 def singular_vectors(
@@ -209,6 +204,85 @@ def scaled_jacobian(
     """
     units = metric.units[:-1]
     return units[:, None] * system.tangent(point).jacobian * units[None]
+
+
+def refine_branch_points(
+    system: PathSystem, metric: Metric, criticals: Criticals
+) -> Criticals:
+    """Solve the extended equations of the branch points.
+
+    The path of a mechanism that is nearly symmetric does not quite go through a branch
+    point: near it, the path turns into one of the branches. The solution is a point at
+    which a small force would make both paths cross.
+    """
+    is_branch, rows = criticals.is_branch, jnp.arange(len(criticals.points))
+
+    def refine(state: tuple[Array, Count]) -> tuple[Array, Count]:
+        points, last = state
+        row = jnp.argmax(is_branch & (rows > last))
+        borders = singular_vectors(system, metric, points[row])
+        start = jnp.concatenate([points[row] / metric.units, jnp.zeros(1)])
+        equations = partial(
+            _extended_residual, system, metric, borders, jnp.ones((), bool)
+        )
+
+        # The exact derivatives, of the third order, would take 40 s to compile.
+        def improve(_, unknowns: Array) -> Array:
+            steps = jnp.concatenate(
+                [jnp.zeros((1, len(start))), _STEP * np.eye(len(start))]
+            )
+            values = jax.lax.map(lambda step: equations(unknowns + step), steps)
+            matrix = (values[1:] - values[0]).T / _STEP
+            scale = jnp.max(jnp.abs(matrix), axis=1)
+            scale = jnp.where(scale > 0, scale, 1.0)
+            solution = jnp.linalg.solve(matrix / scale[:, None], values[0] / scale)
+            return unknowns - solution
+
+        refined = jax.lax.fori_loop(0, _REFINEMENTS, improve, start)[:-1]
+        near = metric.length(refined - start[:-1]) < _LARGEST_REFINEMENT
+        point = jnp.where(near, metric.units * refined, points[row])
+        return points.at[row].set(point), row
+
+    points, _ = jax.lax.while_loop(
+        lambda state: jnp.any(is_branch & (rows > state[1])),
+        refine,
+        (criticals.points, -jnp.ones((), int)),
+    )
+    return criticals._replace(points=points)
+
+
+def _extended_residual(
+    system: PathSystem,
+    metric: Metric,
+    borders: tuple[Array, Array],
+    branch: Flag,
+    unknowns: Array,
+) -> Float[Array, " n_and_1"]:
+    """Residual, condition of singularity, and closing condition of a critical point.
+
+    The unknowns are a point and an unfolding: an additional force along the left null
+    vector, by which the equations of a branch point are regular. It is zero at a limit
+    point. At a branch point, the load factor has no part in the left null vector.
+
+    Args:
+        system: The equations.
+        metric: Units of the unknowns.
+        borders: The left and the right null vector near the point.
+        branch: Whether it is a branch point.
+        unknowns: The point, divided by the units, and the unfolding.
+    """
+    left, right = borders
+    row_units = metric.units[:-1]
+    moved, unfolding = metric.units * unknowns[:-1], unknowns[-1]
+    matrix = scaled_jacobian(system, metric, moved)
+    bordered = jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
+    last = jnp.zeros(len(bordered)).at[-1].set(1.0)
+    singular = jnp.linalg.solve(bordered, last)[-1]
+    null = jnp.linalg.solve(bordered.T, last)[:-1]
+    rate = jnp.sum(null * row_units * system.by_factor(moved))
+    residual = row_units * system.residual(moved) + unfolding * left
+    closing = jnp.where(branch, rate, unfolding)
+    return jnp.concatenate([residual, jnp.stack([singular, closing])])
 
 
 def with_derivatives(
@@ -239,28 +313,13 @@ def _(static, primals, tangents):
     left, right = jax.lax.stop_gradient(
         singular_vectors(eqx.combine(jax.lax.stop_gradient(dynamic), static), metric, at)
     )
-    row_units, units = metric.units[:-1], metric.units
 
     def equations(dynamic: PathSystem, unknowns: Array) -> Array:
-        """Residual, unfolding, and condition of singularity, in the units of the metric.
-
-        The unfolding is an additional force along the left null vector, by which the
-        equations of a branch point are regular. It is zero.
-        """
         system = eqx.combine(dynamic, static)
-        scaled, unfolding = unknowns[:-1], unknowns[-1]
-        moved = units * scaled
-        matrix = scaled_jacobian(system, metric, moved)
-        bordered = jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
-        last = jnp.zeros(len(bordered)).at[-1].set(1.0)
-        singular = jnp.linalg.solve(bordered, last)[-1]
-        null = jnp.linalg.solve(bordered.T, last)[:-1]
-        rate = jnp.sum(null * row_units * system.by_factor(moved))
-        residual = row_units * system.residual(moved) + unfolding * left
-        closing = jnp.where(branch, rate, unfolding)
-        return jnp.concatenate([residual, jnp.stack([singular, closing])])
+        return _extended_residual(system, metric, (left, right), branch, unknowns)
 
-    unknowns = jnp.concatenate([jnp.where(found, point, 0.0) / units, jnp.zeros(1)])
+    scaled = jnp.where(found, point, 0.0) / metric.units
+    unknowns = jnp.concatenate([scaled, jnp.zeros(1)])
     _, rate = jax.jvp(
         lambda dynamic: equations(dynamic, unknowns), (dynamic,), (tangents[0],)
     )
@@ -269,5 +328,5 @@ def _(static, primals, tangents):
     scale = jnp.max(jnp.abs(matrix), axis=1)
     scale = jax.lax.stop_gradient(jnp.where(scale > 0, scale, 1.0))
     change = -jnp.linalg.solve(matrix / scale[:, None], rate / scale)
-    change = jnp.where(found, units * change[:-1], 0.0)
+    change = jnp.where(found, metric.units * change[:-1], 0.0)
     return point, change

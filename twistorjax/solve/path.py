@@ -5,13 +5,22 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from .._utils.host import as_float, concrete, is_traced, padded_size, take_rows
 from .._utils.types import NumberLike, NumbersLike
 from .._utils.validation import require_positive
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from .path_program import evaluate_path, first_rows, run_path, solve_path, Until
+from .path_program import (
+    evaluate_path,
+    first_rows,
+    refine_path,
+    run_path,
+    solve_path,
+    Until,
+)
 from .path_results import Path
 from .path_setup import assemble_path, PathStrokes, PathTemperature, StartLike
 from .results import result_message, succeeded_or_raise
@@ -112,6 +121,8 @@ def path(
     if is_traced(arguments):
         return solve_path(*arguments, *numbers)
     run = run_path(*arguments, *numbers)
+    if np.any(run.criticals.is_branch):
+        run = refine_path(system, run)
     count = int(run.trace.number)
     rows = min(padded_size(count, 16), max_points)
     found = _first_points(evaluate_path(system, first_rows(run, rows)), count)

@@ -21,7 +21,13 @@ from .._utils.pytrees import stop_gradient
 from .._utils.types import Poses, Scalar
 from . import continuation
 from .continuation import follow, Metric, metric_of, Node, start_at, Trace
-from .critical_points import Criticals, locate_points, null_vectors, with_derivatives
+from .critical_points import (
+    Criticals,
+    locate_points,
+    null_vectors,
+    refine_branch_points,
+    with_derivatives,
+)
 from .path_points import negative_eigenvalues, on_path, point_values
 from .path_results import CriticalPoint, CriticalPoints, Path, PathPoint
 from .path_system import PathSystem
@@ -127,14 +133,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
     free = len(system.dofs.free)
     no_change = jnp.zeros(len(system.dofs.prescribed))
-    filled = jax.tree.map(
-        lambda values, other: jnp.where(found[:, None], values, other),
-        (criticals.points, criticals.tangents),
-        (trace.points[:1], trace.tangents[:1]),
-    )
-    modes = null_vectors(
-        fixed, metric, criticals._replace(points=filled[0], tangents=filled[1])
-    )
+    modes = null_vectors(fixed, metric, jax.lax.stop_gradient(at))
     modes = jax.vmap(lambda mode: system.dofs.expand(mode[:free], no_change))(modes)
     result = RESULTS.successful
     for status, item in (
@@ -191,9 +190,18 @@ def _masked(used: Bool[Array, " rows"], values: Array) -> Array:
 
 def _solve_uncompiled(system: PathSystem, *arguments: Any) -> Path:
     """Follow the path and evaluate its points, inside another program."""
-    return _evaluate_uncompiled(system, run_uncompiled(system, *arguments))
+    run = run_uncompiled(system, *arguments)
+    return _evaluate_uncompiled(system, _refine_uncompiled(system, run))
+
+
+def _refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:
+    """Improve the branch points; see `refine_branch_points`."""
+    fixed = stop_gradient(system)
+    refined = refine_branch_points(fixed, run.metric, run.criticals)
+    return run._replace(criticals=refined)
 
 
 solve_path = eqx.filter_jit(_solve_uncompiled)
 run_path = fast_compile(run_uncompiled)
+refine_path = fast_compile(_refine_uncompiled)
 evaluate_path = fast_compile(_evaluate_uncompiled)

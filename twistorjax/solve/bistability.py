@@ -148,23 +148,22 @@ def bistability(
     """
     step = require_positive("`largest_step`", largest_step)
     system, first = assemble_path(
-        mechanism, loads, drives, {}, None, constant_loads, constraints, start, time
-    )
-    arguments = system, first, step, direction, max_points
+        mechanism, loads, drives, {}, None, constant_loads, constraints, start,
+        direction, time,
+    )  # fmt: skip
+    arguments = system, first, step, max_points
     if is_traced(arguments):
         return _traced(*arguments)
     return _compiled(*arguments)
 
 
 def _bistability(
-    system: PathSystem, first: FirstPoint, step: Scalar, direction: int, max_points: int
+    system: PathSystem, first: FirstPoint, step: Scalar, max_points: int
 ) -> Bistability:
     """Compute the result of `bistability`."""
     limits = jnp.array([-1.0, 1.0])
-    run = run_uncompiled(
-        system, *first, limits, step, direction, None, max_points, _MAX_CRITICAL
-    )
-    points, found = _unloaded_points(stop_gradient(system), run, float(direction))
+    run = run_uncompiled(system, first, limits, step, None, max_points, _MAX_CRITICAL)
+    points, found = _unloaded_points(stop_gradient(system), run, first.direction)
     at_zero_load = jnp.zeros_like(points).at[:, -1].set(1.0)
     points = on_path(system, points, at_zero_load)
     values = point_values(system, points)
@@ -181,7 +180,7 @@ def _bistability(
 
 
 def _unloaded_points(
-    system: PathSystem, run: PathRun, sign: float
+    system: PathSystem, run: PathRun, sign: Scalar
 ) -> tuple[Float[Array, "3 n"], Bool[Array, "3"]]:
     """Find the points of a path at the load factor zero, and whether they exist."""
     trace = run.trace

@@ -14,8 +14,8 @@ from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from .continuation import metric_of
 from .dofs import DofPartition
+from .path_start import metric_of
 from .path_system import PathSystem
 from .results import (
     count_results,

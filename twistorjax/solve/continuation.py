@@ -7,7 +7,7 @@ with a row and a column more, is regular at a limit point.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -148,45 +148,6 @@ class _State(NamedTuple):
     number: Count
     steps: Count
     status: Count
-
-
-def start_at(
-    system: PathSystem, point: Float[Array, " n"], sign: float
-) -> tuple[Metric, Node]:
-    """Choose the units at the first point, and find the direction of the path.
-
-    The unit of the load factor is 1, or less if the displacements grow by more than their
-    units at the load factor 1. In the direction, the load factor changes by `sign`.
-    """
-    tangent = system.tangent(point)
-    metric = metric_of(system, tangent, point)
-    border = jnp.zeros_like(point).at[-1].set(sign)
-    rate = solve_step(tangent, metric, border, jnp.zeros(())).tangent
-    sensitivity = metric._replace(weights=metric.weights.at[-1].set(0.0)).length(rate)
-    sensitivity = sensitivity / jnp.abs(rate[-1])
-    unit = 1 / jnp.maximum(1.0, jnp.where(jnp.isfinite(sensitivity), sensitivity, 1.0))
-    metric = Metric(metric.units.at[-1].set(unit), metric.weights)
-    direction = rate.at[-1].divide(unit)
-    direction = direction / metric.length(direction)
-    step = solve_step(tangent, metric, direction, jnp.zeros(()))
-    return metric, Node(point, step.tangent, step.orientation, step.log_determinant)
-
-
-def metric_of(
-    system: PathSystem, tangent: PathTangent, point: Float[Array, " n"]
-) -> Metric:
-    """Choose the units of the unknowns at a point; that of the load factor is 1."""
-    count = len(system.dofs.free)
-    is_angle = np.array(system.dofs.free, int) % 3 == 0
-    units = jnp.where(is_angle, 1.0, system.length())
-    weights = jnp.asarray(np.arange(point.size) < count, float).at[-1].set(1.0)
-    if system.constraints.size:
-        stiffness = units[:, None] * tangent.jacobian[:count, :count] * units[None]
-        rows = tangent.jacobian[count:, :count] * units[None]
-        size = jnp.linalg.norm(rows, axis=1)
-        forces = jnp.max(jnp.abs(stiffness)) / jnp.where(size > 0, size, 1.0)
-        units = jnp.concatenate([units, jnp.where(forces > 0, forces, 1.0)])
-    return Metric(jnp.concatenate([units, jnp.ones(1)]), weights)
 
 
 def solve_step(
@@ -342,7 +303,7 @@ def follow(
         )
         node = Node(point, step.tangent, step.orientation, step.log_determinant)
         new = _State(
-            last=_select(kept, node, last),
+            last=select(kept, node, last),
             iterate=iterate,
             predicted=jnp.stack([next_stress, own_stress]),
             curvature=curvature,
@@ -354,7 +315,7 @@ def follow(
             steps=state.steps + 1,
             status=status,
         )
-        return _select(state.status == RUNNING, new, state), (kept, node)
+        return select(state.status == RUNNING, new, state), (kept, node)
 
     def advance_block(carry: tuple[_State, Node]) -> tuple[_State, Node]:
         """Take several steps, and store the points that were found."""
@@ -395,6 +356,6 @@ def follow(
     return Trace(*nodes, number=state.number, steps=state.steps, status=state.status)
 
 
-def _select(flag: Flag, chosen, other):
+def select(flag: Flag, chosen: Any, other: Any) -> Any:
     """Choose between two pytrees."""
     return jax.tree.map(lambda a, b: jnp.where(flag, a, b), chosen, other)

@@ -18,13 +18,10 @@ from jaxtyping import Array, Bool, Float, Int
 from .._utils.types import Count, Flag, Scalar
 from .continuation import AT_EVENT, AT_LIMIT, Metric, PathEvent, Step, Trace
 from .path_location import locate, Segment
-from .path_system import PathSystem
+from .path_system import PathSystem, PathTangent
 
 
 _SAME_POINT = 1e-3  # largest distance of two critical points that are one point
-_REFINEMENTS = 6  # Newton corrections of a branch point
-_STEP = 1e-6  # of finite differences for them, in the units of the metric
-_LARGEST_REFINEMENT = 0.05  # in the units of the metric
 
 
 class Criticals(NamedTuple):
@@ -189,66 +186,36 @@ def singular_vectors(
 
     The left one belongs to the rows of the scaled stiffness; see `scaled_jacobian`.
     """
-    matrix = scaled_jacobian(system, metric, point)
+    matrix = scaled_jacobian(metric, system.tangent(point))
     left, _, right = jnp.linalg.svd(matrix)
     return left[:, -1], right[-1]
 
 
 def scaled_jacobian(
-    system: PathSystem, metric: Metric, point: Float[Array, " n"]
+    metric: Metric, tangent: PathTangent
 ) -> Float[Array, "unknowns unknowns"]:
-    """Compute the derivative of the residual, in the units of the metric.
+    """Return the derivative of the residual, in the units of the metric.
 
     A force is multiplied by the unit of its displacement, and a violation by that of its
-    constraint force. The matrix is divided by its largest entry.
+    constraint force.
     """
     units = metric.units[:-1]
-    return units[:, None] * system.tangent(point).jacobian * units[None]
+    return units[:, None] * tangent.jacobian * units[None]
 
 
-def refine_branch_points(
-    system: PathSystem, metric: Metric, criticals: Criticals
-) -> Criticals:
-    """Solve the extended equations of the branch points.
+def bordered_matrix(
+    matrix: Float[Array, "n n"], left: Float[Array, " n"], right: Float[Array, " n"]
+) -> tuple[Float[Array, "n_and_1 n_and_1"], Scalar, Float[Array, " n"]]:
+    """Border a matrix that is almost singular, such that it becomes regular.
 
-    The path of a mechanism that is nearly symmetric does not quite go through a branch
-    point: near it, the path turns into one of the branches. The solution is a point at
-    which a small force would make both paths cross.
+    Returns:
+        The regular matrix, a number that vanishes if `matrix` is singular, and its left
+        null vector.
     """
-    is_branch, rows = criticals.is_branch, jnp.arange(len(criticals.points))
-
-    def refine(state: tuple[Array, Count]) -> tuple[Array, Count]:
-        points, last = state
-        row = jnp.argmax(is_branch & (rows > last))
-        borders = singular_vectors(system, metric, points[row])
-        start = jnp.concatenate([points[row] / metric.units, jnp.zeros(1)])
-        equations = partial(
-            _extended_residual, system, metric, borders, jnp.ones((), bool)
-        )
-
-        # The exact derivatives, of the third order, would take 40 s to compile.
-        def improve(_, unknowns: Array) -> Array:
-            steps = jnp.concatenate(
-                [jnp.zeros((1, len(start))), _STEP * np.eye(len(start))]
-            )
-            values = jax.lax.map(lambda step: equations(unknowns + step), steps)
-            matrix = (values[1:] - values[0]).T / _STEP
-            scale = jnp.max(jnp.abs(matrix), axis=1)
-            scale = jnp.where(scale > 0, scale, 1.0)
-            solution = jnp.linalg.solve(matrix / scale[:, None], values[0] / scale)
-            return unknowns - solution
-
-        refined = jax.lax.fori_loop(0, _REFINEMENTS, improve, start)[:-1]
-        near = metric.length(refined - start[:-1]) < _LARGEST_REFINEMENT
-        point = jnp.where(near, metric.units * refined, points[row])
-        return points.at[row].set(point), row
-
-    points, _ = jax.lax.while_loop(
-        lambda state: jnp.any(is_branch & (rows > state[1])),
-        refine,
-        (criticals.points, -jnp.ones((), int)),
-    )
-    return criticals._replace(points=points)
+    bordered = jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
+    last = jnp.zeros(len(bordered)).at[-1].set(1.0)
+    singular = jnp.linalg.solve(bordered, last)[-1]
+    return bordered, singular, jnp.linalg.solve(bordered.T, last)[:-1]
 
 
 def _extended_residual(
@@ -272,15 +239,11 @@ def _extended_residual(
         unknowns: The point, divided by the units, and the unfolding.
     """
     left, right = borders
-    row_units = metric.units[:-1]
-    moved, unfolding = metric.units * unknowns[:-1], unknowns[-1]
-    matrix = scaled_jacobian(system, metric, moved)
-    bordered = jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
-    last = jnp.zeros(len(bordered)).at[-1].set(1.0)
-    singular = jnp.linalg.solve(bordered, last)[-1]
-    null = jnp.linalg.solve(bordered.T, last)[:-1]
-    rate = jnp.sum(null * row_units * system.by_factor(moved))
-    residual = row_units * system.residual(moved) + unfolding * left
+    row_units, unfolding = metric.units[:-1], unknowns[-1]
+    tangent = system.tangent(metric.units * unknowns[:-1])
+    _, singular, null = bordered_matrix(scaled_jacobian(metric, tangent), left, right)
+    rate = jnp.sum(null * row_units * tangent.by_factor)
+    residual = row_units * tangent.residual + unfolding * left
     closing = jnp.where(branch, rate, unfolding)
     return jnp.concatenate([residual, jnp.stack([singular, closing])])
 

@@ -114,10 +114,10 @@ def path(
     step = require_positive("`largest_step`", largest_step)
     system, first = assemble_path(
         mechanism, loads, drives, strokes, temperature, constant_loads, constraints,
-        start, time,
+        start, direction, time,
     )  # fmt: skip
-    arguments = system, *first, as_float(load_factors), step
-    numbers = direction, until, max_points, max_critical
+    arguments = system, first, as_float(load_factors), step
+    numbers = until, max_points, max_critical
     if is_traced(arguments):
         return solve_path(*arguments, *numbers)
     run = run_path(*arguments, *numbers)

@@ -9,6 +9,7 @@ from ..mechanism.loads import LoadSet
 from ..mechanism.mechanism import Mechanism
 from .dofs import DofPartition
 from .path_program import run_path
+from .path_setup import regular_point
 from .path_system import PathSystem
 from .statics import Equilibrium
 
@@ -51,8 +52,8 @@ def describe_critical_point(
         dofs=dofs,
     )
     limits, step = jnp.array([-1.0, 1.0]), jnp.array(0.05)
-    arguments = system, solution.reached, solution.fraction, None, limits, step
-    criticals = run_path(*arguments, 1, None, _POINTS, 1).criticals
+    first = regular_point(solution.reached, solution.fraction)
+    criticals = run_path(system, first, limits, step, None, _POINTS, 1).criticals
     if not int(criticals.number):
         return ""
     fraction = float(criticals.points[0, -1])

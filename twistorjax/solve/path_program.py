@@ -18,18 +18,20 @@ from typing_extensions import TypeAliasType
 from .._utils.compilation import fast_compile
 from .._utils.host import take_rows
 from .._utils.pytrees import stop_gradient
-from .._utils.types import Poses, Scalar
+from .._utils.types import Scalar
 from . import continuation
-from .continuation import follow, Metric, metric_of, Node, start_at, Trace
+from .branch_points import refine_branch_points
+from .continuation import follow, Metric, Trace
 from .critical_points import (
     Criticals,
     locate_points,
     null_vectors,
-    refine_branch_points,
     with_derivatives,
 )
 from .path_points import negative_eigenvalues, on_path, point_values
-from .path_results import CriticalPoint, CriticalPoints, Path, PathPoint
+from .path_results import CriticalPoints, Path, PathPoint
+from .path_setup import FirstPoint
+from .path_start import start_at, start_on_branch
 from .path_system import PathSystem
 from .results import RESULTS
 
@@ -56,34 +58,26 @@ class PathRun(NamedTuple):
 
 def run_uncompiled(
     system: PathSystem,
-    displacements: Poses,
-    first_factor: Scalar,
-    branch: CriticalPoint | None,
+    first: FirstPoint,
     limits: Float[Array, "2"],
     largest_step: Scalar,
-    direction: int,
     until: Until | None,
     max_points: int,
     max_critical: int,
 ) -> PathRun:
     """Follow the path, and locate its end and its critical points."""
-    system, displacements, first_factor, branch = stop_gradient(
-        (system, displacements, first_factor, branch)
-    )
+    system, first = stop_gradient((system, first))
     event = None if until is None else _event(system, until)
-    equations = system.at(first_factor)
-    free = displacements.reshape(-1)[equations.free]
-    multipliers = equations.constraint_forces(displacements)
-    point = jnp.concatenate([free, multipliers, first_factor[None]])
-    if branch is None:
-        metric, start = start_at(system, point, float(direction))
-    else:
-        metric = metric_of(system, system.tangent(point), point)
-        metric = Metric(metric.units.at[-1].set(branch.factor_unit), metric.weights)
-        mode = branch.mode.reshape(-1)[equations.free]
-        mode = jnp.concatenate([mode, 0 * multipliers, jnp.zeros(1)])
-        zero = jnp.zeros(())
-        start = Node(point, direction * mode / metric.length(mode), zero, zero)
+    equations = system.at(first.factor)
+    free = first.displacements.reshape(-1)[equations.free]
+    multipliers = equations.constraint_forces(first.displacements)
+    point = jnp.concatenate([free, multipliers, first.factor[None]])
+    mode = first.mode.reshape(-1)[equations.free]
+    mode = jnp.concatenate([mode, 0 * multipliers, jnp.zeros(1)])
+    metric, start = start_at(system, point, first.direction)
+    unit = jnp.where(first.at_branch, first.factor_unit, metric.units[-1])
+    metric = Metric(metric.units.at[-1].set(unit), metric.weights)
+    start = start_on_branch(metric, start, first.direction * mode, first.at_branch)
     trace = follow(system, metric, start, limits, largest_step, event, max_points)
     trace, criticals = locate_points(system, metric, trace, limits, event, max_critical)
     normal = jnp.zeros_like(point).at[-1].set(1.0)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float
-from .._utils.types import NumberLike, PoseLike, Poses, Scalar
+from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.hinge_changes import (
@@ -39,17 +39,37 @@ StartLike = TypeAliasType("StartLike", StateLike | CriticalPoint)
 
 
 class FirstPoint(NamedTuple):
-    """First point of a path.
+    """First point of a path, and the direction in which the path begins.
 
     Args:
         displacements: Displacements of the bodies; rad, m, m.
         factor: Load factor.
-        branch: The branch point from which the path starts; None at another point.
+        direction: 1 or -1; the sign of the change of the load factor or, at a branch
+            point, of the mode.
+        at_branch: Whether the point is a branch point, at which the path leaves in the
+            direction of the mode.
+        mode: The mode of the branch point.
+        factor_unit: Unit of the load factor at the branch point.
     """
 
     displacements: Poses
     factor: Scalar
-    branch: CriticalPoint | None
+    direction: Scalar
+    at_branch: Flag
+    mode: Poses
+    factor_unit: Scalar
+
+
+def regular_point(displacements: Poses, factor: Scalar, direction: int = 1) -> FirstPoint:
+    """Return a first point that is not a branch point."""
+    return FirstPoint(
+        displacements=displacements,
+        factor=factor,
+        direction=jnp.asarray(direction, float),
+        at_branch=jnp.zeros((), bool),
+        mode=jnp.zeros_like(displacements),
+        factor_unit=jnp.ones(()),
+    )
 
 
 def assemble_path(
@@ -61,6 +81,7 @@ def assemble_path(
     constant_loads: Sequence[Load],
     constraints: Sequence[AbstractConstraint],
     start: StartLike | None,
+    direction: int,
     time: NumberLike,
 ) -> tuple[PathSystem, FirstPoint]:
     """Check the arguments of `path`, and assemble the equations and the first point.
@@ -81,13 +102,20 @@ def assemble_path(
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
     if isinstance(start, CriticalPoint):
-        first = FirstPoint(start.displacements, start.load_factor, start)
         begin = dofs.fixed_part(start.displacements)
+        first = FirstPoint(
+            displacements=start.displacements,
+            factor=as_float(start.load_factor),
+            direction=jnp.asarray(direction, float),
+            at_branch=jnp.ones((), bool),
+            mode=start.mode,
+            factor_unit=start.factor_unit,
+        )
     else:
         begin = _first_displacements(
             mechanism, changes, constant_loads, constraints, start, time
         )
-        first = FirstPoint(begin, jnp.zeros(()), None)
+        first = regular_point(begin, jnp.zeros(()), direction)
     system = PathSystem(
         mechanism=mechanism,
         loads=LoadSet.of(mechanism, loads),

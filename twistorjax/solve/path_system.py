@@ -95,7 +95,7 @@ class PathSystem(eqx.Module):
         if self.changes is not None:
             state = self.changes.state(self.mechanism, factor)
             hinges = state.hinges(self.mechanism)
-        begin = self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
+        begin = self._begin()
         targets = begin + factor * (self.targets - begin)
         return System(hinges, loads, self.constraints, targets, self.time, self.dofs)
 
@@ -126,28 +126,49 @@ class PathSystem(eqx.Module):
         """
         system, displacements, multipliers = self.split(point)
         hinges = system.hinges.tangent(displacements, predicted)
-        forces, matrix = system.with_loads(hinges, displacements, self.dofs.free)
+        count, columns = len(self.dofs.free), self.dofs.free + self.dofs.prescribed
+        forces, matrix = system.with_loads(hinges, displacements, columns)
+        applied, _ = self.loads.apply(displacements)
+        by_factor = self._by_changes(point[-1], displacements) - applied.reshape(-1)
+        by_factor = by_factor[system.free]
         if self.constraints.size:
-            rows = system.jacobian(displacements)
-            forces = forces - multipliers @ rows
-            rows = rows[:, system.free]
+            whole = system.jacobian(displacements)
+            forces, rows = forces - multipliers @ whole, whole[:, np.array(columns, int)]
             geometric = self.constraints.geometric_stiffness(
                 displacements, self.time, multipliers
             )
-            matrix = matrix + geometric[system.free[:, None], system.free]
-            corner = jnp.zeros((len(rows), len(rows)))
-            matrix = jnp.block([[matrix, -rows.T], [rows, corner]])
+            matrix = matrix + geometric[system.free[:, None], np.array(columns, int)]
+            matrix = jnp.concatenate([matrix, rows])
+            by_factor = jnp.concatenate([by_factor, jnp.zeros(len(rows))])
+        if self.dofs.prescribed:
+            by_factor = by_factor + matrix[:, count:] @ (self.targets - self._begin())
+        matrix = matrix[:, :count]
+        if self.constraints.size:
+            corner = jnp.zeros((self.constraints.size, self.constraints.size))
+            right = jnp.concatenate([-matrix[count:].T, corner])
+            matrix = jnp.concatenate([matrix, right], axis=1)
         return PathTangent(
             residual=system.equations(forces, displacements),
             jacobian=matrix,
-            by_factor=self.by_factor(point),
+            by_factor=by_factor,
             hinges=hinges,
         )
 
-    def by_factor(self, point: Float[Array, " n"]) -> Float[Array, " unknowns"]:
-        """Differentiate the residual with respect to the load factor."""
-        direction = jnp.zeros_like(point).at[-1].set(1.0)
-        return jax.jvp(self.residual, (point,), (direction,))[1]
+    def _by_changes(self, factor: Scalar, displacements: Poses) -> Float[Array, " dofs"]:
+        """Differentiate the forces of the hinges by strokes and temperatures; N m, N."""
+        changes = self.changes
+        if changes is None:
+            return jnp.zeros(displacements.size)
+
+        def forces(factor: Scalar) -> Float[Array, " dofs"]:
+            hinges = changes.state(self.mechanism, factor).hinges(self.mechanism)
+            return hinges.forces(displacements).reshape(-1)
+
+        return jax.jvp(forces, (factor,), (jnp.ones_like(factor),))[1]
+
+    def _begin(self) -> Float[Array, " prescribed"]:
+        """Return the prescribed displacements at the load factor zero; rad, m."""
+        return self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
 
     def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 hinges"]:
         """Compute the generalized stress of the hinges at a point; N m, N, N."""
@@ -163,6 +184,5 @@ class PathSystem(eqx.Module):
         self, change: Float[Array, " n"], rate: Scalar | float = 1.0
     ) -> Poses:
         """Arrange a change of a point by bodies; rad, m, m."""
-        begin = self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
-        prescribed = rate * change[-1] * (self.targets - begin)
+        prescribed = rate * change[-1] * (self.targets - self._begin())
         return self.dofs.expand(change[: len(self.dofs.free)], prescribed)

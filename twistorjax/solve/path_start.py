@@ -1,0 +1,61 @@
+"""Units of an equilibrium path, and its direction at the first point."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.types import Flag, Scalar
+from .continuation import Metric, Node, select, solve_step
+from .path_system import PathSystem, PathTangent
+
+
+def start_at(
+    system: PathSystem, point: Float[Array, " n"], sign: Scalar
+) -> tuple[Metric, Node]:
+    """Choose the units at the first point, and find the direction of the path.
+
+    The unit of the load factor is 1, or less if the displacements grow by more than their
+    units at the load factor 1. In the direction, the load factor changes by `sign`.
+    """
+    tangent = system.tangent(point)
+    metric = metric_of(system, tangent, point)
+    border = jnp.zeros_like(point).at[-1].set(sign)
+    rate = solve_step(tangent, metric, border, jnp.zeros(())).tangent
+    sensitivity = metric._replace(weights=metric.weights.at[-1].set(0.0)).length(rate)
+    sensitivity = sensitivity / jnp.abs(rate[-1])
+    unit = 1 / jnp.maximum(1.0, jnp.where(jnp.isfinite(sensitivity), sensitivity, 1.0))
+    metric = Metric(metric.units.at[-1].set(unit), metric.weights)
+    direction = rate.at[-1].divide(unit)
+    direction = direction / metric.length(direction)
+    step = solve_step(tangent, metric, direction, jnp.zeros(()))
+    return metric, Node(point, step.tangent, step.orientation, step.log_determinant)
+
+
+def start_on_branch(
+    metric: Metric, start: Node, mode: Float[Array, " n"], at_branch: Flag
+) -> Node:
+    """Replace the direction of the path by the mode of a branch point.
+
+    The orientation becomes zero, because it depends on rounding errors there.
+    """
+    length = metric.length(mode)
+    unit_mode = mode / jnp.where(at_branch, length, 1.0)
+    zero = jnp.zeros(())
+    return select(at_branch, Node(start.point, unit_mode, zero, zero), start)
+
+
+def metric_of(
+    system: PathSystem, tangent: PathTangent, point: Float[Array, " n"]
+) -> Metric:
+    """Choose the units of the unknowns at a point; that of the load factor is 1."""
+    count = len(system.dofs.free)
+    is_angle = np.array(system.dofs.free, int) % 3 == 0
+    units = jnp.where(is_angle, 1.0, system.length())
+    weights = jnp.asarray(np.arange(point.size) < count, float).at[-1].set(1.0)
+    if system.constraints.size:
+        stiffness = units[:, None] * tangent.jacobian[:count, :count] * units[None]
+        rows = tangent.jacobian[count:, :count] * units[None]
+        size = jnp.linalg.norm(rows, axis=1)
+        forces = jnp.max(jnp.abs(stiffness)) / jnp.where(size > 0, size, 1.0)
+        units = jnp.concatenate([units, jnp.where(forces > 0, forces, 1.0)])
+    return Metric(jnp.concatenate([units, jnp.ones(1)]), weights)

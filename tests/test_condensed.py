@@ -226,6 +226,7 @@ class TestRange:
             tj.surrogate(pivot, rotation=1.5, force=20.0)
 
     @pytest.mark.parametrize("name", ["cross-spring", "cartwheel"])
+    @pytest.mark.release
     def test_leaves_outside_their_range_are_reported_of_an_exact_energy(self, name):
         """With and without inner bodies; the leaves of a cartwheel rotate by half."""
         leaf = tj.energies.WithValidityRange(

@@ -359,6 +359,7 @@ def test_the_motion_of_a_linkage_determines_the_stiffnesses_of_one_hinge():
     assert not noisy.warnings
 
 
+@pytest.mark.release
 def test_a_bench_of_three_leaves_determines_the_coefficients_of_beam_theory():
     result = identification.identify_leaf(jax.random.key(2))
     for name, factor in result.estimates.items():
@@ -367,6 +368,7 @@ def test_a_bench_of_three_leaves_determines_the_coefficients_of_beam_theory():
     assert result.standard_errors["transverse_shortening"] < 5e-3
 
 
+@pytest.mark.release
 def test_a_camera_and_the_moment_of_the_drive_determine_twelve_stiffnesses():
     result = identification.identify_twelve_stiffnesses(jax.random.key(1))
     true = {"A": [0.071875, 862500.0, 2156.25], "D": [0.14375, 1.725e6, 17250.0]}

@@ -165,6 +165,7 @@ def test_large_residuals_of_held_out_readings_are_reported():
     assert any(text in warning for warning in result.warnings)
 
 
+@pytest.mark.release
 def test_samples_have_the_mean_and_standard_deviation_of_the_posterior():
     """The reading is linear in the compliance, so both are known in closed form."""
     pytest.importorskip("blackjax")

@@ -115,6 +115,7 @@ def test_chain_above_the_load_of_euler_is_unstable():
     assert solutions.succeeded.tolist() == [True, False]
 
 
+@pytest.mark.release
 def test_derivatives_of_a_long_chain_agree_with_differences():
     def tip(factor):
         factors = jnp.array([factor, 1.0, 1.0])

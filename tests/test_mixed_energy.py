@@ -332,6 +332,7 @@ def test_proportional_damping_resists_the_rate_of_the_axial_force():
     assert_close(resisted, np.array([0.3, stretching, -0.7]), digits=12)
 
 
+@pytest.mark.release
 def test_proportional_damping_does_not_depend_on_the_amplitude():
     """The decay in one period is the same for a small and a large oscillation."""
     hinge = tj.flexures.surrogate(beam(0.1), rotation=0.81, order=6)

@@ -323,6 +323,7 @@ def test_gradients_of_long_motions_agree_with_those_of_diffrax(few_recorded_stat
     assert max(float(jnp.max(jnp.abs(value))) for value in expected) > 0.01
 
 
+@pytest.mark.release
 def test_gradients_of_batches_and_second_derivatives_of_motions():
     mechanism = oscillator(0.02)
 

@@ -116,6 +116,7 @@ def test_constant_strokes_are_misfits_in_a_motion():
         assert_close(other.displacements, by_function.displacements, digits=12)
 
 
+@pytest.mark.release
 def test_a_motion_has_derivatives_by_its_strokes():
     mechanism = whirling_mechanism()
 

@@ -71,6 +71,7 @@ def test_sum_moves_and_is_damped_as_its_terms():
     np.testing.assert_allclose(*dissipated, rtol=1e-4, atol=1e-9)
 
 
+@pytest.mark.release
 def test_viscous_damping_of_a_sum_acts_once():
     """It acts on the rates of the one term that has stiffness."""
     damping = tj.energies.ViscousDamping(

@@ -35,11 +35,14 @@ class TestVonMisesTruss:
         assert_close(snap.load_factors[-1], 1.0)
         assert str(tj.result_names(snap.result)) == "successful"
 
-    def test_both_limit_points(self, snap):
+    def test_both_limit_points(self, snap, validated):
         points = snap.critical_points
         assert [point.kind for point in points] == ["limit", "limit"]
         force, height = von_mises_limit_force(), von_mises_limit_height()
         assert_close(20 * points.load_factors, np.array([force, -force]), digits=10)
+        found = 20 * points.load_factors[0]
+        what, oracle = "force at which the truss of von Mises snaps", "the closed form"
+        validated("Equilibrium paths", what, found, force, oracle)
         for sign, point in zip((1, -1), points, strict=True):
             assert_close(point.pose("apex")[2], sign * height, digits=10)
             # Only the height changes; the unit is the characteristic length.
@@ -144,9 +147,12 @@ class TestDerivatives:
     def closed_form(rise):
         return jnp.stack([von_mises_limit_force(rise), von_mises_limit_height(rise)])
 
-    def test_derivatives_of_a_limit_point(self):
-        derivative = jax.jit(jax.jacrev(self.first_limit))
-        assert_close(derivative(0.3), jax.jacrev(self.closed_form)(0.3), digits=10)
+    def test_derivatives_of_a_limit_point(self, validated):
+        found = jax.jit(jax.jacrev(self.first_limit))(0.3)
+        exact = jax.jacrev(self.closed_form)(0.3)
+        assert_close(found, exact, digits=10)
+        what = "derivatives of the snap force and its displacement by the rise"
+        validated("Equilibrium paths", what, found, exact, "the closed form")
 
     @pytest.mark.release
     def test_first_and_second_derivatives_of_a_limit_point(self):
@@ -179,6 +185,51 @@ class TestDerivatives:
         assert_close(slope, -by_rise / by_height, digits=9)
 
 
+class TestSteepTruss:
+    """A truss that is higher than wide leaves its axis of symmetry before it snaps."""
+
+    RISE, SIZE = 3.0, 2000.0
+
+    def forces(self, x, y):
+        """Force of both bars on the apex at a position."""
+        total = np.zeros(2)
+        for support in (-1.0, 1.0):
+            bar = np.array([x - support, y])
+            length = np.hypot(*bar)
+            natural = np.hypot(1.0, self.RISE)
+            total += BAR_STIFFNESS * (natural / length - 1) * bar
+        return total
+
+    def test_both_branches_of_a_symmetric_mechanism(self):
+        push = [tj.Load("apex", force=(0.0, -self.SIZE))]
+        truss = von_mises_truss(self.RISE)
+        symmetric = tj.path(truss, loads=push)
+        first = symmetric.critical_points[0]
+        assert first.kind == "branch"
+        # There the stiffness against a lateral force vanishes: l^3 = L (l^2 - 1).
+        natural = np.hypot(1.0, self.RISE)
+        length = scipy.optimize.brentq(
+            lambda length: length**3 - natural * (length**2 - 1), natural / 1.5, natural
+        )
+        height = np.sqrt(length**2 - 1)
+        assert_close(first.pose("apex")[1:], np.array([0.0, height]), digits=9)
+        load = self.forces(0.0, height)[1]
+        assert_close(self.SIZE * first.load_factor, load, digits=9)
+        sides = [
+            tj.path(truss, loads=push, start=first, direction=side, max_points=60,
+                    until=lambda point: point.pose("apex")[2] - 1.0)
+            for side in (1, -1)
+        ]  # fmt: skip
+        for side, found in zip((1, -1), sides, strict=True):
+            x, y = np.asarray(found.pose("apex"))[1:, 1:].T
+            assert np.all(side * x > 0)
+            exact = np.array([self.forces(*place) for place in zip(x, y, strict=True)])
+            loads = self.SIZE * np.asarray(found.load_factors)[1:]
+            expected = np.stack([0 * loads, loads], axis=1)
+            np.testing.assert_allclose(exact, expected, atol=1e-6)
+        assert_close(sides[0].energies[-1], sides[1].energies[-1], digits=9)
+
+
 class TestColumn:
     COUNT = 6
 
@@ -187,7 +238,7 @@ class TestColumn:
     def straight(cls):
         return tj.path(column(), loads=[column_load()], load_factors=(0, 30))
 
-    def test_branch_points_are_the_buckling_loads(self, straight):
+    def test_branch_points_are_the_buckling_loads(self, straight, validated):
         """Eigenvalues of inextensible links with small rotations."""
         count = self.COUNT
         springs = 2 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
@@ -196,6 +247,8 @@ class TestColumn:
         points = straight.critical_points
         assert all(point.kind == "branch" for point in points)
         np.testing.assert_allclose(points.load_factors, exact, rtol=2e-6)
+        what, oracle = "six buckling loads of a column of links", "an eigenvalue problem"
+        validated("Equilibrium paths", what, points.load_factors, exact, oracle)
         np.testing.assert_array_equal(straight.negative_eigenvalues[-1], self.COUNT)
 
     @pytest.mark.parametrize("side", [1, -1])

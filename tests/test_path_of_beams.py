@@ -28,7 +28,7 @@ class TestColumn:
         column = tj.Mechanism([*bodies, *chain.bodies], chain.hinges, fixed=["wall"])
         return load, column
 
-    def test_both_buckled_sides_are_the_elastica(self, euler):
+    def test_both_buckled_sides_are_the_elastica(self, euler, validated):
         load, column = euler
         press = [tj.Load("end", force=(0.0, -load))]
         straight = tj.path(column, loads=press, load_factors=(0.0, 1.2), max_points=64)
@@ -52,6 +52,12 @@ class TestColumn:
             np.testing.assert_allclose(-y, down, rtol=1e-4, atol=1e-5)
             sideways = 2 * np.sqrt(modulus) / complete
             np.testing.assert_allclose(np.abs(x), sideways, rtol=1e-4)
+            found, oracle = (
+                buckled.load_factors[5:],
+                "the elastica, by elliptic integrals",
+            )
+            what = "load of a buckled column of 20 surrogates"
+            validated("Equilibrium paths", what, found, exact, oracle)
             assert np.ptp(np.sign(x)) == 0 and np.sign(x[0]) == -np.sign(rotation[0])
 
 

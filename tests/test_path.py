@@ -208,9 +208,7 @@ class TestSteepTruss:
         assert first.kind == "branch"
         # There the stiffness against a lateral force vanishes: l^3 = L (l^2 - 1).
         natural = np.hypot(1.0, self.RISE)
-        length = scipy.optimize.brentq(
-            lambda length: length**3 - natural * (length**2 - 1), natural / 1.5, natural
-        )
+        length = np.max(np.roots([1.0, -natural, 0.0, natural]).real)
         height = np.sqrt(length**2 - 1)
         assert_close(first.pose("apex")[1:], np.array([0.0, height]), digits=9)
         load = self.forces(0.0, height)[1]

@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
+import scipy.optimize
 import scipy.special
-from test_chain import deep_arch, lee_frame
+from test_chain import deep_arch
 
 import twistorjax as tj
 
@@ -71,6 +73,7 @@ def cosine_curvature(position):
     return RISE / 2 * wave**2 * jnp.cos(wave * x)
 
 
+@pytest.mark.release
 class TestCurvedBeam:
     """Half of a clamped cosine beam with a guided middle, and h / t = 6.
 
@@ -136,13 +139,142 @@ class TestCurvedBeam:
 
 
 @pytest.mark.release
-def test_the_limit_load_of_lees_frame():
-    """The published values are 1.85567 and 48.735."""
-    push = tj.Load("load", force=(0.0, -2500.0))
-    found = tj.path(lee_frame(), loads=[push], throw=False)
-    first = found.critical_points[0]
-    np.testing.assert_allclose(2500 * first.load_factor, 1855.67, rtol=1e-4)
-    np.testing.assert_allclose(first.displacement("load")[2], -0.48735, rtol=2e-4)
+@pytest.mark.parametrize(("ratio", "bistable"), [(2.26, False), (2.36, True)])
+def test_the_rise_above_which_a_guided_beam_is_bistable(ratio, bistable):
+    """Without the antisymmetric mode, it is h / t = sqrt(16 / 3) = 2.31.
+
+    All modes but the first one vanish where the force is zero, so the limit is exact for
+    a shallow beam.
+    """
+    rise = ratio * THICKNESS
+
+    @jax.tree_util.Partial
+    def curvature(position):
+        wave = 2 * jnp.pi / LENGTH
+        return rise / 2 * wave**2 * jnp.cos(wave * (position + LENGTH / 4))
+
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.Beam(
+        steel, length=LENGTH / 2, thickness=THICKNESS, width=WIDTH, curvature=curvature
+    )
+    slope = np.arctan(np.pi * rise / LENGTH)
+    chain = tj.flexures.chain(
+        "beam", leaf, "wall", "shuttle", at=(slope, LENGTH / 4, rise / 2),
+        rotation=0.3, force=1500.0, segments=8, error=2e-3,
+    )  # fmt: skip
+    shuttle = tj.Body("shuttle", pose=(0.0, LENGTH / 2, rise))
+    beam = tj.Mechanism(
+        [tj.Body("wall"), shuttle, *chain.bodies],
+        chain.hinges,
+        fixed={"wall": ["angle", "x", "y"], "shuttle": ["angle", "x"]},
+    )
+    found = tj.path(
+        beam, drives=[tj.Drive("shuttle", y=-2.0 * rise)], load_factors=(0.0, 0.9),
+        largest_step=0.05,
+    )  # fmt: skip
+    force = -np.asarray(found.reaction("shuttle"))[:, 2]
+    assert np.max(force) > 0 and (np.min(force[1:]) < 0) == bistable
+
+
+@pytest.mark.release
+class TestFrameOfLee:
+    """A column and a beam of 1.2 m in segments, joined rigidly, with pinned ends."""
+
+    MODULUS, WIDTH, THICKNESS = 7.2e9, 0.03, 0.02
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def frame(cls):
+        metal = tj.Material(modulus=cls.MODULUS, poisson=0.3)
+        poses = {
+            "foot": (0.0, 0.0, 0.0),
+            "corner": (0.0, 0.0, 1.2),
+            "load": (0.0, 0.24, 1.2),
+            "end": (0.0, 1.2, 1.2),
+        }
+        bodies = [tj.Body(name, pose) for name, pose in poses.items()]
+        hinges = []
+        for length, first, second, at, rotation, segments in (
+            (1.2, "foot", "corner", (np.pi / 2, 0.0, 0.6), 3.0, 6),
+            (0.24, "corner", "load", (0.0, 0.12, 1.2), 1.0, 2),
+            (0.96, "load", "end", (0.0, 0.72, 1.2), 3.0, 6),
+        ):
+            leaf = tj.flexures.Beam(
+                metal, length=length, thickness=cls.THICKNESS, width=cls.WIDTH,
+                shear_factor=1e6, steps=8,
+            )  # fmt: skip
+            part = tj.flexures.chain(
+                f"{first} to {second}", leaf, first, second, at, rotation=rotation,
+                force=2500.0, segments=segments, error=1e-2,
+            )  # fmt: skip
+            bodies += part.bodies
+            hinges += part.hinges
+        pinned = {"foot": ("x", "y"), "end": ("x", "y")}
+        return tj.Mechanism(bodies, hinges, fixed=pinned)
+
+    def shoot(self, rotation, unknowns):
+        """Integrate extensible beams from the foot: misfit at the end, descent of load.
+
+        The unknowns are the force at the foot and the load, in kN.
+        """
+        bending = self.MODULUS * self.WIDTH * self.THICKNESS**3 / 12
+        axial = self.MODULUS * self.WIDTH * self.THICKNESS
+        *force, load = 1e3 * np.asarray(unknowns)
+
+        def leg(state, force, length):
+            def rates(_, state):
+                _, _, angle, moment = state
+                along = np.array([np.cos(angle), np.sin(angle)])
+                dx, dy = (1 + along @ force / axial) * along
+                return [dx, dy, moment / bending, dy * force[0] - dx * force[1]]
+
+            options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
+            return scipy.integrate.solve_ivp(rates, (0, length), state, **options).y[
+                :, -1
+            ]
+
+        state = leg(np.array([0.0, 0.0, np.pi / 2 + rotation, 0.0]), force, 1.2)
+        state = leg(state - np.array([0.0, 0.0, np.pi / 2, 0.0]), force, 0.24)
+        down = 1.2 - state[1]
+        state = leg(state, [force[0], force[1] + load], 0.96)
+        return np.array([state[0] - 1.2, state[1] - 1.2, state[3] / 100]), down
+
+    def extremum(self, found, index, load, quantity):
+        """Extremum of the load (N) or of the descent (m), by three rotations of the foot.
+
+        The guess is the critical point of the path with this index.
+        """
+        points = found.critical_points
+        foot = float(points[index].displacement("foot")[0])
+        reaction = found.reaction("foot")[int(points.rows[index]), 1:]
+        guess = np.append(-np.asarray(reaction), load) / 1e3
+        rotations, rows = foot + np.array([-0.01, 0.0, 0.01]), []
+        for rotation in rotations:
+            solution = scipy.optimize.root(
+                lambda z, at=rotation: self.shoot(at, z)[0], guess, tol=1e-12
+            ).x
+            rows.append((1e3 * solution[2], self.shoot(rotation, solution)[1]))
+        curved = np.polyfit(rotations - foot, np.array(rows)[:, quantity], 2)
+        return curved[2] - curved[1] ** 2 / 4 / curved[0]
+
+    def test_limit_loads_and_snap_back_of_the_load(self, frame):
+        """The published first limit load is 1855.67 N at 0.48735 m."""
+        push = tj.Load("load", force=(0.0, -3000.0))
+        found = tj.path(frame, loads=[push], throw=False, largest_step=0.2)
+        loads = 3000 * np.asarray(found.critical_points.load_factors)
+        np.testing.assert_allclose(loads[0], 1855.67, rtol=1e-5)
+        first = found.critical_points[0].displacement("load")
+        np.testing.assert_allclose(first[2], -0.48735, rtol=2e-5)
+        exact = [self.extremum(found, k, loads[k], 0) for k in range(2)]
+        np.testing.assert_allclose(loads[:2], exact, rtol=3e-5)
+        # The displacement of the load turns back twice, where a prescribed one snaps.
+        down = [tj.Drive("load", y=-1.0)]
+        found = tj.path(frame, drives=down, load_factors=(0.0, 0.7), largest_step=0.2)
+        rows = np.asarray(found.critical_points.rows)
+        forces = -np.asarray(found.reaction("load"))[rows, 2]
+        exact = [self.extremum(found, k, forces[k], 1) for k in range(2)]
+        turns = found.critical_points.load_factors
+        np.testing.assert_allclose(turns, exact, rtol=1e-5)
 
 
 @pytest.mark.release

@@ -75,8 +75,6 @@ def run_uncompiled(
     mode = first.mode.reshape(-1)[equations.free]
     mode = jnp.concatenate([mode, 0 * multipliers, jnp.zeros(1)])
     metric, start = start_at(system, point, first.direction)
-    unit = jnp.where(first.at_branch, first.factor_unit, metric.units[-1])
-    metric = Metric(metric.units.at[-1].set(unit), metric.weights)
     start = start_on_branch(metric, start, first.direction * mode, first.at_branch)
     trace = follow(system, metric, start, limits, largest_step, event, max_points)
     trace, criticals = locate_points(system, metric, trace, limits, event, max_critical)
@@ -157,7 +155,6 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
             is_branch=criticals.is_branch,
             rows=criticals.rows,
             count=count,
-            factor_unit=metric.units[-1],
             length=length,
             names=mechanism.names,
         ),

@@ -77,13 +77,11 @@ class CriticalPoint(PathPoint):
             and translations over the characteristic length of the mechanism, of unit
             norm.
         is_branch: Whether this is a branch point.
-        factor_unit: Unit of the load factor in the arc length of the path.
         length: Characteristic length of the mechanism; m.
     """
 
     mode: Poses
     is_branch: Flag
-    factor_unit: Scalar
     length: Scalar
 
     @property
@@ -110,7 +108,6 @@ class CriticalPoints(eqx.Module):
         is_branch: Whether each of them is a branch point.
         rows: Index of the point of the path that precedes each of them.
         count: Number of critical points that were found.
-        factor_unit: Unit of the load factor in the arc length of the path.
         length: Characteristic length of the mechanism; m.
         names: Names of the bodies.
     """
@@ -123,7 +120,6 @@ class CriticalPoints(eqx.Module):
     is_branch: Bool[Array, "*batch critical"]
     rows: Int[Array, "*batch critical"]
     count: Int[Array, "*batch"]
-    factor_unit: Float[Array, "*batch"]
     length: Float[Array, "*batch"]
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -141,7 +137,6 @@ class CriticalPoints(eqx.Module):
             self.names,
             self.modes[index],
             self.is_branch[index],
-            self.factor_unit,
             self.length,
         )
 

@@ -49,7 +49,6 @@ class FirstPoint(NamedTuple):
         at_branch: Whether the point is a branch point, at which the path leaves in the
             direction of the mode.
         mode: The mode of the branch point.
-        factor_unit: Unit of the load factor at the branch point.
     """
 
     displacements: Poses
@@ -57,7 +56,6 @@ class FirstPoint(NamedTuple):
     direction: Scalar
     at_branch: Flag
     mode: Poses
-    factor_unit: Scalar
 
 
 def regular_point(displacements: Poses, factor: Scalar, direction: int = 1) -> FirstPoint:
@@ -68,7 +66,6 @@ def regular_point(displacements: Poses, factor: Scalar, direction: int = 1) -> F
         direction=jnp.asarray(direction, float),
         at_branch=jnp.zeros((), bool),
         mode=jnp.zeros_like(displacements),
-        factor_unit=jnp.ones(()),
     )
 
 
@@ -109,7 +106,6 @@ def assemble_path(
             direction=jnp.asarray(direction, float),
             at_branch=jnp.ones((), bool),
             mode=start.mode,
-            factor_unit=start.factor_unit,
         )
     else:
         begin = _first_displacements(

@@ -14,19 +14,12 @@ def start_at(
 ) -> tuple[Metric, Node]:
     """Choose the units at the first point, and find the direction of the path.
 
-    The unit of the load factor is 1, or less if the displacements grow by more than their
-    units at the load factor 1. In the direction, the load factor changes by `sign`.
+    In this direction, the load factor changes by `sign`.
     """
     tangent = system.tangent(point)
     metric = metric_of(system, tangent, point)
     border = jnp.zeros_like(point).at[-1].set(sign)
-    rate = solve_step(tangent, metric, border, jnp.zeros(())).tangent
-    sensitivity = metric._replace(weights=metric.weights.at[-1].set(0.0)).length(rate)
-    sensitivity = sensitivity / jnp.abs(rate[-1])
-    unit = 1 / jnp.maximum(1.0, jnp.where(jnp.isfinite(sensitivity), sensitivity, 1.0))
-    metric = Metric(metric.units.at[-1].set(unit), metric.weights)
-    direction = rate.at[-1].divide(unit)
-    direction = direction / metric.length(direction)
+    direction = solve_step(tangent, metric, border, jnp.zeros(())).tangent
     step = solve_step(tangent, metric, direction, jnp.zeros(()))
     return metric, Node(point, step.tangent, step.orientation, step.log_determinant)
 

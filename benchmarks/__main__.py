@@ -21,6 +21,7 @@ from . import (
     identification,
     leaves,
     motion,
+    paths,
     peers,
     peers_chains,
     peers_identification,
@@ -55,7 +56,7 @@ def main(
 
     modules = (
         statics, peers, chains, peers_chains, leaves, condensed, motion, peers_motion,
-        identification, peers_identification, sweeps, first_calls,
+        paths, identification, peers_identification, sweeps, first_calls,
     )  # fmt: skip
     for module in modules:
         for row in module.run():

@@ -192,7 +192,10 @@ class TestRandomMechanisms:
         return value, gradient, np.einsum("b,bkl->kl", stiffness, parts)
 
     def bisected(self, feet, ends, stiffness, force):
-        """Increase the force until the minimum near the last one disappears."""
+        """Increase the force until the minimum near the last one disappears.
+
+        The step is reduced if the minimum moves far, and finally if it disappears.
+        """
 
         def minimum(start, factor):
             def of(part):
@@ -205,7 +208,7 @@ class TestRandomMechanisms:
                 options={"gtol": 1e-10, "initial_trust_radius": 0.01,
                          "max_trust_radius": 0.02, "maxiter": 300},
             )  # fmt: skip
-            near = np.linalg.norm(found.x - start) < 0.15
+            near = np.linalg.norm(found.x - start) < 0.04
             return found.x if near else None
 
         place, low, step = np.zeros(3), 0.0, 0.01
@@ -214,7 +217,7 @@ class TestRandomMechanisms:
             if found is None:
                 step /= 4
             else:
-                place, low = found, low + step
+                place, low, step = found, low + step, min(2 * step, 0.01)
                 if low > 1.0:
                     return np.nan
         return low

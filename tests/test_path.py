@@ -244,7 +244,7 @@ class TestColumn:
         exact = count * np.linalg.eigvalsh(springs)
         points = straight.critical_points
         assert all(point.kind == "branch" for point in points)
-        np.testing.assert_allclose(points.load_factors, exact, rtol=1e-9)
+        np.testing.assert_allclose(points.load_factors, exact, rtol=1e-8)
         what, oracle = "six buckling loads of a column of links", "an eigenvalue problem"
         validated("Equilibrium paths", what, points.load_factors, exact, oracle)
         np.testing.assert_array_equal(straight.negative_eigenvalues[-1], self.COUNT)

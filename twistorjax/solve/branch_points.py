@@ -10,12 +10,13 @@ from jaxtyping import Array, Float
 from .._utils.types import Count
 from .continuation import Metric
 from .critical_points import (
-    bordered_matrix,
+    bordered_inverse,
     Criticals,
     scaled_jacobian,
     singular_vectors,
 )
 from .path_system import PathSystem
+from .small_matrices import solve
 
 
 _REFINEMENTS = 4  # Newton steps to a branch point
@@ -55,7 +56,7 @@ def refine_branch_points(
                 lambda offset: equations(start, place + offset), jnp.asarray(offsets)
             )
             slopes = (values[1::2] - values[2::2]).T / (2 * _STEP)
-            change = -jnp.linalg.solve(slopes, values[0])
+            change = -solve(slopes, values[0])
             return place + change, change, found[0]
 
         nothing = jnp.zeros(2), jnp.zeros(2), start
@@ -96,13 +97,13 @@ def _branch_residual(
         _, free, _ = state
         point = jnp.concatenate([free, factor[None]])
         tangent = system.tangent(metric.units * point)
-        bordered, singular, null = bordered_matrix(
+        inverse, singular, null = bordered_inverse(
             scaled_jacobian(metric, tangent), left, right
         )
         rate = jnp.sum(null * row_units * tangent.by_factor)
         missing = place[0] - jnp.sum(right * (free - start[:-1]))
         forces = jnp.concatenate([-row_units * tangent.residual, missing[None]])
-        corrected = free + jnp.linalg.solve(bordered, forces)[:-1]
+        corrected = free + (inverse @ forces)[:-1]
         return jnp.stack([singular, rate]), corrected, point
 
     nothing = jnp.zeros(2), start[:-1], start

@@ -19,8 +19,10 @@ from .._utils.types import Count, Flag, Scalar
 from .continuation import AT_EVENT, AT_LIMIT, Metric, PathEvent, Step, Trace
 from .path_location import locate, Segment
 from .path_system import PathSystem, PathTangent
+from .small_matrices import pivoted_inverse, solve
 
 
+_SHIFT = 1e-12  # of a matrix, relative to its largest entry
 _SAME_POINT = 1e-3  # largest distance of two critical points that are one point
 
 
@@ -187,8 +189,17 @@ def singular_vectors(
     The left one belongs to the rows of the scaled stiffness; see `scaled_jacobian`.
     """
     matrix = scaled_jacobian(metric, system.tangent(point))
-    left, _, right = jnp.linalg.svd(matrix)
-    return left[:, -1], right[-1]
+    # Inverse iteration, with a matrix that is not quite singular
+    shift = _SHIFT * jnp.max(jnp.abs(matrix)) * jnp.eye(len(matrix))
+    found = pivoted_inverse(matrix + shift)
+    sizes = jnp.sum(found**2, axis=0)
+    right = found @ found[:, jnp.argmax(sizes)]
+    right = right / jnp.linalg.norm(right)
+    left = right @ found
+    left = left / jnp.linalg.norm(left)
+    found = pivoted_inverse(_bordered(matrix, left, right))
+    left, right = found[-1, :-1], found[:-1, -1]
+    return left / jnp.linalg.norm(left), right / jnp.linalg.norm(right)
 
 
 def scaled_jacobian(
@@ -203,19 +214,24 @@ def scaled_jacobian(
     return units[:, None] * tangent.jacobian * units[None]
 
 
-def bordered_matrix(
+def _bordered(
+    matrix: Float[Array, "n n"], left: Float[Array, " n"], right: Float[Array, " n"]
+) -> Float[Array, "n_and_1 n_and_1"]:
+    """Border a matrix that is almost singular, such that it becomes regular."""
+    return jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
+
+
+def bordered_inverse(
     matrix: Float[Array, "n n"], left: Float[Array, " n"], right: Float[Array, " n"]
 ) -> tuple[Float[Array, "n_and_1 n_and_1"], Scalar, Float[Array, " n"]]:
-    """Border a matrix that is almost singular, such that it becomes regular.
+    """Invert a matrix that is almost singular, with a border.
 
     Returns:
-        The regular matrix, a number that vanishes if `matrix` is singular, and its left
-        null vector.
+        The inverse of the bordered matrix, a number that vanishes if `matrix` is
+        singular, and its left null vector.
     """
-    bordered = jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
-    last = jnp.zeros(len(bordered)).at[-1].set(1.0)
-    singular = jnp.linalg.solve(bordered, last)[-1]
-    return bordered, singular, jnp.linalg.solve(bordered.T, last)[:-1]
+    found = pivoted_inverse(_bordered(matrix, left, right))
+    return found, found[-1, -1], found[-1, :-1]
 
 
 def _extended_residual(
@@ -241,7 +257,7 @@ def _extended_residual(
     left, right = borders
     row_units, unfolding = metric.units[:-1], unknowns[-1]
     tangent = system.tangent(metric.units * unknowns[:-1])
-    _, singular, null = bordered_matrix(scaled_jacobian(metric, tangent), left, right)
+    _, singular, null = bordered_inverse(scaled_jacobian(metric, tangent), left, right)
     rate = jnp.sum(null * row_units * tangent.by_factor)
     residual = row_units * tangent.residual + unfolding * left
     closing = jnp.where(branch, rate, unfolding)
@@ -290,6 +306,6 @@ def _(static, primals, tangents):
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
     scale = jnp.max(jnp.abs(matrix), axis=1)
     scale = jax.lax.stop_gradient(jnp.where(scale > 0, scale, 1.0))
-    change = -jnp.linalg.solve(matrix / scale[:, None], rate / scale)
+    change = -solve(matrix / scale[:, None], rate / scale)
     change = jnp.where(found, metric.units * change[:-1], 0.0)
     return point, change

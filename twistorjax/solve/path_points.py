@@ -12,6 +12,7 @@ from .._utils.types import Count
 from .continuation import determinant_sign, Metric
 from .factorization import null_space
 from .path_system import PathSystem
+from .small_matrices import solve
 
 
 class PointValues(NamedTuple):
@@ -114,5 +115,5 @@ def _(static, primals, tangents):
     scale = jnp.max(jnp.abs(matrix), axis=1)
     scale = jax.lax.stop_gradient(jnp.where(scale > 0, scale, 1.0))
     right = jnp.concatenate([rate, jnp.zeros(1)]) / scale
-    change = -jnp.linalg.solve(matrix / scale[:, None], right)
+    change = -solve(matrix / scale[:, None], right)
     return point, jnp.where(found, change, 0.0)

@@ -1,8 +1,8 @@
-"""Inverses of small matrices in large batches."""
+"""Inverses of small matrices in large batches, and linear equations."""
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Inexact
+from jaxtyping import Array, Float, Inexact
 
 
 def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
@@ -38,3 +38,50 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
 
     flat = matrix.reshape(-1, size, size)
     return jax.lax.fori_loop(0, size, eliminate, flat).reshape(matrix.shape)
+
+
+@jax.custom_jvp
+def pivoted_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Invert a matrix by Gauss-Jordan elimination with row exchanges.
+
+    It replaces LAPACK where several batches of calls could run at the same time; see
+    `inverse`. If there is no inverse, the result is not finite.
+
+    Example:
+        >>> pivoted_inverse(jnp.array([[0.0, 1.0], [2.0, 0.0]]))
+        Array([[0. , 0.5],
+               [1. , 0. ]], dtype=float64)
+    """
+    size = len(matrix)
+    rows = jnp.arange(size)
+
+    def eliminate(k: Array, augmented: Array) -> Array:
+        column = augmented[:, k]
+        pivot = jnp.argmax(jnp.where(rows >= k, jnp.abs(column), -1.0))
+        chosen = augmented[pivot]
+        chosen = chosen / chosen[k]
+        exchanged = jnp.where((rows == pivot)[:, None], augmented[k][None], augmented)
+        others = exchanged - exchanged[:, k][:, None] * chosen[None]
+        return jnp.where((rows == k)[:, None], chosen[None], others)
+
+    augmented = jnp.concatenate([matrix, jnp.eye(size)], axis=1)
+    return jax.lax.fori_loop(0, size, eliminate, augmented)[:, size:]
+
+
+@pivoted_inverse.defjvp
+def _(primals, tangents):
+    (matrix,), (change,) = primals, tangents
+    found = pivoted_inverse(matrix)
+    return found, -found @ change @ found
+
+
+def solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solve linear equations with `pivoted_inverse`, and one correction.
+
+    Example:
+        >>> solve(jnp.array([[0.0, 1.0], [2.0, 0.0]]), jnp.array([1.0, 4.0]))
+        Array([2., 1.], dtype=float64)
+    """
+    found = pivoted_inverse(matrix)
+    solution = found @ right
+    return solution + found @ (right - matrix @ solution)

@@ -212,7 +212,7 @@ class TestRandomMechanisms:
             return found.x if near else None
 
         place, low, step = np.zeros(3), 0.0, 0.01
-        while step > 1e-6:
+        while step > max(1e-5 * low, 1e-9):
             found = minimum(place, low + step)
             if found is None:
                 step /= 4

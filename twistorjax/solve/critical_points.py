@@ -177,8 +177,7 @@ def null_vectors(
         largest = mode[jnp.argmax(jnp.abs(metric.weights[:-1] * mode))]
         return jnp.where(largest < 0, -1.0, 1.0) * mode
 
-    # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
-    return jax.lax.map(one, points)
+    return jax.vmap(one)(points)
 
 
 def singular_vectors(
@@ -304,8 +303,6 @@ def _(static, primals, tangents):
     )
     matrix = jax.jacfwd(equations, argnums=1)(dynamic, unknowns)
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
-    scale = jnp.max(jnp.abs(matrix), axis=1)
-    scale = jax.lax.stop_gradient(jnp.where(scale > 0, scale, 1.0))
-    change = -solve(matrix / scale[:, None], rate / scale)
+    change = -solve(matrix, rate)
     change = jnp.where(found, metric.units * change[:-1], 0.0)
     return point, change

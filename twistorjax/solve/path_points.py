@@ -112,8 +112,5 @@ def _(static, primals, tangents):
     rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
     matrix = jnp.concatenate([rows, normal[None]])
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
-    scale = jnp.max(jnp.abs(matrix), axis=1)
-    scale = jax.lax.stop_gradient(jnp.where(scale > 0, scale, 1.0))
-    right = jnp.concatenate([rate, jnp.zeros(1)]) / scale
-    change = -solve(matrix / scale[:, None], right)
+    change = -solve(matrix, jnp.concatenate([rate, jnp.zeros(1)]))
     return point, jnp.where(found, change, 0.0)

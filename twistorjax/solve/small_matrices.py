@@ -78,10 +78,15 @@ def _(primals, tangents):
 def solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solve linear equations with `pivoted_inverse`, and one correction.
 
+    Each equation is divided by its largest coefficient.
+
     Example:
         >>> solve(jnp.array([[0.0, 1.0], [2.0, 0.0]]), jnp.array([1.0, 4.0]))
         Array([2., 1.], dtype=float64)
     """
+    scale = jax.lax.stop_gradient(jnp.max(jnp.abs(matrix), axis=1))
+    scale = jnp.where(scale > 0, scale, 1.0)
+    matrix, right = matrix / scale[:, None], right / scale
     found = pivoted_inverse(matrix)
     solution = found @ right
     return solution + found @ (right - matrix @ solution)

@@ -11,19 +11,6 @@ import twistorjax as tj
 BAR_STIFFNESS = 1000.0
 
 
-def von_mises_truss(rise=0.3, stiffness=BAR_STIFFNESS):
-    """Two bars from supports at x = -1 and x = 1 to an apex, which does not rotate."""
-    length, angle = jnp.hypot(1.0, rise), jnp.arctan2(rise, 1.0)
-    bar = tj.energies.AxialSpring(stiffness, length=length)
-    bodies = [tj.Body("wall"), tj.Body("apex", pose=(0.0, 0.0, rise))]
-    hinges = [
-        tj.Hinge("left", "wall", "apex", bar, at=(angle, -0.5, rise / 2)),
-        tj.Hinge("right", "apex", "wall", bar, at=(-angle, 0.5, rise / 2)),
-    ]
-    fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"]}
-    return tj.Mechanism(bodies, hinges, fixed=fixed)
-
-
 def von_mises_force(height, rise=0.3, stiffness=BAR_STIFFNESS):
     """Force on the apex of the truss, downward, at a height of the apex."""
     length, deformed = jnp.hypot(1.0, rise), jnp.hypot(1.0, height)

@@ -11,11 +11,11 @@ from path_helpers import (
     column_load,
     von_mises_force,
     von_mises_limit_force,
-    von_mises_truss,
 )
 from scipy.optimize import brentq
 
 import twistorjax as tj
+from twistorjax.examples.truss import von_mises_truss
 
 
 PUSH = tj.Load("apex", force=(0.0, -20.0))

@@ -13,10 +13,10 @@ from path_helpers import (
     von_mises_force,
     von_mises_limit_force,
     von_mises_limit_height,
-    von_mises_truss,
 )
 
 import twistorjax as tj
+from twistorjax.examples.truss import von_mises_truss
 
 
 PUSH = tj.Load("apex", force=(0.0, -20.0))

@@ -66,11 +66,30 @@ class TestColumn:
 RISE, LENGTH, THICKNESS, WIDTH = 3e-3, 0.1, 0.5e-3, 10e-3
 
 
-def cosine_curvature(position):
-    """Curvature of the first half of y = h / 2 (1 - cos(2 pi x / L)); 1/m."""
-    x = position + LENGTH / 4
-    wave = 2 * jnp.pi / LENGTH
-    return RISE / 2 * wave**2 * jnp.cos(wave * x)
+def half_of_a_curved_beam(rise, rotation, force):
+    """Half of the beam y = h / 2 (1 - cos(2 pi x / L)), clamped, with a guided middle.
+
+    Its eight segments are valid up to a rotation (rad) and a force (N).
+    """
+
+    @jax.tree_util.Partial
+    def curvature(position):
+        wave = 2 * jnp.pi / LENGTH
+        return rise / 2 * wave**2 * jnp.cos(wave * (position + LENGTH / 4))
+
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.Beam(
+        steel, length=LENGTH / 2, thickness=THICKNESS, width=WIDTH, curvature=curvature
+    )
+    slope = np.arctan(np.pi * rise / LENGTH)
+    chain = tj.flexures.chain(
+        "beam", leaf, "wall", "shuttle", at=(slope, LENGTH / 4, rise / 2),
+        rotation=rotation, force=force, segments=8, error=2e-3,
+    )  # fmt: skip
+    shuttle = tj.Body("shuttle", pose=(0.0, LENGTH / 2, rise))
+    fixed = {"wall": ["angle", "x", "y"], "shuttle": ["angle", "x"]}
+    bodies = [tj.Body("wall"), shuttle, *chain.bodies]
+    return tj.Mechanism(bodies, chain.hinges, fixed=fixed)
 
 
 @pytest.mark.release
@@ -87,21 +106,7 @@ class TestCurvedBeam:
     @pytest.fixture(scope="class")
     @classmethod
     def half(cls):
-        steel = tj.Material(modulus=210e9, poisson=0.3)
-        curvature = jax.tree_util.Partial(cosine_curvature)
-        leaf = tj.flexures.Beam(
-            steel, length=LENGTH / 2, thickness=THICKNESS, width=WIDTH,
-            curvature=curvature,
-        )  # fmt: skip
-        slope = np.arctan(np.pi * RISE / LENGTH)
-        chain = tj.flexures.chain(
-            "beam", leaf, "wall", "shuttle", at=(slope, LENGTH / 4, RISE / 2),
-            rotation=0.6, force=1750.0, segments=8, error=2e-3,
-        )  # fmt: skip
-        shuttle = tj.Body("shuttle", pose=(0.0, LENGTH / 2, RISE))
-        fixed = {"wall": ["angle", "x", "y"], "shuttle": ["angle", "x"]}
-        bodies = [tj.Body("wall"), shuttle, *chain.bodies]
-        return tj.Mechanism(bodies, chain.hinges, fixed=fixed)
+        return half_of_a_curved_beam(RISE, rotation=0.6, force=1750.0)
 
     @staticmethod
     def force_on_the_branch(displacement):
@@ -147,27 +152,7 @@ def test_the_rise_above_which_a_guided_beam_is_bistable(ratio, bistable):
     a shallow beam.
     """
     rise = ratio * THICKNESS
-
-    @jax.tree_util.Partial
-    def curvature(position):
-        wave = 2 * jnp.pi / LENGTH
-        return rise / 2 * wave**2 * jnp.cos(wave * (position + LENGTH / 4))
-
-    steel = tj.Material(modulus=210e9, poisson=0.3)
-    leaf = tj.flexures.Beam(
-        steel, length=LENGTH / 2, thickness=THICKNESS, width=WIDTH, curvature=curvature
-    )
-    slope = np.arctan(np.pi * rise / LENGTH)
-    chain = tj.flexures.chain(
-        "beam", leaf, "wall", "shuttle", at=(slope, LENGTH / 4, rise / 2),
-        rotation=0.3, force=1500.0, segments=8, error=2e-3,
-    )  # fmt: skip
-    shuttle = tj.Body("shuttle", pose=(0.0, LENGTH / 2, rise))
-    beam = tj.Mechanism(
-        [tj.Body("wall"), shuttle, *chain.bodies],
-        chain.hinges,
-        fixed={"wall": ["angle", "x", "y"], "shuttle": ["angle", "x"]},
-    )
+    beam = half_of_a_curved_beam(rise, rotation=0.3, force=1500.0)
     found = tj.path(
         beam, drives=[tj.Drive("shuttle", y=-2.0 * rise)], load_factors=(0.0, 0.9),
         largest_step=0.05,

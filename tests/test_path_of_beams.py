@@ -214,9 +214,8 @@ class TestFrameOfLee:
                 return [dx, dy, moment / bending, dy * force[0] - dx * force[1]]
 
             options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
-            return scipy.integrate.solve_ivp(rates, (0, length), state, **options).y[
-                :, -1
-            ]
+            found = scipy.integrate.solve_ivp(rates, (0, length), state, **options)
+            return found.y[:, -1]
 
         state = leg(np.array([0.0, 0.0, np.pi / 2 + rotation, 0.0]), force, 1.2)
         state = leg(state - np.array([0.0, 0.0, np.pi / 2, 0.0]), force, 0.24)

@@ -24,17 +24,16 @@ def arch_of_links():
     places, slopes, _ = joints()
     names = ["wall", *(f"link {k}" for k in range(COUNT)), "wall"]
     bodies = [tj.Body("wall")]
-    for name, slope, first, second in zip(
-        names[1:], slopes, places[:-1], places[1:], strict=False
-    ):
-        bodies.append(tj.Body(name, pose=(slope, *(first + second) / 2)))
+    middles = (places[:-1] + places[1:]) / 2
+    for name, slope, middle in zip(names[1:-1], slopes, middles, strict=True):
+        bodies.append(tj.Body(name, pose=(slope, *middle)))
     spring = tj.Quadratic(np.diag([STIFFNESS, 0.0, 0.0]), "twist")
     pins, hinges = [], []
     for k, place in enumerate(places):
-        pair = names[k : k + 2]
-        pins.append(tj.Pin(f"pin {k}", *pair, at=place))
+        first, second, at = names[k], names[k + 1], (0.0, *place)
+        pins.append(tj.Pin(f"pin {k}", first, second, at=place))
         if 0 < k < COUNT:
-            hinges.append(tj.Hinge(f"spring {k}", *pair, spring, at=(0.0, *place)))
+            hinges.append(tj.Hinge(f"spring {k}", first, second, spring, at=at))
     return tj.Mechanism(bodies, hinges, fixed=["wall"]), pins
 
 
@@ -51,21 +50,23 @@ class Angles:
         differences = np.diff(np.eye(COUNT), axis=0)
         self.bending = STIFFNESS * differences.T @ differences
 
-    def equations(self, unknowns):
+    def balance(self, unknowns):
+        """Moments on the links, their derivatives by the slopes, and sides of links."""
         slopes, across, up, force = unknowns[:COUNT], *unknowns[COUNT:]
         x, y = self.lengths * np.cos(slopes), self.lengths * np.sin(slopes)
         upward = up + force * self.half
-        balance = self.bending @ (slopes - self.slopes) - across * y + upward * x
-        return np.array([*balance, np.sum(x) - 2.0, np.sum(y)])
+        moments = self.bending @ (slopes - self.slopes) - across * y + upward * x
+        return moments, self.bending - np.diag(across * x + upward * y), x, y
 
-    def stiffness(self, unknowns):
-        """Tangent stiffness for the motions that the supports allow."""
-        slopes, across, up, force = unknowns[:COUNT], *unknowns[COUNT:]
-        x, y = self.lengths * np.cos(slopes), self.lengths * np.sin(slopes)
-        upward = up + force * self.half
-        tangent = self.bending - np.diag(across * x + upward * y)
+    def equations(self, unknowns):
+        moments, _, x, y = self.balance(unknowns)
+        return np.array([*moments, np.sum(x) - 2.0, np.sum(y)])
+
+    def lowest_stiffness(self, unknowns):
+        """Smallest eigenvalue of the stiffness for motions that the supports allow."""
+        _, tangent, x, y = self.balance(unknowns)
         allowed = scipy.linalg.null_space(np.stack([y, x]))
-        return np.linalg.eigvalsh(allowed.T @ tangent @ allowed)
+        return np.linalg.eigvalsh(allowed.T @ tangent @ allowed)[0]
 
     def descent(self, unknowns):
         rise = np.sum((self.lengths * np.sin(unknowns[:COUNT]))[self.half])
@@ -96,48 +97,37 @@ class Angles:
         """Symmetric equilibrium at which the stiffness against one motion vanishes."""
 
         def stiffness(value):
-            return self.stiffness(self.symmetric(value))[0]
+            return self.lowest_stiffness(self.symmetric(value))
 
         return self.symmetric(scipy.optimize.brentq(stiffness, 0.01, 0.3, xtol=1e-13))
 
 
 @pytest.mark.release
-class TestSymmetricArch:
-    @pytest.fixture(scope="class")
-    @classmethod
-    def arch(cls):
-        return arch_of_links()
-
-    @pytest.fixture(scope="class")
-    @classmethod
-    def angles(cls):
-        return Angles()
-
-    def test_both_sides_of_its_branch_are_followed(self, arch, angles):
-        mechanism, pins = arch
-        middle, length = f"link {COUNT // 2 - 1}", joints()[2][COUNT // 2 - 1]
-        crown = (length / 2, 0.0)
-        push = {
-            "loads": [tj.Load(middle, force=(0.0, -10.0), at=crown)],
-            "constraints": pins,
-            "load_factors": (-0.1, 4.0),
-        }
-        upright = tj.path(mechanism, **push, max_critical=1)
-        first = upright.critical_points[0]
-        exact = angles.critical()
-        assert first.kind == "branch"
-        np.testing.assert_allclose(10 * first.load_factor, exact[-1], rtol=1e-8)
-        for side in (1, -1):
-            swayed = tj.path(
-                mechanism, **push, start=first, direction=side,
-                until=lambda point: abs(angles.tilt(point.displacements[1:, 0])) - 1.0,
-            )  # fmt: skip
-            slopes = np.asarray(swayed.poses)[1:, 1:, 0]
-            tilts, unknowns = [angles.tilt(each) for each in slopes], exact
-            assert abs(tilts[-1]) > 0.9 and np.all(np.diff(np.abs(tilts)) > 0)
-            for found, tilt, factor in zip(
-                slopes, tilts, swayed.load_factors[1:], strict=True
-            ):
-                unknowns = angles.solve(angles.tilt, tilt, unknowns)
-                np.testing.assert_allclose(found, unknowns[:COUNT], atol=1e-9)
-                np.testing.assert_allclose(10 * factor, unknowns[-1], rtol=1e-9)
+def test_both_sides_of_the_branch_of_a_symmetric_arch_are_followed():
+    (mechanism, pins), angles = arch_of_links(), Angles()
+    middle, length = f"link {COUNT // 2 - 1}", joints()[2][COUNT // 2 - 1]
+    crown = (length / 2, 0.0)
+    push = {
+        "loads": [tj.Load(middle, force=(0.0, -10.0), at=crown)],
+        "constraints": pins,
+        "load_factors": (-0.1, 4.0),
+    }
+    upright = tj.path(mechanism, **push, max_critical=1)
+    first = upright.critical_points[0]
+    exact = angles.critical()
+    assert first.kind == "branch"
+    np.testing.assert_allclose(10 * first.load_factor, exact[-1], rtol=1e-8)
+    for side in (1, -1):
+        swayed = tj.path(
+            mechanism, **push, start=first, direction=side,
+            until=lambda point: abs(angles.tilt(point.displacements[1:, 0])) - 1.0,
+        )  # fmt: skip
+        slopes = np.asarray(swayed.poses)[1:, 1:, 0]
+        tilts, unknowns = [angles.tilt(each) for each in slopes], exact
+        assert abs(tilts[-1]) > 0.9 and np.all(np.diff(np.abs(tilts)) > 0)
+        for found, tilt, factor in zip(
+            slopes, tilts, swayed.load_factors[1:], strict=True
+        ):
+            unknowns = angles.solve(angles.tilt, tilt, unknowns)
+            np.testing.assert_allclose(found, unknowns[:COUNT], atol=1e-9)
+            np.testing.assert_allclose(10 * factor, unknowns[-1], rtol=1e-9)

@@ -109,7 +109,7 @@ def assemble_path(
         )
     else:
         begin = _first_displacements(
-            mechanism, changes, constant_loads, constraints, start, time
+            mechanism, drives, changes, constant_loads, constraints, start, time
         )
         first = regular_point(begin, jnp.zeros(()), direction)
     system = PathSystem(
@@ -151,6 +151,7 @@ def _multiplied(values: Any, factor: Scalar) -> Any:
 
 def _first_displacements(
     mechanism: Mechanism,
+    drives: Sequence[Drive],
     changes: HingeChanges | None,
     constant_loads: Sequence[Load],
     constraints: Sequence[AbstractConstraint],
@@ -167,5 +168,10 @@ def _first_displacements(
     if start is None and not (deformed or constant_loads or constraints):
         return jnp.zeros_like(mechanism.reference)
     return equilibrium(
-        mechanism, loads=constant_loads, constraints=constraints, start=start, time=time
+        mechanism,
+        loads=constant_loads,
+        drives=jax.tree.map(lambda value: 0.0 * value, drives),
+        constraints=constraints,
+        start=start,
+        time=time,
     ).displacements

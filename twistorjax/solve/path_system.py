@@ -49,8 +49,8 @@ class PathSystem(eqx.Module):
             are none.
         start: Displacements at the load factor zero, of which those of the fixed and the
             prescribed degrees of freedom are used; rad, m, m.
-        targets: Displacements of the prescribed degrees of freedom at the load factor 1;
-            rad, m.
+        targets: Change of the displacements of the prescribed degrees of freedom from the
+            load factor 0 to 1; rad, m.
         time: Time at which the constraints are evaluated; s.
         dofs: Partition of the degrees of freedom.
     """
@@ -95,8 +95,8 @@ class PathSystem(eqx.Module):
         if self.changes is not None:
             state = self.changes.state(self.mechanism, factor)
             hinges = state.hinges(self.mechanism)
-        begin = self._begin()
-        targets = begin + factor * (self.targets - begin)
+        begin = self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
+        targets = begin + factor * self.targets
         return System(hinges, loads, self.constraints, targets, self.time, self.dofs)
 
     def split(self, point: Float[Array, " n"]) -> tuple[System, Poses, Entries]:
@@ -141,7 +141,7 @@ class PathSystem(eqx.Module):
             matrix = jnp.concatenate([matrix, rows])
             by_factor = jnp.concatenate([by_factor, jnp.zeros(len(rows))])
         if self.dofs.prescribed:
-            by_factor = by_factor + matrix[:, count:] @ (self.targets - self._begin())
+            by_factor = by_factor + matrix[:, count:] @ self.targets
         matrix = matrix[:, :count]
         if self.constraints.size:
             corner = jnp.zeros((self.constraints.size, self.constraints.size))
@@ -166,10 +166,6 @@ class PathSystem(eqx.Module):
 
         return jax.jvp(forces, (factor,), (jnp.ones_like(factor),))[1]
 
-    def _begin(self) -> Float[Array, " prescribed"]:
-        """Return the prescribed displacements at the load factor zero; rad, m."""
-        return self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
-
     def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 hinges"]:
         """Compute the generalized stress of the hinges at a point; N m, N, N."""
         system, displacements, _ = self.split(point)
@@ -184,5 +180,5 @@ class PathSystem(eqx.Module):
         self, change: Float[Array, " n"], rate: Scalar | float = 1.0
     ) -> Poses:
         """Arrange a change of a point by bodies; rad, m, m."""
-        prescribed = rate * change[-1] * (self.targets - self._begin())
+        prescribed = rate * change[-1] * self.targets
         return self.dofs.expand(change[: len(self.dofs.free)], prescribed)

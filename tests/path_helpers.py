@@ -27,6 +27,30 @@ def von_mises_limit_force(rise=0.3, stiffness=BAR_STIFFNESS):
     return von_mises_force(von_mises_limit_height(rise), rise, stiffness)
 
 
+def bar(name, first, second, start, end, stiffness):
+    """Bar of a stiffness (N/m) between two points, which may be traced."""
+    side = end - start
+    spring = tj.energies.AxialSpring(stiffness, length=jnp.hypot(*side))
+    at = jnp.append(jnp.arctan2(side[1], side[0]), (start + end) / 2)
+    return tj.Hinge(name, first, second, spring, at=at)
+
+
+def bars_of_a_truss(left=BAR_STIFFNESS, right=BAR_STIFFNESS, rise=0.3):
+    """Two bars, of stiffness `left` and `right`, to an apex at a height; N/m, m."""
+    feet, apex = (np.array([-1.0, 0.0]), np.array([1.0, 0.0])), np.array([0.0, rise])
+    return [
+        bar("left", "wall", "apex", feet[0], apex, left),
+        bar("right", "apex", "wall", apex, feet[1], right),
+    ]
+
+
+def truss_of(hinges, rise=0.3, apex=("angle",)):
+    """Truss of some hinges; the coordinates `apex` of the apex are fixed."""
+    bodies = [tj.Body("wall"), tj.Body("apex", pose=(0.0, 0.0, rise))]
+    fixed = {"wall": ["angle", "x", "y"], "apex": list(apex)}
+    return tj.Mechanism(bodies, hinges, fixed=fixed)
+
+
 def column(count=6, rotational=1.0, stiff=1e7):
     """Vertical column of unit length: rigid links, clamped at the lower end."""
     length = 1.0 / count

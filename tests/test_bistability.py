@@ -7,10 +7,13 @@ import pytest
 from helpers import assert_close
 from path_helpers import (
     BAR_STIFFNESS,
+    bars_of_a_truss,
     column,
     column_load,
+    truss_of,
     von_mises_force,
     von_mises_limit_force,
+    von_mises_limit_height,
 )
 from scipy.optimize import brentq
 
@@ -72,21 +75,10 @@ class TestBistability:
 
     def test_a_spring_below_the_apex_makes_the_truss_monostable(self):
         """The slope of the force of the bars is -88 N/m or more."""
-        truss = von_mises_truss()
         for stiffness, snaps in ((200.0, False), (30.0, True)):
             spring = tj.Quadratic(np.diag([0.0, stiffness, stiffness]))
-            hinges = [
-                tj.Hinge(
-                    name, *ends, truss.hinge_assembly.energy_of(row), at=truss.at[row]
-                )
-                for row, (name, ends) in enumerate(
-                    {"left": ("wall", "apex"), "right": ("apex", "wall")}.items()
-                )
-            ]
-            bodies = [tj.Body("wall"), tj.Body("apex", pose=(0.0, 0.0, 0.3))]
             below = tj.Hinge("spring", "wall", "apex", spring, at=(0.0, 0.0, 0.3))
-            fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"]}
-            supported = tj.Mechanism(bodies, [*hinges, below], fixed=fixed)
+            supported = truss_of([*bars_of_a_truss(), below])
             load = tj.Load("apex", force=(0.0, -200.0))
             found = tj.bistability(supported, loads=[load], max_points=100)
             assert bool(np.isfinite(found.snap_factors[0])) == snaps
@@ -94,6 +86,55 @@ class TestBistability:
             assert not bool(found.is_bistable)
             assert np.isnan(found.energies[2])
             assert ("monostable" in repr(found)) != snaps
+
+    def test_a_weight_that_almost_makes_the_truss_monostable(self):
+        """The second state is 3 mm from the unstable one."""
+        limit = von_mises_limit_force()
+        lift = limit * (1 - 1e-4)
+        found = switch(constant_loads=[tj.Load("apex", force=(0.0, lift))])
+        assert bool(found.is_bistable)
+        lowest = -float(von_mises_limit_height())
+        intervals = ((0.3, 0.5), (lowest, 0.0), (-0.3, lowest))
+        heights = np.array(
+            [brentq(lambda h: von_mises_force(h) + lift, *ends) for ends in intervals]
+        )
+        assert 0.002 < heights[1] - heights[2] < 0.004
+        travel = np.asarray(found.displacements)[:, 1, 2]
+        assert_close(0.3 + travel, heights, digits=9)
+        stretch = np.hypot(1.0, heights) - np.hypot(1.0, 0.3)
+        energies = BAR_STIFFNESS * stretch**2 - lift * (heights - 0.3)
+        assert_close(found.energies, energies, digits=9)
+        np.testing.assert_array_equal(found.negative_eigenvalues, [0, 1, 0])
+        assert_close(found.snap_factors[1], -1e-4 * limit / 20, digits=9)
+
+    def test_a_steep_truss_moves_to_a_side_before_its_limit_point(self):
+        """The branch point is where the stiffness against a lateral force vanishes."""
+        rise, load = 3.0, [tj.Load("apex", force=(0.0, -4000.0))]
+        found = tj.bistability(von_mises_truss(rise), loads=load, max_points=150)
+        natural = np.hypot(1.0, rise)
+        length = np.max(np.roots([1.0, -natural, 0.0, natural]).real)
+        force = von_mises_force(np.sqrt(length**2 - 1), rise)
+        assert bool(found.is_bistable) and found.at_branch.all()
+        expected = np.array([force, -force]) / 4000
+        np.testing.assert_allclose(found.snap_factors, expected, rtol=1e-8)
+        np.testing.assert_array_equal(found.negative_eigenvalues, [0, 1, 0])
+        assert "(branch point)" in repr(found) and "barrier at most" in repr(found)
+
+    def test_failures(self):
+        with pytest.raises(RuntimeError, match="largest number of points"):
+            switch(max_points=10)
+        failed = switch(max_points=10, throw=False)
+        assert not bool(failed.succeeded) and "max_points_reached" in repr(failed)
+        with pytest.raises(RuntimeError, match=r"Nothing resists .* angle of 'apex'"):
+            tj.bistability(truss_of(bars_of_a_truss(), apex=()), loads=[PUSH])
+        with pytest.raises(ValueError, match="Nothing is multiplied"):
+            tj.bistability(von_mises_truss())
+
+    @pytest.mark.untyped
+    def test_a_critical_point_is_no_first_state(self):
+        point = tj.path(von_mises_truss(), loads=[PUSH]).critical_points[0]
+        with pytest.raises(ValueError, match="`start` is a critical point"):
+            switch(start=point)
 
 
 class TestBuckling:
@@ -149,6 +190,25 @@ class TestBuckling:
         load = tj.Load("link", force=(0.0, -1.0), at=(0.0, 0.5))
         found = tj.buckling(mechanism, loads=[load], constraints=[pin], modes=1)
         assert_close(found.load_factors, np.array([1.5]), digits=10)
+
+    @pytest.mark.parametrize("differentiate", [jax.jacfwd, jax.jacrev])
+    def test_derivatives_with_constraints(self, differentiate):
+        """The buckling load of a link on a pin is its rotational stiffness."""
+        bodies = [tj.Body("base"), tj.Body("link", pose=(0.0, 0.0, 0.5))]
+        pin = tj.Pin("pin", "base", "link", at=(0.0, 0.0))
+        load = tj.Load("link", force=(0.0, -1.0), at=(0.0, 0.5))
+
+        def factor(stiffness):
+            spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 0.0, 0.0])) * stiffness)
+            hinge = tj.Hinge("spring", "base", "link", spring, at=(0.0, 0.0, 0.0))
+            link = tj.Mechanism(bodies, [hinge], fixed=["base"])
+            return tj.buckling(link, loads=[load], constraints=[pin]).load_factors[0]
+
+        assert_close(differentiate(factor)(1.5), 1.0, digits=9)
+
+    def test_a_body_that_nothing_supports(self):
+        with pytest.raises(RuntimeError, match=r"Nothing resists .* angle of 'apex'"):
+            tj.buckling(truss_of(bars_of_a_truss(), apex=()), loads=[PUSH])
 
     @pytest.mark.parametrize(
         ("arguments", "message"),

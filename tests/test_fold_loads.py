@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+from path_helpers import bar, bars_of_a_truss, truss_of
 from test_chain import lee_frame
 
 import twistorjax as tj
@@ -13,30 +14,9 @@ import twistorjax as tj
 pytestmark = pytest.mark.release
 
 
-def bar(name, first, second, start, end, stiffness):
-    """Bar of a stiffness (N/m) between two points, which may be traced."""
-    side = end - start
-    spring = tj.energies.AxialSpring(stiffness, length=jnp.hypot(*side))
-    at = jnp.append(jnp.arctan2(side[1], side[0]), (start + end) / 2)
-    return tj.Hinge(name, first, second, spring, at=at)
-
-
-def bars_of_a_truss(left, right):
-    """Two bars of stiffness `left` and `right`, N/m, to an apex at a height of 0.3 m."""
-    feet, apex = (np.array([-1.0, 0.0]), np.array([1.0, 0.0])), np.array([0.0, 0.3])
-    return [
-        bar("left", "wall", "apex", feet[0], apex, left),
-        bar("right", "apex", "wall", apex, feet[1], right),
-    ]
-
-
 def loaded_truss(stiffness):
     """Two unequal bars, the second of which is softer; N/m."""
-    truss = tj.Mechanism(
-        [tj.Body("wall"), tj.Body("apex", pose=(0.0, 0.0, 0.3))],
-        bars_of_a_truss(stiffness, 600.0),
-        fixed={"wall": ["angle", "x", "y"], "apex": ["angle"]},
-    )
+    truss = truss_of(bars_of_a_truss(stiffness, 600.0))
     return truss, {"loads": [tj.Load("apex", force=(1.0, -15.0))]}
 
 
@@ -86,7 +66,7 @@ def truss_on_pins(rise):
 def truss_behind_a_spring(stiffness):
     """A displacement is prescribed behind a soft spring, so the truss snaps; N/m."""
     spring = tj.energies.AxialSpring(stiffness, length=1.0)
-    hinges = bars_of_a_truss(1000.0, 1000.0)
+    hinges = bars_of_a_truss()
     hinges.append(tj.Hinge("spring", "apex", "hand", spring, at=(np.pi / 2, 0.0, 0.8)))
     bodies = [
         tj.Body("wall"),

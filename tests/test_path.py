@@ -8,8 +8,10 @@ import scipy.optimize
 from helpers import assert_close
 from path_helpers import (
     BAR_STIFFNESS,
+    bars_of_a_truss,
     column,
     column_load,
+    truss_of,
     von_mises_force,
     von_mises_limit_force,
     von_mises_limit_height,
@@ -122,6 +124,26 @@ class TestVonMisesTruss:
         first = tj.equilibrium(von_mises_truss(), loads=[weight])
         assert_close(found.displacements[0], first.displacements, digits=9)
 
+    def test_prescribed_displacements_beside_constant_loads(self):
+        """The spring between both blocks is stretched by the drive and by the weight."""
+        spring = tj.Quadratic(np.diag([1.0, 100.0, 100.0]))
+        ends = {"upper": ("wall", "a"), "lower": ("a", "b")}
+        blocks = tj.Mechanism(
+            [tj.Body("wall"), tj.Body("a"), tj.Body("b")],
+            [
+                tj.Hinge(name, *pair, spring, at=(0.0, 0.0, 0.0))
+                for name, pair in ends.items()
+            ],
+            fixed={"wall": ["angle", "x", "y"], "a": ["angle", "x"], "b": ["angle", "x"]},
+        )
+        found = tj.path(
+            blocks, drives=[tj.Drive("b", y=1e-3)],
+            constant_loads=[tj.Load("a", force=(0.0, -5.0))],
+        )  # fmt: skip
+        place = 1e-3 * found.load_factors
+        assert_close(found.displacement("b")[:, 2], place, digits=12)
+        assert_close(found.reaction("b")[:, 2], 50 * place + 2.5, digits=9)
+
     def test_strokes_that_move_the_ends_of_the_bars_apart(self):
         """A stroke of -d moves the ends of a bar on both bodies along it, by d / 2."""
         weight = [tj.Load("apex", force=(0.0, -2.0))]
@@ -227,6 +249,19 @@ class TestSteepTruss:
             np.testing.assert_allclose(exact, expected, atol=1e-6)
         assert_close(sides[0].energies[-1], sides[1].energies[-1], digits=9)
 
+    @pytest.mark.parametrize("imperfection", [3e-6, 1e-9])
+    def test_branch_points_of_a_nearly_symmetric_truss(self, imperfection):
+        """Their loads are those of the mean stiffness, to first order."""
+        push = [tj.Load("apex", force=(0.0, -self.SIZE))]
+        exact = tj.path(von_mises_truss(self.RISE), loads=push).critical_points
+        stiffness = BAR_STIFFNESS * (1 + imperfection)
+        bars = bars_of_a_truss(right=stiffness, rise=self.RISE)
+        found = tj.path(truss_of(bars, self.RISE), loads=push).critical_points
+        branches = np.asarray(exact.is_branch)
+        np.testing.assert_array_equal(found.is_branch, branches)
+        expected = exact.load_factors[branches] * (1 + imperfection / 2)
+        np.testing.assert_allclose(found.load_factors[branches], expected, rtol=1e-8)
+
 
 class TestColumn:
     COUNT = 6
@@ -324,11 +359,31 @@ class TestErrors:
             ({"load_factors": (1, 0)}, r"`load_factors` is \(1, 0\)"),
             ({"max_points": 2}, "`max_points` must be at least 3"),
             ({"largest_step": 0.0}, "`largest_step`"),
+            ({"load_factors": (0.5, 1)}, "must contain the load factor 0"),
+            ({"load_factors": np.linspace(0, 1, 5)}, r"has the shape \(5,\)"),
         ],
     )
     def test_settings(self, arguments, message):
         with pytest.raises(ValueError, match=message):
             tj.path(von_mises_truss(), loads=[PUSH], **arguments)
+
+    def test_a_limit_point_is_no_start(self, snap):
+        with pytest.raises(ValueError, match="no other path leaves at a limit point"):
+            tj.path(von_mises_truss(), loads=[PUSH], start=snap.critical_points[0])
+
+    @pytest.mark.untyped
+    def test_a_comparison_does_not_end_a_path(self):
+        with pytest.raises(TypeError, match="instead of `a < b`"):
+            tj.path(
+                von_mises_truss(),
+                loads=[PUSH],
+                until=lambda point: point.pose("apex")[2] < 0.0,
+            )
+
+    def test_a_body_that_nothing_supports(self):
+        free = truss_of(bars_of_a_truss(), apex=())
+        with pytest.raises(RuntimeError, match=r"Nothing resists .* angle of 'apex'"):
+            tj.path(free, loads=[PUSH])
 
     def test_too_few_points(self):
         with pytest.raises(RuntimeError, match="largest number of points") as error:

@@ -65,7 +65,9 @@ def von_mises_truss(
 def limit_load(
     rise: NumberLike = 0.3, half_span: NumberLike = 1.0, stiffness: NumberLike = 1000.0
 ) -> Scalar:
-    """Compute the force on the apex at which the truss snaps, in closed form.
+    """Compute the force on the apex at the limit point, in closed form.
+
+    A truss whose apex does not move to a side snaps there.
 
     With the length L of the bars, half of the span a, and the stiffness k, the force at
     the height h is `2 k h (L / sqrt(a^2 + h^2) - 1)`. It is largest at
@@ -97,7 +99,7 @@ class TrussStudy(NamedTuple):
         path: The path under a downward force on the apex.
         states: Its stable states.
         force: Force at the load factor 1; N.
-        closed_form: Force at which the truss snaps, in closed form; N.
+        closed_form: Force at the limit point, in closed form; N.
     """
 
     path: Path
@@ -105,12 +107,16 @@ class TrussStudy(NamedTuple):
     force: Scalar
     closed_form: Scalar
 
-    def record(self) -> dict[str, float | bool]:
-        """Return the results as numbers: snap forces (N), barrier (J), and travel (m)."""
+    def record(self) -> dict[str, float | bool | str]:
+        """Return the results as numbers: snap forces (N), barrier (J), and travel (m).
+
+        A high truss becomes unstable at a branch point, before the limit point.
+        """
         forth, back = (float(self.force * factor) for factor in self.states.snap_factors)
         return {
             "snap_force_N": forth,
-            "closed_form_N": float(self.closed_form),
+            "becomes_unstable_at": "branch" if self.states.at_branch[0] else "limit",
+            "limit_force_in_closed_form_N": float(self.closed_form),
             "snap_back_force_N": back,
             "bistable": bool(self.states.is_bistable),
             "energy_barrier_J": float(self.states.barriers[0]),
@@ -120,12 +126,16 @@ class TrussStudy(NamedTuple):
 
     def __str__(self) -> str:
         record = self.record()
+        branch = record["becomes_unstable_at"] == "branch"
+        side = ", where the apex moves to a side" if branch else ""
+        bound = ", at most" if branch else ""
         return "\n".join(
             [
-                f"snap force          {record['snap_force_N']:.9g} N",
-                f"in closed form      {record['closed_form_N']:.9g} N",
+                f"snap force          {record['snap_force_N']:.9g} N{side}",
+                f"limit force         {record['limit_force_in_closed_form_N']:.9g} N "
+                "in closed form",
                 f"force to snap back  {record['snap_back_force_N']:.9g} N",
-                f"energy barrier      {record['energy_barrier_J']:.6g} J",
+                f"energy barrier      {record['energy_barrier_J']:.6g} J{bound}",
                 f"travel of the apex  {record['travel_m']:.6g} m",
                 f"equilibria          {record['points']}",
             ]
@@ -151,7 +161,7 @@ def study(
     Example:
         >>> print(study())
         snap force          9.94991696 N
-        in closed form      9.94991696 N
+        limit force         9.94991696 N in closed form
         force to snap back  -9.94991696 N
         energy barrier      1.9387 J
         travel of the apex  -0.6 m

@@ -1,13 +1,14 @@
 """Refinement of the branch points of an equilibrium path."""
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Count
+from .._utils.types import Count, Flag, Scalar
 from .continuation import Metric
 from .critical_points import (
     bordered_inverse,
@@ -19,11 +20,29 @@ from .path_system import PathSystem
 from .small_matrices import solve
 
 
-_REFINEMENTS = 4  # Newton steps to a branch point
+_ROUNDS = 2  # In the second one, the null vectors are those of the branch point.
+_REFINEMENTS = 15  # Newton steps to a branch point, at most
 _CORRECTIONS = 5  # of the equilibrium in each of them
 _STEP = 1e-5  # of finite differences for them, in the units of the metric
-_CONVERGED = 1e-7  # largest last step
-_LARGEST_REFINEMENT = 0.05  # in the units of the metric
+_NEGLIGIBLE = 1e-10  # change of the place after which no further step is taken
+_CONVERGED = 1e-7  # largest last change of a point that is accepted
+_LARGEST_REFINEMENT = 0.3  # in the units of the metric
+
+
+class _Refinement(NamedTuple):
+    """State of Newton's method for one branch point.
+
+    Args:
+        place: Place of the point; see `_branch_residual`.
+        last_change: Largest part of the last change of the place.
+        point: The point before this change, divided by the units.
+        steps: Number of steps.
+    """
+
+    place: Float[Array, "2"]
+    last_change: Scalar
+    point: Float[Array, " n"]
+    steps: Count
 
 
 def refine_branch_points(
@@ -40,31 +59,35 @@ def refine_branch_points(
     def refine(state: tuple[Array, Count]) -> tuple[Array, Count]:
         points, last = state
         row = jnp.argmax(is_branch & (rows > last))
-        start = points[row] / metric.units
+        point = jax.lax.fori_loop(0, _ROUNDS, improve_point, points[row])
+        return points.at[row].set(point), row
+
+    def improve_point(_, point: Array) -> Array:
+        start = point / metric.units
         equations = partial(
-            _branch_residual,
-            system,
-            metric,
-            singular_vectors(system, metric, points[row]),
+            _branch_residual, system, metric, singular_vectors(system, metric, point)
         )
 
         # Exact derivatives of these conditions would take 40 s to compile.
-        def improve(_, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            place, _, _ = state
+        def improve(state: _Refinement) -> _Refinement:
+            place = state.place
             offsets = _STEP * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
             values, found = jax.lax.map(
                 lambda offset: equations(start, place + offset), jnp.asarray(offsets)
             )
             slopes = (values[1::2] - values[2::2]).T / (2 * _STEP)
             change = -solve(slopes, values[0])
-            return place + change, change, found[0]
+            size = jnp.max(jnp.abs(change))
+            return _Refinement(place + change, size, found[0], state.steps + 1)
 
-        nothing = jnp.zeros(2), jnp.zeros(2), start
-        _, change, refined = jax.lax.fori_loop(0, _REFINEMENTS, improve, nothing)
-        near = metric.length(refined - start) < _LARGEST_REFINEMENT
-        converged = jnp.max(jnp.abs(change)) < _CONVERGED
-        point = jnp.where(near & converged, metric.units * refined, points[row])
-        return points.at[row].set(point), row
+        def unfinished(state: _Refinement) -> Flag:
+            return (state.steps < _REFINEMENTS) & (state.last_change >= _NEGLIGIBLE)
+
+        nothing = _Refinement(jnp.zeros(2), jnp.array(jnp.inf), start, jnp.zeros((), int))
+        last = jax.lax.while_loop(unfinished, improve, nothing)
+        near = metric.length(last.point - start) < _LARGEST_REFINEMENT
+        converged = last.last_change < _CONVERGED
+        return jnp.where(near & converged, metric.units * last.point, point)
 
     points, _ = jax.lax.while_loop(
         lambda state: jnp.any(is_branch & (rows > state[1])),

@@ -18,9 +18,10 @@ from .._utils.types import Count, Flag, Scalar
 from .path_system import PathSystem, PathTangent
 
 
-RUNNING, AT_LIMIT, AT_EVENT, RETURNED, OUT_OF_RANGE, FULL, TOO_SHORT, NOT_FINITE = range(
-    8
-)
+(
+    RUNNING, AT_LIMIT, AT_EVENT, RETURNED, OUT_OF_RANGE, FULL, TOO_SHORT, NOT_FINITE,
+    SINGULAR,
+) = range(9)  # fmt: skip
 
 _LARGEST_CORRECTION = 0.3  # of the first correction, as a fraction of the step
 _LARGEST_CONTRACTION = 0.25  # of the following corrections

@@ -7,7 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from .._utils.host import as_float, concrete, is_traced, padded_size, take_rows
+from .._utils.host import (
+    all_concrete,
+    as_float,
+    concrete,
+    is_traced,
+    padded_size,
+    take_rows,
+)
 from .._utils.types import NumberLike, NumbersLike
 from .._utils.validation import require_positive
 from ..mechanism.constraints import AbstractConstraint
@@ -22,8 +29,16 @@ from .path_program import (
     Until,
 )
 from .path_results import Path
-from .path_setup import assemble_path, PathStrokes, PathTemperature, StartLike
+from .path_setup import (
+    assemble_path,
+    FirstPoint,
+    PathStrokes,
+    PathTemperature,
+    StartLike,
+)
+from .path_system import PathSystem
 from .results import result_message, succeeded_or_raise
+from .statics import describe_free_motions
 
 
 def path(
@@ -64,13 +79,15 @@ def path(
             smooth function of it; see `Mechanism.at_temperature`; K.
         constant_loads: Loads that are not multiplied, such as weights.
         constraints: Pins, sliders, and other constraints between the bodies.
-        start: Equilibrium or poses near the first equilibrium, at the load factor zero;
-            or a branch point of another path of the same loads, from which the path
-            follows the other branch; by default the equilibrium without the multiplied
-            loads that is connected to the reference configuration.
+        start: Equilibrium or poses from which the first equilibrium is computed, a stable
+            one at the load factor zero; or a branch point of another path of the same
+            loads, from which the path follows the other branch; by default the
+            equilibrium without the multiplied loads that is connected to the reference
+            configuration.
         direction: 1 to begin with increasing load factors, -1 with decreasing ones. At a
             branch point, 1 to begin in the direction of its mode, -1 in the opposite one.
-        load_factors: Interval of the load factor. The last point is at one of its ends.
+        load_factors: Interval of the load factor, which contains that of the first point.
+            The last point is at one of its ends, unless the path ends for another reason.
         until: Function of a `PathPoint`. The path ends where its sign changes.
         largest_step: Largest distance of successive points: rotations (rad), translations
             over the characteristic length of the mechanism, and load factors.
@@ -85,8 +102,9 @@ def path(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a degree of freedom
-            is prescribed twice, nothing is multiplied by the load factor, or a setting is
-            invalid.
+            is prescribed twice, nothing is multiplied by the load factor, `start` is a
+            limit point, or a setting is invalid.
+        TypeError: `until` returns a truth value.
         RuntimeError: There is no first equilibrium, a hinge leaves the validity range of
             its energy, or the path cannot be continued.
 
@@ -110,12 +128,13 @@ def path(
         >>> snap.critical_points.load_factors  # the truss snaps at 9.95 N
         Array([ 0.4975, -0.4975], dtype=float64)
     """
-    _check_settings(direction, load_factors, max_points, max_critical)
+    check_settings(direction, load_factors, max_points, max_critical)
     step = require_positive("`largest_step`", largest_step)
     system, first = assemble_path(
         mechanism, loads, drives, strokes, temperature, constant_loads, constraints,
         start, direction, time,
     )  # fmt: skip
+    _require_inside(first, load_factors)
     arguments = system, first, as_float(load_factors), step
     numbers = until, max_points, max_critical
     if is_traced(arguments):
@@ -126,11 +145,11 @@ def path(
     count = int(run.trace.number)
     rows = min(padded_size(count, 16), max_points)
     found = _first_points(evaluate_path(system, first_rows(run, rows)), count)
-    return _checked(found) if throw else found
+    return _checked(found, system) if throw else found
 
 
-def _check_settings(
-    direction: int, load_factors: NumbersLike, max_points: int, max_critical: int
+def check_settings(
+    direction: int, load_factors: NumbersLike, max_points: int, max_critical: int = 1
 ) -> None:
     """Check the settings of a path.
 
@@ -140,15 +159,37 @@ def _check_settings(
     if direction not in (1, -1):
         raise ValueError(f"`direction` is {direction!r}, but must be 1 or -1.")
     limits = concrete(load_factors)
-    if limits is not None and (limits.shape != (2,) or not limits[0] < limits[1]):
+    if limits is not None and limits.shape != (2,):
         raise ValueError(
-            f"`load_factors` is {load_factors!r}, but must be a smaller and a larger "
-            "load factor, between which the path is followed."
+            f"`load_factors` has the shape {limits.shape}, but must be two load factors, "
+            "between which the path is followed. Its points are chosen by the solver."
+        )
+    if limits is not None and not limits[0] < limits[1]:
+        raise ValueError(
+            f"`load_factors` is {load_factors!r}, but the first one must be smaller than "
+            "the second one."
         )
     if max_points < 3 or max_critical < 1:
         raise ValueError(
             f"`max_points` is {max_points!r} and `max_critical` is {max_critical!r}, but "
             "`max_points` must be at least 3, and `max_critical` at least 1."
+        )
+
+
+def _require_inside(first: FirstPoint, load_factors: NumbersLike) -> None:
+    """Check that a path begins in the interval of its load factors.
+
+    Raises:
+        ValueError: It does not.
+    """
+    known = all_concrete([first.factor, load_factors])
+    if known is None:
+        return
+    factor, (lower, upper) = known
+    if not lower <= factor <= upper:
+        raise ValueError(
+            f"`load_factors` is ({lower:g}, {upper:g}), but must contain the load factor "
+            f"{factor:.6g}, at which the path begins."
         )
 
 
@@ -179,15 +220,28 @@ def _first_points(found: Path, count: int) -> Path:
     return replace(found, critical_points=points, **first(found, names, count))
 
 
-def _checked(found: Path) -> Path:
+def _checked(found: Path, system: PathSystem) -> Path:
     """Return the path, and raise an error if it ended by a failure."""
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
-        return RuntimeError(
-            f"{result_message(item)} ({len(found.load_factors)} points up to the load "
-            f"factor {float(found.load_factors[-1]):.6g} were found; "
-            "`path(..., throw=False)` returns them.)"
-        )
+        text, count = path_message(item, system), len(found.load_factors)
+        if count > 1:
+            text += (
+                f" ({count} points up to the load factor "
+                f"{float(found.load_factors[-1]):.6g} were found; `path(..., "
+                "throw=False)` returns them.)"
+            )
+        return RuntimeError(text)
 
     return succeeded_or_raise(found, error)
+
+
+def path_message(item: str, system: PathSystem) -> str:
+    """Return the message of a failure of a path, by the name of the result."""
+    text = result_message(item)
+    if item == "unstable":
+        text += describe_free_motions(
+            system.mechanism, system.constraints, system.dofs, system.start, system.time
+        )
+    return text

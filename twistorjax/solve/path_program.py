@@ -74,9 +74,12 @@ def run_uncompiled(
     point = jnp.concatenate([free, multipliers, first.factor[None]])
     mode = first.mode.reshape(-1)[equations.free]
     mode = jnp.concatenate([mode, 0 * multipliers, jnp.zeros(1)])
-    metric, start = start_at(system, point, first.direction)
+    metric, start, singular = start_at(system, point, first.direction)
+    singular &= ~first.at_branch
     start = start_on_branch(metric, start, first.direction * mode, first.at_branch)
     trace = follow(system, metric, start, limits, largest_step, event, max_points)
+    status = jnp.where(singular, continuation.SINGULAR, trace.status)
+    trace = trace._replace(status=status)
     trace, criticals = locate_points(system, metric, trace, limits, event, max_critical)
     normal = jnp.zeros_like(point).at[-1].set(1.0)
     if event is not None:
@@ -94,7 +97,14 @@ def _event(system: PathSystem, until: Until) -> continuation.PathEvent:
         energy = equations.hinges.energy(displacements)
         mechanism = system.mechanism
         reference, names = mechanism.reference, mechanism.names
-        return until(PathPoint(point[-1], displacements, reference, energy, names))
+        value = until(PathPoint(point[-1], displacements, reference, energy, names))
+        if jnp.issubdtype(jnp.asarray(value).dtype, bool):
+            raise TypeError(
+                "`until` returns a truth value, but must return a number whose sign "
+                "changes at the end of the path. Return a difference instead of a "
+                "comparison, such as `a - b` instead of `a < b`."
+            )
+        return value
 
     return event
 
@@ -127,16 +137,6 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     no_change = jnp.zeros(len(system.dofs.prescribed))
     modes = null_vectors(fixed, metric, jax.lax.stop_gradient(at))
     modes = jax.vmap(lambda mode: system.dofs.expand(mode[:free], no_change))(modes)
-    result = RESULTS.successful
-    for status, item in (
-        (continuation.AT_EVENT, RESULTS.event_occurred),
-        (continuation.RETURNED, RESULTS.returned_to_start),
-        (continuation.OUT_OF_RANGE, RESULTS.out_of_range),
-        (continuation.FULL, RESULTS.max_points_reached),
-        (continuation.TOO_SHORT, RESULTS.path_interrupted),
-        (continuation.NOT_FINITE, RESULTS.not_finite),
-    ):
-        result = RESULTS.where(trace.status == status, item, result)
     length = fixed.length()
     return Path(
         load_factors=masked.load_factor,
@@ -160,10 +160,26 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
         ),
         count=trace.number,
         steps=trace.steps,
-        result=result,
+        result=path_result(trace),
         names=mechanism.names,
         constraint_names=system.constraints.names(),
     )
+
+
+def path_result(trace: Trace) -> RESULTS:
+    """Return the reason of the end of a path."""
+    result = RESULTS.successful
+    for status, item in (
+        (continuation.AT_EVENT, RESULTS.event_occurred),
+        (continuation.RETURNED, RESULTS.returned_to_start),
+        (continuation.OUT_OF_RANGE, RESULTS.out_of_range),
+        (continuation.FULL, RESULTS.max_points_reached),
+        (continuation.TOO_SHORT, RESULTS.path_interrupted),
+        (continuation.NOT_FINITE, RESULTS.not_finite),
+        (continuation.SINGULAR, RESULTS.unstable),
+    ):
+        result = RESULTS.where(trace.status == status, item, result)
+    return result
 
 
 def first_rows(run: PathRun, rows: int) -> PathRun:
@@ -182,10 +198,10 @@ def _masked(used: Bool[Array, " rows"], values: Array) -> Array:
 def _solve_uncompiled(system: PathSystem, *arguments: Any) -> Path:
     """Follow the path and evaluate its points, inside another program."""
     run = run_uncompiled(system, *arguments)
-    return _evaluate_uncompiled(system, _refine_uncompiled(system, run))
+    return _evaluate_uncompiled(system, refine_uncompiled(system, run))
 
 
-def _refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:
+def refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:
     """Improve the branch points; see `refine_branch_points`."""
     fixed = stop_gradient(system)
     refined = refine_branch_points(fixed, run.metric, run.criticals)
@@ -194,5 +210,5 @@ def _refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:
 
 solve_path = eqx.filter_jit(_solve_uncompiled)
 run_path = fast_compile(run_uncompiled)
-refine_path = fast_compile(_refine_uncompiled)
+refine_path = fast_compile(refine_uncompiled)
 evaluate_path = fast_compile(_evaluate_uncompiled)

@@ -1,16 +1,16 @@
 """Results of `path`: the path, its points, and its critical points."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._utils.host import all_concrete
+from .._utils.host import all_concrete, concrete
 from .._utils.types import Flag, Pose, Poses, Scalar
 from .._utils.validation import index_of
-from .results import PoseSolution, result_names, RESULTS
+from .results import count_results, PoseSolution, result_names, RESULTS
 from .tables import Column, Columns
 
 
@@ -89,6 +89,11 @@ class CriticalPoint(PathPoint):
         """Kind of the point, "limit" or "branch"."""
         return "branch" if bool(self.is_branch) else "limit"
 
+    def __repr__(self) -> str:
+        if concrete(self.load_factor) is None:
+            return eqx.tree_pformat(self)
+        return "\n".join(_critical_lines([self]))
+
 
 class CriticalPoints(eqx.Module):
     """Limit points and branch points of a path, in the order of the path.
@@ -142,6 +147,12 @@ class CriticalPoints(eqx.Module):
 
     def __iter__(self) -> Iterator[CriticalPoint]:
         return (self[index] for index in range(len(self)))
+
+    def __repr__(self) -> str:
+        factors = concrete(self.load_factors)
+        if factors is None or factors.ndim > 1:
+            return eqx.tree_pformat(self)
+        return "\n".join(_critical_lines(self)) if len(self) else "no critical points"
 
     @property
     def limit_factors(self) -> Float[Array, " critical"]:
@@ -206,8 +217,10 @@ class Path(PoseSolution):
     def __repr__(self) -> str:
         names = result_names(self.result)
         values = all_concrete([self.load_factors, self.negative_eigenvalues])
-        if names is None or values is None or names.shape:
+        if names is None or values is None:
             return eqx.tree_pformat(self)
+        if names.shape:
+            return count_results("paths", names)
         factors, negative = values
         lines = [
             f"{names}: {len(factors)} equilibria, load factor {factors[0]:.6g} to "
@@ -215,12 +228,16 @@ class Path(PoseSolution):
             f"{int(self.steps)} steps"
         ]
         if len(self.critical_points):
-            width = max(map(len, (*self.names, "largest part of the mode")))
-            lines.append("critical point   load factor  largest part of the mode")
-            for point in self.critical_points:
-                mode = np.asarray(point.mode)
-                body, axis = np.unravel_index(np.argmax(np.abs(mode)), mode.shape)
-                part = f"{('rotation', 'x', 'y')[axis]} of {self.names[body]!r}"
-                factor = f"{float(point.load_factor):>13.8g}"
-                lines.append(f"{point.kind:<14} {factor}  {part:<{width}}".rstrip())
+            lines += _critical_lines(self.critical_points)
         return "\n".join(lines)
+
+
+def _critical_lines(points: Iterable[CriticalPoint]) -> list[str]:
+    """Return the lines of a table of critical points."""
+    lines = ["critical point   load factor  largest part of the mode"]
+    for point in points:
+        mode = np.asarray(point.mode)
+        body, axis = np.unravel_index(np.argmax(np.abs(mode)), mode.shape)
+        part = f"{('rotation', 'x', 'y')[axis]} of {point.names[body]!r}"
+        lines.append(f"{point.kind:<14} {float(point.load_factor):>13.8g}  {part}")
+    return lines

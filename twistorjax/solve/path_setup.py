@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from typing_extensions import TypeAliasType
 
-from .._utils.host import as_float
+from .._utils.host import as_float, concrete
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, gather_constraints
@@ -99,6 +99,12 @@ def assemble_path(
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
     if isinstance(start, CriticalPoint):
+        is_branch = concrete(start.is_branch)
+        if is_branch is not None and not is_branch:
+            raise ValueError(
+                "`start` is a limit point, but must be a branch point: no other path "
+                "leaves at a limit point."
+            )
         begin = dofs.fixed_part(start.displacements)
         first = FirstPoint(
             displacements=start.displacements,

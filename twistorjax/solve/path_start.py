@@ -11,17 +11,21 @@ from .path_system import PathSystem, PathTangent
 
 def start_at(
     system: PathSystem, point: Float[Array, " n"], sign: Scalar
-) -> tuple[Metric, Node]:
+) -> tuple[Metric, Node, Flag]:
     """Choose the units at the first point, and find the direction of the path.
 
-    In this direction, the load factor changes by `sign`.
+    In this direction, the load factor changes by `sign`. The last result is whether there
+    is no direction because the stiffness is singular.
     """
     tangent = system.tangent(point)
     metric = metric_of(system, tangent, point)
     border = jnp.zeros_like(point).at[-1].set(sign)
     direction = solve_step(tangent, metric, border, jnp.zeros(())).tangent
     step = solve_step(tangent, metric, direction, jnp.zeros(()))
-    return metric, Node(point, step.tangent, step.orientation, step.log_determinant)
+    node = Node(point, step.tangent, step.orientation, step.log_determinant)
+    finite = jnp.all(jnp.isfinite(tangent.jacobian))
+    finite &= jnp.all(jnp.isfinite(tangent.by_factor))
+    return metric, node, finite & ~jnp.all(jnp.isfinite(step.tangent))
 
 
 def start_on_branch(

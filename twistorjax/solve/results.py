@@ -27,8 +27,8 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
       `inconsistent_constraints`; frequency responses as `successful`, `not_finite`, or
       `inconsistent_constraints`.
     * Paths end as `successful` at a limit of the load factor, `event_occurred`,
-      `returned_to_start`, `max_points_reached`, `out_of_range`, `path_interrupted`, or
-      `not_finite`.
+      `returned_to_start`, `max_points_reached`, `out_of_range`, `path_interrupted`,
+      `not_finite`, or `unstable` if a body can move without any resistance.
     * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,
       `out_of_range`, `step_too_long`, `step_too_short`, or `solver_failed`. If they
       cannot start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,

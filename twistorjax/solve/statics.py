@@ -316,21 +316,20 @@ _solve = fast_compile(_solve_uncompiled, jit=jax.jit, static_argnames=("dofs", "
 _solve_with_functions = fast_compile(_solve_uncompiled)
 
 
-def _free_motions(
+def describe_free_motions(
     mechanism: Mechanism,
     constraints: ConstraintSet | None,
     dofs: DofPartition,
-    solution: Equilibrium,
+    displacements: Poses,
     time: NumberLike,
 ) -> str:
     """Name the bodies that can move without any resistance, for a message."""
     from .constraint_analysis import analyze  # which imports this module
 
     given = () if constraints is None else constraints.constraints
-    reached = solution.reached
-    if not np.all(np.isfinite(reached)):
+    if not np.all(np.isfinite(displacements)):
         return ""
-    analysis = analyze(mechanism, dofs, given, reached, time, ratio=_NO_STIFFNESS)
+    analysis = analyze(mechanism, dofs, given, displacements, time, ratio=_NO_STIFFNESS)
     if not analysis.motion_descriptions:
         return ""
     return f" Nothing resists the {'; the '.join(analysis.motion_descriptions)}."
@@ -371,7 +370,9 @@ def check_equilibrium(
             if item == "no_equilibrium" and first_critical_point is not None:
                 text += first_critical_point()
             if item == "unstable" and dofs is not None:
-                text += _free_motions(mechanism, constraints, dofs, solution, time)
+                text += describe_free_motions(
+                    mechanism, constraints, dofs, solution.reached, time
+                )
         return RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )

@@ -20,6 +20,9 @@ class AxialSpring(AbstractEnergy):
     to body B at `length / 2` along axis 1 of frame b. The energy is
     `stiffness (distance - length)^2 / 2`, at any distance of the ends except zero.
 
+    A misfit or a stroke of the hinge moves both ends along its axes, which are fixed on
+    the bodies. It makes the spring longer if the spring hardly turns against the bodies.
+
     Args:
         stiffness: Axial stiffness, such as E A / length of a bar; N/m.
         length: Length without load; m.

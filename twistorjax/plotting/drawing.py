@@ -67,7 +67,7 @@ def draw(
     Bodies and hinges are drawn by their outlines; `leaf_outline` and `notch_outline` in
     `twistorjax.flexures` compute outlines of hinges. A body without an outline is drawn
     as lines from its origin to its hinges. A hinge without an outline is drawn as a
-    spiral spring.
+    spiral spring, and an `AxialSpring` as a zigzag line between its ends.
 
     Args:
         mechanism: The mechanism.

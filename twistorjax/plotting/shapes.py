@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._utils.types import Corners, Pose
+from ..energies.axial_spring import AxialSpring
 from ..flexures.condensed import drawn_displacements
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
 
 
 _SPRING_RADIUS = 0.015  # relative to the size of the mechanism
+_WINDINGS = 8  # of the zigzag line of an axial spring
 
 
 class Shape(NamedTuple):
@@ -25,7 +27,8 @@ class Shape(NamedTuple):
         kind: "body" is a body with an outline, and "fixed" is one whose three coordinates
             are fixed. "line" is a line from the origin of a body without an outline to
             one of its hinges. "hinge" is a hinge with an outline, and "spring" is a hinge
-            without one.
+            without one: a zigzag line between the ends of an `AxialSpring`, otherwise a
+            spiral.
         corners: Corners in world coordinates; m.
         row: Index of the body or hinge in the mechanism.
     """
@@ -58,6 +61,9 @@ def mechanism_size(mechanism: Mechanism) -> float:
             inner = shapes(outline.mechanism, np.asarray(outline.mechanism.reference))
             corners = np.concatenate([shape.corners for shape in inner])
             points.append(to_world(pose, corners))
+    for hinge, pose in enumerate(np.asarray(mechanism.at)):
+        half = _half_length(mechanism, hinge)
+        points.append(to_world(pose, np.array([[-half, 0.0], [half, 0.0]])))
     return float(np.ptp(np.concatenate(points), axis=0).max()) or 1.0
 
 
@@ -77,7 +83,8 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         if outline is not None:
             corners = to_world(poses[body], outline)
             bodies.append(Shape("fixed" if fixed else "body", corners, body))
-    spiral = _SPRING_RADIUS * mechanism_size(mechanism) * _unit_spiral()
+    radius = _SPRING_RADIUS * mechanism_size(mechanism)
+    spiral = radius * _unit_spiral()
     for hinge, (ends, outline) in enumerate(
         zip(mechanism.hinge_assembly.ends, mechanism.hinge_outlines, strict=True)
     ):
@@ -90,13 +97,21 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
                     arm = np.stack([poses[body][1:], np.mean(tips, axis=0)])
                     lines += [Shape("line", tips, body), Shape("line", arm, body)]
             continue
-        corners = np.zeros((1, 2)) if outline is None else np.asarray(outline)
+        half = _half_length(mechanism, hinge)
+        ends_on_axis = np.array([[-half, 0.0], [half, 0.0]])
+        corners = ends_on_axis if outline is None else np.asarray(outline)
         extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
         for body, frame, end in zip(ends, frames, extent, strict=True):
             if mechanism.outlines[body] is None:
                 (tip,) = to_world(frame, np.array([[end, _axis_at(corners, end)]]))
                 lines.append(Shape("line", np.stack([poses[body][1:], tip]), body))
-        if outline is None:
+        if outline is None and half > 0:
+            first, second = (
+                to_world(frame, end[None])[0]
+                for frame, end in zip(frames, ends_on_axis, strict=True)
+            )
+            hinges.append(Shape("spring", _zigzag(first, second, radius), hinge))
+        elif outline is None:
             # The spiral starts at the first frame and ends at the second one.
             share = np.linspace(0, 1, len(spiral))[:, None]
             center = (1 - share) * frames[0][1:] + share * frames[1][1:]
@@ -198,6 +213,27 @@ def _axis_at(corners: np.ndarray, end: float) -> float:
     """
     near = np.abs(corners[:, 0] - end) <= 0.02 * np.ptp(corners[:, 0])
     return float(np.mean(corners[near, 1]))
+
+
+def _half_length(mechanism: Mechanism, hinge: int) -> float:
+    """Return half of the length of an axial spring without an outline; m.
+
+    It is zero for another hinge.
+    """
+    energy = mechanism.hinge_assembly.energy_of(hinge)
+    if isinstance(energy, AxialSpring) and mechanism.hinge_outlines[hinge] is None:
+        return float(energy.length) / 2
+    return 0.0
+
+
+def _zigzag(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:
+    """Return a zigzag line between two points, straight near both of them; m."""
+    side = second - first
+    across = np.array([-side[1], side[0]]) / (np.hypot(*side) or 1.0)
+    place = np.concatenate([[0.0], np.linspace(0.2, 0.8, 2 * _WINDINGS + 1), [1.0]])
+    height = np.zeros(len(place))
+    height[2:-2] = np.tile([1.0, -1.0], _WINDINGS)[: len(height) - 4]
+    return first + place[:, None] * side + radius * height[:, None] * across
 
 
 def _unit_spiral() -> np.ndarray:

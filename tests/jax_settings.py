@@ -35,7 +35,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Each compiled program takes several memory maps, of which Linux allows 65,530 for each
 # process. XLA crashes if there are no more.
-_MOST_MAPS = 30_000
+_MOST_MAPS = 45_000
 _tests = itertools.count(1)
 
 

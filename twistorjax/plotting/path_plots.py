@@ -95,5 +95,5 @@ def draw_path(
     axes.set_xlabel(f"{coordinate} of {body} ({shown})")
     axes.set_ylabel(load_label)
     axes.grid(alpha=0.3)
-    axes.legend()
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
     return figure

@@ -130,7 +130,7 @@ class Bistability(eqx.Module):
         if not self.succeeded:
             return f"no second stable state was found: {names}"
         if np.isnan(factors[0]):
-            return "monostable up to the load factor 1: no limit point or branch point"
+            return "monostable up to the full loads: no limit point or branch point"
         forth, back = (
             f"{factor:.6g}{' (branch point)' if branch else ''}"
             for factor, branch in zip(factors, at_branch, strict=True)

@@ -203,7 +203,7 @@ def linear_torque(hinges, shear=True):
     ("hinges", "expected"),
     [
         ("identical", {"pseudo-rigid-body": 0.0138, "quadratic": 0.0004}),
-        (
+        pytest.param(
             "leaves-and-notches",
             {
                 "pseudo-rigid-body": 0.2486,
@@ -211,6 +211,7 @@ def linear_torque(hinges, shear=True):
                 "quadratic": 0.0025,
                 "surrogate": 0.0,
             },
+            marks=pytest.mark.release,
         ),
     ],
 )

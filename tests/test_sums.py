@@ -62,6 +62,7 @@ def release(energy, damping):
     return tj.simulate(table(energy, damping), [0.0, 0.02], start=start)
 
 
+@pytest.mark.release
 def test_sum_moves_and_is_damped_as_its_terms():
     single = release(leaf(), 1e-4)
     added = release(SUMS["sum with a validity range"](leaf()), 1e-4)

@@ -81,6 +81,7 @@ print("done", flush=True)
 )
 
 
+@pytest.mark.release
 def test_eight_devices_compute_the_same_as_one(tmp_path):
     process = start_process(DEVICES, tmp_path / "many.nc", tmp_path / "one.zarr")
     output, errors = process.communicate(timeout=300)
@@ -113,6 +114,7 @@ print("done", flush=True)
 )
 
 
+@pytest.mark.release
 def test_two_processes_compute_the_same_as_one(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -89,6 +89,7 @@ def surrogate_guide(scale):
     return tj.Mechanism(bodies, hinges, fixed=["base"])
 
 
+@pytest.mark.release
 def test_a_warm_mechanism_is_one_with_larger_dimensions():
     """Surrogates, sums, and multiples have the energies of their new dimensions."""
     scale = 1 + 12e-6 * 300.0

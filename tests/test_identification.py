@@ -348,6 +348,7 @@ def test_the_gain_of_the_stage_determines_the_web_and_not_the_modulus():
     assert any("12.8 times as large" in text for text in both.warnings)
 
 
+@pytest.mark.release
 def test_the_motion_of_a_linkage_determines_the_stiffnesses_of_one_hinge():
     exact = identification.identify_hinge_a()
     for name, value in identification.LEAF.items():

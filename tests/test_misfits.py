@@ -270,7 +270,17 @@ def test_assembled_mechanisms_have_the_smallest_energy(topology):
         np.testing.assert_allclose(start, best.x, atol=1e-7)
 
 
-@pytest.mark.parametrize("topology", list(TOPOLOGIES))
+@pytest.mark.parametrize(
+    "topology",
+    [
+        "chain",
+        *(
+            pytest.param(name, marks=pytest.mark.release)
+            for name in TOPOLOGIES
+            if name != "chain"
+        ),
+    ],
+)
 def test_derivatives_by_the_misfits_agree_with_differences(topology):
     pairs, poses, at, matrices, misfits = random_mechanism(topology, 7)
 

@@ -207,6 +207,7 @@ def test_center_shift_of_a_cross_spring_pivot_is_that_of_exact_beams(crossing, v
     validated("Surrogates of leaves", what, actual_shift, shift, "exact beams, by SciPy")
 
 
+@pytest.mark.release
 def test_derivatives_of_a_surrogate_by_the_dimensions_are_difference_quotients():
     """They agree to the error of the fit. The wrench is proportional to the width."""
     pose = jnp.array([0.3, 0.01, 0.1])

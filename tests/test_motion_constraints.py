@@ -62,8 +62,10 @@ def test_pin_does_not_drift_in_ten_thousand_steps():
 
 @pytest.mark.parametrize(
     "solver",
-    [dfx.Tsit5(), dfx.Kvaerno5()],
-    ids=["tsit5", "kvaerno5"],
+    [
+        pytest.param(dfx.Tsit5(), id="tsit5"),
+        pytest.param(dfx.Kvaerno5(), id="kvaerno5", marks=pytest.mark.release),
+    ],
 )
 def test_pin_does_not_drift_with_solvers_of_diffrax(solver):
     """In twenty oscillations the bob stays on its circle and conserves its energy."""

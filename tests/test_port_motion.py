@@ -212,6 +212,7 @@ def test_inputs_that_are_not_one_coordinate_are_refused():
         _ = motion.lost_motion
 
 
+@pytest.mark.release
 def test_a_position_without_equilibrium_is_reported():
     leaf = tj.flexures.surrogate(
         tj.flexures.Beam(UNIT, length=1.0, thickness=0.1, width=12e3), rotation=0.1

@@ -50,6 +50,7 @@ def test_loads_above_the_limit_load_of_an_arch_have_no_equilibrium():
     np.testing.assert_allclose(solutions.fraction[2:] * forces[2:], limit, rtol=2e-3)
 
 
+@pytest.mark.release
 def test_no_load_lets_a_truss_jump_to_its_other_side():
     """This includes loads whose first Newton step happens to lead to the other side."""
     soft = tj.Quadratic(jnp.diag(jnp.array([1e-3, 1e5, 1e5])))
@@ -220,6 +221,7 @@ def count_errors(seed, count, coordinates, frame, designs):
     return int(np.sum(wrong)), int(np.sum(missed)), int(np.sum(found))
 
 
+@pytest.mark.release
 def test_equilibria_of_random_arches_are_connected_to_the_reference():
     wrong, missed, found = count_errors(1, 2, "twistor", False, 40)
     assert (wrong, missed) == (0, 0)

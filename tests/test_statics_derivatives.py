@@ -2,12 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+import pytest
 from helpers import assert_close, some_stiffness
 from statics_helpers import block_on_spring, cantilever
 
 import twistorjax as tj
 
 
+@pytest.mark.release
 def test_derivatives_by_a_stiffness_are_those_of_the_closed_form():
     def displacement(k):
         stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))

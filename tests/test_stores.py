@@ -199,6 +199,7 @@ print("done", flush=True)
 )
 
 
+@pytest.mark.release
 def test_folders_of_killed_creators_are_removed_and_those_of_others_stay(tmp_path):
     path = tmp_path / "s.zarr"
     process = start_process(CREATING, path, "killed")

@@ -34,6 +34,7 @@ def stroke(time):
     return 1e-2 * jnp.sin(20 * time) * time
 
 
+@pytest.mark.release
 def test_a_block_follows_an_actuator_as_a_base_excited_oscillator():
     """The actuator is a spring and a damper whose other ends move by the stroke."""
     times = np.linspace(0.0, 1.0, 6)

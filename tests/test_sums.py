@@ -82,6 +82,7 @@ def test_viscous_damping_of_a_sum_acts_once():
     np.testing.assert_allclose(added.displacements, single.displacements, atol=1e-7)
 
 
+@pytest.mark.release
 def test_validity_range_of_a_sum_is_checked():
     narrow = tj.energies.WithValidityRange(
         leaf() + leaf(), rotation=1e-4, force=1e6, error=[0.0, 0.0, 0.0]

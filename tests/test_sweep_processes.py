@@ -35,6 +35,7 @@ print("done", flush=True)
 )
 
 
+@pytest.mark.release
 def test_a_process_may_be_killed_at_any_moment(tmp_path):
     """A process is killed three times while it writes the 250 chunks of a store."""
     path, generator = tmp_path / "s.zarr", random.Random(7)

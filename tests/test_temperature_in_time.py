@@ -54,6 +54,7 @@ def exact_position(times, amplitude=1.0):
     return solution.y[0]
 
 
+@pytest.mark.release
 def test_a_heated_actuator_moves_a_block_as_its_base_would():
     times = np.linspace(0.0, 1.0, 6)
     motion = tj.simulate(
@@ -113,6 +114,7 @@ def test_hinges_of_a_motion_have_its_temperatures():
         assert_close(mechanism.wrench_of(name, motion)[1], expected, digits=6)
 
 
+@pytest.mark.release
 def test_a_constant_temperature_is_that_of_the_mechanism():
     mechanism, times = table_on_leaves(), [0.0, 0.002]
     found = tj.simulate(mechanism, times, temperature=lambda time: 0.5 + 0 * time)

@@ -197,6 +197,7 @@ def block_on(spring):
     return tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
 
 
+@pytest.mark.release
 def test_sum_of_equal_frequencies_has_second_derivatives():
     """Three small changes are made to a spring with equal stiffness in x and y."""
 
@@ -225,6 +226,7 @@ def test_sum_of_equal_frequencies_has_second_derivatives():
     np.testing.assert_allclose(hessian, differences, rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.release
 def test_energies_that_are_not_positive_contribute_to_the_frequencies():
     """A coupling energy, which is indefinite, and a spring with negative stiffness."""
     spring = tj.Quadratic(jnp.diag(jnp.array([2.0, 50.0, 30.0])), "twist")

@@ -54,6 +54,8 @@ from .solve import (
     result_names as result_names,
     RESULTS as RESULTS,
     simulate as simulate,
+    Stresses as Stresses,
+    stresses as stresses,
     Vibrations as Vibrations,
     vibrations as vibrations,
 )

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from .._utils.host import as_float, on_host
 from .base import AbstractEnergy
+from .stress_model import AbstractStressModel
 
 
 Energy = TypeVar("Energy", bound=AbstractEnergy)
@@ -36,8 +37,8 @@ class CanDilate(Protocol):
 def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEnergy:
     """Return an energy if all dimensions of its hinge are multiplied by a factor.
 
-    It applies to all energies in sums, multiples, and other wrappers. An energy that is
-    not `CanDilate` does not change.
+    It applies to all energies in sums, multiples, and other wrappers, and to their stress
+    models. An energy that is not `CanDilate` does not change.
     """
     if isinstance(energy, CanDilate):
         energy = energy.dilated(scale)
@@ -45,6 +46,8 @@ def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEn
         value = getattr(energy, field.name, None)
         if isinstance(value, AbstractEnergy):
             new = dilated(value, scale)
+        elif isinstance(value, AbstractStressModel):
+            new = value.dilated(scale)
         elif isinstance(value, tuple) and any(
             isinstance(part, AbstractEnergy) for part in value
         ):

@@ -31,6 +31,7 @@ from .monomials import Powers, VARIABLES
 from .polynomial import coefficients_error, require_coefficients, require_powers
 from .quadratic import CoordinateEnergy
 from .strains import Coordinates, strain
+from .stress_model import AbstractStressModel
 
 
 _AXIAL_COMPLIANCE = (0, 0, 2)  # powers of the term of the axial reference compliance
@@ -58,6 +59,8 @@ class MixedEnergy(CoordinateEnergy):
             polynomial for axial forces between `-force` and `force`. Outside of this
             interval W is continued by its second-order Taylor polynomial in `n`, so that
             there is an axial force for every axial displacement.
+        stress_model: Stress in a flexure whose dimensions are known, such as that of
+            `quartic_leaf`.
 
     Raises:
         ValueError: The numbers of coefficients and powers do not match; a row of powers
@@ -81,6 +84,7 @@ class MixedEnergy(CoordinateEnergy):
     length: Scalar
     force: Scalar
     powers: Powers = eqx.field(static=True)
+    stress_model: AbstractStressModel | None
 
     def __init__(
         self,
@@ -89,7 +93,9 @@ class MixedEnergy(CoordinateEnergy):
         *,
         length: NumberLike,
         force: NumberLike,
+        stress_model: AbstractStressModel | None = None,
     ):
+        self.stress_model = stress_model
         self.powers = require_powers(powers, VARIABLES["mixed"])
         self.coefficients = as_float(coefficients)
         self.length = require_positive("`length`", length)

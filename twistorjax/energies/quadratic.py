@@ -11,6 +11,7 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
 from .strains import Coordinates, half_square, matrix_error, strain, translation_scale
+from .stress_model import AbstractStressModel
 
 
 class CoordinateEnergy(AbstractEnergy):
@@ -61,6 +62,8 @@ class Quadratic(CoordinateEnergy):
         flexure: Whether this is the stiffness of an undeformed flexure along axis 1, such
             as a leaf. `equilibrium` then warns of displacements at which the force or the
             moment of a leaf differs from that of the energy by more than 5 %.
+        stress_model: Stress in a flexure whose dimensions are known, such as that of
+            `leaf` and `notch`.
 
     Raises:
         ValueError: The stiffness is not 3 by 3 or not symmetric, it has a negative
@@ -78,6 +81,7 @@ class Quadratic(CoordinateEnergy):
     stiffness: Matrix
     coordinates: Coordinates = eqx.field(static=True)
     flexure: bool = eqx.field(static=True)
+    stress_model: AbstractStressModel | None
 
     def __init__(
         self,
@@ -85,9 +89,11 @@ class Quadratic(CoordinateEnergy):
         coordinates: Coordinates = "twistor",
         *,
         flexure: bool = False,
+        stress_model: AbstractStressModel | None = None,
     ):
         self.stiffness = as_float(stiffness)
         self.flexure = flexure
+        self.stress_model = stress_model
         self.coordinates = require_choice(
             "`coordinates`", coordinates, ("twistor", "twist")
         )

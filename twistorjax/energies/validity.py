@@ -10,6 +10,7 @@ from .._utils.types import Flag, NumberLike, Scalar, WrenchLike
 from .._utils.validation import require_positive, require_row
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper, Scaled, Sum
+from .stress_model import AbstractStressModel
 
 
 class WithValidityRange(AbstractWrapper):
@@ -28,6 +29,8 @@ class WithValidityRange(AbstractWrapper):
             energy.
         displacement: Largest displacement along axis 2 in both directions, by default
             without limit; m.
+        stress_model: Stress in a flexure whose dimensions are known, such as that of
+            `surrogate`; by default that of the energy.
 
     Raises:
         ValueError: `energy` is not an energy; `rotation` or `force` is not positive;
@@ -51,6 +54,7 @@ class WithValidityRange(AbstractWrapper):
     force: Scalar
     error: Float[Array, "3"]
     displacement: Scalar | None
+    stress_model: AbstractStressModel | None
 
     def __init__(
         self,
@@ -59,12 +63,14 @@ class WithValidityRange(AbstractWrapper):
         force: NumberLike,
         error: WrenchLike,
         displacement: NumberLike | None = None,
+        stress_model: AbstractStressModel | None = None,
     ):
         if not isinstance(energy, AbstractEnergy):
             raise ValueError(
                 f"`energy` is a {type(energy).__name__}, but must be an energy."
             )
         self.energy = energy
+        self.stress_model = stress_model
         self.rotation = require_positive("`rotation`", rotation)
         self.force = require_positive("`force`", force)
         self.error = require_row(

@@ -6,16 +6,17 @@ deformed state under a load, and `beam_at_pose` at a given displacement.
 """
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.types import NumberLike, Scalar
+from .._utils.host import as_float, on_host
+from .._utils.types import NumberLike, Numbers, Scalar
 from .._utils.validation import (
     require_choice,
     require_finite,
@@ -26,6 +27,7 @@ from ..mechanism.material import Material
 
 
 Law = Literal["linear", "saint-venant-kirchhoff"]
+Profile = TypeVar("Profile", bound=Callable[..., Any])
 
 
 # One number, or a function of the arc length; m
@@ -150,10 +152,35 @@ def _along_axis(
     return jax.tree_util.Partial(value)
 
 
-def uniform(value: Scalar, position: Scalar) -> Scalar:
+def elementwise(function: Profile) -> Profile:
+    """Mark a profile that accepts an array of positions, without a compiled program."""
+    function.elementwise = True  # pyright: ignore[reportFunctionMemberAccess]
+    return function
+
+
+def values_along(
+    function: Callable[..., Numbers], positions: Float[ArrayLike, " positions"]
+) -> Float[Array, " positions"]:
+    """Evaluate a function of the position at many positions; m."""
+    array = as_float(positions)
+    if getattr(getattr(function, "func", None), "elementwise", False):
+        return function(array)
+    return _mapped(function, array)
+
+
+@eqx.filter_jit
+def _mapped(
+    function: Callable[[Scalar], Scalar], positions: Float[Array, " positions"]
+) -> Float[Array, " positions"]:
+    """Evaluate a function of one position at many of them; m."""
+    return jax.vmap(function)(positions)
+
+
+@elementwise
+def uniform(value: Scalar, position: Numbers) -> Numbers:
     """Return a value that is the same at any position."""
-    del position
-    return value
+    xp, (value, position) = on_host(value, position)
+    return as_float(xp.broadcast_to(value, xp.shape(position)))
 
 
 def load_units(beam: Beam) -> Float[Array, "3"]:
@@ -164,8 +191,11 @@ def load_units(beam: Beam) -> Float[Array, "3"]:
 
 def smallest_thickness(beam: Beam) -> Scalar:
     """Return the smallest of the thicknesses at 201 positions along a beam; m."""
-    positions = beam.length * jnp.asarray(np.linspace(-0.5, 0.5, 201))
-    return jnp.min(jax.vmap(beam.profile)(positions))
+    _, (length,) = on_host(beam.length)
+    xp, (values,) = on_host(
+        values_along(beam.profile, length * np.linspace(-0.5, 0.5, 201))
+    )
+    return as_float(xp.min(values))
 
 
 def arc_rotation(beam: Beam, stress: Scalar) -> Scalar:

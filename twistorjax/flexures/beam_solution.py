@@ -21,7 +21,7 @@ from .._utils.types import NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import require_positive
 from ..geometry import se2
 from .beam import Beam, load_units, smallest_thickness, uniform
-from .cross_section import section_strains, Strains
+from .cross_section import section_of, section_strains, Strains
 
 
 # Poses of the cross sections; rad, m, m
@@ -254,7 +254,8 @@ def _section(
     moment = load[0] - (state.x * load[2] - state.y * load[1])
     cos, sin = jnp.cos(state.angle), jnp.sin(state.angle)
     axial, shear = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
-    return (cos, sin), *section_strains(beam, position, (axial, shear, moment))
+    section = section_of(beam, position)
+    return (cos, sin), *section_strains(section, beam.law, (axial, shear, moment))
 
 
 def _integrate(

@@ -1,14 +1,18 @@
 """Stiffness of a beam of variable thickness from integrals over its length."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from .._utils.host import as_float, on_host
-from .._utils.types import NumberLike
+from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_instance, require_positive
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
+from ..energies.stress_model import AbstractStressModel
 from ..mechanism.material import Material
+from .beam import Beam
 from .leaf import Theory
+from .stress_models import BeamStress
 
 
 Number = Any  # array of NumPy or JAX
@@ -78,6 +82,7 @@ def quadratic_energy(
     half: Integrals,
     theory: Theory,
     coordinates: Coordinates,
+    stress_model: AbstractStressModel,
 ) -> Quadratic:
     """Create the energy of a flexure from the integrals over half of its length.
 
@@ -87,6 +92,7 @@ def quadratic_energy(
         half: Integrals over half of the length.
         theory: "euler-bernoulli" or "timoshenko".
         coordinates: Coordinates of the energy.
+        stress_model: Stress in the flexure.
     """
     require_instance("material", material, Material)
     xp, (modulus, poisson, width, bending, axial, transverse) = on_host(
@@ -97,4 +103,32 @@ def quadratic_energy(
         factor = 5 / 6
         compliances[2] = compliances[2] + 2 * (1 + poisson) / factor * compliances[1]
     stiffness = modulus * width / xp.stack(compliances)
-    return Quadratic(as_float(xp.diag(stiffness)), coordinates, flexure=True)
+    return Quadratic(
+        as_float(xp.diag(stiffness)), coordinates, flexure=True, stress_model=stress_model
+    )
+
+
+def beam_energy(
+    material: Material,
+    length: NumberLike,
+    profile: Callable[[Scalar], Scalar],
+    width: NumberLike,
+    half: Integrals,
+    theory: Theory,
+    coordinates: Coordinates,
+) -> Quadratic:
+    """Create the energy of a flexure with the stress model of a beam.
+
+    Args:
+        material: Material of the plate.
+        length: Length; m.
+        profile: Thickness (m) as a function of the position along axis 1 (m).
+        width: Out-of-plane width; m.
+        half: Integrals over half of the length.
+        theory: "euler-bernoulli" or "timoshenko".
+        coordinates: Coordinates of the energy.
+    """
+    require_instance("material", material, Material)
+    beam = Beam(material, length=length, thickness=profile, width=width)
+    stress = BeamStress.of(beam)
+    return quadratic_energy(material, width, half, theory, coordinates, stress)

@@ -14,7 +14,12 @@ from .._utils.validation import require_interval, require_positive
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
-from .contour_integrals import arc_integrals, Integrals, quadratic_energy
+from .contour_integrals import (
+    arc_integrals,
+    beam_energy,
+    Integrals,
+    quadratic_energy,
+)
 from .contour_limits import (
     require_arc,
     require_fillet,
@@ -22,7 +27,14 @@ from .contour_limits import (
     require_reinforcement,
     require_slender,
 )
+from .contours import (
+    elliptical_notch_profile,
+    filleted_leaf_profile,
+    power_law_notch_profile,
+    v_notch_profile,
+)
 from .leaf import Theory
+from .stress_models import SectionStress
 
 
 _LARGEST_ANGLE = 5 * np.pi / 6
@@ -94,7 +106,8 @@ def filleted_leaf(
         + straight / (4 * fillet) * arc.first
         + arc.second / 8,
     )
-    return quadratic_energy(material, width, integrals, theory, coordinates)
+    profile = filleted_leaf_profile(length=length, thickness=thickness, fillet=fillet)
+    return beam_energy(material, length, profile, width, integrals, theory, coordinates)
 
 
 def elliptical_notch(
@@ -156,7 +169,8 @@ def elliptical_notch(
         aspect * arc.axial,
         aspect**3 * arc.second,
     )
-    return quadratic_energy(material, width, integrals, theory, coordinates)
+    profile = elliptical_notch_profile(length=length, web=web, depth=depth)
+    return beam_energy(material, length, profile, width, integrals, theory, coordinates)
 
 
 def parabolic_notch(
@@ -221,7 +235,8 @@ def parabolic_notch(
         half / web * first,
         (half / web) ** 3 * (second - third) / r,
     )
-    return quadratic_energy(material, width, integrals, theory, coordinates)
+    profile = power_law_notch_profile(length=length, web=web, depth=depth, exponent=2.0)
+    return beam_energy(material, length, profile, width, integrals, theory, coordinates)
 
 
 def v_notch(
@@ -302,7 +317,8 @@ def v_notch(
         + (logarithm + 2 * offset * (1 / thin - 1 / thick) + offset**2 * squares)
         / slope**3,
     )
-    return quadratic_energy(material, width, integrals, theory, coordinates)
+    profile = v_notch_profile(length=length, web=web, radius=radius, angle=angle)
+    return beam_energy(material, length, profile, width, integrals, theory, coordinates)
 
 
 def reinforced_leaf(
@@ -379,4 +395,6 @@ def reinforced_leaf(
         outer / (2 * thin) + middle / (2 * thick),
         (length**3 - middle**3) / (24 * thin**3) + middle**3 / (24 * thick**3),
     )
-    return quadratic_energy(material, width, integrals, theory, coordinates)
+    # The stress is largest at the ends of the thin sections.
+    stress = SectionStress.of_leaf(material.strengths, length, thin, width)
+    return quadratic_energy(material, width, integrals, theory, coordinates, stress)

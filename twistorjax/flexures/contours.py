@@ -5,13 +5,16 @@ the `thickness` of a `Beam` of the same length. `contour_stiffness` has the stif
 these contours in closed form.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._utils.host import on_host
-from .._utils.types import NumberLike, Scalar
+from .._utils.host import as_float, on_host
+from .._utils.types import NumberLike, Numbers, Scalar
 from .._utils.validation import require_interval, require_positive
+from .beam import elementwise
 from .contour_limits import (
     nan_where_nan,
     require_arc,
@@ -268,34 +271,49 @@ def reinforced_leaf_profile(
 # functions above; m, and rad for the angle.
 
 
+@elementwise
 def _filleted_leaf(
-    length: Scalar, thickness: Scalar, fillet: Scalar, position: Scalar
-) -> Scalar:
+    length: Scalar, thickness: Scalar, fillet: Scalar, position: Numbers
+) -> Numbers:
     """Compute the thickness from the distance to the nearest end of the leaf."""
-    distance = jnp.minimum(length / 2 - jnp.abs(position), fillet)
-    return thickness + 2 * fillet - 2 * _sqrt(distance * (2 * fillet - distance))
+    xp, (length, thickness, fillet, position) = on_host(
+        length, thickness, fillet, position
+    )
+    distance = xp.minimum(length / 2 - xp.abs(position), fillet)
+    depth = 2 * _sqrt(xp, distance * (2 * fillet - distance))
+    return as_float(thickness + 2 * fillet - depth)
 
 
+@elementwise
 def _elliptical_notch(
-    length: Scalar, web: Scalar, depth: Scalar, position: Scalar
-) -> Scalar:
+    length: Scalar, web: Scalar, depth: Scalar, position: Numbers
+) -> Numbers:
     """Compute the thickness between two half ellipses."""
-    return web + 2 * depth * (1 - _sqrt(1 - (2 * position / length) ** 2))
+    xp, (length, web, depth, position) = on_host(length, web, depth, position)
+    root = _sqrt(xp, 1 - (2 * position / length) ** 2)
+    return as_float(web + 2 * depth * (1 - root))
 
 
+@elementwise
 def _power_law_notch(
-    length: Scalar, web: Scalar, depth: Scalar, exponent: Scalar, position: Scalar
-) -> Scalar:
+    length: Scalar, web: Scalar, depth: Scalar, exponent: Scalar, position: Numbers
+) -> Numbers:
     """Compute the thickness between two power functions."""
-    return web + 2 * depth * jnp.abs(2 * position / length) ** exponent
+    xp, (length, web, depth, exponent, position) = on_host(
+        length, web, depth, exponent, position
+    )
+    return as_float(web + 2 * depth * xp.abs(2 * position / length) ** exponent)
 
 
-def _v_notch(web: Scalar, radius: Scalar, angle: Scalar, position: Scalar) -> Scalar:
+@elementwise
+def _v_notch(web: Scalar, radius: Scalar, angle: Scalar, position: Numbers) -> Numbers:
     """Compute the thickness between two arcs with tangent flanks."""
-    distance = jnp.abs(position)
-    on_arc = jnp.minimum(distance, radius * jnp.cos(angle / 2))
-    height = radius - jnp.sqrt(radius**2 - on_arc**2)
-    return web + 2 * height + 2 * (distance - on_arc) / jnp.tan(angle / 2)
+    xp, (web, radius, angle, position) = on_host(web, radius, angle, position)
+    distance = xp.abs(position)
+    on_arc = xp.minimum(distance, radius * xp.cos(angle / 2))
+    height = radius - xp.sqrt(radius**2 - on_arc**2)
+    on_flank = (distance - on_arc) / xp.tan(angle / 2)
+    return as_float(web + 2 * height + 2 * on_flank)
 
 
 def _reinforced_leaf(
@@ -320,8 +338,8 @@ def _reinforced_leaf(
     return thin * compliance ** (-1 / 3)
 
 
-def _sqrt(square: Scalar) -> Scalar:
+def _sqrt(xp: Any, square: Any) -> Any:
     """Compute a square root without derivative at zero, and zero below it."""
     # Rounding may put the ends of a beam outside of the contour.
     inside = square > 0
-    return jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
+    return xp.where(inside, xp.sqrt(xp.where(inside, square, 1.0)), 0.0)

@@ -5,44 +5,75 @@ All quantities are dimensionless: lengths over the length `L` of the beam, momen
 section, with its factor.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Scalar
-from .beam import Beam
+from .beam import Beam, Law
 
 
 Strains = tuple[Scalar, Scalar, Scalar]  # stretch, shear, curvature
 
 
+class CrossSection(NamedTuple):
+    """A cross-section of a beam.
+
+    Args:
+        height: Thickness over that of the middle section.
+        slenderness: Thickness of the middle section over the length of the beam.
+        bending_factor: Factor of the bending stiffness.
+        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
+            None to neglect shear deformation.
+    """
+
+    height: Scalar
+    slenderness: Scalar
+    bending_factor: Scalar
+    shear_ratio: Scalar | None
+
+
+def section_of(beam: Beam, position: Scalar) -> CrossSection:
+    """Return the cross-section at a position along the axis over the length."""
+    middle = beam.profile(jnp.zeros(()))
+    height = beam.profile(position * beam.length) / middle
+    slenderness = middle / beam.length
+    return CrossSection(height, slenderness, beam.bending_factor, shear_ratio(beam))
+
+
+def shear_ratio(beam: Beam) -> Scalar | None:
+    """Return the shear correction factor times shear modulus over Young's modulus."""
+    if beam.shear_factor is None:
+        return None
+    _, (factor, poisson) = on_host(beam.shear_factor, beam.material.poisson)
+    return as_float(factor / (2 * (1 + poisson)))
+
+
 def section_strains(
-    beam: Beam, position: Scalar, forces: tuple[Scalar, Scalar, Scalar]
+    section: CrossSection, law: Law, forces: tuple[Scalar, Scalar, Scalar]
 ) -> tuple[Strains, Scalar]:
     """Compute the strains and the energy density of a cross-section.
 
     Args:
-        beam: The beam.
-        position: Position along the axis over the length, from -1/2 to 1/2.
+        section: The cross-section.
+        law: Constitutive law; see `Beam`.
         forces: Axial force, shear force and bending moment, dimensionless.
 
     Returns:
         Stretch, shear and curvature, and the energy density, dimensionless.
     """
     axial_force, shear_force, moment = forces
-    middle = beam.profile(jnp.zeros(()))
-    height = beam.profile(position * beam.length) / middle
-    slenderness = middle / beam.length
-    material = beam.material
-    bending_factor = beam.bending_factor
+    height, slenderness, bending_factor, _ = section
     axial_stiffness = 12 / (bending_factor * slenderness**2) * height
     bending_stiffness = height**3
     shear_stiffness = jnp.full_like(axial_stiffness, jnp.inf)
-    if beam.shear_factor is not None:
-        effective = axial_stiffness * beam.shear_factor
-        shear_stiffness = effective * material.shear_modulus / material.modulus
+    if section.shear_ratio is not None:
+        shear_stiffness = axial_stiffness * section.shear_ratio
     stretch, shear = axial_force / axial_stiffness, shear_force / shear_stiffness
     linear = stretch, shear, moment / bending_stiffness
-    if beam.law == "linear":
+    if law == "linear":
         work = axial_force * stretch + shear_force * shear + moment * linear[2]
         return linear, work / 2
 

@@ -21,6 +21,7 @@ from .beam_solution import (
     reference_ends,
     ReferenceEnds,
 )
+from .stress_models import BeamStress
 
 
 # Increments of the displacement, and as many for stiffening the auxiliary spring
@@ -52,6 +53,11 @@ class ExactBeam(AbstractEnergy):
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         return _energy(self.beam, displacement.pose())
+
+    @property
+    def stress_model(self) -> BeamStress:
+        """Stress in the cross-sections of the beam."""
+        return BeamStress.of(self.beam)
 
 
 def beam_at_pose(beam: Beam, pose: Pose, sections: int | None = None) -> BeamSolution:

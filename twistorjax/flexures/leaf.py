@@ -16,6 +16,7 @@ from ..energies.mixed import MixedEnergy
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
+from .stress_models import SectionStress
 
 
 Theory = Literal["euler-bernoulli", "timoshenko"]
@@ -99,7 +100,14 @@ def leaf(
         shear_compliance = length / (shear_modulus * area * 5 / 6)
         transverse_compliance = transverse_compliance + shear_compliance
     diagonal = [bending, modulus * area / length, 1 / transverse_compliance]
-    return Quadratic(as_float(xp.diag(xp.stack(diagonal))), coordinates, flexure=True)
+    return Quadratic(
+        as_float(xp.diag(xp.stack(diagonal))),
+        coordinates,
+        flexure=True,
+        stress_model=SectionStress.of_leaf(
+            material.strengths, length, slenderness * length, width
+        ),
+    )
 
 
 def quartic_leaf(
@@ -159,7 +167,13 @@ def quartic_leaf(
         (0, 0, 2): -(force**2) / (2 * axial),
     }
     coefficients = as_float(xp.stack(list(terms.values())))
-    return MixedEnergy(coefficients, tuple(terms), length=length, force=force)
+    return MixedEnergy(
+        coefficients,
+        tuple(terms),
+        length=length,
+        force=force,
+        stress_model=quadratic.stress_model,
+    )
 
 
 def leaf_outline(

@@ -3,11 +3,10 @@
 from typing import Any, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._utils.host import as_float, on_host
-from .._utils.types import Corners, NumberLike, Scalar
+from .._utils.types import Corners, NumberLike, Numbers, Scalar
 from .._utils.validation import (
     require_choice,
     require_instance,
@@ -17,6 +16,8 @@ from .._utils.validation import (
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
+from .beam import elementwise
+from .stress_models import SectionStress
 
 
 Stiffnesses = tuple[Any, Any, Any]  # arrays of NumPy or JAX
@@ -85,7 +86,7 @@ def notch(
     Example:
         >>> aluminum = Material(modulus=69e9, poisson=0.33)
         >>> energy = notch(aluminum, hole=3e-3, web=0.25e-3, width=0.02)
-        >>> jnp.diag(energy.stiffness)
+        >>> energy.stiffness.diagonal()
         Array([2.50965125e+00, 1.58837017e+08, 1.66074768e+07], dtype=float64)
     """
     require_instance("material", material, Material)
@@ -111,7 +112,8 @@ def notch(
     scale = modulus * width
     units = xp.stack([scale * hole**2, scale, scale])
     stiffness = as_float(xp.diag(units * xp.stack(stiffnesses)))
-    return Quadratic(stiffness, coordinates, flexure=True)
+    stress = SectionStress.of_notch(material.strengths, hole, web, width)
+    return Quadratic(stiffness, coordinates, flexure=True, stress_model=stress)
 
 
 def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial:
@@ -133,6 +135,7 @@ def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial
         ValueError: A dimension is not positive.
 
     Example:
+        >>> import jax.numpy as jnp
         >>> thickness = notch_profile(hole=3e-3, web=0.25e-3)
         >>> thickness(jnp.array(0.0)), thickness(jnp.array(1.5e-3))
         (Array(0.00025, dtype=float64), Array(0.00325, dtype=float64))
@@ -141,12 +144,15 @@ def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial
     return jax.tree_util.Partial(_neck_thickness, hole, web)
 
 
-def _neck_thickness(hole: Scalar, web: Scalar, position: Scalar) -> Scalar:
+@elementwise
+def _neck_thickness(hole: Scalar, web: Scalar, position: Numbers) -> Numbers:
     """Compute the thickness of a neck at a position along its axis; all in m."""
+    xp, (hole, web, position) = on_host(hole, web, position)
     square = hole**2 - (2 * position) ** 2
     # Rounding may put the ends outside, where the square root has no derivative.
     inside = square > 0
-    return web + hole - jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
+    root = xp.where(inside, xp.sqrt(xp.where(inside, square, 1.0)), 0.0)
+    return as_float(web + hole - root)
 
 
 def notch_outline(

@@ -4,7 +4,10 @@ import jax.numpy as jnp
 
 from .._utils.types import BatchScalar, NumberLike, Scalar, WrenchLike
 from .._utils.validation import require_positive, require_row
+from ..energies.stress_model import Strengths
+from ..geometry.twistors import Displacement
 from .beam_solution import BeamSolution
+from .stress_models import SectionStress
 
 
 def largest_stress(solution: BeamSolution) -> BatchScalar:
@@ -71,13 +74,13 @@ def leaf_stress(
         >>> leaf_stress(wrench, length=10e-3, thickness=1e-3, width=5e-3)
         Array(6000000., dtype=float64)
     """
-    moment, axial, transverse = jnp.abs(
-        require_row("`wrench`", wrench, "(moment, force 1, force 2)")
+    model = SectionStress.of_leaf(
+        Strengths(),
+        require_positive("`length`", length),
+        require_positive("`thickness`", thickness),
+        require_positive("`width`", width),
     )
-    thickness = require_positive("`thickness`", thickness)
-    width = require_positive("`width`", width)
-    end_moment = moment + transverse * require_positive("`length`", length) / 2
-    return 6 * end_moment / (width * thickness**2) + axial / (width * thickness)
+    return _largest(model, wrench)
 
 
 def notch_stress(
@@ -116,28 +119,19 @@ def notch_stress(
         >>> notch_stress((moment, 0.0, 0.0), hole=3e-3, web=0.25e-3, width=0.02)
         Array(49568906.12688149, dtype=float64)
     """
-    moment, axial, _ = jnp.abs(
-        require_row("`wrench`", wrench, "(moment, force 1, force 2)")
+    model = SectionStress.of_notch(
+        Strengths(),
+        require_positive("`hole`", hole),
+        require_positive("`web`", web),
+        require_positive("`width`", width),
     )
-    web, width = require_positive("`web`", web), require_positive("`width`", width)
-    bending, tension = _concentration_factors(web / require_positive("`hole`", hole))
-    return bending * 6 * moment / (width * web**2) + tension * axial / (width * web)
+    return _largest(model, wrench)
 
 
-def _concentration_factors(ratio: Scalar) -> tuple[Scalar, Scalar]:
-    """Compute the stress concentration factors of a neck in bending and in tension.
-
-    The ratio is half the thickness of the neck over the radius of its surface. A factor
-    is the largest stress over that of a beam.
-    """
-    root = jnp.sqrt(ratio)
-    angle = jnp.arctan(root)
-    # The bending factor is a quotient of small differences for a thin neck, where its
-    # series is used instead.
-    thin = ratio < 1e-3
-    safe = jnp.where(thin, 1.0, ratio)
-    x = jnp.sqrt(safe)
-    bending = 4 * safe * x / (3 * (x + (safe - 1) * jnp.arctan(x)))
-    bending = jnp.where(thin, 1 + 2 / 5 * ratio - 17 / 175 * ratio**2, bending)
-    tension = 2 * (ratio + 1) * root / ((ratio + 1) * angle + root)
-    return bending, tension
+def _largest(model: SectionStress, wrench: WrenchLike) -> Scalar:
+    """Compute the largest magnitude of the stress under a wrench (N m, N, N); Pa."""
+    values = require_row("`wrench`", wrench, "(moment, force 1, force 2)")
+    moment, axial, transverse = values
+    displacement = Displacement.from_pose(jnp.zeros(3))
+    stresses = model.surface_stresses(displacement, (moment, axial, transverse))
+    return jnp.max(jnp.abs(stresses))

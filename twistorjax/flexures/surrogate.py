@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -35,6 +36,7 @@ from .mechanism_surrogate import (
     sample_mechanism,
 )
 from .samples import least_squares, relative_errors, sample_beam, SAMPLES, Samples
+from .stress_models import BeamStress
 
 
 _ORDERS = (4, 6, 8, 10)
@@ -148,8 +150,13 @@ def _beam_surrogate(
     symmetry = _symmetry(beam)
     middle = beam.profile(jnp.zeros(()))
     samples = sample_beam(beam, rotation, force)
+
+    def fit(order: int) -> WithValidityRange:
+        energy = _fit(_powers(order, symmetry), beam.length, rotation, samples)
+        return replace(energy, stress_model=BeamStress.of(beam))
+
     if all_concrete([middle, rotation, *jax.tree.leaves(samples)]) is None:
-        return _fit(_powers(order or 6, symmetry), beam.length, rotation, samples)
+        return fit(order or 6)
     limits = (
         f"a rotation of {float(rotation):.4g} rad and a force of "
         f"{float(samples.force):.4g} N"
@@ -171,10 +178,6 @@ def _beam_surrogate(
             "some rotations. A beam in compression buckles between its ends at about "
             f"10 E I / L^2. {advice}."
         )
-
-    def fit(order: int) -> WithValidityRange:
-        return _fit(_powers(order, symmetry), beam.length, rotation, samples)
-
     return _lowest_order(fit, order, error, limits, advice)
 
 

@@ -1,6 +1,6 @@
 """JSON files of energies, from which a fitted hinge can be read again."""
 
-import dataclasses
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,10 @@ from ..energies.one_freedom import OneFreedomEnergy
 from ..energies.point_charges import PointCharges
 from ..energies.polynomial import Polynomial, Rational, SumOfSquares
 from ..energies.quadratic import Quadratic
+from ..energies.stress_model import AbstractStressModel, Strengths
 from ..energies.validity import WithValidityRange
 from ..flexures.condensed import Condensed
+from ..flexures.stress_models import BeamStress, SectionStress
 from ..mechanism.sub_mechanism import SubMechanism
 
 
@@ -36,6 +38,9 @@ _CLASSES = {
         Scaled,
     )
 }
+
+
+_STRESS_MODELS = {model.__name__: model for model in (SectionStress, BeamStress)}
 
 
 def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
@@ -107,19 +112,55 @@ def energy_record(energy: AbstractEnergy) -> dict[str, Any]:
     def content(value: Any) -> Any:
         if isinstance(value, AbstractEnergy):
             return energy_record(value)
+        if isinstance(value, AbstractStressModel):
+            return _stress_record(value)
         if isinstance(value, SubMechanism):
             return _mechanisms().sub_mechanism_record(value)
         return [content(part) for part in value] if isinstance(value, tuple) else value
 
     record: dict[str, Any] = {"kind": name}
     try:
-        for field in dataclasses.fields(energy):
+        for field in fields(energy):
             record[field.name] = content(getattr(energy, field.name))
     except RecursionError:
         raise ValueError(
             "The energy cannot be saved, because it has too many nested sums."
         ) from None
     return record
+
+
+def _stress_record(model: AbstractStressModel) -> dict[str, Any]:
+    """Return the content of the record of a stress model, for `write_record`.
+
+    Raises:
+        ValueError: The model is of another class.
+    """
+    name = type(model).__name__
+    if _STRESS_MODELS.get(name) is not type(model):
+        raise ValueError(
+            f"A stress model of the class {name} cannot be saved. Classes that can be "
+            f"saved are {', '.join(_STRESS_MODELS)}."
+        )
+
+    values = {field.name: getattr(model, field.name) for field in fields(model)}
+    return {"kind": name, **values, "strengths": model.strengths._asdict()}
+
+
+def _stress_from_record(record: Any) -> AbstractStressModel:
+    """Create a stress model from its record."""
+
+    def to_argument(value: Any) -> Any:
+        if value is None or isinstance(value, str):
+            return value
+        if hasattr(value, "__struct_fields__"):
+            return Strengths(**arguments(value))
+        return jnp.asarray(value, float)
+
+    def arguments(record: Any) -> dict[str, Any]:
+        names = record.__struct_fields__
+        return {name: to_argument(getattr(record, name)) for name in names}
+
+    return _STRESS_MODELS[type(record).__name__](**arguments(record))
 
 
 def _mechanisms():
@@ -141,6 +182,8 @@ def energy_from_record(record: Any, entry: str) -> AbstractEnergy:
             return _mechanisms().sub_mechanism_from_record(value, f"{entry}.part")
         if value is None:
             return None
+        if name == "stress_model":
+            return _stress_from_record(value)
         if hasattr(value, "__struct_fields__"):  # the record of an energy
             return energy_from_record(value, f"{entry}.{name}")
         if name == "parts":

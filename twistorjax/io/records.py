@@ -11,7 +11,7 @@ imports msgspec.
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, Literal
 
 import msgspec
 import numpy as np
@@ -28,9 +28,10 @@ from .._utils.validation import shorten
 from ..energies.polynomial import LARGEST_POWER
 
 
-VERSION = 4
-# Version 2 has neither misfits nor expansions, and version 3 no sub-mechanisms.
-_READABLE_VERSIONS = (2, 3, VERSION)
+VERSION = 5
+# Version 2 has neither misfits nor expansions, version 3 no sub-mechanisms, and version 4
+# no stress models.
+_READABLE_VERSIONS = (2, 3, 4, VERSION)
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -38,10 +39,44 @@ Matrix = tuple[Triple, Triple, Triple]
 Power = Annotated[int, Meta(ge=0, le=LARGEST_POWER)]
 Powers = list[list[Power]]
 Corners = Annotated[list[Pair], Meta(min_length=3)]
+Sections = Annotated[list[float], Meta(min_length=201, max_length=201)]
 
 
 class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base class of all objects in a file. Fields without a default are required."""
+
+
+class Strengths(_Record, frozen=True):
+    static: float | None
+    ultimate: float | None
+    endurance: float | None
+
+
+class _StressRecord(_Record, frozen=True, tag_field="kind", tag=True):
+    """Base class of stress models. The field `kind` holds the name of the class."""
+
+
+class SectionStress(_StressRecord, frozen=True):
+    arm: float
+    thickness: float
+    width: float
+    ratio: float
+    strengths: Strengths
+
+
+class BeamStress(_StressRecord, frozen=True):
+    thickness: Sections
+    curvature: Sections | None
+    length: float
+    width: float
+    modulus: float
+    bending_factor: float
+    shear_ratio: float | None
+    strengths: Strengths
+    law: Literal["linear", "saint-venant-kirchhoff"]
+
+
+StressModel = SectionStress | BeamStress
 
 
 class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
@@ -52,6 +87,7 @@ class Quadratic(_EnergyRecord, frozen=True):
     stiffness: Matrix
     coordinates: str
     flexure: bool = False
+    stress_model: StressModel | None = None
 
 
 class Polynomial(_EnergyRecord, frozen=True):
@@ -86,6 +122,7 @@ class MixedEnergy(_EnergyRecord, frozen=True):
     length: float
     force: float
     powers: Powers
+    stress_model: StressModel | None = None
 
 
 class WithValidityRange(_EnergyRecord, frozen=True):
@@ -94,6 +131,7 @@ class WithValidityRange(_EnergyRecord, frozen=True):
     force: float
     error: Triple
     displacement: float | None = None
+    stress_model: StressModel | None = None
 
 
 class OneFreedomEnergy(_EnergyRecord, frozen=True):
@@ -308,8 +346,9 @@ def _message(original: str, content: Any, kind: str) -> str:
         # The name of an unknown field can look like a path.
         keys, problem = [], original
     name = f"the entry `{entry_name([kind, *keys])}`"
-    if keys and keys[-1] == "kind":  # Only energies have this field.
-        kinds = ", ".join(record.__name__ for record in get_args(Energy))
+    if keys and keys[-1] == "kind":  # of an energy or a stress model
+        records = StressModel if keys[-2] == "stress_model" else Energy
+        kinds = ", ".join(record.__name__ for record in get_args(records))
         return f"{name} is {describe_value(value)}, but must be one of {kinds}."
     if match := _TYPE.fullmatch(problem):
         return f"{name} is {describe_value(value)}, but must be {_expected(match)}."

@@ -136,7 +136,7 @@ class HingeAssembly(eqx.Module):
             return energy.stored_energy(mid_frame(first, second, axis).displacement)
 
         parts = [
-            jnp.sum(self._map(stored_energy, group, displacements))
+            jnp.sum(self.map_members(stored_energy, group, displacements))
             for group in self.groups
         ]
         return sum(parts, start=jnp.zeros(()))
@@ -176,7 +176,7 @@ class HingeAssembly(eqx.Module):
 
         values = None
         for group in self.groups:
-            of_members = self._map(of_hinge, group, displacements)
+            of_members = self.map_members(of_hinge, group, displacements)
             if of_members is not None:
                 values = jnp.zeros(len(self.ends), dtype) if values is None else values
                 values = values.at[np.array(group.members)].max(of_members)
@@ -348,13 +348,13 @@ class HingeAssembly(eqx.Module):
         for group in self.groups:
             rows = slice(start, start + len(group.members))
             of_group = jax.tree.map(lambda values, rows=rows: values[rows], more)
-            parts.append(self._map(function, group, displacements, *of_group))
+            parts.append(self.map_members(function, group, displacements, *of_group))
             start = rows.stop
         if len(parts) == 1:
             return parts[0]
         return jax.tree.map(lambda *values: jnp.concatenate(values), *parts)
 
-    def _map(self, function, group: HingeGroup, displacements: Poses, *more):
+    def map_members(self, function, group: HingeGroup, displacements: Poses, *more):
         """Evaluate a function of one hinge for all members of a group."""
         members = np.array(group.members)
         first, second = np.array(self.ends)[members].T

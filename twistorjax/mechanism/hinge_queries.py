@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, on_host
 from .._utils.types import Pose, Poses, PosesOrResult, Scalar, Wrench
@@ -22,6 +23,10 @@ from .hinge_kinematics import Misfit
 
 if TYPE_CHECKING:
     from .mechanism import Mechanism
+
+
+# Function of the hinges and of the displacements of the bodies; rad, m, m
+HingeFunction = TypeAliasType("HingeFunction", Callable[[HingeAssembly, Poses], Array])
 
 
 class HingeQueries(eqx.Module):
@@ -60,7 +65,7 @@ class HingeQueries(eqx.Module):
         def pose(hinges: HingeAssembly, displacements: Poses) -> Pose:
             return _hinge_pose(hinges, row, displacements)
 
-        return self._of_hinge(at, pose)
+        return self.of_hinges(at, pose)
 
     def wrench_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch 3"]:
         """Compute the wrench that body B exerts on a hinge, about frame b, in its axes.
@@ -94,7 +99,7 @@ class HingeQueries(eqx.Module):
             pose = _hinge_pose(hinges, row, displacements, of_frames=False)
             return se2.transform_wrench(frame, wrench(pose))
 
-        return self._of_hinge(at, about_frame_b)
+        return self.of_hinges(at, about_frame_b)
 
     def energy_of(self, hinge: str, at: PosesOrResult) -> Float[Array, "*batch"]:
         """Compute the energy that is stored in a hinge.
@@ -116,7 +121,7 @@ class HingeQueries(eqx.Module):
             energy = hinges.energy_of(row)
             return energy(_hinge_pose(hinges, row, displacements, of_frames=False))
 
-        return self._of_hinge(at, stored)
+        return self.of_hinges(at, stored)
 
     def misfit_of(self, hinge: str) -> Pose | None:
         """Return the displacement at which a hinge is not loaded.
@@ -141,12 +146,20 @@ class HingeQueries(eqx.Module):
         y1, y2 = d1 - cos * gap1, d2 - cos * gap2
         return as_float(xp.stack([angle, cos * y1 - sin * y2, cos * y2 + sin * y1]))
 
-    def _of_hinge(
-        self, at: PosesOrResult, function: Callable[[HingeAssembly, Poses], Array]
+    def of_hinges(
+        self, at: PosesOrResult, function: HingeFunction
     ) -> Float[Array, "..."]:
-        """Evaluate a function of hinges and displacements, or of a batch of them.
+        """Evaluate a function of the hinges at a solution, or at each one of a batch.
 
-        The hinges have the strokes and the temperatures of a solution.
+        The hinges have the strokes and the temperatures of the solution.
+
+        Args:
+            at: Equilibrium, motion, or poses of the bodies; rad, m, m.
+            function: Function of the hinges and the displacements of the bodies; rad, m,
+                m.
+
+        Returns:
+            The values, with the axes of the batch in front.
         """
         displacements = self.displacements(at, "at")
         batch = displacements.shape[:-2]

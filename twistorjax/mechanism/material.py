@@ -7,6 +7,7 @@ import equinox as eqx
 from .._utils.host import concrete
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_finite, require_interval, require_positive
+from ..energies.stress_model import Strengths
 
 
 class Material(eqx.Module):
@@ -18,10 +19,17 @@ class Material(eqx.Module):
         density: Density, which is only needed for masses; kg/m3.
         expansion: Coefficient of thermal expansion, which is only needed for changes of
             temperature; 1/K.
+        strength: Largest allowable stress under static loads: the yield strength, or the
+            fracture strength of a brittle material. If it is given, `equilibrium` and
+            `path` report the stresses of the hinges; Pa.
+        ultimate_strength: Ultimate tensile strength, for `fatigue`; Pa.
+        endurance_limit: Largest amplitude of a stress that alternates about zero, for
+            infinite life, for `fatigue`; Pa.
 
     Raises:
-        ValueError: The modulus or the density is not positive, Poisson's ratio is not
-            between -1 and 0.5, or the coefficient of expansion is not finite.
+        ValueError: The modulus, the density, or a strength is not positive, Poisson's
+            ratio is not between -1 and 0.5, or the coefficient of expansion is not
+            finite.
 
     Example:
         >>> aluminum = Material(modulus=69e9, poisson=0.33)
@@ -33,6 +41,7 @@ class Material(eqx.Module):
     poisson: Scalar
     density: Scalar | None
     expansion: Scalar | None
+    strengths: Strengths
 
     def __init__(
         self,
@@ -40,6 +49,9 @@ class Material(eqx.Module):
         poisson: NumberLike,
         density: NumberLike | None = None,
         expansion: NumberLike | None = None,
+        strength: NumberLike | None = None,
+        ultimate_strength: NumberLike | None = None,
+        endurance_limit: NumberLike | None = None,
     ):
         self.modulus = require_positive("`modulus`", modulus)
         known = concrete(self.modulus)
@@ -56,6 +68,17 @@ class Material(eqx.Module):
         self.expansion = None
         if expansion is not None:
             self.expansion = require_finite("`expansion`", expansion)
+        given = {
+            "strength": strength,
+            "ultimate_strength": ultimate_strength,
+            "endurance_limit": endurance_limit,
+        }
+        self.strengths = Strengths(
+            *(
+                None if value is None else require_positive(f"`{name}`", value)
+                for name, value in given.items()
+            )
+        )
 
     @property
     def shear_modulus(self) -> Scalar:

@@ -27,5 +27,6 @@ from .port_motion import port_motion as port_motion, PortMotion as PortMotion
 from .progress import ProgressBar as ProgressBar
 from .results import result_names as result_names, RESULTS as RESULTS
 from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium
+from .stresses import Stresses as Stresses, stresses as stresses
 from .tables import Column as Column
 from .vibrations import Vibrations as Vibrations, vibrations as vibrations

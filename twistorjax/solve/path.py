@@ -217,7 +217,12 @@ def _first_points(found: Path, count: int) -> Path:
         return {name: take_rows(getattr(source, name), slice(rows)) for name in names}
 
     points = replace(points, **first(points, of_criticals, int(points.count)))
-    return replace(found, critical_points=points, **first(found, names, count))
+    stresses = found.stresses
+    if stresses is not None:
+        stresses = replace(stresses, **first(stresses, ("largest",), count))
+    return replace(
+        found, critical_points=points, stresses=stresses, **first(found, names, count)
+    )
 
 
 def _checked(found: Path, system: PathSystem) -> Path:

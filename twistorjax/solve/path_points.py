@@ -13,6 +13,7 @@ from .continuation import determinant_sign, Metric
 from .factorization import null_space
 from .path_system import PathSystem
 from .small_matrices import solve
+from .stresses import reported_stresses
 
 
 class PointValues(NamedTuple):
@@ -24,6 +25,7 @@ class PointValues(NamedTuple):
         reactions: Reactions on fixed and prescribed degrees of freedom; N m, N, N.
         constraint_forces: Constraint forces; N m, N.
         energy: Energy stored in the hinges; J.
+        stresses: Largest stress in each hinge, if a strength is known; Pa.
     """
 
     load_factor: Float[Array, "..."]
@@ -31,6 +33,7 @@ class PointValues(NamedTuple):
     reactions: Float[Array, "... bodies 3"]
     constraint_forces: Float[Array, "... entries"]
     energy: Float[Array, "..."]
+    stresses: Float[Array, "... hinges"] | None
 
 
 def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointValues:
@@ -44,6 +47,7 @@ def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointV
             equations.reactions(displacements, multipliers),
             multipliers,
             equations.hinges.energy(displacements),
+            reported_stresses(equations.hinges, displacements),
         )
 
     return jax.vmap(one)(points)

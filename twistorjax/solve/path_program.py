@@ -34,6 +34,7 @@ from .path_setup import FirstPoint
 from .path_start import start_at, start_on_branch
 from .path_system import PathSystem
 from .results import RESULTS
+from .stresses import select_stresses
 
 
 # Condition for the end of a path: a function whose change of sign ends it
@@ -138,6 +139,10 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     modes = null_vectors(fixed, metric, jax.lax.stop_gradient(at))
     modes = jax.vmap(lambda mode: system.dofs.expand(mode[:free], no_change))(modes)
     length = fixed.length()
+    stresses = None
+    if masked.stresses is not None:
+        hinges, names = mechanism.hinge_assembly, mechanism.hinge_names
+        stresses = select_stresses(hinges, masked.stresses, names)
     return Path(
         load_factors=masked.load_factor,
         displacements=masked.displacements,
@@ -163,6 +168,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
         result=path_result(trace),
         names=mechanism.names,
         constraint_names=system.constraints.names(),
+        stresses=stresses,
     )
 
 

@@ -11,6 +11,7 @@ from .._utils.host import all_concrete, concrete
 from .._utils.types import Flag, Pose, Poses, Scalar
 from .._utils.validation import index_of
 from .results import count_results, PoseSolution, result_names, RESULTS
+from .stresses import Stresses
 from .tables import Column, Columns
 
 
@@ -184,6 +185,8 @@ class Path(PoseSolution):
         result: Reason of the end of the path; `result_names` returns its name.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
+        stresses: Stresses in the hinges at each point, if the `strength` of a material is
+            given.
     """
 
     load_factors: Float[Array, "*batch points"]
@@ -199,6 +202,7 @@ class Path(PoseSolution):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+    stresses: Stresses | None = None
 
     @property
     def stable(self) -> Bool[Array, "*batch points"]:
@@ -207,8 +211,10 @@ class Path(PoseSolution):
 
     def columns(self) -> Columns:
         axes = ("point",)
+        stresses = {} if self.stresses is None else self.stresses.columns(*axes)
         return {
             **self._body_columns(*axes),
+            **stresses,
             "load_factor": Column(self.load_factors, axes, "1"),
             "energy": Column(self.energies, axes, "J"),
             "negative_eigenvalues": Column(self.negative_eigenvalues, axes, "1"),

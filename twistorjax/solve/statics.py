@@ -32,6 +32,7 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
+from .stresses import report_stresses, reported_hinges, Stresses
 from .system import System
 from .tables import Column, Columns
 
@@ -67,6 +68,7 @@ class Equilibrium(PoseSolution):
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
         strokes: Strokes of all hinges in a linear response to strokes; rad, m, m.
+        stresses: Stresses in the hinges, if the `strength` of a material is given.
     """
 
     displacements: Poses
@@ -82,10 +84,12 @@ class Equilibrium(PoseSolution):
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
     strokes: Float[Array, "*batch hinges 3"] | None = None
+    stresses: Stresses | None = None
 
     def columns(self) -> Columns:
         energy = Column(self.energy, (), "J")
-        return {**self._body_columns(), "energy": energy}
+        stresses = {} if self.stresses is None else self.stresses.columns()
+        return {**self._body_columns(), "energy": energy, **stresses}
 
     def __repr__(self) -> str:
         names = result_names(self.result)
@@ -101,6 +105,8 @@ class Equilibrium(PoseSolution):
         )
         if np.isfinite(energy):
             title += f", {float(energy):.6g} J in the hinges"
+        if self.stresses is not None:
+            title += f"\n{self.stresses.summary()}"
         return self._listed(title, "body", displacements)
 
 
@@ -197,7 +203,7 @@ def equilibrium(
         program_input(tolerance, float),
         program_input(max_steps, int),
         dofs=dofs,
-        names=mechanism.names,
+        names=(mechanism.names, reported_hinges(mechanism)),
     )
     if not throw:
         return solution
@@ -255,7 +261,7 @@ def _solve_uncompiled(
     max_steps: Count,
     *,
     dofs: DofPartition,
-    names: tuple[str, ...],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> Equilibrium:
     """Compute the equilibrium; see `equilibrium`."""
     system = System(
@@ -307,8 +313,9 @@ def _solve_uncompiled(
         steps=solution.steps,
         range_shares=hinges.range_shares(solution.displacements),
         result=result,
-        names=names,
+        names=names[0],
         constraint_names=constraints.names(),
+        stresses=report_stresses(hinges, displacements, names[1], valid),
     )
 
 

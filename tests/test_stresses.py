@@ -1,0 +1,174 @@
+"""Stresses in hinges whose dimensions are known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistorjax as tj
+from twistorjax import flexures
+
+
+STEEL = tj.Material(modulus=210e9, poisson=0.3, expansion=12e-6, strength=400e6)
+SIZES = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
+LEAF = flexures.leaf(STEEL, **SIZES)
+PUSH = tj.Load("block", moment=0.04, force=(1.0, 0.5))
+
+
+def cantilever(energy, **settings):
+    """Return a block at the end of a flexure of 50 mm that is clamped at a wall."""
+    bodies = [tj.Body("wall"), tj.Body("block", (0.0, 25e-3, 0.0), 0.1, 1e-4)]
+    hinge = tj.Hinge("flexure", "wall", "block", energy, at=(0, 0, 0), **settings)
+    return tj.Mechanism(bodies, [hinge], fixed=["wall"])
+
+
+@pytest.fixture(scope="module")
+def surrogate():
+    return tj.surrogate(flexures.Beam(STEEL, **SIZES), rotation=0.6)
+
+
+def test_the_stress_of_a_leaf_is_that_at_its_clamped_end():
+    """The load is so small that the equations are those of the undeformed leaf."""
+    mechanism, small = cantilever(LEAF), 1e-5
+    moment, axial, transverse = 0.04 * small, 20.0 * small, 0.5 * small
+    load = tj.Load("block", moment=moment, force=(axial, transverse))
+    found = tj.stresses(mechanism, tj.equilibrium(mechanism, loads=[load]))
+    clamped = moment + transverse * SIZES["length"]
+    area = SIZES["width"] * SIZES["thickness"]
+    expected = 6 * clamped / (area * SIZES["thickness"]) + axial / area
+    np.testing.assert_allclose(found.of("flexure"), expected, rtol=1e-4)
+
+
+def test_the_stress_of_a_notch_is_notch_stress():
+    sizes = {"hole": 3e-3, "web": 0.25e-3, "width": 20e-3}
+    mechanism = cantilever(flexures.notch(STEEL, **sizes))
+    pushed = tj.equilibrium(mechanism, loads=[tj.Load("block", moment=0.01)])
+    expected = flexures.notch_stress(mechanism.wrench_of("flexure", pushed), **sizes)
+    np.testing.assert_allclose(pushed.stresses.of("flexure"), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("curvature", [None, 8.0], ids=["straight", "curved"])
+def test_the_stress_of_a_surrogate_is_that_of_the_deformed_beam(curvature):
+    """The oracle finds the load of the exact beam at the displacement of the hinge."""
+    beam = flexures.Beam(STEEL, **SIZES, curvature=curvature)
+    mechanism = cantilever(tj.surrogate(beam, rotation=0.3, force=30.0))
+    pushed = tj.equilibrium(mechanism, loads=[PUSH])
+    exact = flexures.beam_at_pose(beam, mechanism.displacement_of("flexure", pushed))
+    expected = flexures.largest_stress(exact)
+    assert float(expected) > 5e7
+    np.testing.assert_allclose(pushed.stresses.of("flexure"), expected, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("create", "profile", "sizes"),
+    [
+        (
+            flexures.filleted_leaf,
+            flexures.filleted_leaf_profile,
+            {"thickness": 0.5e-3, "fillet": 2e-3},
+        ),
+        (
+            flexures.elliptical_notch,
+            flexures.elliptical_notch_profile,
+            {"web": 0.5e-3, "depth": 4e-3},
+        ),
+    ],
+)
+def test_the_stress_of_a_contour_is_that_of_a_beam(create, profile, sizes):
+    length, width = 20e-3, 10e-3
+    mechanism = cantilever(create(STEEL, length=length, width=width, **sizes))
+    beam = flexures.Beam(
+        STEEL, length=length, width=width, thickness=profile(length=length, **sizes)
+    )
+    moment, axial, transverse = 1e-6, 5e-4, 1e-4
+    load = tj.Load("block", moment=moment, force=(axial, transverse))
+    found = tj.equilibrium(mechanism, loads=[load]).stresses.of("flexure")
+    about_frame = jnp.array([moment + 25e-3 * transverse, axial, transverse])
+    expected = flexures.largest_stress(flexures.beam_under_load(beam, about_frame))
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
+def test_flexures_in_parallel_share_the_wrench():
+    """Under twice the load, two equal leaves have the stress of one of them."""
+    one = tj.equilibrium(cantilever(LEAF), loads=[PUSH]).stresses
+    for energy in (2.0 * LEAF, LEAF + LEAF):
+        both = tj.equilibrium(cantilever(energy), loads=[PUSH, PUSH]).stresses
+        assert both.names == ("flexure",)
+        np.testing.assert_allclose(both.largest, one.largest, rtol=1e-9)
+
+
+def test_a_clamped_warm_leaf_has_the_thermal_stress():
+    expansion = tj.Expansion(STEEL, length=SIZES["length"])
+    bodies = [tj.Body("wall"), tj.Body("block", (0.0, 25e-3, 0.0))]
+    hinge = tj.Hinge("leaf", "wall", "block", LEAF, at=(0, 0, 0), expansion=expansion)
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall", "block"])
+    warm = mechanism.at_temperature(5.0)
+    found = tj.stresses(warm, warm.reference).of("leaf")
+    np.testing.assert_allclose(found, 210e9 * 12e-6 * 5.0, rtol=2e-4)
+
+
+def test_stresses_are_reported_if_a_strength_is_given():
+    pushed = tj.equilibrium(cantilever(LEAF), loads=[PUSH])
+    utilization = float(pushed.stresses.utilization[0])
+    assert "largest stress over strength: 0.364, 145.5 MPa in 'flexure'" in str(pushed)
+    assert float(pushed.stresses.safety_factor) == pytest.approx(1 / utilization)
+    table = pushed.to_xarray()
+    assert table.stress.attrs["units"] == "Pa" and list(table.hinge) == ["flexure"]
+    weak = tj.Material(modulus=210e9, poisson=0.3)
+    silent = cantilever(flexures.leaf(weak, **SIZES))
+    unknown = tj.equilibrium(silent, loads=[PUSH])
+    assert unknown.stresses is None
+    found = tj.stresses(silent, unknown)
+    assert str(found).splitlines()[1].split() == ["flexure", "145.5", "-"]
+
+
+def test_stresses_along_a_path_and_in_a_motion(surrogate):
+    mechanism = cantilever(surrogate)
+    path = tj.path(mechanism, loads=[PUSH], load_factors=(0.0, 1.0))
+    assert path.stresses.largest.shape == (len(path.load_factors), 1)
+    last = tj.equilibrium(mechanism, loads=[PUSH]).stresses
+    np.testing.assert_allclose(path.stresses.largest[-1], last.largest, rtol=1e-8)
+    at_points = tj.stresses(mechanism, path)
+    np.testing.assert_allclose(at_points.largest, path.stresses.largest, rtol=1e-9)
+    motion = tj.simulate(mechanism, [0.0, 1e-3, 2e-3], loads=[PUSH])
+    in_motion = tj.stresses(mechanism, motion)
+    assert in_motion.largest.shape == (3, 1) and float(in_motion.largest[0, 0]) == 0.0
+    assert np.all(np.diff(in_motion.largest[:, 0]) > 0)
+
+
+def test_derivatives_of_the_safety_factor(surrogate):
+    mechanism = cantilever(surrogate)
+
+    def safety(force):
+        load = tj.Load("block", moment=0.04, force=(20.0, force))
+        return tj.equilibrium(mechanism, loads=[load]).stresses.safety_factor
+
+    step = 1e-4
+    expected = (safety(0.5 + step) - safety(0.5 - step)) / (2 * step)
+    for derivative in (jax.grad(safety), jax.jacfwd(safety)):
+        np.testing.assert_allclose(derivative(0.5), expected, rtol=1e-6)
+    batch = jax.vmap(safety)(jnp.array([0.5, 0.6]))
+    np.testing.assert_allclose(batch, [safety(0.5), safety(0.6)], rtol=1e-10)
+
+
+def test_stresses_of_a_saved_mechanism(surrogate, tmp_path):
+    for energy in (LEAF, surrogate, flexures.quartic_leaf(STEEL, **SIZES)):
+        mechanism = cantilever(energy)
+        tj.io.save_mechanism(mechanism, tmp_path / "saved.json")
+        loaded = tj.io.load_mechanism(tmp_path / "saved.json")
+        before, after = (
+            tj.equilibrium(each, loads=[PUSH]).stresses for each in (mechanism, loaded)
+        )
+        np.testing.assert_array_equal(before.largest, after.largest)
+        np.testing.assert_array_equal(before.strength, after.strength)
+
+
+def test_errors():
+    plain = cantilever(tj.Quadratic(LEAF.stiffness))
+    with pytest.raises(ValueError, match="The stress is not known in any hinge"):
+        tj.stresses(plain, plain.reference)
+    known = tj.equilibrium(cantilever(LEAF), loads=[PUSH]).stresses
+    with pytest.raises(ValueError, match="names the hinge 'flexur', but the hinges are"):
+        known.of("flexur")
+    with pytest.raises(ValueError, match="`endurance_limit` is -1"):
+        tj.Material(modulus=210e9, poisson=0.3, endurance_limit=-1.0)

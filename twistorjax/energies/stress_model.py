@@ -1,0 +1,93 @@
+"""Stress in a flexure as a function of its displacement and its wrench."""
+
+from abc import abstractmethod
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._utils.types import Scalar
+from ..geometry.twistors import Displacement
+from .base import AbstractEnergy, AbstractWrapper
+
+
+# Moment, axial force, and transverse force in the mid-frame; N m, N, N
+MidWrench = tuple[Scalar, Scalar, Scalar]
+
+
+class Strengths(NamedTuple):
+    """Strengths of a material; None if they are not given.
+
+    Args:
+        static: Largest allowable stress under static loads: the yield strength, or the
+            fracture strength of a brittle material; Pa.
+        ultimate: Ultimate tensile strength; Pa.
+        endurance: Endurance limit: largest amplitude of a stress that alternates about
+            zero, for infinite life; Pa.
+    """
+
+    static: Scalar | None = None
+    ultimate: Scalar | None = None
+    endurance: Scalar | None = None
+
+
+class AbstractStressModel(eqx.Module):
+    """Normal stress at some points of the surface of a flexure."""
+
+    strengths: eqx.AbstractVar[Strengths]
+
+    @abstractmethod
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, " points"]:
+        """Compute the normal stress at points of the surface.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+            wrench: Moment about the point halfway between the two frames, axial force,
+                and transverse force, in the mid-frame; N m, N, N.
+
+        Returns:
+            The stress, positive in tension, always at the same points; Pa.
+        """
+
+    @abstractmethod
+    def dilated(self, scale: Float[Array, "*batch"]) -> "AbstractStressModel":
+        """Return the model if all dimensions of the flexure are multiplied.
+
+        Args:
+            scale: The factor; one for each model if the models are stacked.
+        """
+
+
+def stress_model(energy: AbstractEnergy) -> AbstractStressModel | None:
+    """Return the stress model of an energy, or of the energy that it wraps.
+
+    An energy of a flexure has it as the field or property `stress_model`. A sum has none;
+    its terms are treated as hinges in parallel.
+    """
+    inner: Any = energy
+    while (model := getattr(inner, "stress_model", None)) is None:
+        if not isinstance(inner, AbstractWrapper):
+            return None
+        inner = inner.energy
+    return model
+
+
+def surface_stresses(
+    energy: AbstractEnergy, displacement: Displacement, wrench: MidWrench
+) -> Float[Array, " points"]:
+    """Compute the normal stress at points of the surface of a flexure; Pa.
+
+    The energy has a stress model. A multiple of an energy is that of several equal
+    flexures in parallel, each of which carries its share of the wrench (N m, N, N).
+    """
+    inner: Any = energy
+    while (model := getattr(inner, "stress_model", None)) is None:
+        if inner.multiple is not None:
+            share = jnp.where(inner.multiple > 0, 1 / inner.multiple, 0.0)
+            moment, axial, transverse = wrench
+            wrench = share * moment, share * axial, share * transverse
+        inner = inner.energy
+    return model.surface_stresses(displacement, wrench)

@@ -1,0 +1,293 @@
+"""Stress models of flexures: linear leaves and notches, and exact beams."""
+
+from operator import attrgetter
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.host import as_float, on_host
+from .._utils.types import NumberLike, Pose, Scalar, Wrench
+from ..energies.stress_model import AbstractStressModel, MidWrench, Strengths
+from ..geometry import se2
+from ..geometry.twistors import Displacement
+from .beam import Beam, Law, values_along
+from .cross_section import CrossSection, section_strains, shear_ratio, Strains
+
+
+# Positions along the axis over the length, at equal steps of a parameter. They are denser
+# at the ends, where the outline of a notch is steep.
+_PARAMETERS = np.linspace(-np.pi / 2, np.pi / 2, 201)
+_POSITIONS = np.sin(_PARAMETERS) / 2
+_RATES = np.cos(_PARAMETERS) / 2
+# Axes of the fields of cross-sections that differ in their heights only
+_ALONG = CrossSection._make((0, None, None, None))
+
+
+class SectionStress(AbstractStressModel):
+    """Stress in a straight leaf at its ends, or in a notch at its thinnest section.
+
+    The stress is that of linear bending and tension under the wrench of the hinge, times
+    the stress concentration factors of the curved surface of a notch.
+
+    Args:
+        arm: Distance from the middle to the section; zero for a notch; m.
+        thickness: In-plane thickness of the section; m.
+        width: Out-of-plane width; m.
+        ratio: Half the thickness over the radius of the surface; zero for a leaf.
+        strengths: Strengths of the material.
+
+    Source:
+        Stress concentration factors of deep hyperbolic notches: Neuber,
+        Kerbspannungslehre (1937).
+    """
+
+    arm: Scalar
+    thickness: Scalar
+    width: Scalar
+    ratio: Scalar
+    strengths: Strengths
+
+    @classmethod
+    def of_leaf(
+        cls,
+        strengths: Strengths,
+        length: NumberLike,
+        thickness: NumberLike,
+        width: NumberLike,
+    ) -> "SectionStress":
+        """Create the model of a leaf; m."""
+        _, (length, thickness, width) = on_host(length, thickness, width)
+        return cls(
+            arm=as_float(length / 2),
+            thickness=as_float(thickness),
+            width=as_float(width),
+            ratio=as_float(np.zeros(np.shape(length))),
+            strengths=strengths,
+        )
+
+    @classmethod
+    def of_notch(
+        cls, strengths: Strengths, hole: NumberLike, web: NumberLike, width: NumberLike
+    ) -> "SectionStress":
+        """Create the model of a notch; m."""
+        _, (hole, web, width) = on_host(hole, web, width)
+        return cls(
+            arm=as_float(np.zeros(np.shape(web))),
+            thickness=as_float(web),
+            width=as_float(width),
+            ratio=as_float(web / hole),
+            strengths=strengths,
+        )
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, "4"]:
+        """Compute the stress on both sides of the sections at both ends; Pa."""
+        del displacement  # The equations are those of the undeformed flexure.
+        moment, axial, transverse = wrench
+        bending_factor, tension_factor = _concentration_factors(self.ratio)
+        area = self.width * self.thickness
+        tension = tension_factor * axial / area
+        modulus = area * self.thickness / 6
+        stresses = []
+        for arm in (-self.arm, self.arm):
+            bending = bending_factor * (moment - arm * transverse) / modulus
+            stresses += [tension - bending, tension + bending]
+        return jnp.stack(stresses)
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        _, (scale, arm, thickness, width, ratio) = on_host(
+            scale, self.arm, self.thickness, self.width, self.ratio
+        )
+        new = scale * arm, scale * thickness, scale * width, 0 * scale + ratio
+        fields = attrgetter("arm", "thickness", "width", "ratio")
+        return eqx.tree_at(fields, self, tuple(map(as_float, new)))
+
+
+def _concentration_factors(ratio: Scalar) -> tuple[Scalar, Scalar]:
+    """Compute the stress concentration factors of a neck in bending and in tension.
+
+    The ratio is half the thickness of the neck over the radius of its surface. A factor
+    is the largest stress over that of a beam.
+    """
+    # The factors are quotients of small differences for a thin neck, where their series
+    # are used instead.
+    thin = ratio < 1e-3
+    safe = jnp.where(thin, 1.0, ratio)
+    root = jnp.sqrt(safe)
+    angle = jnp.arctan(root)
+    bending = 4 * safe * root / (3 * (root + (safe - 1) * angle))
+    bending = jnp.where(thin, 1 + 2 / 5 * ratio - 17 / 175 * ratio**2, bending)
+    tension = 2 * (safe + 1) * root / ((safe + 1) * angle + root)
+    tension = jnp.where(thin, 1 + 2 / 3 * ratio - 7 / 45 * ratio**2, tension)
+    return bending, tension
+
+
+class BeamStress(AbstractStressModel):
+    """Stress in the outermost fibers of the cross-sections of a beam.
+
+    The moments are those in the deformed beam, for any displacement. The wrench is that
+    of the energy, so the stress of a surrogate has about the error of its wrench. Stress
+    concentrations at notches, fillets, and sharp corners are not included.
+
+    Args:
+        thickness: Thickness at positions that are denser at the ends; m.
+        curvature: Curvature of the undeformed beam at these positions; None if it is
+            straight; 1/m.
+        length: Length; m.
+        width: Out-of-plane width; m.
+        modulus: Young's modulus; Pa.
+        bending_factor: Factor of the bending stiffness.
+        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
+            None to neglect shear deformation.
+        strengths: Strengths of the material.
+        law: Constitutive law; see `Beam`.
+
+    Source:
+        Reissner, On one-dimensional finite-strain beam theory: the plane problem, ZAMP
+        23, 1972.
+    """
+
+    thickness: Float[Array, " sections"]
+    curvature: Float[Array, " sections"] | None
+    length: Scalar
+    width: Scalar
+    modulus: Scalar
+    bending_factor: Scalar
+    shear_ratio: Scalar | None
+    strengths: Strengths
+    law: Law = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, beam: Beam) -> "BeamStress":
+        """Create the model of a beam."""
+        _, (length,) = on_host(beam.length)
+        positions, curvature = length * _POSITIONS, None
+        if beam.curvature is not None:
+            curvature = values_along(beam.curvature, positions)
+        material = beam.material
+        return cls(
+            thickness=values_along(beam.profile, positions),
+            curvature=curvature,
+            length=beam.length,
+            width=beam.width,
+            modulus=material.modulus,
+            bending_factor=beam.bending_factor,
+            shear_ratio=shear_ratio(beam),
+            strengths=material.strengths,
+            law=beam.law,
+        )
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, "402"]:
+        """Compute the stress on both sides of each cross-section; Pa."""
+        height = self.thickness / self.length
+        middle = height[len(height) // 2]
+        area = self.modulus * self.width * self.length * middle
+        unit = self.bending_factor * area * middle**2 / 12  # of the forces; N
+        moment, axial, transverse = wrench
+        # The load about frame a, from that about the point halfway between the frames
+        cos, sin = displacement.sigma, displacement.xi
+        x, y = displacement.x1 / self.length, displacement.x2 / self.length
+        force_1, force_2 = axial / unit, transverse / unit
+        load = jnp.stack(
+            [
+                moment / (unit * self.length) + x * force_2 - y * force_1,
+                cos * force_1 - sin * force_2,
+                sin * force_1 + cos * force_2,
+            ]
+        )
+        sections = CrossSection(
+            height / middle, middle, self.bending_factor, self.shear_ratio
+        )
+        start = self._first_end(sections)
+        states = self._integrate(sections, load, start)
+        stretch, shear, curvature = jax.vmap(
+            lambda section, state: self._strains(section, load, state)[1],
+            in_axes=(_ALONG, 0),
+        )(sections, states)
+        bending = height / 2 * curvature
+        strain = jnp.stack([stretch - bending, stretch + bending])
+        if self.law == "saint-venant-kirchhoff":
+            strain = strain + (strain**2 + shear[None] ** 2) / 2
+        return self.modulus * strain.reshape(-1)
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        fields = ["thickness", "length", "width"]
+        _, (scale, thickness, length, width) = on_host(
+            scale, self.thickness, self.length, self.width
+        )
+        along = np.ones(len(_POSITIONS))
+        new = [scale[..., None] * along * thickness, scale * length, scale * width]
+        if self.curvature is not None:
+            _, (inverse, curvature) = on_host(1 / scale, self.curvature)
+            fields.append("curvature")
+            new.append(inverse[..., None] * along * curvature)
+        return eqx.tree_at(attrgetter(*fields), self, tuple(map(as_float, new)))
+
+    def _strains(
+        self, section: CrossSection, load: Wrench, pose: Pose
+    ) -> tuple[tuple[Scalar, Scalar], Strains]:
+        """Compute cosine and sine of the angle, and the strains of a cross-section.
+
+        All arguments are dimensionless.
+        """
+        moment = load[0] - (pose[1] * load[2] - pose[2] * load[1])
+        cos, sin = jnp.cos(pose[0]), jnp.sin(pose[0])
+        axial, shear = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
+        strains, _ = section_strains(section, self.law, (axial, shear, moment))
+        return (cos, sin), strains
+
+    def _integrate(
+        self, sections: CrossSection, load: Wrench, start: Pose
+    ) -> Float[Array, "sections 3"]:
+        """Compute the poses of all cross-sections, dimensionless.
+
+        A step of the method of Runge and Kutta goes from one section to the next but one.
+        The pose of the section between them is the mean of both.
+        """
+        initial = jnp.zeros_like(self.thickness)
+        if self.curvature is not None:
+            initial = self.length * self.curvature
+        step = 2 * (_PARAMETERS[1] - _PARAMETERS[0])
+        values = sections.height, initial, jnp.asarray(_RATES)
+
+        def derivative(pose: Pose, at: tuple[Scalar, Scalar, Scalar]) -> Pose:
+            height, initial, rate = at
+            section = sections._replace(height=height)
+            (cos, sin), (stretch, shear, curvature) = self._strains(section, load, pose)
+            x_rate = cos * (1 + stretch) - sin * shear
+            y_rate = sin * (1 + stretch) + cos * shear
+            return rate * jnp.stack([curvature + initial, x_rate, y_rate])
+
+        def advance(pose: Pose, at: tuple[Any, Any, Any]) -> tuple[Pose, Pose]:
+            first, middle, last = at
+            k1 = derivative(pose, first)
+            k2 = derivative(pose + step / 2 * k1, middle)
+            k3 = derivative(pose + step / 2 * k2, middle)
+            k4 = derivative(pose + step * k3, last)
+            pose = pose + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            return pose, pose
+
+        first, middle, last = (
+            tuple(value[part] for value in values)
+            for part in (slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2))
+        )
+        _, even = jax.lax.scan(advance, start, (first, middle, last))
+        even = jnp.concatenate([start[None], even])
+        poses = jnp.zeros((len(_PARAMETERS), 3)).at[::2].set(even)
+        return poses.at[1::2].set((even[:-1] + even[1:]) / 2)
+
+    def _first_end(self, sections: CrossSection) -> Pose:
+        """Compute the pose of the first end, seen from the middle; dimensionless."""
+        if self.curvature is None:
+            return jnp.array([0.0, -0.5, 0.0])
+        poses = self._integrate(sections, jnp.zeros(3), jnp.zeros(3))
+        return se2.inverse(poses[len(poses) // 2])

@@ -1,0 +1,93 @@
+"""Stresses in the hinges of a mechanism whose dimensions are known."""
+
+from operator import attrgetter
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.types import Poses
+from ..energies.stress_model import stress_model, surface_stresses
+from . import hinge_forces
+from .hinge_assembly import HingeAssembly
+from .hinge_kinematics import mid_frame
+
+
+class MemberStresses(NamedTuple):
+    """Stresses in hinges of the same kind.
+
+    A hinge whose energy is a sum has a member for each term.
+
+    Args:
+        rows: Index of the hinge of each member.
+        values: Normal stress at points of the surface of each member; Pa.
+    """
+
+    rows: tuple[int, ...]
+    values: Float[Array, "members points"]
+
+
+def member_stresses(
+    hinges: HingeAssembly, displacements: Poses
+) -> tuple[MemberStresses, ...]:
+    """Compute the normal stress at points of the surfaces of all flexures.
+
+    Hinges whose dimensions are not known are left out.
+    """
+
+    def of_hinge(energy, damping, first, second, axis):
+        del damping
+        at = mid_frame(first, second, axis).displacement
+        wrench, _ = hinge_forces.gradient_and_hessian(energy, at)
+        return surface_stresses(energy, at, wrench)
+
+    return tuple(
+        MemberStresses(group.members, hinges.map_members(of_hinge, group, displacements))
+        for group in hinges.groups
+        if stress_model(group.energy) is not None
+    )
+
+
+def rows_with_stress(hinges: HingeAssembly) -> tuple[int, ...]:
+    """Return the indices of the hinges whose dimensions are known."""
+    rows = {
+        row
+        for group in hinges.groups
+        if stress_model(group.energy) is not None
+        for row in group.members
+    }
+    return tuple(sorted(rows))
+
+
+def largest_stresses(
+    hinges: HingeAssembly, displacements: Poses
+) -> Float[Array, " hinges"]:
+    """Compute the largest magnitude of the stress in each hinge (Pa), zero if unknown."""
+    largest = jnp.zeros(len(hinges.ends))
+    for rows, values in member_stresses(hinges, displacements):
+        largest = largest.at[np.array(rows)].max(jnp.max(jnp.abs(values), axis=1))
+    return largest
+
+
+def strengths(hinges: HingeAssembly, name: str) -> Float[Array, " hinges"] | None:
+    """Return one of the `Strengths` of the material of each hinge; Pa.
+
+    It is infinite for hinges without this strength; None if no hinge has it.
+    """
+    result = None
+    for group in hinges.groups:
+        model = stress_model(group.energy)
+        value = None if model is None else attrgetter(name)(model.strengths)
+        if value is not None:
+            result = jnp.full(len(hinges.ends), jnp.inf) if result is None else result
+            result = result.at[np.array(group.members)].min(value)
+    return result
+
+
+def has_strength(hinges: HingeAssembly) -> bool:
+    """Decide whether the strength of the material of a hinge is known."""
+    models = (stress_model(group.energy) for group in hinges.groups)
+    return any(
+        model is not None and model.strengths.static is not None for model in models
+    )

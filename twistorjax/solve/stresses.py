@@ -1,0 +1,179 @@
+"""Largest stress in each hinge of a mechanism, beside the strength of its material."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.host import all_concrete
+from .._utils.types import BatchScalar, Flag, Poses, PosesOrResult
+from .._utils.validation import index_of
+from ..mechanism.hinge_assembly import HingeAssembly
+from ..mechanism.hinge_stress import (
+    has_strength,
+    largest_stresses,
+    rows_with_stress,
+    strengths,
+)
+from ..mechanism.mechanism import Mechanism
+from .tables import Column, Columns, Tabular
+
+
+class Stresses(Tabular):
+    """Largest stress in each hinge whose dimensions are known.
+
+    Args:
+        largest: Largest magnitude of the normal stress in each hinge; Pa.
+        strength: Strength of the material of each hinge under static loads, infinite if
+            it is not given; Pa.
+        names: Names of the hinges.
+    """
+
+    largest: Float[Array, "*batch hinges"]
+    strength: Float[Array, "*#batch hinges"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def of(self, hinge: str) -> BatchScalar:
+        """Return the largest stress in a hinge.
+
+        Args:
+            hinge: Name of the hinge.
+
+        Returns:
+            The largest magnitude; Pa.
+
+        Raises:
+            ValueError: There is no such hinge, or its dimensions are not known.
+        """
+        return self.largest[..., index_of("`hinge`", "hinge", hinge, self.names)]
+
+    @property
+    def utilization(self) -> Float[Array, "*batch hinges"]:
+        """Largest stress over the strength; zero if the strength is not given."""
+        return self.largest / self.strength
+
+    @property
+    def safety_factor(self) -> BatchScalar:
+        """Smallest ratio of strength and stress of all hinges."""
+        return 1 / jnp.max(self.utilization, axis=-1)
+
+    def summary(self) -> str:
+        """Describe the largest utilization of a hinge in one line."""
+        utilization = np.asarray(self.utilization)
+        row = int(np.argmax(utilization))
+        stress = float(self.largest[row]) / 1e6
+        return (
+            f"largest stress over strength: {utilization[row]:.3g}, {stress:.4g} MPa in "
+            f"{self.names[row]!r}"
+        )
+
+    def columns(self, *axes: str) -> Columns:
+        labels = (("hinge", self.names),)
+        return {
+            "stress": Column(self.largest, (*axes, "hinge"), "Pa", labels),
+            "strength": Column(self.strength, ("hinge",), "Pa", labels),
+        }
+
+    def __repr__(self) -> str:
+        values = all_concrete([self.largest, self.strength])
+        if values is None or values[0].ndim > 1:
+            return eqx.tree_pformat(self)
+        largest, strength = values
+        width = max(map(len, ("hinge", *self.names)))
+        lines = [f"{'hinge':<{width}}  {'stress (MPa)':>12}  {'of the strength':>15}"]
+        for name, stress, limit in zip(self.names, largest, strength, strict=True):
+            share = f"{stress / limit:.3g}" if np.isfinite(limit) else "-"
+            lines.append(f"{name:<{width}}  {stress / 1e6:>12.4g}  {share:>15}")
+        if len(lines) > 21:
+            lines[11:-1] = [f"... {len(lines) - 12} more"]
+        return "\n".join(lines)
+
+
+def stresses(mechanism: Mechanism, at: PosesOrResult) -> Stresses:
+    """Compute the largest stress in each hinge of a mechanism.
+
+    The dimensions of a hinge are known if its energy was created by `flexures.leaf`,
+    `flexures.notch`, another function of `flexures`, or `surrogate` of a `Beam`. The
+    stress in a leaf or a notch is that of linear bending and tension under the wrench of
+    the hinge. The stress in a surrogate is that in the cross-sections of the deformed
+    beam. Only `flexures.notch` includes the stress concentration at the curved surface.
+    At fillets and sharp corners, and in necks that are as thick as long, the largest
+    stress needs finite elements.
+
+    Args:
+        mechanism: The mechanism.
+        at: Equilibrium, path, or motion of this mechanism, or poses of its bodies; rad,
+            m, m.
+
+    Returns:
+        The stresses, with an axis in front for the points of a path, the times of a
+        motion, or a batch of equilibria. They are differentiable.
+
+    Raises:
+        ValueError: The dimensions of no hinge are known, or the poses are not those of
+            the bodies.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> steel = tj.Material(modulus=210e9, poisson=0.3, strength=400e6)
+        >>> leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+        >>> hinge = tj.Hinge("leaf", "wall", "block", leaf, at=(0, 0, 0))
+        >>> bodies = [tj.Body("wall"), tj.Body("block")]
+        >>> mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+        >>> pushed = tj.equilibrium(mechanism, loads=[tj.Load("block", moment=0.05)])
+        >>> stresses(mechanism, pushed)
+        hinge  stress (MPa)  of the strength
+        leaf            120              0.3
+    """
+    rows = rows_with_stress(mechanism.hinge_assembly)
+    if not rows:
+        raise ValueError(
+            "The stress is not known in any hinge. Create the energies from dimensions, "
+            "by `flexures.leaf`, `flexures.notch`, or `surrogate` of a `flexures.Beam`."
+        )
+    largest = mechanism.of_hinges(at, _largest)
+    return select_stresses(mechanism.hinge_assembly, largest, mechanism.hinge_names)
+
+
+_largest = jax.jit(largest_stresses)
+
+
+def reported_stresses(
+    hinges: HingeAssembly, displacements: Poses
+) -> Float[Array, " hinges"] | None:
+    """Compute the largest stress in each hinge (Pa), if a strength is known."""
+    if not has_strength(hinges):
+        return None
+    return largest_stresses(hinges, displacements)
+
+
+def reported_hinges(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return the names of all hinges if a strength is known, or else none."""
+    known = has_strength(mechanism.hinge_assembly)
+    return mechanism.hinge_names if known else ()
+
+
+def report_stresses(
+    hinges: HingeAssembly, displacements: Poses, names: tuple[str, ...], valid: Flag
+) -> Stresses | None:
+    """Compute the stresses if names of hinges are reported; NaN if not valid."""
+    if not names:
+        return None
+    largest = jnp.where(valid, largest_stresses(hinges, displacements), jnp.nan)
+    return select_stresses(hinges, largest, names)
+
+
+def select_stresses(
+    hinges: HingeAssembly,
+    largest: Float[Array, "*batch all_hinges"],
+    names: tuple[str, ...],
+) -> Stresses:
+    """Select the hinges whose dimensions are known; stresses of all hinges in Pa."""
+    rows = rows_with_stress(hinges)
+    strength = strengths(hinges, "static")
+    known = jnp.full(len(rows), jnp.inf)
+    if strength is not None:
+        known = strength[np.array(rows)]
+    selected = tuple(names[row] for row in rows)
+    return Stresses(largest[..., np.array(rows)], known, selected)

@@ -51,6 +51,8 @@ from .solve import (
     path as path,
     port_compliance as port_compliance,
     port_motion as port_motion,
+    range_of_motion as range_of_motion,
+    RangeOfMotion as RangeOfMotion,
     result_names as result_names,
     RESULTS as RESULTS,
     simulate as simulate,

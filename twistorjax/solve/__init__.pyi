@@ -25,6 +25,10 @@ from .port_compliance import (
 )
 from .port_motion import port_motion as port_motion, PortMotion as PortMotion
 from .progress import ProgressBar as ProgressBar
+from .range_of_motion import (
+    range_of_motion as range_of_motion,
+    RangeOfMotion as RangeOfMotion,
+)
 from .results import result_names as result_names, RESULTS as RESULTS
 from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium
 from .stresses import Stresses as Stresses, stresses as stresses

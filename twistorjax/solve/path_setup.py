@@ -114,7 +114,7 @@ def assemble_path(
             mode=start.mode,
         )
     else:
-        begin = _first_displacements(
+        begin = first_displacements(
             mechanism, drives, changes, constant_loads, constraints, start, time
         )
         first = regular_point(begin, jnp.zeros(()), direction)
@@ -155,7 +155,7 @@ def _multiplied(values: Any, factor: Scalar) -> Any:
     return jax.tree.map(lambda value: factor * jnp.asarray(value, float), values)
 
 
-def _first_displacements(
+def first_displacements(
     mechanism: Mechanism,
     drives: Sequence[Drive],
     changes: HingeChanges | None,

@@ -29,6 +29,8 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     * Paths end as `successful` at a limit of the load factor, `event_occurred`,
       `returned_to_start`, `max_points_reached`, `out_of_range`, `path_interrupted`,
       `not_finite`, or `unstable` if a body can move without any resistance.
+    * Ends of a range of motion end as `successful`, `stress_exceeded`,
+      `stress_not_reached`, or as paths.
     * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,
       `out_of_range`, `step_too_long`, `step_too_short`, or `solver_failed`. If they
       cannot start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,
@@ -125,6 +127,15 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
         "branches may meet at one point, as in a mechanism with several symmetries, or "
         "an energy may not be smooth. Break the symmetry by a small load, or use smooth "
         "energies."
+    )
+
+    stress_exceeded = (
+        "Without the input, the stress in a hinge already exceeds its allowable stress. "
+        "Reduce the constant loads or the misfits, or allow a larger stress."
+    )
+    stress_not_reached = (
+        "The input does not change the stress in any hinge with an allowable stress, or "
+        "the stress stays below it for all inputs. Give another input."
     )
 
 

@@ -249,7 +249,7 @@ def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> 
     return displacements
 
 
-def _solve_uncompiled(
+def solve_equilibrium(
     hinges: HingeAssembly,
     reference: Poses,
     start_displacements: Poses | None,
@@ -319,8 +319,8 @@ def _solve_uncompiled(
     )
 
 
-_solve = fast_compile(_solve_uncompiled, jit=jax.jit, static_argnames=("dofs", "names"))
-_solve_with_functions = fast_compile(_solve_uncompiled)
+_solve = fast_compile(solve_equilibrium, jit=jax.jit, static_argnames=("dofs", "names"))
+_solve_with_functions = fast_compile(solve_equilibrium)
 
 
 def describe_free_motions(

@@ -51,7 +51,10 @@ class Stresses(Tabular):
     @property
     def utilization(self) -> Float[Array, "*batch hinges"]:
         """Largest stress over the strength; zero if the strength is not given."""
-        return self.largest / self.strength
+        *batch, hinges = self.strength.shape
+        new_axes = (self.largest.ndim - self.strength.ndim) * (1,)
+        strength = self.strength.reshape(*batch, *new_axes, hinges)
+        return self.largest / jnp.broadcast_to(strength, self.largest.shape)
 
     @property
     def safety_factor(self) -> BatchScalar:

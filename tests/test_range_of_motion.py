@@ -1,0 +1,185 @@
+"""Ranges of motion that are limited by stress or by stability."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistorjax as tj
+from twistorjax import flexures
+from twistorjax.examples import stage
+
+
+STEEL = tj.Material(modulus=210e9, poisson=0.3)
+SIZES = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
+ALLOWABLE = 300e6
+
+
+def cantilever(energy, **fixed):
+    """Return a block at the end of a flexure of 50 mm that is clamped at a wall."""
+    bodies = [tj.Body("wall"), tj.Body("block", (0.0, 25e-3, 0.0))]
+    hinge = tj.Hinge("flexure", "wall", "block", energy, at=(0, 0, 0))
+    return tj.Mechanism(bodies, [hinge], fixed=["wall"], **fixed)
+
+
+def leaf(thickness=SIZES["thickness"]):
+    return flexures.leaf(STEEL, **{**SIZES, "thickness": thickness})
+
+
+def test_the_range_in_pure_bending(validated):
+    """A leaf is bent to an arc, up to the rotation 2 stress length / (E thickness).
+
+    The leaves of a cross-spring pivot are bent to arcs at small rotations only. At 300
+    MPa they carry forces as well, and the range is 11 % smaller.
+    """
+    beam = flexures.Beam(STEEL, **SIZES)
+    energy = tj.surrogate(beam, rotation=0.4)
+    arc = 2 * ALLOWABLE * SIZES["length"] / (210e9 * SIZES["thickness"])
+    found = tj.range_of_motion(
+        cantilever(energy), loads=[tj.Load("block", moment=0.01)], stress=ALLOWABLE
+    )
+    rotations = found.displacement("block")[:, 0]
+    np.testing.assert_allclose(rotations, [-arc, arc], rtol=1e-3)
+    what = "leaf under a moment, largest rotation at 300 MPa (rad)"
+    validated("Stresses", what, float(rotations[1]), arc, "arc, 2 σ L / (E t)")
+    pivot = flexures.cross_spring_pivot(beam, energy)
+    turn = tj.Drive(pivot.second, angle=0.1)
+    for stress, ratio in ((ALLOWABLE / 100, 1.0), (ALLOWABLE, 0.8916)):
+        found = tj.range_of_motion(pivot.mechanism, drives=[turn], stress=stress)
+        expected = ratio * arc * stress / ALLOWABLE
+        rotations = found.displacement(pivot.second)[:, 0]
+        np.testing.assert_allclose(rotations, [-expected, expected], rtol=2e-3)
+    leaf = pivot.mechanism.hinge_names[0]
+    pose = pivot.mechanism.displacement_of(
+        leaf, found.displacements[1] + pivot.mechanism.reference
+    )
+    exact = flexures.largest_stress(flexures.beam_at_pose(beam, pose))
+    np.testing.assert_allclose(exact, ALLOWABLE, rtol=1e-3)
+
+
+def test_the_stresses_of_the_stage_are_those_of_its_notches():
+    mechanism = stage.microstage()
+    moved = tj.equilibrium(mechanism, drives=[tj.Drive("6", x=1.35e-6)])
+    found = tj.stresses(mechanism, moved)
+    assert found.names == tuple("abcdefg")
+    web = {name: 0.25e-3 for name in found.names}
+    for name in found.names:
+        expected = flexures.notch_stress(
+            mechanism.wrench_of(name, moved), hole=3e-3, web=web[name], width=20e-3
+        )
+        np.testing.assert_allclose(found.of(name), expected, rtol=2e-3)
+
+
+def test_a_constant_moment_shifts_the_range_of_a_leaf():
+    """Under moments only, stress and rotation are proportional to the moment."""
+    largest = ALLOWABLE * SIZES["width"] * SIZES["thickness"] ** 2 / 6
+    found = tj.range_of_motion(
+        cantilever(leaf()),
+        loads=[tj.Load("block", moment=0.01)],
+        constant_loads=[tj.Load("block", moment=0.3 * largest)],
+        stress={"flexure": ALLOWABLE},
+    )
+    expected = np.array([-1.3, 0.7]) * largest / 0.01
+    np.testing.assert_allclose(found.factors, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.stresses.largest[:, 0], ALLOWABLE, rtol=1e-9)
+    halved = tj.range_of_motion(
+        cantilever(leaf()),
+        loads=[tj.Load("block", moment=0.01)],
+        stress=ALLOWABLE,
+        safety_factor=2.0,
+    )
+    expected = np.array([-0.5, 0.5]) * largest / 0.01
+    np.testing.assert_allclose(halved.factors, expected, rtol=1e-9)
+
+
+def test_a_column_ends_where_it_buckles():
+    """In tension the stress limits the range, in compression the stability."""
+    mechanism = cantilever(flexures.quartic_leaf(STEEL, **SIZES))
+    pull = tj.Load("block", force=(1.0, 0.0))
+    found = tj.range_of_motion(mechanism, loads=[pull], stress=ALLOWABLE)
+    push = tj.Load("block", force=(-1.0, 0.0))
+    path = tj.path(mechanism, loads=[push], load_factors=(0.0, 30.0))
+    critical = path.critical_points.load_factors[0]
+    np.testing.assert_array_equal(found.by_stress, [False, True])
+    np.testing.assert_allclose(-found.factors[0], critical, rtol=2e-6)
+    area = SIZES["width"] * SIZES["thickness"]
+    np.testing.assert_allclose(found.factors[1], ALLOWABLE * area, rtol=1e-9)
+    backward, forward = str(found).splitlines()[1:]
+    assert backward.endswith("stability") and forward.endswith("stress in 'flexure'")
+
+
+def test_the_stroke_of_an_actuator_against_a_leaf():
+    """The actuator is much stiffer than the leaf, so the block moves by its stroke."""
+    stiff = tj.Quadratic(np.diag([1e6, 1e9, 1e9]))
+    bodies = [tj.Body("wall"), tj.Body("block", (0.0, 25e-3, 0.0))]
+    hinges = [
+        tj.Hinge("flexure", "wall", "block", leaf(), at=(0, 0, 0)),
+        tj.Hinge("actuator", "wall", "block", stiff, at=(0, 25e-3, 0)),
+    ]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["wall"])
+    stroke = {"actuator": (0.0, 0.0, 1e-4)}
+    found = tj.range_of_motion(mechanism, strokes=stroke, stress=ALLOWABLE)
+    at_end = tj.equilibrium(
+        mechanism.with_strokes({"actuator": (0.0, 0.0, 1e-4 * found.factors[1])})
+    )
+    stress = tj.stresses(mechanism, found.displacements[1] + mechanism.reference)
+    np.testing.assert_allclose(stress.of("flexure"), ALLOWABLE, rtol=1e-6)
+    np.testing.assert_allclose(found.displacements[1], at_end.displacements, atol=1e-12)
+
+
+def test_derivatives_of_the_range():
+    def far(thickness, stress):
+        energy = flexures.quartic_leaf(STEEL, **{**SIZES, "thickness": thickness})
+        found = tj.range_of_motion(
+            cantilever(energy), loads=[tj.Load("block", force=(0.3, 1.0))], stress=stress
+        )
+        return jnp.concatenate([found.factors, found.displacement("block")[1]])
+
+    at = SIZES["thickness"], ALLOWABLE
+    forward = jax.jacfwd(far, argnums=(0, 1))(*at)
+    reverse = jax.jacrev(far, argnums=(0, 1))(*at)
+    for k, scale in enumerate((1e-8, 1e3)):
+        step = np.eye(2)[k] * scale
+        difference = (far(*np.add(at, step)) - far(*np.subtract(at, step))) / (2 * scale)
+        np.testing.assert_allclose(forward[k], difference, rtol=2e-5)
+        np.testing.assert_allclose(reverse[k], forward[k], rtol=1e-9)
+
+
+def test_a_batch_of_ranges():
+    def factor(thickness):
+        mechanism = cantilever(leaf(thickness))
+        drive = tj.Drive("block", angle=0.01, x=0.0, y=2.5e-4)
+        return tj.range_of_motion(mechanism, drives=[drive], stress=ALLOWABLE).factors
+
+    thicknesses = np.array([0.3e-3, 0.5e-3, 0.7e-3])
+    batch = jax.vmap(factor)(thicknesses)
+    single = [factor(thickness) for thickness in thicknesses]
+    np.testing.assert_allclose(batch, single, rtol=1e-9)
+
+
+def test_failures_are_reported():
+    mechanism = cantilever(leaf())
+    bend = tj.Load("block", moment=0.01)
+    with pytest.raises(ValueError, match="The input is empty"):
+        tj.range_of_motion(mechanism, stress=ALLOWABLE)
+    with pytest.raises(ValueError, match="No allowable stress is known"):
+        tj.range_of_motion(mechanism, loads=[bend])
+    with pytest.raises(ValueError, match="`stress` of the hinge 'flexure' is -1"):
+        tj.range_of_motion(mechanism, loads=[bend], stress=-1.0)
+    with pytest.raises(
+        ValueError, match="names the hinge 'leaf', but the hinges are 'flexure'"
+    ):
+        tj.range_of_motion(mechanism, loads=[bend], stress={"leaf": 1e6})
+    weight = tj.Load("block", moment=0.15)
+    with pytest.raises(RuntimeError, match="Without the input, the stress in a hinge"):
+        tj.range_of_motion(
+            mechanism, loads=[bend], constant_loads=[weight], stress=ALLOWABLE
+        )
+    base = tj.Load("wall", moment=0.01)
+    with pytest.raises(RuntimeError, match="The input does not change the stress"):
+        tj.range_of_motion(mechanism, loads=[base], stress=ALLOWABLE)
+    limited = cantilever(tj.surrogate(flexures.Beam(STEEL, **SIZES), rotation=0.05))
+    with pytest.raises(RuntimeError, match=r"backward end .* validity range"):
+        tj.range_of_motion(limited, loads=[bend], stress=ALLOWABLE)
+    failed = tj.range_of_motion(limited, loads=[bend], stress=ALLOWABLE, throw=False)
+    assert not np.any(failed.succeeded) and "out_of_range" in str(failed)

@@ -1,0 +1,256 @@
+"""Range of motion of a mechanism: how far its input may go until a stress is reached."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from typing_extensions import TypeAliasType
+
+from .._utils.host import all_concrete, as_float
+from .._utils.types import BatchFlag, NumberLike, PoseLike
+from .._utils.validation import index_of, require_float64, require_positive
+from ..mechanism.constraints import (
+    AbstractConstraint,
+    gather_constraints,
+)
+from ..mechanism.hinge_stress import rows_with_stress, strengths
+from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
+from ..mechanism.mechanism import Mechanism
+from ..mechanism.misfits import stroke_rows
+from ..mechanism.support import require_support
+from .dofs import DofPartition
+from .path_setup import first_displacements
+from .range_search import find_ends, RangeInput
+from .results import (
+    count_results,
+    PoseSolution,
+    result_message,
+    result_names,
+    RESULTS,
+    succeeded_or_raise,
+)
+from .statics import StateLike
+from .stresses import select_stresses, Stresses
+from .tables import Column, Columns
+
+
+_SIDES = ("backward", "forward")
+
+
+# One allowable stress, or one for each hinge by its name; Pa
+StressLimitLike = TypeAliasType("StressLimitLike", NumberLike | Mapping[str, NumberLike])
+
+
+class RangeOfMotion(PoseSolution):
+    """The two ends of the range of motion of a mechanism.
+
+    Arrays have two rows: the end that is reached with negative factors of the input, and
+    that with positive ones. An end is the equilibrium at which the first hinge reaches
+    its allowable stress, or the critical point at which the equilibrium becomes unstable
+    before.
+
+    Args:
+        factors: Factors of the input.
+        displacements: Displacement of each body from its reference pose; rad, m, m.
+        reference: Poses from which displacements are measured; rad, m, m.
+        reactions: External wrench on the fixed and prescribed degrees of freedom of each
+            body, about its origin and in world axes; N m, N, N.
+        constraint_forces: Constraint forces; N m, N.
+        stresses: Stresses in the hinges, beside their allowable stresses.
+        by_stress: Whether the stress limits the range; otherwise the stability.
+        result: `RESULTS.successful` or the reason of the failure; `result_names` returns
+            its name.
+        names: Names of the bodies.
+        constraint_names: Name of the constraint to which each scalar equation belongs.
+    """
+
+    factors: Float[Array, "*batch 2"]
+    displacements: Float[Array, "*batch 2 bodies 3"]
+    reference: Float[Array, "*batch bodies 3"]
+    reactions: Float[Array, "*batch 2 bodies 3"]
+    constraint_forces: Float[Array, "*batch 2 entries"]
+    stresses: Stresses
+    by_stress: Bool[Array, "*batch 2"]
+    result: RESULTS
+    names: tuple[str, ...] = eqx.field(static=True)
+    constraint_names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def succeeded(self) -> BatchFlag:
+        """Whether an end was found, one value for each side."""
+        return self.result == RESULTS.successful
+
+    def columns(self) -> Columns:
+        axes, labels = ("side",), (("side", _SIDES),)
+        return {
+            "factor": Column(self.factors, axes, "1", labels),
+            "by_stress": Column(self.by_stress, axes, "1"),
+            **self._body_columns(*axes),
+            **self.stresses.columns(*axes),
+        }
+
+    def __repr__(self) -> str:
+        names = result_names(self.result)
+        values = all_concrete([self.factors, self.by_stress, self.stresses.utilization])
+        if names is None or values is None:
+            return eqx.tree_pformat(self)
+        if names.ndim > 1:
+            return count_results("ends of ranges of motion", names)
+        lines = ["side      factor of the input  limit"]
+        for side, name, factor, by_stress, utilization in zip(
+            _SIDES, names, *values, strict=True
+        ):
+            hinge = self.stresses.names[int(np.argmax(utilization))]
+            limit = f"stress in {hinge!r}" if by_stress else "stability"
+            shown = limit if name == "successful" else name
+            lines.append(f"{side:<8}  {factor:>19.6g}  {shown}")
+        return "\n".join(lines)
+
+
+def range_of_motion(
+    mechanism: Mechanism,
+    *,
+    loads: Sequence[Load] = (),
+    drives: Sequence[Drive] = (),
+    strokes: Mapping[str, PoseLike] = MappingProxyType({}),
+    stress: StressLimitLike | None = None,
+    safety_factor: NumberLike = 1.0,
+    constant_loads: Sequence[Load] = (),
+    constraints: Sequence[AbstractConstraint] = (),
+    start: StateLike | None = None,
+    time: NumberLike = 0.0,
+    throw: bool = True,
+) -> RangeOfMotion:
+    """Compute how far an input may go until a hinge reaches its allowable stress.
+
+    The input is multiplied by negative and by positive factors. Displacements may be
+    large. The stresses are those of `stresses`, which explains their limits. If the
+    equilibrium becomes unstable before, the range ends there. The factors and the
+    displacements have derivatives of first order with respect to the mechanism, its
+    input, and the allowable stress.
+
+    Args:
+        mechanism: The mechanism.
+        loads: Loads of the input.
+        drives: Prescribed displacements of the input.
+        strokes: Strokes of actuators of the input, by the names of their hinges; see
+            `Mechanism.with_strokes`; rad, m, m.
+        stress: Allowable stress of all hinges, or of some hinges by name; by default the
+            `strength` of their material; Pa.
+        safety_factor: Number by which the allowable stresses are divided.
+        constant_loads: Loads that are not multiplied, such as weights.
+        constraints: Pins, sliders, and other constraints between the bodies.
+        start: Equilibrium without the input, from which the motion begins; by default the
+            one that is connected to the reference configuration.
+        time: Time at which time-dependent constraints are evaluated; s.
+        throw: Whether a failure raises an error; otherwise it is reported by `result`.
+
+    Returns:
+        Both ends of the range.
+
+    Raises:
+        ValueError: The input is empty, an allowable stress is missing or not positive, or
+            `path` would raise an error.
+        RuntimeError: A hinge leaves the validity range of its energy before a stress is
+            reached, the stress is exceeded without the input, the input does not change
+            any stress, or the equilibria cannot be followed.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> steel = tj.Material(modulus=210e9, poisson=0.3)
+        >>> leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+        >>> hinge = tj.Hinge("leaf", "wall", "block", leaf, at=(0, 0, 0))
+        >>> bodies = [tj.Body("wall"), tj.Body("block")]
+        >>> mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+        >>> moment = tj.Load("block", moment=0.05)
+        >>> range_of_motion(mechanism, loads=[moment], stress=300e6)
+        side      factor of the input  limit
+        backward                 -2.5  stress in 'leaf'
+        forward                   2.5  stress in 'leaf'
+    """
+    if not loads and not drives and not strokes:
+        raise ValueError("The input is empty. Give `loads`, `drives`, or `strokes`.")
+    require_float64(mechanism.reference)
+    allowable = _allowable(mechanism, stress) / as_float(
+        require_positive("`safety_factor`", safety_factor)
+    )
+    constraint_set = gather_constraints(mechanism, constraints)
+    require_support(mechanism, constraint_set.bodies)
+    prescribed, targets = prescribed_dofs(mechanism, drives)
+    dofs = DofPartition.of(mechanism, prescribed)
+    begin = first_displacements(
+        mechanism, drives, None, constant_loads, constraints, start, time
+    )
+    given = RangeInput(
+        hinges=mechanism.hinge_assembly,
+        reference=mechanism.reference,
+        loads=LoadSet.of(mechanism, loads),
+        constant_loads=LoadSet.of(mechanism, constant_loads),
+        constraints=constraint_set,
+        targets=targets,
+        strokes=stroke_rows(mechanism, strokes) if strokes else None,
+        time=as_float(time),
+        allowable=allowable,
+    )
+    ends = find_ends(given, begin, dofs=dofs)
+    hinges, solution = mechanism.hinge_assembly, ends.equilibrium
+    stresses = select_stresses(hinges, ends.stresses, mechanism.hinge_names)
+    rows = np.array(rows_with_stress(hinges), int)
+    found = RangeOfMotion(
+        factors=ends.factor,
+        displacements=solution.displacements,
+        reference=mechanism.reference,
+        reactions=solution.reactions,
+        constraint_forces=solution.constraint_forces,
+        stresses=replace(stresses, strength=allowable[rows]),
+        by_stress=ends.by_stress,
+        result=ends.result,
+        names=mechanism.names,
+        constraint_names=constraint_set.names(),
+    )
+    if not throw:
+        return found
+
+    def error(item: str, batch_index: tuple[int, ...]) -> Exception:
+        side = _SIDES[batch_index[-1]]
+        return RuntimeError(f"The {side} end was not found. {result_message(item)}")
+
+    return succeeded_or_raise(found, error)
+
+
+def _allowable(
+    mechanism: Mechanism, stress: StressLimitLike | None
+) -> Float[Array, " hinges"]:
+    """Return the allowable stress of each hinge, infinite if it is not limited; Pa.
+
+    Raises:
+        ValueError: There is none, it is not positive, or the dimensions of a hinge are
+            not known.
+    """
+    hinges, names = mechanism.hinge_assembly, mechanism.hinge_names
+    known = [names[row] for row in rows_with_stress(hinges)]
+    if stress is None:
+        given = strengths(hinges, "static")
+        if given is None:
+            raise ValueError(
+                "No allowable stress is known. Give `stress` (Pa), or the `strength` of "
+                "the `Material` of a flexure."
+            )
+        return given
+    if not isinstance(stress, Mapping):
+        stress = dict.fromkeys(known, stress)
+    limits = jnp.full(len(names), jnp.inf)
+    for name, value in stress.items():
+        index_of("`stress`", "hinge", name, known)
+        limit = require_positive(f"`stress` of the hinge {name!r}", value)
+        limits = limits.at[names.index(name)].set(limit)
+    if not known:
+        raise ValueError(
+            "The stress is not known in any hinge. Create the energies from dimensions, "
+            "by `flexures.leaf`, `flexures.notch`, or `surrogate` of a `flexures.Beam`."
+        )
+    return limits

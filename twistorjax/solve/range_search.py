@@ -1,0 +1,266 @@
+"""Search for the ends of a range of motion, and their derivatives."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._utils.compilation import fast_compile
+from .._utils.types import Count, Flag, Poses, Scalar
+from ..mechanism.constraints import ConstraintSet
+from ..mechanism.hinge_assembly import HingeAssembly
+from ..mechanism.hinge_stress import largest_stresses
+from ..mechanism.loads import LoadSet
+from .dofs import DofPartition
+from .results import is_success, RESULTS
+from .statics import Equilibrium, solve_equilibrium
+
+
+_TOLERANCE, _MOST_STEPS = 1e-10, 400  # of an equilibrium
+_MOST_EQUILIBRIA = 200
+_GROWTH = 8.0  # largest ratio of successive factors
+_PRECISION = 1e-10  # of the stress
+_STABILITY = 1e-6  # of the factor, if the range ends without reaching a stress
+_ROUNDING = 1e-15  # of the factor, if the precision of the stress cannot be reached
+
+
+class RangeInput(NamedTuple):
+    """An input of a mechanism, and what does not depend on it.
+
+    Args:
+        hinges: The hinges without strokes.
+        reference: Reference poses; rad, m, m.
+        loads: Loads of the input.
+        constant_loads: Loads that are not multiplied.
+        constraints: The constraints.
+        targets: Prescribed displacements of the input; rad, m.
+        strokes: Strokes of all hinges; None if there are none; rad, m, m.
+        time: Time at which the constraints are evaluated; s.
+        allowable: Allowable stress of each hinge; Pa.
+    """
+
+    hinges: HingeAssembly
+    reference: Poses
+    loads: LoadSet
+    constant_loads: LoadSet
+    constraints: ConstraintSet
+    targets: tuple[Scalar, ...]
+    strokes: Float[Array, "hinges 3"] | None
+    time: Scalar
+    allowable: Float[Array, " hinges"]
+
+    def at(
+        self, factor: Scalar, start: Poses, dofs: DofPartition
+    ) -> tuple[Equilibrium, Float[Array, " hinges"]]:
+        """Compute the equilibrium at a factor of the input, and the stresses; Pa.
+
+        The equilibrium is connected to that at the displacements `start`; rad, m, m.
+        """
+        hinges = self.hinges
+        if self.strokes is not None:
+            hinges = hinges.with_strokes(factor * self.strokes)
+        constant, loads = self.constant_loads, self.loads
+        loads = LoadSet(
+            factor * jnp.asarray(loads.sums) + jnp.asarray(constant.sums),
+            present=loads.present or constant.present,
+            conservative=loads.conservative and constant.conservative,
+        )
+        solution = solve_equilibrium(
+            hinges,
+            self.reference,
+            start,
+            loads,
+            self.constraints,
+            tuple(factor * target for target in self.targets),
+            self.time,
+            jnp.asarray(_TOLERANCE),
+            jnp.asarray(_MOST_STEPS),
+            dofs=dofs,
+            names=((), ()),
+        )
+        return solution, largest_stresses(hinges, solution.displacements)
+
+    def excess(self, stresses: Float[Array, " hinges"]) -> Scalar:
+        """Compute the largest ratio of stress and allowable stress, minus 1."""
+        return jnp.max(stresses / self.allowable) - 1
+
+
+class RangeEnd(NamedTuple):
+    """An end of the range of motion, or both of them.
+
+    Args:
+        factor: Factor of the input; NaN if no end was found.
+        equilibrium: Equilibrium at this factor.
+        stresses: Largest stress in each hinge; Pa.
+        by_stress: Whether an allowable stress is reached; otherwise the equilibrium
+            becomes unstable.
+        result: Reason of a failure.
+    """
+
+    factor: Float[Array, "..."]
+    equilibrium: Equilibrium
+    stresses: Float[Array, "... hinges"]
+    by_stress: Bool[Array, "..."]
+    result: RESULTS
+
+
+class _Search(NamedTuple):
+    """State of the search for an end.
+
+    Args:
+        lower: Largest factor at which no allowable stress is exceeded.
+        excess: Excess of the stress at this factor; see `RangeInput.excess`.
+        displacements: Displacements at this factor; rad, m, m.
+        slope: Derivative of the excess by the factor.
+        upper: Smallest factor beyond the end; infinite if there is none yet.
+        upper_excess: Excess at this factor; NaN if there is no equilibrium.
+        weights: Factors of the two excesses in the method of false position.
+        last: -1 if the lower end was replaced last, 1 if it was the upper one.
+        result: Reason why there is no equilibrium at the upper end.
+        equilibria: Number of equilibria that were computed.
+    """
+
+    lower: Scalar
+    excess: Scalar
+    displacements: Poses
+    slope: Scalar
+    upper: Scalar
+    upper_excess: Scalar
+    weights: Float[Array, "2"]
+    last: Count
+    result: RESULTS
+    equilibria: Count
+
+    def by_stress(self) -> Flag:
+        """Decide whether the stress at the lower end is the allowable one."""
+        return jnp.abs(self.excess) < _PRECISION
+
+    def next_factor(self) -> Scalar:
+        """Choose the next factor: by secant, by false position, or by bisection."""
+        linear = self.lower - self.excess / self.slope
+        forward = self.slope > 0
+        farthest = jnp.where(self.lower > 0, _GROWTH * self.lower, 1.0)
+        outward = jnp.where(forward, jnp.minimum(linear, farthest), farthest)
+        outward = jnp.where(self.lower > 0, outward, farthest)
+        middle = jnp.where(
+            self.lower > 0, (self.lower + self.upper) / 2, self.upper / _GROWTH
+        )
+        below = forward & (linear < self.upper) & (self.lower > 0)
+        inward = jnp.where(below, linear, middle)
+        first, second = self.weights * jnp.stack([self.excess, self.upper_excess])
+        width = self.upper - self.lower
+        false_position = self.lower - first * width / (second - first)
+        bracketed = jnp.where(jnp.isfinite(self.upper_excess), false_position, inward)
+        return jnp.where(jnp.isfinite(self.upper), bracketed, outward)
+
+
+@partial(fast_compile, jit=jax.jit, static_argnames=("dofs",))
+def find_ends(given: RangeInput, start: Poses, *, dofs: DofPartition) -> RangeEnd:
+    """Compute both ends of the range, with one more axis in front."""
+    return jax.vmap(lambda side: _end(given, start, side, dofs))(jnp.array([-1.0, 1.0]))
+
+
+def _end(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> RangeEnd:
+    """Compute the end on one side, -1 or 1; see `find_ends`."""
+    search = _find(*jax.lax.stop_gradient((given, start)), side, dofs)
+    found = search.by_stress()
+    factor = _with_derivative(
+        side * search.lower, given, search.displacements, found, dofs
+    )
+    solution, stresses = given.at(factor, search.displacements, dofs)
+    result = RESULTS.where(
+        jnp.isfinite(search.upper), RESULTS.successful, RESULTS.stress_not_reached
+    )
+    outside = search.result == RESULTS.out_of_range
+    result = RESULTS.where(outside & ~found, RESULTS.out_of_range, result)
+    result = RESULTS.where(found, RESULTS.successful, result)
+    exceeded = (search.lower == 0) & (search.excess > 0)
+    result = RESULTS.where(exceeded, RESULTS.stress_exceeded, result)
+    failed = result != RESULTS.successful
+    factor = jnp.where(failed, jnp.nan, factor)
+    stresses = jnp.where(failed, jnp.nan, stresses)
+    return RangeEnd(factor, solution, stresses, found, result)
+
+
+def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> _Search:
+    """Search for the end on one side."""
+    excess = given.excess(largest_stresses(given.hinges, start))
+    zero = jnp.zeros(())
+    state = _Search(
+        lower=zero,
+        excess=excess,
+        displacements=start,
+        slope=zero,
+        upper=zero + jnp.inf,
+        upper_excess=zero + jnp.nan,
+        weights=jnp.ones(2),
+        last=jnp.zeros((), int),
+        result=RESULTS.where(zero == 0, RESULTS.successful, RESULTS.unstable),
+        equilibria=jnp.zeros((), int),
+    )
+
+    def unfinished(search: _Search) -> Flag:
+        width = search.upper - search.lower
+        unstable = jnp.isnan(search.upper_excess)
+        narrow = width <= jnp.where(unstable, _STABILITY, _ROUNDING) * search.upper
+        narrow &= jnp.isfinite(search.upper)
+        ended = search.by_stress() | narrow | (search.equilibria >= _MOST_EQUILIBRIA)
+        return ~ended & ((search.lower > 0) | (search.excess < 0))
+
+    def improve(search: _Search) -> _Search:
+        factor = search.next_factor()
+        solution, stresses = given.at(side * factor, search.displacements, dofs)
+        excess = given.excess(stresses)
+        succeeded = is_success(solution.result) & jnp.isfinite(excess)
+        below = succeeded & ((excess <= 0) | (jnp.abs(excess) < _PRECISION))
+        # The method of Illinois: an end that is kept twice loses half of its weight.
+        weights = jnp.stack(
+            [
+                jnp.where(~below & (search.last == 1), search.weights[0] / 2, 1.0),
+                jnp.where(below & (search.last == -1), search.weights[1] / 2, 1.0),
+            ]
+        )
+        slope = (excess - search.excess) / (factor - search.lower)
+        reason = RESULTS.where(below, search.result, solution.result)
+        return _Search(
+            lower=jnp.where(below, factor, search.lower),
+            excess=jnp.where(below, excess, search.excess),
+            displacements=jnp.where(below, solution.displacements, search.displacements),
+            slope=jnp.where(succeeded, slope, search.slope),
+            upper=jnp.where(below, search.upper, factor),
+            upper_excess=jnp.where(below, search.upper_excess, excess),
+            weights=weights,
+            last=jnp.where(below, -1, 1),
+            result=reason,
+            equilibria=search.equilibria + 1,
+        )
+
+    return jax.lax.while_loop(unfinished, improve, state)
+
+
+@eqx.filter_custom_jvp
+def _with_derivative(
+    factor: Scalar, given: RangeInput, start: Poses, by_stress: Flag, dofs: DofPartition
+) -> Scalar:
+    """Return the factor of an end with a derivative, which is NaN if not `by_stress`."""
+    del given, start, by_stress, dofs
+    return factor
+
+
+@_with_derivative.def_jvp
+def _(primals, tangents):
+    # At the end, the excess of the stress is zero, also if the mechanism changes.
+    factor, given, start, by_stress, dofs = primals
+    _, change, *_ = tangents
+
+    def excess(factor: Scalar, given: RangeInput) -> Scalar:
+        _, stresses = given.at(factor, start, dofs)
+        return given.excess(stresses)
+
+    _, slope = jax.jvp(lambda value: excess(value, given), (factor,), (1 + 0 * factor,))
+    _, rate = eqx.filter_jvp(lambda value: excess(factor, value), (given,), (change,))
+    rate = jnp.zeros_like(slope) if rate is None else rate
+    return factor, jnp.where(by_stress, -rate / slope, jnp.nan)

@@ -1,5 +1,7 @@
 """Ranges of motion that are limited by stress or by stability."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from twistorjax.examples import stage
 
 
 STEEL = tj.Material(modulus=210e9, poisson=0.3)
-SIZES = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
+SIZES: dict[str, Any] = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
 ALLOWABLE = 300e6
 
 

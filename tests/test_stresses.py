@@ -1,5 +1,7 @@
 """Stresses in hinges whose dimensions are known."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,9 +12,15 @@ from twistorjax import flexures
 
 
 STEEL = tj.Material(modulus=210e9, poisson=0.3, expansion=12e-6, strength=400e6)
-SIZES = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
+SIZES: dict[str, Any] = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
 LEAF = flexures.leaf(STEEL, **SIZES)
 PUSH = tj.Load("block", moment=0.04, force=(1.0, 0.5))
+
+
+def reported(solution) -> tj.Stresses:
+    """Return the stresses that a solution reports."""
+    assert solution.stresses is not None
+    return solution.stresses
 
 
 def cantilever(energy, **settings):
@@ -40,11 +48,11 @@ def test_the_stress_of_a_leaf_is_that_at_its_clamped_end():
 
 
 def test_the_stress_of_a_notch_is_notch_stress():
-    sizes = {"hole": 3e-3, "web": 0.25e-3, "width": 20e-3}
+    sizes: dict[str, Any] = {"hole": 3e-3, "web": 0.25e-3, "width": 20e-3}
     mechanism = cantilever(flexures.notch(STEEL, **sizes))
     pushed = tj.equilibrium(mechanism, loads=[tj.Load("block", moment=0.01)])
     expected = flexures.notch_stress(mechanism.wrench_of("flexure", pushed), **sizes)
-    np.testing.assert_allclose(pushed.stresses.of("flexure"), expected, rtol=1e-6)
+    np.testing.assert_allclose(reported(pushed).of("flexure"), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("curvature", [None, 8.0], ids=["straight", "curved"])
@@ -56,7 +64,7 @@ def test_the_stress_of_a_surrogate_is_that_of_the_deformed_beam(curvature):
     exact = flexures.beam_at_pose(beam, mechanism.displacement_of("flexure", pushed))
     expected = flexures.largest_stress(exact)
     assert float(expected) > 5e7
-    np.testing.assert_allclose(pushed.stresses.of("flexure"), expected, rtol=2e-3)
+    np.testing.assert_allclose(reported(pushed).of("flexure"), expected, rtol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +90,7 @@ def test_the_stress_of_a_contour_is_that_of_a_beam(create, profile, sizes):
     )
     moment, axial, transverse = 1e-6, 5e-4, 1e-4
     load = tj.Load("block", moment=moment, force=(axial, transverse))
-    found = tj.equilibrium(mechanism, loads=[load]).stresses.of("flexure")
+    found = reported(tj.equilibrium(mechanism, loads=[load])).of("flexure")
     about_frame = jnp.array([moment + 25e-3 * transverse, axial, transverse])
     expected = flexures.largest_stress(flexures.beam_under_load(beam, about_frame))
     np.testing.assert_allclose(found, expected, rtol=1e-3)
@@ -90,9 +98,9 @@ def test_the_stress_of_a_contour_is_that_of_a_beam(create, profile, sizes):
 
 def test_flexures_in_parallel_share_the_wrench():
     """Under twice the load, two equal leaves have the stress of one of them."""
-    one = tj.equilibrium(cantilever(LEAF), loads=[PUSH]).stresses
+    one = reported(tj.equilibrium(cantilever(LEAF), loads=[PUSH]))
     for energy in (2.0 * LEAF, LEAF + LEAF):
-        both = tj.equilibrium(cantilever(energy), loads=[PUSH, PUSH]).stresses
+        both = reported(tj.equilibrium(cantilever(energy), loads=[PUSH, PUSH]))
         assert both.names == ("flexure",)
         np.testing.assert_allclose(both.largest, one.largest, rtol=1e-9)
 
@@ -109,9 +117,9 @@ def test_a_clamped_warm_leaf_has_the_thermal_stress():
 
 def test_stresses_are_reported_if_a_strength_is_given():
     pushed = tj.equilibrium(cantilever(LEAF), loads=[PUSH])
-    utilization = float(pushed.stresses.utilization[0])
+    utilization = float(reported(pushed).utilization[0])
     assert "largest stress over strength: 0.364, 145.5 MPa in 'flexure'" in str(pushed)
-    assert float(pushed.stresses.safety_factor) == pytest.approx(1 / utilization)
+    assert float(reported(pushed).safety_factor) == pytest.approx(1 / utilization)
     table = pushed.to_xarray()
     assert table.stress.attrs["units"] == "Pa" and list(table.hinge) == ["flexure"]
     weak = tj.Material(modulus=210e9, poisson=0.3)
@@ -125,11 +133,11 @@ def test_stresses_are_reported_if_a_strength_is_given():
 def test_stresses_along_a_path_and_in_a_motion(surrogate):
     mechanism = cantilever(surrogate)
     path = tj.path(mechanism, loads=[PUSH], load_factors=(0.0, 1.0))
-    assert path.stresses.largest.shape == (len(path.load_factors), 1)
-    last = tj.equilibrium(mechanism, loads=[PUSH]).stresses
-    np.testing.assert_allclose(path.stresses.largest[-1], last.largest, rtol=1e-8)
+    assert reported(path).largest.shape == (len(path.load_factors), 1)
+    last = reported(tj.equilibrium(mechanism, loads=[PUSH]))
+    np.testing.assert_allclose(reported(path).largest[-1], last.largest, rtol=1e-8)
     at_points = tj.stresses(mechanism, path)
-    np.testing.assert_allclose(at_points.largest, path.stresses.largest, rtol=1e-9)
+    np.testing.assert_allclose(at_points.largest, reported(path).largest, rtol=1e-9)
     motion = tj.simulate(mechanism, [0.0, 1e-3, 2e-3], loads=[PUSH])
     in_motion = tj.stresses(mechanism, motion)
     assert in_motion.largest.shape == (3, 1) and float(in_motion.largest[0, 0]) == 0.0
@@ -141,7 +149,7 @@ def test_derivatives_of_the_safety_factor(surrogate):
 
     def safety(force):
         load = tj.Load("block", moment=0.04, force=(20.0, force))
-        return tj.equilibrium(mechanism, loads=[load]).stresses.safety_factor
+        return reported(tj.equilibrium(mechanism, loads=[load])).safety_factor
 
     step = 1e-4
     expected = (safety(0.5 + step) - safety(0.5 - step)) / (2 * step)
@@ -157,7 +165,7 @@ def test_stresses_of_a_saved_mechanism(surrogate, tmp_path):
         tj.io.save_mechanism(mechanism, tmp_path / "saved.json")
         loaded = tj.io.load_mechanism(tmp_path / "saved.json")
         before, after = (
-            tj.equilibrium(each, loads=[PUSH]).stresses for each in (mechanism, loaded)
+            reported(tj.equilibrium(each, loads=[PUSH])) for each in (mechanism, loaded)
         )
         np.testing.assert_array_equal(before.largest, after.largest)
         np.testing.assert_array_equal(before.strength, after.strength)
@@ -167,8 +175,58 @@ def test_errors():
     plain = cantilever(tj.Quadratic(LEAF.stiffness))
     with pytest.raises(ValueError, match="The stress is not known in any hinge"):
         tj.stresses(plain, plain.reference)
-    known = tj.equilibrium(cantilever(LEAF), loads=[PUSH]).stresses
+    known = reported(tj.equilibrium(cantilever(LEAF), loads=[PUSH]))
     with pytest.raises(ValueError, match="names the hinge 'flexur', but the hinges are"):
         known.of("flexur")
     with pytest.raises(ValueError, match="`endurance_limit` is -1"):
         tj.Material(modulus=210e9, poisson=0.3, endurance_limit=-1.0)
+
+
+STRONG = tj.Material(
+    modulus=210e9, poisson=0.3, ultimate_strength=800e6, endurance_limit=300e6
+)
+
+
+def test_the_life_of_a_bent_leaf_follows_the_goodman_relation():
+    """A moment M gives the stress 6 M / (w t^2) on one side, and its opposite there."""
+    mechanism = cantilever(flexures.leaf(STRONG, **SIZES))
+    states = [
+        tj.equilibrium(mechanism, loads=[tj.Load("block", moment=moment)])
+        for moment in (0.05, 0.0, 0.15)
+    ]
+    found = tj.fatigue(mechanism, states)
+    per_moment = 6 / (SIZES["width"] * SIZES["thickness"] ** 2)
+    amplitude = mean = 0.075 * per_moment  # from zero to the largest moment
+    np.testing.assert_allclose(found.amplitude, [amplitude], rtol=1e-9)
+    np.testing.assert_allclose(found.mean, [mean], rtol=1e-9)
+    utilization = amplitude / 300e6 + mean / 800e6
+    np.testing.assert_allclose(found.utilization, [utilization], rtol=1e-9)
+    np.testing.assert_allclose(found.safety_factor, 1 / utilization, rtol=1e-9)
+    assert bool(found.infinite_life[0]) and "infinite" in str(found)
+    path = tj.path(
+        mechanism, loads=[tj.Load("block", moment=0.15)], load_factors=(0.0, 1.0)
+    )
+    along = tj.fatigue(mechanism, path)
+    np.testing.assert_allclose(along.utilization, found.utilization, rtol=1e-8)
+
+
+def test_a_compressive_mean_stress_does_not_prolong_the_life():
+    """The largest range of stress is on the side that is always in compression."""
+    mechanism = cantilever(flexures.leaf(STRONG, **SIZES))
+    squeezed = [
+        tj.equilibrium(mechanism, loads=[tj.Load("block", force=(force, 0.0))])
+        for force in (-4.0, -10.0)
+    ]
+    found = tj.fatigue(mechanism, squeezed)
+    area = SIZES["width"] * SIZES["thickness"]
+    np.testing.assert_allclose(found.mean, [-7.0 / area], rtol=1e-6)
+    np.testing.assert_allclose(found.utilization, [3.0 / area / 300e6], rtol=1e-6)
+
+
+def test_errors_of_fatigue():
+    mechanism = cantilever(LEAF)
+    with pytest.raises(ValueError, match="No material has an endurance limit"):
+        tj.fatigue(mechanism, [mechanism.reference] * 2)
+    strong = cantilever(flexures.leaf(STRONG, **SIZES))
+    with pytest.raises(ValueError, match="`cycle` has one state"):
+        tj.fatigue(strong, tj.equilibrium(strong))

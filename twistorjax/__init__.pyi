@@ -42,6 +42,8 @@ from .solve import (
     constraint_analysis as constraint_analysis,
     Equilibrium as Equilibrium,
     equilibrium as equilibrium,
+    Fatigue as Fatigue,
+    fatigue as fatigue,
     frequency_response as frequency_response,
     FrequencyResponse as FrequencyResponse,
     Linearization as Linearization,

@@ -1,11 +1,11 @@
 """Stresses in the hinges of a mechanism whose dimensions are known."""
 
-from operator import attrgetter
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._utils.types import Poses
 from ..energies.stress_model import stress_model, surface_stresses
@@ -49,15 +49,39 @@ def member_stresses(
     )
 
 
-def rows_with_stress(hinges: HingeAssembly) -> tuple[int, ...]:
-    """Return the indices of the hinges whose dimensions are known."""
-    rows = {
-        row
-        for group in hinges.groups
-        if stress_model(group.energy) is not None
-        for row in group.members
-    }
+def rows_with_stress(
+    hinges: HingeAssembly, strength: str | None = None
+) -> tuple[int, ...]:
+    """Return the indices of the hinges whose dimensions are known.
+
+    If the name of one of the `Strengths` is given, it must be known as well.
+    """
+    rows = set()
+    for group in hinges.groups:
+        model = stress_model(group.energy)
+        if model is None:
+            continue
+        if strength is None or getattr(model.strengths, strength) is not None:
+            rows |= set(group.members)
     return tuple(sorted(rows))
+
+
+def rows_of_points(hinges: HingeAssembly) -> Int[np.ndarray, " points"]:
+    """Return the index of the hinge of each point with a stress, in order."""
+
+    def values(displacements: Poses) -> list[Array]:
+        return [part.values for part in member_stresses(hinges, displacements)]
+
+    shapes = jax.eval_shape(values, jax.ShapeDtypeStruct((hinges.bodies, 3), float))
+    members = [
+        group.members for group in hinges.groups if stress_model(group.energy) is not None
+    ]
+    return np.concatenate(
+        [
+            np.repeat(rows, shape.shape[1])
+            for rows, shape in zip(members, shapes, strict=True)
+        ]
+    )
 
 
 def largest_stresses(
@@ -78,7 +102,7 @@ def strengths(hinges: HingeAssembly, name: str) -> Float[Array, " hinges"] | Non
     result = None
     for group in hinges.groups:
         model = stress_model(group.energy)
-        value = None if model is None else attrgetter(name)(model.strengths)
+        value = None if model is None else getattr(model.strengths, name)
         if value is not None:
             result = jnp.full(len(hinges.ends), jnp.inf) if result is None else result
             result = result.at[np.array(group.members)].min(value)

@@ -6,6 +6,7 @@ from .constraint_analysis import (
     ConstraintAnalysis as ConstraintAnalysis,
 )
 from .dynamics import simulate as simulate
+from .fatigue import Fatigue as Fatigue, fatigue as fatigue
 from .frequency_response import (
     frequency_response as frequency_response,
     FrequencyResponse as FrequencyResponse,

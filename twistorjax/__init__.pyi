@@ -58,6 +58,8 @@ from .solve import (
     result_names as result_names,
     RESULTS as RESULTS,
     simulate as simulate,
+    state_space as state_space,
+    StateSpace as StateSpace,
     Stresses as Stresses,
     stresses as stresses,
     Vibrations as Vibrations,

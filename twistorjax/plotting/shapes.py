@@ -230,10 +230,10 @@ def _zigzag(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:
     """Return a zigzag line between two points, straight near both of them; m."""
     side = second - first
     across = np.array([-side[1], side[0]]) / (np.hypot(*side) or 1.0)
-    place = np.concatenate([[0.0], np.linspace(0.2, 0.8, 2 * _WINDINGS + 1), [1.0]])
-    height = np.zeros(len(place))
+    along = np.concatenate([[0.0], np.linspace(0.2, 0.8, 2 * _WINDINGS + 1), [1.0]])
+    height = np.zeros(len(along))
     height[2:-2] = np.tile([1.0, -1.0], _WINDINGS)[: len(height) - 4]
-    return first + place[:, None] * side + radius * height[:, None] * across
+    return first + along[:, None] * side + radius * height[:, None] * across
 
 
 def _unit_spiral() -> np.ndarray:

@@ -31,6 +31,7 @@ from .range_of_motion import (
     RangeOfMotion as RangeOfMotion,
 )
 from .results import result_names as result_names, RESULTS as RESULTS
+from .state_space import state_space as state_space, StateSpace as StateSpace
 from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium
 from .stresses import Stresses as Stresses, stresses as stresses
 from .tables import Column as Column

@@ -287,8 +287,8 @@ def _unloaded_points(
     trace, criticals = run.trace, run.criticals
     # Between two successive points of a path, or of its limit points, the load factor
     # increases or decreases, so that there is at most one state.
-    rows, places = jnp.arange(len(trace.points)), jnp.arange(len(criticals.points))
-    is_limit = (places < criticals.number) & ~criticals.is_branch
+    rows, indices = jnp.arange(len(trace.points)), jnp.arange(len(criticals.points))
+    is_limit = (indices < criticals.number) & ~criticals.is_branch
     keys = jnp.concatenate(
         [
             jnp.where(rows < trace.number, rows.astype(float), jnp.inf),
@@ -338,14 +338,14 @@ def _snap_factors(
     They are the first critical point, and the last one before the second state, or before
     the end of the path.
     """
-    criticals, places = run.criticals, jnp.arange(len(run.criticals.points))
+    criticals, indices = run.criticals, jnp.arange(len(run.criticals.points))
     rows = criticals.rows.astype(float)
     before = (rows < end) | (sign * criticals.points[:, -1] < 0)
-    before &= (rows <= end) & (places < criticals.number)
+    before &= (rows <= end) & (indices < criticals.number)
     last = jnp.sum(before) - 1
     chosen = jnp.stack([jnp.zeros_like(last), jnp.maximum(last, 0)])
     # Further critical points may not have been located.
-    complete = criticals.number < len(places)
+    complete = criticals.number < len(indices)
     complete |= last < criticals.number - 1
     found = jnp.stack([last >= 0, (last > 0) & complete])
     at = jnp.where(found[:, None], criticals.points[chosen], run.trace.points[:1])

@@ -24,7 +24,7 @@ _ROUNDS = 2  # In the second one, the null vectors are those of the branch point
 _REFINEMENTS = 15  # Newton steps to a branch point, at most
 _CORRECTIONS = 5  # of the equilibrium in each of them
 _STEP = 1e-5  # of finite differences for them, in the units of the metric
-_NEGLIGIBLE = 1e-10  # change of the place after which no further step is taken
+_NEGLIGIBLE = 1e-10  # change of the coordinates after which no further step is taken
 _CONVERGED = 1e-7  # largest last change of a point that is accepted
 _LARGEST_REFINEMENT = 0.3  # in the units of the metric
 
@@ -33,13 +33,13 @@ class _Refinement(NamedTuple):
     """State of Newton's method for one branch point.
 
     Args:
-        place: Place of the point; see `_branch_residual`.
-        last_change: Largest part of the last change of the place.
+        coordinates: Coordinates of the point; see `_branch_residual`.
+        last_change: Largest part of the last change of the coordinates.
         point: The point before this change, divided by the units.
         steps: Number of steps.
     """
 
-    place: Float[Array, "2"]
+    coordinates: Float[Array, "2"]
     last_change: Scalar
     point: Float[Array, " n"]
     steps: Count
@@ -70,15 +70,16 @@ def refine_branch_points(
 
         # Exact derivatives of these conditions would take 40 s to compile.
         def improve(state: _Refinement) -> _Refinement:
-            place = state.place
+            coordinates = state.coordinates
             offsets = _STEP * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
             values, found = jax.lax.map(
-                lambda offset: equations(start, place + offset), jnp.asarray(offsets)
+                lambda offset: equations(start, coordinates + offset),
+                jnp.asarray(offsets),
             )
             slopes = (values[1::2] - values[2::2]).T / (2 * _STEP)
             change = -solve(slopes, values[0])
             size = jnp.max(jnp.abs(change))
-            return _Refinement(place + change, size, found[0], state.steps + 1)
+            return _Refinement(coordinates + change, size, found[0], state.steps + 1)
 
         def unfinished(state: _Refinement) -> Flag:
             return (state.steps < _REFINEMENTS) & (state.last_change >= _NEGLIGIBLE)
@@ -102,18 +103,19 @@ def _branch_residual(
     metric: Metric,
     borders: tuple[Array, Array],
     start: Float[Array, " n"],
-    place: Float[Array, "2"],
+    coordinates: Float[Array, "2"],
 ) -> tuple[Float[Array, "2"], Float[Array, " n"]]:
-    """Evaluate the two conditions of a branch point at a place near it.
+    """Evaluate the two conditions of a branch point at a point near it.
 
-    The place is the displacement along the right null vector, and the change of the load
-    factor. The other displacements are in equilibrium (Lyapunov-Schmidt reduction). The
-    stiffness is singular at a branch point, and the load does no work in its null vector.
+    The coordinates are the displacement along the right null vector, and the change of
+    the load factor. The other displacements are in equilibrium (Lyapunov-Schmidt
+    reduction). The stiffness is singular at a branch point, and the load does no work in
+    its null vector.
 
     Returns:
-        The conditions, and the point at this place, divided by the units.
+        The conditions, and the point at these coordinates, divided by the units.
     """
-    row_units, factor = metric.units[:-1], start[-1] + place[1]
+    row_units, factor = metric.units[:-1], start[-1] + coordinates[1]
     left, right = borders
 
     def correct(_, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -124,7 +126,7 @@ def _branch_residual(
             scaled_jacobian(metric, tangent), left, right
         )
         rate = jnp.sum(null * row_units * tangent.by_factor)
-        missing = place[0] - jnp.sum(right * (free - start[:-1]))
+        missing = coordinates[0] - jnp.sum(right * (free - start[:-1]))
         forces = jnp.concatenate([-row_units * tangent.residual, missing[None]])
         corrected = free + (inverse @ forces)[:-1]
         return jnp.stack([singular, rate]), corrected, point

@@ -77,8 +77,8 @@ class PathSystem(eqx.Module):
 
     def length(self) -> Scalar:
         """Return the unit of length: the rms distance of hinges from their mean; m."""
-        places = jax.lax.stop_gradient(self.mechanism.at[:, 1:])
-        offsets = places - jnp.mean(places, axis=0)[None]
+        positions = jax.lax.stop_gradient(self.mechanism.at[:, 1:])
+        offsets = positions - jnp.mean(positions, axis=0)[None]
         size = jnp.sqrt(jnp.mean(jnp.sum(offsets**2, axis=1)))
         characteristic = self.at(jnp.zeros(())).units()[1]
         return jnp.maximum(size, characteristic)

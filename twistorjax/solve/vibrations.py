@@ -1,6 +1,7 @@
 """Natural vibrations of a mechanism about an equilibrium."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -155,16 +156,29 @@ def vibrations(
     return succeeded_or_raise(solution, error) if throw else solution
 
 
-@eqx.filter_jit
-def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> Vibrations:
-    """Solve the eigenvalue problem of `vibrations`."""
+class NaturalModes(NamedTuple):
+    """Modes of vibration of the free degrees of freedom.
+
+    Args:
+        angular: Angular frequencies, negative for unstable modes; rad/s.
+        shapes: Mass-normalized mode shapes, one in each column; rad/(kg^0.5 m),
+            1/kg^0.5.
+    """
+
+    angular: Float[Array, " modes"]
+    shapes: Float[Array, "free modes"]
+
+
+def natural_modes(
+    mechanism: Mechanism, system: System, displacements: Poses
+) -> NaturalModes:
+    """Compute the modes at given displacements (rad, m, m), without follower loads."""
     free = system.free
     root = jnp.sqrt(mechanism.inertia().reshape(-1)[free])
     rows, weights, remainder = system.hinges.factored(displacements, system.dofs.free)
     _, by_angle = system.loads.apply(displacements)
     # Without follower loads, only the moments of the loads depend on the angles.
     remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
-    is_consistent = consistent(system, displacements)
     basis = None
     if system.constraints.size:
         geometric = system.constraint_stiffness(displacements)
@@ -178,12 +192,20 @@ def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> V
     angular = jnp.diagonal(angular)
     if basis is not None:
         vectors = basis @ vectors
+    return NaturalModes(angular, vectors / root[:, None])
+
+
+@eqx.filter_jit
+def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> Vibrations:
+    """Solve the eigenvalue problem of `vibrations`."""
+    angular, vectors = natural_modes(mechanism, system, displacements)
+    is_consistent = consistent(system, displacements)
     finite = jnp.all(jnp.isfinite(angular))
     stable = angular[0] > -1e-7 * angular[-1]
     frequencies = jnp.maximum(angular, 0.0) / (2 * jnp.pi)
     frequencies = jnp.where((angular > 0) | stable, frequencies, jnp.nan)
     shapes = jnp.zeros((vectors.shape[1], mechanism.reference.size))
-    shapes = shapes.at[:, free].set((vectors / root[:, None]).T)
+    shapes = shapes.at[:, system.free].set(vectors.T)
     result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
     result = RESULTS.where(is_consistent, result, RESULTS.inconsistent_constraints)
     result = RESULTS.where(finite | ~is_consistent, result, RESULTS.not_finite)

@@ -1,0 +1,209 @@
+"""State-space models against frequency responses, equilibria, and motions."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+
+import twistorjax as tj
+from twistorjax.examples import stage
+
+
+FREQUENCIES = np.array([0.0, 1.0, 30.0, 120.0, 400.0, 900.0, 3000.0, 1e5])
+DRIVE = tj.Drive("6", x=1.0)
+PUSH = tj.Load("4", force=(1.0, 0.0), moment=0.2)
+STROKE = {"c": (0.0, 1.0, 0.0)}
+OUTPUTS = {"output": ("4", "x"), "rotation": ("3", "angle"), "input": ("6", "x")}
+
+
+@pytest.fixture(scope="module")
+def mechanism():
+    return stage.microstage(damping=1e-5)
+
+
+def responses(mechanism, frequencies, inputs, outputs, **settings):
+    """Return the frequency responses, computed one by one, with all inputs prescribed."""
+    prescribed = [drive for drive in inputs if isinstance(drive, tj.Drive)]
+    columns = []
+    for given in inputs:
+        drives = [
+            drive if drive is given else jax.tree.map(lambda value: 0.0 * value, drive)
+            for drive in prescribed
+        ]
+        found = tj.frequency_response(
+            mechanism,
+            frequencies,
+            drives=drives,
+            loads=[given] if isinstance(given, tj.Load) else [],
+            strokes=given if isinstance(given, dict) else {},
+            **settings,
+        )
+        rows = [
+            found.displacement(body)[:, ("angle", "x", "y").index(name)]
+            for body, name in outputs.values()
+        ]
+        columns.append(np.stack(rows, axis=1))
+    return np.stack(columns, axis=2)
+
+
+def assert_same_response(model, expected):
+    found = np.asarray(model.frequency_response(FREQUENCIES))
+    size = np.max(np.abs(expected), axis=(0, 1), keepdims=True)
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-9)
+
+
+def test_all_modes_have_the_frequency_response(mechanism, validated):
+    """The inputs are a displacement, a load, and a stroke with damping."""
+    inputs = {"drive": DRIVE, "push": PUSH, "stroke": STROKE}
+    model = tj.state_space(mechanism, inputs, OUTPUTS)
+    assert model.a.shape == (24, 24) and model.inputs == tuple(inputs)
+    expected = responses(mechanism, FREQUENCIES, inputs.values(), OUTPUTS)
+    assert_same_response(model, expected)
+    what = "state-space model of the stage, 8 frequencies"
+    found = model.frequency_response(FREQUENCIES)[:, 0, 0]
+    reference = "harmonic equations, solved at each frequency"
+    validated("Vibrations", what, np.abs(found), np.abs(expected[:, 0, 0]), reference)
+
+
+def test_three_modes_have_the_exact_static_gain(mechanism):
+    inputs = {"drive": DRIVE, "push": PUSH}
+    model = tj.state_space(mechanism, inputs, OUTPUTS, modes=3)
+    assert model.a.shape == (6, 6)
+    linear = tj.linearize(mechanism, {"6": ["x"]})
+    for column, (drives, loads) in enumerate(
+        (([DRIVE], []), ([tj.Drive("6", x=0.0)], [PUSH]))
+    ):
+        moved = linear(drives=drives, loads=loads)
+        expected = [
+            moved.displacement(body)[("angle", "x", "y").index(name)]
+            for body, name in OUTPUTS.values()
+        ]
+        np.testing.assert_allclose(
+            model.static_gain[:, column], expected, rtol=1e-9, atol=1e-15
+        )
+    # Below the first mode that was left out, the response is close to the exact one.
+    frequencies = tj.vibrations(mechanism, {"6": ["x"]}).frequencies
+    low = np.array([0.1, 0.5, 1.5]) * float(frequencies[0])
+    exact = responses(mechanism, low, inputs.values(), OUTPUTS)
+    size = np.max(np.abs(exact), axis=(0, 1), keepdims=True)
+    error = np.abs(model.frequency_response(low) - exact) / size
+    assert float(frequencies[3]) > 3 * low[-1] and np.max(error) < 1e-3
+
+
+def test_a_pin_transmits_the_inertia_of_a_prescribed_displacement():
+    """The end of a lever is driven; a body on the lever follows with its mass."""
+    leaf = tj.Quadratic(np.diag([2.0, 5e3, 4e3]))
+    bodies = [
+        tj.Body("base"),
+        tj.Body("lever", (0.0, 0.1, 0.0), 0.3, 2e-3),
+        tj.Body("block", (0.0, 0.3, 0.0), 0.2, 1e-4),
+        tj.Body("slide", (0.0, 0.2, 0.0), 0.1, 1e-4),
+    ]
+    hinges = [
+        tj.Hinge("one", "base", "lever", leaf, at=(0.0, 0.0, 0.0), damping=1e-4),
+        tj.Hinge("two", "lever", "block", leaf, at=(0.0, 0.25, 0.0), damping=1e-4),
+        tj.Hinge("three", "slide", "base", leaf, at=(0.0, 0.2, 0.1), damping=1e-4),
+    ]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["base"])
+    pin = tj.Pin("pin", "lever", "slide", at=(0.2, 0.0))
+    drive = tj.Drive("slide", y=1.0)
+    outputs = {"block": ("block", "y"), "lever": ("lever", "angle")}
+    model = tj.state_space(mechanism, {"drive": drive}, outputs, constraints=[pin])
+    expected = responses(mechanism, FREQUENCIES, [drive], outputs, constraints=[pin])
+    assert_same_response(model, expected)
+
+
+def loaded_block():
+    """Return a damped block on a preloaded leaf, and its equilibrium."""
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.quartic_leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+    bodies = [tj.Body("wall"), tj.Body("block", (0.0, 25e-3, 0.0), 0.5, 2e-4)]
+    hinge = tj.Hinge("leaf", "wall", "block", leaf, at=(0, 0, 0), damping=1e-4)
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    weight = [tj.Load("block", force=(-3.0, 1.0))]
+    return mechanism, weight, tj.equilibrium(mechanism, loads=weight)
+
+
+def test_the_step_response_about_a_loaded_equilibrium_is_the_motion():
+    """The oracle is the difference of two motions under opposite additional loads."""
+    mechanism, weight, about = loaded_block()
+    times, small = np.linspace(0.0, 0.2, 41), 2e-3
+    push = tj.Load("block", force=(0.0, 1.0))
+    model = tj.state_space(
+        mechanism, {"push": push}, {"y": ("block", "y")}, about=about, loads=weight
+    )
+    _, found = scipy.signal.step(model.to_scipy(), T=times)
+    up, down = (
+        tj.simulate(
+            mechanism,
+            times,
+            loads=[*weight, tj.Load("block", force=(0.0, force))],
+            start=about,
+            tolerance=1e-12,
+        ).displacement("block")[:, 2]
+        for force in (small, -small)
+    )
+    expected = (np.asarray(up) - np.asarray(down)) / (2 * small)
+    scale = np.max(np.abs(expected))
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-6)
+
+
+def test_python_control_has_the_same_step_response():
+    import control
+
+    mechanism, weight, about = loaded_block()
+    push = tj.Load("block", force=(0.0, 1.0))
+    model = tj.state_space(
+        mechanism, {"push": push}, {"y": ("block", "y")}, about=about, loads=weight
+    )
+    times = np.linspace(0.0, 0.2, 41)
+    converted = model.to_control()
+    assert converted.input_labels == ["push"] and converted.output_labels == ["y"]
+    _, expected = scipy.signal.step(model.to_scipy(), T=times)
+    found = control.step_response(converted, T=times).outputs
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
+
+
+def test_derivatives_and_batches(mechanism):
+    def gain(web):
+        design = stage.microstage(web, damping=1e-5)
+        model = tj.state_space(design, {"drive": DRIVE}, OUTPUTS, modes=3)
+        return model.static_gain[0, 0], jnp.abs(
+            model.frequency_response([100.0])[0, 0, 0]
+        )
+
+    step = 1e-8
+    derivatives = jax.jacfwd(gain)(0.25e-3)
+    for k in range(2):
+        difference = (gain(0.25e-3 + step)[k] - gain(0.25e-3 - step)[k]) / (2 * step)
+        np.testing.assert_allclose(derivatives[k], difference, rtol=1e-5)
+    batch = jax.vmap(gain)(jnp.array([0.25e-3, 0.3e-3]))
+    np.testing.assert_allclose(batch[0][1], gain(0.3e-3)[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"inputs": {}}, "at least one input and one output"),
+        ({"outputs": {"x": ("5x", "x")}}, "names the body '5x'"),
+        ({"outputs": {"x": ("4", "z")}}, "names the coordinate 'z'"),
+        ({"modes": 13}, "has 12 modes"),
+        ({"loads": [tj.Load("4", force=(1.0, 0.0), follower=True)]}, "follower load"),
+    ],
+)
+def test_errors(mechanism, arguments, message):
+    given = {"inputs": {"drive": DRIVE}, "outputs": OUTPUTS, **arguments}
+    with pytest.raises(ValueError, match=message):
+        tj.state_space(mechanism, **given)
+
+
+@pytest.mark.untyped
+def test_inputs_and_outputs_of_wrong_types_are_reported(mechanism):
+    with pytest.raises(ValueError, match="The input 'push' is a tuple, but must be"):
+        wrong: Any = ("4", "x")
+        tj.state_space(mechanism, {"push": wrong}, OUTPUTS)
+    with pytest.raises(ValueError, match="The output 'x' is '4', but must be the name"):
+        tj.state_space(mechanism, {"drive": DRIVE}, {"x": "4"})

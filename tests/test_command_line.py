@@ -111,7 +111,7 @@ def test_fit_energy_reports_its_errors_and_saves_the_energy(run):
     result = json.loads(done.stdout)
     assert result["rank"] == result["terms"] == 12
     assert max(result["relative_error"]["held_out"]) < 1e-3
-    assert json.loads((run.folder / "notch.json").read_text())["twistorjax"] == 4
+    assert json.loads((run.folder / "notch.json").read_text())["twistorjax"] == 5
 
 
 def test_fit_energy_accepts_several_symmetries(run_here):

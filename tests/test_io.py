@@ -269,7 +269,7 @@ def test_a_file_of_another_kind_or_version_is_rejected(tmp_path):
         tj.io.load_mechanism(path)
     path.write_text('{"twistorjax": 99, "mechanism": {}}')
     with pytest.raises(
-        ValueError, match="`twistorjax` is 99, but must be one of 2, 3, 4"
+        ValueError, match="`twistorjax` is 99, but must be one of 2, 3, 4, 5"
     ):
         tj.io.load_mechanism(path)
 

@@ -64,8 +64,8 @@ class AbstractStressModel(eqx.Module):
 def stress_model(energy: AbstractEnergy) -> AbstractStressModel | None:
     """Return the stress model of an energy, or of the energy that it wraps.
 
-    An energy of a flexure has it as the field or property `stress_model`. A sum has none;
-    its terms are treated as hinges in parallel.
+    An energy of a flexure has it as the field `stress_model`. A sum has none; its terms
+    are treated as hinges in parallel.
     """
     inner: Any = energy
     while (model := getattr(inner, "stress_model", None)) is None:

@@ -50,14 +50,14 @@ class ExactBeam(AbstractEnergy):
     """
 
     beam: Beam
+    stress_model: BeamStress
+
+    def __init__(self, beam: Beam):
+        self.beam = beam
+        self.stress_model = BeamStress.of(beam)
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         return _energy(self.beam, displacement.pose())
-
-    @property
-    def stress_model(self) -> BeamStress:
-        """Stress in the cross-sections of the beam."""
-        return BeamStress.of(self.beam)
 
 
 def beam_at_pose(beam: Beam, pose: Pose, sections: int | None = None) -> BeamSolution:

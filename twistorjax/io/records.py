@@ -347,7 +347,7 @@ def _message(original: str, content: Any, kind: str) -> str:
         keys, problem = [], original
     name = f"the entry `{entry_name([kind, *keys])}`"
     if keys and keys[-1] == "kind":  # of an energy or a stress model
-        records = StressModel if keys[-2] == "stress_model" else Energy
+        records = StressModel if keys[-2:-1] == ["stress_model"] else Energy
         kinds = ", ".join(record.__name__ for record in get_args(records))
         return f"{name} is {describe_value(value)}, but must be one of {kinds}."
     if match := _TYPE.fullmatch(problem):

@@ -23,6 +23,7 @@ _TOLERANCE, _MOST_STEPS = 1e-10, 400  # of an equilibrium
 _MOST_EQUILIBRIA = 200
 _GROWTH = 8.0  # largest ratio of successive factors
 _PRECISION = 1e-10  # of the stress
+_REACHED = 1e-6  # of the stress at an end that is limited by it
 _STABILITY = 1e-6  # of the factor, if the range ends without reaching a stress
 _ROUNDING = 1e-15  # of the factor, if the precision of the stress cannot be reached
 
@@ -134,10 +135,6 @@ class _Search(NamedTuple):
     result: RESULTS
     equilibria: Count
 
-    def by_stress(self) -> Flag:
-        """Decide whether the stress at the lower end is the allowable one."""
-        return jnp.abs(self.excess) < _PRECISION
-
     def next_factor(self) -> Scalar:
         """Choose the next factor: by secant, by false position, or by bisection."""
         linear = self.lower - self.excess / self.slope
@@ -166,17 +163,23 @@ def find_ends(given: RangeInput, start: Poses, *, dofs: DofPartition) -> RangeEn
 def _end(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> RangeEnd:
     """Compute the end on one side, -1 or 1; see `find_ends`."""
     search = _find(*jax.lax.stop_gradient((given, start)), side, dofs)
-    found = search.by_stress()
+    found = jnp.abs(search.excess) < _REACHED
     factor = _with_derivative(
         side * search.lower, given, search.displacements, found, dofs
     )
     solution, stresses = given.at(factor, search.displacements, dofs)
-    result = RESULTS.where(
-        jnp.isfinite(search.upper), RESULTS.successful, RESULTS.stress_not_reached
-    )
-    outside = search.result == RESULTS.out_of_range
-    result = RESULTS.where(outside & ~found, RESULTS.out_of_range, result)
-    result = RESULTS.where(found, RESULTS.successful, result)
+    unstable = jnp.zeros((), bool)
+    for reason in (
+        RESULTS.successful,  # The next equilibrium is not connected to the last one.
+        RESULTS.unstable,
+        RESULTS.no_equilibrium,
+        RESULTS.steps_used_up,
+    ):
+        unstable |= search.result == reason
+    ended = found | (unstable & (search.lower > 0))
+    result = RESULTS.where(ended, RESULTS.successful, search.result)
+    endless = ~found & ~jnp.isfinite(search.upper)
+    result = RESULTS.where(endless, RESULTS.stress_not_reached, result)
     exceeded = (search.lower == 0) & (search.excess > 0)
     result = RESULTS.where(exceeded, RESULTS.stress_exceeded, result)
     failed = result != RESULTS.successful
@@ -198,7 +201,7 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
         upper_excess=zero + jnp.nan,
         weights=jnp.ones(2),
         last=jnp.zeros((), int),
-        result=RESULTS.where(zero == 0, RESULTS.successful, RESULTS.unstable),
+        result=RESULTS.successful,
         equilibria=jnp.zeros((), int),
     )
 
@@ -207,7 +210,8 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
         unstable = jnp.isnan(search.upper_excess)
         narrow = width <= jnp.where(unstable, _STABILITY, _ROUNDING) * search.upper
         narrow &= jnp.isfinite(search.upper)
-        ended = search.by_stress() | narrow | (search.equilibria >= _MOST_EQUILIBRIA)
+        exact = jnp.abs(search.excess) < _PRECISION
+        ended = exact | narrow | (search.equilibria >= _MOST_EQUILIBRIA)
         return ~ended & ((search.lower > 0) | (search.excess < 0))
 
     def improve(search: _Search) -> _Search:

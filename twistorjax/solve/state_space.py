@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
+from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import index_of, require_float64, require_package
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
@@ -61,7 +61,7 @@ class StateSpace(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
 
     @property
-    def succeeded(self) -> Array:
+    def succeeded(self) -> BatchFlag:
         """Whether the model exists."""
         return self.result == RESULTS.successful
 

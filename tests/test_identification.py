@@ -228,7 +228,7 @@ def test_a_start_without_a_solution_raises_the_error_of_the_solve():
         [[tj.Load("block", moment=20.0)]], [BodySensor("block", "angle", 1e-3)]
     )
     start = {"rotation": positive(1.0)}
-    message = r"a test has no solution.*No equilibrium .* was found"
+    message = r"a solve fails.*No equilibrium .* was found"
     with pytest.raises(RuntimeError, match=message):
         tj.identify(spring, start, [too_large.measurement([[1.0]]), *data])
 

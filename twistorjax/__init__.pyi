@@ -5,6 +5,7 @@ from . import (
     geometry as geometry,
     identification as identification,
     io as io,
+    optimization as optimization,
     plotting as plotting,
     solve as solve,
     sweeps as sweeps,
@@ -33,6 +34,7 @@ from .mechanism import (
     Temperature as Temperature,
     weights as weights,
 )
+from .optimization import Limit as Limit, optimize as optimize, Optimum as Optimum
 from .plotting import animate as animate, draw as draw
 from .solve import (
     Bistability as Bistability,

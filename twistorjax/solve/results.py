@@ -35,7 +35,8 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
       `out_of_range`, `step_too_long`, `step_too_short`, or `solver_failed`. If they
       cannot start, they end as `not_finite`, `times_not_increasing`, `drive_jumps`,
       `damping_gives_energy`, or `inconsistent_constraints`.
-    * Identifications end as `successful`, `not_converged`, or `no_solution_at_start`.
+    * Identifications end as `successful`, `not_converged`, or `no_solution_at_start`;
+      optimizations also as `no_feasible_design`.
     """
 
     successful = ""
@@ -108,13 +109,13 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     )
 
     not_converged = (
-        "The estimates have not converged within the allowed evaluations. Increase "
-        "`max_steps`, give better start values, try `restarts`, or leave out parameters "
-        "that the measurements do not determine."
+        "The search has not converged within the allowed evaluations. Increase "
+        "`max_steps`, give better start values, try `restarts` or `starts`, or leave out "
+        "parameters that have no effect."
     )
     no_solution_at_start = (
-        "At the start values of the parameters, a test has no solution. Give start "
-        "values at which every solve succeeds."
+        "At the start values of the parameters, a solve fails. Give start values at "
+        "which every solve succeeds."
     )
 
     returned_to_start = "The path is closed: it returned to its first point."
@@ -136,6 +137,11 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     stress_not_reached = (
         "The input does not change the stress in any hinge with an allowable stress, or "
         "the stress stays below it for all inputs. Give another input."
+    )
+
+    no_feasible_design = (
+        "No search ended at a design within all limits. Relax a limit or a bound, or "
+        "give more `starts`."
     )
 
 

@@ -3,10 +3,12 @@
 The devices may belong to several processes, which `jax.distributed` connects.
 """
 
+import contextlib
 import hashlib
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -63,6 +65,8 @@ class Program:
         mesh: Devices; `None` for the default device.
         fixed_chunk_size: Whether the chunk size must stay as it is. Otherwise
             `fit_memory` reduces it if a chunk needs more than `memory`.
+        fixed_parameters: Names of the parameters with respect to which nothing is
+            differentiated.
     """
 
     def __init__(
@@ -74,9 +78,10 @@ class Program:
         memory: float | int,
         mesh: Mesh | None,
         fixed_chunk_size: bool,
+        fixed_parameters: tuple[str, ...] = (),
     ):
         self.structure, self.mesh, self.memory = structure, mesh, memory
-        self._evaluate = study_output(study, structure, derivatives)
+        self._evaluate = study_output(study, structure, derivatives, fixed_parameters)
         self._batch_size = _CPU_BATCH_SIZE
         self._compiled: Any = None
         self._fixed_chunk_size, self.chunk_size = fixed_chunk_size, chunk_size
@@ -147,7 +152,7 @@ class Program:
                 f"{self.memory / 2**20:,.3g} MiB. {remedy}"
             )
         running: deque[tuple[tuple[int, ...], StudyOutput]] = deque()
-        try:
+        with _clear_study_errors():
             for first in range(0, len(chunks), self.device_count):
                 group = tuple(chunks[first : first + self.device_count])
                 running.append((group, self._start(designs, group)))
@@ -155,15 +160,25 @@ class Program:
                     yield from self._collect(*running.popleft())
             while running:
                 yield from self._collect(*running.popleft())
-        except jax.errors.JaxRuntimeError as error:
-            if "callback" not in str(error).lower():
-                raise
-            raise RuntimeError(
-                "A solve in the study failed for a design and raised an error, which "
-                "stopped the sweep. Call the solver with `throw=False` and return its "
-                "`result`; a failed design then returns NaN and a failure code, and the "
-                "sweep continues."
-            ) from error
+
+    def evaluate(self, parameters: Sequence[np.ndarray]) -> StudyOutput:
+        """Evaluate one chunk of designs on the default device.
+
+        Args:
+            parameters: Array of each parameter, in the order of the structure, with one
+                entry for each design of a chunk along the first axis.
+
+        Returns:
+            The outputs of the designs, as arrays of NumPy.
+
+        Raises:
+            RuntimeError: A solve in the study raised an error.
+        """
+        if self._compiled is None:
+            self._compile()
+        compiled: Any = self._compiled
+        with _clear_study_errors():
+            return jax.tree.map(np.asarray, compiled(list(parameters)))
 
     def chunk_owners(self, designs: Designs) -> np.ndarray:
         """Determine the index of the process that evaluates each chunk of a sweep."""
@@ -275,6 +290,33 @@ class Program:
                 arrays = [leaf.addressable_shards[shard].data for leaf in leaves]
                 outputs = jax.tree.unflatten(tree, map(np.asarray, arrays))
                 yield group[position], outputs
+
+
+def find_program(*arguments: Any) -> Program:
+    """Create a program, or find one that was created with the same arguments."""
+    try:
+        hash(arguments)
+    except TypeError:  # A study that contains arrays cannot be hashed.
+        return Program(*arguments)
+    return _cached_program(*arguments)
+
+
+_cached_program = lru_cache(maxsize=32)(Program)
+
+
+@contextlib.contextmanager
+def _clear_study_errors() -> Iterator[None]:
+    """Explain the error of a solve that a study calls without `throw=False`."""
+    try:
+        yield
+    except jax.errors.JaxRuntimeError as error:
+        if "callback" not in str(error).lower():
+            raise
+        raise RuntimeError(
+            "A solve in the study failed for a design and raised an error, which stopped "
+            "all others. Call the solver with `throw=False` and return its `result`; a "
+            "failed design then returns NaN and a failure code, and the others continue."
+        ) from error
 
 
 def synchronize(step: str) -> None:

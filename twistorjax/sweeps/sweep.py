@@ -1,12 +1,8 @@
 """Evaluation of a study for many designs, with one dataset as the result."""
 
-import hashlib
-import importlib.metadata
-import json
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -26,12 +22,19 @@ from .dataset import (
     RESULT_FLAGS,
 )
 from .designs import Designs
-from .executor import default_chunk_size, gather, Program, synchronize
+from .executor import (
+    default_chunk_size,
+    find_program,
+    gather,
+    Program,
+    synchronize,
+)
 from .names import check_storable
 from .outputs import StudyOutput
 from .store import Store
-from .store_creation import create_store, require_writable, rewrite_static_files
+from .store_creation import require_writable
 from .store_files import clear_errors, damage_error
+from .store_identity import open_store, sweep_identity
 
 
 if TYPE_CHECKING:
@@ -167,7 +170,7 @@ def sweep(
             else existing.identity["chunk_size"]
         )
     try:
-        program = _program(
+        program = find_program(
             study, designs.structure, tuple(derivatives), chunk_size, memory, mesh,
             fixed_chunk_size,
         )  # fmt: skip
@@ -192,11 +195,11 @@ def sweep(
                 rows[:] = chunk_values[: len(rows)]
         owners = np.repeat(program.chunk_owners(designs), program.chunk_size)
         gathered = gather(values, owners[: len(designs)])
-        identity = _identity(study, designs, program, units, settings)
+        identity = sweep_identity(study, designs, program, units, settings)
         table = _assemble(layout, gathered, identity)
     else:
-        identity = _identity(study, designs, program, units, settings)
-        opened = _open_store(Path(store), layout, identity, resume)
+        identity = sweep_identity(study, designs, program, units, settings)
+        opened = open_store(Path(store), layout, identity, resume)
         missing = np.flatnonzero(~opened.intact_chunks())
         synchronize("sweep started")
         for chunk, output in _run(program, designs, missing.tolist(), progress):
@@ -287,70 +290,6 @@ def warn_of_failures(table: "xarray.Dataset") -> None:
         f"their outputs are NaN. {reasons}",
         stacklevel=3,
     )
-
-
-def _program(*arguments: Any) -> Program:
-    """Create a program, or find one that was created with the same arguments."""
-    try:
-        hash(arguments)
-    except TypeError:  # A study that contains arrays cannot be hashed.
-        return Program(*arguments)
-    return _cached_program(*arguments)
-
-
-_cached_program = lru_cache(maxsize=32)(Program)
-
-
-def _open_store(
-    path: Path, layout: Layout, identity: Mapping[str, Any], resume: bool
-) -> Store:
-    """Create the store of a sweep, or prepare an existing one, and open it."""
-    if jax.process_index() == 0 and (
-        path.exists() or not create_store(path, identity, layout)
-    ):
-        if not resume:
-            raise ValueError(
-                f"`store` is {str(path)!r}, which another process created after this "
-                "sweep began. Continue it with `resume=True`, or use another path."
-            )
-        existing = Store(path)
-        existing.check_identity(identity)
-        if existing.damaged_files():
-            rewrite_static_files(path, identity, layout)
-        existing.remove_partial_files()
-    synchronize("store opened")
-    return Store(path).open()
-
-
-def _identity(
-    study: Callable[[Any], Any],
-    designs: Designs,
-    program: Program,
-    units: Mapping[str, str] | None,
-    settings: Mapping[str, Any] | None,
-) -> dict[str, Any]:
-    """Collect the entries by which sweeps are distinguished."""
-    digest = hashlib.sha256()
-    for name, array in zip(designs.names, designs.arrays, strict=True):
-        digest.update(f"{name} {array.dtype} {array.shape};".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    try:
-        settings_text = json.dumps(dict(settings or {}), sort_keys=True)
-    except TypeError as error:
-        raise ValueError(
-            f"`settings` must contain numbers, strings and lists of these: {error}."
-        ) from None
-    return {
-        "study": getattr(study, "__qualname__", type(study).__qualname__),
-        "settings": settings_text,
-        "units": json.dumps(dict(units or {}), sort_keys=True),
-        "chunk_size": program.chunk_size,
-        "program": program.fingerprint,
-        "designs": digest.hexdigest(),
-        "twistorjax": importlib.metadata.version("twistorjax"),
-        "jax": jax.__version__,
-        "backend": jax.default_backend(),
-    }
 
 
 def _run(

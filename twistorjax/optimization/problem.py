@@ -1,0 +1,308 @@
+"""Optimization problem in the normalized form that a solver takes."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .._utils.pytrees import entry_names
+from ..solve.tables import Column, Columns
+from ..sweeps.outputs import StudyOutput
+from .design_space import DesignSpace
+from .limits import Limit
+from .robust_study import deviation_name
+
+
+class Evaluation(NamedTuple):
+    """Outputs of a design, and their derivatives.
+
+    Args:
+        vector: Real numbers of the design.
+        values: The objective, the limited outputs, and their standard deviations.
+        jacobian: Derivatives with respect to all real numbers of the design.
+        succeeded: Whether the study succeeded.
+        result: Number of its result; see `RESULTS`.
+    """
+
+    vector: Float[np.ndarray, " numbers"]
+    values: Float[np.ndarray, " outputs"]
+    jacobian: Float[np.ndarray, "outputs numbers"]
+    succeeded: bool
+    result: int
+
+
+class OutputVector(NamedTuple):
+    """Order of the objective and the limited outputs in one vector.
+
+    Args:
+        columns: The columns, by name; their values are shapes.
+        parameters: Names of the real parameters in the input of the study.
+    """
+
+    columns: Columns
+    parameters: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, output: StudyOutput, names: Sequence[str], space: DesignSpace
+    ) -> "OutputVector":
+        """Select outputs of a study from those of a chunk of designs."""
+        columns = {name: output.columns[name] for name in names}
+        return cls(columns, space.derivative_names)
+
+    def slice(self, name: str) -> slice:
+        """Return the range of an output in the vector."""
+        begin = 0
+        for other, column in self.columns.items():
+            size = int(np.prod(column.values.shape[1:], dtype=int))
+            if other == name:
+                return slice(begin, begin + size)
+            begin += size
+        raise KeyError(name)
+
+    def entry_names(self, name: str) -> list[str]:
+        """Return the names of the entries of an output, such as "stress[left]"."""
+        column: Column = self.columns[name]
+        shape = column.values.shape[1:]
+        labels = dict(column.labels)
+        if len(shape) == 1 and (entries := labels.get(column.axes[0])):
+            return [f"{name}[{entry}]" for entry in entries]
+        return entry_names(name, shape)
+
+    def evaluations(
+        self, vectors: Float[np.ndarray, "designs numbers"], output: StudyOutput
+    ) -> list[Evaluation]:
+        """Return the evaluation of each design of a chunk, from its numbers."""
+        count = len(output.succeeded)
+        values, jacobians = [], []
+        for name in self.columns:
+            value = np.asarray(output.columns[name].values).reshape(count, -1)
+            parts = [
+                np.asarray(output.columns[f"{name}_by_{parameter}"].values)
+                for parameter in self.parameters
+            ]
+            rows = [part.reshape(count, value.shape[1], -1) for part in parts]
+            values.append(value)
+            jacobians.append(np.concatenate(rows, axis=2))
+        return [
+            Evaluation(*row)
+            for row in zip(
+                vectors,
+                np.concatenate(values, axis=1),
+                np.concatenate(jacobians, axis=1),
+                output.succeeded.tolist(),
+                output.result.tolist(),
+                strict=True,
+            )
+        ]
+
+
+class Margins(NamedTuple):
+    """Distances of limited outputs to their limits; negative if a limit is violated.
+
+    The margin of an output y with the standard deviation s is y - k s - lower, or upper -
+    y - k s, with the coverage factor k.
+
+    Args:
+        names: Name of each limited entry.
+        units: Unit of each entry; empty if it is unknown.
+        rows: Row of each entry in the vector of outputs.
+        deviation_rows: Row of its standard deviation; -1 if there is none.
+        signs: 1 for a lower limit, -1 for an upper limit.
+        limits: The limits, in the units of the outputs.
+        scales: Numbers by which the margins are divided.
+        is_equality: Whether the output is prescribed.
+        coverage_factor: Number of standard deviations at which the limits must hold.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: Int[np.ndarray, " margins"]
+    deviation_rows: Int[np.ndarray, " margins"]
+    signs: Float[np.ndarray, " margins"]
+    limits: Float[np.ndarray, " margins"]
+    scales: Float[np.ndarray, " margins"]
+    is_equality: Bool[np.ndarray, " margins"]
+    coverage_factor: float
+
+    @classmethod
+    def of(
+        cls,
+        limits: Mapping[str, Limit],
+        outputs: OutputVector,
+        units: Mapping[str, str],
+        coverage_factor: float,
+    ) -> "Margins":
+        """Collect the margins of all limited outputs.
+
+        Args:
+            limits: Limits of the outputs, by name.
+            outputs: Order of the outputs in their vector.
+            units: Units of outputs without a unit of their own, by name.
+            coverage_factor: Number of standard deviations at which the limits must hold.
+
+        Returns:
+            The margins.
+
+        Raises:
+            ValueError: A limit has another shape than its output, or an output with a
+                standard deviation is prescribed.
+        """
+        entries = []
+        for name, limit in limits.items():
+            where, names = outputs.slice(name), outputs.entry_names(name)
+            column = outputs.columns[name]
+            shape = column.values.shape[1:]
+            deviations = [-1] * len(names)
+            if deviation_name(name) in outputs.columns:
+                deviation = outputs.slice(deviation_name(name))
+                deviations = range(deviation.start, deviation.stop)
+            lower, upper = (
+                _broadcast(name, b, shape) for b in (limit.lower, limit.upper)
+            )
+            for k, entry in enumerate(names):
+                row = where.start + k, deviations[k]
+                unit = column.unit or units.get(name, "")
+                is_equality = bool(lower[k] == upper[k])
+                if is_equality and deviations[k] >= 0:
+                    raise ValueError(
+                        f"`limits` prescribes {entry!r}, which has a standard deviation "
+                        "because of `standard_deviations`. Give two different limits."
+                    )
+                if np.isfinite(lower[k]):
+                    entries.append((entry, unit, *row, 1.0, lower[k], is_equality))
+                if np.isfinite(upper[k]) and not is_equality:
+                    entries.append((entry, unit, *row, -1.0, upper[k], False))
+        columns = list(zip(*entries, strict=True)) or [()] * 7
+        bounds = np.array(columns[5], float)
+        return cls(
+            names=tuple(columns[0]),
+            units=tuple(columns[1]),
+            rows=np.array(columns[2], int),
+            deviation_rows=np.array(columns[3], int),
+            signs=np.array(columns[4], float),
+            limits=bounds,
+            scales=np.where(bounds == 0, 1.0, np.abs(bounds)),
+            is_equality=np.array(columns[6], bool),
+            coverage_factor=coverage_factor,
+        )
+
+    def with_scales(self, start: Evaluation) -> "Margins":
+        """Divide the margins with limits of zero by the sizes of the outputs at a design.
+
+        The others are divided by their limits.
+        """
+        size = np.abs(start.values[self.rows])
+        use = (self.limits == 0) & (size > 0) & np.isfinite(size)
+        return self._replace(scales=np.where(use, size, self.scales))
+
+    def values(self, evaluation: Evaluation) -> Float[np.ndarray, " margins"]:
+        """Return the margins divided by their scales."""
+        margins = self.signs * (evaluation.values[self.rows] - self.limits)
+        margins -= self._widths(evaluation.values)
+        return margins / self.scales
+
+    def jacobian(self, evaluation: Evaluation) -> Float[np.ndarray, "margins numbers"]:
+        """Return the derivatives of `values` with respect to all real numbers."""
+        rows = self.signs[:, None] * evaluation.jacobian[self.rows]
+        return (rows - self._widths(evaluation.jacobian)) / self.scales[:, None]
+
+    def _widths(self, array: np.ndarray) -> np.ndarray:
+        """Multiply the rows of the standard deviations by the coverage factor."""
+        selected = array[np.maximum(self.deviation_rows, 0)]
+        has_deviation = (self.deviation_rows >= 0).reshape(-1, *[1] * (array.ndim - 1))
+        return np.where(has_deviation, self.coverage_factor * selected, 0.0)
+
+
+class Problem(NamedTuple):
+    """One optimization problem.
+
+    Args:
+        space: Numbers of the design.
+        margins: Margins of the limits.
+        sign: 1 if the objective is minimized, -1 if it is maximized.
+        objective_scale: Number by which the objective is divided.
+    """
+
+    space: DesignSpace
+    margins: Margins
+    sign: float
+    objective_scale: float = 1.0
+
+    def scaled(self, start: Evaluation) -> "Problem":
+        """Return the problem with scales that follow from a start.
+
+        The gradient of the objective at the start then has the norm 1.
+        """
+        gradient = float(
+            np.linalg.norm(self._replace(objective_scale=1.0).gradient(start))
+        )
+        scale = gradient or abs(float(start.values[0])) or 1.0
+        margins = self.margins.with_scales(start)
+        return self._replace(margins=margins, objective_scale=scale)
+
+    @property
+    def bounds(self) -> tuple[Float[np.ndarray, " variables"], ...]:
+        """Lower and upper bounds of the normalized variables."""
+        variables = self.space.is_variable
+        scales = self.space.scales[variables]
+        return self.space.lower[variables] / scales, self.space.upper[variables] / scales
+
+    def normalized(
+        self, vector: Float[np.ndarray, " numbers"]
+    ) -> Float[np.ndarray, " variables"]:
+        """Return the normalized variables of a design."""
+        return (vector / self.space.scales)[self.space.is_variable]
+
+    def vector(
+        self, point: Float[np.ndarray, " variables"]
+    ) -> Float[np.ndarray, " numbers"]:
+        """Return the numbers of the design with these normalized variables."""
+        space = self.space
+        vector = space.start.copy()
+        values = point * space.scales[space.is_variable]
+        lower, upper = space.lower[space.is_variable], space.upper[space.is_variable]
+        vector[space.is_variable] = np.clip(values, lower, upper)
+        return vector
+
+    def objective(self, evaluation: Evaluation) -> float:
+        """Return the objective to be minimized, divided by its scale."""
+        return float(self.sign * evaluation.values[0] / self.objective_scale)
+
+    def gradient(self, evaluation: Evaluation) -> Float[np.ndarray, " variables"]:
+        """Return the derivatives of `objective` by the normalized variables."""
+        gradient = self.sign * evaluation.jacobian[0] / self.objective_scale
+        return self._by_variables(gradient)
+
+    def margin_gradients(
+        self, evaluation: Evaluation
+    ) -> Float[np.ndarray, "margins variables"]:
+        """Return the derivatives of the margins by the normalized variables."""
+        return self._by_variables(self.margins.jacobian(evaluation))
+
+    def violation(self, evaluation: Evaluation) -> float:
+        """Return the largest violation of a limit, divided by its scale."""
+        margins = self.margins.values(evaluation)
+        return float(np.max(self._violations(margins), initial=0.0))
+
+    def _violations(self, margins: np.ndarray) -> np.ndarray:
+        return np.where(self.margins.is_equality, np.abs(margins), -margins)
+
+    def _by_variables(self, jacobian: np.ndarray) -> np.ndarray:
+        variables = self.space.is_variable
+        return jacobian[..., variables] * self.space.scales[variables]
+
+
+def _broadcast(
+    name: str, bound: np.ndarray | None, shape: tuple[int, ...]
+) -> Float[np.ndarray, " entries"]:
+    """Return a limit of each entry of an output; NaN if there is none."""
+    if bound is None:
+        return np.full(int(np.prod(shape, dtype=int)), np.nan)
+    if bound.shape not in ((), shape):
+        raise ValueError(
+            f"The limit of {name!r} has shape {bound.shape}, but must be one number, or "
+            f"have the shape {shape} of the output."
+        )
+    return np.broadcast_to(bound, shape).ravel()

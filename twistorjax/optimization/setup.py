@@ -1,0 +1,152 @@
+"""Compiled program and normalized problems of an optimization."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._utils.host import padded_size
+from .._utils.types import NumbersLike
+from .._utils.validation import compilation_error, require_float64
+from ..sweeps.executor import find_program, Program
+from ..sweeps.outputs import StudyOutput
+from .design_space import DesignSpace
+from .limits import Limit
+from .options import Options
+from .problem import Evaluation, Margins, OutputVector, Problem
+from .robust_study import deviation_name, RobustStudy
+
+
+# Largest number of designs that one call of the program evaluates.
+_MOST_DESIGNS = 32
+
+
+class Setup(NamedTuple):
+    """Study, objective, and limits of an optimization, and its compiled program.
+
+    Args:
+        study: Function of one design.
+        objective: Name of the objective.
+        sign: 1 if the objective is minimized, -1 if it is maximized.
+        limits: Limits of the outputs, by name.
+        standard_deviations: Standard deviations of the uncertain parameters, by name.
+        coverage_factor: Number of standard deviations at which the limits must hold.
+        units: Units of outputs without a unit of their own, by name.
+        space: Numbers of the design.
+        program: Program that evaluates designs.
+        outputs: Order of the outputs in a vector.
+    """
+
+    study: Callable[[Any], Any]
+    objective: str
+    sign: float
+    limits: Mapping[str, Limit]
+    standard_deviations: Mapping[str, NumbersLike]
+    coverage_factor: float
+    units: Mapping[str, str]
+    space: DesignSpace
+    program: Program
+    outputs: OutputVector
+
+    @classmethod
+    def create(
+        cls,
+        study: Callable[[Any], Any],
+        parameters: Any,
+        options: Options,
+        count: int,
+    ) -> "Setup":
+        """Trace the program of an optimization.
+
+        Args:
+            study: Function of one design.
+            parameters: One design, with its variables.
+            options: Options of the optimization.
+            count: Number of searches.
+
+        Returns:
+            The setup.
+
+        Raises:
+            ValueError: Double precision is off, or an argument is not valid.
+        """
+        require_float64(jnp.zeros(()))
+        options.check()
+        if not callable(study):
+            raise ValueError(
+                f"`study` is {study!r}, but must be a function of one design."
+            )
+        limits = dict(options.limits or {})
+        standard_deviations = dict(options.standard_deviations or {})
+        objective = options.maximize or options.minimize
+        assert objective is not None
+        space = DesignSpace.from_tree(parameters, standard_deviations)
+        names = list(dict.fromkeys([objective, *limits]))
+        if space.is_robust:
+            study_of_program: Any = RobustStudy(study, tuple(limits))
+            names += map(deviation_name, limits)
+        else:
+            study_of_program = study
+        try:
+            program = find_program(
+                study_of_program, space.structure, tuple(names),
+                min(padded_size(count), _MOST_DESIGNS), math.inf, None, True,
+                space.deviation_names,
+            )  # fmt: skip
+        except jax.errors.JAXTypeError as error:
+            raise compilation_error("study", "about the design", error) from error
+        except ValueError as error:
+            where = "`minimize`, `maximize`, or `limits`"
+            message = str(error).replace("`derivatives` names", f"{where} names")
+            raise ValueError(message) from error
+        outputs = OutputVector.of(program.output, names, space)
+        shape = outputs.columns[objective].values.shape[1:]
+        if shape:
+            raise ValueError(
+                f"The objective {objective!r} has shape {shape}, but must be a scalar."
+            )
+        return cls(
+            study=study,
+            objective=objective,
+            sign=1.0 if options.maximize is None else -1.0,
+            limits=limits,
+            standard_deviations=standard_deviations,
+            coverage_factor=float(options.coverage_factor),
+            units=dict(options.units or {}),
+            space=space,
+            program=program,
+            outputs=outputs,
+        )
+
+    @property
+    def unit(self) -> str:
+        """Unit of the objective; empty if it is unknown."""
+        own = self.outputs.columns[self.objective].unit
+        return own or self.units.get(self.objective, "")
+
+    def problem(self) -> Problem:
+        """Return the problem, whose objective is not scaled yet."""
+        margins = Margins.of(self.limits, self.outputs, self.units, self.coverage_factor)
+        return Problem(self.space, margins, self.sign)
+
+    def evaluate(self, vectors: Float[np.ndarray, "designs numbers"]) -> list[Evaluation]:
+        """Evaluate designs, which may be more or fewer than the program takes at once."""
+        size = self.program.chunk_size
+        evaluations: list[Evaluation] = []
+        for begin in range(0, len(vectors), size):
+            chunk = vectors[begin : begin + size]
+            count = len(chunk)
+            padded = np.concatenate([chunk, np.repeat(chunk[-1:], size - count, axis=0)])
+            output = self.program.evaluate(self.space.program_input(padded))
+            evaluations += self.outputs.evaluations(padded, output)[:count]
+        return evaluations
+
+    def outputs_of(self, vector: Float[np.ndarray, " numbers"]) -> StudyOutput:
+        """Return all outputs of the study for one design."""
+        repeated = np.repeat(vector[None], self.program.chunk_size, axis=0)
+        output = self.program.evaluate(self.space.program_input(repeated))
+        return jax.tree.map(lambda leaf: leaf[0], output)

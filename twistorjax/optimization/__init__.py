@@ -2,8 +2,8 @@
 
 Start reading in `optimize`. `design_space` collects the variables and constants of a
 design, `setup` creates the compiled program that evaluates it, `problem` holds the
-objective and the limits in normalized form, and `robust_study` adds standard deviations
-to the outputs. `run` runs the searches of `local_search` side by side, and
+objective and the limits in normalized form, and `deviations` differentiates standard
+deviations. `run` runs the searches of `local_search` side by side, and
 `search_store` saves them. `summary` collects their ends in an `Optimum`.
 """
 

@@ -14,18 +14,13 @@ from ..sweeps.designs import Designs, DesignStructure
 from ..sweeps.distributions import Normal
 
 
-# Keys of the design and of the standard deviations in the input of a robust study.
-DESIGN, DEVIATIONS = "design", "standard_deviations"
-
-
 class DesignSpace(NamedTuple):
     """All real numbers of a design as one vector, of which some are variables.
 
     Args:
-        structure: Structure of the input of the study. A robust study also takes the
-            standard deviations.
-        arrays: Value of each parameter of this input, in the order of the structure.
-        rows: Rows of the real parameters of the design in `arrays`.
+        structure: Structure of a design.
+        arrays: Value of each parameter, in the order of the structure.
+        rows: Rows of the real parameters in `arrays`.
         names: Name of each real number.
         units: Unit of each real number; empty if it is unknown.
         is_variable: Whether each number is a variable.
@@ -77,11 +72,7 @@ class DesignSpace(NamedTuple):
             )
         real = {path_name(path): leaf for path, leaf in leaves if _is_real(_value(leaf))}
         deviations = _check_deviations(real, standard_deviations)
-        whole = tree
-        if standard_deviations:
-            whole = {DESIGN: tree, DEVIATIONS: deviations}
-        designs = Designs(jax.tree.map(lambda leaf: np.asarray(leaf)[None], whole))
-        prefix = f"{DESIGN}." if standard_deviations else ""
+        designs = Designs(jax.tree.map(lambda leaf: np.asarray(leaf)[None], tree))
         names, units, entries = [], [], []
         for name, leaf in real.items():
             shape = np.shape(_value(leaf))
@@ -96,7 +87,7 @@ class DesignSpace(NamedTuple):
         return cls(
             structure=designs.structure,
             arrays=[array[0] for array in designs.arrays],
-            rows=[designs.names.index(prefix + name) for name in real],
+            rows=[designs.names.index(name) for name in real],
             names=tuple(names),
             units=tuple(units),
             is_variable=flags,
@@ -109,24 +100,18 @@ class DesignSpace(NamedTuple):
 
     @property
     def is_robust(self) -> bool:
-        """Whether the input of the study contains standard deviations."""
+        """Whether a number is uncertain."""
         return bool(np.any(self.deviations))
 
     @property
-    def derivative_names(self) -> tuple[str, ...]:
-        """Names of the real parameters in the input of the study."""
+    def real_names(self) -> tuple[str, ...]:
+        """Names of the real parameters."""
         return tuple(self.structure.names[row] for row in self.rows)
-
-    @property
-    def deviation_names(self) -> tuple[str, ...]:
-        """Names of the standard deviations in the input of the study."""
-        prefix = f"{DEVIATIONS}."
-        return tuple(name for name in self.structure.names if name.startswith(prefix))
 
     def program_input(
         self, vectors: Float[np.ndarray, "designs numbers"]
     ) -> list[np.ndarray]:
-        """Return the array of each parameter of the input of the study, for designs."""
+        """Return the array of each parameter, with one entry for each design."""
         shapes = [self.arrays[row].shape for row in self.rows]
         parts = dict(zip(self.rows, split_last_axis(vectors, shapes), strict=True))
         return [
@@ -137,8 +122,7 @@ class DesignSpace(NamedTuple):
     def tree(self, vector: Float[np.ndarray, " numbers"]) -> Any:
         """Return a design as the study takes it."""
         arrays = [array[0] for array in self.program_input(vector[None])]
-        tree = jax.tree.unflatten(self.structure.tree, arrays)
-        return tree[DESIGN] if self.is_robust else tree
+        return jax.tree.unflatten(self.structure.tree, arrays)
 
     def vector_of(self, design: Any) -> Float[np.ndarray, " numbers"]:
         """Return the real numbers of a design."""
@@ -160,15 +144,14 @@ class DesignSpace(NamedTuple):
                 different lengths or shapes, or a number is outside its bounds.
         """
         given = Designs(designs)
-        own = [self.structure.names[row].removeprefix(f"{DESIGN}.") for row in self.rows]
-        missing = sorted({*own} - {*given.names})
+        missing = sorted({*self.real_names} - {*given.names})
         if missing:
             raise ValueError(
                 f"`starts` has {', '.join(map(repr, given.names))}, but needs also "
                 f"{', '.join(map(repr, missing))}: all real parameters."
             )
         arrays = []
-        for name, row in zip(own, self.rows, strict=True):
+        for name, row in zip(self.real_names, self.rows, strict=True):
             array = given.arrays[given.names.index(name)]
             if array.shape[1:] != self.arrays[row].shape:
                 raise ValueError(
@@ -221,12 +204,11 @@ class DesignSpace(NamedTuple):
         """Return a design with the normal distribution of each uncertain parameter."""
         arrays: list[Any] = [array[0] for array in self.program_input(vector[None])]
         shapes = [self.arrays[row].shape for row in self.rows]
-        deviations = split_last_axis(self.deviations, shapes)
+        deviations = split_last_axis(self.deviations[None], shapes)
         for row, deviation in zip(self.rows, deviations, strict=True):
             if np.any(deviation):
-                arrays[row] = Normal(arrays[row], deviation)
-        tree = jax.tree.unflatten(self.structure.tree, arrays)
-        return tree[DESIGN] if self.is_robust else tree
+                arrays[row] = Normal(arrays[row], deviation[0])
+        return jax.tree.unflatten(self.structure.tree, arrays)
 
 
 def _is_parameter(leaf: Any) -> bool:

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .._utils.types import ArrayOfNumbers
+from .._utils.types import NumbersLike
 
 
 class Limit(eqx.Module):
@@ -30,7 +30,7 @@ class Limit(eqx.Module):
     upper: Float[np.ndarray, "..."] | None
 
     def __init__(
-        self, lower: ArrayOfNumbers | None = None, upper: ArrayOfNumbers | None = None
+        self, lower: NumbersLike | None = None, upper: NumbersLike | None = None
     ):
         self.lower = None if lower is None else np.asarray(lower, float)
         self.upper = None if upper is None else np.asarray(upper, float)

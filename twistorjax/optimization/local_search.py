@@ -6,16 +6,19 @@ import numpy as np
 from jaxtyping import Float
 
 from ..solve.results import RESULT_NAMES
+from .deviations import neighbors, with_deviation_jacobian
 from .multipliers import find_multipliers
 from .problem import Evaluation, Problem
 from .side_by_side import Evaluate
 
 
 # A limit may be violated by this part of its scale.
-FEASIBILITY_TOLERANCE = 1e-6
+FEASIBILITY_TOLERANCE = 1e-7
 # A gradient of the Lagrange function below this part of the gradient of the objective at
 # the start is zero.
 _STATIONARITY_TOLERANCE = 1e-5
+# A violation below this part of the scale of a limit is not corrected.
+_ROUNDING = 1e-12
 # Factors of the objective. SLSQP begins with a unit matrix as second derivatives, so its
 # first step has the length of the gradient, unless bounds and limits shorten it. A long
 # first step finds better optima and needs fewer evaluations: on the stage of the manual,
@@ -99,10 +102,10 @@ def search(
             )
         except _StudyFailed:
             break
-        point, steps = solution.x, steps + solution.nit
+        steps += solution.nit
+        point = _restored(problem, evaluator(solution.x), solution.x)
         if is_optimum(problem, evaluator(point)) or steps >= max_steps:
             break
-        point = _restored(problem, evaluator(point), point)
     last = evaluator(point)
     result = RESULT_NAMES.index("not_converged")
     if not last.succeeded:
@@ -127,7 +130,7 @@ def _restored(
     The merit function of SLSQP has no descent direction at a stationary point that
     violates a limit only a little, so a search that begins there would end at once.
     """
-    if not evaluation.succeeded:
+    if not evaluation.succeeded or problem.violation(evaluation) < _ROUNDING:
         return point
     margins = problem.margins.values(evaluation)
     violated = (margins < 0) | problem.margins.is_equality
@@ -159,7 +162,7 @@ class _Evaluator:
 
     def __call__(self, point: np.ndarray) -> Evaluation:
         if not np.array_equal(point, self._point):
-            self._last = self._evaluate(self._problem.vector(point))
+            (self._last,) = self._evaluate(self._problem.vector(point)[None])
             self._point = np.array(point)
             self.count += 1
         return self._last
@@ -182,6 +185,15 @@ class _Evaluator:
 
     def _succeeded(self, point: np.ndarray) -> Evaluation:
         evaluation = self(point)
+        space = self._problem.space
+        if space.is_robust and evaluation.deviation_jacobian is None:
+            variables = np.flatnonzero(space.is_variable)
+            designs = neighbors(space, evaluation.vector, variables)
+            around = self._evaluate(designs)
+            self._last = evaluation = with_deviation_jacobian(
+                evaluation, around, variables
+            )
+            self.count += len(designs)
         if not evaluation.succeeded:
             raise _StudyFailed
         return evaluation

@@ -42,7 +42,8 @@ def optimize(
 
     With `standard_deviations`, the limits hold for the output plus or minus
     `coverage_factor` standard deviations, which follow to first order from the exact
-    derivatives. The uncertain parameters are independent.
+    derivatives. The uncertain parameters are independent. Bounds hold for the nominal
+    values of the variables.
 
     Args:
         study: Function of one design, as for `sweep`. It builds a mechanism, solves it

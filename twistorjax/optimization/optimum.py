@@ -104,6 +104,8 @@ class Optimum:
         maximized: Whether the objective is maximized.
         parameters: The design at the optimum, as the study takes it.
         outputs: Outputs of the study at the optimum, by name.
+        margins: Distance of each limited output to its limit, divided by the limit, by
+            the name of the entry and the side, such as "stress[left] upper".
         active_limits: Limits and bounds that determine the optimum, with their
             multipliers.
         sensitivities: Derivatives of the optimal objective with respect to the constants
@@ -126,6 +128,7 @@ class Optimum:
     maximized: bool
     parameters: Any
     outputs: Mapping[str, np.ndarray]
+    margins: Mapping[str, float]
     active_limits: tuple[ActiveLimit, ...]
     sensitivities: tuple[Sensitivity, ...]
     local_optima: tuple[LocalOptimum, ...]

@@ -11,7 +11,6 @@ from ..solve.tables import Column, Columns
 from ..sweeps.outputs import StudyOutput
 from .design_space import DesignSpace
 from .limits import Limit
-from .robust_study import deviation_name
 
 
 class Evaluation(NamedTuple):
@@ -19,10 +18,12 @@ class Evaluation(NamedTuple):
 
     Args:
         vector: Real numbers of the design.
-        values: The objective, the limited outputs, and their standard deviations.
+        values: The objective and the limited outputs.
         jacobian: Derivatives with respect to all real numbers of the design.
         succeeded: Whether the study succeeded.
         result: Number of its result; see `RESULTS`.
+        deviations: Standard deviations of the outputs, to first order.
+        deviation_jacobian: Derivatives of the standard deviations, if they are known.
     """
 
     vector: Float[np.ndarray, " numbers"]
@@ -30,6 +31,8 @@ class Evaluation(NamedTuple):
     jacobian: Float[np.ndarray, "outputs numbers"]
     succeeded: bool
     result: int
+    deviations: Float[np.ndarray, " outputs"]
+    deviation_jacobian: Float[np.ndarray, "outputs numbers"] | None = None
 
 
 class OutputVector(NamedTuple):
@@ -37,7 +40,7 @@ class OutputVector(NamedTuple):
 
     Args:
         columns: The columns, by name; their values are shapes.
-        parameters: Names of the real parameters in the input of the study.
+        parameters: Names of the real parameters of a design.
     """
 
     columns: Columns
@@ -49,7 +52,7 @@ class OutputVector(NamedTuple):
     ) -> "OutputVector":
         """Select outputs of a study from those of a chunk of designs."""
         columns = {name: output.columns[name] for name in names}
-        return cls(columns, space.derivative_names)
+        return cls(columns, space.real_names)
 
     def slice(self, name: str) -> slice:
         """Return the range of an output in the vector."""
@@ -71,9 +74,21 @@ class OutputVector(NamedTuple):
         return entry_names(name, shape)
 
     def evaluations(
-        self, vectors: Float[np.ndarray, "designs numbers"], output: StudyOutput
+        self,
+        vectors: Float[np.ndarray, "designs numbers"],
+        deviations: Float[np.ndarray, " numbers"],
+        output: StudyOutput,
     ) -> list[Evaluation]:
-        """Return the evaluation of each design of a chunk, from its numbers."""
+        """Return the evaluation of each design of a chunk.
+
+        Args:
+            vectors: Numbers of each design.
+            deviations: Standard deviations of the numbers, which are independent.
+            output: Outputs of the study for the chunk.
+
+        Returns:
+            The evaluations.
+        """
         count = len(output.succeeded)
         values, jacobians = [], []
         for name in self.columns:
@@ -85,14 +100,16 @@ class OutputVector(NamedTuple):
             rows = [part.reshape(count, value.shape[1], -1) for part in parts]
             values.append(value)
             jacobians.append(np.concatenate(rows, axis=2))
+        jacobian = np.concatenate(jacobians, axis=1)
         return [
             Evaluation(*row)
             for row in zip(
                 vectors,
                 np.concatenate(values, axis=1),
-                np.concatenate(jacobians, axis=1),
+                jacobian,
                 output.succeeded.tolist(),
                 output.result.tolist(),
+                np.linalg.norm(jacobian * deviations, axis=2),
                 strict=True,
             )
         ]
@@ -108,7 +125,6 @@ class Margins(NamedTuple):
         names: Name of each limited entry.
         units: Unit of each entry; empty if it is unknown.
         rows: Row of each entry in the vector of outputs.
-        deviation_rows: Row of its standard deviation; -1 if there is none.
         signs: 1 for a lower limit, -1 for an upper limit.
         limits: The limits, in the units of the outputs.
         scales: Numbers by which the margins are divided.
@@ -119,7 +135,6 @@ class Margins(NamedTuple):
     names: tuple[str, ...]
     units: tuple[str, ...]
     rows: Int[np.ndarray, " margins"]
-    deviation_rows: Int[np.ndarray, " margins"]
     signs: Float[np.ndarray, " margins"]
     limits: Float[np.ndarray, " margins"]
     scales: Float[np.ndarray, " margins"]
@@ -146,47 +161,43 @@ class Margins(NamedTuple):
             The margins.
 
         Raises:
-            ValueError: A limit has another shape than its output, or an output with a
-                standard deviation is prescribed.
+            ValueError: A limit has another shape than its output.
         """
         entries = []
         for name, limit in limits.items():
-            where, names = outputs.slice(name), outputs.entry_names(name)
+            begin, names = outputs.slice(name).start, outputs.entry_names(name)
             column = outputs.columns[name]
-            shape = column.values.shape[1:]
-            deviations = [-1] * len(names)
-            if deviation_name(name) in outputs.columns:
-                deviation = outputs.slice(deviation_name(name))
-                deviations = range(deviation.start, deviation.stop)
-            lower, upper = (
-                _broadcast(name, b, shape) for b in (limit.lower, limit.upper)
-            )
-            for k, entry in enumerate(names):
-                row = where.start + k, deviations[k]
-                unit = column.unit or units.get(name, "")
-                is_equality = bool(lower[k] == upper[k])
-                if is_equality and deviations[k] >= 0:
-                    raise ValueError(
-                        f"`limits` prescribes {entry!r}, which has a standard deviation "
-                        "because of `standard_deviations`. Give two different limits."
-                    )
-                if np.isfinite(lower[k]):
-                    entries.append((entry, unit, *row, 1.0, lower[k], is_equality))
-                if np.isfinite(upper[k]) and not is_equality:
-                    entries.append((entry, unit, *row, -1.0, upper[k], False))
-        columns = list(zip(*entries, strict=True)) or [()] * 7
-        bounds = np.array(columns[5], float)
+            unit, shape = column.unit or units.get(name, ""), column.values.shape[1:]
+            lower = _broadcast(name, limit.lower, shape)
+            upper = _broadcast(name, limit.upper, shape)
+            for row, (entry, low, high) in enumerate(
+                zip(names, lower, upper, strict=True), start=begin
+            ):
+                is_equality = bool(low == high)
+                if np.isfinite(low):
+                    entries.append((entry, unit, row, 1.0, low, is_equality))
+                if np.isfinite(high) and not is_equality:
+                    entries.append((entry, unit, row, -1.0, high, False))
+        columns = list(zip(*entries, strict=True)) or [()] * 6
+        bounds = np.array(columns[4], float)
         return cls(
             names=tuple(columns[0]),
             units=tuple(columns[1]),
             rows=np.array(columns[2], int),
-            deviation_rows=np.array(columns[3], int),
-            signs=np.array(columns[4], float),
+            signs=np.array(columns[3], float),
             limits=bounds,
             scales=np.where(bounds == 0, 1.0, np.abs(bounds)),
-            is_equality=np.array(columns[6], bool),
+            is_equality=np.array(columns[5], bool),
             coverage_factor=coverage_factor,
         )
+
+    @property
+    def sides(self) -> list[str]:
+        """Side of each limit: "lower", "upper", or "equal"."""
+        return [
+            "equal" if is_equality else "lower" if sign > 0 else "upper"
+            for is_equality, sign in zip(self.is_equality, self.signs, strict=True)
+        ]
 
     def with_scales(self, start: Evaluation) -> "Margins":
         """Divide the margins with limits of zero by the sizes of the outputs at a design.
@@ -200,19 +211,16 @@ class Margins(NamedTuple):
     def values(self, evaluation: Evaluation) -> Float[np.ndarray, " margins"]:
         """Return the margins divided by their scales."""
         margins = self.signs * (evaluation.values[self.rows] - self.limits)
-        margins -= self._widths(evaluation.values)
+        margins -= self.coverage_factor * evaluation.deviations[self.rows]
         return margins / self.scales
 
     def jacobian(self, evaluation: Evaluation) -> Float[np.ndarray, "margins numbers"]:
         """Return the derivatives of `values` with respect to all real numbers."""
         rows = self.signs[:, None] * evaluation.jacobian[self.rows]
-        return (rows - self._widths(evaluation.jacobian)) / self.scales[:, None]
-
-    def _widths(self, array: np.ndarray) -> np.ndarray:
-        """Multiply the rows of the standard deviations by the coverage factor."""
-        selected = array[np.maximum(self.deviation_rows, 0)]
-        has_deviation = (self.deviation_rows >= 0).reshape(-1, *[1] * (array.ndim - 1))
-        return np.where(has_deviation, self.coverage_factor * selected, 0.0)
+        if evaluation.deviation_jacobian is not None:
+            widths = evaluation.deviation_jacobian[self.rows]
+            rows = rows - self.coverage_factor * widths
+        return rows / self.scales[:, None]
 
 
 class Problem(NamedTuple):

@@ -32,7 +32,7 @@ def run_searches(
     """
     from tqdm import tqdm
 
-    setup, program = setups[0], setups[0].program
+    setup = setups[0]
     tasks: list[Callable[[Evaluate], SearchEnd]] = []
     problems = []
     for each, vectors in zip(setups, starts, strict=True):
@@ -57,10 +57,6 @@ def run_searches(
         ends = store.finished()
     open_tasks = [row for row in range(len(tasks)) if row not in ends]
 
-    def evaluate(vectors: Float[np.ndarray, "designs numbers"]) -> Any:
-        output = program.evaluate(setup.space.program_input(vectors))
-        return setup.outputs.evaluations(vectors, output)
-
     with tqdm(
         total=len(tasks), initial=len(ends), unit="search", disable=not options.progress
     ) as bar:
@@ -73,7 +69,10 @@ def run_searches(
             bar.update()
 
         run_side_by_side(
-            [tasks[row] for row in open_tasks], evaluate, program.chunk_size, finished
+            [tasks[row] for row in open_tasks],
+            setup.evaluate,
+            setup.program.chunk_size,
+            finished,
         )
     everything = iter(ends[row] for row in range(len(tasks)))
     return [

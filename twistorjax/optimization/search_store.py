@@ -53,16 +53,7 @@ class SearchStore:
         names = setup.space.structure.names
         inputs = setup.space.program_input(starts)
         designs = Designs(dict(zip(names, inputs, strict=True)))
-        self._numbers = len(setup.space.names)
-        shape = jax.ShapeDtypeStruct
-        output = StudyOutput(
-            {
-                "end": Column(shape((1, self._numbers), float), ("number",)),
-                "evaluations": Column(shape((1,), np.int32)),
-            },
-            result=shape((1,), np.int32),  # pyright: ignore[reportArgumentType]
-            succeeded=shape((1,), bool),  # pyright: ignore[reportArgumentType]
-        )
+        output = _study_output(SearchEnd(starts[0], 0, 0))
         self._layout = Layout(designs, output, {})
         self._layout.check_storable()
         identity = sweep_identity(setup.study, designs, setup.program, None, settings)
@@ -87,12 +78,16 @@ class SearchStore:
             row: Index of its start.
             end: The end.
         """
-        output = StudyOutput(
-            {
-                "end": Column(end.vector[None], ("number",)),
-                "evaluations": Column(np.array([end.evaluations], np.int32)),
-            },
-            result=np.array([end.result], np.int32),  # pyright: ignore[reportArgumentType]
-            succeeded=np.array([end.result == 0]),  # pyright: ignore[reportArgumentType]
-        )
-        self._store.write(row, self._layout.values(output))
+        self._store.write(row, self._layout.values(_study_output(end)))
+
+
+def _study_output(end: SearchEnd) -> StudyOutput:
+    """Return the end of a search in the form of the outputs of one design."""
+    result, succeeded = jax.device_put(
+        (np.array([end.result], np.int32), np.array([end.result == 0]))
+    )
+    columns = {
+        "end": Column(end.vector[None], ("number",)),
+        "evaluations": Column(np.array([end.evaluations], np.int32)),
+    }
+    return StudyOutput(columns, result=result, succeeded=succeeded)

@@ -18,7 +18,6 @@ from .design_space import DesignSpace
 from .limits import Limit
 from .options import Options
 from .problem import Evaluation, Margins, OutputVector, Problem
-from .robust_study import deviation_name, RobustStudy
 
 
 # Largest number of designs that one call of the program evaluates.
@@ -86,16 +85,16 @@ class Setup(NamedTuple):
         assert objective is not None
         space = DesignSpace.from_tree(parameters, standard_deviations)
         names = list(dict.fromkeys([objective, *limits]))
-        if space.is_robust:
-            study_of_program: Any = RobustStudy(study, tuple(limits))
-            names += map(deviation_name, limits)
-        else:
-            study_of_program = study
+        for name, limit in limits.items():
+            if standard_deviations and np.any(limit.lower == limit.upper):
+                raise ValueError(
+                    f"`limits` prescribes {name!r}, which is uncertain because of "
+                    "`standard_deviations`. Give two different limits."
+                )
         try:
             program = find_program(
-                study_of_program, space.structure, tuple(names),
+                study, space.structure, tuple(names),
                 min(padded_size(count), _MOST_DESIGNS), math.inf, None, True,
-                space.deviation_names,
             )  # fmt: skip
         except jax.errors.JAXTypeError as error:
             raise compilation_error("study", "about the design", error) from error
@@ -134,7 +133,7 @@ class Setup(NamedTuple):
         return Problem(self.space, margins, self.sign)
 
     def evaluate(self, vectors: Float[np.ndarray, "designs numbers"]) -> list[Evaluation]:
-        """Evaluate designs, which may be more or fewer than the program takes at once."""
+        """Evaluate designs, in as many calls of the program as they need."""
         size = self.program.chunk_size
         evaluations: list[Evaluation] = []
         for begin in range(0, len(vectors), size):
@@ -142,7 +141,8 @@ class Setup(NamedTuple):
             count = len(chunk)
             padded = np.concatenate([chunk, np.repeat(chunk[-1:], size - count, axis=0)])
             output = self.program.evaluate(self.space.program_input(padded))
-            evaluations += self.outputs.evaluations(padded, output)[:count]
+            rows = self.outputs.evaluations(padded, self.space.deviations, output)
+            evaluations += rows[:count]
         return evaluations
 
     def outputs_of(self, vector: Float[np.ndarray, " numbers"]) -> StudyOutput:

@@ -17,7 +17,7 @@ from .problem import Evaluation
 
 
 Outcome = TypeVar("Outcome")
-Evaluate = Callable[[Float[np.ndarray, " numbers"]], Evaluation]
+Evaluate = Callable[[Float[np.ndarray, "designs numbers"]], list[Evaluation]]
 
 
 class _Cancelled(BaseException):
@@ -25,11 +25,10 @@ class _Cancelled(BaseException):
 
 
 class _Request(NamedTuple):
-    """Request of a task: the design whose outputs it needs."""
+    """Request of a task: the designs whose outputs it needs."""
 
-    task: int
-    vector: Float[np.ndarray, " numbers"]
-    reply: "SimpleQueue[Evaluation | None]"
+    vectors: Float[np.ndarray, "designs numbers"]
+    reply: "SimpleQueue[list[Evaluation] | None]"
 
 
 class _Outcome(NamedTuple, Generic[Outcome]):
@@ -42,16 +41,16 @@ class _Outcome(NamedTuple, Generic[Outcome]):
 
 def run_side_by_side(
     tasks: Sequence[Callable[[Evaluate], Outcome]],
-    evaluate: Callable[[Float[np.ndarray, "designs numbers"]], list[Evaluation]],
+    evaluate: Evaluate,
     size: int,
     finished: Callable[[int, Outcome], None],
 ) -> None:
     """Run optimizations, at most a given number of them at the same time.
 
     Args:
-        tasks: Functions that run one optimization each. They take the function that
-            evaluates a design.
-        evaluate: Function that evaluates `size` designs in one call.
+        tasks: Functions that run one optimization each. They take a function that
+            evaluates designs.
+        evaluate: Function that evaluates the designs of all tasks.
         size: Largest number of optimizations that run at the same time.
         finished: Function that is called with the index and the value of each
             optimization as soon as it has ended.
@@ -63,21 +62,23 @@ def run_side_by_side(
     cancelled = threading.Event()
 
     def run(index: int, task: Callable[[Evaluate], Outcome]) -> None:
-        reply: SimpleQueue[Evaluation | None] = SimpleQueue()
+        reply: SimpleQueue[list[Evaluation] | None] = SimpleQueue()
 
-        def evaluate_one(vector: Float[np.ndarray, " numbers"]) -> Evaluation:
+        def evaluate_together(
+            vectors: Float[np.ndarray, "designs numbers"],
+        ) -> list[Evaluation]:
             if cancelled.is_set():
                 raise _Cancelled
-            messages.put(_Request(index, np.array(vector), reply))
-            evaluation = reply.get()
-            if evaluation is None:
+            messages.put(_Request(vectors, reply))
+            evaluations = reply.get()
+            if evaluations is None:
                 raise _Cancelled
-            return evaluation
+            return evaluations
 
         value: Any = None
         error: BaseException | None = None
         try:
-            value = task(evaluate_one)
+            value = task(evaluate_together)
         except BaseException as raised:
             error = raised
         messages.put(_Outcome(index, value, error))
@@ -96,7 +97,7 @@ def run_side_by_side(
                     raise message.error
                 finished(message.task, message.value)  # pyright: ignore
             if waiting and len(waiting) == running and not (pending and running < size):
-                _answer(waiting, evaluate, size)
+                _answer(waiting, evaluate)
                 waiting.clear()
     finally:
         cancelled.set()
@@ -110,16 +111,8 @@ def run_side_by_side(
                 running -= 1
 
 
-def _answer(
-    requests: Sequence[_Request],
-    evaluate: Callable[[Float[np.ndarray, "designs numbers"]], list[Evaluation]],
-    size: int,
-) -> None:
-    """Evaluate the designs of all requests in one call, and send the replies.
-
-    The program takes a fixed number of designs, so the last one is repeated.
-    """
-    vectors = [request.vector for request in requests]
-    vectors += [vectors[-1]] * (size - len(vectors))
-    for request, evaluation in zip(requests, evaluate(np.stack(vectors)), strict=False):
-        request.reply.put(evaluation)
+def _answer(requests: Sequence[_Request], evaluate: Evaluate) -> None:
+    """Evaluate the designs of all requests together, and send the replies."""
+    evaluations = iter(evaluate(np.concatenate([each.vectors for each in requests])))
+    for request in requests:
+        request.reply.put([next(evaluations) for _ in request.vectors])

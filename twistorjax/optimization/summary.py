@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..solve.results import RESULTS
+from .deviations import neighbors, with_deviation_jacobian
 from .local_search import FEASIBILITY_TOLERANCE, SearchEnd
 from .multipliers import find_multipliers, Multipliers
 from .optimum import ActiveLimit, LocalOptimum, Optimum, Searches, Sensitivity
 from .problem import Evaluation, Problem
-from .robust_study import deviation_name
 from .setup import Setup
 
 
@@ -57,6 +57,10 @@ def summarize(
         )
     )
     best = evaluations[order[0]]
+    if problem.space.is_robust:
+        numbers = np.arange(len(problem.space.names))
+        around = setup.evaluate(neighbors(problem.space, best.vector, numbers))
+        best = with_deviation_jacobian(best, around, numbers)
     multipliers = find_multipliers(problem, best)
     result = RESULTS.successful
     if not local_optima:
@@ -77,6 +81,15 @@ def summarize(
             name: np.asarray(column.values)
             for name, column in outputs.columns.items()
             if name not in hidden
+        },
+        margins={
+            f"{name} {side}": float(value)
+            for name, side, value in zip(
+                problem.margins.names,
+                problem.margins.sides,
+                problem.margins.values(best),
+                strict=True,
+            )
         },
         active_limits=_active_limits(problem, multipliers, best),
         sensitivities=_sensitivities(problem, multipliers, best),
@@ -129,13 +142,10 @@ def _active_limits(
     active = []
     for row in multipliers.active_margins:
         sign = margins.signs[row]
-        side = "lower" if sign > 0 else "upper"
-        if margins.is_equality[row]:
-            side = "equal"
         active.append(
             ActiveLimit(
                 name=margins.names[row],
-                side=side,
+                side=margins.sides[row],
                 limit=float(margins.limits[row]),
                 unit=margins.units[row],
                 derivative=float(
@@ -180,7 +190,7 @@ def _sensitivities(
     if not space.is_robust:
         return tuple(found)
     # The width k sqrt(sum (s dy/dp)^2) of a margin changes by k s (dy/dp)^2 / sqrt(...).
-    deviations = best.values[margins.deviation_rows]
+    deviations = best.deviations[margins.rows]
     changes = np.zeros((len(margins.names), len(space.names)))
     known = deviations > 0
     jacobian = best.jacobian[margins.rows[known]]
@@ -189,7 +199,7 @@ def _sensitivities(
     by_deviation = -weights @ widths
     found += [
         Sensitivity(
-            deviation_name(space.names[row]),
+            f"standard deviation of {space.names[row]}",
             float(space.deviations[row]),
             float(by_deviation[row]),
         )

@@ -1,5 +1,6 @@
 from .animation import animate as animate
 from .drawing import draw as draw
 from .hinge_plots import draw_energy as draw_energy
+from .optimum_plots import draw_optimum as draw_optimum
 from .path_plots import draw_path as draw_path
 from .port_plots import draw_port_motion as draw_port_motion

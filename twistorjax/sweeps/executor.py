@@ -65,8 +65,6 @@ class Program:
         mesh: Devices; `None` for the default device.
         fixed_chunk_size: Whether the chunk size must stay as it is. Otherwise
             `fit_memory` reduces it if a chunk needs more than `memory`.
-        fixed_parameters: Names of the parameters with respect to which nothing is
-            differentiated.
     """
 
     def __init__(
@@ -78,10 +76,9 @@ class Program:
         memory: float | int,
         mesh: Mesh | None,
         fixed_chunk_size: bool,
-        fixed_parameters: tuple[str, ...] = (),
     ):
         self.structure, self.mesh, self.memory = structure, mesh, memory
-        self._evaluate = study_output(study, structure, derivatives, fixed_parameters)
+        self._evaluate = study_output(study, structure, derivatives)
         self._batch_size = _CPU_BATCH_SIZE
         self._compiled: Any = None
         self._fixed_chunk_size, self.chunk_size = fixed_chunk_size, chunk_size

@@ -35,10 +35,7 @@ class StudyOutput(eqx.Module):
 
 
 def study_output(
-    study: Callable[[Any], Any],
-    structure: DesignStructure,
-    derivatives: Sequence[str],
-    fixed: Sequence[str] = (),
+    study: Callable[[Any], Any], structure: DesignStructure, derivatives: Sequence[str]
 ) -> Callable[[list[Array]], StudyOutput]:
     """Convert a study to a function of parameter arrays.
 
@@ -47,7 +44,6 @@ def study_output(
         structure: Structure of a design.
         derivatives: Names of the outputs that are differentiated with respect to each
             parameter.
-        fixed: Names of the parameters with respect to which nothing is differentiated.
 
     Returns:
         A function that takes the parameters of one design, in the order of
@@ -56,13 +52,20 @@ def study_output(
     """
 
     def evaluate(parameters: list[Array]) -> tuple[Columns, list[RESULTS]]:
-        return read_study(study, structure.design(parameters))
+        value = study(structure.design(parameters))
+        columns = dict(_columns(value, ""))
+        if not columns:
+            raise ValueError(
+                f"The study returns {value!r}, but must return an array or a tree of "
+                "arrays."
+            )
+        return columns, _results(value)
 
     def output(parameters: list[Array]) -> StudyOutput:
         by_parameter: Columns = {}
         if derivatives:
             columns, by_parameter, results = _with_derivatives(
-                evaluate, parameters, structure.names, derivatives, fixed
+                evaluate, parameters, structure.names, derivatives
             )
         else:
             columns, results = evaluate(parameters)
@@ -90,28 +93,6 @@ def study_output(
         return StudyOutput(masked, jnp.asarray(result._value), succeeded)
 
     return output
-
-
-def read_study(study: Callable[[Any], Any], design: Any) -> tuple[Columns, list[RESULTS]]:
-    """Evaluate a study for one design.
-
-    Args:
-        study: Function of one design.
-        design: The design.
-
-    Returns:
-        The outputs by name, and the results of all solves whose solutions it returns.
-
-    Raises:
-        ValueError: The study returns no array, or something that is not numeric.
-    """
-    value = study(design)
-    columns = dict(_columns(value, ""))
-    if not columns:
-        raise ValueError(
-            f"The study returns {value!r}, but must return an array or a tree of arrays."
-        )
-    return columns, _results(value)
 
 
 def _results(value: Any) -> list[RESULTS]:
@@ -173,19 +154,13 @@ def _with_derivatives(
     parameters: list[Array],
     names: Sequence[str],
     derivatives: Sequence[str],
-    fixed: Sequence[str],
 ) -> tuple[Columns, Columns, list[RESULTS]]:
     """Evaluate a study and the derivatives of some outputs by each parameter in one pass.
 
-    Nothing is differentiated with respect to the parameters that are named in `fixed`. It
-    returns the outputs, their derivatives, and the results of the solves. The
+    It returns the outputs, their derivatives, and the results of the solves. The
     derivative of `gain` by `web` has the name `gain_by_web`.
     """
-    real = [
-        row
-        for row, (name, array) in enumerate(zip(names, parameters, strict=True))
-        if eqx.is_inexact_array(array) and name not in fixed
-    ]
+    real = [k for k, array in enumerate(parameters) if eqx.is_inexact_array(array)]
     if not real:
         raise ValueError(
             f"`derivatives` needs a real parameter, but {', '.join(names)} are integers."

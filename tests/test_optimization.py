@@ -1,0 +1,381 @@
+"""Optima against closed forms, finite differences, and solvers of SciPy alone."""
+
+import threading
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from scipy.stats import norm
+from sweep_helpers import pulled_block, spring
+
+import twistorjax as tj
+from twistorjax.optimization import optimize_cases
+
+
+MODULUS, WIDTH, TRAVEL, STRENGTH = 210e9, 10e-3, 1e-3, 250e6
+
+
+def leaf_spring(design):
+    """A cantilever whose tip moves by `TRAVEL`, by beam theory."""
+    length, thickness = design["length"], design["thickness"]
+    modulus = design.get("modulus", MODULUS)
+    area_moment = WIDTH * thickness**3 / 12
+    stiffness = 3 * modulus * area_moment / length**3
+    stress = stiffness * TRAVEL * length * thickness / 2 / area_moment
+    return {"stiffness": stiffness, "stress": stress, "mass": length * thickness * WIDTH}
+
+
+def leaf_parameters(**constants):
+    return {
+        "length": tj.Parameter(40e-3, "m", lower=20e-3, upper=60e-3),
+        "thickness": tj.Parameter(0.5e-3, "m", lower=0.2e-3, upper=1e-3),
+        **constants,
+    }
+
+
+LEAF = {"maximize": "stiffness", "limits": {"stress": tj.Limit(upper=STRENGTH)}}
+
+
+def stiffest_leaf(modulus=MODULUS, strength=STRENGTH, thickness=1e-3):
+    """The thickest leaf, as short as its strength allows; N/m."""
+    length = np.sqrt(1.5 * modulus * thickness * TRAVEL / strength)
+    return modulus * WIDTH * thickness**3 / 4 / length**3
+
+
+def test_leaf_spring_is_as_short_and_thick_as_its_limits_allow(validated):
+    optimum = tj.optimize(
+        leaf_spring, leaf_parameters(modulus=MODULUS), starts=20, **LEAF
+    )
+    assert optimum.succeeded and len(optimum.local_optima) == 1
+    assert sum(len(each.starts) for each in optimum.local_optima) == 20
+    exact = stiffest_leaf()
+    multipliers = {each.name: each.derivative for each in optimum.active_limits}
+    (by_modulus,) = optimum.sensitivities
+    found = [multipliers["stress"], multipliers["thickness"], by_modulus.derivative]
+    values = {"strength": STRENGTH, "thickness": 1e-3, "modulus": MODULUS}
+    differences = []
+    for name, value in values.items():
+        ends = [stiffest_leaf(**{name: (1 + side * 1e-4) * value}) for side in (1, -1)]
+        differences.append((ends[0] - ends[1]) / 2e-4)
+    relative = found * np.array([*values.values()])
+    np.testing.assert_allclose(optimum.objective, exact, rtol=1e-7)
+    np.testing.assert_allclose(relative, differences, rtol=1e-5)
+    what = "Stiffest leaf spring within a stress limit"
+    oracle = "closed form of beam theory"
+    validated("Optimization", what, optimum.objective, exact, oracle)
+    what = "Multipliers of a limit and a bound, sensitivity to the modulus"
+    oracle = "differences of the closed form"
+    validated("Optimization", what, relative, differences, oracle)
+    text = repr(optimum)
+    assert "20 of 20 searches ended here" in text and "upper bound" in text
+    assert "stress <= 2.5e+08" in text and "modulus" in text
+
+
+@pytest.mark.filterwarnings("ignore:delta_grad == 0.0")
+def test_searches_end_where_scipy_alone_ends():
+    """A problem with several local optima, more starts than run side by side."""
+
+    def study(design):
+        x, y = design["x"], design["y"]
+        wave = jnp.sin(3 * x) * jnp.cos(2 * y)
+        return {"f": 0.1 * (x**2 + y**2) + wave, "radius": x**2 + y**2}
+
+    parameters = {
+        "x": tj.Parameter(1.0, lower=-3, upper=3),
+        "y": tj.Parameter(1.0, lower=-3, upper=3),
+    }
+    limits = {"radius": tj.Limit(lower=1.0, upper=6.0)}
+    found = tj.optimize(study, parameters, minimize="f", limits=limits, starts=50)
+    assert len(found.local_optima) > 3
+
+    def value(point):
+        return 0.1 * point @ point + np.sin(3 * point[0]) * np.cos(2 * point[1])
+
+    radius = scipy.optimize.NonlinearConstraint(lambda point: point @ point, 1.0, 6.0)
+    bounds = [(-3, 3), (-3, 3)]
+    options = {"gtol": 1e-10, "xtol": 1e-12, "maxiter": 3000, "initial_tr_radius": 1e-3}
+    for end in found.searches.ends:
+        alone = scipy.optimize.minimize(
+            value, end + 1e-3, method="trust-constr", bounds=bounds, constraints=radius,
+            options=options,
+        )  # fmt: skip
+        np.testing.assert_allclose(end, alone.x, atol=2e-4)
+    starts = {"x": found.searches.starts[:, 0], "y": found.searches.starts[:, 1]}
+    for row in (3, 41):
+        single = {name: values[row : row + 1] for name, values in starts.items()}
+        alone = tj.optimize(study, parameters, minimize="f", limits=limits, starts=single)
+        end = found.searches.ends[row]
+        np.testing.assert_allclose(alone.searches.ends[0], end, atol=1e-4)
+
+
+def test_equality_and_array_limits():
+    """The point of a plane that is nearest to the origin, off two half-spaces."""
+    normal = np.array([1.0, 2.0, 2.0])
+
+    def study(design):
+        x = design["x"]
+        return {"distance": jnp.sum(x**2), "height": jnp.dot(normal, x), "x": x + 0.0}
+
+    limits = {"height": tj.Limit(9.0, 9.0), "x": tj.Limit(lower=[0.0, 2.5, 0.0])}
+    optimum = tj.optimize(
+        study,
+        {"x": tj.Parameter(np.zeros(3), scale=1.0)},
+        minimize="distance",
+        limits=limits,
+    )
+    np.testing.assert_allclose(optimum.parameters["x"], [0.8, 2.5, 1.6], atol=1e-7)
+    multipliers = {each.name: each for each in optimum.active_limits}
+    # gradient 2 x = a normal + b e_y, with a = 1.6 and b = 5 - 2 a
+    assert multipliers["height"].side == "equal"
+    np.testing.assert_allclose(multipliers["height"].derivative, 1.6, rtol=1e-6)
+    np.testing.assert_allclose(multipliers["x[1]"].derivative, 1.8, rtol=1e-6)
+
+
+def test_optimum_of_a_mechanism_and_units_of_solutions():
+    """The softest spring whose block moves by at most 2 mm under a known force."""
+
+    def study(design):
+        outputs = pulled_block(design)
+        travel = tj.solve.Column(outputs["travel"], unit="m")
+        return {**outputs, "travel": travel, "k": design["k"] + 0.0}
+
+    parameters = {"k": tj.Parameter(5e3, "N/m", lower=100.0, upper=1e5), "force": 3.0}
+    optimum = tj.optimize(
+        study, parameters, minimize="k", limits={"travel": tj.Limit(upper=2e-3)}
+    )
+    np.testing.assert_allclose(optimum.parameters["k"], 1500.0, rtol=1e-6)
+    (limit,) = optimum.active_limits
+    assert limit.unit == "m" and optimum.parameters["force"] == 3.0
+    np.testing.assert_allclose(limit.derivative, -1500.0 / 2e-3, rtol=1e-5)
+    (by_force,) = optimum.sensitivities
+    np.testing.assert_allclose(by_force.derivative, 500.0, rtol=1e-5)
+
+
+def test_robust_limit_holds_with_the_stated_probability(validated):
+    """A linear limit, for which first order is exact; three standard deviations."""
+    slopes, deviations = np.array([3.0, 1.0, 2.0]), np.array([0.02, 0.05, 0.01])
+
+    def study(design):
+        x = jnp.concatenate([design["x"], design["c"][None]])
+        return {"cost": jnp.sum(design["x"]), "load": jnp.dot(slopes, x)}
+
+    parameters = {
+        "x": tj.Parameter(np.ones(2), lower=0.0, upper=2.0),
+        "c": 1.0,
+    }
+    limits = {"load": tj.Limit(upper=6.0)}
+    certain = tj.optimize(study, parameters, maximize="cost", limits=limits)
+    optimum = tj.optimize(
+        study, parameters, maximize="cost", limits=limits,
+        standard_deviations={"x": deviations[:2], "c": deviations[2]},
+    )  # fmt: skip
+    width = 3 * np.linalg.norm(slopes * deviations)
+    exact = 2.0 + (6.0 - 2.0 - 2.0 - width) / 3
+    np.testing.assert_allclose(certain.objective, 2.0 + 2.0 / 3, rtol=1e-7)
+    by_name = {each.name: each.derivative for each in optimum.sensitivities}
+    step = 3 * slopes**2 * deviations / np.linalg.norm(slopes * deviations) / 3
+    np.testing.assert_allclose(by_name["standard deviation of x[1]"], -step[1], rtol=1e-5)
+    np.testing.assert_allclose(by_name["c"], -2 / 3, rtol=1e-5)
+    spread = dict(optimum.standard_deviations)
+    shares = optimum.violations(count=100_000)
+    expected = norm.sf(3.0)
+    assert abs(shares.any_limit - expected) < 4 * np.sqrt(expected / 100_000)
+    assert abs(certain.violations(spread).any_limit - 0.5) < 0.02
+    assert "load upper" in repr(shares)
+    np.testing.assert_allclose(optimum.objective, exact, rtol=1e-7)
+    what = "Optimum with a limit that holds at three standard deviations"
+    validated("Optimization", what, optimum.objective, exact, "closed form")
+
+
+def test_robust_mechanism_reacts_to_the_curvature_of_the_limit():
+    """The derivative of the standard deviation needs second derivatives."""
+    parameters = {"k": tj.Parameter(5e3, lower=100.0, upper=1e5), "force": 3.0}
+
+    def study(design):
+        return {**pulled_block(design), "k": design["k"] + 0.0}
+
+    optimum = tj.optimize(
+        study, parameters, minimize="k", limits={"travel": tj.Limit(upper=2e-3)},
+        standard_deviations={"k": 30.0, "force": 0.1}, coverage_factor=2.0,
+    )  # fmt: skip
+
+    def margin(k):
+        deviation = np.hypot(0.1 / k, 3.0 / k**2 * 30.0)
+        return 2e-3 - 3.0 / k - 2.0 * deviation
+
+    exact = scipy.optimize.brentq(margin, 1e3, 3e3, xtol=1e-10)
+    np.testing.assert_allclose(optimum.parameters["k"], float(exact), rtol=1e-6)  # pyright: ignore
+
+
+def test_cases_are_points_of_the_pareto_front():
+    strengths = np.array([150e6, 250e6, 400e6])
+    front = optimize_cases(
+        leaf_spring, leaf_parameters(), {"stress": strengths}, starts=3, **LEAF
+    )
+    exact = [stiffest_leaf(strength=strength) for strength in strengths]
+    np.testing.assert_allclose([each.objective for each in front], exact, rtol=1e-6)
+    moduli = [70e9, 210e9]
+    front = optimize_cases(
+        leaf_spring, leaf_parameters(modulus=1e11), {"modulus": moduli}, **LEAF
+    )
+    exact = [stiffest_leaf(modulus=modulus) for modulus in moduli]
+    np.testing.assert_allclose([each.objective for each in front], exact, rtol=1e-6)
+    assert [float(each.parameters["modulus"]) for each in front] == moduli
+
+
+def test_study_is_traced_once_for_all_calls():
+    traces = []
+
+    def study(design):
+        traces.append(design)
+        return leaf_spring(design)
+
+    tj.optimize(study, leaf_parameters(), starts=4, **LEAF)
+    first = len(traces)
+    limits = {"stress": tj.Limit(upper=100e6)}
+    tj.optimize(study, leaf_parameters(), starts=4, maximize="stiffness", limits=limits)
+    assert first > 0 and len(traces) == first
+
+
+def test_failing_designs_shorten_the_step():
+    """The root is not finite beyond the bound of its argument."""
+
+    def study(design):
+        return {"f": -design["x"] + 0.01 / jnp.sqrt(1.0 - design["x"])}
+
+    optimum = tj.optimize(study, {"x": tj.Parameter(0.5)}, minimize="f")
+    np.testing.assert_allclose(1 - optimum.parameters["x"], 0.005 ** (2 / 3), rtol=1e-4)
+    with pytest.raises(RuntimeError, match=r"1 not_finite.*a solve fails"):
+        tj.optimize(study, {"x": tj.Parameter(2.0)}, minimize="f")
+    starts = {"x": np.array([2.0, 0.5])}
+    optimum = tj.optimize(study, {"x": tj.Parameter(0.5)}, minimize="f", starts=starts)
+    assert optimum.local_optima[0].starts == (1,)
+    assert "searches without an optimum: 1 not_finite" in repr(optimum)
+
+
+def test_limits_that_exclude_each_other_are_reported():
+    limits = {"stress": tj.Limit(upper=1e6), "stiffness": tj.Limit(lower=1e6)}
+    with pytest.raises(RuntimeError, match="No search ended at a design within all"):
+        tj.optimize(leaf_spring, leaf_parameters(), minimize="mass", limits=limits)
+    found = tj.optimize(
+        leaf_spring, leaf_parameters(), minimize="mass", limits=limits, throw=False
+    )
+    assert not found.succeeded and found.result == tj.RESULTS.no_feasible_design
+
+
+def test_error_of_a_study_ends_all_searches():
+    def study(design):
+        load = tj.Load("block", force=(3.0, 0.0))
+        solution = tj.equilibrium(spring(design), loads=[load])
+        return {"travel": solution.displacement("block")[1]}
+
+    before = threading.active_count()
+    parameters = {"k": tj.Parameter(1.0, lower=-10.0, upper=10.0)}
+    with pytest.raises(RuntimeError, match=r"throw=False"):
+        tj.optimize(study, parameters, maximize="travel", starts=8)
+    assert threading.active_count() <= before + 1
+
+
+def test_finished_searches_are_not_repeated(tmp_path, monkeypatch):
+    pytest.importorskip("zarr")
+    from twistorjax.optimization import run
+
+    store = tmp_path / "searches.zarr"
+    options = {**LEAF, "starts": 6, "store": store}
+    complete = tj.optimize(leaf_spring, leaf_parameters(), **LEAF, starts=6)
+    write, written = run.SearchStore.write, []
+
+    def interrupted_write(self, row, end):
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        write(self, row, end)
+        written.append(row)
+
+    monkeypatch.setattr(run.SearchStore, "write", interrupted_write)
+    with pytest.raises(KeyboardInterrupt):
+        tj.optimize(leaf_spring, leaf_parameters(), **options)
+    monkeypatch.setattr(run.SearchStore, "write", write)
+    with pytest.raises(ValueError, match="already exists"):
+        tj.optimize(leaf_spring, leaf_parameters(), **options)
+    table = tj.sweeps.open_sweep(store)
+    assert int(table.succeeded.sum()) == 3
+    repeated = []
+    search = run.search
+    monkeypatch.setattr(
+        run, "search", lambda *a, **k: repeated.append(a) or search(*a, **k)
+    )
+    resumed = tj.optimize(leaf_spring, leaf_parameters(), **options, resume=True)
+    assert len(repeated) == 3
+    np.testing.assert_allclose(resumed.searches.ends, complete.searches.ends, rtol=1e-9)
+    table = tj.sweeps.open_sweep(store)
+    np.testing.assert_array_equal(table.end, resumed.searches.ends)
+    other = {**options, "limits": {"stress": tj.Limit(upper=100e6)}, "resume": True}
+    with pytest.raises(ValueError, match="settings"):
+        tj.optimize(leaf_spring, leaf_parameters(), **other)
+
+
+def test_searches_become_a_dataset():
+    optimum = tj.optimize(leaf_spring, leaf_parameters(), starts=3, **LEAF)
+    table = optimum.to_xarray()
+    assert dict(table.sizes) == {"start": 3, "number": 2}
+    assert list(table.number.values) == ["length", "thickness"]
+    assert float(table.objective.max()) == optimum.objective
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"maximize": None}, "Give one of them"),
+        ({"minimize": "mass"}, "Give one of them"),
+        ({"maximize": "weight"}, r"names 'weight'.*stiffness"),
+        ({"limits": {"weight": tj.Limit(upper=1.0)}}, r"names 'weight'.*stiffness"),
+        ({"limits": {"stress": tj.Limit(upper=[1.0, 2.0])}}, r"shape \(2,\)"),
+        ({"starts": 0}, "at least 1"),
+        ({"starts": 2.5}, "at least 1"),
+        ({"starts": {"length": [0.03]}}, "'thickness'"),
+        ({"starts": {"length": [0.1], "thickness": [1e-3]}}, "between 0.02 and 0.06"),
+        ({"tolerance": 0.0}, "between 0 and 1"),
+        ({"max_steps": 0}, "at least 1"),
+        ({"coverage_factor": -1.0}, "positive"),
+        ({"resume": True}, "there is no `store`"),
+        ({"standard_deviations": {"width": 1.0}}, "'width'"),
+        ({"standard_deviations": {"length": -1.0}}, "not negative"),
+        ({"standard_deviations": {"length": 0.0}}, "zero"),
+        (
+            {
+                "standard_deviations": {"length": 1e-3},
+                "limits": {"stress": tj.Limit(1e6, 1e6)},
+            },
+            "prescribes",
+        ),
+    ],
+)
+def test_arguments_that_are_not_valid_are_explained(changes, message):
+    with pytest.raises(ValueError, match=message):
+        tj.optimize(leaf_spring, leaf_parameters(), **{**LEAF, **changes})
+
+
+@pytest.mark.untyped
+def test_limits_of_a_wrong_type_are_explained():
+    with pytest.raises(ValueError, match="must be a `Limit`"):
+        tj.optimize(leaf_spring, leaf_parameters(), **{**LEAF, "limits": {"stress": 1e6}})
+
+
+def test_other_arguments_that_are_not_valid():
+    with pytest.raises(ValueError, match="lacks one"):
+        tj.optimize(leaf_spring, {"length": 0.04, "thickness": 5e-4}, starts=2, **LEAF)
+    with pytest.raises(ValueError, match="needs a variable"):
+        tj.optimize(leaf_spring, {"length": 4}, **LEAF)
+    with pytest.raises(ValueError, match="must not exceed"):
+        tj.Limit(2.0, 1.0)
+    with pytest.raises(ValueError, match="empty"):
+        tj.Limit()
+    with pytest.raises(ValueError, match="finite"):
+        tj.Limit(upper=np.inf)
+    with pytest.raises(ValueError, match="must name a limited output"):
+        optimize_cases(leaf_spring, leaf_parameters(), {"width": [1.0]}, **LEAF)
+    with pytest.raises(ValueError, match="one number for each case"):
+        optimize_cases(leaf_spring, leaf_parameters(), {}, **LEAF)
+    with pytest.raises(ValueError, match="No parameter is uncertain"):
+        tj.optimize(leaf_spring, leaf_parameters(), **LEAF).violations()

@@ -72,7 +72,7 @@ def optimize_cases(
             "case, and at least one case."
         )
     count = shapes[0][0]
-    common = Setup.create(study, parameters, chosen, count * chosen.start_count)
+    common = Setup.create(study, parameters, chosen)
     setups, starts = [], []
     for case in range(count):
         setup = _with_values(common, {name: a[case] for name, a in values.items()})

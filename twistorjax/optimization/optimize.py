@@ -129,7 +129,7 @@ def optimize(
         resume=resume,
         progress=progress,
     )
-    setup = Setup.create(study, parameters, options, options.start_count)
+    setup = Setup.create(study, parameters, options)
     vectors = options.start_vectors(setup.space)
     ((problem, ends),) = run_searches([setup], [vectors], options)
     optimum = summarize(setup, problem, vectors, ends)

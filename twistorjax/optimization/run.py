@@ -15,6 +15,10 @@ from .setup import Setup
 from .side_by_side import Evaluate, run_side_by_side
 
 
+# Largest number of searches that run at the same time, each in a thread of its own.
+_MOST_SEARCHES = 64
+
+
 def run_searches(
     setups: Sequence[Setup],
     starts: Sequence[Float[np.ndarray, "starts numbers"]],
@@ -71,7 +75,7 @@ def run_searches(
         run_side_by_side(
             [tasks[row] for row in open_tasks],
             setup.evaluate,
-            setup.program.chunk_size,
+            _MOST_SEARCHES,
             finished,
         )
     everything = iter(ends[row] for row in range(len(tasks)))

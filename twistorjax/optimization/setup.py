@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._utils.host import padded_size
 from .._utils.types import NumbersLike
 from .._utils.validation import compilation_error, require_float64
 from ..sweeps.executor import find_program, Program
@@ -20,8 +19,10 @@ from .options import Options
 from .problem import Evaluation, Margins, OutputVector, Problem
 
 
-# Largest number of designs that one call of the program evaluates.
-_MOST_DESIGNS = 32
+# Number of designs that one call of the program evaluates. It is the same for all
+# optimizations, so that they share the program. On a processor, the time for each design
+# is the same with 8 designs as with 64.
+_CPU_DESIGNS, _ACCELERATOR_DESIGNS = 8, 256
 
 
 class Setup(NamedTuple):
@@ -57,7 +58,6 @@ class Setup(NamedTuple):
         study: Callable[[Any], Any],
         parameters: Any,
         options: Options,
-        count: int,
     ) -> "Setup":
         """Trace the program of an optimization.
 
@@ -65,7 +65,6 @@ class Setup(NamedTuple):
             study: Function of one design.
             parameters: One design, with its variables.
             options: Options of the optimization.
-            count: Number of searches.
 
         Returns:
             The setup.
@@ -84,6 +83,8 @@ class Setup(NamedTuple):
         objective = options.maximize or options.minimize
         assert objective is not None
         space = DesignSpace.from_tree(parameters, standard_deviations)
+        on_cpu = jax.default_backend() == "cpu"
+        size = _CPU_DESIGNS if on_cpu else _ACCELERATOR_DESIGNS
         names = list(dict.fromkeys([objective, *limits]))
         for name, limit in limits.items():
             if standard_deviations and np.any(limit.lower == limit.upper):
@@ -94,7 +95,7 @@ class Setup(NamedTuple):
         try:
             program = find_program(
                 study, space.structure, tuple(names),
-                min(padded_size(count), _MOST_DESIGNS), math.inf, None, True,
+                size, math.inf, None, True,
             )  # fmt: skip
         except jax.errors.JAXTypeError as error:
             raise compilation_error("study", "about the design", error) from error

@@ -5,7 +5,6 @@ from . import (
     geometry as geometry,
     identification as identification,
     io as io,
-    optimization as optimization,
     plotting as plotting,
     solve as solve,
     sweeps as sweeps,
@@ -34,7 +33,6 @@ from .mechanism import (
     Temperature as Temperature,
     weights as weights,
 )
-from .optimization import Limit as Limit, optimize as optimize, Optimum as Optimum
 from .plotting import animate as animate, draw as draw
 from .solve import (
     Bistability as Bistability,
@@ -67,6 +65,12 @@ from .solve import (
     Vibrations as Vibrations,
     vibrations as vibrations,
 )
-from .sweeps import Grid as Grid, sweep as sweep
+from .sweeps import (
+    Grid as Grid,
+    Limit as Limit,
+    optimize as optimize,
+    Optimum as Optimum,
+    sweep as sweep,
+)
 
 __version__: str

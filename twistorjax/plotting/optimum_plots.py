@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..optimization.optimum import Optimum
+from ..sweeps.optimization.optimum import Optimum
 from .figure_style import DARK_BLUE, GRAY, ORANGE, RED, subplots
 
 

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._utils.types import NumbersLike
-from .._utils.validation import compilation_error, require_float64
-from ..sweeps.executor import find_program, Program
-from ..sweeps.outputs import StudyOutput
+from ..._utils.types import NumbersLike
+from ..._utils.validation import compilation_error, require_float64
+from ..executor import find_program, Program
+from ..outputs import StudyOutput
 from .design_space import DesignSpace
 from .limits import Limit
 from .options import Options

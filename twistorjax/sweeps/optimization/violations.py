@@ -5,10 +5,10 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from .._utils.pytrees import entry_names
-from .._utils.types import NumbersLike
-from ..sweeps.sampling import sample_designs
-from ..sweeps.sweep import sweep
+from ..._utils.pytrees import entry_names
+from ..._utils.types import NumbersLike
+from ..sampling import sample_designs
+from ..sweep import sweep
 from .design_space import DesignSpace
 from .limits import Limit
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..solve.results import RESULT_NAMES
+from ...solve.results import RESULT_NAMES
 from .deviations import neighbors, with_deviation_jacobian
 from .multipliers import find_multipliers
 from .problem import Evaluation, Problem

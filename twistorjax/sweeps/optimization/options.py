@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._utils.types import NumbersLike
-from ..sweeps.designs import Designs
+from ..._utils.types import NumbersLike
+from ..designs import Designs
 from .design_space import DesignSpace
 from .limits import Limit
 

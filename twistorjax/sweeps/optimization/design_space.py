@@ -7,11 +7,11 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._utils.pytrees import entry_names, path_name, split_last_axis
-from .._utils.types import NumbersLike
-from ..identification.parameters import Parameter
-from ..sweeps.designs import Designs, DesignStructure
-from ..sweeps.distributions import Normal
+from ..._utils.pytrees import entry_names, path_name, split_last_axis
+from ..._utils.types import NumbersLike
+from ...identification.parameters import Parameter
+from ..designs import Designs, DesignStructure
+from ..distributions import Normal
 
 
 class DesignSpace(NamedTuple):

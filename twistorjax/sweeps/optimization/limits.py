@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .._utils.types import NumbersLike
+from ..._utils.types import NumbersLike
 
 
 class Limit(eqx.Module):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .._utils.types import NumbersLike
+from ..._utils.types import NumbersLike
 from .limits import Limit
 from .optimum import Optimum
 from .options import Options

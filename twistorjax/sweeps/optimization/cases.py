@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._utils.types import NumbersLike
+from ..._utils.types import NumbersLike
 from .limits import Limit
 from .optimum import Optimum
 from .options import Options
@@ -53,7 +53,7 @@ def optimize_cases(
         ...     "thickness": tj.Parameter(1.0, lower=0.5, upper=2.0),
         ...     "width": tj.Parameter(1.0, lower=0.5, upper=2.0),
         ... }
-        >>> front = tj.optimization.optimize_cases(
+        >>> front = tj.sweeps.optimize_cases(
         ...     plate,
         ...     start,
         ...     {"stiffness": [1.0, 2.0, 4.0]},

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..solve.results import RESULTS
+from ...solve.results import RESULTS
 from .deviations import neighbors, with_deviation_jacobian
 from .local_search import FEASIBILITY_TOLERANCE, SearchEnd
 from .multipliers import find_multipliers, Multipliers
@@ -73,7 +73,7 @@ def summarize(
               for p in setup.outputs.parameters}  # fmt: skip
     return Optimum(
         name=setup.objective,
-        objective=float(best.values[0]),
+        objective=float(best.values[0]) if local_optima else float("nan"),
         unit=setup.unit,
         maximized=problem.sign < 0,
         parameters=problem.space.tree(best.vector),
@@ -139,18 +139,17 @@ def _active_limits(
     """
     margins, space = problem.margins, problem.space
     size = problem.sign * problem.objective_scale
+    # Adding zero replaces a negative zero by zero.
+    derivatives = size * margins.signs * multipliers.margins / margins.scales + 0.0
     active = []
     for row in multipliers.active_margins:
-        sign = margins.signs[row]
         active.append(
             ActiveLimit(
                 name=margins.names[row],
                 side=margins.sides[row],
                 limit=float(margins.limits[row]),
                 unit=margins.units[row],
-                derivative=float(
-                    size * sign * multipliers.margins[row] / margins.scales[row]
-                ),
+                derivative=float(derivatives[row]),
                 is_bound=False,
             )
         )

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._utils.pytrees import entry_names
-from ..solve.tables import Column, Columns
-from ..sweeps.outputs import StudyOutput
+from ..._utils.pytrees import entry_names
+from ...solve.tables import Column, Columns
+from ..outputs import StudyOutput
 from .design_space import DesignSpace
 from .limits import Limit
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from .._utils.types import NumbersLike
-from ..solve.results import result_message, RESULT_NAMES, result_names, RESULTS
-from ..solve.tables import Column, dataset
+from ..._utils.types import NumbersLike
+from ...solve.results import result_message, RESULT_NAMES, result_names, RESULTS
+from ...solve.tables import Column, dataset
 from .design_space import DesignSpace
 from .limits import Limit
 from .violations import Violations, violations
@@ -99,10 +99,11 @@ class Optimum:
 
     Args:
         name: Name of the objective.
-        objective: The objective at the optimum.
+        objective: The objective at the optimum; NaN if no optimum was found.
         unit: Unit of the objective; empty if it is unknown.
         maximized: Whether the objective is maximized.
-        parameters: The design at the optimum, as the study takes it.
+        parameters: The design at the optimum, as the study takes it. If no optimum was
+            found, the last design with the smallest violation of the limits.
         outputs: Outputs of the study at the optimum, by name.
         margins: Distance of each limited output to its limit, divided by the limit, by
             the name of the entry and the side, such as "stress[left] upper".
@@ -243,12 +244,12 @@ class Optimum:
                 f"{name:<{width}}  {value:>11.6g}  {derivative:>11.5g}"
                 for name, value, derivative in self.sensitivities
             ]
-        others = [
-            f"{each.objective:.6g}{unit} ({len(each.starts)})"
-            for each in self.local_optima[1:]
-        ]
+        others: Counter[str] = Counter()
+        for each in self.local_optima[1:]:
+            others[f"{each.objective:.6g}{unit}"] += len(each.starts)
         if others:
-            lines.append(f"other local optima (searches): {', '.join(others)}")
+            texts = [f"{objective} ({number})" for objective, number in others.items()]
+            lines.append(f"other local optima (searches): {', '.join(texts)}")
         found = sum(len(each.starts) for each in self.local_optima)
         if found < count:
             names = Counter(RESULT_NAMES[code] for code in self.searches.results)

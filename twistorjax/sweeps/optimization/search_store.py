@@ -8,12 +8,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..solve.tables import Column
-from ..sweeps.dataset import Layout
-from ..sweeps.designs import Designs
-from ..sweeps.outputs import StudyOutput
-from ..sweeps.store_identity import open_store, sweep_identity
-from ..sweeps.sweep import require_packages
+from ...solve.tables import Column
+from ..dataset import Layout
+from ..designs import Designs
+from ..outputs import StudyOutput
+from ..store_identity import open_store, sweep_identity
+from ..sweep import require_packages
 from .local_search import SearchEnd
 from .setup import Setup
 

@@ -248,11 +248,11 @@ def test_the_search_rejects_steps_to_points_where_a_solve_fails():
 def test_a_search_that_does_not_converge_is_reported():
     data = [push(5.0).measurement([[0.04]])]
     start = {"along": positive(1.0)}
-    with pytest.raises(RuntimeError, match=r"have not converged.*2 evaluations"):
+    with pytest.raises(RuntimeError, match=r"has not converged.*2 evaluations"):
         tj.identify(spring, start, data, max_steps=2)
     result = tj.identify(spring, start, data, max_steps=2, throw=False)
     assert tj.result_names(result.result) == "not_converged"
-    assert "have not converged" in repr(result)
+    assert "has not converged" in repr(result)
 
 
 @pytest.mark.untyped

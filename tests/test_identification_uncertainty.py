@@ -18,7 +18,13 @@ from identification_helpers import (
 )
 
 import twistorjax as tj
-from twistorjax.identification import BodySensor, Parameter, posterior, StaticTest
+from twistorjax.identification import (
+    BodySensor,
+    Parameter,
+    posterior,
+    rank_experiments,
+    StaticTest,
+)
 
 
 def test_a_stiffness_that_is_never_loaded_is_not_determined():
@@ -188,3 +194,60 @@ def test_samples_have_the_mean_and_standard_deviation_of_the_posterior():
     robust = tj.identify(design, start, data, huber_threshold=1.345)
     with pytest.raises(ValueError, match="Huber's loss is not"):
         posterior(robust)
+
+
+def guide_on_two_leaves(parameters):
+    """A table on two leaves with an unknown modulus (Pa) and thickness (m)."""
+    metal = tj.Material(modulus=parameters["modulus"], poisson=0.3)
+    leaf = tj.flexures.leaf(
+        metal, length=50e-3, thickness=parameters["thickness"], width=10e-3
+    )
+    up, table = np.pi / 2, tj.Body("table", pose=(0.0, 0.0, 50e-3))
+    hinges = [
+        tj.Hinge(name, "base", "table", leaf, at=(up, side * 40e-3, 25e-3))
+        for name, side in (("left", -1), ("right", 1))
+    ]
+    return tj.Mechanism([tj.Body("base"), table], hinges, ["base"])
+
+
+def guide_tests(laser_deviation):
+    """Pulls, which show E t^3, and a press, which shows E t."""
+    pulls = [[tj.Load("table", force=(force, 0.0))] for force in (1.0, 5.0)]
+    press = [[tj.Load("table", force=(0.0, -50.0))]]
+    return (
+        StaticTest(pulls, [BodySensor("table", "x", 1e-6)]),
+        StaticTest(press, [BodySensor("table", "y", laser_deviation)]),
+    )
+
+
+def test_the_fit_stays_near_the_start_where_noise_would_determine_it():
+    """The press shows a change of E t by 100 % as one third of a standard deviation."""
+    pull, press = guide_tests(laser_deviation=3.5e-6)
+    truth = guide_on_two_leaves({"modulus": 203e9, "thickness": 0.52e-3})
+    start = {"modulus": positive(210e9), "thickness": positive(0.5e-3)}
+    for seed in range(5):
+        data = [pull.synthetic_data(truth, seed), press.synthetic_data(truth, seed + 100)]
+        result = tj.identify(guide_on_two_leaves, start, data)
+        # the change of E t^3 that is nearest to the start in relative changes
+        change = np.log(203e9 * 0.52e-3**3 / (210e9 * 0.5e-3**3))
+        nearest = change * np.array([1.0, 3.0]) / 10
+        np.testing.assert_allclose(result.normalized, nearest, atol=5e-3)
+        assert repr(result).count("  not determined") == 2
+
+
+def test_the_ranking_reports_that_its_prediction_depends_on_unknown_parameters():
+    pull, press = guide_tests(laser_deviation=10e-9)
+    truth = {"modulus": 203e9, "thickness": 0.52e-3}
+    start = {"modulus": positive(400e9), "thickness": positive(0.42e-3)}
+    data = [pull.synthetic_data(guide_on_two_leaves(truth), 0)]
+    result = tj.identify(guide_on_two_leaves, start, data)
+    ranking = rank_experiments(result, {"press": press})
+    assert "warning: the measurements so far do not determine" in repr(ranking)
+    data.append(press.synthetic_data(guide_on_two_leaves(truth), 1))
+    final = tj.identify(guide_on_two_leaves, start, data)
+    true_error = np.sqrt(np.diagonal(final.normalized_covariance))
+    low, high = ranking.standard_errors_range
+    assert np.all((low < true_error) & (true_error < high))
+    assert np.all(ranking.standard_errors_after > 1.4 * true_error)
+    certain = rank_experiments(final, {"press": press})
+    assert "warning" not in repr(certain) and not certain.undetermined_directions

@@ -48,14 +48,13 @@ def summary(identification: "Identification") -> str:
     width = max(map(len, (*names, "parameter")))
     lines = [title, f"{'parameter':<{width}}  {'estimate':>15}  {'± standard error':>18}"]
     errors = np.sqrt(np.diagonal(np.asarray(identification.covariance)))
-    relative = np.sqrt(np.diagonal(np.asarray(identification.normalized_covariance)))
-    relative = relative / np.asarray(_full_changes(identification))
+    determined = _determined_parameters(identification)
     values = np.asarray(identification.values)
-    rows = zip(names, values, errors, relative, identification.units, strict=True)
-    for name, value, error, relative_error, unit in rows:
+    rows = zip(names, values, errors, determined, identification.units, strict=True)
+    for name, value, error, is_determined, unit in rows:
         uncertainty = f"± {error:.2g} {unit}".rstrip()
         digits = 3
-        if relative_error > _UNDETERMINED:
+        if not is_determined:
             uncertainty = f"{unit}  not determined".strip()
         elif error > 0 and value != 0:  # as many digits as the standard error has
             digits = min(10, max(3, 2 - int(np.floor(np.log10(error / abs(value))))))
@@ -120,6 +119,18 @@ def undetermined_directions(identification: "Identification") -> tuple[str, ...]
         change = _describe_direction(identification, direction)
         texts.append(f"changing {change} changes {effect}")
     return tuple(texts)
+
+
+def undetermined_changes(
+    identification: "Identification",
+) -> Float[np.ndarray, "directions parameters"]:
+    """Changes of the normalized parameters that the readings do not show.
+
+    Each change has the length 1. There are at most three.
+    """
+    _, values, directions = np.linalg.svd(np.asarray(identification.jacobian))
+    values = np.pad(values, (0, len(directions) - len(values)))
+    return directions[values < 1 / _UNDETERMINED][-3:]
 
 
 def _warnings_on_residuals(identification: "Identification") -> list[str]:
@@ -221,6 +232,26 @@ def _sensitivities(identification: "Identification") -> tuple[np.ndarray, np.nda
     matrix = np.delete(matrix, _at_bounds(identification), axis=1)
     _, values, directions = np.linalg.svd(matrix, full_matrices=True)
     return np.pad(values, (0, matrix.shape[1] - values.size)), directions
+
+
+def _determined_parameters(identification: "Identification") -> np.ndarray:
+    """Decide whether the readings determine each parameter.
+
+    A parameter is not determined if the standard error of its relative change exceeds
+    100 %. It is also not determined if its standard error exceeds 10 % and is mostly due
+    to undetermined directions, along which the estimates remain at the start.
+    """
+    variances = np.diagonal(np.asarray(identification.normalized_covariance))
+    relative = np.sqrt(variances) / np.asarray(_full_changes(identification))
+    singular_values, directions = _sensitivities(identification)
+    inverse = 1 / np.maximum(singular_values, 1e-150)
+    shares = (directions * inverse[:, None]) ** 2
+    undetermined = np.sum(shares[inverse > _UNDETERMINED], axis=0)
+    is_free = undetermined > np.maximum(0.5 * np.sum(shares, axis=0), 0.01)
+    kept = np.delete(np.arange(len(variances)), _at_bounds(identification))
+    determined = relative <= _UNDETERMINED
+    determined[kept] &= ~is_free
+    return determined
 
 
 def _describe_direction(identification: "Identification", direction: np.ndarray) -> str:

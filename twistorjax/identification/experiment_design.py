@@ -1,6 +1,7 @@
 """Optimal design of experiments: ranking of further tests by their information."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.validation import require_kind
+from .diagnostics import undetermined_changes
 from .measurement import AbstractTest, map_in_groups
 from .report import Identification
 
@@ -43,6 +45,10 @@ class ExperimentRanking(eqx.Module):
             as relative changes.
         standard_errors_after: Standard errors of the parameters after all selected tests,
             as relative changes.
+        standard_errors_range: Smallest and largest standard errors after all selected
+            tests, if the true values lie one prior standard deviation away from the
+            estimates along a direction that the measurements so far do not determine.
+        undetermined_directions: Descriptions of these directions.
     """
 
     candidates: tuple[Candidate, ...]
@@ -50,6 +56,8 @@ class ExperimentRanking(eqx.Module):
     names: tuple[str, ...]
     standard_errors_before: Float[np.ndarray, " parameters"]
     standard_errors_after: Float[np.ndarray, " parameters"]
+    standard_errors_range: Float[np.ndarray, "2 parameters"]
+    undetermined_directions: tuple[str, ...]
 
     def __repr__(self) -> str:
         width = max(10, *map(len, self.names))
@@ -71,6 +79,18 @@ class ExperimentRanking(eqx.Module):
             f"{after:<{first}}  {'':>18}  {cells(self.standard_errors_after)}",
             f"selected: {', '.join(self.selected)}",
         ]
+        if self.undetermined_directions:
+            smallest, largest = 100 * self.standard_errors_range
+            ranges = ", ".join(
+                f"{low:.2g} to {high:.2g} % ({name})"
+                for name, low, high in zip(self.names, smallest, largest, strict=True)
+            )
+            lines.append(
+                "warning: the measurements so far do not determine all estimates, near "
+                "which the predictions hold. At one prior standard deviation from them, "
+                f"the standard errors after the selected tests are {ranges}. Rank again "
+                "after the first test"
+            )
         return "\n".join(lines)
 
 
@@ -84,7 +104,10 @@ def rank_experiments(
     """Rank further tests by how much they reduce the uncertainty of the parameters.
 
     Each test is simulated at the estimates. Its information gain is half the increase of
-    the logarithm of the determinant of the Fisher information matrix (D-optimality).
+    the logarithm of the determinant of the Fisher information matrix (D-optimality). If
+    the measurements so far leave a direction undetermined, the estimates along it are
+    those of the start, and may be far from the true values. The result then has a
+    warning, with the standard errors at other points along this direction.
 
     Args:
         identification: Result of the measurements so far.
@@ -140,19 +163,31 @@ def rank_experiments(
         )
     problem, normalized = identification.problem, identification.normalized
 
-    def information_of(test: AbstractTest) -> Float[Array, "columns params params"]:
-        """Fisher information matrix of each column of readings."""
-
-        def predict(normalized: Array) -> Array:
-            mechanism = problem.mechanism(normalized)
-            return test.predict(mechanism, throw=False) / test.standard_deviations
-
-        jacobian = jax.jacfwd(predict)(normalized)
-        return jnp.einsum("rcu,rcv->cuv", jacobian, jacobian)
-
     tests = list(candidates.values())
-    compute = fast_compile(map_in_groups, optimize=False)
-    per_column = [np.asarray(each) for each in compute(information_of, tests)]
+
+    @partial(fast_compile, optimize=False)
+    def information_at(normalized: Array, tests: list[AbstractTest]) -> list[Array]:
+        """Fisher information matrix of each column of readings of each test."""
+
+        def information_of(test: AbstractTest) -> Float[Array, "columns params params"]:
+            def predict(normalized: Array) -> Array:
+                mechanism = problem.mechanism(normalized)
+                return test.predict(mechanism, throw=False) / test.standard_deviations
+
+            jacobian = jax.jacfwd(predict)(normalized)
+            return jnp.einsum("rcu,rcv->cuv", jacobian, jacobian)
+
+        return map_in_groups(information_of, tests)
+
+    def total_information(normalized: Array) -> dict[str, np.ndarray]:
+        return {
+            name: np.asarray(columns).sum(axis=0)
+            for name, columns in zip(
+                candidates, information_at(normalized, tests), strict=True
+            )
+        }
+
+    per_column = [np.asarray(each) for each in information_at(normalized, tests)]
     per_test = {
         name: columns.sum(axis=0)
         for name, columns in zip(candidates, per_column, strict=True)
@@ -171,14 +206,21 @@ def rank_experiments(
         for name, more in added
     ]
     selected = _select(per_test, information, count)
+    after = [_standard_errors(information + sum(per_test[name] for name in selected))]
+    for direction in undetermined_changes(identification):
+        for side in (prior_standard_deviation, -prior_standard_deviation):
+            others = total_information(normalized + side * direction)
+            added_there = sum(others[name] for name in selected)
+            if np.all(np.isfinite(added_there)):
+                after.append(_standard_errors(information + added_there))
     return ExperimentRanking(
         candidates=tuple(sorted(ranked, key=lambda each: -each.information_gain)),
         selected=selected,
         names=identification.names,
         standard_errors_before=_standard_errors(information),
-        standard_errors_after=_standard_errors(
-            information + sum(per_test[name] for name in selected)
-        ),
+        standard_errors_after=after[0],
+        standard_errors_range=np.stack([np.min(after, axis=0), np.max(after, axis=0)]),
+        undetermined_directions=identification.undetermined_directions,
     )
 
 

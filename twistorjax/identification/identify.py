@@ -183,7 +183,9 @@ def _choose_optimizer(
     """Choose the optimizer, and its default for the largest number of evaluations."""
     if method is None:
         bounded = [float(name in parameters.bounded) for name in parameters.names]
-        return LevenbergMarquardt(tolerance, from_numpy(bounded)), 100
+        zeros = from_numpy(np.zeros(len(bounded)))
+        offsets = parameters.vector(zeros) / parameters.derivatives(zeros)
+        return LevenbergMarquardt(tolerance, from_numpy(bounded), offsets), 100
     if isinstance(method, optax.GradientTransformation):
         return GradientDescent(method, tolerance), 3000
     if isinstance(method, optx.AbstractLeastSquaresSolver):

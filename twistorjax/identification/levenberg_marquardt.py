@@ -10,7 +10,6 @@ from .._utils.types import Flag, Scalar
 from .optimizer import (
     AbstractOptimizer,
     Evaluation,
-    exceeds_rounding,
     from_numpy,
     ROUNDING,
 )
@@ -49,10 +48,10 @@ class LevenbergMarquardt(AbstractOptimizer):
     """Levenberg-Marquardt method, based on singular values.
 
     Each step is the smallest change that solves the damped linear model. A parameter
-    with a bound changes by a factor of e at most. Directions that do not change the
-    readings remain as they are. The method of the same name in optimistix takes three
-    times as long to compile and, if the residuals vanish at the solution, four times as
-    many steps, because it reduces the damping more slowly.
+    with a bound changes by a factor of e at most. Along directions that the readings do
+    not determine, the parameters remain as they are. The method of the same name in
+    optimistix takes three times as long to compile and, if the residuals vanish at the
+    solution, four times as many steps, because it reduces the damping more slowly.
 
     The method has converged if one of three criteria is met. They use the decrease of the
     loss that the linear model predicts. The undamped step has the largest predicted
@@ -70,6 +69,9 @@ class LevenbergMarquardt(AbstractOptimizer):
     Args:
         tolerance: Tolerance of the criteria 1 and 3.
         bounded: One for each parameter with a bound, zero for the others.
+        offsets: Initial value of each parameter, divided by its scale. The sum of the
+            offset and the normalized parameter is the value of a parameter without
+            bounds, divided by its scale.
 
     Source:
         Nocedal and Wright, Numerical Optimization, section 10.3; Moré, The
@@ -78,6 +80,7 @@ class LevenbergMarquardt(AbstractOptimizer):
 
     tolerance: float
     bounded: Float[Array, " parameters"]
+    offsets: Float[Array, " parameters"]
 
     def init(
         self, point: Float[Array, " parameters"], evaluation: Evaluation
@@ -153,9 +156,13 @@ class LevenbergMarquardt(AbstractOptimizer):
         jacobian = jnp.where(
             jnp.isfinite(evaluation.derivatives), evaluation.derivatives, 0.0
         )
-        jacobian = jacobian - _unobservable_part(evaluation.residuals, jacobian)
-        norms = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
-        norms = jnp.where(exceeds_rounding(norms), norms, jnp.inf)
+        free_sizes = jnp.maximum(1.0, jnp.abs(self.offsets + point))
+        sizes = jnp.where(self.bounded > 0, 1.0, free_sizes)
+        jacobian = jacobian * sizes[None]
+        jacobian, row_space = _determined_part(evaluation.residuals, jacobian)
+        # The column of an undetermined parameter is not scaled up, because this would
+        # turn the step into its direction.
+        norms = jnp.maximum(1.0, jnp.sqrt(jnp.sum(jacobian**2, axis=0)))
         left, singular_values, right = jnp.linalg.svd(
             jacobian / norms[None], full_matrices=False
         )
@@ -168,7 +175,8 @@ class LevenbergMarquardt(AbstractOptimizer):
             loss=evaluation.loss,
             components=evaluation.residuals @ left,
             singular_values=singular_values,
-            directions=right / norms[None],
+            # The projection gives the shortest one of all steps with the same effect.
+            directions=(right / norms[None]) @ row_space * sizes[None],
             damping=state.damping * factor,
             reduction=jnp.where(agrees, stronger, state.reduction),
             has_failed=state.has_failed,
@@ -176,16 +184,23 @@ class LevenbergMarquardt(AbstractOptimizer):
         )
 
 
-def _unobservable_part(
+def _determined_part(
     residuals: Float[Array, " readings"], jacobian: Float[Array, "readings parameters"]
-) -> Float[Array, "readings parameters"]:
-    """Part of a Jacobian that belongs to directions which the readings hardly determine.
+) -> tuple[Float[Array, "readings parameters"], Float[Array, "parameters parameters"]]:
+    """Part of a Jacobian that belongs to directions which the readings determine.
 
-    A direction is removed if a change of the normalized parameters by 1000 changes the
-    readings by less than one standard deviation, and if its residual is smaller than one
-    standard deviation. Otherwise the optimizer would follow a long curve of nearly equal
-    residuals.
+    The derivatives are those with respect to relative changes of the parameters. A
+    direction is not determined if a change by 100 % changes the readings by less than one
+    standard deviation, and if its residual is smaller than three standard deviations.
+    Otherwise the errors of the readings would change the parameters by more than 100 %,
+    and the optimizer would follow a long curve of nearly equal residuals.
+
+    Returns:
+        This part of the Jacobian, and the projection on its rows.
     """
     left, singular_values, right = jnp.linalg.svd(jacobian, full_matrices=False)
-    unobservable = (singular_values < 1e-3) & (jnp.abs(residuals @ left) < 1)
-    return (left * jnp.where(unobservable, singular_values, 0.0)[None]) @ right
+    largest = jnp.max(singular_values, initial=0.0)
+    determined = (singular_values >= 1) | (jnp.abs(residuals @ left) >= 3)
+    determined &= singular_values > ROUNDING * largest
+    kept = jnp.where(determined[:, None], right, 0.0)
+    return (left * singular_values[None]) @ kept, kept.T @ kept

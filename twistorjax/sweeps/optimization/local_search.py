@@ -24,7 +24,7 @@ _ROUNDING = 1e-12
 # first step finds better optima and needs fewer evaluations: on the stage of the manual,
 # 11 of 64 searches find the best optimum with a factor of 100, and 3 with a factor of 1.
 # With a large factor, the line search may end early because of rounding. Then the search
-# is repeated from its end with the next factor.
+# is repeated with the next factor, from its end if this is closer to all limits.
 _FACTORS = (100.0, 10.0, 1.0)
 
 
@@ -101,11 +101,16 @@ def search(
                 },
             )
         except _StudyFailed:
-            break
+            point = problem.normalized(start.vector)
+            continue
         steps += solution.nit
         point = _restored(problem, evaluator(solution.x), solution.x)
-        if is_optimum(problem, evaluator(point)) or steps >= max_steps:
+        end = evaluator(point)
+        if is_optimum(problem, end) or steps >= max_steps:
             break
+        # A long step may lead to a region without feasible designs.
+        if not end.succeeded or problem.violation(end) > problem.violation(start):
+            point = problem.normalized(start.vector)
     last = evaluator(point)
     result = RESULT_NAMES.index("not_converged")
     if not last.succeeded:

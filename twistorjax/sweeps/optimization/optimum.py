@@ -228,7 +228,13 @@ class Optimum:
         if not self.succeeded:
             names = Counter(RESULT_NAMES[code] for code in self.searches.results)
             ends = ", ".join(f"{number} {name}" for name, number in names.items())
-            return f"{self.name} {how}: no optimum within all limits; searches: {ends}"
+            violated = sorted((m, name) for name, m in self.margins.items() if m < -1e-6)
+            texts = [f"{name} by {-100 * margin:.3g} %" for margin, name in violated[:5]]
+            closest = f"; the closest end violates {', '.join(texts)}" if texts else ""
+            return (
+                f"{self.name} {how}: no optimum within all limits; searches: {ends}"
+                f"{closest}"
+            )
         here = len(self.local_optima[0].starts)
         lines = [
             f"{self.name} {how}: {self.objective:.6g}{unit}; {here} of {count} searches "

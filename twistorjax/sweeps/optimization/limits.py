@@ -56,6 +56,11 @@ class Limit(eqx.Module):
                     f"{self.upper.tolist()}, but `lower` must not exceed `upper`."
                 )
 
+    @property
+    def sides(self) -> tuple[Float[np.ndarray, "..."] | None, ...]:
+        """The lower and the upper limit."""
+        return self.lower, self.upper
+
     def __repr__(self) -> str:
         sides: dict[str, Any] = {"lower": self.lower, "upper": self.upper}
         texts = [

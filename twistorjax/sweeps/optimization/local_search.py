@@ -17,8 +17,8 @@ FEASIBILITY_TOLERANCE = 1e-7
 # A gradient of the Lagrange function below this part of the gradient of the objective at
 # the start is zero.
 _STATIONARITY_TOLERANCE = 1e-5
-# A violation below this part of the scale of a limit is not corrected.
-_ROUNDING = 1e-12
+# Violations between these parts of the scale of a limit are corrected by a Newton step.
+_ROUNDING, _LARGEST_CORRECTION = 1e-12, 1e-2
 # Factors of the objective. SLSQP begins with a unit matrix as second derivatives, so its
 # first step has the length of the gradient, unless bounds and limits shorten it. A long
 # first step finds better optima and needs fewer evaluations: on the stage of the manual,
@@ -135,7 +135,9 @@ def _restored(
     The merit function of SLSQP has no descent direction at a stationary point that
     violates a limit only a little, so a search that begins there would end at once.
     """
-    if not evaluation.succeeded or problem.violation(evaluation) < _ROUNDING:
+    if not evaluation.succeeded:
+        return point
+    if not _ROUNDING < problem.violation(evaluation) < _LARGEST_CORRECTION:
         return point
     margins = problem.margins.values(evaluation)
     violated = (margins < 0) | problem.margins.is_equality

@@ -92,7 +92,11 @@ def _settings(setups: Sequence[Setup], options: Options) -> dict[str, Any]:
         "objective": setup.objective,
         "sign": setup.sign,
         "limits": [
-            {name: repr(limit) for name, limit in each.limits.items()} for each in setups
+            {
+                name: [None if side is None else side.tolist() for side in limit.sides]
+                for name, limit in each.limits.items()
+            }
+            for each in setups
         ],
         "coverage_factor": float(setup.coverage_factor),
         "lower": setup.space.lower.tolist(),

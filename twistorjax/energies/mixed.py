@@ -162,20 +162,27 @@ class MixedEnergy(CoordinateEnergy):
         rotation, axial, transverse = strain(displacement, "twist")
         series = self.force_series(rotation, transverse)
         force_ratio = axial_force_ratio(series, self.force * axial)
-        (_, gradient), curvature = _force_derivatives(
-            self, force_ratio, rotation, transverse
-        )
+        potential = _Potential(self, force_ratio, rotation, transverse)
+        curvature = potential.derivative(0, 0, 2)
         reference = 2 * self.coefficients[self.powers.index(_AXIAL_COMPLIANCE)]
-        bending_rate = gradient[0] * rates[0] + gradient[1] * rates[2]
+        by_rotation, by_transverse = potential.gradient(1)
+        bending_rate = by_rotation * rates[0] + by_transverse * rates[2]
         rate = rates[1] + bending_rate / self.force
         return rates[0], rate * jnp.sqrt(reference / curvature), rates[2]
 
-    def force_series(self, rotation: Scalar, transverse: Scalar) -> ForceSeries:
-        """Write W as a polynomial of the relative axial force `n / force`.
+    def force_series(
+        self,
+        rotation: Scalar,
+        transverse: Scalar,
+        derivatives: tuple[int, int] = (0, 0),
+    ) -> ForceSeries:
+        """Write W, or a derivative, as a polynomial of the relative axial force.
 
         Args:
             rotation: Rotation; rad.
             transverse: Transverse displacement; m.
+            derivatives: Orders of the derivative with respect to the rotation and to the
+                transverse displacement over `length`.
 
         Returns:
             The coefficients of the powers of `n / force`, from the power zero on; J.
@@ -186,7 +193,7 @@ class MixedEnergy(CoordinateEnergy):
             terms = [k for k, row in enumerate(self.powers) if row[2] == power]
             powers = tuple(self.powers[k][:2] for k in terms)
             coefficients = self.coefficients[np.array(terms, int)]
-            series.append(evaluate_polynomial(powers, (0, 0), coefficients, variables))
+            series.append(evaluate_polynomial(powers, derivatives, coefficients, variables))
         return tuple(series)
 
 
@@ -217,14 +224,38 @@ class _NewtonModel(AbstractEnergy):
         return self.energy.translation_scale(displacement)
 
 
-def _potential_derivative(energy: MixedEnergy, force_ratio: Scalar, derivative: int):
-    """Return a derivative of W (J) with respect to `n / force`, of the given order.
+class _Potential:
+    """Derivatives of W at a rotation (rad), transverse displacement (m), and axial force.
 
-    It is a function of rotation (rad) and transverse displacement (m).
+    They are written out, because nested derivatives by JAX would take twice the time to
+    trace.
     """
-    return lambda rotation, transverse: mixed_potential(
-        energy.force_series(rotation, transverse), force_ratio, derivative
-    )
+
+    def __init__(
+        self,
+        energy: MixedEnergy,
+        force_ratio: Scalar,
+        rotation: Scalar,
+        transverse: Scalar,
+    ):
+        self._energy, self._force_ratio = energy, force_ratio
+        self._at = rotation, transverse
+        self._series: dict[tuple[int, int], ForceSeries] = {}
+
+    def derivative(self, rotation: int, transverse: int, force: int) -> Scalar:
+        """Return a derivative of the given orders; J/rad^i/m^j.
+
+        The last order is that with respect to the relative axial force.
+        """
+        orders = rotation, transverse
+        if orders not in self._series:
+            self._series[orders] = self._energy.force_series(*self._at, orders)
+        value = mixed_potential(self._series[orders], self._force_ratio, force)
+        return value / self._energy.length**transverse if transverse else value
+
+    def gradient(self, force: int) -> tuple[Scalar, Scalar]:
+        """Return the gradient by rotation and displacement of a derivative by force."""
+        return self.derivative(1, 0, force), self.derivative(0, 1, force)
 
 
 @jax.custom_jvp
@@ -240,10 +271,8 @@ def _model_energy(
     The last three arguments are the rotation (rad), the axial displacement times the
     reference force (J), and the transverse displacement (m).
     """
-    value, slope, curvature = (
-        _potential_derivative(energy, force_ratio, k)(rotation, transverse)
-        for k in range(3)
-    )
+    potential = _Potential(energy, force_ratio, rotation, transverse)
+    value, slope, curvature = (potential.derivative(0, 0, k) for k in range(3))
     return axial * force_ratio + value - (axial + slope) ** 2 / (2 * curvature)
 
 
@@ -275,52 +304,41 @@ def _model_gradient(
     The gradient (J/rad, -, N) is correct to first order in the residual
     `axial + dW/d(force_ratio)`. In its derivative, terms of this order are neglected.
     """
-    (slope, gradient), curvature = _force_derivatives(
-        energy, force_ratio, rotation, transverse
-    )
-    by_rotation, by_transverse = jax.grad(
-        _potential_derivative(energy, force_ratio, 0), (0, 1)
-    )(rotation, transverse)
-    correction = -(axial + slope) / curvature
+    potential = _Potential(energy, force_ratio, rotation, transverse)
+    return _corrected_gradient(potential, force_ratio, axial)
+
+
+def _corrected_gradient(
+    potential: _Potential, force_ratio: Scalar, axial: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Correct the gradient to first order in the residual; see `_model_gradient`."""
+    residual = axial + potential.derivative(0, 0, 1)
+    correction = -residual / potential.derivative(0, 0, 2)
+    by_rotation, by_transverse = potential.gradient(0)
+    slope_by_rotation, slope_by_transverse = potential.gradient(1)
     return (
-        by_rotation + correction * gradient[0],
+        by_rotation + correction * slope_by_rotation,
         force_ratio + correction,
-        by_transverse + correction * gradient[1],
+        by_transverse + correction * slope_by_transverse,
     )
 
 
 @_model_gradient.defjvp
 def _(primals, tangents):
-    energy, force_ratio, rotation, _, transverse = primals
+    energy, force_ratio, rotation, axial, transverse = primals
     rotation_rate, axial_rate, transverse_rate = tangents[2:]
-    (_, gradient), curvature = _force_derivatives(
-        energy, force_ratio, rotation, transverse
-    )
-    potential_gradient = jax.grad(_potential_derivative(energy, force_ratio, 0), (0, 1))
-    _, (moment_rate, shear_rate) = jax.jvp(
-        potential_gradient, (rotation, transverse), (rotation_rate, transverse_rate)
-    )
+    potential = _Potential(energy, force_ratio, rotation, transverse)
+    by_rotation, by_transverse = potential.gradient(1)
     residual_rate = (
-        axial_rate + gradient[0] * rotation_rate + gradient[1] * transverse_rate
+        axial_rate + by_rotation * rotation_rate + by_transverse * transverse_rate
     )
-    force_rate = -residual_rate / curvature
+    force_rate = -residual_rate / potential.derivative(0, 0, 2)
+    mixed = potential.derivative(1, 1, 0)
+    moment_rate = potential.derivative(2, 0, 0) * rotation_rate + mixed * transverse_rate
+    shear_rate = mixed * rotation_rate + potential.derivative(0, 2, 0) * transverse_rate
     rates = (
-        moment_rate + force_rate * gradient[0],
+        moment_rate + force_rate * by_rotation,
         force_rate,
-        shear_rate + force_rate * gradient[1],
+        shear_rate + force_rate * by_transverse,
     )
-    return _model_gradient(*primals), rates
-
-
-def _force_derivatives(
-    energy: MixedEnergy, force_ratio: Scalar, rotation: Scalar, transverse: Scalar
-) -> tuple[tuple[Scalar, tuple[Scalar, Scalar]], Scalar]:
-    """Compute derivatives of W with respect to the relative axial force.
-
-    Returns:
-        The first derivative (J) with its gradient with respect to rotation and transverse
-        displacement (J/rad, N), and the second derivative (J).
-    """
-    slope = jax.value_and_grad(_potential_derivative(energy, force_ratio, 1), (0, 1))
-    curvature = _potential_derivative(energy, force_ratio, 2)
-    return slope(rotation, transverse), curvature(rotation, transverse)
+    return _corrected_gradient(potential, force_ratio, axial), rates

@@ -146,10 +146,13 @@ class HingeAssembly(eqx.Module):
         local = self._evaluate(_elastic(hinge_forces.forces), displacements)
         return self._gather(local).reshape(displacements.shape)
 
-    def generalized_stress(self, displacements: Poses) -> Float[Array, "3 hinges"]:
-        """Compute the generalized stress of each hinge; N m, N, N."""
-        function = _elastic(hinge_forces.generalized_stress)
-        return jnp.stack(self._evaluate(function, displacements))
+    def forces_and_stress(
+        self, displacements: Poses
+    ) -> tuple[Wrenches, Float[Array, "3 hinges"]]:
+        """Compute the `forces`, and the generalized stress of each hinge; N m, N, N."""
+        function = _elastic(hinge_forces.forces_and_stress)
+        local, stress = self._evaluate(function, displacements)
+        return self._gather(local).reshape(displacements.shape), jnp.stack(stress)
 
     def out_of_range(self, displacements: Poses) -> Bool[Array, " hinges"]:
         """Decide whether each hinge is outside the validity range of its energy."""

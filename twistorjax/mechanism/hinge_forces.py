@@ -41,27 +41,28 @@ Tree = TypeVar("Tree")
 def forces(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Six:
     """Differentiate the energy with respect to the six displacements; N m, N."""
     kinematics = HingeKinematics.of(first, second, axis)
-    slopes, _ = gradient_and_hessian(energy, kinematics.middle.displacement)
+    slopes = energy_gradient(energy, kinematics.middle.displacement)
     return on_bodies(kinematics, slopes)
 
 
 @jax.jit
-def generalized_stress(
-    energy: AbstractEnergy,
-    first: End,
-    second: End,
-    axis: Axis,
-) -> Three:
-    """Differentiate the energy with respect to its coordinates; N m, N, N.
+def forces_and_stress(
+    energy: AbstractEnergy, first: End, second: End, axis: Axis
+) -> tuple[Six, Three]:
+    """Differentiate the energy with respect to displacements, and to its coordinates.
 
-    These are the coordinates in which the energy is nearly quadratic; see
-    `HasTranslationScale`.
+    The second result is the generalized stress, the derivative with respect to the
+    coordinates in which the energy is nearly quadratic; see `HasTranslationScale`. Both
+    are in N m, N, N.
     """
-    at = mid_frame(first, second, axis).displacement
-    (g0, g1, g2), _ = gradient_and_hessian(energy, at)
+    kinematics = HingeKinematics.of(first, second, axis)
+    at = kinematics.middle.displacement
+    slopes = energy_gradient(energy, at)
     scale, growth, _ = _translation_scale(energy, at)
+    g0, g1, g2 = slopes
     s1, s2 = g1 / scale, g2 / scale
-    return g0 - growth * (2 * at.x1 * s1 + 2 * at.x2 * s2), s1, s2
+    stress = g0 - growth * (2 * at.x1 * s1 + 2 * at.x2 * s2), s1, s2
+    return on_bodies(kinematics, slopes), stress
 
 
 class HingeTangent(NamedTuple):
@@ -122,7 +123,7 @@ def tangent(
     work = jnp.abs(gradient[0] * at.angle)
     work = work + jnp.abs(gradient[1] * y1) + jnp.abs(gradient[2] * y2)
     # The coordinates of the stress are nonlinear functions of those of the hinge; see
-    # `generalized_stress`.
+    # `forces_and_stress`.
     scale, growth, curvature = _translation_scale(energy, at)
     s1, s2 = gradient[1] / scale, gradient[2] / scale
     stress = gradient[0] - growth * (y1 * s1 + y2 * s2), s1, s2
@@ -286,22 +287,30 @@ def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEn
     return solver_protocols.newton_model(energy, predicted)
 
 
+def energy_gradient(energy: AbstractEnergy, at: Displacement) -> Three:
+    """Differentiate an energy with respect to the coordinates of the hinge; N m, N, N."""
+    return _gradient_function(energy, at)(*hinge_coordinates(at))
+
+
 def gradient_and_hessian(
     energy: AbstractEnergy, at: Displacement
 ) -> tuple[Three, Callable[..., Three]]:
-    """Differentiate an energy with respect to the three coordinates of the hinge.
+    """Differentiate an energy twice with respect to the coordinates of the hinge.
 
     Returns:
         The derivatives; N m, N, N. A function that multiplies the second derivatives by a
         vector.
     """
+    return jax.linearize(_gradient_function(energy, at), *hinge_coordinates(at))
+
+
+def _gradient_function(energy: AbstractEnergy, at: Displacement) -> Callable[..., Three]:
+    """Return the derivatives of an energy as a function of the three coordinates."""
 
     def stored_energy(angle: Scalar, y1: Scalar, y2: Scalar) -> Scalar:
         return energy.stored_energy(displacement_at(at, (angle, y1, y2)))
 
-    return jax.linearize(
-        jax.grad(stored_energy, argnums=(0, 1, 2)), *hinge_coordinates(at)
-    )
+    return jax.grad(stored_energy, argnums=(0, 1, 2))
 
 
 def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:

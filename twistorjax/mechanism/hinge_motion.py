@@ -17,6 +17,7 @@ from .hinge_forces import (
     as_matrix,
     displacement_at,
     dot,
+    energy_gradient,
     gradient_and_hessian,
     hinge_coordinates,
     MOTIONS,
@@ -56,7 +57,7 @@ def forces_in_motion(
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at, excess = _with_stretch(kinematics.middle.displacement, stretch)
-    slopes, _ = gradient_and_hessian(energy, at)
+    slopes = energy_gradient(energy, at)
     dissipated = by_stroke = jnp.zeros_like(slopes[0])
     if damping is not None:
         hinge_rates = kinematics.with_drift(kinematics.rates(*rates))

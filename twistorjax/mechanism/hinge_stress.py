@@ -39,7 +39,7 @@ def member_stresses(
     def of_hinge(energy, damping, first, second, axis):
         del damping
         at = mid_frame(first, second, axis).displacement
-        wrench, _ = hinge_forces.gradient_and_hessian(energy, at)
+        wrench = hinge_forces.energy_gradient(energy, at)
         return surface_stresses(energy, at, wrench)
 
     return tuple(

@@ -144,9 +144,8 @@ def solve_in_increments(
     """
     entries = system.constraints.size
     units, free_units = system.units(), system.free_units()
-    unloaded = system.hinges_at(0.0)
-    forces = unloaded.forces(start).reshape(-1)
-    initial_residual = system.equations(forces, start)
+    forces, predicted = system.hinges_at(0.0).forces_and_stress(start)
+    initial_residual = system.equations(forces.reshape(-1), start)
     largest_violation = jnp.zeros(0)
     if entries:
         jacobian = system.jacobian(start)[:, system.free] * free_units[None]
@@ -247,7 +246,6 @@ def solve_in_increments(
     zero, no_steps = jnp.zeros(()), jnp.zeros((), int)
     unknowns = jnp.zeros(len(system.free) + entries)
     multipliers = jnp.zeros(entries) if entries else None
-    predicted = unloaded.generalized_stress(start)
     state = _State(
         displacements=start,
         multipliers=multipliers,

@@ -169,7 +169,7 @@ class PathSystem(eqx.Module):
     def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 hinges"]:
         """Compute the generalized stress of the hinges at a point; N m, N, N."""
         system, displacements, _ = self.split(point)
-        return system.hinges.generalized_stress(displacements)
+        return system.hinges.forces_and_stress(displacements)[1]
 
     def out_of_range(self, point: Float[Array, " n"]) -> Flag:
         """Decide whether a hinge is outside the validity range of its energy."""

@@ -61,6 +61,30 @@ def test_of_two_springs_in_series_only_the_compliance_is_determined():
     assert "together" in description
 
 
+def test_changes_are_relative_to_the_estimates():
+    """Of springs in series between driven ends, only the ratio is determined."""
+
+    def chain(design):
+        def along(stiffness):
+            return tj.Quadratic(jnp.diag(jnp.stack([1.0, stiffness, 100.0])))
+
+        names = ("wall", "middle", "end")
+        hinges = [
+            tj.Hinge("first", "wall", "middle", along(design["first"]), at=(0, 0, 0)),
+            tj.Hinge("last", "middle", "end", along(design["last"]), at=(0, 0, 0)),
+        ]
+        return tj.Mechanism([tj.Body(n) for n in names], hinges, fixed=["wall"])
+
+    drives = [[tj.Drive("end", x=travel)] for travel in (1e-3, 2e-3)]
+    test = StaticTest(drives, [BodySensor("middle", "x", 1e-6)])
+    start = {"first": Parameter(100.0), "last": Parameter(100.0)}
+    data = [test.measurement([[0.25e-3], [0.5e-3]])]
+    result = tj.identify(chain, start, data)
+    assert_close(result.estimates["first"] / result.estimates["last"], 3.0, digits=7)
+    (direction,) = result.undetermined_directions
+    assert "by +1 % and" in direction and direction.count("by +1 %") == 2
+
+
 def test_a_parameter_with_a_small_effect_on_the_readings_is_not_determined():
     weak = push(1e-3, standard_deviation=1e-3)
     data = [weak.measurement([[1e-5]])]

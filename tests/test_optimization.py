@@ -109,6 +109,23 @@ def test_searches_end_where_scipy_alone_ends():
         np.testing.assert_allclose(alone.searches.ends[0], end, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("objective", "starts", "optimum"),
+    [
+        (lambda x, y: jnp.exp(x) + jnp.exp(-x) + (y - 1) ** 2, (30.0, 3.0), (0.0, 1.0)),
+        (lambda x, y: 1e6 * (1 - x) ** 2 + (y - 1) ** 2, (5.0, 3.0), (1.0, 1.0)),
+        (lambda x, y: 100 * (y - x**2) ** 2 + (1 - x) ** 2, (-1.2, 1.0), (1.0, 1.0)),
+        (lambda x, y: x**-3 + 3 * x + (y - 1) ** 2, (0.05, 3.0), (1.0, 1.0)),
+    ],
+)
+def test_a_large_gradient_at_the_start_has_no_effect(objective, starts, optimum):
+    parameters = [tj.Parameter(start) for start in starts]
+    design = dict(zip("xy", parameters, strict=True))
+    found = tj.optimize(lambda d: {"f": objective(d["x"], d["y"])}, design, minimize="f")
+    ends = [float(found.parameters[name]) for name in "xy"]
+    np.testing.assert_allclose(ends, optimum, atol=1e-5)
+
+
 def test_equality_and_array_limits():
     """The point of a plane that is nearest to the origin, off two half-spaces."""
     normal = np.array([1.0, 2.0, 2.0])

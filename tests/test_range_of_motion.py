@@ -129,6 +129,63 @@ def test_the_stroke_of_an_actuator_against_a_leaf():
     np.testing.assert_allclose(found.displacements[1], at_end.displacements, atol=1e-12)
 
 
+def test_the_origin_of_a_body_has_no_effect():
+    """A force that stabilizes the mechanism may act beside the origin of its body."""
+
+    def ends(origin, direction, stress):
+        bodies = [tj.Body("wall"), tj.Body("block", (0.0, origin, 0.0))]
+        hinge = tj.Hinge("flexure", "wall", "block", leaf(), at=(0, 0, 0))
+        mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+        load = tj.Load("block", force=direction, at=(25e-3 - origin, 0.0))
+        found = tj.range_of_motion(mechanism, loads=[load], stress=stress)
+        assert np.all(found.by_stress)
+        return found.factors
+
+    for direction, stress in (((35.0, 0.4), 200e6), ((30.0, 1.0), 200e6)):
+        at_the_hinge, at_the_tip = (ends(x, direction, stress) for x in (0.0, 25e-3))
+        np.testing.assert_allclose(at_the_hinge, at_the_tip, rtol=1e-8)
+
+
+def test_the_unit_of_a_stroke_has_no_effect():
+    """Stretching one of two leaves rotates the table, without any instability."""
+    energy, up = flexures.quartic_leaf(STEEL, **SIZES), np.pi / 2
+    hinges = [
+        tj.Hinge("left", "wall", "table", energy, at=(up, -40e-3, 25e-3)),
+        tj.Hinge("right", "wall", "table", energy, at=(up, 40e-3, 25e-3)),
+    ]
+    bodies = [tj.Body("wall"), tj.Body("table", (0.0, 0.0, 50e-3))]
+    guide = tj.Mechanism(bodies, hinges, fixed=["wall"])
+    strokes = []
+    for unit in (1e-6, 1e-5, 1e-4):
+        found = tj.range_of_motion(
+            guide, strokes={"left": (0.0, unit, 0.0)}, stress=ALLOWABLE
+        )
+        assert np.all(found.by_stress)
+        strokes.append(unit * found.factors)
+    np.testing.assert_allclose(strokes[1:], strokes[:-1], rtol=1e-8)
+
+
+def test_hinges_without_an_allowable_stress_keep_their_strength():
+    strong = tj.Material(modulus=210e9, poisson=0.3, strength=200e6)
+    energy = flexures.leaf(strong, **SIZES)
+    hinges = [
+        tj.Hinge(name, "wall", "block", energy, at=(0, 0, 0)) for name in ("one", "two")
+    ]
+    bodies = [tj.Body("wall"), tj.Body("block")]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["wall"])
+    moment = tj.Load("block", moment=0.01)
+    by_strength = tj.range_of_motion(mechanism, loads=[moment])
+    for stress in ({"one": 300e6}, {}):
+        found = tj.range_of_motion(mechanism, loads=[moment], stress=stress)
+        np.testing.assert_allclose(found.factors, by_strength.factors, rtol=1e-9)
+
+
+def test_a_range_outside_that_of_a_linear_leaf_causes_a_warning():
+    moment = tj.Load("block", moment=0.01)
+    with pytest.warns(UserWarning, match="times the one at which its force"):
+        tj.range_of_motion(cantilever(leaf()), loads=[moment], stress=3e9)
+
+
 def test_derivatives_of_the_range():
     def far(thickness, stress):
         energy = flexures.quartic_leaf(STEEL, **{**SIZES, "thickness": thickness})
@@ -166,6 +223,8 @@ def test_failures_are_reported():
         tj.range_of_motion(mechanism, stress=ALLOWABLE)
     with pytest.raises(ValueError, match="No allowable stress is known"):
         tj.range_of_motion(mechanism, loads=[bend])
+    with pytest.raises(ValueError, match="No allowable stress is known"):
+        tj.range_of_motion(mechanism, loads=[bend], stress={})
     with pytest.raises(ValueError, match="`stress` of the hinge 'flexure' is -1"):
         tj.range_of_motion(mechanism, loads=[bend], stress=-1.0)
     with pytest.raises(

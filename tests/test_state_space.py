@@ -15,6 +15,7 @@ from twistorjax.examples import stage
 FREQUENCIES = np.array([0.0, 1.0, 30.0, 120.0, 400.0, 900.0, 3000.0, 1e5])
 DRIVE = tj.Drive("6", x=1.0)
 PUSH = tj.Load("4", force=(1.0, 0.0), moment=0.2)
+FOLLOWER = tj.Load("4", force=(1.0, 0.0), follower=True)
 STROKE = {"c": (0.0, 1.0, 0.0)}
 OUTPUTS = {"output": ("4", "x"), "rotation": ("3", "angle"), "input": ("6", "x")}
 
@@ -151,6 +152,35 @@ def test_the_step_response_about_a_loaded_equilibrium_is_the_motion():
     np.testing.assert_allclose(found / scale, expected / scale, atol=1e-6)
 
 
+def test_a_base_that_moves_acts_as_an_inertial_force():
+    """In the frame of the base, the acceleration is a force on each mass."""
+    spring = tj.Quadratic(np.diag([2.0, 4e4, 900.0]))
+
+    def block_on_base(*, fixed):
+        bodies = [
+            tj.Body("base", mass=3.0, inertia=0.1),
+            tj.Body("block", (0.0, 0.2, 0.1), mass=0.7, inertia=2e-3),
+        ]
+        hinge = tj.Hinge(
+            "spring", *("base", "block"), spring, (0.4, 0.1, 0), damping=1e-3
+        )
+        return tj.Mechanism(bodies, [hinge], fixed=fixed)
+
+    output = {"y": ("block", "y")}
+    moved = tj.state_space(
+        block_on_base(fixed=[]),
+        {"base": tj.Drive("base", y=1.0)},
+        output,
+        prescribed={"base": ["angle", "x"]},
+    )
+    push = {"force": tj.Load("block", force=(0.0, 0.7))}
+    pushed = tj.state_space(block_on_base(fixed=["base"]), push, output)
+    expected = 1 + (2 * np.pi * FREQUENCIES[:, None, None]) ** 2 * np.asarray(
+        pushed.frequency_response(FREQUENCIES)
+    )
+    assert_same_response(moved, expected)
+
+
 def test_python_control_has_the_same_step_response():
     import control
 
@@ -184,10 +214,15 @@ def test_derivatives_and_batches(mechanism):
     np.testing.assert_allclose(batch[0][1], gain(0.3e-3)[0], rtol=1e-9)
 
 
+@pytest.mark.untyped
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"inputs": {}}, "at least one input and one output"),
+        ({"inputs": {}}, "`inputs` is {}, but must be a mapping"),
+        ({"outputs": ["4"]}, "`outputs` is .*'4'.*, but must be a mapping"),
+        ({"inputs": {"f": tj.Load("9", moment=1.0)}}, "input 'f' names the body '9'"),
+        ({"inputs": {"f": FOLLOWER}}, "The input 'f' is a follower load"),
+        ({"modes": 1.5}, "`modes` is 1.5, but the mechanism has 12 modes"),
         ({"outputs": {"x": ("5x", "x")}}, "names the body '5x'"),
         ({"outputs": {"x": ("4", "z")}}, "names the coordinate 'z'"),
         ({"modes": 13}, "has 12 modes"),

@@ -42,6 +42,46 @@ def test_force_displaces_a_block_by_its_compliance():
     assert_close(solution.reaction("block"), [0.0, 0.0, 0.0])
 
 
+def test_the_loads_of_the_start_stabilize_it_as_they_are_increased():
+    """A rod on a spring is pulled by a force ahead of the spring, beside its origin.
+
+    The rod would not be stable under a constant force and moment at its origin: the
+    stiffness by which the pull resists rotations is that of the force beside it.
+    """
+    bodies = [WALL, tj.Body("rod", (0.0, 0.5, 0.0))]
+    hinge = tj.Hinge("spring", "wall", "rod", tj.Quadratic(np.diag([1.0, 1e6, 30.0])),
+                     at=(0.0, 0.0, 0.0))  # fmt: skip
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+
+    def pulled(force, start=None):
+        pull = tj.Load("rod", force=(force, 0.1 * force), at=(1.0, 0.0))
+        return tj.equilibrium(mechanism, loads=[pull], start=start)
+
+    first = pulled(10.0)
+    for force in (20.0, 40.0):
+        again, directly = pulled(force, start=first), pulled(force)
+        assert_close(again.displacements, directly.displacements, digits=8)
+        assert again.steps <= directly.steps
+
+
+def test_strokes_start_from_those_of_the_start():
+    """A preloaded spring between walls is compressed further by a stroke."""
+    stiffness = np.diag([0.02, 1e5, 1e3])
+    hinges = [
+        tj.Hinge("left", "wall", "block", tj.Quadratic(stiffness), (0.0, -0.1, 0.0)),
+        tj.Hinge("right", "block", "wall", tj.Quadratic(stiffness), (0.0, 0.1, 0.0)),
+    ]
+    mechanism = tj.Mechanism([WALL, BLOCK], hinges, fixed=["wall"])
+
+    def stretched(stroke, start=None):
+        strokes = {"left": (0.0, stroke, 0.0), "right": (0.0, -stroke, 1e-6)}
+        return tj.equilibrium(mechanism.with_strokes(strokes), start=start)
+
+    first = stretched(0.01)
+    again, directly = stretched(0.05, start=first), stretched(0.05)
+    assert_close(again.displacements, directly.displacements, digits=8)
+
+
 @pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 def test_moment_rotates_a_block_by_the_closed_form(coordinates):
     """The moment is k angle (equation 3.4) or k sin(angle) (equation 4.7)."""

@@ -193,7 +193,9 @@ class MixedEnergy(CoordinateEnergy):
             terms = [k for k, row in enumerate(self.powers) if row[2] == power]
             powers = tuple(self.powers[k][:2] for k in terms)
             coefficients = self.coefficients[np.array(terms, int)]
-            series.append(evaluate_polynomial(powers, derivatives, coefficients, variables))
+            series.append(
+                evaluate_polynomial(powers, derivatives, coefficients, variables)
+            )
         return tuple(series)
 
 

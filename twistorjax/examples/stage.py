@@ -39,7 +39,8 @@ from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import DARK_BLUE
 from ..solve.results import RESULTS
-from ..solve.statics import Equilibrium, equilibrium
+from ..solve.static_results import Equilibrium
+from ..solve.statics import equilibrium
 from ..solve.tables import Column, Columns, Tabular
 
 

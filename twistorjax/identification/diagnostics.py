@@ -257,10 +257,18 @@ def _determined_parameters(identification: "Identification") -> np.ndarray:
 def _describe_direction(identification: "Identification", direction: np.ndarray) -> str:
     """Describe relative changes of parameters; the largest one is an increase by 1 %.
 
-    The direction has an entry for each parameter that is not at a bound.
+    A change is relative to the estimate, or to its distance to a bound. The direction has
+    an entry for each parameter that is not at a bound.
     """
-    names = np.delete(identification.names, _at_bounds(identification))
-    changes = direction / direction[np.argmax(np.abs(direction))]
+    at_bounds = _at_bounds(identification)
+    names = np.delete(identification.names, at_bounds)
+    parameters, normalized = identification.problem.parameters, identification.normalized
+    scales = np.asarray(parameters.scales(normalized))
+    is_free = [name not in parameters.bounded for name in identification.names]
+    estimates = np.abs(np.asarray(parameters.vector(normalized)))
+    sizes = np.where(is_free & (estimates > 0), estimates, scales)
+    changes = direction * np.delete(scales / sizes, at_bounds)
+    changes = changes / changes[np.argmax(np.abs(changes))]
     texts = [
         f"{names[k]} by {changes[k]:+.2g} %"
         for k in np.argsort(-np.abs(changes), kind="stable")

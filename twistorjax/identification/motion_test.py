@@ -14,7 +14,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
 from ..solve.dynamics import Driving, Loading, simulate
 from ..solve.initial_state import check_times
-from ..solve.statics import Equilibrium, StateLike
+from ..solve.static_results import Equilibrium, StateLike
 from .measurement import as_pytree, require_sensors, SensorTest
 from .sensors import AbstractSensor
 

@@ -22,14 +22,15 @@ from .._utils.types import ArrayOfNumbers, Numbers
 
 
 class Parameter(eqx.Module):
-    """Number or array that is identified from measurements.
+    """Number or array that is identified from measurements, or optimized.
 
     Args:
-        value: Initial value.
+        value: Initial value, between the bounds.
         unit: Unit of the value, for printing. An array has one unit, or one for each
             entry of its last axis.
-        lower: Lower bound; excluded. Give 0 for stiffnesses and lengths.
-        upper: Upper bound; excluded.
+        lower: Lower bound, which `identify` excludes and `optimize` includes. Give 0 for
+            stiffnesses and lengths that are identified.
+        upper: Upper bound, as the lower one.
         scale: Size of a typical change of a parameter without bounds. The default is the
             absolute value of `value`, and for a zero in an array the largest absolute
             value of the array. The scale of a parameter with a bound is its distance to
@@ -67,9 +68,16 @@ class Parameter(eqx.Module):
                 f"`unit` has {len(unit)} entries, but the `Parameter` has shape {shape}: "
                 "give one unit, or one for each entry of the last axis."
             )
-        self.lower = None if lower is None else float(lower)
-        self.upper = None if upper is None else float(upper)
+        self.lower = None if lower is None or lower == -np.inf else float(lower)
+        self.upper = None if upper is None or upper == np.inf else float(upper)
         self.scale = None if scale is None else jnp.asarray(scale, float)
+        for name, bound in (("lower", self.lower), ("upper", self.upper)):
+            if bound is not None and not np.isfinite(bound):
+                raise ValueError(
+                    f"`{name}` of a `Parameter` is {bound!r}, but must be a number. "
+                    "Leave out a bound that does not exist."
+                )
+        lower, upper = self.lower, self.upper
         if self.scale is not None and (lower is not None or upper is not None):
             raise ValueError(
                 "A `Parameter` has both a bound and a `scale`, but the scale of a "

@@ -13,7 +13,8 @@ from .._utils.host import concrete
 from .._utils.types import Table
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from ..solve.statics import Equilibrium, equilibrium
+from ..solve.static_results import Equilibrium
+from ..solve.statics import equilibrium
 from .measurement import map_in_groups, require_sensors, SensorTest
 from .sensors import AbstractSensor
 

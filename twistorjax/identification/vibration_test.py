@@ -13,7 +13,7 @@ from .._utils.types import NumbersLike, Poses, Table, TableDeviationsLike, Table
 from .._utils.validation import require_deviations
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from ..solve.statics import Equilibrium, StateLike
+from ..solve.static_results import Equilibrium, StateLike
 from ..solve.vibrations import vibrations
 from .measurement import AbstractTest, Measurement
 

@@ -28,7 +28,6 @@ from .hinge_kinematics import (
     End,
     Four,
     HingeKinematics,
-    mid_frame,
     Six,
     Three,
 )

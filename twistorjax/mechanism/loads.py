@@ -232,6 +232,18 @@ class LoadSet(eqx.Module):
         sums = xp.sum(xp.where(chosen, of_loads[None], 0.0), axis=1)
         return cls(sums, present=True, conservative=not followers.any())
 
+    def scaled(self, factor: Scalar | float) -> "LoadSet":
+        """Multiply all loads by a number."""
+        return LoadSet(factor * jnp.asarray(self.sums), self.present, self.conservative)
+
+    def plus(self, others: "LoadSet") -> "LoadSet":
+        """Add other loads on the same bodies."""
+        return LoadSet(
+            jnp.asarray(self.sums) + jnp.asarray(others.sums),
+            present=self.present or others.present,
+            conservative=self.conservative and others.conservative,
+        )
+
     def apply(self, displacements: Poses) -> tuple[Wrenches, Wrenches]:
         """Compute the wrench that the loads apply to each body.
 

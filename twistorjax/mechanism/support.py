@@ -5,10 +5,18 @@ from collections.abc import Sequence
 from .mechanism import Mechanism
 
 
-def require_support(mechanism: Mechanism, constrained: Sequence[Sequence[int]]) -> None:
+def require_support(
+    mechanism: Mechanism,
+    constrained: Sequence[Sequence[int]],
+    prescribed: Sequence[int] = (),
+) -> None:
     """Check that hinges or constraints connect every body to a fixed one.
 
-    `constrained` has the indices of the bodies of each constraint.
+    Args:
+        mechanism: The mechanism.
+        constrained: Indices of the bodies of each constraint.
+        prescribed: Indices of the prescribed degrees of freedom, whose bodies are
+            supported as well.
 
     Raises:
         ValueError: A body is not connected.
@@ -17,7 +25,7 @@ def require_support(mechanism: Mechanism, constrained: Sequence[Sequence[int]]) 
     for group in (*mechanism.hinge_assembly.ends, *constrained):
         for body in group:
             neighbors.setdefault(body, set()).update(group)
-    connected = {dof // 3 for dof in mechanism.fixed}
+    connected = {dof // 3 for dof in (*mechanism.fixed, *prescribed)}
     front = list(connected)
     while front:
         new = neighbors.get(front.pop(), set()) - connected
@@ -29,5 +37,6 @@ def require_support(mechanism: Mechanism, constrained: Sequence[Sequence[int]]) 
         raise ValueError(
             f"The {'bodies' if plural else 'body'} {' and '.join(map(repr, names))} "
             f"{'are' if plural else 'is'} not connected to a body in `fixed` by hinges "
-            "or constraints. Fix one of them, or add a hinge."
+            "or constraints. Fix or prescribe the position of one of them, or add a "
+            "hinge."
         )

@@ -10,7 +10,7 @@ from typing_extensions import TypeAliasType
 from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
 from ..solve.path_results import Path
-from ..solve.statics import Equilibrium
+from ..solve.static_results import Equilibrium
 from ..solve.vibrations import Vibrations
 from .drawing import draw, draw_reference, figure_size
 from .figure_style import length_unit, new_axes

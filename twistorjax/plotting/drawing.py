@@ -13,7 +13,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.motion import Motion
-from ..solve.statics import Equilibrium
+from ..solve.static_results import Equilibrium
 from .figure_style import (
     FILLS,
     GRAY,

@@ -32,7 +32,8 @@ from .range_of_motion import (
 )
 from .results import result_names as result_names, RESULTS as RESULTS
 from .state_space import state_space as state_space, StateSpace as StateSpace
-from .statics import Equilibrium as Equilibrium, equilibrium as equilibrium
+from .static_results import Equilibrium as Equilibrium
+from .statics import equilibrium as equilibrium
 from .stresses import Stresses as Stresses, stresses as stresses
 from .tables import Column as Column
 from .vibrations import Vibrations as Vibrations, vibrations as vibrations

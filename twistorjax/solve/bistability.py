@@ -40,7 +40,7 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
-from .statics import StateLike
+from .static_results import StateLike
 
 
 _MAX_CRITICAL = 10  # critical points of a path that are located

@@ -24,7 +24,8 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
-from .statics import describe_free_motions, state_in_range, StateLike
+from .static_errors import describe_free_motions
+from .static_results import state_in_range, StateLike
 from .tables import Column, Columns, columns, Tabular
 
 

@@ -13,7 +13,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from .dofs import DofPartition
-from .statics import state_in_range, StateLike
+from .static_results import state_in_range, StateLike
 from .system import System
 
 

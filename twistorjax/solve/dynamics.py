@@ -46,7 +46,7 @@ from .motion_errors import StartOfMotion
 from .motion_system import equation, MotionSystem, State
 from .projection import Projected
 from .results import is_success, RESULTS, succeeded_or_raise
-from .statics import StateLike
+from .static_results import StateLike
 
 
 # Solvers other than those of this library stop if the step is below this fraction of the

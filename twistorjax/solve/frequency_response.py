@@ -18,7 +18,7 @@ from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .factorization import null_space
 from .results import BodySolution, result_message, RESULTS, succeeded_or_raise
-from .statics import state_in_range, StateLike
+from .static_results import state_in_range, StateLike
 from .system import System
 from .tables import Column, Columns
 

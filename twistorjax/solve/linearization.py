@@ -20,7 +20,8 @@ from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .factorization import ConstrainedFactors, Factors
 from .results import RESULTS
-from .statics import check_equilibrium, Equilibrium, state_in_range, StateLike
+from .static_errors import check_equilibrium
+from .static_results import Equilibrium, state_in_range, StateLike
 from .system import System
 
 
@@ -149,6 +150,8 @@ def _respond(
         fraction=jnp.ones(()),
         steps=jnp.zeros((), int),
         range_shares=None,
+        loads=None,
+        misfits=None,
         result=result,
         names=mechanism.names,
         constraint_names=linear.constraint_names,
@@ -208,7 +211,7 @@ def linearize(
         )
     dofs = DofPartition.of(mechanism, dofs)
     system = System.of(mechanism, dofs, loads, constraints, time)
-    require_support(mechanism, system.constraints.bodies)
+    require_support(mechanism, system.constraints.bodies, dofs.prescribed)
     displacements = state_in_range(mechanism, "about", about)
     is_consistent = consistent(system, displacements)
     if concrete(is_consistent) is not None and not is_consistent:

@@ -119,10 +119,10 @@ def solve_in_increments(
     whole mechanism. A fold of a part whose displacements are small compared with those of
     the rest, and a bifurcation of a symmetric path, may remain undetected.
 
-    The forces that keep the mechanism at `start` decrease in proportion as the fraction
-    increases. They are zero in the reference configuration, where the misfits of hinges
-    increase as the loads do; in another equilibrium they are its loads. A violation of
-    constraints at `start` decreases in the same way.
+    Loads and misfits change in proportion from those at `start` to the given ones. If the
+    former are unknown, forces of constant direction keep the mechanism at `start`, and
+    decrease in proportion as the fraction increases. A violation of constraints at
+    `start` decreases in the same way.
     Prescribed degrees of freedom move in the first Newton step of each increment,
     together with the first response of the free ones.
 
@@ -145,7 +145,14 @@ def solve_in_increments(
     entries = system.constraints.size
     units, free_units = system.units(), system.free_units()
     forces, predicted = system.hinges_at(0.0).forces_and_stress(start)
-    initial_residual = system.equations(forces.reshape(-1), start)
+    initial_residual = system.equations(system.first_residual(forces, start), start)
+    multipliers = jnp.zeros(entries) if entries else None
+    if (
+        entries
+        and system.first is not None
+        and system.first.constraint_forces is not None
+    ):
+        multipliers = system.first.constraint_forces
     largest_violation = jnp.zeros(0)
     if entries:
         jacobian = system.jacobian(start)[:, system.free] * free_units[None]
@@ -245,7 +252,6 @@ def solve_in_increments(
 
     zero, no_steps = jnp.zeros(()), jnp.zeros((), int)
     unknowns = jnp.zeros(len(system.free) + entries)
-    multipliers = jnp.zeros(entries) if entries else None
     state = _State(
         displacements=start,
         multipliers=multipliers,
@@ -316,7 +322,7 @@ def _newton_step(
     residual = system.equations(forces, state.displacements)
     residual = residual - (1 - goal) * initial_residual
     right = -(residual + tangent.prescribed_forces(prescribed_change))
-    factors = tangent.factors(system.loads.conservative)
+    factors = tangent.factors(system.conservative)
     # The forces due to misfits and prescribed displacements follow from the tangent.
     misfit_forces = system.misfit_forces(state.displacements, goal, state.increment)
     imbalance = jnp.where(state.tries == 0, misfit_forces - residual, state.imbalance)

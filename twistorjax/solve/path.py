@@ -38,7 +38,7 @@ from .path_setup import (
 )
 from .path_system import PathSystem
 from .results import result_message, succeeded_or_raise
-from .statics import describe_free_motions
+from .static_errors import describe_free_motions
 
 
 def path(

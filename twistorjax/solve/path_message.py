@@ -11,7 +11,7 @@ from .dofs import DofPartition
 from .path_program import run_path
 from .path_setup import regular_point
 from .path_system import PathSystem
-from .statics import Equilibrium
+from .static_results import Equilibrium
 
 
 _POINTS = 60  # of the path; the critical point is close to its start

@@ -24,7 +24,8 @@ from ..mechanism.support import require_support
 from .dofs import DofPartition
 from .path_results import CriticalPoint
 from .path_system import PathSystem
-from .statics import equilibrium, StateLike
+from .static_results import StateLike
+from .statics import equilibrium
 
 
 # Strokes by hinges, or a function of the load factor that returns them
@@ -89,7 +90,6 @@ def assemble_path(
     """
     require_float64(mechanism.reference)
     constraint_set = gather_constraints(mechanism, constraints)
-    require_support(mechanism, constraint_set.bodies)
     changes = _changes(strokes, temperature)
     if not loads and not drives and changes is None:
         raise ValueError(
@@ -97,6 +97,7 @@ def assemble_path(
             "`strokes`, or `temperature`."
         )
     prescribed, targets = prescribed_dofs(mechanism, drives)
+    require_support(mechanism, constraint_set.bodies, prescribed)
     dofs = DofPartition.of(mechanism, prescribed)
     if isinstance(start, CriticalPoint):
         is_branch = concrete(start.is_branch)

@@ -85,12 +85,7 @@ class PathSystem(eqx.Module):
 
     def at(self, factor: Scalar) -> System:
         """Return the equations at a load factor."""
-        constant, proportional = self.constant_loads, self.loads
-        loads = LoadSet(
-            jnp.asarray(constant.sums) + factor * jnp.asarray(proportional.sums),
-            present=constant.present or proportional.present,
-            conservative=self.symmetric,
-        )
+        loads = self.constant_loads.plus(self.loads.scaled(factor))
         hinges = self.mechanism.hinge_assembly
         if self.changes is not None:
             state = self.changes.state(self.mechanism, factor)

@@ -16,7 +16,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from .linearization import Linearization, linearize
-from .statics import StateLike
+from .static_results import StateLike
 
 
 class PortCompliance(eqx.Module):

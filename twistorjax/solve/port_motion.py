@@ -29,7 +29,9 @@ from ..mechanism.misfits import stroke_rows, with_stroke_rows
 from .constraint_analysis import constraint_analysis
 from .port_kinematics import displacement_and_rate
 from .results import is_success, RESULTS
-from .statics import check_equilibrium, Equilibrium, equilibrium
+from .static_errors import check_equilibrium
+from .static_results import Equilibrium
+from .statics import equilibrium
 from .tables import Column, Columns, Tabular
 
 

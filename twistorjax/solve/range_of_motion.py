@@ -33,7 +33,8 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
-from .statics import StateLike
+from .static_errors import warn_outside_linear_range
+from .static_results import StateLike
 from .stresses import select_stresses, Stresses
 from .tables import Column, Columns
 
@@ -129,9 +130,11 @@ def range_of_motion(
 
     The input is multiplied by negative and by positive factors. Displacements may be
     large. The stresses are those of `stresses`, which explains their limits. If the
-    equilibrium becomes unstable before, the range ends there. The factors and the
-    displacements have derivatives of first order with respect to the mechanism, its
-    input, and the allowable stress.
+    equilibrium becomes unstable before, the range ends there. The linear hinges
+    `flexures.leaf` and `flexures.notch` do not buckle under an axial force; use
+    `flexures.quartic_leaf` or `flexures.surrogate` if a leaf is compressed. The factors
+    and the displacements have derivatives of first order with respect to the mechanism,
+    its input, and the allowable stress.
 
     Args:
         mechanism: The mechanism.
@@ -139,8 +142,8 @@ def range_of_motion(
         drives: Prescribed displacements of the input.
         strokes: Strokes of actuators of the input, by the names of their hinges; see
             `Mechanism.with_strokes`; rad, m, m.
-        stress: Allowable stress of all hinges, or of some hinges by name; by default the
-            `strength` of their material; Pa.
+        stress: Allowable stress of all hinges, or of some hinges by name. That of the
+            others is the `strength` of their material; Pa.
         safety_factor: Number by which the allowable stresses are divided.
         constant_loads: Loads that are not multiplied, such as weights.
         constraints: Pins, sliders, and other constraints between the bodies.
@@ -179,8 +182,8 @@ def range_of_motion(
         require_positive("`safety_factor`", safety_factor)
     )
     constraint_set = gather_constraints(mechanism, constraints)
-    require_support(mechanism, constraint_set.bodies)
     prescribed, targets = prescribed_dofs(mechanism, drives)
+    require_support(mechanism, constraint_set.bodies, prescribed)
     dofs = DofPartition.of(mechanism, prescribed)
     begin = first_displacements(
         mechanism, drives, None, constant_loads, constraints, start, time
@@ -214,6 +217,7 @@ def range_of_motion(
     )
     if not throw:
         return found
+    warn_outside_linear_range(mechanism, solution)
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         side = _SIDES[batch_index[-1]]
@@ -233,18 +237,17 @@ def _allowable(
     """
     hinges, names = mechanism.hinge_assembly, mechanism.hinge_names
     known = [names[row] for row in rows_with_stress(hinges)]
-    if stress is None:
-        given = strengths(hinges, "static")
-        if given is None:
-            raise ValueError(
-                "No allowable stress is known. Give `stress` (Pa), or the `strength` of "
-                "the `Material` of a flexure."
-            )
-        return given
-    if not isinstance(stress, Mapping):
-        stress = dict.fromkeys(known, stress)
-    limits = jnp.full(len(names), jnp.inf)
-    for name, value in stress.items():
+    limits = strengths(hinges, "static")
+    given = {} if stress is None else stress
+    if limits is None and isinstance(given, Mapping) and not given:
+        raise ValueError(
+            "No allowable stress is known. Give `stress` (Pa), or the `strength` of the "
+            "`Material` of a flexure."
+        )
+    if not isinstance(given, Mapping):
+        given = dict.fromkeys(known, given)
+    limits = jnp.full(len(names), jnp.inf) if limits is None else limits
+    for name, value in given.items():
         index_of("`stress`", "hinge", name, known)
         limit = require_positive(f"`stress` of the hinge {name!r}", value)
         limits = limits.at[names.index(name)].set(limit)

@@ -9,14 +9,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._utils.compilation import fast_compile
-from .._utils.types import Count, Flag, Poses, Scalar
+from .._utils.types import Count, Entries, Flag, Poses, Scalar
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.hinge_stress import largest_stresses
 from ..mechanism.loads import LoadSet
 from .dofs import DofPartition
+from .load_state import LoadState
 from .results import is_success, RESULTS
-from .statics import Equilibrium, solve_equilibrium
+from .static_results import Equilibrium
+from .statics import solve_equilibrium
 
 
 _TOLERANCE, _MOST_STEPS = 1e-10, 400  # of an equilibrium
@@ -26,6 +28,20 @@ _PRECISION = 1e-10  # of the stress
 _REACHED = 1e-6  # of the stress at an end that is limited by it
 _STABILITY = 1e-6  # of the factor, if the range ends without reaching a stress
 _ROUNDING = 1e-15  # of the factor, if the precision of the stress cannot be reached
+
+
+class RangePoint(NamedTuple):
+    """An equilibrium within the range of motion.
+
+    Args:
+        factor: Factor of the input.
+        displacements: Displacements of the bodies; rad, m, m.
+        constraint_forces: Constraint forces; N m, N.
+    """
+
+    factor: Scalar
+    displacements: Poses
+    constraint_forces: Entries
 
 
 class RangeInput(NamedTuple):
@@ -53,27 +69,35 @@ class RangeInput(NamedTuple):
     time: Scalar
     allowable: Float[Array, " hinges"]
 
+    def hinges_at(self, factor: Scalar) -> HingeAssembly:
+        """Return the hinges at a factor of the input."""
+        if self.strokes is None:
+            return self.hinges
+        return self.hinges.with_strokes(factor * self.strokes)
+
+    def loads_at(self, factor: Scalar) -> LoadSet:
+        """Return all loads at a factor of the input."""
+        return self.constant_loads.plus(self.loads.scaled(factor))
+
     def at(
-        self, factor: Scalar, start: Poses, dofs: DofPartition
+        self, factor: Scalar, start: RangePoint, dofs: DofPartition
     ) -> tuple[Equilibrium, Float[Array, " hinges"]]:
         """Compute the equilibrium at a factor of the input, and the stresses; Pa.
 
-        The equilibrium is connected to that at the displacements `start`; rad, m, m.
+        The equilibrium is connected to `start`.
         """
-        hinges = self.hinges
-        if self.strokes is not None:
-            hinges = hinges.with_strokes(factor * self.strokes)
-        constant, loads = self.constant_loads, self.loads
-        loads = LoadSet(
-            factor * jnp.asarray(loads.sums) + jnp.asarray(constant.sums),
-            present=loads.present or constant.present,
-            conservative=loads.conservative and constant.conservative,
+        hinges = self.hinges_at(factor)
+        first = LoadState(
+            self.loads_at(start.factor),
+            self.hinges_at(start.factor).misfits,
+            start.constraint_forces if self.constraints.size else None,
         )
         solution = solve_equilibrium(
             hinges,
             self.reference,
-            start,
-            loads,
+            start.displacements,
+            first,
+            self.loads_at(factor),
             self.constraints,
             tuple(factor * target for target in self.targets),
             self.time,
@@ -115,28 +139,46 @@ class _Search(NamedTuple):
         lower: Largest factor at which no allowable stress is exceeded.
         excess: Excess of the stress at this factor; see `RangeInput.excess`.
         displacements: Displacements at this factor; rad, m, m.
+        constraint_forces: Constraint forces at this factor; N m, N.
         slope: Derivative of the excess by the factor.
         upper: Smallest factor beyond the end; infinite if there is none yet.
         upper_excess: Excess at this factor; NaN if there is no equilibrium.
         weights: Factors of the two excesses in the method of false position.
         last: -1 if the lower end was replaced last, 1 if it was the upper one.
         result: Reason why there is no equilibrium at the upper end.
+        confirmed: Whether there is also none a little beyond the upper end. From a point
+            that is far away, an equilibrium may not be found although it exists.
         equilibria: Number of equilibria that were computed.
     """
 
     lower: Scalar
     excess: Scalar
     displacements: Poses
+    constraint_forces: Entries
     slope: Scalar
     upper: Scalar
     upper_excess: Scalar
     weights: Float[Array, "2"]
     last: Count
     result: RESULTS
+    confirmed: Flag
     equilibria: Count
 
+    def point(self, side: Scalar) -> RangePoint:
+        """Return the equilibrium at the lower factor, on the side -1 or 1."""
+        return RangePoint(side * self.lower, self.displacements, self.constraint_forces)
+
+    def is_narrow(self) -> Flag:
+        """Decide whether the two factors agree as closely as required."""
+        unstable = jnp.isnan(self.upper_excess)
+        width = jnp.where(unstable, _STABILITY, _ROUNDING) * self.upper
+        return jnp.isfinite(self.upper) & (self.upper - self.lower <= width)
+
     def next_factor(self) -> Scalar:
-        """Choose the next factor: by secant, by false position, or by bisection."""
+        """Choose the next factor: by secant, by false position, or by bisection.
+
+        If the factors agree, it is a little beyond the upper one.
+        """
         linear = self.lower - self.excess / self.slope
         forward = self.slope > 0
         farthest = jnp.where(self.lower > 0, _GROWTH * self.lower, 1.0)
@@ -151,7 +193,8 @@ class _Search(NamedTuple):
         width = self.upper - self.lower
         false_position = self.lower - first * width / (second - first)
         bracketed = jnp.where(jnp.isfinite(self.upper_excess), false_position, inward)
-        return jnp.where(jnp.isfinite(self.upper), bracketed, outward)
+        inside = jnp.where(jnp.isfinite(self.upper), bracketed, outward)
+        return jnp.where(self.is_narrow(), (1 + 10 * _STABILITY) * self.upper, inside)
 
 
 @partial(fast_compile, jit=jax.jit, static_argnames=("dofs",))
@@ -164,10 +207,9 @@ def _end(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> R
     """Compute the end on one side, -1 or 1; see `find_ends`."""
     search = _find(*jax.lax.stop_gradient((given, start)), side, dofs)
     found = jnp.abs(search.excess) < _REACHED
-    factor = _with_derivative(
-        side * search.lower, given, search.displacements, found, dofs
-    )
-    solution, stresses = given.at(factor, search.displacements, dofs)
+    point = search.point(side)
+    factor = _with_derivative(point.factor, given, point, found, dofs)
+    solution, stresses = given.at(factor, point, dofs)
     unstable = jnp.zeros((), bool)
     for reason in (
         RESULTS.successful,  # The next equilibrium is not connected to the last one.
@@ -196,27 +238,27 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
         lower=zero,
         excess=excess,
         displacements=start,
+        constraint_forces=jnp.zeros(given.constraints.size),
         slope=zero,
         upper=zero + jnp.inf,
         upper_excess=zero + jnp.nan,
         weights=jnp.ones(2),
         last=jnp.zeros((), int),
         result=RESULTS.successful,
+        confirmed=jnp.zeros((), bool),
         equilibria=jnp.zeros((), int),
     )
 
     def unfinished(search: _Search) -> Flag:
-        width = search.upper - search.lower
         unstable = jnp.isnan(search.upper_excess)
-        narrow = width <= jnp.where(unstable, _STABILITY, _ROUNDING) * search.upper
-        narrow &= jnp.isfinite(search.upper)
+        narrow = search.is_narrow() & (search.confirmed | ~unstable)
         exact = jnp.abs(search.excess) < _PRECISION
         ended = exact | narrow | (search.equilibria >= _MOST_EQUILIBRIA)
         return ~ended & ((search.lower > 0) | (search.excess < 0))
 
     def improve(search: _Search) -> _Search:
         factor = search.next_factor()
-        solution, stresses = given.at(side * factor, search.displacements, dofs)
+        solution, stresses = given.at(side * factor, search.point(side), dofs)
         excess = given.excess(stresses)
         succeeded = is_success(solution.result) & jnp.isfinite(excess)
         below = succeeded & ((excess <= 0) | (jnp.abs(excess) < _PRECISION))
@@ -229,16 +271,27 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
         )
         slope = (excess - search.excess) / (factor - search.lower)
         reason = RESULTS.where(below, search.result, solution.result)
+        is_beyond = factor > search.upper
+        upper = jnp.where(is_beyond & ~succeeded, search.upper, factor)
+        upper = jnp.where(below, jnp.where(is_beyond, jnp.inf, search.upper), upper)
+
+        def select(new: Array, old: Array) -> Array:
+            return jnp.where(below, new, old)
+
         return _Search(
-            lower=jnp.where(below, factor, search.lower),
-            excess=jnp.where(below, excess, search.excess),
-            displacements=jnp.where(below, solution.displacements, search.displacements),
+            lower=select(factor, search.lower),
+            excess=select(excess, search.excess),
+            displacements=select(solution.displacements, search.displacements),
+            constraint_forces=select(
+                solution.constraint_forces, search.constraint_forces
+            ),
             slope=jnp.where(succeeded, slope, search.slope),
-            upper=jnp.where(below, search.upper, factor),
-            upper_excess=jnp.where(below, search.upper_excess, excess),
+            upper=upper,
+            upper_excess=select(search.upper_excess, excess),
             weights=weights,
-            last=jnp.where(below, -1, 1),
+            last=select(jnp.array(-1), jnp.array(1)),
             result=reason,
+            confirmed=is_beyond & ~succeeded,
             equilibria=search.equilibria + 1,
         )
 
@@ -247,7 +300,11 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
 
 @eqx.filter_custom_jvp
 def _with_derivative(
-    factor: Scalar, given: RangeInput, start: Poses, by_stress: Flag, dofs: DofPartition
+    factor: Scalar,
+    given: RangeInput,
+    start: RangePoint,
+    by_stress: Flag,
+    dofs: DofPartition,
 ) -> Scalar:
     """Return the factor of an end with a derivative, which is NaN if not `by_stress`."""
     del given, start, by_stress, dofs

@@ -109,13 +109,13 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     )
 
     not_converged = (
-        "The search has not converged within the allowed evaluations. Increase "
-        "`max_steps`, give better start values, try `restarts` or `starts`, or leave out "
-        "parameters that have no effect."
+        "The search has not converged. Increase `max_steps`, give better start values or "
+        "more of them, or leave out parameters that have no effect. A problem without "
+        "limits may have no optimum."
     )
     no_solution_at_start = (
-        "At the start values of the parameters, a solve fails. Give start values at "
-        "which every solve succeeds."
+        "At the start values of the parameters, a solve fails, or a value or its "
+        "derivative is not finite. Give other start values."
     )
 
     returned_to_start = "The path is closed: it returned to its first point."

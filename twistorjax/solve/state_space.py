@@ -21,7 +21,7 @@ from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .factorization import null_space
 from .results import result_message, RESULTS, succeeded_or_raise
-from .statics import state_in_range, StateLike
+from .static_results import state_in_range, StateLike
 from .system import System
 from .vibrations import natural_modes
 
@@ -39,8 +39,10 @@ OutputLike = TypeAliasType("OutputLike", Sequence[str])
 class StateSpace(eqx.Module):
     """Linear model `x' = A x + B u`, `y = C x + D u` of small motions of a mechanism.
 
-    The states are the coordinates of the modes, and their rates minus a multiple of the
-    inputs. The outputs are changes of displacements from the equilibrium.
+    The states are the coordinates of the modes, and their rates. If an input prescribes
+    displacements or has a viscous force, multiples of the input are subtracted from the
+    states, so that its time derivatives do not enter. The outputs are changes of
+    displacements from the equilibrium.
 
     Args:
         a: The matrix A; 1/s.
@@ -76,12 +78,12 @@ class StateSpace(eqx.Module):
         """Compute the complex ratios of outputs and inputs.
 
         Args:
-            frequencies: Frequencies; Hz.
+            frequencies: Frequencies, or one; Hz.
 
         Returns:
             A matrix for each frequency.
         """
-        values = jnp.asarray(frequencies, float)
+        values = jnp.atleast_1d(jnp.asarray(frequencies, float))
         identity = jnp.eye(len(self.a))
 
         def at(frequency: Array) -> Array:
@@ -139,8 +141,9 @@ def state_space(
     """Create the state-space model of small motions about an equilibrium.
 
     The model is in modal form. If only some modes are kept, the matrix D contains the
-    static response of the others, so that the static gain is exact. The inertia due to
-    prescribed displacements and the damping of strokes are included.
+    static response of the others, so that the static gain is exact. The damping of modes
+    that are left out is neglected, an error in proportion to the frequency. The inertia
+    due to prescribed displacements and the damping of strokes are included.
 
     Args:
         mechanism: The mechanism. Bodies that can move need mass and inertia, and the
@@ -187,14 +190,21 @@ def state_space(
         Array([[0.0025]], dtype=float64)
     """
     require_float64(mechanism.reference)
-    if not inputs or not outputs:
-        raise ValueError("Give at least one input and one output.")
+    for name, given in (("inputs", inputs), ("outputs", outputs)):
+        if not isinstance(given, Mapping) or not given:
+            raise ValueError(
+                f"`{name}` is {given!r}, but must be a mapping from names to {name}, "
+                "with at least one entry."
+            )
     if any(load.follower for load in loads):
         raise ValueError(
             "`loads` has a follower load, which has no potential. Use "
             "`frequency_response`, or `simulate` the motion."
         )
     held = mechanism.dofs_of("prescribed", prescribed)
+    for name, given in inputs.items():
+        if isinstance(given, Load | Drive):
+            index_of(f"The input {name!r}", "body", given.body, mechanism.names)
     moved = {
         name: dict(zip(*prescribed_dofs(mechanism, [given]), strict=True))
         for name, given in inputs.items()
@@ -204,11 +214,11 @@ def state_space(
         mechanism, tuple(sorted({*held, *(dof for row in moved.values() for dof in row)}))
     )
     system = System.of(mechanism, dofs, loads, constraints, time)
-    require_support(mechanism, system.constraints.bodies)
+    require_support(mechanism, system.constraints.bodies, dofs.prescribed)
     count = len(dofs.free) - system.constraints.size
-    if modes is not None and not 1 <= modes <= count:
+    if modes is not None and not (isinstance(modes, int) and 1 <= modes <= count):
         raise ValueError(
-            f"`modes` is {modes!r}, but the mechanism has {count} modes: give a number "
+            f"`modes` is {modes!r}, but the mechanism has {count} modes: give an integer "
             f"from 1 to {count}."
         )
     columns = [
@@ -262,6 +272,12 @@ class _Excitation(NamedTuple):
             raise ValueError(
                 f"The input {name!r} is a {type(given).__name__}, but must be a `Load`, "
                 "a `Drive`, or a mapping from names of hinges to strokes."
+            )
+        elif isinstance(given, Load) and given.follower:
+            raise ValueError(
+                f"The input {name!r} is a follower load. Give a load of constant "
+                "direction; for small motions, the effect of its rotation is of second "
+                "order."
             )
         loads = [given] if isinstance(given, Load) else []
         prescribed = tuple(moved.get(dof, 0.0) for dof in dofs.prescribed)

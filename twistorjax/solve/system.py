@@ -25,6 +25,7 @@ from ..mechanism.mechanism import Mechanism
 from .block_factorization import block_layout
 from .dofs import DofPartition
 from .factorization import ConstrainedFactors, Factors
+from .load_state import LoadState
 from .tangent_stiffness import (
     add_load_stiffness,
     BlockTangent,
@@ -44,8 +45,8 @@ class System(eqx.Module):
         targets: Displacements of the prescribed degrees of freedom; rad, m.
         time: Time at which the constraints are evaluated; s.
         dofs: Partition of the degrees of freedom.
-        scales_misfits: Whether a fraction of the loads means the same fraction of the
-            misfits of the hinges; otherwise misfits are always complete.
+        first: Loads and misfits at the fraction zero of the loads. If it is None, there
+            are no loads at the fraction zero, and the misfits are always complete.
     """
 
     hinges: HingeAssembly
@@ -54,7 +55,7 @@ class System(eqx.Module):
     targets: Float[Array, " prescribed"]
     time: Scalar
     dofs: DofPartition = eqx.field(static=True)
-    scales_misfits: bool = eqx.field(static=True, default=False)
+    first: LoadState | None = None
 
     @classmethod
     def of(
@@ -95,11 +96,24 @@ class System(eqx.Module):
         """Return the unit of each free degree of freedom; rad, m."""
         return self.units()[self.free % 3]
 
+    @property
+    def conservative(self) -> bool:
+        """Whether the loads have a potential at all fractions."""
+        first = self.first is None or self.first.loads.conservative
+        return first and self.loads.conservative
+
+    def loads_at(self, fraction: Scalar | float) -> LoadSet:
+        """Return the loads at a fraction."""
+        loads = self.loads.scaled(fraction)
+        if self.first is None or not self.first.loads.present:
+            return loads
+        return loads.plus(self.first.loads.scaled(1 - fraction))
+
     def hinges_at(self, fraction: Scalar | float) -> HingeAssembly:
         """Return the hinges at a fraction of the loads."""
-        if not self.scales_misfits:
+        if self.first is None:
             return self.hinges
-        return self.hinges.with_share_of_misfits(fraction)
+        return self.hinges.with_misfits_from(self.first.misfits, fraction)
 
     def misfit_forces(
         self, displacements: Poses, fraction: Scalar, increment: Scalar
@@ -108,7 +122,8 @@ class System(eqx.Module):
 
         They are zero if the misfits are constant, and in the rows of constraints.
         """
-        if not self.scales_misfits or self.hinges.misfits is None:
+        misfits = self.hinges.misfits, None if self.first is None else self.first.misfits
+        if self.first is None or misfits == (None, None):
             return jnp.zeros(len(self.free) + self.constraints.size)
 
         def equations(fraction: Scalar) -> Float[Array, " unknowns"]:
@@ -167,6 +182,22 @@ class System(eqx.Module):
             return residual
         return residual - self.constraints.forces(displacements, self.time, multipliers)
 
+    def first_residual(
+        self, forces: Wrenches, displacements: Poses
+    ) -> Float[Array, " dofs"]:
+        """Subtract the known loads at the fraction zero from the forces of the hinges.
+
+        The result, in N m and N, is zero if the mechanism is in equilibrium there.
+        """
+        residual = forces.reshape(-1)
+        if self.first is None:
+            return residual
+        if self.first.loads.present:
+            residual = residual - self.first.loads.apply(displacements)[0].reshape(-1)
+        if (multipliers := self.first.constraint_forces) is None:
+            return residual
+        return residual - self.constraints.forces(displacements, self.time, multipliers)
+
     def reactions(self, displacements: Poses, multipliers: Entries) -> Wrenches:
         """Compute the reactions on fixed and prescribed degrees of freedom; N m, N, N."""
         return self.dofs.reactions(self.residual(displacements, multipliers))
@@ -211,7 +242,8 @@ class System(eqx.Module):
         layout = block_layout(self.hinges.ends, self.dofs.free)
         if not self.constraints.size and layout is not None:
             applied, by_angle = (
-                fraction * value.reshape(-1) for value in self.loads.apply(displacements)
+                value.reshape(-1)
+                for value in self.loads_at(fraction).apply(displacements)
             )
             tangent = BlockTangent(
                 self.hinges, hinges.hinge_stiffness(), by_angle, self.dofs, layout
@@ -237,13 +269,12 @@ class System(eqx.Module):
         `columns`.
         """
         forces, matrix = hinges.forces(), hinges.matrix(self.dofs.free, columns)
-        if not self.loads.present:
+        loads = self.loads_at(fraction)
+        if not loads.present:
             return forces, matrix
-        applied, by_angle = (
-            fraction * value.reshape(-1) for value in self.loads.apply(displacements)
-        )
+        applied, by_angle = (value.reshape(-1) for value in loads.apply(displacements))
         matrix = add_load_stiffness(
-            matrix, by_angle, self.loads.conservative, self.dofs.free, columns
+            matrix, by_angle, loads.conservative, self.dofs.free, columns
         )
         return forces - applied, matrix
 

@@ -24,7 +24,7 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
-from .statics import state_in_range, StateLike
+from .static_results import state_in_range, StateLike
 from .system import System
 from .tables import Column, Columns, columns, Tabular
 

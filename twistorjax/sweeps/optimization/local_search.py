@@ -1,5 +1,6 @@
 """Search for a local optimum from one start, by the SLSQP method of SciPy."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,13 @@ _ROUNDING, _LARGEST_CORRECTION = 1e-12, 1e-2
 # With a large factor, the line search may end early because of rounding. Then the search
 # is repeated with the next factor, from its end if this is closer to all limits.
 _FACTORS = (100.0, 10.0, 1.0)
+# Where the gradient of the objective has become smaller than this part of its scale, the
+# objective is divided by the new gradient, and the search is continued with short first
+# steps, until it does not move any more. The first scale may be larger than all changes
+# that are left.
+_SMALL_GRADIENT, _CONTINUED_FACTORS, _SMALL_MOVE = 1e-2, (0.1,), 1e-5
+# Largest gradient at the end of a search that does not move any more
+_TOLERATED_RESIDUAL = 1e-3
 
 
 class SearchEnd(NamedTuple):
@@ -66,12 +74,64 @@ def search(
     Returns:
         The end of the search.
     """
-    from scipy.optimize import minimize
-
     if not start.succeeded:
         return SearchEnd(start.vector, start.result, 1)
     point = problem.normalized(start.vector)
     evaluator = _Evaluator(problem, evaluate, point, start)
+    end, factors, steps = start, _FACTORS, 0
+    tolerated = _STATIONARITY_TOLERANCE
+    while steps < max_steps:
+        moved, new_steps = _improve(
+            evaluator, point, factors, tolerance=tolerance, max_steps=max_steps - steps
+        )
+        steps += new_steps
+        is_continued = factors is _CONTINUED_FACTORS
+        is_still = is_continued and np.max(np.abs(moved - point)) < _SMALL_MOVE
+        point, end = moved, evaluator(moved)
+        if is_still:
+            tolerated = _TOLERATED_RESIDUAL
+            break
+        problem, factors = evaluator.problem, _CONTINUED_FACTORS
+        gradient = problem.gradient_size(end)
+        if not end.succeeded or not (
+            0 < gradient < _SMALL_GRADIENT * problem.objective_scale
+        ):
+            break
+        evaluator.problem = problem._replace(objective_scale=gradient)
+    result = RESULT_NAMES.index("not_converged")
+    if not end.succeeded:
+        result = end.result
+    elif _is_optimum(problem, end, tolerated):
+        result = RESULT_NAMES.index("successful")
+    elif problem.violation(end) > FEASIBILITY_TOLERANCE:
+        result = RESULT_NAMES.index("no_feasible_design")
+    return SearchEnd(problem.vector(point), result, evaluator.count)
+
+
+def _improve(
+    evaluator: "_Evaluator",
+    start: Float[np.ndarray, " variables"],
+    factors: Sequence[float],
+    *,
+    tolerance: float,
+    max_steps: int,
+) -> tuple[Float[np.ndarray, " variables"], int]:
+    """Run SLSQP, with one factor of the objective after the other until one succeeds.
+
+    Args:
+        evaluator: Values and gradients of the problem.
+        start: Normalized variables at the start.
+        factors: Factors by which the objective is multiplied.
+        tolerance: Tolerance of the objective; see `optimize`.
+        max_steps: Largest number of steps.
+
+    Returns:
+        The normalized variables at the end, and the number of steps.
+    """
+    from scipy.optimize import minimize
+
+    problem, point = evaluator.problem, start
+    first = evaluator(start)
     lower, upper = problem.bounds
     constraints = [
         {
@@ -86,7 +146,7 @@ def search(
         if np.any(rows)
     ]
     steps = 0
-    for factor in _FACTORS:
+    for factor in factors:
         try:
             solution = minimize(
                 lambda x, factor=factor: factor * evaluator.objective(x),
@@ -101,30 +161,30 @@ def search(
                 },
             )
         except _StudyFailed:
-            point = problem.normalized(start.vector)
+            point = start
             continue
         steps += solution.nit
         point = _restored(problem, evaluator(solution.x), solution.x)
         end = evaluator(point)
-        if is_optimum(problem, end) or steps >= max_steps:
+        if _is_optimum(problem, end) or steps >= max_steps:
             break
         # A long step may lead to a region without feasible designs.
-        if not end.succeeded or problem.violation(end) > problem.violation(start):
-            point = problem.normalized(start.vector)
-    last = evaluator(point)
-    result = RESULT_NAMES.index("not_converged")
-    if not last.succeeded:
-        result = last.result
-    elif is_optimum(problem, last):
-        result = RESULT_NAMES.index("successful")
-    return SearchEnd(problem.vector(point), result, evaluator.count)
+        if not end.succeeded or problem.violation(end) > problem.violation(first):
+            point = start
+    return point, steps
 
 
-def is_optimum(problem: Problem, evaluation: Evaluation) -> bool:
-    """Decide whether a design fulfills the first-order conditions of an optimum."""
+def _is_optimum(
+    problem: Problem, evaluation: Evaluation, tolerance: float = _STATIONARITY_TOLERANCE
+) -> bool:
+    """Decide whether a design fulfills the first-order conditions of an optimum.
+
+    `tolerance` is that of the gradient of the Lagrange function, as a part of the scale
+    of the objective.
+    """
     if not evaluation.succeeded or problem.violation(evaluation) > FEASIBILITY_TOLERANCE:
         return False
-    return find_multipliers(problem, evaluation).residual < _STATIONARITY_TOLERANCE
+    return find_multipliers(problem, evaluation).residual < tolerance
 
 
 def _restored(
@@ -162,37 +222,37 @@ class _Evaluator:
     def __init__(
         self, problem: Problem, evaluate: Evaluate, point: np.ndarray, start: Evaluation
     ):
-        self._problem, self._evaluate = problem, evaluate
+        self.problem, self._evaluate = problem, evaluate
         self._point, self._last = np.array(point), start
         self._margins = problem.margins.values(start)
         self.count = 1
 
     def __call__(self, point: np.ndarray) -> Evaluation:
         if not np.array_equal(point, self._point):
-            (self._last,) = self._evaluate(self._problem.vector(point)[None])
+            (self._last,) = self._evaluate(self.problem.vector(point)[None])
             self._point = np.array(point)
             self.count += 1
         return self._last
 
     def objective(self, point: np.ndarray) -> float:
         evaluation = self(point)
-        return self._problem.objective(evaluation) if evaluation.succeeded else np.inf
+        return self.problem.objective(evaluation) if evaluation.succeeded else np.inf
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
-        return self._problem.gradient(self._succeeded(point))
+        return self.problem.gradient(self._succeeded(point))
 
     def margins(self, point: np.ndarray) -> np.ndarray:
         evaluation = self(point)
         if evaluation.succeeded:
-            self._margins = self._problem.margins.values(evaluation)
+            self._margins = self.problem.margins.values(evaluation)
         return self._margins
 
     def margin_gradients(self, point: np.ndarray) -> np.ndarray:
-        return self._problem.margin_gradients(self._succeeded(point))
+        return self.problem.margin_gradients(self._succeeded(point))
 
     def _succeeded(self, point: np.ndarray) -> Evaluation:
         evaluation = self(point)
-        space = self._problem.space
+        space = self.problem.space
         if space.is_robust and evaluation.deviation_jacobian is None:
             variables = np.flatnonzero(space.is_variable)
             designs = neighbors(space, evaluation.vector, variables)

@@ -38,7 +38,8 @@ def optimize(
     computes the outputs and their exact derivatives for the designs of all searches. Each
     search finds a local optimum by the SLSQP method of SciPy. The variables are divided
     by their start values, the objective by its gradient at the first start, and the
-    limited outputs by their limits, so units have no effect.
+    limited outputs by their limits, so units have no effect. Where the gradient becomes
+    small, the objective is scaled anew, and the search continues.
 
     With `standard_deviations`, the limits hold for the output plus or minus
     `coverage_factor` standard deviations, which follow to first order from the exact

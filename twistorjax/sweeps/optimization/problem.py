@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..._utils.pytrees import entry_names
+from ...solve.results import RESULT_NAMES
 from ...solve.tables import Column, Columns
 from ..outputs import StudyOutput
 from .design_space import DesignSpace
@@ -20,7 +21,7 @@ class Evaluation(NamedTuple):
         vector: Real numbers of the design.
         values: The objective and the limited outputs.
         jacobian: Derivatives with respect to all real numbers of the design.
-        succeeded: Whether the study succeeded.
+        succeeded: Whether the study succeeded, and values and derivatives are finite.
         result: Number of its result; see `RESULTS`.
         deviations: Standard deviations of the outputs, to first order.
         deviation_jacobian: Derivatives of the standard deviations, if they are known.
@@ -100,15 +101,23 @@ class OutputVector(NamedTuple):
             rows = [part.reshape(count, value.shape[1], -1) for part in parts]
             values.append(value)
             jacobians.append(np.concatenate(rows, axis=2))
-        jacobian = np.concatenate(jacobians, axis=1)
+        value, jacobian = (
+            np.concatenate(values, axis=1),
+            np.concatenate(jacobians, axis=1),
+        )
+        finite = np.all(np.isfinite(value), axis=1)
+        finite &= np.all(np.isfinite(jacobian), axis=(1, 2))
+        succeeded = np.asarray(output.succeeded)
+        not_finite = RESULT_NAMES.index("not_finite")
+        results = np.where(succeeded & ~finite, not_finite, np.asarray(output.result))
         return [
             Evaluation(*row)
             for row in zip(
                 vectors,
-                np.concatenate(values, axis=1),
+                value,
                 jacobian,
-                output.succeeded.tolist(),
-                output.result.tolist(),
+                (succeeded & finite).tolist(),
+                results.tolist(),
                 np.linalg.norm(jacobian * deviations, axis=2),
                 strict=True,
             )
@@ -243,12 +252,14 @@ class Problem(NamedTuple):
 
         The gradient of the objective at the start then has the norm 1.
         """
-        gradient = float(
-            np.linalg.norm(self._replace(objective_scale=1.0).gradient(start))
-        )
-        scale = gradient or abs(float(start.values[0])) or 1.0
+        scale = self.gradient_size(start) or abs(float(start.values[0])) or 1.0
         margins = self.margins.with_scales(start)
         return self._replace(margins=margins, objective_scale=scale)
+
+    def gradient_size(self, evaluation: Evaluation) -> float:
+        """Return the norm of the gradient of the objective, which is not scaled."""
+        gradient = self._replace(objective_scale=1.0).gradient(evaluation)
+        return float(np.linalg.norm(gradient))
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, " variables"], ...]:

@@ -1,40 +1,23 @@
 """Optima against closed forms, finite differences, and solvers of SciPy alone."""
 
-import threading
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+from optimization_helpers import (
+    LEAF,
+    leaf_parameters,
+    leaf_spring,
+    MODULUS,
+    STRENGTH,
+    TRAVEL,
+    WIDTH,
+)
 from scipy.stats import norm
-from sweep_helpers import pulled_block, spring
+from sweep_helpers import pulled_block
 
 import twistorjax as tj
 from twistorjax.sweeps import optimize_cases
-
-
-MODULUS, WIDTH, TRAVEL, STRENGTH = 210e9, 10e-3, 1e-3, 250e6
-
-
-def leaf_spring(design):
-    """A cantilever whose tip moves by `TRAVEL`, by beam theory."""
-    length, thickness = design["length"], design["thickness"]
-    modulus = design.get("modulus", MODULUS)
-    area_moment = WIDTH * thickness**3 / 12
-    stiffness = 3 * modulus * area_moment / length**3
-    stress = stiffness * TRAVEL * length * thickness / 2 / area_moment
-    return {"stiffness": stiffness, "stress": stress, "mass": length * thickness * WIDTH}
-
-
-def leaf_parameters(**constants):
-    return {
-        "length": tj.Parameter(40e-3, "m", lower=20e-3, upper=60e-3),
-        "thickness": tj.Parameter(0.5e-3, "m", lower=0.2e-3, upper=1e-3),
-        **constants,
-    }
-
-
-LEAF = {"maximize": "stiffness", "limits": {"stress": tj.Limit(upper=STRENGTH)}}
 
 
 def stiffest_leaf(modulus=MODULUS, strength=STRENGTH, thickness=1e-3):
@@ -225,6 +208,30 @@ def test_robust_mechanism_reacts_to_the_curvature_of_the_limit():
     np.testing.assert_allclose(optimum.parameters["k"], float(exact), rtol=1e-6)  # pyright: ignore
 
 
+def test_variables_without_effect_are_named():
+    def study(design):
+        area = design["width"] * design["depth"]
+        return {"length": design["length"], "volume": area * design["length"]}
+
+    sizes = {
+        "length": (2.0, 1.0, 9.0),
+        "width": (2.0, 1.0, 3.0),
+        "depth": (1.0, 0.5, 2.0),
+    }
+    parameters: dict[str, tj.Parameter] = {
+        name: tj.Parameter(start, lower=low, upper=high)
+        for name, (start, low, high) in sizes.items()
+    }
+    limits = {"volume": tj.Limit(lower=0.1)}
+    found = tj.optimize(study, parameters, minimize="length", limits=limits, starts=4)
+    assert set(found.without_effect) == {"width", "depth"}
+    assert "variables without effect: " in repr(found)
+    assert "searches with the same objective at other designs: 3" in repr(found)
+    limits = {"volume": tj.Limit(lower=8.0)}
+    found = tj.optimize(study, parameters, minimize="length", limits=limits, starts=4)
+    assert not found.without_effect
+
+
 def test_cases_are_points_of_the_pareto_front():
     strengths = np.array([150e6, 250e6, 400e6])
     front = optimize_cases(
@@ -253,46 +260,6 @@ def test_study_is_traced_once_for_all_calls():
     limits = {"stress": tj.Limit(upper=100e6)}
     tj.optimize(study, leaf_parameters(), starts=4, maximize="stiffness", limits=limits)
     assert first > 0 and len(traces) == first
-
-
-def test_failing_designs_shorten_the_step():
-    """The root is not finite beyond the bound of its argument."""
-
-    def study(design):
-        return {"f": -design["x"] + 0.01 / jnp.sqrt(1.0 - design["x"])}
-
-    optimum = tj.optimize(study, {"x": tj.Parameter(0.5)}, minimize="f")
-    np.testing.assert_allclose(1 - optimum.parameters["x"], 0.005 ** (2 / 3), rtol=1e-4)
-    with pytest.raises(RuntimeError, match=r"1 not_finite.*a solve fails"):
-        tj.optimize(study, {"x": tj.Parameter(2.0)}, minimize="f")
-    starts = {"x": np.array([2.0, 0.5])}
-    optimum = tj.optimize(study, {"x": tj.Parameter(0.5)}, minimize="f", starts=starts)
-    assert optimum.local_optima[0].starts == (1,)
-    assert "searches without an optimum: 1 not_finite" in repr(optimum)
-
-
-def test_limits_that_exclude_each_other_are_reported():
-    limits = {"stress": tj.Limit(upper=1e6), "stiffness": tj.Limit(lower=1e6)}
-    with pytest.raises(RuntimeError, match="No search ended at a design within all"):
-        tj.optimize(leaf_spring, leaf_parameters(), minimize="mass", limits=limits)
-    found = tj.optimize(
-        leaf_spring, leaf_parameters(), minimize="mass", limits=limits, throw=False
-    )
-    assert not found.succeeded and np.isnan(found.objective)
-    assert found.result == tj.RESULTS.no_feasible_design
-
-
-def test_error_of_a_study_ends_all_searches():
-    def study(design):
-        load = tj.Load("block", force=(3.0, 0.0))
-        solution = tj.equilibrium(spring(design), loads=[load])
-        return {"travel": solution.displacement("block")[1]}
-
-    before = threading.active_count()
-    parameters = {"k": tj.Parameter(1.0, lower=-10.0, upper=10.0)}
-    with pytest.raises(RuntimeError, match=r"throw=False"):
-        tj.optimize(study, parameters, maximize="travel", starts=8)
-    assert threading.active_count() <= before + 1
 
 
 def test_finished_searches_are_not_repeated(tmp_path, monkeypatch):
@@ -339,61 +306,3 @@ def test_searches_become_a_dataset():
     assert dict(table.sizes) == {"start": 3, "number": 2}
     assert list(table.number.values) == ["length", "thickness"]
     assert float(table.objective.max()) == optimum.objective
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"maximize": None}, "Give one of them"),
-        ({"minimize": "mass"}, "Give one of them"),
-        ({"maximize": "weight"}, r"names 'weight'.*stiffness"),
-        ({"limits": {"weight": tj.Limit(upper=1.0)}}, r"names 'weight'.*stiffness"),
-        ({"limits": {"stress": tj.Limit(upper=[1.0, 2.0])}}, r"shape \(2,\)"),
-        ({"starts": 0}, "at least 1"),
-        ({"starts": 2.5}, "at least 1"),
-        ({"starts": {"length": [0.03]}}, "'thickness'"),
-        ({"starts": {"length": [0.1], "thickness": [1e-3]}}, "between 0.02 and 0.06"),
-        ({"tolerance": 0.0}, "between 0 and 1"),
-        ({"max_steps": 0}, "at least 1"),
-        ({"coverage_factor": -1.0}, "positive"),
-        ({"resume": True}, "there is no `store`"),
-        ({"standard_deviations": {"width": 1.0}}, "'width'"),
-        ({"standard_deviations": {"length": -1.0}}, "not negative"),
-        ({"standard_deviations": {"length": 0.0}}, "zero"),
-        (
-            {
-                "standard_deviations": {"length": 1e-3},
-                "limits": {"stress": tj.Limit(1e6, 1e6)},
-            },
-            "prescribes",
-        ),
-    ],
-)
-def test_arguments_that_are_not_valid_are_explained(changes, message):
-    with pytest.raises(ValueError, match=message):
-        tj.optimize(leaf_spring, leaf_parameters(), **{**LEAF, **changes})
-
-
-@pytest.mark.untyped
-def test_limits_of_a_wrong_type_are_explained():
-    with pytest.raises(ValueError, match="must be a `Limit`"):
-        tj.optimize(leaf_spring, leaf_parameters(), **{**LEAF, "limits": {"stress": 1e6}})
-
-
-def test_other_arguments_that_are_not_valid():
-    with pytest.raises(ValueError, match="lacks one"):
-        tj.optimize(leaf_spring, {"length": 0.04, "thickness": 5e-4}, starts=2, **LEAF)
-    with pytest.raises(ValueError, match="needs a variable"):
-        tj.optimize(leaf_spring, {"length": 4}, **LEAF)
-    with pytest.raises(ValueError, match="must not exceed"):
-        tj.Limit(2.0, 1.0)
-    with pytest.raises(ValueError, match="empty"):
-        tj.Limit()
-    with pytest.raises(ValueError, match="finite"):
-        tj.Limit(upper=np.inf)
-    with pytest.raises(ValueError, match="must name a limited output"):
-        optimize_cases(leaf_spring, leaf_parameters(), {"width": [1.0]}, **LEAF)
-    with pytest.raises(ValueError, match="one number for each case"):
-        optimize_cases(leaf_spring, leaf_parameters(), {}, **LEAF)
-    with pytest.raises(ValueError, match="No parameter is uncertain"):
-        tj.optimize(leaf_spring, leaf_parameters(), **LEAF).violations()

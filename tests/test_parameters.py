@@ -32,6 +32,7 @@ def test_values_stay_within_their_bounds_and_start_at_the_initial_value():
         (((0.0,), {"lower": 0}), "must be above 0"),
         (((4.0,), {"lower": 0, "upper": 4}), "must be above 0 and below 4"),
         (((jnp.nan,), {}), "must be finite"),
+        (((1.0,), {"lower": np.nan}), "`lower` of a `Parameter` is nan"),
         (((0.0,), {}), "typical change is not known: give it as `scale`"),
         (((1.0,), {"lower": 0, "scale": 1.0}), "leave out `scale`"),
         (((np.ones(2), ("N",)), {}), "`unit` has 1 entries"),

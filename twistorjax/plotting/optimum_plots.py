@@ -9,6 +9,7 @@ from .figure_style import DARK_BLUE, GRAY, ORANGE, RED, subplots
 
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -24,7 +25,7 @@ def draw_optimum(optimum: Optimum) -> "Figure":
     Returns:
         The figure: the margins on the left, and on the right the objective at the end of
         each search, the best one first. Searches that did not end at an optimum within
-        all limits are gray.
+        all limits are gray. Without limits there is only the right part.
 
     Raises:
         ImportError: Matplotlib is not installed.
@@ -42,7 +43,18 @@ def draw_optimum(optimum: Optimum) -> "Figure":
     """
     names = list(optimum.margins)
     height = max(3.2, 0.8 + 0.24 * len(names))
-    figure, (left, right) = subplots(1, 2, size=(9.0, height))
+    if names:
+        figure, (left, right) = subplots(1, 2, size=(9.0, height))
+        _draw_margins(left, optimum)
+    else:
+        figure, right = subplots(size=(4.5, height))
+    _draw_searches(right, optimum)
+    return figure
+
+
+def _draw_margins(left: "Axes", optimum: Optimum) -> None:
+    """Draw the margins of all limited outputs as bars."""
+    names = list(optimum.margins)
     margins = 100 * np.array([optimum.margins[name] for name in names])
     colors = [ORANGE if abs(margin) < 1e-2 else DARK_BLUE for margin in margins]
     rows = np.arange(len(names))
@@ -52,9 +64,16 @@ def draw_optimum(optimum: Optimum) -> "Figure":
     left.plot(margins[active], rows[active], "o", color=ORANGE)
     left.set_yticks(rows, names)
     left.invert_yaxis()
+    if np.max(np.abs(margins)) < 1:
+        left.set_xlim(-1.0, 1.0)
     left.axvline(0.0, color=RED, linewidth=1.0)
     left.set_xlabel("margin (% of the limit)")
     left.grid(axis="x", alpha=0.3)
+
+
+def _draw_searches(right: "Axes", optimum: Optimum) -> None:
+    """Draw the objective at the end of each search, the best one first."""
+    from matplotlib.ticker import MaxNLocator
 
     objectives = np.asarray(optimum.searches.objectives)
     found = np.array([code == 0 for code in optimum.searches.results])
@@ -70,4 +89,11 @@ def draw_optimum(optimum: Optimum) -> "Figure":
     right.set_xlabel("search, the best one first")
     right.set_ylabel(f"{optimum.name}{unit} at its end")
     right.grid(alpha=0.3)
-    return figure
+    right.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    right.set_xlim(0.5, len(order) + 0.5)
+    # Differences that are rounding errors of the search are not magnified.
+    shown = values[np.isfinite(values)]
+    if shown.size and np.ptp(shown) < 1e-3 * np.max(np.abs(shown)):
+        middle, half = np.mean(shown), 0.01 * np.max(np.abs(shown))
+        right.set_ylim(middle - half, middle + half)
+    right.ticklabel_format(axis="y", useOffset=False)

@@ -189,7 +189,7 @@ class DesignSpace(NamedTuple):
         lower, upper = self.lower[variables], self.upper[variables]
         unbounded = ~(np.isfinite(lower) & np.isfinite(upper))
         if np.any(unbounded):
-            name = np.array(self.names)[variables][unbounded][0]
+            name = str(np.array(self.names)[variables][unbounded][0])
             raise ValueError(
                 f"Random starts need bounds, but {name!r} lacks one. Use a `Parameter` "
                 "with `lower` and `upper`, or give the designs as `starts`."

@@ -11,6 +11,8 @@ from .problem import Evaluation, Problem
 # A limit is active if its margin is below this part of its scale. A bound is active if
 # the distance to it is below this part of the scale of the variable.
 _ACTIVE_TOLERANCE = 1e-5
+# Multipliers below this part of the largest one are rounding errors.
+_ROUNDING = 1e-12
 
 
 class Multipliers(NamedTuple):
@@ -65,6 +67,7 @@ def find_multipliers(problem: Problem, evaluation: Evaluation) -> Multipliers:
     factors, norm = np.zeros(0), float(np.linalg.norm(gradient))
     if len(matrix):
         factors, norm = nnls(matrix.T, gradient)
+        factors = np.where(factors > _ROUNDING * factors.max(), factors, 0.0)
     by_margin = np.zeros(len(margins.names))
     by_margin[active] = factors[: len(active)]
     by_margin[equalities] -= factors[len(active) : len(active) + len(equalities)]

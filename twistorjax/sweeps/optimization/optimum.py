@@ -112,6 +112,8 @@ class Optimum:
         sensitivities: Derivatives of the optimal objective with respect to the constants
             among the parameters, and to the standard deviations.
         local_optima: Local optima within all limits, the best one first.
+        without_effect: Variables on which neither the objective nor an active limit
+            depends, so that other values of them are as good.
         residual: Norm of the gradient of the Lagrange function, which is zero at an exact
             optimum, divided by that of the objective at the first start.
         searches: Starts and ends of all searches.
@@ -133,6 +135,7 @@ class Optimum:
     active_limits: tuple[ActiveLimit, ...]
     sensitivities: tuple[Sensitivity, ...]
     local_optima: tuple[LocalOptimum, ...]
+    without_effect: tuple[str, ...]
     residual: float
     searches: Searches
     result: RESULTS
@@ -250,9 +253,13 @@ class Optimum:
                 f"{name:<{width}}  {value:>11.6g}  {derivative:>11.5g}"
                 for name, value, derivative in self.sensitivities
             ]
+        if self.without_effect:
+            lines.append(f"variables without effect: {', '.join(self.without_effect)}")
         others: Counter[str] = Counter()
         for each in self.local_optima[1:]:
             others[f"{each.objective:.6g}{unit}"] += len(each.starts)
+        if same := others.pop(f"{self.objective:.6g}{unit}", 0):
+            lines.append(f"searches with the same objective at other designs: {same}")
         if others:
             texts = [f"{objective} ({number})" for objective, number in others.items()]
             lines.append(f"other local optima (searches): {', '.join(texts)}")

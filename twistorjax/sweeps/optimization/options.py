@@ -42,6 +42,12 @@ class Options(NamedTuple):
                 f"`minimize` is {self.minimize!r} and `maximize` is {self.maximize!r}. "
                 "Give one of them: the name of an output."
             )
+        for name in ("limits", "standard_deviations", "units"):
+            given = getattr(self, name)
+            if given is not None and not isinstance(given, Mapping):
+                raise ValueError(
+                    f"`{name}` is {given!r}, but must be a mapping from names to values."
+                )
         for name, limit in (self.limits or {}).items():
             if not isinstance(limit, Limit):
                 raise ValueError(
@@ -67,6 +73,14 @@ class Options(NamedTuple):
             raise ValueError(
                 f"`starts` is {self.starts!r}, but must be an integer of at least 1, or "
                 "designs."
+            )
+        is_list_of_designs = isinstance(self.starts, list | tuple) and any(
+            isinstance(start, Mapping) for start in self.starts
+        )
+        if isinstance(self.starts, str) or is_list_of_designs:
+            raise ValueError(
+                f"`starts` is {self.starts!r}, but must be a number, or a mapping from "
+                "names of parameters to arrays with one value for each start."
             )
 
     @property

@@ -100,9 +100,18 @@ class Setup(NamedTuple):
         except jax.errors.JAXTypeError as error:
             raise compilation_error("study", "about the design", error) from error
         except ValueError as error:
-            where = "`minimize`, `maximize`, or `limits`"
-            message = str(error).replace("`derivatives` names", f"{where} names")
+            message = str(error)
+            where = "`limits` names"
+            if f"names {objective!r}" in message:
+                where = f"`{'minimize' if options.maximize is None else 'maximize'}` is"
+            message = message.replace("`derivatives` names", where)
             raise ValueError(message) from error
+        if unknown := [
+            name for name in options.units or {} if name not in program.output.columns
+        ]:
+            raise ValueError(
+                f"`units` names {unknown[0]!r}, which is not an output of the study."
+            )
         outputs = OutputVector.of(program.output, names, space)
         shape = outputs.columns[objective].values.shape[1:]
         if shape:

@@ -16,6 +16,9 @@ from .setup import Setup
 
 # Two searches ended at the same optimum if their normalized variables differ by less.
 _SAME_POINT = 1e-3
+# A variable has no effect if, at the optimum and at several starts, all derivatives are
+# below this part of the largest one.
+_NO_EFFECT, _CHECKED_STARTS = 1e-9, 8
 
 
 def summarize(
@@ -94,6 +97,9 @@ def summarize(
         active_limits=_active_limits(problem, multipliers, best),
         sensitivities=_sensitivities(problem, multipliers, best),
         local_optima=local_optima,
+        without_effect=_without_effect(
+            problem, multipliers, [best, *setup.evaluate(starts[:_CHECKED_STARTS])]
+        ),
         residual=multipliers.residual,
         searches=searches,
         result=result,
@@ -127,6 +133,28 @@ def _local_optima(problem: Problem, searches: Searches) -> tuple[LocalOptimum, .
         )
         for group in groups
     )
+
+
+def _without_effect(
+    problem: Problem, multipliers: Multipliers, evaluations: Sequence[Evaluation]
+) -> tuple[str, ...]:
+    """Names of the variables on which objective and active limits do not depend."""
+    gradients = [
+        np.concatenate(
+            [
+                problem.gradient(each)[None],
+                problem.margin_gradients(each)[multipliers.active_margins],
+            ]
+        )
+        for each in evaluations
+        if each.succeeded
+    ]
+    if not gradients:
+        return ()
+    sizes = np.max(np.abs(np.concatenate(gradients)), axis=0)
+    is_flat = sizes <= _NO_EFFECT * np.max(sizes)
+    rows = np.flatnonzero(problem.space.is_variable)[is_flat]
+    return tuple(problem.space.names[row] for row in rows)
 
 
 def _active_limits(

@@ -23,16 +23,25 @@ def main(
         bool,
         typer.Option("--keep", help="Write the outputs into the notebooks."),
     ] = False,
+    release: Annotated[
+        bool, typer.Option("--release", help="Include the long notebooks.")
+    ] = False,
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Paths of notebooks. [default: all]"),
+        typer.Argument(help="Paths of notebooks. [default: all short ones]"),
     ] = None,
 ) -> None:
-    """Run notebooks, two at a time. The exit code is 1 if one fails."""
+    """Run notebooks, two at a time. The exit code is 1 if one fails.
+
+    A long notebook has the tag "release" in its metadata. As the tests with
+    this mark, it is run before a release, or if its path is given.
+    """
     folder = Path(__file__).parent
-    paths = [Path(name) for name in names or []] or sorted(
-        folder.glob("*.ipynb")
-    )
+    paths = [Path(name) for name in names or []] or [
+        path
+        for path in sorted(folder.glob("*.ipynb"))
+        if release or not is_long(path)
+    ]
     failed = False
     with ProcessPoolExecutor(2) as pool:
         for path, job in [
@@ -42,6 +51,12 @@ def main(
             failed |= error is not None
             print(f"{path.name}: {error or job.result()}", flush=True)
     raise typer.Exit(int(failed))
+
+
+def is_long(path: Path) -> bool:
+    """Whether a notebook is run before a release only."""
+    notebook = nbformat.read(path, as_version=4)
+    return "release" in notebook.metadata.get("tags", [])
 
 
 def run(path: Path, keep: bool) -> str:

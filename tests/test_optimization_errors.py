@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from optimization_helpers import LEAF, leaf_parameters, leaf_spring
+from sweep_helpers import spring
 
 import twistorjax as tj
 from twistorjax.sweeps import optimize_cases

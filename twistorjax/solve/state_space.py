@@ -21,6 +21,7 @@ from .consistency import consistent, inconsistency
 from .dofs import DofPartition
 from .factorization import null_space
 from .results import result_message, RESULTS, succeeded_or_raise
+from .small_matrices import inverse
 from .static_results import state_in_range, StateLike
 from .system import System
 from .vibrations import natural_modes
@@ -83,16 +84,22 @@ class StateSpace(eqx.Module):
         Returns:
             A matrix for each frequency.
         """
-        values = jnp.atleast_1d(jnp.asarray(frequencies, float))
-        identity = jnp.eye(len(self.a))
-
-        def at(frequency: Array) -> Array:
-            omega = 2 * jnp.pi * frequency
-            matrix = jax.lax.complex(-self.a, omega * identity)
-            solved = jnp.linalg.solve(matrix, self.b.astype(complex))
-            return self.c.astype(complex) @ solved + self.d.astype(complex)
-
-        return jax.lax.map(at, values)
+        omega = 2 * jnp.pi * jnp.atleast_1d(jnp.asarray(frequencies, float))
+        omega = omega[:, None, None]
+        count = len(self.a) // 2
+        # The first half of the states are coordinates, with A = [0, I; -W, -D], and the
+        # outputs depend on coordinates only.
+        stiffness, damping = -self.a[count:, :count], -self.a[count:, count:]
+        by_rate, by_value = self.b[:count], self.b[count:]
+        squares = stiffness[None] - omega**2 * jnp.eye(count)[None]
+        matrices = jax.lax.complex(squares, omega * damping[None])
+        real = jnp.broadcast_to(
+            by_value + damping @ by_rate, (len(omega), *by_rate.shape)
+        )
+        right = jax.lax.complex(real, omega * by_rate[None])
+        coordinates = jnp.sum(inverse(matrices)[..., None] * right[:, None], axis=2)
+        response = self.c[:, :count].astype(complex) @ coordinates
+        return response + self.d[None].astype(complex)
 
     def to_scipy(self) -> "scipy.signal.StateSpace":
         """Convert the model to that of SciPy.

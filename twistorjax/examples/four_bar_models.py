@@ -248,7 +248,7 @@ def compare(
         )
     rows = []
     for mechanism, pins in models.values():
-        solution = mechanism.reference  # the same program as for later rotations
+        solution = None
         for rotation in rotations:
             solution = equilibrium(
                 mechanism,

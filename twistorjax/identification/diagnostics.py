@@ -257,8 +257,9 @@ def _determined_parameters(identification: "Identification") -> np.ndarray:
 def _describe_direction(identification: "Identification", direction: np.ndarray) -> str:
     """Describe relative changes of parameters; the largest one is an increase by 1 %.
 
-    A change is relative to the estimate, or to its distance to a bound. The direction has
-    an entry for each parameter that is not at a bound.
+    A change is relative to the estimate, to its distance to a bound, or to the scale of
+    an estimate near zero. The direction has an entry for each parameter that is not at a
+    bound.
     """
     at_bounds = _at_bounds(identification)
     names = np.delete(identification.names, at_bounds)
@@ -266,7 +267,7 @@ def _describe_direction(identification: "Identification", direction: np.ndarray)
     scales = np.asarray(parameters.scales(normalized))
     is_free = [name not in parameters.bounded for name in identification.names]
     estimates = np.abs(np.asarray(parameters.vector(normalized)))
-    sizes = np.where(is_free & (estimates > 0), estimates, scales)
+    sizes = np.where(is_free & (estimates > 0.01 * scales), estimates, scales)
     changes = direction * np.delete(scales / sizes, at_bounds)
     changes = changes / changes[np.argmax(np.abs(changes))]
     texts = [

@@ -1,6 +1,7 @@
 """Loads on the bodies of a mechanism, and prescribed displacements."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import equinox as eqx
@@ -232,14 +233,19 @@ class LoadSet(eqx.Module):
         sums = xp.sum(xp.where(chosen, of_loads[None], 0.0), axis=1)
         return cls(sums, present=True, conservative=not followers.any())
 
+    def zero(self) -> "LoadSet":
+        """Return loads of zero of the same kind."""
+        return replace(self, sums=np.zeros((self.sums.shape[0], 7)))
+
     def scaled(self, factor: Scalar | float) -> "LoadSet":
         """Multiply all loads by a number."""
         return LoadSet(factor * jnp.asarray(self.sums), self.present, self.conservative)
 
     def plus(self, others: "LoadSet") -> "LoadSet":
         """Add other loads on the same bodies."""
+        _, (sums, more) = on_host(self.sums, others.sums)
         return LoadSet(
-            jnp.asarray(self.sums) + jnp.asarray(others.sums),
+            sums + more,
             present=self.present or others.present,
             conservative=self.conservative and others.conservative,
         )

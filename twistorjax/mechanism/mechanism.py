@@ -325,8 +325,11 @@ class Mechanism(HingeQueries):
             if fits:  # no digit is lost if both are measured from the same poses
                 new_axes = (array.ndim - origin.ndim) * (1,)
                 shape = (*origin.shape[:-2], *new_axes, *self.reference.shape)
-                origin = origin.reshape(shape)
-                array += origin - jnp.broadcast_to(self.reference, shape)
+                xp, values = on_host(array, origin, self.reference)
+                array, origin, reference = values
+                array = array + (
+                    origin.reshape(shape) - xp.broadcast_to(reference, shape)
+                )
         else:
             try:
                 array = jnp.asarray(at, float)
@@ -336,14 +339,15 @@ class Mechanism(HingeQueries):
                     "poses, a row (angle, x, y) for each body."
                 ) from None
             fits = array.shape == self.reference.shape
-            array = array - self.reference if fits else array
+            _, (array, reference) = on_host(array, self.reference)
+            array = array - reference if fits else array
         if not fits or (single and array.ndim > 2):
             raise ValueError(
                 f"`{name}` has shape {array.shape}, but a mechanism with the bodies "
                 f"{', '.join(self.names)} has poses of shape {self.reference.shape}: a "
                 "row (angle, x, y) for each body, in this order."
             )
-        return array
+        return jnp.asarray(array)
 
     def dofs_of(
         self, argument: str, chosen: Sequence[str] | Mapping[str, Sequence[str]]

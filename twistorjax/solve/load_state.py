@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Entries
@@ -19,32 +20,42 @@ class LoadState(NamedTuple):
     Args:
         loads: The loads.
         misfits: The five numbers of the misfit of each hinge; None if there are none.
-        constraint_forces: Constraint forces; None if they are zero or unknown; N m, N.
+        constraint_forces: Constraint forces; None if there are no constraints; N m, N.
     """
 
     loads: LoadSet
-    misfits: Float[Array, "hinges 5"] | None = None
-    constraint_forces: Entries | None = None
+    misfits: Float[Array, "hinges 5"] | None
+    constraint_forces: Entries | None
 
     @classmethod
-    def of(cls, mechanism: Mechanism, start: Any, entries: int) -> "LoadState | None":
-        """Return the state of an equilibrium from which the solver starts.
+    def of(
+        cls, mechanism: Mechanism, start: Any, loads: LoadSet, entries: int
+    ) -> "LoadState | None":
+        """Return the state of the configuration from which the solver starts.
+
+        Everything is zero in the reference configuration. It has the same structure as
+        the state of an equilibrium, so that both use the same compiled program.
 
         Args:
             mechanism: The mechanism.
             start: An equilibrium, poses, or None for the reference configuration.
+            loads: Loads to which those of the start change.
             entries: Number of scalar equations of the constraints.
 
         Returns:
             The state; None if it is unknown, as for poses.
         """
+        new_misfits = mechanism.hinge_assembly.misfits
+        misfits = None if new_misfits is None else np.zeros(new_misfits.shape)
+        forces = np.zeros(entries) if entries else None
         if start is None:
-            return cls(LoadSet.of(mechanism, ()))
-        loads = getattr(start, "loads", None)
-        if not isinstance(loads, LoadSet):
+            return cls(loads.zero(), misfits, forces)
+        if not isinstance(first := getattr(start, "loads", None), LoadSet):
             return None
-        misfits, forces = start.misfits, start.constraint_forces
-        if misfits is not None and len(misfits) != len(mechanism.hinge_names):
-            return None
-        known = entries and forces.shape == (entries,)
-        return cls(loads, misfits, forces if known else None)
+        if start.misfits is not None:
+            if len(start.misfits) != len(mechanism.hinge_names):
+                return None
+            misfits = start.misfits
+        if entries and start.constraint_forces.shape == (entries,):
+            forces = start.constraint_forces
+        return cls(loads.zero().plus(first), misfits, forces)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .._utils.compilation import fast_compile
 from .._utils.host import program_input
@@ -103,7 +104,7 @@ def equilibrium(
     prescribed, targets = prescribed_dofs(mechanism, drives)
     require_support(mechanism, constraint_set.bodies, prescribed)
     dofs = DofPartition.of(mechanism, prescribed)
-    start_displacements = None
+    start_displacements = np.zeros(mechanism.reference.shape)
     if start is not None:
         start_displacements = mechanism.displacements(start, "start", single=True)
     # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`, but
@@ -113,7 +114,7 @@ def equilibrium(
         mechanism.hinge_assembly,
         mechanism.reference,
         start_displacements,
-        LoadState.of(mechanism, start, constraint_set.size),
+        LoadState.of(mechanism, start, load_set, constraint_set.size),
         load_set,
         constraint_set,
         targets,
@@ -142,7 +143,7 @@ def equilibrium(
 def solve_equilibrium(
     hinges: HingeAssembly,
     reference: Poses,
-    start_displacements: Poses | None,
+    start_displacements: Poses,
     first: LoadState | None,
     loads: LoadSet,
     constraints: ConstraintSet,
@@ -156,9 +157,6 @@ def solve_equilibrium(
 ) -> Equilibrium:
     """Compute the equilibrium; see `equilibrium`."""
     system = System(hinges, loads, constraints, jnp.array(targets, float), time, dofs)
-    start_displacements = (
-        jnp.zeros_like(reference) if start_displacements is None else start_displacements
-    )
     fixed_system, start, first = stop_gradient((system, start_displacements, first))
     consistent = independent(fixed_system, start)
     fixed_system = replace(fixed_system, first=first)

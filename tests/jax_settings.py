@@ -35,7 +35,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Each compiled program takes several memory maps, of which Linux allows 65,530 for each
 # process. XLA crashes if there are no more.
-_MOST_MAPS = 45_000
+_MOST_MAPS = 57_000
 _tests = itertools.count(1)
 
 
@@ -44,7 +44,7 @@ def _programs_are_dropped():
     """Drop all compiled programs before the process has too many memory maps."""
     yield
     maps = pathlib.Path("/proc/self/maps")
-    due = next(_tests) % 10 == 0 and maps.exists()
+    due = next(_tests) % 5 == 0 and maps.exists()
     if due and maps.read_bytes().count(b"\n") > _MOST_MAPS:
         jax.clear_caches()
         gc.collect()

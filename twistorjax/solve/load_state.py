@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Entries
+from ..mechanism.constraints import ConstraintSet
 from ..mechanism.loads import LoadSet
 from ..mechanism.mechanism import Mechanism
 
@@ -29,7 +30,11 @@ class LoadState(NamedTuple):
 
     @classmethod
     def of(
-        cls, mechanism: Mechanism, start: Any, loads: LoadSet, entries: int
+        cls,
+        mechanism: Mechanism,
+        start: Any,
+        loads: LoadSet,
+        constraints: ConstraintSet,
     ) -> "LoadState | None":
         """Return the state of the configuration from which the solver starts.
 
@@ -40,14 +45,14 @@ class LoadState(NamedTuple):
             mechanism: The mechanism.
             start: An equilibrium, poses, or None for the reference configuration.
             loads: Loads to which those of the start change.
-            entries: Number of scalar equations of the constraints.
+            constraints: The constraints. Constraint forces of other ones are not used.
 
         Returns:
             The state; None if it is unknown, as for poses.
         """
         new_misfits = mechanism.hinge_assembly.misfits
         misfits = None if new_misfits is None else np.zeros(new_misfits.shape)
-        forces = np.zeros(entries) if entries else None
+        forces = np.zeros(constraints.size) if constraints.size else None
         if start is None:
             return cls(loads.zero(), misfits, forces)
         if not isinstance(first := getattr(start, "loads", None), LoadSet):
@@ -56,6 +61,6 @@ class LoadState(NamedTuple):
             if len(start.misfits) != len(mechanism.hinge_names):
                 return None
             misfits = start.misfits
-        if entries and start.constraint_forces.shape == (entries,):
+        if constraints.size and start.constraint_names == constraints.names():
             forces = start.constraint_forces
         return cls(loads.zero().plus(first), misfits, forces)

@@ -114,7 +114,7 @@ def equilibrium(
         mechanism.hinge_assembly,
         mechanism.reference,
         start_displacements,
-        LoadState.of(mechanism, start, load_set, constraint_set.size),
+        LoadState.of(mechanism, start, load_set, constraint_set),
         load_set,
         constraint_set,
         targets,

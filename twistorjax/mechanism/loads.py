@@ -1,7 +1,6 @@
 """Loads on the bodies of a mechanism, and prescribed displacements."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import equinox as eqx
@@ -213,7 +212,7 @@ class LoadSet(eqx.Module):
         """
         bodies, count = np.array(loaded_bodies(mechanism, loads)), len(mechanism.names)
         if not loads:
-            return _no_loads(count)
+            return _zero(count, present=False, conservative=True)
         followers = np.array([load.follower for load in loads])
         actions = [value for load in loads for value in (load.wrench, load.at)]
         xp, (poses, *actions) = on_host(mechanism.reference, *actions)
@@ -235,7 +234,7 @@ class LoadSet(eqx.Module):
 
     def zero(self) -> "LoadSet":
         """Return loads of zero of the same kind."""
-        return replace(self, sums=np.zeros((self.sums.shape[0], 7)))
+        return _zero(self.sums.shape[0], self.present, self.conservative)
 
     def scaled(self, factor: Scalar | float) -> "LoadSet":
         """Multiply all loads by a number."""
@@ -282,9 +281,9 @@ class LoadSet(eqx.Module):
 
 
 @lru_cache
-def _no_loads(bodies: int) -> LoadSet:
-    """Create the empty set of loads on so many bodies."""
-    return LoadSet(np.zeros((bodies, 7)), present=False, conservative=True)
+def _zero(bodies: int, present: bool, conservative: bool) -> LoadSet:
+    """Create loads of zero on so many bodies; see `LoadSet`."""
+    return LoadSet(np.zeros((bodies, 7)), present, conservative)
 
 
 def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:

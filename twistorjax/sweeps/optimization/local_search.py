@@ -28,9 +28,9 @@ _ROUNDING, _LARGEST_CORRECTION = 1e-12, 1e-2
 # is repeated with the next factor, from its end if this is closer to all limits.
 _FACTORS = (100.0, 10.0, 1.0)
 # Where the gradient of the objective has become smaller than this part of its scale, the
-# objective is divided by the new gradient, and the search is continued with short first
-# steps, until it does not move any more. The first scale may be larger than all changes
-# that are left.
+# objective is divided by the new gradient, because the first scale may be larger than all
+# changes that are left. The search is continued with short first steps, until it does not
+# move any more. A search that ends before an optimum is continued once.
 _SMALL_GRADIENT, _CONTINUED_FACTORS, _SMALL_MOVE = 1e-2, (0.1,), 1e-5
 # Largest gradient at the end of a search that does not move any more
 _TOLERATED_RESIDUAL = 1e-3
@@ -92,12 +92,13 @@ def search(
             tolerated = _TOLERATED_RESIDUAL
             break
         problem, factors = evaluator.problem, _CONTINUED_FACTORS
-        gradient = problem.gradient_size(end)
-        if not end.succeeded or not (
-            0 < gradient < _SMALL_GRADIENT * problem.objective_scale
-        ):
+        if not end.succeeded or problem.violation(end) > FEASIBILITY_TOLERANCE:
             break
-        evaluator.problem = problem._replace(objective_scale=gradient)
+        gradient = problem.gradient_size(end)
+        if 0 < gradient < _SMALL_GRADIENT * problem.objective_scale:
+            evaluator.problem = problem._replace(objective_scale=gradient)
+        elif is_continued or _is_optimum(problem, end):
+            break
     result = RESULT_NAMES.index("not_converged")
     if not end.succeeded:
         result = end.result

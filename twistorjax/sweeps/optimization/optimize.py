@@ -26,7 +26,7 @@ def optimize(
     coverage_factor: float = 3.0,
     units: Mapping[str, str] | None = None,
     tolerance: float = 1e-10,
-    max_steps: int = 200,
+    max_steps: int = 500,
     store: str | Path | None = None,
     resume: bool = False,
     progress: bool = False,

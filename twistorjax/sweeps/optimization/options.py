@@ -25,7 +25,7 @@ class Options(NamedTuple):
     coverage_factor: float = 3.0
     units: Mapping[str, str] | None = None
     tolerance: float = 1e-10
-    max_steps: int = 200
+    max_steps: int = 500
     store: str | Path | None = None
     resume: bool = False
     progress: bool = False

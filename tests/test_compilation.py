@@ -107,6 +107,15 @@ def test_other_loads_do_not_compile_again():
     assert counts == [[0, 0], [1, 0], [0, 0]]
 
 
+def test_an_equilibrium_as_start_does_not_compile_again():
+    counts = count_programs(
+        BUILD,
+        "first = tj.equilibrium(stage, loads=[tj.Load('4', force=(1.0, 0.0))])",
+        "tj.equilibrium(stage, loads=[tj.Load('4', force=(2.0, 0.0))], start=first)",
+    )
+    assert counts == [[0, 0], [1, 0], [0, 0]]
+
+
 def test_another_number_of_readings_does_not_compile_again():
     setup = """
 from twistorjax.identification import BodySensor, HingeTest, Parameter, StaticTest

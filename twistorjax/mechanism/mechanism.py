@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -347,7 +348,7 @@ class Mechanism(HingeQueries):
                 f"{', '.join(self.names)} has poses of shape {self.reference.shape}: a "
                 "row (angle, x, y) for each body, in this order."
             )
-        return jnp.asarray(array)
+        return jax.device_put(array) if isinstance(array, np.ndarray) else array
 
     def dofs_of(
         self, argument: str, chosen: Sequence[str] | Mapping[str, Sequence[str]]

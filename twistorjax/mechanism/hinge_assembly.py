@@ -82,20 +82,6 @@ class HingeAssembly(eqx.Module):
         ]
         return jax.tree.unflatten(tree, member_leaves)
 
-    def with_misfits_from(
-        self, first: Float[Array, "hinges 5"] | None, fraction: Scalar | float
-    ) -> "HingeAssembly":
-        """Interpolate from the `first` misfits, at the fraction zero, to these ones.
-
-        None stands for misfits of zero.
-        """
-        last = self.misfits
-        if first is None and last is None:
-            return self
-        begin = jnp.zeros(()) if first is None else first
-        end = jnp.zeros(()) if last is None else last
-        return replace(self, misfits=begin + fraction * (end - begin))
-
     def with_strokes(
         self,
         strokes: Float[Array, "hinges 3"],

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Entries
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.loads import LoadSet
 from ..mechanism.mechanism import Mechanism
@@ -25,8 +24,8 @@ class LoadState(NamedTuple):
     """
 
     loads: LoadSet
-    misfits: Float[Array, "hinges 5"] | None
-    constraint_forces: Entries | None
+    misfits: Float[Array | np.ndarray, "hinges 5"] | None
+    constraint_forces: Float[Array | np.ndarray, " entries"] | None
 
     @classmethod
     def of(

@@ -147,12 +147,8 @@ def solve_in_increments(
     forces, predicted = system.hinges_at(0.0).forces_and_stress(start)
     initial_residual = system.equations(system.first_residual(forces, start), start)
     multipliers = jnp.zeros(entries) if entries else None
-    if (
-        entries
-        and system.first is not None
-        and system.first.constraint_forces is not None
-    ):
-        multipliers = system.first.constraint_forces
+    if system.first is not None and system.first.constraint_forces is not None:
+        multipliers = jnp.asarray(system.first.constraint_forces)
     largest_violation = jnp.zeros(0)
     if entries:
         jacobian = system.jacobian(start)[:, system.free] * free_units[None]

@@ -110,10 +110,14 @@ class System(eqx.Module):
         return loads.plus(self.first.loads.scaled(1 - fraction))
 
     def hinges_at(self, fraction: Scalar | float) -> HingeAssembly:
-        """Return the hinges at a fraction of the loads."""
-        if self.first is None:
+        """Return the hinges, with misfits between those of the start and their own."""
+        first = None if self.first is None else self.first.misfits
+        last = self.hinges.misfits
+        if self.first is None or (first is None and last is None):
             return self.hinges
-        return self.hinges.with_misfits_from(self.first.misfits, fraction)
+        begin = jnp.zeros(()) if first is None else jnp.asarray(first)
+        end = jnp.zeros(()) if last is None else last
+        return replace(self.hinges, misfits=begin + fraction * (end - begin))
 
     def misfit_forces(
         self, displacements: Poses, fraction: Scalar, increment: Scalar
@@ -194,8 +198,9 @@ class System(eqx.Module):
             return residual
         if self.first.loads.present:
             residual = residual - self.first.loads.apply(displacements)[0].reshape(-1)
-        if (multipliers := self.first.constraint_forces) is None:
+        if self.first.constraint_forces is None:
             return residual
+        multipliers = jnp.asarray(self.first.constraint_forces)
         return residual - self.constraints.forces(displacements, self.time, multipliers)
 
     def reactions(self, displacements: Poses, multipliers: Entries) -> Wrenches:

@@ -7,7 +7,9 @@ fold, the solver returns to the last equilibrium and tries a shorter one, until 
 increment is too short or `max_steps` is reached. Then `equilibrium` raises an error, or
 with `throw=False` returns NaN with derivatives of zero, the reason (`results`), and the
 last equilibrium (`fraction`, `reached`). A gain or another quantity is computed from the
-displacements; see `amplification` in `examples.stage`.
+displacements; see `amplification` in `examples.stage`. `static_results` has the
+equilibrium, `static_errors` its messages, and `load_state` the loads from which load
+increments begin.
 
 `implicit_derivatives` differentiates an equilibrium by the implicit function theorem,
 with one linear solve and not through the Newton steps.

@@ -102,6 +102,13 @@ class System(eqx.Module):
         first = self.first is None or self.first.loads.conservative
         return first and self.loads.conservative
 
+    @property
+    def changes_misfits(self) -> bool:
+        """Whether the misfits of the hinges depend on the fraction of the loads."""
+        if self.first is None:
+            return False
+        return self.first.misfits is not None or self.hinges.misfits is not None
+
     def loads_at(self, fraction: Scalar | float) -> LoadSet:
         """Return the loads at a fraction."""
         loads = self.loads.scaled(fraction)
@@ -111,10 +118,9 @@ class System(eqx.Module):
 
     def hinges_at(self, fraction: Scalar | float) -> HingeAssembly:
         """Return the hinges, with misfits between those of the start and their own."""
-        first = None if self.first is None else self.first.misfits
-        last = self.hinges.misfits
-        if self.first is None or (first is None and last is None):
+        if self.first is None or not self.changes_misfits:
             return self.hinges
+        first, last = self.first.misfits, self.hinges.misfits
         begin = jnp.zeros(()) if first is None else jnp.asarray(first)
         end = jnp.zeros(()) if last is None else last
         return replace(self.hinges, misfits=begin + fraction * (end - begin))
@@ -126,8 +132,7 @@ class System(eqx.Module):
 
         They are zero if the misfits are constant, and in the rows of constraints.
         """
-        misfits = self.hinges.misfits, None if self.first is None else self.first.misfits
-        if self.first is None or misfits == (None, None):
+        if not self.changes_misfits:
             return jnp.zeros(len(self.free) + self.constraints.size)
 
         def equations(fraction: Scalar) -> Float[Array, " unknowns"]:

@@ -1,5 +1,6 @@
 """Compilation in less time, for programs that run only a few times."""
 
+import os
 from collections.abc import Callable
 from functools import wraps
 from typing import Any
@@ -8,12 +9,14 @@ import equinox as eqx
 import jax
 
 from .host import is_traced
+from .stored_traces import stored
 
 
-# The fusion emitters of XLA take 40 % of the time of the compilation of a motion, which
-# does not run faster with them (jaxlib 0.10.2).
-_NO_EMITTERS = {"xla_cpu_use_fusion_emitters": False}
-_NOT_OPTIMIZED = {**_NO_EMITTERS, "xla_backend_optimization_level": 0}
+# The fusion emitters of XLA take 40 % of the time of the compilation of a motion, and the
+# higher levels of optimization take 15 %. It does not run faster with them (jaxlib
+# 0.10.2).
+_FAST = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+_NOT_OPTIMIZED = {**_FAST, "xla_backend_optimization_level": 0}
 
 
 def fast_compile(
@@ -25,8 +28,9 @@ def fast_compile(
 ) -> Callable:
     """Compile a function with settings of XLA that reduce the compilation time.
 
-    Inside another compiled function, and while JAX differentiates or vectorizes the
-    function, the settings have no effect.
+    Its traces are stored on disk; see `stored`. An option in the environment variable
+    `XLA_FLAGS` is not replaced. Inside another compiled function, and while JAX
+    differentiates or vectorizes the function, the settings have no effect.
 
     Args:
         function: Function of pytrees.
@@ -39,13 +43,15 @@ def fast_compile(
     Returns:
         The compiled function.
     """
-    options = _NO_EMITTERS if optimize else _NOT_OPTIMIZED
+    options = _FAST if optimize else _NOT_OPTIMIZED
+    given = os.environ.get("XLA_FLAGS", "")
+    options = {name: value for name, value in options.items() if name not in given}
     plain = jit(function, **settings)
-    fast = jit(function, compiler_options=options, **settings)
+    fast = jit(stored(function), compiler_options=options, **settings)
 
     @wraps(function)
     def compiled(*arguments: Any, **static: Any) -> Any:
-        if is_traced(arguments) or jax.default_backend() != "cpu":
+        if is_traced((arguments, static)) or jax.default_backend() != "cpu":
             return plain(*arguments, **static)
         try:
             return fast(*arguments, **static)

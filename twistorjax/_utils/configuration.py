@@ -4,6 +4,8 @@ from pathlib import Path
 
 import jax
 
+from .stored_traces import store_traces_in
+
 
 def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> None:
     """Enable double precision, and JAX's cache of compiled programs on disk.
@@ -34,11 +36,12 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
     if cache is False:
         return
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    if cache is True and getattr(jax.config, "jax_compilation_cache_dir", None):
-        return
-    if cache is True:
+    folder = getattr(jax.config, "jax_compilation_cache_dir", None)
+    if cache is not True or not folder:
         import platformdirs
 
-        cache = platformdirs.user_cache_path("twistorjax") / "programs"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_compilation_cache_max_size", cache_size)
+        default = platformdirs.user_cache_path("twistorjax") / "programs"
+        folder = default if cache is True else cache
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_compilation_cache_max_size", cache_size * 9 // 10)
+    store_traces_in(Path(folder) / "traces", cache_size // 10)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._utils.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.types import Flag, Matrix, NumberLike, Pose, Scalar, Twist, Wrench
 from ..geometry import se2
@@ -154,7 +155,7 @@ class AbstractEnergy(eqx.Module):
         return value * jnp.where(outside, jnp.nan, 1.0)
 
 
-@eqx.filter_jit
+@fast_compile
 def _evaluate(
     function: Callable[[AbstractEnergy, Pose], Array], energy: AbstractEnergy, pose: Pose
 ) -> tuple[Array, Flag | None]:

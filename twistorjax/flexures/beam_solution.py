@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.compilation import fast_compile
 from .._utils.types import NumberLike, Pose, Scalar, Wrench
 from .._utils.validation import require_positive
 from ..geometry import se2
@@ -126,7 +127,7 @@ def beam_under_load(
     return _solve(beam, load, sections)
 
 
-@eqx.filter_jit
+@fast_compile
 def _solve(beam: Beam, load: Wrench, sections: int) -> BeamSolution:
     """Compute the deformed state; see `beam_under_load`."""
     units = load_units(beam)

@@ -10,6 +10,7 @@ import numpy as np
 import optax
 import optimistix as optx
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete
 from .._utils.pytrees import split_last_axis
 from .._utils.types import KeyLike
@@ -196,7 +197,7 @@ def _choose_optimizer(
     )
 
 
-@eqx.filter_jit
+@fast_compile
 def _summarize(problem: IdentificationProblem, state: SearchState) -> Identification:
     """Summarize the search with the smallest loss, from the last states of all."""
     losses = jnp.atleast_1d(state.residual_norm**2 / 2)

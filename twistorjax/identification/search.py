@@ -74,7 +74,7 @@ def search_with_progress(
     return state
 
 
-@eqx.filter_jit
+@fast_compile
 def search_compiled(
     problem: IdentificationProblem,
     optimizer: AbstractOptimizer,

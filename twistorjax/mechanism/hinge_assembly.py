@@ -50,15 +50,16 @@ class HingeAssembly(eqx.Module):
     sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
     misfit_rates: Float[Array, "hinges 5"] | None = None
 
-    def characteristic_length(self, free: tuple[int, ...]) -> Scalar:
+    def characteristic_length(self, free: tuple[int, ...]) -> Scalar | np.float64:
         """Compute the root mean square distance from origins of bodies to hinges; m.
 
         Bodies without `free` degrees of freedom do not count, because their origins are
         arbitrary.
         """
         moving = np.isin(np.array(self.ends), np.array(free, int) // 3)
-        arms = jax.lax.stop_gradient(self.arms)[moving]
-        return jnp.sqrt(jnp.sum(arms**2) / max(1, len(arms)))
+        numbers, (arms,) = on_host(jax.lax.stop_gradient(self.arms))
+        arms = arms[moving]
+        return numbers.sqrt(numbers.sum(arms**2) / max(1, len(arms)))
 
     def energy_of(self, row: int) -> AbstractEnergy:
         """Return the energy of one hinge, by its index."""

@@ -354,5 +354,5 @@ def _snap_factors(
     return jnp.where(found, at[:, -1], jnp.nan), at_branch
 
 
-_solve = eqx.filter_jit(_solve_uncompiled)
+_solve = fast_compile(_solve_uncompiled)
 _evaluate = fast_compile(_evaluate_uncompiled)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.host import as_float
 from .._utils.types import BatchFlag, Flag, NumberLike, Scalar
 from .._utils.validation import require_float64
@@ -175,7 +176,7 @@ def buckling(
     return succeeded_or_raise(solution, error) if throw else solution
 
 
-@eqx.filter_jit
+@fast_compile
 def _buckling(system: PathSystem, modes: int) -> Buckling:
     """Solve the eigenvalue problem of `buckling`."""
     equations = system.at(jnp.zeros(()))

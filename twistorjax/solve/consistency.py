@@ -1,10 +1,10 @@
 """Checks of constraints: whether they are independent, and whether they are satisfied."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.types import Flag, NumberLike, Poses
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
@@ -70,7 +70,7 @@ def consistent(system: System, displacements: Poses) -> Flag:
     return _consistent(system, displacements)
 
 
-@eqx.filter_jit
+@fast_compile
 def _consistent(system: System, displacements: Poses) -> Flag:
     """Decide whether constraints, of which there are some, are consistent."""
     jacobian = _scaled_jacobian(system, displacements)

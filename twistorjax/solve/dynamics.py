@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
+from .._utils.compiled_gradient import fast_compile_with_gradient
 from .._utils.host import as_float, is_traced, on_host, program_input
 from .._utils.types import (
     Count,
@@ -206,8 +207,15 @@ def simulate(
     arguments = mechanism, instants, loads, drives, strokes, constraint_set, displacements
     pad = saveat is None and not is_traced((*arguments, tolerance))
     time_count = len(instants)
+    solver = Radau() if solver is None else solver
+    if adjoint is None:
+        stepwise = isinstance(solver, Radau | Gauss)
+        stepwise &= controller is None and saveat is None and event is None
+        adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
+    reverse_only = isinstance(adjoint, StepwiseAdjoint)
+    solve = _solve_with_gradient if reverse_only else _solve_with_any_derivatives
     with explain_compilation(first, **functions):
-        motion = _solve(
+        motion = solve(
             mechanism,
             pad_times(instants) if pad else instants,
             loads if callable(loads) else load_set,
@@ -218,7 +226,7 @@ def simulate(
             rates,
             as_float(tolerance),
             None if step is None else as_float(step),
-            Radau() if solver is None else solver,
+            solver,
             controller,
             saveat,
             event,
@@ -236,7 +244,6 @@ def simulate(
     return succeeded_or_raise(motion, partial(start_of_motion.error, motion))
 
 
-@fast_compile
 def _solve(
     mechanism: Mechanism,
     times: Float[Array, " times"],
@@ -253,7 +260,7 @@ def _solve(
     saveat: dfx.SaveAt | None,
     event: dfx.Event | None,
     progress_meter: dfx.AbstractProgressMeter,
-    adjoint: dfx.AbstractAdjoint | None,
+    adjoint: dfx.AbstractAdjoint,
     max_steps: int,
     energies: bool,
     dofs: DofPartition,
@@ -261,9 +268,6 @@ def _solve(
 ) -> Motion:
     """Integrate the equations of motion; see `simulate`."""
     collocation = isinstance(solver, Radau | Gauss)
-    if adjoint is None:
-        stepwise = collocation and controller is None and saveat is None and event is None
-        adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
     saveat = dfx.SaveAt() if saveat is None else saveat
     problem = initial_value_problem(
         mechanism, times, loads, drives, changes, constraints, start, velocities,
@@ -355,6 +359,10 @@ def _solve(
         names=mechanism.names,
         constraint_names=constraints.names(),
     )
+
+
+_solve_with_gradient = fast_compile_with_gradient(_solve)
+_solve_with_any_derivatives = fast_compile(_solve)
 
 
 def _changes(

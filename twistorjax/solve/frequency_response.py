@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
@@ -149,7 +150,7 @@ def frequency_response(
     return succeeded_or_raise(response, error) if throw else response
 
 
-@eqx.filter_jit
+@fast_compile
 def _frequency_response(
     mechanism: Mechanism,
     system: System,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
 from .._utils.validation import require_float64
@@ -103,7 +104,7 @@ class Linearization(eqx.Module):
         return check_equilibrium(change) if throw else change
 
 
-@eqx.filter_jit
+@fast_compile
 def _respond(
     linear: Linearization,
     loads: LoadSet,
@@ -219,7 +220,7 @@ def linearize(
     return _linearize(mechanism, system, displacements, is_consistent)
 
 
-@eqx.filter_jit
+@fast_compile
 def _linearize(
     mechanism: Mechanism, system: System, displacements: Poses, is_consistent: Flag
 ) -> Linearization:

@@ -90,7 +90,7 @@ class Record(NamedTuple):
     def add(self, index: Int[Array, ""], start: Start, end: Scalar) -> "Record":
         """Add the step with an index, or replace it if it was rejected."""
         stride = jnp.where(index >= self.stride * self.capacity, 2, 1) * self.stride
-        row = jnp.where(index % stride == 0, self._row(index), self.capacity)
+        row = jnp.where(_remainder(index, stride) == 0, self._row(index), self.capacity)
         starts = set_row(self.starts, row, start)
         return Record(starts, set_row(self.ends, index, end), stride)
 
@@ -108,9 +108,18 @@ class Record(NamedTuple):
         while stride > 1:
             stride //= 2
             first = self.capacity * stride
-            replaced = ((index - first) // (2 * stride) * 2 + 1) * stride
+            pair = (index - first) >> (2 * stride).bit_length() - 1
+            replaced = (2 * pair + 1) * stride
             index = jnp.where(index >= first, replaced, index)
         return index
+
+
+def _remainder(index: Int[Array, ""], stride: int | Int[Array, ""]) -> Int[Array, ""]:
+    """Return the remainder of the division by a power of two, in one operation.
+
+    The division of integers takes a dozen operations, a tenth of the compiled program.
+    """
+    return index & (stride - 1)
 
 
 def _has_shape(value: Any) -> bool:
@@ -309,7 +318,7 @@ def _differentiate(
 
     def recorded(index: Array) -> tuple[Array, Start]:
         """Return the last recorded start that is not after that of a step."""
-        position = index - index % record.stride
+        position = index - _remainder(index, record.stride)
         return position, record.start(position)
 
     def before(index: Array, segment: Start | None) -> tuple[Array, Start]:
@@ -317,8 +326,12 @@ def _differentiate(
         previous = jnp.maximum(index - 1, 0)
         if record.longest_stride == 1:
             return recorded(previous)
-        in_segment = previous, get_row(segment, previous % record.longest_stride)
-        return _where(index % record.stride == 0, recorded(previous), in_segment)
+        in_segment = (
+            previous,
+            get_row(segment, _remainder(previous, record.longest_stride)),
+        )
+        at_record = _remainder(index, record.stride) == 0
+        return _where(at_record, recorded(previous), in_segment)
 
     def go_back(carry: _Carry) -> _Carry:
         """Differentiate a step, or replay it if a later one is differentiated first."""
@@ -331,9 +344,8 @@ def _differentiate(
             carry.position, dense, row, carry.by_times
         )
         parts, shift_by_step, by_start = pullback((carry.by_end, by_dense))
-        segment = set_row(
-            carry.segment, carry.position % record.longest_stride, carry.current, replay
-        )
+        segment_row = _remainder(carry.position, record.longest_stride)
+        segment = set_row(carry.segment, segment_row, carry.current, replay)
         position, current = before(carry.index, segment)
         gone_back = _Carry(
             index=carry.index - 1,

@@ -8,7 +8,6 @@ because the number of points is known only after the first. Inside `jax.jit` and
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -214,7 +213,7 @@ def refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:
     return run._replace(criticals=refined)
 
 
-solve_path = eqx.filter_jit(_solve_uncompiled)
+solve_path = fast_compile(_solve_uncompiled)
 run_path = fast_compile(run_uncompiled)
 refine_path = fast_compile(refine_uncompiled)
 evaluate_path = fast_compile(_evaluate_uncompiled)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete
 from .._utils.types import BatchScalar, Matrix, NumberLike, Pose, PoseLike
 from .._utils.validation import index_of, require_pose
@@ -187,7 +188,7 @@ def port_compliance(
     return PortCompliance(_compliance(linear, row, frame), body)
 
 
-@eqx.filter_jit
+@fast_compile
 def _compliance(linear: Linearization, body: int, frame: Pose) -> Matrix:
     """Compute the compliance of a frame on a body, in the axes of the frame."""
     # The coordinates of a body are a twist about its origin, in the axes of the world.

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, program_input
 from .._utils.types import (
     BatchFlag,
@@ -297,7 +298,7 @@ def _input(
     return targets[0], dofs[0], None
 
 
-@eqx.filter_jit
+@fast_compile
 def _path(
     mechanism: Mechanism,
     body: int,

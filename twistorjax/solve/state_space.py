@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.compilation import fast_compile
 from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import index_of, require_float64, require_package
 from ..mechanism.constraints import AbstractConstraint
@@ -303,7 +304,7 @@ def _output_dof(mechanism: Mechanism, name: str, given: Sequence[str]) -> int:
     return 3 * body + index_of(where, "coordinate", given[1], COORDINATES)
 
 
-@eqx.filter_jit
+@fast_compile
 def _state_space(
     mechanism: Mechanism,
     system: System,

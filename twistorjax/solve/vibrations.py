@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.types import BatchFlag, NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
@@ -195,7 +196,7 @@ def natural_modes(
     return NaturalModes(angular, vectors / root[:, None])
 
 
-@eqx.filter_jit
+@fast_compile
 def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> Vibrations:
     """Solve the eigenvalue problem of `vibrations`."""
     angular, vectors = natural_modes(mechanism, system, displacements)

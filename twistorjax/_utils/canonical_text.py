@@ -1,0 +1,143 @@
+"""Text that identifies a value in every process, for the keys of stored results."""
+
+import dataclasses
+import enum
+import functools
+import sys
+import types
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.core import Tracer
+
+
+# The text names the functions and classes of these packages. Their contents are known
+# from the versions of the packages, unlike those of a script or a notebook.
+_LIBRARIES = frozenset(("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax"))
+_PACKAGES = _LIBRARIES | {"builtins", "collections", "functools", "numpy", "twistorjax"}
+_PLAIN = (type(None), bool, int, float, complex, str, bytes)
+
+
+class NoCanonicalTextError(TypeError):
+    """A value contains a function or an object that no text identifies."""
+
+
+def canonical_text(value: Any) -> str:
+    """Return a text that is equal for values that lead to the same traced function.
+
+    Args:
+        value: Value of any type. Arrays that JAX is tracing are identified by their
+            shapes and dtypes, other arrays by their entries.
+
+    Returns:
+        The text.
+
+    Raises:
+        NoCanonicalTextError: The value contains, for example, a function of the user.
+
+    Example:
+        >>> canonical_text((1, "name"))
+        "tuple(int 1,str 'name',)"
+    """
+    parts: list[str] = []
+    _Writer(parts).write(value)
+    return "".join(parts)
+
+
+class _Writer:
+    """Appends the text of values to a list, with references to objects seen before."""
+
+    def __init__(self, parts: list[str]):
+        self.add = parts.append
+        self.seen: dict[int, int] = {}
+        self.kept: list[Any] = []  # so that no `id` is used twice
+
+    def write(self, value: Any) -> None:
+        kind = type(value)
+        if kind in _PLAIN:
+            self.add(f"{kind.__name__} {value!r}")
+        elif isinstance(value, Tracer):
+            aval = value.aval
+            self.add(f"traced {aval.str_short()} {getattr(aval, 'weak_type', False)}")
+        elif isinstance(value, np.ndarray | np.generic | jax.Array):
+            self._write_array(value)
+        elif isinstance(value, np.dtype):
+            self.add(f"dtype {value.str}")
+        elif kind is tuple:
+            self._write_all(tuple, value)
+        elif id(value) in self.seen:
+            self.add(f"seen {self.seen[id(value)]}")
+        else:
+            self.seen[id(value)] = len(self.seen)
+            self.kept.append(value)
+            self._write_object(value)
+
+    def _write_array(self, array: Any) -> None:
+        entries = np.asarray(array)
+        if entries.dtype.hasobject:
+            raise NoCanonicalTextError(f"array of {entries.dtype}")
+        kind = "jax" if isinstance(array, jax.Array) else type(array).__name__
+        shape_and_type = f"{entries.shape} {entries.dtype.str}"
+        self.add(f"array {kind} {shape_and_type} {entries.tobytes().hex()}")
+
+    def _write_object(self, value: Any) -> None:
+        name = _importable_name(value)
+        if name is not None:
+            self.add(f"name {name}")
+        elif isinstance(value, types.FunctionType):
+            self._write_local_function(value)
+        elif isinstance(value, type):
+            raise NoCanonicalTextError(f"{value.__module__}.{value.__qualname__}")
+        elif isinstance(value, tuple | list):
+            self._write_all(type(value), value)
+        elif isinstance(value, dict | types.MappingProxyType):
+            self._write_all(type(value), (*value.keys(), *value.values()))
+        elif isinstance(value, enum.Enum):
+            self._write_all(type(value), (value.name,))
+        elif isinstance(value, functools.partial):
+            self._write_all(type(value), (value.func, value.args, value.keywords))
+        elif isinstance(value, types.MethodType):
+            self._write_all(type(value), (value.__func__, value.__self__))
+        elif dataclasses.is_dataclass(value):
+            names = [field.name for field in dataclasses.fields(value)]
+            fields = {name: getattr(value, name, None) for name in names}
+            self._write_all(type(value), fields.values())
+        else:
+            raise NoCanonicalTextError(f"an object of {type(value)}")
+
+    def _write_local_function(self, function: types.FunctionType) -> None:
+        """Write a function that a function of a package has defined."""
+        if _package(function) not in _PACKAGES:
+            raise NoCanonicalTextError(f"{function.__module__}.{function.__qualname__}")
+        place = f"{function.__qualname__} {function.__code__.co_firstlineno}"
+        self.add(f"function {function.__module__}.{place}")
+        cells = [cell.cell_contents for cell in function.__closure__ or ()]
+        self._write_all(tuple, (cells, function.__defaults__, function.__kwdefaults__))
+
+    def _write_all(self, kind: type, values: Iterable[Any]) -> None:
+        if kind in (tuple, list, dict):
+            self.add(kind.__name__)
+        else:
+            self.write(kind)
+        self.add("(")
+        for value in values:
+            self.write(value)
+            self.add(",")
+        self.add(")")
+
+
+def _package(value: Any) -> str:
+    return (getattr(value, "__module__", None) or "").partition(".")[0]
+
+
+def _importable_name(value: Any) -> str | None:
+    """Return the name of a function or class of a package."""
+    qualified_name = getattr(value, "__qualname__", None)
+    if not isinstance(qualified_name, str) or _package(value) not in _PACKAGES:
+        return None
+    found: Any = sys.modules.get(value.__module__)
+    for name in qualified_name.split("."):
+        found = getattr(found, name, None)
+    return f"{value.__module__}.{qualified_name}" if found is value else None

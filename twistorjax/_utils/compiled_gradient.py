@@ -1,0 +1,132 @@
+"""Reverse-mode derivatives that are two compiled programs, whose traces are stored."""
+
+import hashlib
+import re
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.interpreters import ad
+from jaxtyping import Array
+
+from .canonical_text import canonical_text, NoCanonicalTextError
+from .compilation import fast_compile
+from .host import is_traced
+
+
+def fast_compile_with_gradient(function: Callable) -> Callable:
+    """Compile a function that has derivatives in reverse mode only, and its gradient.
+
+    JAX compiles a function that it differentiates without the settings of `fast_compile`,
+    and traces it in each process. Here the value with its residuals, and the gradient,
+    are two functions of `fast_compile`.
+
+    Args:
+        function: Function of pytrees, with positional arguments.
+
+    Returns:
+        The compiled function. It is `fast_compile(function)` if an argument contains a
+        function of the user, which may depend on values that JAX is tracing.
+    """
+    compiled = fast_compile(function)
+
+    @fast_compile
+    def forward(perturbed: Any, arguments: tuple) -> tuple[Any, list[Array], str]:
+        # JAX computes gradients in an explicit mesh; another one would trace again.
+        with jax.sharding.use_abstract_mesh(jax.sharding.get_abstract_mesh()):
+            value, pullback = _linearize(function, perturbed, arguments)
+        residuals, structure = jax.tree.flatten(pullback)
+        return value, residuals, _identity(structure)
+
+    @fast_compile
+    def backward(
+        perturbed: Any,
+        arguments: tuple,
+        residuals: Sequence[Array],
+        identity: str,
+        gradient: Any,
+    ) -> tuple:
+        shapes = eqx.filter_eval_shape(_linearize, function, perturbed, arguments)
+        structure = jax.tree.structure(shapes[1])
+        if _identity(structure) == identity:
+            pullback = jax.tree.unflatten(structure, residuals)
+        else:  # The residuals are those of another trace.
+            _, pullback = _linearize(function, perturbed, arguments)
+        (by_arguments,) = pullback(_with_zeros(gradient, shapes[0]))
+        return by_arguments
+
+    @eqx.filter_custom_vjp
+    def differentiable(arguments: tuple) -> Any:
+        return compiled(*arguments)
+
+    @differentiable.def_fwd
+    def _value_and_residuals(perturbed: Any, arguments: tuple) -> tuple[Any, Any]:
+        value, residuals, identity = forward(perturbed, arguments)
+        return value, (residuals, identity, perturbed)
+
+    @differentiable.def_bwd
+    def _gradient(residuals: Any, gradient: Any, _: Any, arguments: tuple) -> Any:
+        arrays, identity, perturbed = residuals
+        return backward(perturbed, arguments, arrays, identity, gradient)
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if is_traced(arguments) and _has_text(arguments):
+            return jax.tree.map(_without_tangent, differentiable(arguments))
+        return compiled(*arguments)
+
+    return call
+
+
+@eqx.filter_jit  # traced once for both programs
+def _linearize(function: Callable, perturbed: Any, arguments: tuple) -> tuple[Any, Any]:
+    """Return the value of a function, and the function that computes its gradient."""
+    differentiated, constant = eqx.partition(arguments, perturbed)
+
+    def value(differentiated: tuple) -> Any:
+        return function(*eqx.combine(differentiated, constant))
+
+    return eqx.filter_vjp(value, differentiated)
+
+
+def _with_zeros(gradient: Any, value: Any) -> Any:
+    """Replace the gradients that are None by zeros whose products are not computed."""
+
+    def zero(shape: Any, part: Any) -> Any:
+        if part is not None:
+            return part
+        return ad.Zero(ShapedArray(shape.shape, shape.dtype))
+
+    return jax.tree.map(zero, eqx.filter(value, _is_inexact), gradient)
+
+
+def _without_tangent(value: Any) -> Any:
+    """Return an integer or boolean array that JAX does not differentiate.
+
+    All results of `jax.custom_vjp` have tangents, also integers. Bitwise operations
+    have none.
+    """
+    return value & value if eqx.is_array(value) and not _is_inexact(value) else value
+
+
+def _is_inexact(value: Any) -> bool:
+    return hasattr(value, "dtype") and jnp.issubdtype(value.dtype, jnp.inexact)
+
+
+def _identity(structure: Any) -> str:
+    """Return a text that differs if the residuals have another meaning."""
+    text = re.sub(r" at 0x[0-9a-f]+", "", str(structure))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _has_text(value: Any) -> bool:
+    """Decide whether a value contains no function of the user."""
+    try:
+        canonical_text(value)
+    except NoCanonicalTextError:
+        return False
+    return True

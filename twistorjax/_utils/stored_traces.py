@@ -1,0 +1,224 @@
+"""Traced functions on disk, so that later processes need not trace them again.
+
+JAX's cache of compiled programs saves the compilation, but a new process traces each
+function before it finds the program, which takes most of the time that is left. A stored
+trace is a program of `jax.export`, and a description of what the function returns.
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import pickle
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+from jax.core import Tracer
+
+from .canonical_text import canonical_text, NoCanonicalTextError
+
+
+# What a trace depends on, besides the sources of this package
+_DISTRIBUTIONS = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
+_NO_INFLUENCE = ("cache", "compilation", "log", "traceback", "dump")
+
+
+class _Folder(NamedTuple):
+    """Where traces are stored.
+
+    Args:
+        path: The folder.
+        size: Largest total size of its files; bytes.
+    """
+
+    path: Path
+    size: int
+
+
+_folder: _Folder | None = None
+
+
+def store_traces_in(path: Path | None, size: int = 10**8) -> None:
+    """Choose the folder of the traces.
+
+    Args:
+        path: The folder, or None if no traces are stored.
+        size: Largest total size of its files; bytes. The traces that have not been used
+            for the longest time are deleted first.
+    """
+    global _folder
+    _folder = None if path is None else _Folder(path, size)
+
+
+def stored(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function to be compiled, whose trace is loaded from disk if it is there.
+
+    A trace is stored if all static arguments have a canonical text. Functions and classes
+    of users have none, because their contents may change.
+
+    Args:
+        function: Function of pytrees, without side effects while it is traced.
+
+    Returns:
+        The function, for `jax.jit` or `equinox.filter_jit`. It is not differentiable.
+    """
+
+    @functools.wraps(function)
+    def loaded_or_traced(*arguments: Any, **settings: Any) -> Any:
+        inputs = list(filter(_is_traced, jax.tree.leaves((arguments, settings))))
+        if _folder is None or not inputs or jax.device_count() > 1:
+            return function(*arguments, **settings)
+        try:
+            key = _key(function, arguments, settings)
+        except NoCanonicalTextError:
+            return function(*arguments, **settings)
+        trace = _load(_folder.path / key)
+        if trace is None:
+            trace = _Trace.of(function, arguments, settings)
+            _save(_folder, key, trace)
+        return trace.call(inputs)
+
+    return loaded_or_traced
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Place of an array in the description of a result.
+
+    Args:
+        index: Index of the array among the results of the program.
+    """
+
+    index: int
+
+
+class _Trace(NamedTuple):
+    """A traced function.
+
+    Args:
+        program: Program of the arrays.
+        result: Result of the function, with places instead of arrays.
+    """
+
+    program: jax.export.Exported
+    result: Any
+
+    @classmethod
+    def of(
+        cls, function: Callable[..., Any], arguments: tuple, settings: dict
+    ) -> "_Trace":
+        """Trace a function."""
+        inputs, constants = eqx.partition((arguments, settings), _is_traced)
+        leaves, structure = jax.tree.flatten(inputs)
+        results = []
+
+        def program(*arrays: Any) -> list[Any]:
+            inputs = jax.tree.unflatten(structure, arrays)
+            arguments, settings = eqx.combine(inputs, constants)
+            outputs, others = eqx.partition(
+                function(*arguments, **settings), eqx.is_array
+            )
+            values, output_structure = jax.tree.flatten(outputs)
+            places = map(_Place, range(len(values)))
+            results.append(
+                eqx.combine(jax.tree.unflatten(output_structure, places), others)
+            )
+            # A loaded program has no weak types.
+            return [jax.lax.convert_element_type(value, value.dtype) for value in values]
+
+        shapes = [
+            jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, weak_type=leaf.aval.weak_type)
+            for leaf in leaves
+        ]
+        return cls(jax.export.export(jax.jit(program))(*shapes), results[0])
+
+    def call(self, inputs: Sequence[Any]) -> Any:
+        """Compute the result of the function."""
+        values = self.program.call(*inputs)
+        return jax.tree.map(
+            lambda leaf: values[leaf.index] if isinstance(leaf, _Place) else leaf,
+            self.result,
+        )
+
+
+def _is_traced(leaf: Any) -> bool:
+    return isinstance(leaf, Tracer)
+
+
+def _key(function: Callable[..., Any], arguments: tuple, settings: dict) -> str:
+    """Return the name of the file with a trace."""
+    text = canonical_text((function, arguments, settings))
+    return hashlib.sha256(f"{_environment()} {_options()} {text}".encode()).hexdigest()
+
+
+@functools.cache
+def _environment() -> str:
+    """Return a text that identifies this package and those that it uses."""
+    sources = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        sources.update(path.read_bytes())
+    versions = [version(distribution) for distribution in _DISTRIBUTIONS]
+    variables = sorted(item for item in os.environ.items() if item[0].startswith("EQX_"))
+    return f"{sources.hexdigest()} {versions} {variables}"
+
+
+def _options() -> str:
+    """Return the options of JAX that may change a trace."""
+    return str(
+        [
+            # The attribute is the value in this context, for example in `jax.enable_x64`.
+            (name, getattr(jax.config, name, value))
+            for name, value in sorted(jax.config.values.items())
+            if not any(part in name for part in _NO_INFLUENCE)
+        ]
+    )
+
+
+def _load(path: Path) -> _Trace | None:
+    """Read a trace; None if there is none, or if its file is damaged."""
+    try:
+        program, result = pickle.loads(path.read_bytes())
+        os.utime(path)
+        return _Trace(jax.export.deserialize(bytearray(program)), result)
+    except Exception:  # a damaged file may cause any error
+        return None
+
+
+def _save(folder: _Folder, key: str, trace: _Trace) -> None:
+    """Write a trace, unless its result has no canonical text."""
+    try:
+        canonical_text(trace.result)
+        content = pickle.dumps((bytes(trace.program.serialize()), trace.result))
+    except (NoCanonicalTextError, pickle.PicklingError, AttributeError):
+        return
+    try:
+        folder.path.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder.path, delete=False) as file:
+            file.write(content)
+        Path(file.name).replace(folder.path / key)
+        _delete_oldest(folder)
+    except OSError as error:
+        warnings.warn(
+            f"A traced function was not stored in {str(folder.path)!r}: {error}",
+            stacklevel=2,
+        )
+
+
+def _delete_oldest(folder: _Folder) -> None:
+    """Delete the traces that have not been used for the longest time."""
+    files = []
+    for path in folder.path.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # deleted by another process
+            files.append((path.stat().st_mtime, path.stat().st_size, path))
+    total = 0
+    for _, size, path in sorted(files, reverse=True):
+        total += size
+        if total > folder.size:
+            path.unlink(missing_ok=True)

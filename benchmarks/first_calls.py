@@ -39,9 +39,22 @@ GRADIENT = (
     "value = lambda numbers: jnp.sum(four_bar.released_motion("
     "eqx.combine(numbers, rest), times, energies=False).displacements**2)"
 )
+IDENTIFICATION = (
+    "from twistorjax.examples import identification as example; "
+    "data = example.release_test().synthetic_data(example.linkage(example.LEAF)); "
+    "start = {name: tj.Parameter(example.START_RATIOS[name] * value, lower=0) "
+    "for name, value in example.LEAF.items()}"
+)
 LEAF = (
     "steel = tj.Material(210e9, poisson=0.3); "
     "beam = tj.flexures.Beam(steel, length=0.05, thickness=0.5e-3, width=0.01)"
+)
+GUIDE = (
+    f"{LEAF}; leaf = tj.flexures.surrogate(beam, rotation=0.35); "
+    "hinge = tj.Hinge('leaf', 'wall', 'block', leaf, at=(0, 0, 0)); "
+    "bodies = [tj.Body('wall'), tj.Body('block')]; "
+    "guide = tj.Mechanism(bodies, [hinge], fixed=['wall']); "
+    "push = lambda guide: tj.equilibrium(guide, loads=[tj.Load('block', moment=0.1)])"
 )
 CALLS = {
     "equilibrium": (f"{STAGE}; {PUSH}", "tj.equilibrium(stage, drives=drives)", None),
@@ -62,8 +75,16 @@ CALLS = {
         "jax.grad(value)(numbers)",
         (8.0, 3.0),
     ),
+    "identify": (IDENTIFICATION, "tj.identify(example.linkage, start, [data])", None),
     "surrogate": (LEAF, "tj.flexures.surrogate(beam, rotation=0.35)", (4.0, None)),
+    "equilibrium with a surrogate": (GUIDE, "push(guide)", (3.0, None)),
+    "its reverse-mode gradient": (
+        GUIDE,
+        "eqx.filter_grad(lambda guide: push(guide).displacement('block')[0])(guide)",
+        (5.0, None),
+    ),
 }
+FIRST_CALL = "first call of {} in a new process, {}"
 SCRIPT = """
 import time
 import equinox as eqx, jax, jax.numpy as jnp, numpy as np
@@ -133,7 +154,7 @@ def _calls(environment: dict[str, str]) -> Iterator[Row]:
             bounds or (None, None),
             strict=True,
         ):
-            what = f"first call of {name} in a new process, {when}"
+            what = FIRST_CALL.format(name, when)
             if bound is None:
                 yield Row(what, value, "s")
             else:

@@ -87,7 +87,7 @@ class _Writer:
         if name is not None:
             self.add(f"name {name}")
         elif isinstance(value, types.FunctionType):
-            self._write_local_function(value)
+            self._write_function(value)
         elif isinstance(value, type):
             raise NoCanonicalTextError(f"{value.__module__}.{value.__qualname__}")
         elif isinstance(value, tuple | list):
@@ -107,14 +107,21 @@ class _Writer:
         else:
             raise NoCanonicalTextError(f"an object of {type(value)}")
 
-    def _write_local_function(self, function: types.FunctionType) -> None:
-        """Write a function that a function of a package has defined."""
-        if _package(function) not in _PACKAGES:
-            raise NoCanonicalTextError(f"{function.__module__}.{function.__qualname__}")
-        place = f"{function.__qualname__} {function.__code__.co_firstlineno}"
-        self.add(f"function {function.__module__}.{place}")
-        cells = [cell.cell_contents for cell in function.__closure__ or ()]
-        self._write_all(tuple, (cells, function.__defaults__, function.__kwdefaults__))
+    def _write_function(self, function: types.FunctionType) -> None:
+        """Write a function of a package that is not found by its name."""
+        # A decorator may have changed `__module__`, but not the module of the code.
+        module = function.__globals__.get("__name__", "")
+        if module.startswith("jaxtyping.") and hasattr(function, "__wrapped__"):
+            self.write(function.__wrapped__)  # It only checks the types of arguments.
+            return
+        code = function.__code__
+        if module.partition(".")[0] not in _PACKAGES:
+            raise NoCanonicalTextError(f"{module}.{function.__qualname__}")
+        self.add(f"function {module}.{code.co_qualname} {code.co_firstlineno}")
+        if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
+            cells = [cell.cell_contents for cell in function.__closure__ or ()]
+            values = cells, function.__defaults__, function.__kwdefaults__
+            self._write_all(tuple, values)
 
     def _write_all(self, kind: type, values: Iterable[Any]) -> None:
         if kind in (tuple, list, dict):
@@ -128,16 +135,15 @@ class _Writer:
         self.add(")")
 
 
-def _package(value: Any) -> str:
-    return (getattr(value, "__module__", None) or "").partition(".")[0]
-
-
 def _importable_name(value: Any) -> str | None:
     """Return the name of a function or class of a package."""
+    module = getattr(value, "__module__", None)
     qualified_name = getattr(value, "__qualname__", None)
-    if not isinstance(qualified_name, str) or _package(value) not in _PACKAGES:
+    if not isinstance(module, str) or not isinstance(qualified_name, str):
         return None
-    found: Any = sys.modules.get(value.__module__)
+    if module.partition(".")[0] not in _PACKAGES:
+        return None
+    found: Any = sys.modules.get(module)
     for name in qualified_name.split("."):
         found = getattr(found, name, None)
-    return f"{value.__module__}.{qualified_name}" if found is value else None
+    return f"{module}.{qualified_name}" if found is value else None

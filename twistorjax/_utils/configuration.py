@@ -8,11 +8,16 @@ from .stored_traces import store_traces_in
 
 
 def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> None:
-    """Enable double precision, and JAX's cache of compiled programs on disk.
+    """Enable double precision, and a cache of compiled programs on disk.
 
     Call this function once, before arrays are created. JAX compiles a program for each
     kind of problem, which takes seconds. With the cache, later processes load the program
     in a fraction of this time. Several processes may use the cache at the same time.
+
+    The folder also has the traced functions of this library, so that later processes do
+    not trace them again. They are stored if all classes and functions in their arguments
+    are those of this library and of the packages that it uses. If you replace functions
+    of this library while a process runs, use `cache=False`.
 
     Args:
         cache: Whether programs are stored in the cache folder of the user, or the path of

@@ -79,9 +79,11 @@ def stored(function: Callable[..., Any]) -> Callable[..., Any]:
             key = _key(function, arguments, settings)
         except NoCanonicalTextError:
             return function(*arguments, **settings)
-        trace = _load(_folder.path / key)
-        if trace is None:
-            trace = _Trace.of(function, arguments, settings)
+        if (trace := _load(_folder.path / key)) is None:
+            try:
+                trace = _Trace.of(function, arguments, settings)
+            except (ValueError, NotImplementedError):  # of the function, or of JAX
+                return function(*arguments, **settings)
             _save(_folder, key, trace)
         return trace.call(inputs)
 
@@ -137,7 +139,10 @@ class _Trace(NamedTuple):
             jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, weak_type=leaf.aval.weak_type)
             for leaf in leaves
         ]
-        return cls(jax.export.export(jax.jit(program))(*shapes), results[0])
+        # Custom calls need not be stable, because the key contains the version of JAX.
+        any_call = jax.export.DisabledSafetyCheck.custom_call("ALL")
+        export = jax.export.export(jax.jit(program), disabled_checks=[any_call])
+        return cls(export(*shapes), results[0])
 
     def call(self, inputs: Sequence[Any]) -> Any:
         """Compute the result of the function."""

@@ -208,12 +208,11 @@ def simulate(
     pad = saveat is None and not is_traced((*arguments, tolerance))
     time_count = len(instants)
     solver = Radau() if solver is None else solver
+    own = all(setting is None for setting in (adjoint, controller, saveat, event))
+    stepwise = own and isinstance(solver, Radau | Gauss)
     if adjoint is None:
-        stepwise = isinstance(solver, Radau | Gauss)
-        stepwise &= controller is None and saveat is None and event is None
         adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
-    reverse_only = isinstance(adjoint, StepwiseAdjoint)
-    solve = _solve_with_gradient if reverse_only else _solve_with_any_derivatives
+    solve = _solve_with_gradient if stepwise else _solve_with_any_derivatives
     with explain_compilation(first, **functions):
         motion = solve(
             mechanism,

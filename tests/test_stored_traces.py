@@ -1,0 +1,219 @@
+"""Traces on disk: the results are those of a new trace, and no other trace is loaded."""
+
+import enum
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.core import Tracer
+
+import twistorjax as tj
+from twistorjax._utils import compiled_gradient, stored_traces
+from twistorjax._utils.canonical_text import canonical_text, NoCanonicalTextError
+
+
+TIMES = [0.0, 0.02, 0.05]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Store traces in a folder of the test, and trace all functions anew."""
+    jax.clear_caches()
+    before = stored_traces._folder
+    stored_traces.store_traces_in(tmp_path / "traces")
+    yield tmp_path / "traces"
+    stored_traces._folder = before
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """Gather the names of the functions that are traced because they are not stored."""
+    names = []
+    trace = stored_traces._Trace.of
+
+    def counted(function, *arguments):
+        names.append(function.__name__)
+        return trace(function, *arguments)
+
+    monkeypatch.setattr(stored_traces._Trace, "of", counted)
+    return names
+
+
+def oscillator(stiffness=100.0, energy=tj.Quadratic):
+    """Return a mass on a spring, with damping."""
+    spring = energy(jnp.diag(jnp.array([1.0, 1.0, 0.5]) * stiffness))
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0), damping=1e-3)
+    bodies = [tj.Body("wall"), tj.Body("block", mass=0.1, inertia=0.01)]
+    return tj.Mechanism(bodies, [hinge], fixed=["wall"])
+
+
+def push(mechanism, force=1.0):
+    return tj.equilibrium(mechanism, loads=[tj.Load("block", force=(force, 0.0))])
+
+
+def shake(mechanism, **settings):
+    return tj.simulate(
+        mechanism,
+        TIMES,
+        velocities={"block": (0.0, 0.3, 0.1)},
+        energies=False,
+        **settings,
+    )
+
+
+def arrays(result):
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(result) if eqx.is_array(leaf)]
+
+
+def assert_same(result, other):
+    assert jax.tree.structure(result) == jax.tree.structure(other)
+    for value, expected in zip(arrays(result), arrays(other), strict=True):
+        np.testing.assert_array_equal(value, expected)
+
+
+SOLVERS = {
+    "equilibrium": push,
+    "simulate": shake,
+    "vibrations": tj.vibrations,
+    "linearize": tj.linearize,
+    "gradient": lambda mechanism: eqx.filter_grad(
+        lambda mechanism: jnp.sum(shake(mechanism).displacements ** 2)
+    )(mechanism),
+}
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_stored_trace_gives_the_same_result(name, folder, traced):
+    mechanism = oscillator()
+    results = []
+    for _ in range(2):
+        jax.clear_caches()  # as in a new process
+        results.append(SOLVERS[name](mechanism))
+    assert len(traced) == (2 if name == "gradient" else 1)
+    assert len(list(folder.iterdir())) == len(traced)
+    stored_traces.store_traces_in(None)
+    jax.clear_caches()
+    for result in results:
+        assert_same(result, SOLVERS[name](mechanism))
+
+
+def test_the_energy_of_a_user_is_traced(folder, traced):
+    class Softer(tj.Quadratic):
+        """Half of a quadratic energy."""
+
+        def stored_energy(self, displacement):
+            return super().stored_energy(displacement) / 2
+
+    moved = push(oscillator(energy=Softer)).displacement("block")[1]
+    assert moved == pytest.approx(2 * push(oscillator()).displacement("block")[1])
+    assert len(traced) == 1
+
+
+def test_another_option_of_jax_or_another_version_is_another_trace(
+    folder, traced, monkeypatch
+):
+    push(oscillator())
+    jax.clear_caches()
+    with jax.default_matmul_precision("float32"):
+        push(oscillator())
+    assert len(traced) == 2
+    monkeypatch.setattr(stored_traces, "_environment", lambda: "other sources")
+    jax.clear_caches()
+    push(oscillator())
+    assert len(traced) == 3
+
+
+@pytest.mark.parametrize("content", [b"", b"no trace", None])
+def test_a_damaged_trace_is_replaced(content, folder, traced):
+    expected = push(oscillator())
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    jax.clear_caches()
+    assert_same(push(oscillator()), expected)
+    assert len(traced) == 2
+    assert len(file.read_bytes()) == len(whole)
+
+
+def test_the_oldest_traces_are_deleted(folder):
+    push(oscillator())
+    (first,) = folder.iterdir()
+    stored_traces.store_traces_in(folder, size=first.stat().st_size + 10)
+    tj.vibrations(oscillator())
+    (second,) = folder.iterdir()
+    assert second != first
+
+
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path, folder):
+    (tmp_path / "file").write_text("")
+    stored_traces.store_traces_in(tmp_path / "file" / "traces")
+    with pytest.warns(UserWarning, match=r"A traced function was not stored in '.*file"):
+        assert push(oscillator()).displacement("block")[1] == pytest.approx(0.01)
+
+
+def test_the_gradient_of_a_motion_is_exact_if_the_residuals_are_of_another_trace(
+    folder, monkeypatch
+):
+    """The gradient of another trace is computed with a new forward pass."""
+    expected = SOLVERS["gradient"](oscillator())
+    names = iter("abcdefgh")
+    monkeypatch.setattr(compiled_gradient, "_identity", lambda structure: next(names))
+    jax.clear_caches()
+    stored_traces.store_traces_in(folder.parent / "others")
+    found = SOLVERS["gradient"](oscillator())
+    for value, exact in zip(arrays(found), arrays(expected), strict=True):
+        np.testing.assert_allclose(value, exact, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("closed_over", [True, False])
+def test_the_gradient_of_a_motion_is_the_difference_quotient(closed_over):
+    """The load may also be a function that contains what is differentiated."""
+
+    def end(force):
+        load = tj.Load("block", force=(force, 0.0))
+        loads = (lambda time: [load]) if closed_over else [load]
+        motion = shake(oscillator(), loads=loads, tolerance=1e-10)
+        assert closed_over or not isinstance(motion.steps, Tracer)
+        return motion.displacement("block")[-1, 1]
+
+    difference = (end(jnp.array(1.01)) - end(jnp.array(0.99))) / 0.02
+    assert float(jax.grad(end)(1.0)) == pytest.approx(float(difference), rel=1e-6)
+
+
+class Color(enum.Enum):
+    """An enumeration of a user."""
+
+    RED = 1
+
+
+def test_texts_of_values_that_lead_to_other_traces_differ():
+    values = [
+        None, True, 1, 1.0, "1", b"1", (1,), [1], {"a": 1}, {"b": 1}, ("a,str 'b'",),
+        ("a", "b"), np.float64(1.0), np.arange(2), np.arange(2.0), jnp.arange(2.0),
+        np.arange(2.0)[None], np.dtype(float), jnp.sin, jnp.cos, tj.Quadratic,
+        tj.Load("a", force=(1.0, 0.0)), tj.Load("b", force=(1.0, 0.0)),
+        eqx.Partial(jnp.sin, 1), eqx.Partial(jnp.sin, 2), oscillator().names,
+    ]  # fmt: skip
+    texts = [canonical_text(value) for value in values]
+    assert len(set(texts)) == len(values)
+
+
+@functools.wraps(canonical_text)
+def decorated(value):
+    """A function of a user with the name of a function of the library."""
+    return canonical_text(value) * 2
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        push, decorated, lambda: None, eqx.Partial(push, 1), functools.partial(push),
+        jax.jit(push), Color.RED, object(), np.array([object()]), type("A", (), {})(),
+    ],
+)  # fmt: skip
+def test_functions_and_objects_of_users_have_no_text(value):
+    with pytest.raises(NoCanonicalTextError):
+        canonical_text((1, [value]))

@@ -42,7 +42,7 @@ GRADIENT = (
 IDENTIFICATION = (
     "from twistorjax.examples import identification as example; "
     "data = example.release_test().synthetic_data(example.linkage(example.LEAF)); "
-    "start = {name: tj.Parameter(example.START_RATIOS[name] * value, lower=0) "
+    "guess = {name: tj.Parameter(example.START_RATIOS[name] * value, lower=0) "
     "for name, value in example.LEAF.items()}"
 )
 LEAF = (
@@ -75,7 +75,7 @@ CALLS = {
         "jax.grad(value)(numbers)",
         (8.0, 3.0),
     ),
-    "identify": (IDENTIFICATION, "tj.identify(example.linkage, start, [data])", None),
+    "identify": (IDENTIFICATION, "tj.identify(example.linkage, guess, [data])", None),
     "surrogate": (LEAF, "tj.flexures.surrogate(beam, rotation=0.35)", (4.0, None)),
     "equilibrium with a surrogate": (GUIDE, "push(guide)", (3.0, None)),
     "its reverse-mode gradient": (

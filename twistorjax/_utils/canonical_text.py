@@ -92,6 +92,8 @@ class _Writer:
             raise NoCanonicalTextError(f"{value.__module__}.{value.__qualname__}")
         elif isinstance(value, tuple | list):
             self._write_all(type(value), value)
+        elif isinstance(value, frozenset):
+            self._write_all(frozenset, sorted(map(canonical_text, value)))
         elif isinstance(value, dict | types.MappingProxyType):
             self._write_all(type(value), (*value.keys(), *value.values()))
         elif isinstance(value, enum.Enum):
@@ -111,8 +113,8 @@ class _Writer:
         """Write a function of a package that is not found by its name."""
         # A decorator may have changed `__module__`, but not the module of the code.
         module = function.__globals__.get("__name__", "")
-        if module.startswith("jaxtyping.") and hasattr(function, "__wrapped__"):
-            self.write(function.__wrapped__)  # It only checks the types of arguments.
+        if module.startswith("jaxtyping."):  # It only checks the types of arguments.
+            self.write(getattr(function, "__wrapped__", None))
             return
         code = function.__code__
         if module.partition(".")[0] not in _PACKAGES:

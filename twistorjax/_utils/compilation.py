@@ -23,6 +23,7 @@ def fast_compile(
     function: Callable,
     *,
     optimize: bool = True,
+    store: bool = True,
     jit: Callable[..., Any] = eqx.filter_jit,
     **settings: Any,
 ) -> Callable:
@@ -37,6 +38,7 @@ def fast_compile(
         optimize: Whether XLA optimizes the program. Without optimization, the compilation
             of a simulation and its derivatives takes half the time, and a run twice the
             time, which pays off for the ten evaluations of a typical identification.
+        store: Whether traces are stored. Those with callbacks to Python cannot be stored.
         jit: `equinox.filter_jit`, or `jax.jit`, whose calls take less time.
         settings: Arguments of `jit`.
 
@@ -47,7 +49,8 @@ def fast_compile(
     given = os.environ.get("XLA_FLAGS", "")
     options = {name: value for name, value in options.items() if name not in given}
     plain = jit(function, **settings)
-    fast = jit(stored(function), compiler_options=options, **settings)
+    traced = stored(function) if store else function
+    fast = jit(traced, compiler_options=options, **settings)
 
     @wraps(function)
     def compiled(*arguments: Any, **static: Any) -> Any:

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import plotting  # loads diffrax and Matplotlib only if something is drawn
+from .._utils.compilation import fast_compile
 from .._utils.host import on_host
 from .._utils.types import Corners, NumberLike, Scalar
 from ..energies.damping import DampingLike
@@ -251,7 +252,7 @@ def amplification(
     )
 
 
-@partial(jax.jit, static_argnames="coordinates")
+@partial(fast_compile, jit=jax.jit, static_argnames="coordinates")
 def amplification_and_slope(
     web: NumberLike, travel: NumberLike, coordinates: Coordinates = "twistor"
 ) -> tuple[Amplification, Scalar]:

@@ -16,6 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from .._utils.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.pytrees import entry_names, path_name
 from .._utils.types import ArrayOfNumbers, Numbers
@@ -220,6 +221,7 @@ class ParameterSet(eqx.Module):
             )
         return cls(parameters, constants, tuple(names), tuple(units), frozenset(bounded))
 
+    @fast_compile
     def vector(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:
@@ -244,6 +246,7 @@ class ParameterSet(eqx.Module):
         )
         return ravel_pytree(values)[1](vector)
 
+    @fast_compile
     def scales(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:
@@ -258,6 +261,7 @@ class ParameterSet(eqx.Module):
         largest = jnp.maximum(derivatives, jnp.abs(self.vector(normalized)))
         return jnp.where(is_free, largest, derivatives)
 
+    @fast_compile
     def derivatives(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete
 from .._utils.types import BatchFlag, BatchScalar, Parameters, Scalar
 from ..solve.results import result_names, RESULTS
@@ -70,6 +71,7 @@ class Identification(eqx.Module):
         return self.problem.parameters.vector(self.normalized)
 
     @property
+    @fast_compile
     def normalized_covariance(self) -> Float[Array, "parameters parameters"]:
         """Covariance of the normalized parameters.
 
@@ -114,6 +116,7 @@ class Identification(eqx.Module):
         return jnp.maximum(small_sample**2 * variance / share**2, 1.0)
 
     @property
+    @fast_compile
     def covariance(self) -> Float[Array, "parameters parameters"]:
         """Covariance of the estimates, in the products of their units.
 
@@ -131,6 +134,7 @@ class Identification(eqx.Module):
         return self.problem.parameters.unflatten(standard_errors)
 
     @property
+    @fast_compile
     def correlation(self) -> Float[Array, "parameters parameters"]:
         """Correlation matrix of the estimates."""
         covariance = self.normalized_covariance

@@ -213,6 +213,8 @@ def simulate(
     if adjoint is None:
         adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
     solve = _solve_with_gradient if stepwise else _solve_with_any_derivatives
+    if progress_meter is not None:
+        solve = _solve_with_callbacks
     with explain_compilation(first, **functions):
         motion = solve(
             mechanism,
@@ -362,6 +364,7 @@ def _solve(
 
 _solve_with_gradient = fast_compile_with_gradient(_solve)
 _solve_with_any_derivatives = fast_compile(_solve)
+_solve_with_callbacks = fast_compile(_solve, store=False)
 
 
 def _changes(

@@ -96,9 +96,20 @@ class _Place:
 
     Args:
         index: Index of the array among the results of the program.
+        weak: Whether its type is weak, as that of a Python number.
     """
 
     index: int
+    weak: bool
+
+    def value(self, values: Any) -> Any:
+        """Return the array from the results of the program, whose types are not weak."""
+        value = values[self.index]
+        if not self.weak:
+            return value
+        return jax.lax.convert_element_type_p.bind(
+            value, new_dtype=value.dtype, weak_type=True, sharding=None
+        )
 
 
 class _Trace(NamedTuple):
@@ -128,11 +139,11 @@ class _Trace(NamedTuple):
                 function(*arguments, **settings), eqx.is_array
             )
             values, output_structure = jax.tree.flatten(outputs)
-            places = map(_Place, range(len(values)))
+            weak = [getattr(value, "weak_type", False) for value in values]
+            places = map(_Place, range(len(values)), weak)
             results.append(
                 eqx.combine(jax.tree.unflatten(output_structure, places), others)
             )
-            # A loaded program has no weak types.
             return [jax.lax.convert_element_type(value, value.dtype) for value in values]
 
         shapes = [
@@ -148,7 +159,7 @@ class _Trace(NamedTuple):
         """Compute the result of the function."""
         values = self.program.call(*inputs)
         return jax.tree.map(
-            lambda leaf: values[leaf.index] if isinstance(leaf, _Place) else leaf,
+            lambda leaf: leaf.value(values) if isinstance(leaf, _Place) else leaf,
             self.result,
         )
 

@@ -98,6 +98,23 @@ class HingeChanges(eqx.Module):
     strokes: StrokesInTime | None
     temperature: TemperatureInTime | None
 
+    @classmethod
+    def of(
+        cls,
+        strokes: Mapping[str, PoseLike] | StrokesInTime,
+        temperature: TemperatureInTime | None,
+    ) -> "HingeChanges | None":
+        """Gather strokes and temperatures; None if there are none.
+
+        Constant strokes become a function of time.
+        """
+        if callable(strokes):
+            return cls(strokes, temperature)
+        given = not isinstance(strokes, Mapping) or strokes
+        if not given and temperature is None:
+            return None
+        return cls(eqx.Partial(_constant, strokes) if given else None, temperature)
+
     def state(self, mechanism: "Mechanism", time: Scalar) -> HingeState:
         """Evaluate the functions at a time; s."""
         rows = temperature = None
@@ -133,6 +150,12 @@ class HingeChanges(eqx.Module):
             return replace(hinges, misfits=misfits).energy(displacements)
 
         return jax.jvp(energy, (time,), (jnp.ones_like(time),))[1]
+
+
+def _constant(strokes: Mapping[str, PoseLike], time: Scalar) -> Mapping[str, PoseLike]:
+    """Return strokes that do not depend on the time."""
+    del time
+    return strokes
 
 
 def as_temperature(given: "NumberLike | Temperature") -> Temperature:

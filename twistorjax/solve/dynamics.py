@@ -181,7 +181,7 @@ def simulate(
             "`solver` is `Gauss()`, which has no step size control. Give a `step` that "
             "is short compared with the period of the fastest motion of interest."
         )
-    changes = _changes(strokes, temperature)
+    changes = HingeChanges.of(strokes, temperature)
     functions = {
         "loads": loads, "drives": drives, "strokes": strokes, "temperature": temperature,
     }  # fmt: skip
@@ -365,24 +365,6 @@ def _solve(
 _solve_with_gradient = fast_compile_with_gradient(_solve)
 _solve_with_any_derivatives = fast_compile(_solve)
 _solve_with_callbacks = fast_compile(_solve, store=False)
-
-
-def _changes(
-    strokes: Strokes, temperature: TemperatureInTime | None
-) -> HingeChanges | None:
-    """Gather strokes and temperatures; constant strokes become a function of time."""
-    if callable(strokes):
-        return HingeChanges(strokes, temperature)
-    given = not isinstance(strokes, Mapping) or strokes
-    if not given and temperature is None:
-        return None
-    return HingeChanges(eqx.Partial(_constant, strokes) if given else None, temperature)
-
-
-def _constant(strokes: Mapping[str, PoseLike], time: Scalar) -> Mapping[str, PoseLike]:
-    """Return strokes that do not depend on the time."""
-    del time
-    return strokes
 
 
 def _output(system: MotionSystem, time: Scalar, state: State):

@@ -56,8 +56,7 @@ def _traces_are_stored():
     # Not before the plugin of jaxtyping has prepared the import of the package.
     from twistorjax._utils.stored_traces import store_traces_in
 
-    folder = pathlib.Path(os.environ["JAX_COMPILATION_CACHE_DIR"]) / "traces"
-    store_traces_in(folder, size=3 * 10**8)
+    store_traces_in(pathlib.Path(os.environ["JAX_COMPILATION_CACHE_DIR"]) / "traces")
 
 
 @pytest.fixture(autouse=True)

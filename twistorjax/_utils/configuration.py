@@ -23,7 +23,7 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
         cache: Whether programs are stored in the cache folder of the user, or the path of
             another folder, which must not have been used without a limit of its size. A
             folder that is already set, for example by the environment variable
-            `JAX_COMPILATION_CACHE_DIR`, is kept, with its limit.
+            `JAX_COMPILATION_CACHE_DIR`, is kept, with its limit of compiled programs.
         cache_size: Largest size of the folder; bytes. The programs that have not been
             used for the longest time are deleted first.
 
@@ -49,4 +49,6 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
         folder = default if cache is True else cache
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_compilation_cache_max_size", cache_size * 9 // 10)
-    store_traces_in(Path(folder) / "traces", cache_size // 10)
+        store_traces_in(Path(folder) / "traces", cache_size // 10)
+    else:
+        store_traces_in(Path(folder) / "traces")

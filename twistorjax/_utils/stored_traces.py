@@ -8,6 +8,7 @@ trace is a program of `jax.export`, and a description of what the function retur
 import contextlib
 import functools
 import hashlib
+import math
 import os
 import pickle
 import tempfile
@@ -35,23 +36,23 @@ class _Folder(NamedTuple):
 
     Args:
         path: The folder.
-        size: Largest total size of its files; bytes.
+        size: Largest total size of its files; infinite without a limit; bytes.
     """
 
     path: Path
-    size: int
+    size: float
 
 
 _folder: _Folder | None = None
 
 
-def store_traces_in(path: Path | None, size: int = 10**8) -> None:
+def store_traces_in(path: Path | None, size: float = math.inf) -> None:
     """Choose the folder of the traces.
 
     Args:
         path: The folder, or None if no traces are stored.
-        size: Largest total size of its files; bytes. The traces that have not been used
-            for the longest time are deleted first.
+        size: Largest total size of its files, by default without a limit; bytes. The
+            traces that have not been used for the longest time are deleted first.
     """
     global _folder
     _folder = None if path is None else _Folder(path, size)

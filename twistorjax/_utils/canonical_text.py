@@ -28,11 +28,11 @@ def canonical_text(value: Any) -> str:
     """Return a text that is equal for values that lead to the same traced function.
 
     Args:
-        value: Value of any type. Arrays that JAX is tracing are identified by their
-            shapes and dtypes, other arrays by their entries.
+        value: Value of any type. Put a `jax.ShapeDtypeStruct` in place of each array that
+            JAX is tracing.
 
     Returns:
-        The text.
+        The text. Arrays are identified by their entries.
 
     Raises:
         NoCanonicalTextError: The value contains, for example, a function of the user.
@@ -42,7 +42,10 @@ def canonical_text(value: Any) -> str:
         "tuple(int 1,str 'name',)"
     """
     parts: list[str] = []
-    _Writer(parts).write(value)
+    try:
+        _Writer(parts).write(value)
+    except RecursionError:
+        raise NoCanonicalTextError("a value that is nested too deeply") from None
     return "".join(parts)
 
 
@@ -58,13 +61,12 @@ class _Writer:
         kind = type(value)
         if kind in _PLAIN:
             self.add(f"{kind.__name__} {value!r}")
-        elif isinstance(value, Tracer):
-            aval = value.aval
-            self.add(f"traced {aval.str_short()} {getattr(aval, 'weak_type', False)}")
+        elif isinstance(value, jax.ShapeDtypeStruct):
+            self.add(f"shape {value.shape} {value.dtype.name} {value.weak_type}")
         elif isinstance(value, np.ndarray | np.generic | jax.Array):
             self._write_array(value)
         elif isinstance(value, np.dtype):
-            self.add(f"dtype {value.str}")
+            self._write_dtype(value)
         elif kind is tuple:
             self._write_all(tuple, value)
         elif id(value) in self.seen:
@@ -75,12 +77,21 @@ class _Writer:
             self._write_object(value)
 
     def _write_array(self, array: Any) -> None:
-        entries = np.asarray(array)
-        if entries.dtype.hasobject:
-            raise NoCanonicalTextError(f"array of {entries.dtype}")
-        kind = "jax" if isinstance(array, jax.Array) else type(array).__name__
-        shape_and_type = f"{entries.shape} {entries.dtype.str}"
-        self.add(f"array {kind} {shape_and_type} {entries.tobytes().hex()}")
+        is_jax = isinstance(array, jax.Array)
+        is_plain = is_jax or type(array) is np.ndarray or isinstance(array, np.generic)
+        if isinstance(array, Tracer) or not is_plain:
+            raise NoCanonicalTextError(f"an array of {type(array)}")
+        kind = (
+            f"jax {getattr(array, 'weak_type', None)}" if is_jax else type(array).__name__
+        )
+        self.add(f"array {kind} {array.shape} ")
+        self._write_dtype(array.dtype)
+        self.add(f" {np.asarray(array).tobytes().hex()}")
+
+    def _write_dtype(self, dtype: Any) -> None:
+        if not isinstance(dtype, np.dtype) or dtype.hasobject or dtype.fields:
+            raise NoCanonicalTextError(f"the dtype {dtype}")
+        self.add(f"dtype {dtype.name}")
 
     def _write_object(self, value: Any) -> None:
         name = _importable_name(value)
@@ -119,9 +130,15 @@ class _Writer:
         code = function.__code__
         if module.partition(".")[0] not in _PACKAGES:
             raise NoCanonicalTextError(f"{module}.{function.__qualname__}")
-        self.add(f"function {module}.{code.co_qualname} {code.co_firstlineno}")
+        # Several functions may be in one line.
+        constants = [value for value in code.co_consts if type(value) in _PLAIN]
+        place = f"{code.co_qualname} {code.co_firstlineno} {code.co_code.hex()}"
+        self.add(f"function {module}.{place} {constants} {code.co_names}")
         if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
-            cells = [cell.cell_contents for cell in function.__closure__ or ()]
+            try:
+                cells = [cell.cell_contents for cell in function.__closure__ or ()]
+            except ValueError:
+                raise NoCanonicalTextError(f"empty cell of {place}") from None
             values = cells, function.__defaults__, function.__kwdefaults__
             self._write_all(tuple, values)
 

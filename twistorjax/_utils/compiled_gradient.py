@@ -124,9 +124,13 @@ def _identity(structure: Any) -> str:
 
 
 def _has_text(value: Any) -> bool:
-    """Decide whether a value contains no function of the user."""
+    """Decide whether a value, apart from its arrays, has a canonical text.
+
+    A function of the user has none, and neither has an array that JAX is tracing, if it
+    is inside of a function.
+    """
     try:
-        canonical_text(value)
+        canonical_text(eqx.filter(value, eqx.is_array, inverse=True))
     except NoCanonicalTextError:
         return False
     return True

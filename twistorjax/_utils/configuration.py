@@ -39,6 +39,7 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
         raise ValueError(f"`cache_size` is {cache_size!r}, but must be positive; bytes.")
     jax.config.update("jax_enable_x64", True)
     if cache is False:
+        store_traces_in(None)
         return
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     folder = getattr(jax.config, "jax_compilation_cache_dir", None)
@@ -50,5 +51,5 @@ def configure(*, cache: bool | str | Path = True, cache_size: int = 10**9) -> No
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_compilation_cache_max_size", cache_size * 9 // 10)
         store_traces_in(Path(folder) / "traces", cache_size // 10)
-    else:
+    elif "://" not in folder:  # JAX also accepts the address of a storage service.
         store_traces_in(Path(folder) / "traces")

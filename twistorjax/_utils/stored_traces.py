@@ -40,13 +40,13 @@ class _Folder(NamedTuple):
     """
 
     path: Path
-    size: float
+    size: int | float
 
 
 _folder: _Folder | None = None
 
 
-def store_traces_in(path: Path | None, size: float = math.inf) -> None:
+def store_traces_in(path: Path | None, size: int | float = math.inf) -> None:
     """Choose the folder of the traces.
 
     Args:
@@ -56,6 +56,8 @@ def store_traces_in(path: Path | None, size: float = math.inf) -> None:
     """
     global _folder
     _folder = None if path is None else _Folder(path, size)
+    if path is not None:
+        _environment()  # before the sources may change
 
 
 def stored(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -147,14 +149,10 @@ class _Trace(NamedTuple):
             )
             return [jax.lax.convert_element_type(value, value.dtype) for value in values]
 
-        shapes = [
-            jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, weak_type=leaf.aval.weak_type)
-            for leaf in leaves
-        ]
         # Custom calls need not be stable, because the key contains the version of JAX.
         any_call = jax.export.DisabledSafetyCheck.custom_call("ALL")
         export = jax.export.export(jax.jit(program), disabled_checks=[any_call])
-        return cls(export(*shapes), results[0])
+        return cls(export(*map(_shape, leaves)), results[0])
 
     def call(self, inputs: Sequence[Any]) -> Any:
         """Compute the result of the function."""
@@ -169,21 +167,33 @@ def _is_traced(leaf: Any) -> bool:
     return isinstance(leaf, Tracer)
 
 
+def _shape(leaf: Any) -> Any:
+    """Return the shape of an array that JAX is tracing, and other values unchanged."""
+    if not isinstance(leaf, Tracer):
+        return leaf
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, weak_type=leaf.weak_type)
+
+
 def _key(function: Callable[..., Any], arguments: tuple, settings: dict) -> str:
     """Return the name of the file with a trace."""
-    text = canonical_text((function, arguments, settings))
+    text = canonical_text((function, *jax.tree.map(_shape, (arguments, settings))))
     return hashlib.sha256(f"{_environment()} {_options()} {text}".encode()).hexdigest()
 
 
 @functools.cache
 def _environment() -> str:
     """Return a text that identifies this package and those that it uses."""
+    versions = [version(distribution) for distribution in _DISTRIBUTIONS]
+    variables = sorted(item for item in os.environ.items() if item[0].startswith("EQX_"))
+    return f"{_sources()} {versions} {variables}"
+
+
+def _sources() -> str:
+    """Return a text that identifies the sources of this package."""
     sources = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         sources.update(path.read_bytes())
-    versions = [version(distribution) for distribution in _DISTRIBUTIONS]
-    variables = sorted(item for item in os.environ.items() if item[0].startswith("EQX_"))
-    return f"{sources.hexdigest()} {versions} {variables}"
+    return sources.hexdigest()
 
 
 def _options() -> str:
@@ -213,8 +223,10 @@ def _save(folder: _Folder, key: str, trace: _Trace) -> None:
     try:
         canonical_text(trace.result)
         content = pickle.dumps((bytes(trace.program.serialize()), trace.result))
-    except (NoCanonicalTextError, pickle.PicklingError, AttributeError):
+    except (NoCanonicalTextError, pickle.PicklingError, AttributeError, TypeError):
         return
+    if not _environment().startswith(_sources()):
+        return  # The sources have changed since this process started.
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder.path, delete=False) as file:
@@ -231,7 +243,7 @@ def _save(folder: _Folder, key: str, trace: _Trace) -> None:
 def _delete_oldest(folder: _Folder) -> None:
     """Delete the traces that have not been used for the longest time."""
     files = []
-    for path in folder.path.iterdir():
+    for path in folder.path.glob("?" * 64):  # no temporary files of other processes
         with contextlib.suppress(FileNotFoundError):  # deleted by another process
             files.append((path.stat().st_mtime, path.stat().st_size, path))
     total = 0

@@ -48,6 +48,7 @@ def fast_compile(
     options = _FAST if optimize else _NOT_OPTIMIZED
     given = os.environ.get("XLA_FLAGS", "")
     options = {name: value for name, value in options.items() if name not in given}
+    function = _in_explicit_mesh(function)
     plain = jit(function, **settings)
     traced = stored(function) if store else function
     fast = jit(traced, compiler_options=options, **settings)
@@ -68,3 +69,18 @@ def fast_compile(
         return plain(*arguments, **static)
 
     return compiled
+
+
+def _in_explicit_mesh(function: Callable) -> Callable:
+    """Return a function that is traced with the mesh of devices that is in effect.
+
+    JAX computes gradients with an explicit mesh. Inner functions that were traced without
+    one would be traced again for the gradient, which takes seconds.
+    """
+
+    @wraps(function)
+    def traced(*arguments: Any, **static: Any) -> Any:
+        with jax.sharding.use_abstract_mesh(jax.sharding.get_abstract_mesh()):
+            return function(*arguments, **static)
+
+    return traced

@@ -36,9 +36,7 @@ def fast_compile_with_gradient(function: Callable) -> Callable:
 
     @fast_compile
     def forward(perturbed: Any, arguments: tuple) -> tuple[Any, list[Array], str]:
-        # JAX computes gradients in an explicit mesh; another one would trace again.
-        with jax.sharding.use_abstract_mesh(jax.sharding.get_abstract_mesh()):
-            value, pullback = _linearize(function, perturbed, arguments)
+        value, pullback = _linearize(function, perturbed, arguments)
         residuals, structure = jax.tree.flatten(pullback)
         return value, residuals, _identity(structure)
 

@@ -78,7 +78,7 @@ CALLS = {
     "identify": (IDENTIFICATION, "tj.identify(example.linkage, guess, [data])", None),
     "surrogate": (LEAF, "tj.flexures.surrogate(beam, rotation=0.35)", (4.0, None)),
     "equilibrium with a surrogate": (GUIDE, "push(guide)", (3.0, None)),
-    "its reverse-mode gradient": (
+    "reverse-mode gradient of an equilibrium with a surrogate": (
         GUIDE,
         "eqx.filter_grad(lambda guide: push(guide).displacement('block')[0])(guide)",
         (5.0, None),

@@ -114,9 +114,9 @@ class _Writer:
         elif isinstance(value, types.MethodType):
             self._write_all(type(value), (value.__func__, value.__self__))
         elif dataclasses.is_dataclass(value):
-            names = [field.name for field in dataclasses.fields(value)]
-            fields = {name: getattr(value, name, None) for name in names}
-            self._write_all(type(value), fields.values())
+            fields = dataclasses.fields(value)
+            values = [getattr(value, field.name, None) for field in fields]
+            self._write_all(type(value), values)
         else:
             raise NoCanonicalTextError(f"an object of {type(value)}")
 
@@ -132,13 +132,13 @@ class _Writer:
             raise NoCanonicalTextError(f"{module}.{function.__qualname__}")
         # Several functions may be in one line.
         constants = [value for value in code.co_consts if type(value) in _PLAIN]
-        place = f"{code.co_qualname} {code.co_firstlineno} {code.co_code.hex()}"
-        self.add(f"function {module}.{place} {constants} {code.co_names}")
+        location = f"{code.co_qualname} {code.co_firstlineno} {code.co_code.hex()}"
+        self.add(f"function {module}.{location} {constants} {code.co_names}")
         if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
             try:
                 cells = [cell.cell_contents for cell in function.__closure__ or ()]
             except ValueError:
-                raise NoCanonicalTextError(f"empty cell of {place}") from None
+                raise NoCanonicalTextError(f"empty cell of {location}") from None
             values = cells, function.__defaults__, function.__kwdefaults__
             self._write_all(tuple, values)
 

@@ -2,7 +2,7 @@
 
 JAX's cache of compiled programs saves the compilation, but a new process traces each
 function before it finds the program, which takes most of the time that is left. A stored
-trace is a program of `jax.export`, and a description of what the function returns.
+trace is a program of `jax.export`, and the structure of its result.
 """
 
 import contextlib
@@ -24,6 +24,7 @@ import jax
 from jax.core import Tracer
 
 from .canonical_text import canonical_text, NoCanonicalTextError
+from .host import is_traced
 
 
 # What a trace depends on, besides the sources of this package
@@ -75,7 +76,7 @@ def stored(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def loaded_or_traced(*arguments: Any, **settings: Any) -> Any:
-        inputs = list(filter(_is_traced, jax.tree.leaves((arguments, settings))))
+        inputs = list(filter(is_traced, jax.tree.leaves((arguments, settings))))
         if _folder is None or not inputs or jax.device_count() > 1:
             return function(*arguments, **settings)
         try:
@@ -94,8 +95,8 @@ def stored(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Place of an array in the description of a result.
+class _Placeholder:
+    """Placeholder of an array in a stored result.
 
     Args:
         index: Index of the array among the results of the program.
@@ -120,7 +121,7 @@ class _Trace(NamedTuple):
 
     Args:
         program: Program of the arrays.
-        result: Result of the function, with places instead of arrays.
+        result: Result of the function, with placeholders instead of arrays.
     """
 
     program: jax.export.Exported
@@ -131,7 +132,7 @@ class _Trace(NamedTuple):
         cls, function: Callable[..., Any], arguments: tuple, settings: dict
     ) -> "_Trace":
         """Trace a function."""
-        inputs, constants = eqx.partition((arguments, settings), _is_traced)
+        inputs, constants = eqx.partition((arguments, settings), is_traced)
         leaves, structure = jax.tree.flatten(inputs)
         results = []
 
@@ -143,9 +144,9 @@ class _Trace(NamedTuple):
             )
             values, output_structure = jax.tree.flatten(outputs)
             weak = [getattr(value, "weak_type", False) for value in values]
-            places = map(_Place, range(len(values)), weak)
+            placeholders = map(_Placeholder, range(len(values)), weak)
             results.append(
-                eqx.combine(jax.tree.unflatten(output_structure, places), others)
+                eqx.combine(jax.tree.unflatten(output_structure, placeholders), others)
             )
             return [jax.lax.convert_element_type(value, value.dtype) for value in values]
 
@@ -158,13 +159,9 @@ class _Trace(NamedTuple):
         """Compute the result of the function."""
         values = self.program.call(*inputs)
         return jax.tree.map(
-            lambda leaf: leaf.value(values) if isinstance(leaf, _Place) else leaf,
+            lambda leaf: leaf.value(values) if isinstance(leaf, _Placeholder) else leaf,
             self.result,
         )
-
-
-def _is_traced(leaf: Any) -> bool:
-    return isinstance(leaf, Tracer)
 
 
 def _shape(leaf: Any) -> Any:

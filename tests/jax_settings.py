@@ -50,15 +50,6 @@ def _programs_are_dropped():
         gc.collect()
 
 
-@pytest.fixture(autouse=True, scope="session")
-def _traces_are_stored():
-    """Store traces beside the compiled programs, as `twistorjax.configure` does."""
-    # Not before the plugin of jaxtyping has prepared the import of the package.
-    from twistorjax._utils.stored_traces import store_traces_in
-
-    store_traces_in(pathlib.Path(os.environ["JAX_COMPILATION_CACHE_DIR"]) / "traces")
-
-
 @pytest.fixture(autouse=True)
 def _annotations_are_checked(request):
     """Check annotations at run time, except in tests that pass what these forbid."""

@@ -1,5 +1,7 @@
 """Equilibria against closed forms, the elastica, and an independent minimization."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,7 @@ from statics_helpers import BLOCK, block_on_spring, cantilever, WALL
 import twistorjax as tj
 from twistorjax.examples import stage
 from twistorjax.geometry import se2
+from twistorjax.solve.factorization import solve_once
 
 
 # Mattiasson, Int. J. Num. Meth. Eng. 17 (1981): PL^2/EI, w/L, u/L, tip angle
@@ -297,3 +300,28 @@ def test_equilibrium_is_printed_in_a_few_lines():
 
     batch = jax.vmap(solve)(jnp.array([1.0, -2.0, 3.0]))
     assert repr(batch) == "3 equilibria, of shape (3,): 2 successful, 1 unstable"
+
+
+@pytest.mark.parametrize("batched", [(True, True), (True, False), (False, True)])
+def test_a_batch_of_stiffnesses_is_solved_as_each_of_them(batched):
+    """NumPy solves the systems; the smallest eigenvalue decides about stability."""
+    rng = np.random.default_rng(0)
+    roots, rights = rng.normal(size=(6, 5, 5)), rng.normal(size=(6, 2, 5))
+    shifts = np.array([0.1, 1.0, -3.0, 0.5, -9.0, 2.0])  # two are unstable
+    matrices = roots @ roots.transpose(0, 2, 1) + shifts[:, None, None] * np.eye(5)
+    if not batched[0]:
+        matrices = np.broadcast_to(matrices[0], matrices.shape)
+    if not batched[1]:
+        rights = np.broadcast_to(rights[0], rights.shape)
+    stable = np.linalg.eigvalsh(matrices)[:, 0] > 0
+    arguments = [
+        jnp.asarray(values if axis else values[0])
+        for values, axis in zip((matrices, rights), batched, strict=True)
+    ]
+    in_axes = [0 if axis else None for axis in batched]
+    found, found_stable = jax.vmap(partial(solve_once, symmetric=True), in_axes)(
+        *arguments
+    )
+    assert np.array_equal(found_stable, stable)
+    expected = np.linalg.solve(matrices[:, None], rights[..., None])[..., 0]
+    np.testing.assert_allclose(found[stable], expected[stable], rtol=1e-9)

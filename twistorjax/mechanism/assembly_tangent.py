@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Poses, Scalar
+from .._utils.types import Flag, Poses, Scalar
 from .hinge_forces import FOUR_OF_SIX, HingeTangent, UPPER_TRIANGLE
 from .scatter import hinge_dofs, matrix_entries, sum_entries
 
@@ -81,12 +81,18 @@ class AssemblyTangent(eqx.Module):
         entries = self.stiffness[compressed] * jnp.asarray(signs)[:, None]
         return entries.reshape(6, 6, -1)
 
+    def finite(self) -> Flag:
+        """Decide whether the stiffness of all hinges is finite."""
+        return jnp.all(jnp.isfinite(self.stiffness))
+
     def predicted_stress(self, change: Poses) -> Float[Array, "3 hinges"]:
         """Predict the stress after small displacements of the bodies; rad, m, m."""
         first, second = np.array(self.ends).reshape(-1, 2)[list(self.order)].T
         a, b = change[first].T, change[second].T
-        motions = jnp.stack([a[0], b[0], b[1] - a[1], b[2] - a[2]])
-        return self.stress + jnp.sum(self.stress_rates * motions[None], axis=1)
+        stress = self.stress
+        for motion, value in enumerate([a[0], b[0], b[1] - a[1], b[2] - a[2]]):
+            stress = stress + self.stress_rates[:, motion] * value[None]
+        return stress
 
 
 def _compressed_entries() -> tuple[np.ndarray, np.ndarray]:

@@ -32,12 +32,15 @@ def sum_entries(
     column = np.arange(target.size) - np.repeat(np.cumsum(counts) - counts, counts)
     gathered = np.full((size, largest), entries.size)
     gathered[target[order], column] = source[order]
-    chosen = jnp.concatenate([entries, jnp.zeros(1)])[gathered]
+    weights = np.ones((size, largest))
     if signs is not None:
-        weights = np.zeros((size, largest))
         weights[target[order], column] = signs[order]
-        chosen = chosen * jnp.asarray(weights)
-    return jnp.sum(chosen, axis=1)
+    padded = jnp.concatenate([entries, jnp.zeros(1)])
+    total = jnp.zeros(size)
+    for rows, factors in zip(gathered.T, weights.T, strict=True):
+        chosen = padded[rows]
+        total = total + (chosen if signs is None else chosen * jnp.asarray(factors))
+    return total
 
 
 @lru_cache(maxsize=256)

@@ -1,5 +1,6 @@
 """Factors of a dense tangent stiffness, with and without constraints."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -7,7 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .small_matrices import inverse
+from .small_matrices import eliminate, inverse
+
+
+# A resistance below this fraction of the diagonal may be a rounding error.
+_SMALLEST_PIVOT = 1e-14
+# Elimination of larger matrices takes longer than LAPACK, and longer to compile.
+_LARGEST_ELIMINATED = 24
 
 
 class Factors(NamedTuple):
@@ -62,10 +69,53 @@ class Factors(NamedTuple):
         return is_stable(self.triangle, self.pivots)
 
 
+def solve_once(
+    matrix: Float[Array, "n n"], rights: Float[Array, "rights n"], symmetric: bool
+) -> tuple[Float[Array, "rights n"], Bool[Array, ""]]:
+    """Solve linear systems with a stiffness that is not needed again.
+
+    A batch of small symmetric matrices is solved by elimination, which takes a third of
+    the time of LAPACK. These solutions have no derivatives in reverse mode.
+
+    Returns:
+        The solutions, and whether the stiffness is stable; see `Factors.is_stable`. The
+        solutions with an unstable one have no meaning.
+    """
+    if symmetric and len(matrix) <= _LARGEST_ELIMINATED:
+        return _solve_symmetric(matrix, rights)
+    return _solve_with_factors(matrix, rights, symmetric)
+
+
+def _solve_with_factors(
+    matrix: Float[Array, "n n"], rights: Float[Array, "rights n"], symmetric: bool
+) -> tuple[Float[Array, "rights n"], Bool[Array, ""]]:
+    factors = Factors.of(matrix, symmetric)
+    return jax.vmap(factors.solve)(rights), factors.is_stable()
+
+
+@jax.custom_batching.custom_vmap
+def _solve_symmetric(matrix: Array, rights: Array) -> tuple[Array, Array]:
+    return _solve_with_factors(matrix, rights, True)
+
+
+@_solve_symmetric.def_vmap
+def _(axis_size: int, in_batched: Sequence[bool], matrices: Array, rights: Array):
+    matrices, rights = (
+        jnp.moveaxis(values, 0, -1)
+        if batched
+        else jnp.broadcast_to(values[..., None], (*values.shape, axis_size))
+        for values, batched in zip((matrices, rights), in_batched, strict=True)
+    )
+    solutions, pivots = eliminate(matrices, jnp.swapaxes(rights, 0, 1))
+    diagonals = jnp.stack([matrices[row, row] for row in range(len(matrices))])
+    stable = jnp.all(pivots > _SMALLEST_PIVOT * jnp.abs(diagonals), axis=0)
+    return (jnp.transpose(solutions, (2, 1, 0)), stable), (True, True)
+
+
 def diagonal_scale(diagonal: Float[Array, "*blocks n"]) -> Float[Array, "*blocks n"]:
     """Compute the reciprocal square roots of a diagonal; 1 where it is zero."""
     size = jnp.abs(diagonal)
-    return jnp.where(size > 0, size, 1.0) ** -0.5
+    return jax.lax.rsqrt(jnp.where(size > 0, size, 1.0))
 
 
 def is_stable(
@@ -78,11 +128,11 @@ def is_stable(
     diagonal = jnp.diagonal(triangle, axis1=-2, axis2=-1)
     if pivots is None:
         # The diagonal of a Cholesky factor has the square roots of the pivots.
-        return jnp.all(diagonal > 1e-7)
+        return jnp.all(diagonal > np.sqrt(_SMALLEST_PIVOT))
     rows = np.arange(pivots.shape[-1], dtype=np.int32)
     exchanges = jnp.sum(pivots != jnp.broadcast_to(rows, pivots.shape))
     determinant_positive = (exchanges + jnp.sum(diagonal < 0)) % 2 == 0
-    return determinant_positive & jnp.all(jnp.abs(diagonal) > 1e-14)
+    return determinant_positive & jnp.all(jnp.abs(diagonal) > _SMALLEST_PIVOT)
 
 
 def null_space(

@@ -206,18 +206,14 @@ def solve_in_increments(
         increment = jnp.where(rejected, reduction * state.increment, state.increment)
         smallest = jnp.maximum(_SMALLEST_INCREMENT, _SMALLEST_SHARE * state.fraction)
         steps = state.steps + 1
-        status = jnp.select(
-            [
-                (state.steps == 0) & ~step.finite,
-                converged & (step.goal >= 1),
-                # The stiffness is singular or indefinite already at the smallest load.
-                (increment < smallest) & (state.fraction == 0) & first & ~step.stable,
-                increment < smallest,
-                steps >= max_steps,
-            ],
-            [NOT_FINITE, CONVERGED, UNSTABLE, STUCK, USED_UP],
-            RUNNING,
-        )
+        # The first condition that holds decides. `jnp.select` would count the conditions.
+        status = jnp.where(steps >= max_steps, USED_UP, RUNNING)
+        status = jnp.where(increment < smallest, STUCK, status)
+        # The stiffness is singular or indefinite already at the smallest load.
+        singular = (state.fraction == 0) & first & ~step.stable
+        status = jnp.where((increment < smallest) & singular, UNSTABLE, status)
+        status = jnp.where(converged & (step.goal >= 1), CONVERGED, status)
+        status = jnp.where((state.steps == 0) & ~step.finite, NOT_FINITE, status)
         fraction = jnp.where(converged, step.goal, state.fraction)
         remaining = 1 - fraction
         growth = jnp.where(nonlinearity > 0, jnp.clip(factor, 0.5, 4.0), 4.0)
@@ -318,13 +314,14 @@ def _newton_step(
     residual = system.equations(forces, state.displacements)
     residual = residual - (1 - goal) * initial_residual
     right = -(residual + tangent.prescribed_forces(prescribed_change))
-    factors = tangent.factors(system.conservative)
     # The forces due to misfits and prescribed displacements follow from the tangent.
     misfit_forces = system.misfit_forces(state.displacements, goal, state.increment)
     imbalance = jnp.where(state.tries == 0, misfit_forces - residual, state.imbalance)
     whole_change = state.increment * (system.targets - begin)
     forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)
-    step, response = jax.vmap(factors.solve)(jnp.stack([right, forcing]))
+    rights = jax.lax.optimization_barrier(jnp.stack([right, forcing]))
+    right, _ = rights
+    (step, response), stable = tangent.solve(rights, system.conservative)
     displacements = system.with_displacements(
         state.displacements,
         free=flat[system.free] + step[: len(system.free)],
@@ -344,8 +341,8 @@ def _newton_step(
         imbalance=imbalance,
         response=response,
         goal=goal,
-        stable=factors.is_stable(),
-        finite=tangent.finite() & jnp.all(jnp.isfinite(right)),
+        stable=stable,
+        finite=hinges.finite() & jnp.all(jnp.isfinite(right)),
         prescribed_imposed=jnp.all(prescribed_change == 0),
     )
 

@@ -40,6 +40,33 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
     return jax.lax.fori_loop(0, size, eliminate, flat).reshape(matrix.shape)
 
 
+def eliminate(
+    matrices: Float[Array, "n n batch"], rights: Float[Array, "n rights batch"]
+) -> tuple[Float[Array, "n rights batch"], Float[Array, "n batch"]]:
+    """Solve a batch of linear systems by Gauss-Jordan elimination without pivoting.
+
+    With the batch as the last axis, each operation processes a whole batch.
+
+    Returns:
+        The solutions, and the pivots. Those of a symmetric matrix are positive if and
+        only if it is positive definite.
+
+    Example:
+        >>> matrix, right = jnp.array([[2.0, 1.0], [1.0, 1.0]]), jnp.array([[3.0], [2.0]])
+        >>> eliminate(matrix[..., None], right[..., None])[0][:, 0, 0]
+        Array([1., 1.], dtype=float64)
+    """
+    remaining, pivots = jnp.concatenate([matrices, rights], axis=1), []
+    for k in range(len(matrices)):
+        column, row = remaining[:, :1], remaining[k, 1:] / remaining[k, :1]
+        others = remaining[:, 1:] - column * row[None]
+        remaining = jnp.concatenate([others[:k], row[None], others[k + 1 :]])
+        # Without a barrier, XLA would compute each row several times.
+        remaining = jax.lax.optimization_barrier(remaining)
+        pivots.append(column[k])
+    return remaining, jnp.concatenate(pivots)
+
+
 @jax.custom_jvp
 def pivoted_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Invert a matrix by Gauss-Jordan elimination with row exchanges.

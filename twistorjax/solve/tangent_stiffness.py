@@ -1,6 +1,7 @@
 """Tangent stiffness of a mechanism: dense, with constraints, or in blocks."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,7 +11,7 @@ from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.scatter import sum_entries
 from .block_factorization import BlockFactors, Layout
 from .dofs import DofPartition
-from .factorization import ConstrainedFactors, Factors
+from .factorization import ConstrainedFactors, Factors, solve_once
 
 
 def add_load_stiffness(
@@ -66,9 +67,11 @@ class DenseTangent(eqx.Module):
         """Factorize the stiffness of the free degrees of freedom."""
         return Factors.of(self.matrix[:, : len(self.matrix)], symmetric)
 
-    def finite(self) -> Flag:
-        """Decide whether all entries are finite."""
-        return jnp.all(jnp.isfinite(self.matrix))
+    def solve(
+        self, rights: Float[Array, "rights free"], symmetric: bool
+    ) -> tuple[Float[Array, "rights free"], Flag]:
+        """Solve linear systems, and decide whether the stiffness is stable."""
+        return solve_once(self.matrix[:, : len(self.matrix)], rights, symmetric)
 
     def where(self, found: Flag) -> "DenseTangent":
         """Replace the matrix by an identity matrix if no solution was found."""
@@ -109,10 +112,11 @@ class ConstrainedTangent(eqx.Module):
             self.stiffness[:, :count], self.jacobian[:, :count], self.units, symmetric
         )
 
-    def finite(self) -> Flag:
-        """Decide whether all entries are finite."""
-        stiffness = jnp.all(jnp.isfinite(self.stiffness))
-        return stiffness & jnp.all(jnp.isfinite(self.jacobian))
+    def solve(
+        self, rights: Float[Array, "rights unknowns"], symmetric: bool
+    ) -> tuple[Float[Array, "rights unknowns"], Flag]:
+        """Solve linear systems, and decide whether the stiffness is stable."""
+        return _solve_with_factors(self.factors(symmetric), rights)
 
     def where(self, found: Flag) -> "ConstrainedTangent":
         """Replace both matrices by identity matrices if no solution was found."""
@@ -161,10 +165,11 @@ class BlockTangent(eqx.Module):
         shape = (3, layout.blocks, layout.size, layout.size)
         return BlockFactors.of(blocks.reshape(shape), layout, symmetric)
 
-    def finite(self) -> Flag:
-        """Decide whether all entries are finite."""
-        stiffness = jnp.all(jnp.isfinite(self.hinge_stiffness))
-        return stiffness & jnp.all(jnp.isfinite(self.by_angle))
+    def solve(
+        self, rights: Float[Array, "rights free"], symmetric: bool
+    ) -> tuple[Float[Array, "rights free"], Flag]:
+        """Solve linear systems, and decide whether the stiffness is stable."""
+        return _solve_with_factors(self.factors(symmetric), rights)
 
     def where(self, found: Flag) -> "BlockTangent":
         """Replace the stiffness of each hinge by an identity matrix if not `found`."""
@@ -186,6 +191,13 @@ class BlockTangent(eqx.Module):
         rows, columns = row[dofs]
         source = np.flatnonzero((rows >= 0) & (columns >= 0))
         return source, self.layout.flat_indices(rows[source], columns[source])
+
+
+def _solve_with_factors(
+    factors: ConstrainedFactors | BlockFactors, rights: Float[Array, "rights unknowns"]
+) -> tuple[Float[Array, "rights unknowns"], Flag]:
+    """Solve linear systems, and decide whether the stiffness is stable."""
+    return jax.vmap(factors.solve)(rights), factors.is_stable()
 
 
 Tangent = DenseTangent | ConstrainedTangent | BlockTangent

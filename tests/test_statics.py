@@ -1,7 +1,5 @@
 """Equilibria against closed forms, the elastica, and an independent minimization."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -319,9 +317,25 @@ def test_a_batch_of_stiffnesses_is_solved_as_each_of_them(batched):
         for values, axis in zip((matrices, rights), batched, strict=True)
     ]
     in_axes = [0 if axis else None for axis in batched]
-    found, found_stable = jax.vmap(partial(solve_once, symmetric=True), in_axes)(
-        *arguments
-    )
+
+    def solve(matrix, rights):
+        return solve_once(matrix, rights, symmetric=True)
+
+    found, found_stable = jax.vmap(solve, in_axes)(*arguments)
     assert np.array_equal(found_stable, stable)
     expected = np.linalg.solve(matrices[:, None], rights[..., None])[..., 0]
     np.testing.assert_allclose(found[stable], expected[stable], rtol=1e-9)
+
+
+def test_a_batch_without_free_degrees_of_freedom_has_its_reactions():
+    """If each degree of freedom is prescribed, the spring alone gives the reaction."""
+
+    def reaction(x):
+        drive = tj.Drive("block", angle=0.0, x=x, y=0.0)
+        block = block_on_spring(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
+        return tj.equilibrium(block, drives=[drive]).reaction("block")[1]
+
+    strokes = jnp.array([0.0, 0.01, -0.02])
+    expected = [float(reaction(x)) for x in strokes]
+    assert expected[1] != 0
+    np.testing.assert_allclose(jax.vmap(reaction)(strokes), expected, rtol=1e-12)

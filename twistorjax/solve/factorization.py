@@ -81,7 +81,7 @@ def solve_once(
         The solutions, and whether the stiffness is stable; see `Factors.is_stable`. The
         solutions with an unstable one have no meaning.
     """
-    if symmetric and len(matrix) <= _LARGEST_ELIMINATED:
+    if symmetric and 0 < len(matrix) <= _LARGEST_ELIMINATED:
         return _solve_symmetric(matrix, rights)
     return _solve_with_factors(matrix, rights, symmetric)
 

@@ -4,9 +4,12 @@ Implicit promotion of dtypes and ranks is an error. The fixture `validated` reco
 errors of the tests for the validation page of the manual.
 """
 
+import contextlib
+import ctypes
 import gc
 import itertools
 import json
+import mmap
 import os
 import pathlib
 
@@ -36,18 +39,29 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Each compiled program takes several memory maps, of which Linux allows 65,530 for each
 # process. XLA crashes if there are no more.
 _MOST_MAPS = 57_000
+# Traces and programs of all tests would take 12 GiB in each of the processes.
+_MOST_MEMORY = 4 * 2**30
+_PROCESS = pathlib.Path("/proc/self")
 _tests = itertools.count(1)
 
 
 @pytest.fixture(autouse=True)
 def _programs_are_dropped():
-    """Drop all compiled programs before the process has too many memory maps."""
+    """Drop all compiled programs before they take too much memory or too many maps."""
     yield
-    maps = pathlib.Path("/proc/self/maps")
-    due = next(_tests) % 5 == 0 and maps.exists()
-    if due and maps.read_bytes().count(b"\n") > _MOST_MAPS:
-        jax.clear_caches()
-        gc.collect()
+    if next(_tests) % 5 == 0 and _PROCESS.exists():
+        memory = int((_PROCESS / "statm").read_text().split()[1]) * mmap.PAGESIZE
+        maps = (_PROCESS / "maps").read_bytes().count(b"\n")
+        if memory > _MOST_MEMORY or maps > _MOST_MAPS:
+            jax.clear_caches()
+            gc.collect()
+            _return_free_memory()
+
+
+def _return_free_memory():
+    """Return freed memory to Linux, which the C library would keep."""
+    with contextlib.suppress(AttributeError):  # not every C library has this function
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture(autouse=True)

@@ -15,6 +15,7 @@ from ..energies.damping import ViscousDamping
 from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
 from .assembly_tangent import AssemblyMotionTangent, AssemblyTangent
+from .hinge_forces import FOUR_OF_SIX
 from .hinge_groups import HingeGroup
 from .hinge_kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
@@ -279,16 +280,26 @@ class HingeAssembly(eqx.Module):
         """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
         more = self._motion_arguments(rates, stretches)
         local = self._evaluate(hinge_motion.tangent_in_motion, displacements, *more)
-        source, target = row_entries(self.ends, self._order(), free)
-        size = (len(free), 2 * len(self._order()))
+        motion, sign = FOUR_OF_SIX
+        members, count = len(self._order()), len(free)
 
-        def by_stretches(rows) -> Float[Array, "free stretches"]:
-            entries = jnp.moveaxis(rows, 0, -1).reshape(-1)
-            summed = sum_entries(entries, source, target, size[0] * size[1])
-            return summed.reshape(size)
+        def by_stretches(entries: Array) -> Float[Array, "free stretches"]:
+            at, target = row_entries(self.ends, self._order(), free)
+            line, dof, member = np.unravel_index(at, (2, 6, members))
+            source = np.ravel_multi_index((line, motion[dof], member), (2, 4, members))
+            entries, size = jnp.moveaxis(entries, 0, -1).reshape(-1), 2 * members
+            summed = sum_entries(entries, source, target, count * size, sign[dof])
+            return summed.reshape(count, size)
 
-        def by_dofs(pairs) -> Float[Array, "free free"]:
-            return self._assemble(jnp.moveaxis(pairs, 0, -1), free, free)
+        def by_dofs(entries: Array) -> Float[Array, "free free"]:
+            at, target = matrix_entries(self.ends, self._order(), free, free)
+            row, column, member = np.unravel_index(at, (6, 6, members))
+            of_motions = motion[row], motion[column], member
+            source = np.ravel_multi_index(of_motions, (4, 4, members))
+            entries = jnp.moveaxis(entries, 0, -1).reshape(-1)
+            signs = sign[row] * sign[column]
+            summed = sum_entries(entries, source, target, count**2, signs)
+            return summed.reshape(count, count)
 
         return AssemblyMotionTangent(
             stiffness=by_dofs(local.stiffness),

@@ -10,14 +10,14 @@ In all functions, `first` and `second` are the ends of the hinge on bodies A and
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float, Inexact
 
+from .._utils.fusion import computed_once
 from .._utils.types import Flag, Scalar
 from ..energies import solver_protocols
 from ..energies.base import AbstractEnergy
@@ -31,9 +31,6 @@ from .hinge_kinematics import (
     Six,
     Three,
 )
-
-
-Tree = TypeVar("Tree")
 
 
 @jax.jit
@@ -105,8 +102,8 @@ def tangent(
     Meth. Eng. 109, 2017).
     """
     kinematics = HingeKinematics.of(first, second, axis)
-    not_fused = _NotFused.of(kinematics.middle.displacement.angle)
-    kinematics = not_fused(kinematics)
+    angle = kinematics.middle.displacement.angle
+    kinematics = computed_once(kinematics, angle)
     at = kinematics.middle.displacement
     gradient, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
     one, zero = jnp.ones_like(gradient[0]), jnp.zeros_like(gradient[0])
@@ -115,8 +112,8 @@ def tangent(
         curvature_times(zero, one, zero),
         curvature_times(zero, zero, one),
     )
-    gradient, (h00, h01, h02, h11, h12, h22) = not_fused(
-        (gradient, (h00, h01, h02, h11, h12, h22))
+    gradient, (h00, h01, h02, h11, h12, h22) = computed_once(
+        (gradient, (h00, h01, h02, h11, h12, h22)), angle
     )
     y1, y2 = 2 * at.x1, 2 * at.x2
     work = jnp.abs(gradient[0] * at.angle)
@@ -142,7 +139,8 @@ def tangent(
         slopes = b0 + growth * (y1 * b1 + y2 * b2), scale * b1, scale * b2
     hessian = (h00, h01, h02), (h01, h11, h12), (h02, h12, h22)
     columns = kinematics.columns()
-    products = not_fused([combine(hessian, column) for column in columns])
+    products = [combine(hessian, column) for column in columns]
+    products = computed_once(products, angle)
     geometric = kinematics.geometric_stiffness(slopes)
     return HingeTangent(
         forces=of_motions(columns, gradient),
@@ -158,30 +156,6 @@ def tangent(
         ),
         work=work,
     )
-
-
-class _NotFused(NamedTuple):
-    """Values that XLA computes once, although several other values depend on them.
-
-    XLA computes each of many outputs in a loop of its own. In this loop it computes again
-    what the output depends on, except operations that it counts as expensive, such as a
-    division. All values are therefore divided by one. In a batch of 256 stages, their
-    tangents take a third of the time.
-
-    Args:
-        one: An array of ones that XLA does not know to be ones.
-    """
-
-    one: Scalar
-
-    @classmethod
-    def of(cls, value: Scalar) -> "_NotFused":
-        """Create the array of ones with the shape of a finite value."""
-        return cls(1 + 0 * lax.stop_gradient(value))
-
-    def __call__(self, tree: Tree) -> Tree:
-        """Divide all leaves by one."""
-        return jax.tree.map(lambda value: value / self.one, tree)
 
 
 # Rows and columns of the entries of a symmetric matrix of four motions.
@@ -264,9 +238,11 @@ def product(
 ) -> Inexact[Array, "rows columns"]:
     """Multiply two small matrices as a sum, which XLA fuses with other operations.
 
-    For a few rows, the call of a matrix product takes longer than its operations.
+    For a few rows, the call of a matrix product takes longer than its operations, and so
+    does that of a reduction.
     """
-    return jnp.sum(first[:, :, None] * second[None], axis=1)
+    terms = [first[:, k, None] * second[None, k] for k in range(len(second))]
+    return sum(terms, start=jnp.zeros((len(first), second.shape[1]), first.dtype))
 
 
 def as_array(rows: Sequence[Sequence[Scalar]]) -> Float[Array, "rows columns"]:

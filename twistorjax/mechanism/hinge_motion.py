@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.fusion import computed_once
 from .._utils.types import Scalar
 from ..energies import solver_protocols
 from ..energies.base import AbstractEnergy
@@ -20,7 +21,6 @@ from .hinge_forces import (
     energy_gradient,
     gradient_and_hessian,
     hinge_coordinates,
-    MOTIONS,
     on_bodies,
     product,
 )
@@ -56,6 +56,8 @@ def forces_in_motion(
         and the powers (W).
     """
     kinematics = HingeKinematics.of(first, second, axis)
+    angle = kinematics.middle.displacement.angle
+    kinematics = computed_once(kinematics, angle)
     at, excess = _with_stretch(kinematics.middle.displacement, stretch)
     slopes = energy_gradient(energy, at)
     dissipated = by_stroke = jnp.zeros_like(slopes[0])
@@ -66,11 +68,15 @@ def forces_in_motion(
         slopes = _sum(slopes, viscous)
     if kinematics.middle.drift is not None:
         by_stroke = dot(slopes, kinematics.middle.drift)
-    return on_bodies(kinematics, slopes), excess, (dissipated, by_stroke)
+    forces = on_bodies(kinematics, computed_once(slopes, angle))
+    return forces, excess, (dissipated, by_stroke)
 
 
 class HingeMotionTangent(NamedTuple):
-    """Derivatives of the forces of a hinge on the six displacements of its bodies.
+    """Derivatives of the forces of a hinge on its four motions.
+
+    The motions are those of `HingeKinematics`. `FOUR_OF_SIX` relates them to the six
+    displacements of the bodies.
 
     Args:
         stiffness: Derivatives with respect to displacements, on which the stretch depends
@@ -82,10 +88,10 @@ class HingeMotionTangent(NamedTuple):
             translation.
     """
 
-    stiffness: Float[Array, "6 6"]
-    damping: Float[Array, "6 6"]
-    stretch_by_displacement: Float[Array, "2 6"]
-    force_by_stretch: Float[Array, "2 6"]
+    stiffness: Float[Array, "4 4"]
+    damping: Float[Array, "4 4"]
+    stretch_by_displacement: Float[Array, "2 4"]
+    force_by_stretch: Float[Array, "2 4"]
 
 
 @jax.jit
@@ -108,7 +114,7 @@ def tangent_in_motion(
     columns = as_array(kinematics.columns())
     slopes, curvature_times = gradient_and_hessian(energy, at)
     hessian = as_matrix(curvature_times)
-    products, viscous_products = product(columns, hessian), None
+    products, damping_matrix = product(columns, hessian), jnp.zeros((4, 4))
     if damping is not None:
         constant_misfit = kinematics.rates(*rates)
         viscous, derivative = jax.linearize(
@@ -125,22 +131,14 @@ def tangent_in_motion(
         mean = (rates[0][0] + rates[1][0]) / 2
         rate_columns = as_array(kinematics.rate_columns(constant_misfit, mean))
         products = product(columns, hessian) + product(rate_columns, by_both[3:])
-        viscous_products = product(columns, by_both[3:])
+        damping_matrix = product(columns, product(columns, by_both[3:]).T)
         slopes = _sum(slopes, viscous)
     geometric = as_array(kinematics.geometric_stiffness(slopes))
-    motions = jnp.asarray(MOTIONS)
-    spatial = product(motions, columns)
-
-    def among(products: Array) -> Float[Array, "6 6"]:
-        return product(spatial, product(motions, products).T)
-
-    geometric = product(product(motions, geometric), motions.T)
-    zero = jnp.zeros((6, 6))
     return HingeMotionTangent(
-        stiffness=among(products) + geometric,
-        damping=zero if viscous_products is None else among(viscous_products),
-        stretch_by_displacement=spatial[:, 1:].T,
-        force_by_stretch=product(hessian[1:], spatial.T),
+        stiffness=product(columns, products.T) + geometric,
+        damping=damping_matrix,
+        stretch_by_displacement=columns[:, 1:].T,
+        force_by_stretch=product(hessian[1:], columns.T),
     )
 
 

@@ -29,13 +29,13 @@ Three iterations are sufficient for steps six times as long as those of Rodas5P.
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Float, Inexact
 
 from .._utils.pytrees import stop_gradient
 from .._utils.types import Scalar
@@ -166,11 +166,8 @@ def _step(
         (system, times, positions, rates, stretches, multipliers)
     )
     tangent = frozen.tangent(*(values[middle] for values in stages))
-    to_eigenvectors = jnp.asarray(scheme.to_eigenvectors)
-    from_eigenvectors = jnp.asarray(scheme.from_eigenvectors)
-    eigenvalues = jax.lax.stop_gradient(step).astype(to_eigenvectors.dtype)
-    eigenvalues = eigenvalues * jnp.asarray(scheme.eigenvalues)[:, None, None]
-    inverses = _inverses(tangent, eigenvalues, frozen.mass)
+    frozen_step = jax.lax.stop_gradient(step)
+    inverses = _StageInverses.of(scheme, tangent, frozen_step, frozen.mass)
 
     def iterate(_, unknowns: tuple[Array, ...]) -> tuple[Array, ...]:
         """Correct the stages once; the last result is the correction."""
@@ -179,14 +176,11 @@ def _step(
         forces = jax.vmap(system.forces)(times, positions, rates, stretches, multipliers)
         residual = forces.net - mass[None] * accelerations
         residual = residual - product(forces.excess, tangent.force_by_stretch.T)
-        right = product(to_eigenvectors, residual.astype(to_eigenvectors.dtype))
+        right = product(jnp.asarray(scheme.to_components), residual)
         if multipliers.size:
-            violation = forces.violation.astype(to_eigenvectors.dtype)
-            violation = product(to_eigenvectors, violation)
-            violation = -violation / eigenvalues[:, 0] ** 2
-            right = jnp.concatenate([right, violation], axis=1)
-        solution = jnp.sum(inverses * right[:, None], axis=-1)
-        solution = jnp.real(product(from_eigenvectors, solution))
+            second = jnp.asarray(-scheme.differentiate_twice) / frozen_step**2
+            right = jnp.concatenate([right, product(second, forces.violation)], axis=1)
+        solution = product(jnp.asarray(scheme.from_components), inverses.solve(right))
         change, multiplier_change = solution[:, :size], solution[:, size:]
         stretch_change = product(
             product(matrix_squared, change), tangent.stretch_by_displacement
@@ -244,34 +238,70 @@ def _step(
     return end, error, dense, new_history, result
 
 
-def _inverses(
-    tangent: MotionTangent,
-    eigenvalues: Complex[Array, "eigenvalues 1 1"],
-    mass: Float[Array, " free"],
-) -> Complex[Array, "eigenvalues unknowns unknowns"]:
-    """Invert the matrices of the decoupled stages, including the constraints.
+class _StageInverses(NamedTuple):
+    """Inverses of the matrices of the decoupled stages, including the constraints.
 
-    `eigenvalues` are those of the collocation matrix times the step; s.
+    They are transposed, because rows are multiplied by them.
+
+    Args:
+        real: Inverse for the real eigenvalue, if there is one.
+        pair: Real and imaginary part of the inverse for the complex eigenvalue.
+    """
+
+    real: Float[Array, "unknowns unknowns"] | None
+    pair: tuple[Float[Array, "unknowns unknowns"], Float[Array, "unknowns unknowns"]]
+
+    @classmethod
+    def of(
+        cls,
+        scheme: Scheme,
+        tangent: MotionTangent,
+        step: Scalar,
+        mass: Float[Array, " free"],
+    ) -> "_StageInverses":
+        """Invert the matrices for a step of given length; s."""
+        real = None
+        if scheme.real_eigenvalue is not None:
+            real = _inverse(tangent, scheme.real_eigenvalue * step, mass)
+        eigenvalue = step.astype(complex) * jnp.asarray(scheme.complex_eigenvalue)
+        pair = _inverse(tangent, eigenvalue, mass)
+        return cls(real, (jnp.real(pair), jnp.imag(pair)))
+
+    def solve(
+        self, right: Float[Array, "stages unknowns"]
+    ) -> Float[Array, "stages unknowns"]:
+        """Solve the linear systems of all components; see `Scheme`."""
+        real, imaginary = (product(right[-2:], part) for part in self.pair)
+        pair = jnp.stack([real[0] - imaginary[1], real[1] + imaginary[0]])
+        if self.real is None:
+            return pair
+        return jnp.concatenate([product(right[:1], self.real), pair])
+
+
+def _inverse(
+    tangent: MotionTangent, eigenvalue: Inexact[Array, ""], mass: Float[Array, " free"]
+) -> Inexact[Array, "unknowns unknowns"]:
+    """Invert the matrix of a decoupled stage, and transpose the inverse.
+
+    `eigenvalue` is that of the collocation matrix times the step; s.
     """
     inertia, damping, stiffness, jacobian = (
-        part.astype(eigenvalues.dtype)[None]
+        part.astype(eigenvalue.dtype)
         for part in (
             jnp.diag(mass), tangent.damping, tangent.stiffness, tangent.jacobian,
         )
     )  # fmt: skip
-    matrices = inertia + eigenvalues * damping + eigenvalues**2 * stiffness
-    count, entries = len(eigenvalues), len(tangent.jacobian)
+    matrix = inertia + eigenvalue * damping + eigenvalue**2 * stiffness
+    entries = len(jacobian)
     if entries:
-        jacobian = jnp.broadcast_to(jacobian, (count, *jacobian.shape[1:]))
-        transposed = jnp.swapaxes(jacobian, 1, 2)
-        zero = jnp.zeros((count, entries, entries), eigenvalues.dtype)
-        matrices = jnp.block([[matrices, -transposed], [jacobian, zero]])
-    return inverse(matrices)
+        zero = jnp.zeros((entries, entries), eigenvalue.dtype)
+        matrix = jnp.block([[matrix, -jacobian.T], [jacobian, zero]])
+    return inverse(matrix).T
 
 
 def _error(
     scheme: Scheme,
-    inverses: Complex[Array, "eigenvalues unknowns unknowns"],
+    inverses: _StageInverses,
     tangent: MotionTangent,
     step: Scalar,
     state: State,
@@ -292,6 +322,7 @@ def _error(
         and IV.8.20. Their program RADAU5 compares ten times the estimate with the
         tolerance to the power 2/3, which is the same.
     """
+    assert scheme.real_eigenvalue is not None and inverses.real is not None
     embedded = scheme.embedded_weights()
     position = step * (scheme.real_eigenvalue * state.rate + embedded @ rates)
     rate = step * (
@@ -303,7 +334,7 @@ def _error(
         + eigenvalue * tangent.damping @ position
     )
     size = position.size
-    filtered = jnp.real(inverses[scheme.real_index, :size, :size]) @ right
+    filtered = right @ inverses.real[:size, :size]
     estimate = State(filtered, (filtered - position) / eigenvalue, state.work * 0)
     estimate = jax.tree.map(jnp.abs, estimate)
     factor = 10**1.5 * jnp.sqrt(system.norm(estimate))

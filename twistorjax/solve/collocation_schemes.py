@@ -11,33 +11,32 @@ class Scheme(NamedTuple):
 
     A polynomial of lower degree than the number of stages is given by its values at the
     nodes. The matrix A integrates it from the start of the step to each node. In the
-    basis of the eigenvectors of A, the stages of an implicit step decouple.
+    basis of the eigenvectors of A, the stages of an implicit step decouple. The
+    components in this basis are that of the real eigenvalue, if there is one, then the
+    real and the imaginary part of that of the complex eigenvalue.
 
     Args:
         nodes: Times of the stages.
         matrix: The matrix A.
         weights: Weights that integrate the polynomial to the end of the step.
-        eigenvalues: Eigenvalues of A, without the second of each conjugate pair.
-        to_eigenvectors: Transformation from the stages to the basis of eigenvectors.
-        from_eigenvectors: Transformation from this basis to the stages. The real part of
-            its result is used. It counts each conjugate pair twice.
+        real_eigenvalue: The real eigenvalue of A, if the number of stages is odd.
+        complex_eigenvalue: The eigenvalue with a positive imaginary part.
+        to_components: Transformation from the stages to the components.
         to_coefficients: Transformation from values at the nodes to coefficients of the
             polynomial, lowest power first.
         history_to_coefficients: The same transformation for the values from which the
             next step is extrapolated. They are those at the nodes and, if the last stage
             is the end of a step, also the value at the start.
-        real_index: Index of the real eigenvalue, if there is one.
     """
 
     nodes: np.ndarray
     matrix: np.ndarray
     weights: np.ndarray
-    eigenvalues: np.ndarray
-    to_eigenvectors: np.ndarray
-    from_eigenvectors: np.ndarray
+    real_eigenvalue: float | None
+    complex_eigenvalue: complex
+    to_components: np.ndarray
     to_coefficients: np.ndarray
     history_to_coefficients: np.ndarray
-    real_index: int
 
     @property
     def stages(self) -> int:
@@ -50,9 +49,14 @@ class Scheme(NamedTuple):
         return bool(self.nodes[-1] == 1)
 
     @property
-    def real_eigenvalue(self) -> float:
-        """The real eigenvalue of the matrix A."""
-        return self.eigenvalues[self.real_index].real
+    def from_components(self) -> np.ndarray:
+        """Transformation from the components to the stages."""
+        return np.linalg.inv(self.to_components)
+
+    @property
+    def differentiate_twice(self) -> np.ndarray:
+        """Transformation from the stages to components of the second time derivative."""
+        return self.to_components @ np.linalg.matrix_power(np.linalg.inv(self.matrix), 2)
 
     def embedded_weights(self) -> np.ndarray:
         """Compute the weights of the stages in an error estimate.
@@ -64,6 +68,7 @@ class Scheme(NamedTuple):
         Source:
             Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.8.
         """
+        assert self.real_eigenvalue is not None
         moments = 1 / np.arange(1, self.stages + 1)
         moments[0] -= self.real_eigenvalue
         return moments @ self.to_coefficients - self.weights
@@ -76,7 +81,7 @@ def collocation_scheme(family: str, stages: int) -> Scheme:
     Args:
         family: "gauss" for the nodes of Gauss; "radau" for those of Radau, the last of
             which is the end of the step.
-        stages: Number of stages.
+        stages: Number of stages, 2 or 3.
 
     Returns:
         The coefficients.
@@ -95,19 +100,23 @@ def collocation_scheme(family: str, stages: int) -> Scheme:
     to_coefficients = np.linalg.inv(np.vander(nodes, increasing=True))
     degrees = np.arange(1, stages + 1)
     matrix = (nodes[:, None] ** degrees / degrees) @ to_coefficients
-    eigenvalues, eigenvectors = (part.astype(complex) for part in np.linalg.eig(matrix))
+    eigenvalues, eigenvectors = np.linalg.eig(matrix)
     to_eigenvectors = np.linalg.inv(eigenvectors)
-    kept = np.imag(eigenvalues) > -1e-12
-    multiplicity = np.where(np.abs(np.imag(eigenvalues)) > 1e-12, 2.0, 1.0)
+    pair = int(np.argmax(np.imag(eigenvalues)))
+    components = [to_eigenvectors[pair].real, to_eigenvectors[pair].imag]
+    real_eigenvalue = None
+    if stages % 2:
+        real = int(np.argmin(np.abs(np.imag(eigenvalues))))
+        real_eigenvalue = float(eigenvalues[real].real)
+        components = [to_eigenvectors[real].real, *components]
     history_nodes = np.append(0.0, nodes) if family == "radau" else nodes
     return Scheme(
         nodes=nodes,
         matrix=matrix,
         weights=(1 / degrees) @ to_coefficients,
-        eigenvalues=eigenvalues[kept],
-        to_eigenvectors=to_eigenvectors[kept],
-        from_eigenvectors=(eigenvectors * multiplicity)[:, kept],
+        real_eigenvalue=real_eigenvalue,
+        complex_eigenvalue=complex(eigenvalues[pair]),
+        to_components=np.stack(components),
         to_coefficients=to_coefficients,
         history_to_coefficients=np.linalg.inv(np.vander(history_nodes, increasing=True)),
-        real_index=int(np.argmin(np.abs(np.imag(eigenvalues[kept])))),
     )

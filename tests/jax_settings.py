@@ -17,7 +17,8 @@ import pathlib
 # Most of the time of the tests is compilation, because a program runs only once.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    " --xla_cpu_parallel_codegen_split_count=1",
 )
 # The processes of the tests, and the next run, share the compiled programs.
 _PROGRAMS = pathlib.Path(__file__).parents[1] / ".pytest_cache" / "programs"

@@ -239,6 +239,9 @@ def test_an_exact_beam_is_a_hinge_of_a_mechanism():
             "`shear_factor` is None",
         ),
         (lambda: tj.flexures.largest_rotation(leaf(), -1.0), "`stress` is -1"),
+        (lambda: tj.flexures.beam_at_pose(leaf(), [0.1, 0.0]), "(angle, x, y)"),
+        (lambda: tj.flexures.beam_at_pose(leaf(), [0.1, np.nan, 0.0]), "has nan"),
+        (lambda: tj.flexures.beam_under_load(leaf(), [np.inf, 0.0, 0.0]), "has inf"),
     ],
 )
 def test_an_invalid_argument_raises_an_error(make, message):
@@ -260,3 +263,13 @@ def test_the_load_at_a_pose_is_found_for_any_thickness(thickness):
     )
     difference = (actual.wrench - expected.wrench) / leaf.rotational_stiffness
     np.testing.assert_allclose(difference, 0.0, atol=1e-9)
+
+
+def test_a_pose_and_a_load_may_be_lists():
+    """The result is that of arrays, and the load at the pose is the given one."""
+    load = [0.1, 2.0, -1.0]
+    solution = tj.flexures.beam_under_load(leaf(), load)
+    of_array = tj.flexures.beam_under_load(leaf(), jnp.array(load))
+    np.testing.assert_array_equal(solution.pose, of_array.pose)
+    found = tj.flexures.beam_at_pose(leaf(), [float(entry) for entry in solution.pose])
+    np.testing.assert_allclose(found.wrench, solution.wrench, rtol=1e-8, atol=1e-10)

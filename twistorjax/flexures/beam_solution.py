@@ -18,8 +18,8 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
-from .._utils.types import NumberLike, Pose, Scalar, Wrench
-from .._utils.validation import require_positive
+from .._utils.types import NumberLike, Pose, Scalar, Wrench, WrenchLike
+from .._utils.validation import require_positive, require_row
 from ..geometry import se2
 from .beam import Beam, load_units, smallest_thickness, uniform
 from .cross_section import section_of, section_strains, Strains
@@ -86,7 +86,7 @@ class SectionState(NamedTuple):
 
 
 def beam_under_load(
-    beam: Beam, load: Wrench, sections: int | None = None
+    beam: Beam, load: WrenchLike, sections: int | None = None
 ) -> BeamSolution:
     """Compute the deformed state of a beam under a load on body B. Body A is fixed.
 
@@ -104,7 +104,7 @@ def beam_under_load(
         `0.7 E I / thickness`.
 
     Raises:
-        ValueError: There are fewer than two sections.
+        ValueError: There are fewer than two sections, or the load is not finite.
 
     Source:
         The equations of Reissner (1972), integrated from one end to the other as an
@@ -115,10 +115,16 @@ def beam_under_load(
         >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
         >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
         >>> moment = beam.rotational_stiffness * 1.0  # bends the beam to an arc of 1 rad
-        >>> solution = beam_under_load(beam, jnp.array([moment, 0.0, 0.0]))
+        >>> solution = beam_under_load(beam, [moment, 0.0, 0.0])
         >>> solution.pose[0]
         Array(1., dtype=float64)
     """
+    load = require_row("`load` of the beam", load, "(moment, force x, force y)")
+    return state_under_load(beam, load, sections)
+
+
+def state_under_load(beam: Beam, load: Wrench, sections: int | None) -> BeamSolution:
+    """Compute the deformed state for a load that may be NaN; see `beam_under_load`."""
     if sections is None:
         uniform_thickness = getattr(beam.profile, "func", None) is uniform
         sections = 21 if uniform_thickness else 201

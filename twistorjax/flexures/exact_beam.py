@@ -8,18 +8,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._utils.pytrees import value_and_jacfwd
-from .._utils.types import Pose, Scalar, Wrench
+from .._utils.types import Pose, PoseLike, Scalar, Wrench
+from .._utils.validation import require_pose
 from ..energies.base import AbstractEnergy
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .beam import Beam, load_units
 from .beam_solution import (
-    beam_under_load,
     BeamSolution,
     end_section,
     pose_and_wrench,
     reference_ends,
     ReferenceEnds,
+    state_under_load,
 )
 from .stress_models import BeamStress
 
@@ -60,7 +61,7 @@ class ExactBeam(AbstractEnergy):
         return _energy(self.beam, displacement.pose())
 
 
-def beam_at_pose(beam: Beam, pose: Pose, sections: int | None = None) -> BeamSolution:
+def beam_at_pose(beam: Beam, pose: PoseLike, sections: int | None = None) -> BeamSolution:
     """Compute the deformed state of a beam at a given displacement of its ends.
 
     Args:
@@ -73,15 +74,19 @@ def beam_at_pose(beam: Beam, pose: Pose, sections: int | None = None) -> BeamSol
         The deformed state. It is NaN if no load is found for this displacement; see
         `ExactBeam`.
 
+    Raises:
+        ValueError: The pose is not finite, or there are fewer than two sections.
+
     Example:
         >>> import twistorjax as tj
         >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
         >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> solution = beam_at_pose(beam, jnp.array([0.1, 0.0, 0.0]))
+        >>> solution = beam_at_pose(beam, [0.1, 0.0, 0.0])
         >>> tj.flexures.largest_stress(solution) / 1e6  # MPa
         Array(20.79..., dtype=float64)
     """
-    return beam_under_load(beam, _load_at_pose(beam, pose), sections)
+    pose = require_pose("`pose` of the beam", pose)
+    return state_under_load(beam, _load_at_pose(beam, pose), sections)
 
 
 @eqx.filter_jit

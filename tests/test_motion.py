@@ -343,3 +343,20 @@ def test_gradients_of_batches_and_second_derivatives_of_motions():
         exact = (after[order - 1] - before[order - 1]) / (2 * step)
         assert jnp.all(jnp.abs(exact) > 1e-3)
         assert_close(derivatives(forces)[order] / exact, jnp.ones(3), digits=8)
+
+
+def test_motions_of_a_large_batch_are_those_of_single_mechanisms():
+    """Large batches are computed by other programs."""
+
+    def position(thickness):
+        linkage = four_bar.four_bar(thickness=thickness, damping=1e-4)
+        motion = four_bar.released_motion(
+            linkage, [0.0, 0.004], tolerance=1e-9, energies=False
+        )
+        return motion.displacement("3")[-1, 1] / 0.065
+
+    batch = jnp.linspace(0.8e-3, 0.99e-3, 24)
+    positions, single = jax.jit(jax.vmap(position))(batch), jax.jit(position)
+    assert jnp.ptp(positions) > 0.01
+    for at in (0, 23):
+        assert_close(positions[at], single(batch[at]), digits=9)

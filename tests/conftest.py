@@ -8,12 +8,16 @@ import pytest
 
 
 class CommandLine:
-    """Calls of the command line in a folder, with a separate cache."""
+    """Calls of the command line in a folder.
 
-    def __init__(self, folder):
+    They use the compiled programs of all tests or, with an `own_cache`, a new folder.
+    """
+
+    def __init__(self, folder, own_cache=False):
         self.folder = folder
         self.environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
-        self.environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+        if own_cache:
+            del self.environment["JAX_COMPILATION_CACHE_DIR"]
 
     def __call__(self, *arguments):
         """Run `twistorjax` in a separate process."""
@@ -29,8 +33,14 @@ class CommandLine:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Run `twistorjax` in a separate process, with a separate cache."""
+    """Run `twistorjax` in a separate process."""
     return CommandLine(tmp_path_factory.mktemp("run"))
+
+
+@pytest.fixture
+def run_with_own_cache(tmp_path):
+    """Run `twistorjax` in a separate process, with a new cache."""
+    return CommandLine(tmp_path, own_cache=True)
 
 
 class CommandLineHere:

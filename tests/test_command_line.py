@@ -64,11 +64,11 @@ def test_stage_prints_json(run):
     assert result["result"] == "successful"
 
 
-def test_a_second_run_uses_the_cached_program(run):
-    run("stage")
-    cache = run.folder / "cache" / "twistorjax" / "programs"
+def test_a_second_run_uses_the_cached_program(run_with_own_cache):
+    run_with_own_cache("stage")
+    cache = run_with_own_cache.folder / "cache" / "twistorjax" / "programs"
     count = len(list(cache.iterdir()))
-    run("stage")
+    run_with_own_cache("stage")
     assert count == len(list(cache.iterdir())) > 0
 
 

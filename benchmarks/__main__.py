@@ -61,7 +61,7 @@ def main(
     for module in modules:
         for row in module.run():
             add(row)
-    for module in (motion, identification):
+    for module in (motion, sweeps, identification):
         for row in module.ratios(rows):
             add(row)
     versions = {}

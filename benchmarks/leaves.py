@@ -142,6 +142,9 @@ def _costs() -> Iterator[Row]:
     )
     elapsed = time.perf_counter() - start
     yield Row("creation of a surrogate of a leaf: without compilation", elapsed, "s")
+    pose = jnp.array([0.1, 0.0, 0.0])
+    elapsed = seconds(tj.flexures.beam_at_pose, beam(0.09, 5 / 6), pose)
+    yield at_most("beam at a pose: next calls", 1e3 * elapsed, "ms", 10.0)
     powers = tj.energies.monomials(8)
     coefficients = jax.random.normal(jax.random.key(0), (len(powers),))
     polynomial = tj.energies.Polynomial(coefficients, powers)

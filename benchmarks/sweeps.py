@@ -23,10 +23,13 @@ from twistorjax.examples import four_bar, stage
 from twistorjax.examples.sweep_studies import stage_gain
 
 from .measure import at_least, at_most, Row
+from .peers_motion import RELEASED
 from .statics import linearized_gain
 
 
 LEAF_LENGTH = 10e-3  # m
+GAINS = "sweep: stage: nonlinear gains"
+MOTIONS = f"sweep: {RELEASED}: motion for 0.2 s"
 
 
 def run() -> Iterator[Row]:
@@ -111,7 +114,7 @@ def measure_sweeps() -> Iterator[Row]:
     what = "sweep: stage: nonlinear gains of 100,000 designs, with compilation"
     yield Row(what, first, "s")
     bound = 1e7 if accelerated else 100_000
-    yield at_least("sweep: stage: nonlinear gains", 100_000 / repeated, "/s", bound)
+    yield at_least(GAINS, 100_000 / repeated, "/s", bound)
     per_design = {}
     for count in (10_000, 1_000_000):
         per_design[count] = timed(gain, *webs, count)[1] / count
@@ -135,8 +138,8 @@ def measure_sweeps() -> Iterator[Row]:
     chunk_size = None if accelerated else 64
     thicknesses = ("thickness", 0.9e-3, 1e-3)
     repeated = timed(released, *thicknesses, count, chunk_size=chunk_size)[1]
-    what, rate = "sweep: released four-bar linkage: motion for 0.2 s", count / repeated
-    yield at_least(what, rate, "/s", 5e4) if accelerated else Row(what, rate, "/s")
+    rate = count / repeated
+    yield at_least(MOTIONS, rate, "/s", 5e4) if accelerated else Row(MOTIONS, rate, "/s")
 
     distributions = {"web": tj.sweeps.Normal(np.full(7, stage.WEB), 10e-6)}
     result = tj.sweeps.tolerances(stage_gain, distributions, "gain", mesh=mesh)
@@ -147,6 +150,20 @@ def measure_sweeps() -> Iterator[Row]:
     yield Row(f"{deviation}, sampled", result.standard_deviation, "")
     yield Row(f"{mean}, first order", result.nominal, "")
     yield Row(f"{deviation}, first order", result.first_order_standard_deviation, "")
+
+
+def ratios(rows: list[Row]) -> Iterator[Row]:
+    """Compare the rates of sweeps with those of EXUDYN on all cores, in the same run."""
+    values = {row.benchmark: row.value for row in rows}
+    peers = {
+        GAINS: "EXUDYN: stage: nonlinear gains, on one core",
+        MOTIONS: f"EXUDYN: {RELEASED}: simulations, on one core",
+    }
+    for what, peer in peers.items():
+        if peer in values:
+            ratio = values[what] / (values[peer] * (os.cpu_count() or 1))
+            name = f"{what}: rate relative to EXUDYN on all cores"
+            yield at_least(name, ratio, "x", 20.0)
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ class ExactBeam(AbstractEnergy):
         >>> import twistorjax as tj
         >>> polymer = tj.Material(modulus=3.45e9, poisson=0.3)
         >>> beam = Beam(polymer, length=10e-3, thickness=1e-3, width=5e-3)
-        >>> solution = beam_under_load(beam, jnp.array([0.1, 0.0, 0.0]))
+        >>> solution = tj.flexures.beam_under_load(beam, [0.1, 0.0, 0.0])
         >>> ExactBeam(beam).wrench(solution.pose)[0]  # the moment
         Array(0.1, dtype=float64)
     """

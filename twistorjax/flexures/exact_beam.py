@@ -36,7 +36,7 @@ class ExactBeam(AbstractEnergy):
     The load that belongs to a displacement is found by Newton's method. The displacement
     is approached in increments along a constant twist. If no load is found, the energy is
     NaN. An evaluation takes some milliseconds. A mechanism with such a hinge takes about
-    a minute to compile; `surrogate` makes a fast hinge of a beam.
+    ten seconds to compile; `surrogate` makes a fast hinge of a beam.
 
     Args:
         beam: The beam.

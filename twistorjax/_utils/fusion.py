@@ -3,7 +3,6 @@
 from typing import TypeVar
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Inexact
 
 
@@ -23,7 +22,7 @@ def computed_once(tree: Tree, finite: Inexact[Array, "*batch"]) -> Tree:
             they are ones.
 
     Example:
-        >>> computed_once((jnp.ones(2), jnp.zeros(2)), jnp.ones(2))
+        >>> computed_once((jax.numpy.ones(2), jax.numpy.zeros(2)), jax.numpy.ones(2))
         (Array([1., 1.], dtype=float64), Array([0., 0.], dtype=float64))
     """
     one = 1 + 0 * jax.lax.stop_gradient(finite)

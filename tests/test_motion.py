@@ -346,7 +346,7 @@ def test_gradients_of_batches_and_second_derivatives_of_motions():
 
 
 def test_motions_of_a_large_batch_are_those_of_single_mechanisms():
-    """Large batches are computed by other programs."""
+    """XLA arranges the operations of a batch differently."""
 
     def position(thickness):
         linkage = four_bar.four_bar(thickness=thickness, damping=1e-4)

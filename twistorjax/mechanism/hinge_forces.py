@@ -233,14 +233,20 @@ def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
 MOTIONS = np.eye(4)[FOUR_OF_SIX[0]] * FOUR_OF_SIX[1][:, None]
 
 
+_MOST_TERMS = 24  # of sums that are written out
+
+
 def product(
     first: Inexact[Array, "rows inner"], second: Inexact[Array, "inner columns"]
 ) -> Inexact[Array, "rows columns"]:
     """Multiply two small matrices as a sum, which XLA fuses with other operations.
 
     For a few rows, the call of a matrix product takes longer than its operations, and so
-    does that of a reduction.
+    does that of a reduction. The time of compilation grows with the number of terms, so
+    that many terms are reduced.
     """
+    if len(second) > _MOST_TERMS:
+        return jnp.sum(first[:, :, None] * second[None], axis=1)
     terms = [first[:, k, None] * second[None, k] for k in range(len(second))]
     return sum(terms, start=jnp.zeros((len(first), second.shape[1]), first.dtype))
 

@@ -79,10 +79,10 @@ class HingeMotionTangent(NamedTuple):
     displacements of the bodies.
 
     Args:
-        stiffness: Derivatives with respect to displacements, on which the stretch depends
+        stiffness: Derivatives with respect to the motions, on which the stretch depends
             as well. It is not symmetric if a damped hinge moves, because the viscous
             forces depend on its rotation.
-        damping: Derivatives with respect to the rates.
+        damping: Derivatives with respect to the rates of the motions.
         stretch_by_displacement: Derivatives of the mid-frame translation.
         force_by_stretch: Derivatives of the forces with respect to the mid-frame
             translation.

@@ -55,7 +55,10 @@ class Scheme(NamedTuple):
 
     @property
     def differentiate_twice(self) -> np.ndarray:
-        """Transformation from the stages to components of the second time derivative."""
+        """Transformation from the stages to components of the second time derivative.
+
+        The function is zero at the start of the step, together with its rate.
+        """
         return self.to_components @ np.linalg.matrix_power(np.linalg.inv(self.matrix), 2)
 
     def embedded_weights(self) -> np.ndarray:

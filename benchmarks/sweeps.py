@@ -153,7 +153,10 @@ def measure_sweeps() -> Iterator[Row]:
 
 
 def ratios(rows: list[Row]) -> Iterator[Row]:
-    """Compare the rates of sweeps with those of EXUDYN on all cores, in the same run."""
+    """Compare the rates of sweeps with those of EXUDYN on all cores, in the same run.
+
+    The latter are those on one core times the number of cores.
+    """
     values = {row.benchmark: row.value for row in rows}
     peers = {
         GAINS: "EXUDYN: stage: nonlinear gains, on one core",

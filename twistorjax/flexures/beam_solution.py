@@ -124,7 +124,10 @@ def beam_under_load(
 
 
 def state_under_load(beam: Beam, load: Wrench, sections: int | None) -> BeamSolution:
-    """Compute the deformed state for a load that may be NaN; see `beam_under_load`."""
+    """Compute the deformed state for a load (N m, N, N) that may be NaN.
+
+    The state is then NaN; see `beam_under_load`.
+    """
     if sections is None:
         uniform_thickness = getattr(beam.profile, "func", None) is uniform
         sections = 21 if uniform_thickness else 201

@@ -1,5 +1,6 @@
 """Derivatives of the forces of all hinges, for Newton's method and for motions."""
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,7 +10,15 @@ from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Poses, Scalar
 from .hinge_forces import FOUR_OF_SIX, HingeTangent, UPPER_TRIANGLE
-from .scatter import hinge_dofs, matrix_entries, sum_entries
+from .hinge_motion import HingeMotionTangent
+from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
+
+
+# Position of each entry of a 4 by 4 matrix of motions in the upper triangle.
+_SYMMETRIC = np.zeros((4, 4), int)
+_SYMMETRIC[UPPER_TRIANGLE] = _SYMMETRIC.T[UPPER_TRIANGLE] = np.arange(10)
+# Its position in the whole matrix.
+_WHOLE = np.arange(16).reshape(4, 4)
 
 
 class AssemblyTangent(eqx.Module):
@@ -55,30 +64,22 @@ class AssemblyTangent(eqx.Module):
     def forces(self) -> Float[Array, " dofs"]:
         """Sum the forces of all hinges on each degree of freedom; N m, N."""
         motion, sign = FOUR_OF_SIX
-        dofs = hinge_dofs(self.ends, self.order)
-        hinges = np.arange(dofs.shape[1])
-        source = motion[:, None] * len(hinges) + hinges
-        signs = np.broadcast_to(sign[:, None], source.shape)
-        entries, size = self.motion_forces.reshape(-1), 3 * self.bodies
-        source, target, signs = source.reshape(-1), dofs.reshape(-1), signs.reshape(-1)
-        return sum_entries(entries, source, target, size, signs)
+        dofs = hinge_dofs(self.ends, self.order).reshape(-1)
+        places = np.arange(dofs.size), dofs
+        return _sum_entries(self.motion_forces, places, motion, sign, (3 * self.bodies,))
 
     def matrix(
         self, rows: tuple[int, ...], columns: tuple[int, ...]
     ) -> Float[Array, "rows columns"]:
         """Sum the stiffness of all hinges among some degrees of freedom."""
-        source, target = matrix_entries(self.ends, self.order, rows, columns)
-        entry, hinge = np.divmod(source, len(self.order))
-        compressed, signs = _compressed_entries()
-        source = compressed[entry] * len(self.order) + hinge
-        entries, size = self.stiffness.reshape(-1), len(rows) * len(columns)
-        summed = sum_entries(entries, source, target, size, signs[entry])
-        return summed.reshape(len(rows), len(columns))
+        places = matrix_entries(self.ends, self.order, rows, columns)
+        shape = len(rows), len(columns)
+        return _sum_entries(self.stiffness, places, *_of_pairs(_SYMMETRIC), shape)
 
     def hinge_stiffness(self) -> Float[Array, "6 6 hinges"]:
         """Return the stiffness of each hinge with respect to its six displacements."""
-        compressed, signs = _compressed_entries()
-        entries = self.stiffness[compressed] * jnp.asarray(signs)[:, None]
+        entry, signs = _of_pairs(_SYMMETRIC)
+        entries = self.stiffness[entry] * jnp.asarray(signs)[:, None]
         return entries.reshape(6, 6, -1)
 
     def finite(self) -> Flag:
@@ -95,16 +96,47 @@ class AssemblyTangent(eqx.Module):
         return stress
 
 
-def _compressed_entries() -> tuple[np.ndarray, np.ndarray]:
-    """Find the entry of the upper triangle for each entry of a flat 6 by 6 stiffness.
+def _of_pairs(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the entry of two motions for each entry of a flat 6 by 6 matrix.
+
+    `position` is that of each entry of the 4 by 4 matrix of motions. The second result is
+    the sign with which it enters.
+    """
+    motion, sign = FOUR_OF_SIX
+    return position[motion][:, motion].reshape(-1), np.outer(sign, sign).reshape(-1)
+
+
+def _of_rows(rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Find the entry of a motion for each entry of flat rows of six displacements.
 
     The second result is the sign with which it enters.
     """
     motion, sign = FOUR_OF_SIX
-    index = np.zeros((4, 4), int)
-    index[UPPER_TRIANGLE] = np.arange(10)
-    index = np.maximum(index, index.T)
-    return index[motion][:, motion].reshape(-1), np.outer(sign, sign).reshape(-1)
+    position = 4 * np.arange(rows)[:, None] + motion
+    return position.reshape(-1), np.tile(sign, rows)
+
+
+def _sum_entries(
+    entries: Float[Array, "*motions hinges"],
+    places: tuple[np.ndarray, np.ndarray],
+    position: np.ndarray,
+    signs: np.ndarray,
+    shape: tuple[int, ...],
+) -> Array:
+    """Sum the entries of all hinges, which are given for the four motions.
+
+    Args:
+        entries: The entries of each hinge.
+        places: Index of each entry for the six displacements, and its index in the sum;
+            see `matrix_entries` and `row_entries`.
+        position: Index among the motions, for each index among the displacements.
+        signs: The sign with which this entry enters.
+        shape: Shape of the sum.
+    """
+    entry, hinge = np.divmod(places[0], entries.shape[-1])
+    source = position[entry] * entries.shape[-1] + hinge
+    flat, size = entries.reshape(-1), math.prod(shape)
+    return sum_entries(flat, source, places[1], size, signs[entry]).reshape(shape)
 
 
 class AssemblyMotionTangent(NamedTuple):
@@ -122,3 +154,34 @@ class AssemblyMotionTangent(NamedTuple):
     damping: Float[Array, "free free"]
     stretch_by_displacement: Float[Array, "free stretches"]
     force_by_stretch: Float[Array, "free stretches"]
+
+    @classmethod
+    def of(
+        cls,
+        tangent: HingeMotionTangent,
+        ends: tuple[tuple[int, int], ...],
+        order: tuple[int, ...],
+        free: tuple[int, ...],
+    ) -> "AssemblyMotionTangent":
+        """Sum the derivatives of all hinges among the free degrees of freedom.
+
+        The arguments are as in `AssemblyTangent`.
+        """
+        pairs = matrix_entries(ends, order, free, free)
+        lines = row_entries(ends, order, free)
+        count, stretches = len(free), 2 * len(order)
+
+        def by_dofs(entries: Array) -> Float[Array, "free free"]:
+            entries = jnp.moveaxis(entries, 0, -1)
+            return _sum_entries(entries, pairs, *_of_pairs(_WHOLE), (count, count))
+
+        def by_stretches(entries: Array) -> Float[Array, "free stretches"]:
+            entries = jnp.moveaxis(entries, 0, -1)
+            return _sum_entries(entries, lines, *_of_rows(2), (count, stretches))
+
+        return cls(
+            stiffness=by_dofs(tangent.stiffness),
+            damping=by_dofs(tangent.damping),
+            stretch_by_displacement=by_stretches(tangent.stretch_by_displacement),
+            force_by_stretch=by_stretches(tangent.force_by_stretch),
+        )

@@ -15,7 +15,6 @@ from ..energies.damping import ViscousDamping
 from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
 from .assembly_tangent import AssemblyMotionTangent, AssemblyTangent
-from .hinge_forces import FOUR_OF_SIX
 from .hinge_groups import HingeGroup
 from .hinge_kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
@@ -280,33 +279,7 @@ class HingeAssembly(eqx.Module):
         """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
         more = self._motion_arguments(rates, stretches)
         local = self._evaluate(hinge_motion.tangent_in_motion, displacements, *more)
-        motion, sign = FOUR_OF_SIX
-        members, count = len(self._order()), len(free)
-
-        def by_stretches(entries: Array) -> Float[Array, "free stretches"]:
-            at, target = row_entries(self.ends, self._order(), free)
-            line, dof, member = np.unravel_index(at, (2, 6, members))
-            source = np.ravel_multi_index((line, motion[dof], member), (2, 4, members))
-            entries, size = jnp.moveaxis(entries, 0, -1).reshape(-1), 2 * members
-            summed = sum_entries(entries, source, target, count * size, sign[dof])
-            return summed.reshape(count, size)
-
-        def by_dofs(entries: Array) -> Float[Array, "free free"]:
-            at, target = matrix_entries(self.ends, self._order(), free, free)
-            row, column, member = np.unravel_index(at, (6, 6, members))
-            of_motions = motion[row], motion[column], member
-            source = np.ravel_multi_index(of_motions, (4, 4, members))
-            entries = jnp.moveaxis(entries, 0, -1).reshape(-1)
-            signs = sign[row] * sign[column]
-            summed = sum_entries(entries, source, target, count**2, signs)
-            return summed.reshape(count, count)
-
-        return AssemblyMotionTangent(
-            stiffness=by_dofs(local.stiffness),
-            damping=by_dofs(local.damping),
-            stretch_by_displacement=by_stretches(local.stretch_by_displacement),
-            force_by_stretch=by_stretches(local.force_by_stretch),
-        )
+        return AssemblyMotionTangent.of(local, self.ends, self._order(), free)
 
     def stretches(self, displacements: Poses) -> Float[Array, "hinges 2"]:
         """Compute the mid-frame translation of each member; m."""

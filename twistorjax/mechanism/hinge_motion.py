@@ -116,8 +116,9 @@ def tangent_in_motion(
     columns = as_array(kinematics.columns())
     slopes, curvature_times = gradient_and_hessian(energy, at)
     hessian = as_matrix(curvature_times)
-    products, damping_matrix = product(columns, hessian), jnp.zeros((4, 4))
-    if damping is not None:
+    if damping is None:
+        products, damping_matrix = product(columns, hessian), jnp.zeros((4, 4))
+    else:
         constant_misfit = kinematics.rates(*rates)
         viscous, derivative = jax.linearize(
             lambda coordinates, rates: _viscous_slopes(

@@ -168,6 +168,10 @@ def _step(
     tangent = frozen.tangent(*(values[middle] for values in stages))
     frozen_step = jax.lax.stop_gradient(step)
     inverses = _StageInverses.of(scheme, tangent, frozen_step, frozen.mass)
+    to_components = jnp.asarray(scheme.to_components)
+    from_components = jnp.asarray(scheme.from_components)
+    # The accelerations of a change that removes a violation at the stages.
+    from_violation = jnp.asarray(-scheme.differentiate_twice) / frozen_step**2
 
     def iterate(_, unknowns: tuple[Array, ...]) -> tuple[Array, ...]:
         """Correct the stages once; the last result is the correction."""
@@ -176,11 +180,11 @@ def _step(
         forces = jax.vmap(system.forces)(times, positions, rates, stretches, multipliers)
         residual = forces.net - mass[None] * accelerations
         residual = residual - product(forces.excess, tangent.force_by_stretch.T)
-        right = product(jnp.asarray(scheme.to_components), residual)
+        right = product(to_components, residual)
         if multipliers.size:
-            second = jnp.asarray(-scheme.differentiate_twice) / frozen_step**2
-            right = jnp.concatenate([right, product(second, forces.violation)], axis=1)
-        solution = product(jnp.asarray(scheme.from_components), inverses.solve(right))
+            removal = product(from_violation, forces.violation)
+            right = jnp.concatenate([right, removal], axis=1)
+        solution = product(from_components, inverses.solve(right))
         change, multiplier_change = solution[:, :size], solution[:, size:]
         stretch_change = product(
             product(matrix_squared, change), tangent.stretch_by_displacement

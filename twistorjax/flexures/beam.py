@@ -183,6 +183,17 @@ def uniform(value: Scalar, position: Numbers) -> Numbers:
     return as_float(xp.broadcast_to(value, xp.shape(position)))
 
 
+def is_constant(function: Callable[..., Numbers]) -> bool:
+    """Decide whether a function of the position is known to be constant."""
+    return getattr(function, "func", None) is uniform
+
+
+def is_uniform(beam: Beam) -> bool:
+    """Decide whether thickness and curvature of a beam are known to be constant."""
+    along = [beam.profile] if beam.curvature is None else [beam.profile, beam.curvature]
+    return all(map(is_constant, along))
+
+
 def load_units(beam: Beam) -> Float[Array, "3"]:
     """Return the units of a load, (E I / L, E I / L^2, E I / L^2); N m, N, N."""
     moment = beam.rotational_stiffness

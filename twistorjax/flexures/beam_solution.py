@@ -18,10 +18,10 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
-from .._utils.types import NumberLike, Pose, Scalar, Wrench, WrenchLike
+from .._utils.types import Count, NumberLike, Pose, Scalar, Wrench, WrenchLike
 from .._utils.validation import require_positive, require_row
 from ..geometry import se2
-from .beam import Beam, load_units, smallest_thickness, uniform
+from .beam import Beam, is_constant, load_units, smallest_thickness
 from .cross_section import section_of, section_strains, Strains
 
 
@@ -129,8 +129,7 @@ def state_under_load(beam: Beam, load: Wrench, sections: int | None) -> BeamSolu
     The state is then NaN; see `beam_under_load`.
     """
     if sections is None:
-        uniform_thickness = getattr(beam.profile, "func", None) is uniform
-        sections = 21 if uniform_thickness else 201
+        sections = 21 if is_constant(beam.profile) else 201
     if sections < 2:
         raise ValueError(f"`sections` is {sections!r}, but must be 2 or more.")
     return _solve(beam, load, sections)
@@ -203,12 +202,17 @@ def reference_ends(beam: Beam) -> ReferenceEnds:
     return ReferenceEnds(first, jnp.stack([end.angle, end.x, end.y]))
 
 
-def end_section(beam: Beam, load: Wrench, ends: ReferenceEnds) -> SectionState:
+def end_section(
+    beam: Beam, load: Wrench, ends: ReferenceEnds, steps: Count | int | None = None
+) -> SectionState:
     """Compute the dimensionless state of the second end of a beam under a load.
 
-    The load is about the origin of frame a and in its axes, over `load_units`.
+    The load is about the origin of frame a and in its axes, over `load_units`. The
+    default of `steps` is `beam.steps`. There are no derivatives in reverse mode if the
+    number of steps is traced.
     """
-    return _last(_integrate(beam, load, ends.first, 1, beam.steps))
+    steps = beam.steps if steps is None else steps
+    return _last(_integrate(beam, load, ends.first, 1, steps))
 
 
 def pose_and_wrench(
@@ -269,7 +273,7 @@ def _section(
 
 
 def _integrate(
-    beam: Beam, load: Wrench, start: Pose, intervals: int, steps: int
+    beam: Beam, load: Wrench, start: Pose, intervals: int, steps: Count | int
 ) -> SectionState:
     """Integrate the equations of a beam from the pose of its first end, dimensionless.
 
@@ -298,22 +302,28 @@ def _integrate(
         y_rate = sin * (1 + stretch) + cos * shear
         return rate * jnp.stack([curvature, x_rate, y_rate, density])
 
-    def advance(state: Array, start: Scalar) -> tuple[Array, Array]:
+    def advance(index: Count, carry: tuple[Scalar, Array]) -> tuple[Scalar, Array]:
+        start, state = carry
+        parameter = start + step * index
+
         def stage(index: Array, slopes: Array) -> Array:
             change = jnp.sum(coefficients[index][:, None] * slopes, axis=0)
-            slope = derivative(start + step * nodes[index], state + step * change)
+            slope = derivative(parameter + step * nodes[index], state + step * change)
             return slopes.at[index].set(slope)
 
         slopes = lax.fori_loop(0, len(_NODES), stage, jnp.zeros((len(_NODES), 4)))
         weights = jnp.asarray(_WEIGHTS)[:, None]
-        state = state + step * jnp.sum(weights * slopes, axis=0)
+        return start, state + step * jnp.sum(weights * slopes, axis=0)
+
+    def interval(state: Array, start: Scalar) -> tuple[Array, Array]:
+        _, state = lax.fori_loop(0, steps, advance, (start, state))
         return state, state
 
     zero = jnp.zeros_like(load[0])
     first = jnp.stack([zero + start[0], zero + start[1], zero + start[2], zero])
-    starts = jnp.asarray(np.arange(intervals * steps) * step - 1.0)
-    _, states = lax.scan(advance, first, starts)
-    states = jnp.concatenate([first[None], states[steps - 1 :: steps]])
+    starts = jnp.asarray(np.arange(intervals) * (2.0 / intervals) - 1.0)
+    _, states = lax.scan(interval, first, starts)
+    states = jnp.concatenate([first[None], states])
     return SectionState(*states.T)
 
 

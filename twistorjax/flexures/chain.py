@@ -36,7 +36,7 @@ from ..geometry import se2
 from ..mechanism.body import Body
 from ..mechanism.expansion import Expansion
 from ..mechanism.hinge import Hinge
-from .beam import arc_rotation, Beam, load_units, uniform
+from .beam import arc_rotation, Beam, is_constant, is_uniform, load_units
 from .beam_solution import (
     beam_under_load,
     end_section,
@@ -199,7 +199,7 @@ def _segment(beam: Beam, count: int, k: int) -> Beam:
     middle = beam.length * ((k + 0.5) / count - 0.5)
 
     def shifted(function):
-        if getattr(function, "func", None) is uniform:
+        if is_constant(function):
             return function
         return jax.tree_util.Partial(_shifted, function, middle)
 
@@ -246,7 +246,7 @@ def _energies(
 ) -> list[WithValidityRange]:
     """Compute the surrogates of the segments."""
     count = len(parts)
-    if _is_uniform(parts[0]):
+    if is_uniform(parts[0]):
         parts = parts[:1]
     energies: list[WithValidityRange] = []
     for k, part in enumerate(parts):
@@ -258,12 +258,6 @@ def _energies(
                 "into more `segments`."
             ) from None
     return energies * (count // len(energies))
-
-
-def _is_uniform(part: Beam) -> bool:
-    """Decide whether thickness and curvature are known to be uniform."""
-    along = [part.profile, *([] if part.curvature is None else [part.curvature])]
-    return all(getattr(function, "func", None) is uniform for function in along)
 
 
 @fast_compile

@@ -28,7 +28,7 @@ from ..energies.monomials import monomials, Powers, Symmetry
 from ..energies.one_freedom import Freedom
 from ..energies.validity import WithValidityRange
 from ..mechanism.sub_mechanism import SubMechanism
-from .beam import arc_rotation, Beam, uniform
+from .beam import arc_rotation, Beam, is_constant
 from .mechanism_surrogate import (
     fit_mechanism,
     mechanism_powers,
@@ -286,8 +286,7 @@ def _symmetry(beam: Beam) -> tuple[Symmetry, ...]:
     """Return the symmetries that a beam is known to have."""
     along = [beam.profile] if beam.curvature is None else [beam.profile, beam.curvature]
     ends_equal = all(
-        getattr(function, "func", None) is uniform or _is_even(function, beam.length)
-        for function in along
+        is_constant(function) or _is_even(function, beam.length) for function in along
     )
     if beam.curvature is None:
         return ("mirror", "ends") if ends_equal else ("mirror",)

@@ -206,3 +206,25 @@ def test_a_cache_folder_that_is_already_set_is_kept(tmp_path):
 def test_an_invalid_size_of_the_cache_is_reported():
     with pytest.raises(ValueError, match="`cache_size` is 0, but must be positive"):
         tj.configure(cache_size=0)
+
+
+@pytest.mark.parametrize(
+    ("given", "arguments", "fast"),
+    [
+        ("", "", True),
+        ("", "fast_compilation=False", False),
+        ("--xla_cpu_use_fusion_emitters=true", "", False),
+    ],
+)
+def test_fast_compilation_is_an_option_of_xla(tmp_path, given, arguments, fast):
+    """The options that XLA uses are in a file that it writes about each program."""
+    code = (
+        f"import jax, twistorjax as tj; tj.configure(cache=False, {arguments}); "
+        "jax.jit(jax.numpy.sin)(1.0)"
+    )
+    dump = f"--xla_dump_to={tmp_path} --xla_dump_hlo_as_text {given}"
+    subprocess.run(
+        [sys.executable, "-c", code], check=True, env={**os.environ, "XLA_FLAGS": dump}
+    )
+    (used,) = tmp_path.glob("*jit_sin.debug_options")
+    assert ("xla_cpu_use_fusion_emitters: false" in used.read_text()) == fast

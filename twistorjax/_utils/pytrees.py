@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 
@@ -86,6 +87,44 @@ def split_last_axis(array: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
         array[..., end - math.prod(shape) : end].reshape(*array.shape[:-1], *shape)
         for end, shape in zip(ends, shapes, strict=True)
     ]
+
+
+def is_zero(tangent: Any) -> bool:
+    """Decide whether a tangent in a rule with symbolic zeros is that of a constant.
+
+    Without symbolic zeros, a rule of `jax.custom_jvp` computes the terms of all
+    arguments, also of those that are constants, and XLA does not remove these zeros.
+    """
+    return isinstance(tangent, SymbolicZero)
+
+
+def jvp_of_varied(
+    function: Callable[..., Array], primals: tuple, tangents: tuple
+) -> Float[Array, "..."]:
+    """Compute the derivative of a function in the direction of tangents.
+
+    Args:
+        function: Function of pytrees of arrays.
+        primals: Its arguments.
+        tangents: Their tangents, some of which may be symbolic zeros; see `is_zero`.
+
+    Returns:
+        The derivative. Only that with respect to arrays with a tangent is computed.
+    """
+    values, structure = jax.tree.flatten(primals)
+    rates = jax.tree.leaves(tangents)
+    varied = [k for k, rate in enumerate(rates) if not is_zero(rate)]
+
+    def of_varied(*varied_values: Array) -> Array:
+        leaves = list(values)
+        for k, value in zip(varied, varied_values, strict=True):
+            leaves[k] = value
+        return function(*jax.tree.unflatten(structure, leaves))
+
+    _, derivative = jax.jvp(
+        of_varied, tuple(values[k] for k in varied), tuple(rates[k] for k in varied)
+    )
+    return derivative
 
 
 def value_and_jacfwd(

@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._utils.pytrees import is_zero
 from .._utils.types import Scalar
 from ..geometry import se2
 from ..geometry.twistors import Displacement
@@ -54,17 +55,20 @@ def evaluate_polynomial(
     return _horner(powers, derivatives, coefficients, variables)
 
 
-@evaluate_polynomial.defjvp
+@partial(evaluate_polynomial.defjvp, symbolic_zeros=True)
 def _(powers, derivatives, primals, tangents):
     coefficients, variables = primals
     coefficient_rates, variable_rates = tangents
-    total = evaluate_polynomial(powers, derivatives, coefficient_rates, variables)
+    value = evaluate_polynomial(powers, derivatives, coefficients, variables)
+    total = jnp.zeros_like(value)
+    if not is_zero(coefficient_rates):
+        total = evaluate_polynomial(powers, derivatives, coefficient_rates, variables)
     for k, rate in enumerate(variable_rates):
         higher = tuple(count + (k == index) for index, count in enumerate(derivatives))
-        if _differentiated_terms(powers, higher):
+        if not is_zero(rate) and _differentiated_terms(powers, higher):
             slope = evaluate_polynomial(powers, higher, coefficients, variables)
             total = total + rate * slope
-    return evaluate_polynomial(powers, derivatives, coefficients, variables), total
+    return value, total
 
 
 @lru_cache

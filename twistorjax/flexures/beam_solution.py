@@ -302,21 +302,20 @@ def _integrate(
         y_rate = sin * (1 + stretch) + cos * shear
         return rate * jnp.stack([curvature, x_rate, y_rate, density])
 
-    def advance(index: Count, carry: tuple[Scalar, Array]) -> tuple[Scalar, Array]:
-        start, state = carry
-        parameter = start + step * index
-
+    def advance(state: Array, start: Scalar) -> Array:
         def stage(index: Array, slopes: Array) -> Array:
             change = jnp.sum(coefficients[index][:, None] * slopes, axis=0)
-            slope = derivative(parameter + step * nodes[index], state + step * change)
+            slope = derivative(start + step * nodes[index], state + step * change)
             return slopes.at[index].set(slope)
 
         slopes = lax.fori_loop(0, len(_NODES), stage, jnp.zeros((len(_NODES), 4)))
         weights = jnp.asarray(_WEIGHTS)[:, None]
-        return start, state + step * jnp.sum(weights * slopes, axis=0)
+        return state + step * jnp.sum(weights * slopes, axis=0)
 
     def interval(state: Array, start: Scalar) -> tuple[Array, Array]:
-        _, state = lax.fori_loop(0, steps, advance, (start, state))
+        state = lax.fori_loop(
+            0, steps, lambda k, state: advance(state, start + step * k), state
+        )
         return state, state
 
     zero = jnp.zeros_like(load[0])

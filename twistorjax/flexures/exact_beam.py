@@ -135,9 +135,9 @@ def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
     of a beam together, so the axial force of a thin beam would be much too large on this
     way. An auxiliary axial spring in series with the beam prevents this. It is then
     stiffened in steps, and removed. With the spring, a beam of uniform thickness is
-    integrated in a quarter of its steps, because only the last load must be accurate. The
-    load is about the origin of frame a and in its
-    axes, over `load_units`. It is NaN if no load is found.
+    integrated in a quarter of its steps, because only the last load must be accurate.
+    The load is about the origin of frame a and in its axes, over `load_units`. It is NaN
+    if no load is found.
     """
     units = _pose_units(beam)
     twist = se2.twist(pose)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._utils.pytrees import jvp_of_varied
 from .._utils.types import Count, Flag, Scalar
 from .continuation import AT_EVENT, AT_LIMIT, Metric, PathEvent, Step, Trace
 from .path_location import locate, Segment
@@ -282,7 +283,7 @@ def _critical(static: PathSystem, dynamic: PathSystem, metric, point, branch):
     return point
 
 
-@_critical.defjvp
+@partial(_critical.defjvp, symbolic_zeros=True)
 def _(static, primals, tangents):
     dynamic, metric, point, branch = primals
     point = _critical(static, dynamic, metric, point, branch)
@@ -298,7 +299,7 @@ def _(static, primals, tangents):
 
     scaled = jnp.where(found, point, 0.0) / metric.units
     unknowns = jnp.concatenate([scaled, jnp.zeros(1)])
-    _, rate = jax.jvp(
+    rate = jvp_of_varied(
         lambda dynamic: equations(dynamic, unknowns), (dynamic,), (tangents[0],)
     )
     matrix = jax.jacfwd(equations, argnums=1)(dynamic, unknowns)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.pytrees import jvp_of_varied
 from .._utils.types import Flag, Poses
 from .system import System
 
@@ -46,7 +47,7 @@ def _root(static: System, dynamic: System, root, start, found):
     return root
 
 
-@_root.defjvp
+@partial(_root.defjvp, symbolic_zeros=True)
 def _(static, primals, tangents):
     dynamic, root, start, found = primals
     system_change, _, start_change, _ = tangents
@@ -62,7 +63,7 @@ def _(static, primals, tangents):
         forces = system.residual(displacements, root[count:])
         return system.equations(forces, displacements)
 
-    _, rate = jax.jvp(residual, (dynamic, start), (system_change, start_change))
+    rate = jvp_of_varied(residual, (dynamic, start), (system_change, start_change))
     displacements = system.with_displacements(
         start, free=root[:count], prescribed=system.targets
     )

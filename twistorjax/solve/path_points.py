@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._utils.pytrees import jvp_of_varied
 from .._utils.types import Count
 from .continuation import determinant_sign, Metric
 from .factorization import null_space
@@ -100,7 +101,7 @@ def _on_path(static: PathSystem, dynamic: PathSystem, point, normal):
     return point
 
 
-@_on_path.defjvp
+@partial(_on_path.defjvp, symbolic_zeros=True)
 def _(static, primals, tangents):
     dynamic, point, normal = primals
     point = _on_path(static, dynamic, point, normal)
@@ -111,7 +112,7 @@ def _(static, primals, tangents):
     def residual(dynamic: PathSystem) -> Array:
         return eqx.combine(dynamic, static).residual(at)
 
-    _, rate = jax.jvp(residual, (dynamic,), (tangents[0],))
+    rate = jvp_of_varied(residual, (dynamic,), (tangents[0],))
     tangent = eqx.combine(dynamic, static).tangent(at)
     rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
     matrix = jnp.concatenate([rows, normal[None]])

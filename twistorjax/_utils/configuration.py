@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import jax
-import jaxlib
+import jaxlib.version
 
 from .stored_traces import store_traces_in
 
@@ -76,6 +76,6 @@ def _disable_fusion_emitters() -> None:
     """
     flags = os.environ.get("XLA_FLAGS", "")
     # XLA ends the process if it does not know an option.
-    known = jaxlib.__version__.startswith("0.10.")
+    known = jaxlib.version.__version__.startswith("0.10.")
     if known and "xla_cpu_use_fusion_emitters" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false".strip()

@@ -14,6 +14,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+import twistorjax as tj
+
 from . import (
     chains,
     condensed,
@@ -46,7 +48,7 @@ def main(
     ] = None,
 ) -> None:
     """Measure the times and errors of twistorjax and of other programs, in one run."""
-    jax.config.update("jax_enable_x64", True)
+    tj.configure(cache=False)
     table = Table(*HEADINGS)
     rows: list[Row] = []
 

@@ -102,7 +102,7 @@ def warn_outside_linear_range(
             f"The hinge {hinge!r} has a linear energy (`flexures.leaf` or "
             f"`flexures.notch`), but its displacement is {np.nanmax(known):.3g} times "
             "the one at which its force or moment errs by 5 %. Use "
-            "`flexures.surrogate`, whose error is certified in its validity range, or "
+            "`flexures.surrogate`, whose error is known in its validity range, or "
             "`flexures.quartic_leaf`.",
             stacklevel=stacklevel,
         )

@@ -19,6 +19,7 @@ import json
 import jax
 import twistorjax as tj
 
+{first}
 tj.configure(cache={cache!r})
 compiled, loaded, counts = [], [], []
 jax.monitoring.register_event_duration_secs_listener(
@@ -37,11 +38,22 @@ print(json.dumps(counts))
 """
 
 
-def count_programs(*steps: str, cache: bool | str = False):
-    """Count the programs that each step requests, and those loaded from the cache."""
-    code = COUNT.format(steps=steps, cache=cache)
+def count_programs(
+    *steps: str, cache: bool | str = False, first: str = "", test_flags: bool = True
+):
+    """Count the programs that each step requests, and those loaded from the cache.
+
+    Args:
+        steps: Python code.
+        cache: Argument of `configure`.
+        first: Python code before the call of `configure`.
+        test_flags: Whether the options of XLA are those of the tests.
+    """
+    code = COUNT.format(steps=steps, cache=cache, first=first)
     environment = dict(os.environ)
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    if not test_flags:
+        environment.pop("XLA_FLAGS", None)
     process = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
@@ -228,3 +240,11 @@ def test_fast_compilation_is_an_option_of_xla(tmp_path, given, arguments, fast):
     )
     (used,) = tmp_path.glob("*jit_sin.debug_options")
     assert ("xla_cpu_use_fusion_emitters: false" in used.read_text()) == fast
+
+
+def test_programs_in_the_cache_do_not_depend_on_the_order_of_imports(tmp_path):
+    settings = {"cache": str(tmp_path), "test_flags": False}
+    count_programs(BUILD, SOLVE, **settings)
+    early = "from twistorjax.solve import statics"
+    _, (requested, loaded) = count_programs(BUILD, SOLVE, first=early, **settings)
+    assert loaded == requested == 1

@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jaxlib.version
 
 from .host import is_traced
 from .stored_traces import stored
@@ -47,7 +48,13 @@ def fast_compile(
     """
     options = _FAST if optimize else _NOT_OPTIMIZED
     given = os.environ.get("XLA_FLAGS", "")
-    options = {name: value for name, value in options.items() if name not in given}
+    # An option that is given with the same value is kept, so that the programs in the
+    # cache do not depend on whether `configure` was called before this import.
+    options = {
+        name: value
+        for name, value in options.items()
+        if name not in given or f"{name}={value}".lower() in given
+    }
     function = _in_explicit_mesh(function)
     plain = jit(function, **settings)
     traced = stored(function) if store else function
@@ -69,6 +76,19 @@ def fast_compile(
         return plain(*arguments, **static)
 
     return compiled
+
+
+def disable_fusion_emitters() -> None:
+    """Disable the fusion emitters of XLA in all programs of this process.
+
+    JAX does not accept options of `fast_compile` in programs that it differentiates or
+    vectorizes. An option in `XLA_FLAGS` is not replaced.
+    """
+    name, given = "xla_cpu_use_fusion_emitters", os.environ.get("XLA_FLAGS", "")
+    # XLA ends the process if it does not know an option.
+    known = jaxlib.version.__version__.startswith("0.10.")
+    if known and name not in given:
+        os.environ["XLA_FLAGS"] = f"{given} --{name}=false".strip()
 
 
 def _in_explicit_mesh(function: Callable) -> Callable:

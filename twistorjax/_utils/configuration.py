@@ -1,11 +1,10 @@
 """Settings of JAX for this library."""
 
-import os
 from pathlib import Path
 
 import jax
-import jaxlib.version
 
+from .compilation import disable_fusion_emitters
 from .stored_traces import store_traces_in
 
 
@@ -51,7 +50,7 @@ def configure(
         raise ValueError(f"`cache_size` is {cache_size!r}, but must be positive; bytes.")
     jax.config.update("jax_enable_x64", True)
     if fast_compilation:
-        _disable_fusion_emitters()
+        disable_fusion_emitters()
     if cache is False:
         store_traces_in(None)
         return
@@ -67,15 +66,3 @@ def configure(
         store_traces_in(Path(folder) / "traces", cache_size // 10)
     elif "://" not in folder:  # JAX also accepts the address of a storage service.
         store_traces_in(Path(folder) / "traces")
-
-
-def _disable_fusion_emitters() -> None:
-    """Add this option to the environment, for programs that users transform.
-
-    `fast_compile` sets it for the other programs of this library.
-    """
-    flags = os.environ.get("XLA_FLAGS", "")
-    # XLA ends the process if it does not know an option.
-    known = jaxlib.version.__version__.startswith("0.10.")
-    if known and "xla_cpu_use_fusion_emitters" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false".strip()

@@ -111,20 +111,9 @@ def jvp_of_varied(
     Returns:
         The derivative. Only that with respect to arrays with a tangent is computed.
     """
-    values, structure = jax.tree.flatten(primals)
-    rates = jax.tree.leaves(tangents)
-    varied = [k for k, rate in enumerate(rates) if not is_zero(rate)]
-
-    def of_varied(*varied_values: Array) -> Array:
-        leaves = list(values)
-        for k, value in zip(varied, varied_values, strict=True):
-            leaves[k] = value
-        return function(*jax.tree.unflatten(structure, leaves))
-
-    _, derivative = jax.jvp(
-        of_varied, tuple(values[k] for k in varied), tuple(rates[k] for k in varied)
-    )
-    return derivative
+    rates = jax.tree.map(lambda rate: None if is_zero(rate) else rate, tangents)
+    value, derivative = eqx.filter_jvp(function, primals, rates)
+    return jnp.zeros_like(value) if derivative is None else derivative
 
 
 def value_and_jacfwd(

@@ -188,10 +188,14 @@ def is_constant(function: Callable[..., Numbers]) -> bool:
     return getattr(function, "func", None) is uniform
 
 
+def functions_along(beam: Beam) -> list[Callable[[Scalar], Scalar]]:
+    """List the functions of the position that describe a beam."""
+    return [beam.profile] if beam.curvature is None else [beam.profile, beam.curvature]
+
+
 def is_uniform(beam: Beam) -> bool:
     """Decide whether thickness and curvature of a beam are known to be constant."""
-    along = [beam.profile] if beam.curvature is None else [beam.profile, beam.curvature]
-    return all(map(is_constant, along))
+    return all(map(is_constant, functions_along(beam)))
 
 
 def load_units(beam: Beam) -> Float[Array, "3"]:

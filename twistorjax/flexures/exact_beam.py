@@ -142,9 +142,7 @@ def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
     units = _pose_units(beam)
     twist = se2.twist(pose)
     ends = reference_ends(beam)
-    first_steps = beam.steps
-    if is_uniform(beam):
-        first_steps = -(-beam.steps // 4)
+    first_steps = -(-beam.steps // 4) if is_uniform(beam) else beam.steps
 
     def newton_step(k: Array, load: Array) -> Array:
         fraction = jnp.minimum(k // 2 + 1, _INCREMENTS) / _INCREMENTS

@@ -28,7 +28,7 @@ from ..energies.monomials import monomials, Powers, Symmetry
 from ..energies.one_freedom import Freedom
 from ..energies.validity import WithValidityRange
 from ..mechanism.sub_mechanism import SubMechanism
-from .beam import arc_rotation, Beam, is_constant
+from .beam import arc_rotation, Beam, functions_along, is_constant
 from .mechanism_surrogate import (
     fit_mechanism,
     mechanism_powers,
@@ -284,9 +284,9 @@ def _lowest_order(
 
 def _symmetry(beam: Beam) -> tuple[Symmetry, ...]:
     """Return the symmetries that a beam is known to have."""
-    along = [beam.profile] if beam.curvature is None else [beam.profile, beam.curvature]
     ends_equal = all(
-        is_constant(function) or _is_even(function, beam.length) for function in along
+        is_constant(function) or _is_even(function, beam.length)
+        for function in functions_along(beam)
     )
     if beam.curvature is None:
         return ("mirror", "ends") if ends_equal else ("mirror",)

@@ -38,7 +38,7 @@ def translation_scale(displacement: Displacement, coordinates: Coordinates) -> S
     It is one for the twistor, and the ratio of arc to chord for the twist.
     """
     if coordinates == "twist":
-        return 1 / se2.sinc(displacement.angle / 2, displacement.xi)
+        return 1 / se2.sinc(displacement.angle / 2, displacement.sigma, displacement.xi)
     return jnp.ones_like(displacement.angle)
 
 

@@ -6,6 +6,9 @@ A twist is the constant velocity that produces a displacement in unit time. Sect
 to 2.6 of the dissertation.
 """
 
+import math
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
@@ -256,24 +259,60 @@ def transform_stiffness(pose: Pose, stiffness: Matrix) -> Matrix:
     return back.T @ stiffness @ back + 0.0  # The sum turns entries of -0.0 into 0.0.
 
 
-def sinc(x: Scalar, sine: Scalar | None = None) -> Scalar:
+def sinc(x: Scalar, cos: Scalar | None = None, sin: Scalar | None = None) -> Scalar:
     """Compute `sin(x) / x` and its derivatives to rounding accuracy, also at zero.
 
     Args:
         x: Argument; rad.
-        sine: Value of `sin(x)`, if it is already known.
+        cos: Cosine of `x`, if it is already known.
+        sin: Sine of `x`, if it is already known.
 
     Returns:
         The quotient; 1 at zero.
     """
+    cos = jnp.cos(x) if cos is None else cos
+    sin = jnp.sin(x) if sin is None else sin
+    return _sinc_derivative(0, x, cos, sin)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _sinc_derivative(order: int, x: Scalar, cos: Scalar, sin: Scalar) -> Scalar:
+    """Compute a derivative of `sin(x) / x`, whose derivative is this function again.
+
+    Derivatives of the series by JAX would be several times as long.
+    """
+    return _evaluate_sinc_derivative(order, x, cos, sin)
+
+
+@_sinc_derivative.defjvp
+def _(order, primals, tangents):
+    slope = _sinc_derivative(order + 1, *primals)
+    return _sinc_derivative(order, *primals), slope * tangents[0]
+
+
+@partial(jax.jit, static_argnums=0)  # traced once for each order
+def _evaluate_sinc_derivative(
+    order: int, x: Scalar, cos: Scalar, sin: Scalar
+) -> Scalar:
     near = jnp.abs(x) < 1
-    square = jnp.where(near, x, 0.0) ** 2
-    series = jnp.zeros_like(square)
-    for k in range(11, 0, -1):  # The first omitted term, x^24 / 25!, is below rounding.
-        series = -(1 + series) * square / (2 * k * (2 * k + 1))
+    # The first omitted term, of degree 22 or more, is below rounding.
+    first = (order + 1) // 2
+    coefficients = [
+        (-1) ** n / ((2 * n + 1) * math.factorial(2 * n - order))
+        for n in range(first, first + 11)
+    ]
+    square = x * x
+    series = jnp.full_like(x, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        series = series * square + coefficient
+    series = series * x if order % 2 else series
+    # The derivative of `x sinc(x) = sin(x)`.
     far = jnp.where(near, 1.0, x)
-    sine = jnp.sin(far) if sine is None else jnp.where(near, 1.0, sine)
-    return jnp.where(near, 1 + series, sine / far)
+    quotient = sin / far
+    for k in range(1, order + 1):
+        derivative = (sin, cos, -sin, -cos)[k % 4]
+        quotient = (derivative - k * quotient) / far
+    return jnp.where(near, series, quotient)
 
 
 def rotate(angle: Scalar, vector: Point) -> Point:

@@ -217,7 +217,7 @@ class Displacement(eqx.Module):
 
     def twist(self) -> Twist:
         """Return the constant twist of the displacement, see `se2.twist`; rad, m, m."""
-        stretch = 2 / se2.sinc(self.angle / 2, self.xi)
+        stretch = 2 / se2.sinc(self.angle / 2, self.sigma, self.xi)
         return jnp.stack([self.angle, stretch * self.x1, stretch * self.x2])
 
 

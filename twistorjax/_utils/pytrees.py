@@ -100,8 +100,8 @@ def is_zero(tangent: Any) -> bool:
 
 def jvp_of_varied(
     function: Callable[..., Array], primals: tuple, tangents: tuple
-) -> Float[Array, "..."]:
-    """Compute the derivative of a function in the direction of tangents.
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Compute a function, and its derivative in the direction of tangents.
 
     Args:
         function: Function of pytrees of arrays.
@@ -109,11 +109,12 @@ def jvp_of_varied(
         tangents: Their tangents, some of which may be symbolic zeros; see `is_zero`.
 
     Returns:
-        The derivative. Only that with respect to arrays with a tangent is computed.
+        The value, and the derivative. Only that with respect to arrays with a tangent is
+        computed.
     """
     rates = jax.tree.map(lambda rate: None if is_zero(rate) else rate, tangents)
     value, derivative = eqx.filter_jvp(function, primals, rates)
-    return jnp.zeros_like(value) if derivative is None else derivative
+    return value, jnp.zeros_like(value) if derivative is None else derivative
 
 
 def value_and_jacfwd(

@@ -1,12 +1,12 @@
 """Values and derivatives of polynomials of a displacement's coordinates.
 
-`evaluate_polynomial` evaluates a polynomial for an energy. `term_wrenches` evaluates each
-term on its own at many poses; these values are the matrix of the
-least-squares problem of a fit.
+`polynomial_derivatives` evaluates a polynomial for an energy. `term_wrenches` evaluates
+each term on its own at many poses; these values are the matrix of the least-squares
+problem of a fit.
 """
 
 import math
-from functools import lru_cache, partial, reduce
+from functools import partial, reduce
 from operator import mul
 
 import jax
@@ -38,94 +38,185 @@ def polynomial_variables(
     return displacement.sigma, displacement.xi, x1, x2
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+Orders = tuple[int, ...]  # of a partial derivative, with respect to each variable
+
+
 def evaluate_polynomial(
+    powers: Powers, coefficients: Float[Array, " terms"], variables: tuple[Scalar, ...]
+) -> Scalar:
+    """Evaluate a polynomial; the value is in the unit of the coefficients."""
+    value = (0,) * len(variables)
+    return polynomial_derivatives(powers, (value,), coefficients, variables)[0]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 4))
+def polynomial_derivatives(
     powers: Powers,
-    derivatives: tuple[int, ...],
+    orders: tuple[Orders, ...],
     coefficients: Float[Array, " terms"],
     variables: tuple[Scalar, ...],
-) -> Scalar:
-    """Evaluate a polynomial or one of its partial derivatives.
+    continued: tuple[int, ...] = (),
+) -> tuple[Scalar, ...]:
+    """Evaluate several partial derivatives of a polynomial.
 
-    The value is in the unit of the coefficients. `derivatives` is the order of the
-    derivative with respect to each variable. Horner's scheme is written out in scalars.
-    XLA fuses a batch of them into one loop, which is a hundred times as fast as a lookup
-    of powers in a table. Each derivative is again evaluated by this function.
+    They share the sums over the last variables. JAX differentiates this function by
+    further partial derivatives, which share these sums, too.
+
+    Args:
+        powers: Powers of each term.
+        orders: Orders of each derivative.
+        coefficients: Coefficients of the terms, in any unit.
+        variables: The variables.
+        continued: Indices of the variables whose powers are continued outside of the
+            interval from -1 to 1, by their second-order Taylor polynomials.
+
+    Returns:
+        The derivatives, in the unit of the coefficients.
     """
-    return _horner(powers, derivatives, coefficients, variables)
+    return _evaluate(powers, orders, coefficients, variables, continued)
 
 
-@partial(evaluate_polynomial.defjvp, symbolic_zeros=True)
-def _(powers, derivatives, primals, tangents):
-    coefficients, variables = primals
+@partial(polynomial_derivatives.defjvp, symbolic_zeros=True)
+def _(powers, orders, continued, primals, tangents):
+    _, variables = primals
     coefficient_rates, variable_rates = tangents
-    value = evaluate_polynomial(powers, derivatives, coefficients, variables)
-    total = jnp.zeros_like(value)
+    rates = {k: rate for k, rate in enumerate(variable_rates) if not is_zero(rate)}
+    raised = [_raised(row, k) for row in orders for k in rates]
+    needed = tuple(dict.fromkeys([*orders, *raised]))
+    values = polynomial_derivatives(powers, needed, *primals, continued)
+    value_of = dict(zip(needed, values, strict=True))
+    slopes = [jnp.zeros_like(value) for value in values[: len(orders)]]
     if not is_zero(coefficient_rates):
-        total = evaluate_polynomial(powers, derivatives, coefficient_rates, variables)
-    for k, rate in enumerate(variable_rates):
-        higher = tuple(count + (k == index) for index, count in enumerate(derivatives))
-        if not is_zero(rate) and _differentiated_terms(powers, higher):
-            slope = evaluate_polynomial(powers, higher, coefficients, variables)
-            total = total + rate * slope
-    return value, total
-
-
-@lru_cache
-def _differentiated_terms(
-    powers: Powers, derivatives: tuple[int, ...]
-) -> tuple[tuple[int, float, tuple[int, ...]], ...]:
-    """List index, factor, and powers of the terms of a partial derivative."""
-    return tuple(
-        (
-            term,
-            float(math.prod(map(math.perm, row, derivatives))),
-            tuple(power - count for power, count in zip(row, derivatives, strict=True)),
+        slopes = polynomial_derivatives(
+            powers, orders, coefficient_rates, variables, continued
         )
-        for term, row in enumerate(powers)
-        if all(power >= count for power, count in zip(row, derivatives, strict=True))
-    )
+    for k, rate in rates.items():
+        slopes = [
+            slope + rate * value_of[_raised(row, k)]
+            for slope, row in zip(slopes, orders, strict=True)
+        ]
+    return tuple(value_of[row] for row in orders), tuple(slopes)
 
 
-@partial(jax.jit, static_argnums=(0, 1))  # traced once for each derivative
-def _horner(powers, derivatives, coefficients, variables):
-    """Evaluate a partial derivative of a polynomial; see `evaluate_polynomial`."""
-    remaining = _differentiated_terms(powers, derivatives)
-    if not remaining:
-        return jnp.zeros_like(variables[0])
-    terms, factors, rows = zip(*remaining, strict=True)
-    scaled = coefficients[np.array(terms)] * np.array(factors)
-    values = [lax.index_in_dim(scaled, k, keepdims=False) for k in range(len(terms))]
-    known_powers = {}
+def _raised(orders: Orders, variable: int) -> Orders:
+    """Raise the order of the derivative with respect to one variable by one."""
+    return tuple(order + (k == variable) for k, order in enumerate(orders))
 
-    def power_of(variable: int, power: int) -> Scalar:
-        if power == 1:
-            return variables[variable]
-        if (variable, power) not in known_powers:
+
+@partial(jax.jit, static_argnums=(0, 1, 4))  # traced once for all uses
+def _evaluate(powers, orders, coefficients, variables, continued):
+    """Evaluate partial derivatives of a polynomial; see `polynomial_derivatives`."""
+    sums = PartialSums(split_terms(powers, coefficients), variables, continued)
+    zero = jnp.zeros_like(variables[0])
+    return tuple(sums.over_last(row).get((), zero) for row in orders)
+
+
+def split_terms(
+    powers: Powers, coefficients: Float[Array, " terms"]
+) -> dict[tuple[int, ...], Scalar]:
+    """Return the coefficient for each combination of powers."""
+    return {
+        row: lax.index_in_dim(coefficients, k, keepdims=False)
+        for k, row in enumerate(powers)
+    }
+
+
+class PartialSums:
+    """Sums of the terms of a polynomial, or of its derivatives, over the last variables.
+
+    They are written out in scalars. XLA fuses a batch of them into one loop, which is a
+    hundred times as fast as a lookup of powers in a table.
+
+    Args:
+        terms: The coefficient, in any unit, for each combination of powers.
+        variables: The variables.
+        continued: See `polynomial_derivatives`.
+    """
+
+    def __init__(
+        self,
+        terms: dict[tuple[int, ...], Scalar],
+        variables: tuple[Scalar, ...],
+        continued: tuple[int, ...] = (),
+    ):
+        self._sums: dict[Orders, dict[tuple[int, ...], Scalar]] = {(): terms}
+        self._powers = [
+            _PowersOf(variable, k in continued) for k, variable in enumerate(variables)
+        ]
+
+    def over_last(self, orders: Orders) -> dict[tuple[int, ...], Scalar]:
+        """Return the sums over as many of the last variables as there are `orders`.
+
+        Args:
+            orders: Orders of the derivative with respect to these variables.
+
+        Returns:
+            The sum of all terms that have the same powers of the other variables, for
+            each combination of these powers.
+        """
+        if orders not in self._sums:
+            sums: dict[tuple[int, ...], Scalar] = {}
+            powers = self._powers[-len(orders)]
+            for (*others, power), value in self.over_last(orders[1:]).items():
+                if power >= orders[0]:
+                    term = powers.multiply(value, power, orders[0])
+                    key = tuple(others)
+                    sums[key] = lax.add(sums[key], term) if key in sums else term
+            self._sums[orders] = sums
+        return self._sums[orders]
+
+
+class _PowersOf:
+    """Powers of one variable, and their derivatives.
+
+    Args:
+        variable: The variable.
+        continued: Whether the powers are continued outside of the interval from -1 to 1.
+    """
+
+    def __init__(self, variable: Scalar, continued: bool):
+        self._inside, self._outside = variable, None
+        if continued:
+            self._inside = jnp.clip(variable, -1.0, 1.0)
+            self._outside = variable - self._inside
+        self._powers = {1: self._inside}
+        self._derivatives: dict[tuple[int, int], Scalar] = {}
+
+    def multiply(self, value: Scalar, power: int, order: int) -> Scalar:
+        """Multiply a value by a derivative of a power."""
+        if (power, order) in ((0, 0), (1, 1)):
+            return value
+        if (power, order) not in self._derivatives:
+            self._derivatives[power, order] = self._derivative(power, order)
+        return lax.mul(value, self._derivatives[power, order])
+
+    def _derivative(self, power: int, order: int) -> Scalar:
+        """Compute a derivative of a power."""
+        total = self._derivative_inside(power, order)
+        if self._outside is None:
+            return total
+        if order > 2:
+            return jnp.where(self._outside == 0, total, 0.0)
+        for more in range(1, 1 + min(power, 2) - order):
+            slope = self._derivative_inside(power, order + more)
+            total = total + self._outside**more / math.factorial(more) * slope
+        return total
+
+    def _derivative_inside(self, power: int, order: int) -> Scalar:
+        """Compute a derivative of a power in the interval."""
+        factor = float(math.perm(power, order))
+        if power == order:
+            return jnp.full_like(self._inside, factor)
+        value = self._power(power - order)
+        return value if factor == 1.0 else factor * value
+
+    def _power(self, power: int) -> Scalar:
+        """Compute a power from smaller ones."""
+        if power not in self._powers:
             half = power // 2
-            known_powers[variable, power] = lax.mul(
-                power_of(variable, half), power_of(variable, power - half)
-            )
-        return known_powers[variable, power]
-
-    def nested(terms: list[tuple[tuple[int, ...], Scalar]], variable: int) -> Scalar:
-        if variable == len(variables):
-            return terms[0][1]
-        groups: dict[int, list] = {}
-        for row, value in terms:
-            groups.setdefault(row[variable], []).append((row, value))
-        total, last = None, 0
-        for power in sorted(groups, reverse=True):
-            inner = nested(groups[power], variable + 1)
-            if total is None:
-                total = inner
-            else:
-                total = lax.add(lax.mul(total, power_of(variable, last - power)), inner)
-            last = power
-        assert total is not None
-        return total if last == 0 else lax.mul(total, power_of(variable, last))
-
-    return nested(list(zip(rows, values, strict=True)), 0)
+            product = lax.mul(self._power(half), self._power(power - half))
+            self._powers[power] = product
+        return self._powers[power]
 
 
 @partial(jax.jit, static_argnums=(2, 3))

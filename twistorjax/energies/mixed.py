@@ -6,11 +6,12 @@ on all coordinates. As a function of the axial force it is smooth for any slende
 """
 
 from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete
@@ -20,12 +21,11 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
 from .dilation import dilated_potential
-from .evaluation import evaluate_polynomial
 from .mixed_potential import (
     axial_force_ratio,
-    ForceSeries,
+    Bending,
     maximum_over_force,
-    mixed_potential,
+    potential_derivatives,
 )
 from .monomials import Powers, VARIABLES
 from .polynomial import coefficients_error, require_coefficients, require_powers
@@ -128,8 +128,12 @@ class MixedEnergy(CoordinateEnergy):
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         rotation, axial, transverse = strain(displacement, "twist")
-        series = self.force_series(rotation, transverse)
-        return maximum_over_force(series, self.force * axial)
+        return maximum_over_force(
+            self.powers,
+            self.coefficients,
+            self.bending(rotation, transverse),
+            self.force * axial,
+        )
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "MixedEnergy":
         """Return the energy if all dimensions of the hinge are multiplied."""
@@ -160,43 +164,26 @@ class MixedEnergy(CoordinateEnergy):
             The rates; rad/s, m/s, m/s.
         """
         rotation, axial, transverse = strain(displacement, "twist")
-        series = self.force_series(rotation, transverse)
-        force_ratio = axial_force_ratio(series, self.force * axial)
-        potential = _Potential(self, force_ratio, rotation, transverse)
-        curvature = potential.derivative(0, 0, 2)
+        bending = self.bending(rotation, transverse)
+        force_ratio = axial_force_ratio(
+            self.powers, self.coefficients, bending, self.force * axial
+        )
+        by_rotation, by_transverse, curvature = potential_derivatives(
+            self.powers,
+            ((1, 0, 1), (0, 1, 1), (0, 0, 2)),
+            self.coefficients,
+            bending,
+            force_ratio,
+        )
         reference = 2 * self.coefficients[self.powers.index(_AXIAL_COMPLIANCE)]
-        by_rotation, by_transverse = potential.gradient(1)
-        bending_rate = by_rotation * rates[0] + by_transverse * rates[2]
+        rotation_rate, transverse_rate = self.bending(rates[0], rates[2])
+        bending_rate = by_rotation * rotation_rate + by_transverse * transverse_rate
         rate = rates[1] + bending_rate / self.force
         return rates[0], rate * jnp.sqrt(reference / curvature), rates[2]
 
-    def force_series(
-        self,
-        rotation: Scalar,
-        transverse: Scalar,
-        derivatives: tuple[int, int] = (0, 0),
-    ) -> ForceSeries:
-        """Write W, or a derivative, as a polynomial of the relative axial force.
-
-        Args:
-            rotation: Rotation; rad.
-            transverse: Transverse displacement; m.
-            derivatives: Orders of the derivative with respect to the rotation and to the
-                transverse displacement over `length`.
-
-        Returns:
-            The coefficients of the powers of `n / force`, from the power zero on; J.
-        """
-        variables = rotation, transverse / self.length
-        series = []
-        for power in range(1 + max(row[2] for row in self.powers)):
-            terms = [k for k, row in enumerate(self.powers) if row[2] == power]
-            powers = tuple(self.powers[k][:2] for k in terms)
-            coefficients = self.coefficients[np.array(terms, int)]
-            series.append(
-                evaluate_polynomial(powers, derivatives, coefficients, variables)
-            )
-        return tuple(series)
+    def bending(self, rotation: Scalar, transverse: Scalar) -> Bending:
+        """Return the variables of W that belong to bending: rotation, `t2 / length`."""
+        return rotation, transverse / self.length
 
 
 class _NewtonModel(AbstractEnergy):
@@ -216,131 +203,133 @@ class _NewtonModel(AbstractEnergy):
     force_ratio: Scalar
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
+        energy = self.energy
         rotation, axial, transverse = strain(displacement, "twist")
-        scaled_axial = self.energy.force * axial
         return _model_energy(
-            self.energy, self.force_ratio, rotation, scaled_axial, transverse
+            energy.powers,
+            energy.coefficients,
+            self.force_ratio,
+            energy.force * axial,
+            *energy.bending(rotation, transverse),
         )
 
     def translation_scale(self, displacement: Displacement) -> Scalar:
         return self.energy.translation_scale(displacement)
 
 
-class _Potential:
-    """Derivatives of W at a rotation (rad), transverse displacement (m), and axial force.
-
-    They are written out, because nested derivatives by JAX would take twice the time to
-    trace.
-    """
-
-    def __init__(
-        self,
-        energy: MixedEnergy,
-        force_ratio: Scalar,
-        rotation: Scalar,
-        transverse: Scalar,
-    ):
-        self._energy, self._force_ratio = energy, force_ratio
-        self._at = rotation, transverse
-        self._series: dict[tuple[int, int], ForceSeries] = {}
-
-    def derivative(self, rotation: int, transverse: int, force: int) -> Scalar:
-        """Return a derivative of the given orders; J/rad^i/m^j.
-
-        The last order is that with respect to the relative axial force.
-        """
-        orders = rotation, transverse
-        if orders not in self._series:
-            self._series[orders] = self._energy.force_series(*self._at, orders)
-        value = mixed_potential(self._series[orders], self._force_ratio, force)
-        return value / self._energy.length**transverse if transverse else value
-
-    def gradient(self, force: int) -> tuple[Scalar, Scalar]:
-        """Return the gradient by rotation and displacement of a derivative by force."""
-        return self.derivative(1, 0, force), self.derivative(0, 1, force)
-
-
-@jax.custom_jvp
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _model_energy(
-    energy: MixedEnergy,
+    powers: Powers,
+    coefficients: Float[Array, " terms"],
     force_ratio: Scalar,
-    rotation: Scalar,
     axial: Scalar,
+    rotation: Scalar,
     transverse: Scalar,
 ) -> Scalar:
     """Compute the energy (J) after one Newton step from a predicted axial force.
 
-    The last three arguments are the rotation (rad), the axial displacement times the
-    reference force (J), and the transverse displacement (m).
+    The last three arguments are the axial displacement times the reference force (J), the
+    rotation (rad), and the relative transverse displacement.
     """
-    potential = _Potential(energy, force_ratio, rotation, transverse)
-    value, slope, curvature = (potential.derivative(0, 0, k) for k in range(3))
-    return axial * force_ratio + value - (axial + slope) ** 2 / (2 * curvature)
+    at = _PotentialAt.of(powers, coefficients, (rotation, transverse), force_ratio)
+    residual = axial + at.by_force
+    return axial * force_ratio + at.value - residual**2 / (2 * at.by_force_twice)
 
 
-# Derivatives with respect to the energy and the predicted force are not implemented:
-# Newton's method calls these functions on a system without derivatives (`stop_gradient`
-# in `solve.statics`).
+# Derivatives with respect to the coefficients and the predicted force are not
+# implemented: Newton's method calls these functions on a system without derivatives
+# (`stop_gradient` in `solve.statics`).
 @_model_energy.defjvp
-def _(primals, tangents):
-    by_rotation, by_axial, by_transverse = _model_gradient(*primals)
-    rotation_rate, axial_rate, transverse_rate = tangents[2:]
-    rate = (
-        by_rotation * rotation_rate
-        + by_axial * axial_rate
-        + by_transverse * transverse_rate
-    )
-    return _model_energy(*primals), rate
+def _(powers, primals, tangents):
+    slopes = _model_gradient(powers, *primals)
+    rate = sum(slope * rate for slope, rate in zip(slopes, tangents[2:], strict=True))
+    return _model_energy(powers, *primals), rate
 
 
-@jax.custom_jvp
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _model_gradient(
-    energy: MixedEnergy,
+    powers: Powers,
+    coefficients: Float[Array, " terms"],
     force_ratio: Scalar,
-    rotation: Scalar,
     axial: Scalar,
+    rotation: Scalar,
     transverse: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Compute the gradient of the model energy with respect to its last three arguments.
 
-    The gradient (J/rad, -, N) is correct to first order in the residual
-    `axial + dW/d(force_ratio)`. In its derivative, terms of this order are neglected.
+    The gradient is correct to first order in the residual, `axial` plus the derivative of
+    W with respect to the force. In its derivative, terms of this order are neglected.
     """
-    potential = _Potential(energy, force_ratio, rotation, transverse)
-    return _corrected_gradient(potential, force_ratio, axial)
-
-
-def _corrected_gradient(
-    potential: _Potential, force_ratio: Scalar, axial: Scalar
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Correct the gradient to first order in the residual; see `_model_gradient`."""
-    residual = axial + potential.derivative(0, 0, 1)
-    correction = -residual / potential.derivative(0, 0, 2)
-    by_rotation, by_transverse = potential.gradient(0)
-    slope_by_rotation, slope_by_transverse = potential.gradient(1)
-    return (
-        by_rotation + correction * slope_by_rotation,
-        force_ratio + correction,
-        by_transverse + correction * slope_by_transverse,
-    )
+    at = _PotentialAt.of(powers, coefficients, (rotation, transverse), force_ratio)
+    return at.corrected_gradient(force_ratio, axial)
 
 
 @_model_gradient.defjvp
-def _(primals, tangents):
-    energy, force_ratio, rotation, axial, transverse = primals
-    rotation_rate, axial_rate, transverse_rate = tangents[2:]
-    potential = _Potential(energy, force_ratio, rotation, transverse)
-    by_rotation, by_transverse = potential.gradient(1)
-    residual_rate = (
-        axial_rate + by_rotation * rotation_rate + by_transverse * transverse_rate
+def _(powers, primals, tangents):
+    coefficients, force_ratio, axial, rotation, transverse = primals
+    axial_rate, rotation_rate, transverse_rate = tangents[2:]
+    at = _PotentialAt.of(powers, coefficients, (rotation, transverse), force_ratio)
+    residual_rate = axial_rate + (
+        at.mixed[0] * rotation_rate + at.mixed[1] * transverse_rate
     )
-    force_rate = -residual_rate / potential.derivative(0, 0, 2)
-    mixed = potential.derivative(1, 1, 0)
-    moment_rate = potential.derivative(2, 0, 0) * rotation_rate + mixed * transverse_rate
-    shear_rate = mixed * rotation_rate + potential.derivative(0, 2, 0) * transverse_rate
+    force_rate = -residual_rate / at.by_force_twice
+    h11, h12, h22 = at.by_bending_twice
+    moment_rate = h11 * rotation_rate + h12 * transverse_rate
+    shear_rate = h12 * rotation_rate + h22 * transverse_rate
     rates = (
-        moment_rate + force_rate * by_rotation,
         force_rate,
-        shear_rate + force_rate * by_transverse,
+        moment_rate + force_rate * at.mixed[0],
+        shear_rate + force_rate * at.mixed[1],
     )
-    return _corrected_gradient(potential, force_ratio, axial), rates
+    return at.corrected_gradient(force_ratio, axial), rates
+
+
+class _PotentialAt(NamedTuple):
+    """W and its derivatives by bending and by the relative axial force; J.
+
+    Args:
+        value: W.
+        by_force: Derivative by the force.
+        by_force_twice: Second derivative by the force.
+        by_bending: Derivatives by the rotation and the transverse displacement.
+        mixed: Derivatives by each of these two and the force.
+        by_bending_twice: Second derivatives by these two: 11, 12, 22.
+    """
+
+    value: Scalar
+    by_force: Scalar
+    by_force_twice: Scalar
+    by_bending: tuple[Scalar, Scalar]
+    mixed: tuple[Scalar, Scalar]
+    by_bending_twice: tuple[Scalar, Scalar, Scalar]
+
+    @classmethod
+    def of(
+        cls,
+        powers: Powers,
+        coefficients: Float[Array, " terms"],
+        bending: Bending,
+        force_ratio: Scalar,
+    ) -> "_PotentialAt":
+        """Evaluate them together, so that they share their sums."""
+        orders = (
+            (0, 0, 0), (0, 0, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0),
+            (1, 0, 1), (0, 1, 1), (2, 0, 0), (1, 1, 0), (0, 2, 0),
+        )  # fmt: skip
+        value, by_force, by_force_twice, *others = potential_derivatives(
+            powers, orders, coefficients, bending, force_ratio
+        )
+        r, t, rn, tn, rr, rt, tt = others
+        return cls(value, by_force, by_force_twice, (r, t), (rn, tn), (rr, rt, tt))
+
+    def corrected_gradient(
+        self, force_ratio: Scalar, axial: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Correct the gradient to first order in the residual; see `_model_gradient`."""
+        correction = -(axial + self.by_force) / self.by_force_twice
+        by_rotation, by_transverse = self.by_bending
+        return (
+            force_ratio + correction,
+            by_rotation + correction * self.mixed[0],
+            by_transverse + correction * self.mixed[1],
+        )

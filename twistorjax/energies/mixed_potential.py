@@ -1,68 +1,82 @@
-"""The mixed potential W of a flexure as a function of its axial force.
+"""The potential W of a `MixedEnergy`, and its maximum over the axial force.
 
-At a fixed rotation and transverse displacement, the potential W of a `MixedEnergy` is a
-polynomial of the relative axial force, the axial force divided by a reference force.
+W is a polynomial of the rotation, the relative transverse displacement and the relative
+axial force, which are divided by a reference length and a reference force. All functions
+take the powers and coefficients (J) of W.
 """
 
-import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
+from .._utils.pytrees import jvp_of_varied
 from .._utils.types import Scalar
+from .evaluation import Orders, PartialSums, polynomial_derivatives, split_terms
+from .monomials import Powers
 
 
-# Coefficients of the powers of the relative axial force, from the power zero on; J
-ForceSeries = tuple[Scalar, ...]
+Coefficients = Float[Array, " terms"]
+Bending = tuple[Scalar, Scalar]  # rotation, relative transverse displacement
+
+_STEPS = 6  # of Newton's method
 
 
-def mixed_potential(
-    series: ForceSeries, force_ratio: Scalar, derivative: int = 0
-) -> Scalar:
-    """Evaluate W or its first or second derivative with respect to the relative force; J.
+def potential_derivatives(
+    powers: Powers,
+    orders: tuple[Orders, ...],
+    coefficients: Coefficients,
+    bending: Bending,
+    force_ratio: Scalar,
+) -> tuple[Scalar, ...]:
+    """Evaluate partial derivatives of W; J.
 
-    Between the relative forces minus one and one, W is the polynomial with the given
-    coefficients. Outside it is a parabola.
+    The orders (0, 0, 0) are those of W itself. Between the relative forces minus one and
+    one, W is the polynomial. Outside it is a parabola of the force.
     """
-    inside = jnp.clip(force_ratio, -1.0, 1.0)
-    outside = force_ratio - inside
-
-    def polynomial(derivative: int) -> Scalar:
-        total = jnp.zeros_like(inside)
-        for power in reversed(range(derivative, len(series))):
-            total = total * inside + math.perm(power, derivative) * series[power]
-        return total
-
-    if derivative == 2:
-        return polynomial(2)
-    if derivative == 1:
-        return polynomial(1) + outside * polynomial(2)
-    return polynomial(0) + outside * (polynomial(1) + outside * polynomial(2) / 2)
+    variables = *bending, force_ratio
+    return polynomial_derivatives(powers, orders, coefficients, variables, (2,))
 
 
-@jax.custom_jvp
-def maximum_over_force(series: ForceSeries, axial: Scalar) -> Scalar:
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def maximum_over_force(
+    powers: Powers, coefficients: Coefficients, bending: Bending, axial: Scalar
+) -> Scalar:
     """Compute the stored energy, the maximum of `n t1 + W` over the axial force n; J.
 
     `axial` is the axial displacement times the reference force; J.
     """
-    force_ratio = axial_force_ratio(series, axial)
-    return axial * force_ratio + mixed_potential(series, force_ratio)
+    force_ratio = axial_force_ratio(powers, coefficients, bending, axial)
+    return _energy_at_force(powers, force_ratio, coefficients, bending, axial)
 
 
-@maximum_over_force.defjvp
-def _(primals, tangents):
+@partial(maximum_over_force.defjvp, symbolic_zeros=True)
+def _(powers, primals, tangents):
     # At the maximum, the derivative with respect to the axial force is zero.
-    series, axial = primals
-    series_rates, axial_rate = tangents
-    force_ratio = axial_force_ratio(series, axial)
-    value = axial * force_ratio + mixed_potential(series, force_ratio)
-    rate = force_ratio * axial_rate + mixed_potential(series_rates, force_ratio)
-    return value, rate
+    force_ratio = axial_force_ratio(powers, *primals)
+    at_force = partial(_energy_at_force, powers, force_ratio)
+    return jvp_of_varied(at_force, primals, tangents)
 
 
-@jax.custom_jvp
-def axial_force_ratio(series: ForceSeries, axial: Scalar) -> Scalar:
+def _energy_at_force(
+    powers: Powers,
+    force_ratio: Scalar,
+    coefficients: Coefficients,
+    bending: Bending,
+    axial: Scalar,
+) -> Scalar:
+    """Compute `n t1 + W` for a relative axial force; J."""
+    (value,) = potential_derivatives(
+        powers, ((0, 0, 0),), coefficients, bending, force_ratio
+    )
+    return axial * force_ratio + value
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def axial_force_ratio(
+    powers: Powers, coefficients: Coefficients, bending: Bending, axial: Scalar
+) -> Scalar:
     """Compute the relative axial force of an axial displacement.
 
     `axial` is the axial displacement times the reference force; J. The result is NaN if
@@ -74,21 +88,39 @@ def axial_force_ratio(series: ForceSeries, axial: Scalar) -> Scalar:
     (100,000 values and derivatives), so the small Newton iterations of this library are
     loops of fixed length.
     """
+    # The sum over rotation and displacement is a polynomial of the force alone.
+    force_first = tuple((force, *others) for *others, force in powers)
+    zero = jnp.zeros_like(axial)
+    sums = PartialSums(split_terms(force_first, coefficients), (zero, *bending))
+    of_force = sums.over_last((0, 0))
+
+    def slope_and_curvature(force_ratio: Scalar) -> tuple[Scalar, Scalar]:
+        sums = PartialSums(of_force, (force_ratio,))
+        return sums.over_last((1,)).get((), zero), sums.over_last((2,))[()]
 
     def newton_step(_, force_ratio: Scalar) -> Scalar:
         inside = jnp.clip(force_ratio, -1.0, 1.0)
-        residual = axial + mixed_potential(series, inside, 1)
-        return inside - residual / mixed_potential(series, inside, 2)
+        slope, curvature = slope_and_curvature(inside)
+        return inside - (axial + slope) / curvature
 
-    force_ratio = jax.lax.fori_loop(0, 6, newton_step, jnp.zeros_like(axial))
-    is_maximum = mixed_potential(series, force_ratio, 2) < 0
-    return jnp.where(is_maximum, force_ratio, jnp.nan)
+    force_ratio = jax.lax.fori_loop(0, _STEPS, newton_step, zero)
+    _, curvature = slope_and_curvature(jnp.clip(force_ratio, -1.0, 1.0))
+    return jnp.where(curvature < 0, force_ratio, jnp.nan)
 
 
-@axial_force_ratio.defjvp
-def _(primals, tangents):
-    series, axial = primals
-    series_rates, axial_rate = tangents
-    force_ratio = axial_force_ratio(series, axial)
-    residual_rate = axial_rate + mixed_potential(series_rates, force_ratio, 1)
-    return force_ratio, -residual_rate / mixed_potential(series, force_ratio, 2)
+@partial(axial_force_ratio.defjvp, symbolic_zeros=True)
+def _(powers, primals, tangents):
+    coefficients, bending, _ = primals
+    force_ratio = axial_force_ratio(powers, *primals)
+
+    def residual(coefficients: Coefficients, bending: Bending, axial: Scalar) -> Scalar:
+        (slope,) = potential_derivatives(
+            powers, ((0, 0, 1),), coefficients, bending, force_ratio
+        )
+        return axial + slope
+
+    _, residual_rate = jvp_of_varied(residual, primals, tangents)
+    (curvature,) = potential_derivatives(
+        powers, ((0, 0, 2),), coefficients, bending, force_ratio
+    )
+    return force_ratio, -residual_rate / curvature

@@ -34,14 +34,14 @@ def potential(
     quadratic, higher = _split(powers)
     saturated = tuple(_saturate(force) for force in forces)
     total = evaluate_polynomial(
-        tuple(powers[k] for k in quadratic), (0, 0, 0),
-        coefficients[np.array(quadratic, int)], (compliant, *forces),
+        tuple(powers[k] for k in quadratic), coefficients[np.array(quadratic, int)],
+        (compliant, *forces),
     )  # fmt: skip
     if not higher:
         return total
     return total + evaluate_polynomial(
-        tuple(powers[k] for k in higher), (0, 0, 0),
-        coefficients[np.array(higher, int)], (compliant, *saturated),
+        tuple(powers[k] for k in higher), coefficients[np.array(higher, int)],
+        (compliant, *saturated),
     )  # fmt: skip
 
 

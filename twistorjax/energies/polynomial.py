@@ -73,8 +73,7 @@ class _MonomialEnergy(CoordinateEnergy):
     ) -> Scalar:
         """Evaluate the polynomial with these coefficients, in their unit."""
         values = polynomial_variables(displacement, self.coordinates, self.scale)
-        derivatives = (0,) * len(values)
-        return evaluate_polynomial(self.powers, derivatives, coefficients, values)
+        return evaluate_polynomial(self.powers, coefficients, values)
 
 
 class Polynomial(_MonomialEnergy):

@@ -291,9 +291,7 @@ def _(order, primals, tangents):
 
 
 @partial(jax.jit, static_argnums=0)  # traced once for each order
-def _evaluate_sinc_derivative(
-    order: int, x: Scalar, cos: Scalar, sin: Scalar
-) -> Scalar:
+def _evaluate_sinc_derivative(order: int, x: Scalar, cos: Scalar, sin: Scalar) -> Scalar:
     near = jnp.abs(x) < 1
     # The first omitted term, of degree 22 or more, is below rounding.
     first = (order + 1) // 2

@@ -299,7 +299,7 @@ def _(static, primals, tangents):
 
     scaled = jnp.where(found, point, 0.0) / metric.units
     unknowns = jnp.concatenate([scaled, jnp.zeros(1)])
-    rate = jvp_of_varied(
+    _, rate = jvp_of_varied(
         lambda dynamic: equations(dynamic, unknowns), (dynamic,), (tangents[0],)
     )
     matrix = jax.jacfwd(equations, argnums=1)(dynamic, unknowns)

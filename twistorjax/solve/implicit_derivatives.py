@@ -63,7 +63,7 @@ def _(static, primals, tangents):
         forces = system.residual(displacements, root[count:])
         return system.equations(forces, displacements)
 
-    rate = jvp_of_varied(residual, (dynamic, start), (system_change, start_change))
+    _, rate = jvp_of_varied(residual, (dynamic, start), (system_change, start_change))
     displacements = system.with_displacements(
         start, free=root[:count], prescribed=system.targets
     )

@@ -112,7 +112,7 @@ def _(static, primals, tangents):
     def residual(dynamic: PathSystem) -> Array:
         return eqx.combine(dynamic, static).residual(at)
 
-    rate = jvp_of_varied(residual, (dynamic,), (tangents[0],))
+    _, rate = jvp_of_varied(residual, (dynamic,), (tangents[0],))
     tangent = eqx.combine(dynamic, static).tangent(at)
     rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
     matrix = jnp.concatenate([rows, normal[None]])

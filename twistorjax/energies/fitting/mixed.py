@@ -209,8 +209,9 @@ def mixed_predictions(
     rotations, axial, transverse = jax.vmap(se2.twist)(poses).T
 
     def axial_force(rotation: Scalar, axial: Scalar, transverse: Scalar) -> Scalar:
-        series = energy.force_series(rotation, transverse)
-        return force * axial_force_ratio(series, force * axial)
+        return force * axial_force_ratio(
+            powers, coefficients, energy.bending(rotation, transverse), force * axial
+        )
 
     forces = jax.vmap(axial_force)(rotations, axial, transverse)
     return jax.vmap(energy.wrench)(poses), jax.vmap(energy)(poses), forces

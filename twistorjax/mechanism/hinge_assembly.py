@@ -138,8 +138,14 @@ class HingeAssembly(eqx.Module):
 
     def forces(self, displacements: Poses) -> Wrenches:
         """Differentiate the energy with respect to the displacements; N m, N, N."""
-        local = self._evaluate(_elastic(hinge_forces.forces), displacements)
-        return self._gather(local).reshape(displacements.shape)
+        return self.energy_and_forces(displacements)[1]
+
+    def energy_and_forces(self, displacements: Poses) -> tuple[Scalar, Wrenches]:
+        """Compute the energy of all hinges (J), and the `forces`; N m, N, N."""
+        function = _elastic(hinge_forces.energy_and_forces)
+        energies, local = self._evaluate(function, displacements)
+        forces = self._gather(local).reshape(displacements.shape)
+        return jnp.sum(energies), forces
 
     def forces_and_stress(
         self, displacements: Poses

@@ -34,11 +34,13 @@ from .hinge_kinematics import (
 
 
 @jax.jit
-def forces(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Six:
-    """Differentiate the energy with respect to the six displacements; N m, N."""
+def energy_and_forces(
+    energy: AbstractEnergy, first: End, second: End, axis: Axis
+) -> tuple[Scalar, Six]:
+    """Compute the energy (J), and its derivatives by the six displacements; N m, N."""
     kinematics = HingeKinematics.of(first, second, axis)
-    slopes = energy_gradient(energy, kinematics.middle.displacement)
-    return on_bodies(kinematics, slopes)
+    value, slopes = energy_and_gradient(energy, kinematics.middle.displacement)
+    return value, on_bodies(kinematics, slopes)
 
 
 @jax.jit
@@ -268,9 +270,20 @@ def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEn
     return solver_protocols.newton_model(energy, predicted)
 
 
+def energy_and_gradient(
+    energy: AbstractEnergy, at: Displacement
+) -> tuple[Scalar, Three]:
+    """Compute an energy, and its derivatives by the coordinates of the hinge.
+
+    The units are J, and N m, N, N. Both together take fewer operations than each alone.
+    """
+    value_and_gradient = jax.value_and_grad(_energy_function(energy, at), (0, 1, 2))
+    return value_and_gradient(*hinge_coordinates(at))
+
+
 def energy_gradient(energy: AbstractEnergy, at: Displacement) -> Three:
     """Differentiate an energy with respect to the coordinates of the hinge; N m, N, N."""
-    return _gradient_function(energy, at)(*hinge_coordinates(at))
+    return energy_and_gradient(energy, at)[1]
 
 
 def gradient_and_hessian(
@@ -282,16 +295,17 @@ def gradient_and_hessian(
         The derivatives; N m, N, N. A function that multiplies the second derivatives by a
         vector.
     """
-    return jax.linearize(_gradient_function(energy, at), *hinge_coordinates(at))
+    gradient = jax.grad(_energy_function(energy, at), (0, 1, 2))
+    return jax.linearize(gradient, *hinge_coordinates(at))
 
 
-def _gradient_function(energy: AbstractEnergy, at: Displacement) -> Callable[..., Three]:
-    """Return the derivatives of an energy as a function of the three coordinates."""
+def _energy_function(energy: AbstractEnergy, at: Displacement) -> Callable[..., Scalar]:
+    """Return the energy as a function of the three coordinates of the hinge."""
 
     def stored_energy(angle: Scalar, y1: Scalar, y2: Scalar) -> Scalar:
         return energy.stored_energy(displacement_at(at, (angle, y1, y2)))
 
-    return jax.grad(stored_energy, argnums=(0, 1, 2))
+    return stored_energy
 
 
 def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:

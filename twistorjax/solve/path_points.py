@@ -42,12 +42,13 @@ def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointV
 
     def one(point: Float[Array, " n"]) -> PointValues:
         equations, displacements, multipliers = system.split(point)
+        reactions, energy = equations.reactions_and_energy(displacements, multipliers)
         return PointValues(
             point[-1],
             displacements,
-            equations.reactions(displacements, multipliers),
+            reactions,
             multipliers,
-            equations.hinges.energy(displacements),
+            energy,
             reported_stresses(equations.hinges, displacements),
         )
 

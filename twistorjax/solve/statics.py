@@ -189,12 +189,13 @@ def solve_equilibrium(
     failed = (solution.status != newton.NOT_FINITE) & ~consistent
     result = RESULTS.where(failed, RESULTS.inconsistent_constraints, result)
     result = RESULTS.where(outside, RESULTS.out_of_range, result)
+    reactions, energy = system.reactions_and_energy(displacements, multipliers)
     return Equilibrium(
         displacements=jnp.where(valid, displacements, jnp.nan),
         reference=reference,
-        reactions=jnp.where(valid, system.reactions(displacements, multipliers), jnp.nan),
+        reactions=jnp.where(valid, reactions, jnp.nan),
         constraint_forces=multipliers,
-        energy=jnp.where(valid, hinges.energy(displacements), jnp.nan),
+        energy=jnp.where(valid, energy, jnp.nan),
         reached=solution.displacements,
         fraction=solution.fraction,
         steps=solution.steps,

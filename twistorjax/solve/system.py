@@ -185,8 +185,15 @@ class System(eqx.Module):
         They are zero on free degrees of freedom in equilibrium. On fixed and prescribed
         ones they are the reactions.
         """
+        forces = self.hinges.forces(displacements)
+        return self._unbalanced(forces, displacements, multipliers)
+
+    def _unbalanced(
+        self, forces: Wrenches, displacements: Poses, multipliers: Entries
+    ) -> Float[Array, " dofs"]:
+        """Subtract the loads and the constraint forces from the forces of the hinges."""
         applied, _ = self.loads.apply(displacements)
-        residual = (self.hinges.forces(displacements) - applied).reshape(-1)
+        residual = (forces - applied).reshape(-1)
         if not self.constraints.size:
             return residual
         return residual - self.constraints.forces(displacements, self.time, multipliers)
@@ -208,9 +215,16 @@ class System(eqx.Module):
         multipliers = jnp.asarray(self.first.constraint_forces)
         return residual - self.constraints.forces(displacements, self.time, multipliers)
 
-    def reactions(self, displacements: Poses, multipliers: Entries) -> Wrenches:
-        """Compute the reactions on fixed and prescribed degrees of freedom; N m, N, N."""
-        return self.dofs.reactions(self.residual(displacements, multipliers))
+    def reactions_and_energy(
+        self, displacements: Poses, multipliers: Entries
+    ) -> tuple[Wrenches, Scalar]:
+        """Compute the reactions on fixed and prescribed degrees of freedom, and energy.
+
+        The reactions are in N m, N, N; the energy that the hinges store is in J.
+        """
+        energy, forces = self.hinges.energy_and_forces(displacements)
+        residual = self._unbalanced(forces, displacements, multipliers)
+        return self.dofs.reactions(residual), energy
 
     def constraint_forces(self, displacements: Poses) -> Entries:
         """Compute the constraint forces of an equilibrium by least squares; N m, N."""

@@ -270,9 +270,7 @@ def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEn
     return solver_protocols.newton_model(energy, predicted)
 
 
-def energy_and_gradient(
-    energy: AbstractEnergy, at: Displacement
-) -> tuple[Scalar, Three]:
+def energy_and_gradient(energy: AbstractEnergy, at: Displacement) -> tuple[Scalar, Three]:
     """Compute an energy, and its derivatives by the coordinates of the hinge.
 
     The units are J, and N m, N, N. Both together take fewer operations than each alone.

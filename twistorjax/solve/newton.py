@@ -11,7 +11,7 @@ from .._utils.types import Count, Entries, Flag, Poses, Scalar
 from .system import System
 
 
-RUNNING, CONVERGED, NOT_FINITE, UNSTABLE, STUCK, USED_UP = range(6)
+RUNNING, CONVERGED, NOT_FINITE, UNSTABLE, STUCK, USED_UP, INCONSISTENT = range(7)
 
 
 class NewtonSolution(NamedTuple):

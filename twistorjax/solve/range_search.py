@@ -16,9 +16,11 @@ from ..mechanism.hinge_stress import largest_stresses
 from ..mechanism.loads import LoadSet
 from .dofs import DofPartition
 from .load_state import LoadState
+from .newton import CONVERGED, NewtonSolution
 from .results import is_success, RESULTS
 from .static_results import Equilibrium
-from .statics import solve_equilibrium
+from .statics import find_equilibrium, report_equilibrium, search_result
+from .system import System
 
 
 _TOLERANCE, _MOST_STEPS = 1e-10, 400  # of an equilibrium
@@ -79,34 +81,66 @@ class RangeInput(NamedTuple):
         """Return all loads at a factor of the input."""
         return self.constant_loads.plus(self.loads.scaled(factor))
 
-    def at(
-        self, factor: Scalar, start: RangePoint, dofs: DofPartition
-    ) -> tuple[Equilibrium, Float[Array, " hinges"]]:
-        """Compute the equilibrium at a factor of the input, and the stresses; Pa.
+    def system_at(self, factor: Scalar, dofs: DofPartition) -> System:
+        """Return the equations at a factor of the input."""
+        return System(
+            self.hinges_at(factor),
+            self.loads_at(factor),
+            self.constraints,
+            jnp.array([factor * target for target in self.targets], float),
+            self.time,
+            dofs,
+        )
 
-        The equilibrium is connected to `start`.
+    def next_point(
+        self, factor: Scalar, start: RangePoint, dofs: DofPartition
+    ) -> tuple[RangePoint, RESULTS]:
+        """Search for the equilibrium at a factor of the input, from another one.
+
+        The result says why it was not found.
         """
-        hinges = self.hinges_at(factor)
+        system = self.system_at(factor, dofs)
         first = LoadState(
             self.loads_at(start.factor),
             self.hinges_at(start.factor).misfits,
-            start.constraint_forces if self.constraints.size else None,
+            self._multipliers(start),
         )
-        solution = solve_equilibrium(
-            hinges,
-            self.reference,
+        solution = find_equilibrium(
+            system,
             start.displacements,
             first,
-            self.loads_at(factor),
-            self.constraints,
-            tuple(factor * target for target in self.targets),
-            self.time,
             jnp.asarray(_TOLERANCE),
             jnp.asarray(_MOST_STEPS),
-            dofs=dofs,
-            names=((), ()),
         )
-        return solution, largest_stresses(hinges, solution.displacements)
+        forces = solution.multipliers
+        forces = start.constraint_forces if forces is None else forces
+        point = RangePoint(factor, solution.displacements, forces)
+        return point, search_result(system, solution)
+
+    def at(
+        self, point: RangePoint, dofs: DofPartition
+    ) -> tuple[Equilibrium, Float[Array, " hinges"]]:
+        """Compute all results at a known point, and the stresses (Pa), with derivatives.
+
+        The displacements and forces of the point are constants. The derivatives follow
+        from the equations.
+        """
+        system = self.system_at(point.factor, dofs)
+        known = NewtonSolution(
+            point.displacements,
+            self._multipliers(point),
+            fraction=jnp.ones(()),
+            steps=jnp.zeros((), int),
+            status=jnp.asarray(CONVERGED),
+        )
+        solution = report_equilibrium(
+            system, known, self.reference, point.displacements, names=((), ())
+        )
+        return solution, largest_stresses(system.hinges, solution.displacements)
+
+    def _multipliers(self, point: RangePoint) -> Entries | None:
+        """Return the constraint forces of a point; None without constraints; N m, N."""
+        return point.constraint_forces if self.constraints.size else None
 
     def excess(self, stresses: Float[Array, " hinges"]) -> Scalar:
         """Compute the largest ratio of stress and allowable stress, minus 1."""
@@ -209,7 +243,7 @@ def _end(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> R
     found = jnp.abs(search.excess) < _REACHED
     point = search.point(side)
     factor = _with_derivative(point.factor, given, point, found, dofs)
-    solution, stresses = given.at(factor, point, dofs)
+    solution, stresses = given.at(point._replace(factor=factor), dofs)
     unstable = jnp.zeros((), bool)
     for reason in (
         RESULTS.successful,  # The next equilibrium is not connected to the last one.
@@ -258,9 +292,10 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
 
     def improve(search: _Search) -> _Search:
         factor = search.next_factor()
-        solution, stresses = given.at(side * factor, search.point(side), dofs)
-        excess = given.excess(stresses)
-        succeeded = is_success(solution.result) & jnp.isfinite(excess)
+        point, result = given.next_point(side * factor, search.point(side), dofs)
+        stresses = largest_stresses(given.hinges_at(side * factor), point.displacements)
+        excess = jnp.where(is_success(result), given.excess(stresses), jnp.nan)
+        succeeded = jnp.isfinite(excess)
         below = succeeded & ((excess <= 0) | (jnp.abs(excess) < _PRECISION))
         # The method of Illinois: an end that is kept twice loses half of its weight.
         weights = jnp.stack(
@@ -270,7 +305,7 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
             ]
         )
         slope = (excess - search.excess) / (factor - search.lower)
-        reason = RESULTS.where(below, search.result, solution.result)
+        reason = RESULTS.where(below, search.result, result)
         is_beyond = factor > search.upper
         upper = jnp.where(is_beyond & ~succeeded, search.upper, factor)
         upper = jnp.where(below, jnp.where(is_beyond, jnp.inf, search.upper), upper)
@@ -281,10 +316,8 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
         return _Search(
             lower=select(factor, search.lower),
             excess=select(excess, search.excess),
-            displacements=select(solution.displacements, search.displacements),
-            constraint_forces=select(
-                solution.constraint_forces, search.constraint_forces
-            ),
+            displacements=select(point.displacements, search.displacements),
+            constraint_forces=select(point.constraint_forces, search.constraint_forces),
             slope=jnp.where(succeeded, slope, search.slope),
             upper=upper,
             upper_excess=select(search.upper_excess, excess),
@@ -302,23 +335,23 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
 def _with_derivative(
     factor: Scalar,
     given: RangeInput,
-    start: RangePoint,
+    point: RangePoint,
     by_stress: Flag,
     dofs: DofPartition,
 ) -> Scalar:
     """Return the factor of an end with a derivative, which is NaN if not `by_stress`."""
-    del given, start, by_stress, dofs
+    del given, point, by_stress, dofs
     return factor
 
 
 @_with_derivative.def_jvp
 def _(primals, tangents):
     # At the end, the excess of the stress is zero, also if the mechanism changes.
-    factor, given, start, by_stress, dofs = primals
+    factor, given, point, by_stress, dofs = primals
     _, change, *_ = tangents
 
     def excess(factor: Scalar, given: RangeInput) -> Scalar:
-        _, stresses = given.at(factor, start, dofs)
+        _, stresses = given.at(point._replace(factor=factor), dofs)
         return given.excess(stresses)
 
     _, slope = jax.jvp(lambda value: excess(value, given), (factor,), (1 + 0 * factor,))

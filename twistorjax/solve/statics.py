@@ -22,9 +22,7 @@ from .consistency import independent
 from .dofs import DofPartition
 from .implicit_derivatives import differentiable_root
 from .load_state import LoadState
-from .results import (
-    RESULTS,
-)
+from .results import is_success, RESULTS
 from .static_errors import check_equilibrium
 from .static_results import Equilibrium, StateLike
 from .stresses import report_stresses, reported_hinges
@@ -157,12 +155,57 @@ def solve_equilibrium(
 ) -> Equilibrium:
     """Compute the equilibrium; see `equilibrium`."""
     system = System(hinges, loads, constraints, jnp.array(targets, float), time, dofs)
-    fixed_system, start, first = stop_gradient((system, start_displacements, first))
-    consistent = independent(fixed_system, start)
-    fixed_system = replace(fixed_system, first=first)
-    solution = newton.solve_in_increments(fixed_system, start, tolerance, max_steps)
-    flat = solution.displacements.reshape(-1)
-    converged = (solution.status == newton.CONVERGED) & consistent
+    solution = find_equilibrium(system, start_displacements, first, tolerance, max_steps)
+    return report_equilibrium(
+        system, solution, reference, start_displacements, names=names
+    )
+
+
+def find_equilibrium(
+    system: System,
+    start_displacements: Poses,
+    first: LoadState | None,
+    tolerance: Scalar,
+    max_steps: Count,
+) -> newton.NewtonSolution:
+    """Compute the displacements of the equilibrium, without derivatives."""
+    system, start, first = stop_gradient((system, start_displacements, first))
+    consistent = independent(system, start)
+    solution = newton.solve_in_increments(
+        replace(system, first=first), start, tolerance, max_steps
+    )
+    failed = (solution.status != newton.NOT_FINITE) & ~consistent
+    status = jnp.where(failed, newton.INCONSISTENT, solution.status)
+    return solution._replace(status=status)
+
+
+def search_result(system: System, solution: newton.NewtonSolution) -> RESULTS:
+    """Return whether an equilibrium was found, and it is valid; otherwise the reason."""
+    result = RESULTS.successful
+    for status, item in (
+        (newton.NOT_FINITE, RESULTS.not_finite),
+        (newton.UNSTABLE, RESULTS.unstable),
+        (newton.STUCK, RESULTS.no_equilibrium),
+        (newton.USED_UP, RESULTS.steps_used_up),
+        (newton.INCONSISTENT, RESULTS.inconsistent_constraints),
+    ):
+        result = RESULTS.where(solution.status == status, item, result)
+    outside = jnp.any(system.hinges.out_of_range(solution.displacements))
+    outside &= solution.status == newton.CONVERGED
+    return RESULTS.where(outside, RESULTS.out_of_range, result)
+
+
+def report_equilibrium(
+    system: System,
+    solution: newton.NewtonSolution,
+    reference: Poses,
+    start_displacements: Poses,
+    *,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+) -> Equilibrium:
+    """Compute all results of an equilibrium that was found, with their derivatives."""
+    hinges, flat = system.hinges, solution.displacements.reshape(-1)
+    converged = solution.status == newton.CONVERGED
     root, multipliers = flat[system.free], jnp.zeros(0)
     if solution.multipliers is not None:
         root = jnp.concatenate([root, solution.multipliers])
@@ -174,21 +217,10 @@ def solve_equilibrium(
     displacements = system.with_displacements(
         start_displacements, free=free, prescribed=prescribed
     )
-    outside = converged & jnp.any(hinges.out_of_range(solution.displacements))
-    valid = converged & ~outside
+    result = search_result(system, solution)
+    valid = is_success(result)
     if solution.multipliers is not None:  # no array of size zero; see `System.equations`
         multipliers = jnp.where(valid, multipliers, jnp.nan)
-    result = RESULTS.successful
-    for status, item in (
-        (newton.NOT_FINITE, RESULTS.not_finite),
-        (newton.UNSTABLE, RESULTS.unstable),
-        (newton.STUCK, RESULTS.no_equilibrium),
-        (newton.USED_UP, RESULTS.steps_used_up),
-    ):
-        result = RESULTS.where(solution.status == status, item, result)
-    failed = (solution.status != newton.NOT_FINITE) & ~consistent
-    result = RESULTS.where(failed, RESULTS.inconsistent_constraints, result)
-    result = RESULTS.where(outside, RESULTS.out_of_range, result)
     reactions, energy = system.reactions_and_energy(displacements, multipliers)
     return Equilibrium(
         displacements=jnp.where(valid, displacements, jnp.nan),
@@ -200,11 +232,11 @@ def solve_equilibrium(
         fraction=solution.fraction,
         steps=solution.steps,
         range_shares=hinges.range_shares(solution.displacements),
-        loads=loads,
+        loads=system.loads,
         misfits=hinges.misfits,
         result=result,
         names=names[0],
-        constraint_names=constraints.names(),
+        constraint_names=system.constraints.names(),
         stresses=report_stresses(hinges, displacements, names[1], valid),
     )
 

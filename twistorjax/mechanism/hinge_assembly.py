@@ -17,7 +17,13 @@ from . import hinge_forces, hinge_motion
 from .assembly_tangent import AssemblyMotionTangent, AssemblyTangent
 from .hinge_groups import HingeGroup
 from .hinge_kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
-from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
+from .scatter import (
+    gather_entries,
+    hinge_dofs,
+    matrix_entries,
+    row_entries,
+    sum_entries,
+)
 
 
 class HingeAssembly(eqx.Module):
@@ -354,7 +360,7 @@ class HingeAssembly(eqx.Module):
         rates = None if rates is None else rates[members]
 
         def end(body: np.ndarray, arm: Array) -> End:
-            of_body = (values[body] for values in (angle, x, y, cos, sin))
+            of_body = (gather_entries(values, body) for values in (angle, x, y, cos, sin))
             return End(*of_body, arm_x=arm[:, 0], arm_y=arm[:, 1])
 
         leaves, tree = jax.tree.flatten((group.energy, group.damping))

@@ -8,9 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
+from numpy.polynomial import Polynomial
 from scipy.optimize import minimize_scalar, OptimizeResult
 
 import twistorjax as tj
+from twistorjax.energies.evaluation import polynomial_derivatives
 from twistorjax.geometry import se2, twistors
 
 
@@ -89,6 +91,39 @@ def test_potential_is_continued_as_a_parabola_above_the_reference_force():
             np.testing.assert_allclose(
                 actual(pose), expected(pose), rtol=1e-11, atol=1e-9
             )
+
+
+@pytest.mark.parametrize("force", [-1.7, -0.3, 0.9, 1.4])
+def test_all_derivatives_of_the_potential_are_those_of_the_parabola(force):
+    """Powers of the force above the second are continued by their Taylor polynomials."""
+    rotation, transverse = 0.4, 0.2
+    of_force = Polynomial([0.0])
+    by_rotation = Polynomial([0.0])
+    for (i, j, k), value in TERMS.items():
+        power = Polynomial.basis(k)
+        if abs(force) > 1:
+            edge = np.sign(force)
+            offset = Polynomial([-edge, 1.0])
+            power = sum(power.deriv(m)(edge) * offset**m / (1, 1, 2)[m] for m in range(3))
+        of_force += value * rotation**i * transverse**j * power
+        by_rotation += value * i * rotation ** max(i - 1, 0) * transverse**j * power
+    variables = tuple(map(jnp.array, (rotation, transverse, force)))
+    coefficients = jnp.array(list(TERMS.values()))
+    for order in range(5):
+        orders = (0, 0, order), (1, 0, order)
+        actual = polynomial_derivatives(
+            tuple(TERMS), orders, coefficients, variables, (2,)
+        )
+        expected = of_force.deriv(order)(force), by_rotation.deriv(order)(force)
+        np.testing.assert_allclose(actual, expected, rtol=1e-13, atol=1e-14)
+
+    def potential(force, order):
+        at = (*variables[:2], force)
+        return polynomial_derivatives(tuple(TERMS), (order,), coefficients, at, (2,))[0]
+
+    for order in range(4):
+        slope = jax.grad(potential)(variables[2], (1, 0, order))
+        assert_close(slope, by_rotation.deriv(order + 1)(force))
 
 
 def test_mixed_energy_needs_an_axial_compliance():

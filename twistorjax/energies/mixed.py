@@ -131,7 +131,7 @@ class MixedEnergy(CoordinateEnergy):
         return maximum_over_force(
             self.powers,
             self.coefficients,
-            self.bending(rotation, transverse),
+            self.bending_variables(rotation, transverse),
             self.force * axial,
         )
 
@@ -164,7 +164,7 @@ class MixedEnergy(CoordinateEnergy):
             The rates; rad/s, m/s, m/s.
         """
         rotation, axial, transverse = strain(displacement, "twist")
-        bending = self.bending(rotation, transverse)
+        bending = self.bending_variables(rotation, transverse)
         force_ratio = axial_force_ratio(
             self.powers, self.coefficients, bending, self.force * axial
         )
@@ -176,12 +176,12 @@ class MixedEnergy(CoordinateEnergy):
             force_ratio,
         )
         reference = 2 * self.coefficients[self.powers.index(_AXIAL_COMPLIANCE)]
-        rotation_rate, transverse_rate = self.bending(rates[0], rates[2])
+        rotation_rate, transverse_rate = self.bending_variables(rates[0], rates[2])
         bending_rate = by_rotation * rotation_rate + by_transverse * transverse_rate
         rate = rates[1] + bending_rate / self.force
         return rates[0], rate * jnp.sqrt(reference / curvature), rates[2]
 
-    def bending(self, rotation: Scalar, transverse: Scalar) -> Bending:
+    def bending_variables(self, rotation: Scalar, transverse: Scalar) -> Bending:
         """Return the variables of W that belong to bending: rotation, `t2 / length`."""
         return rotation, transverse / self.length
 
@@ -210,7 +210,7 @@ class _NewtonModel(AbstractEnergy):
             energy.coefficients,
             self.force_ratio,
             energy.force * axial,
-            *energy.bending(rotation, transverse),
+            *energy.bending_variables(rotation, transverse),
         )
 
     def translation_scale(self, displacement: Displacement) -> Scalar:

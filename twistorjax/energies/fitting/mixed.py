@@ -210,7 +210,10 @@ def mixed_predictions(
 
     def axial_force(rotation: Scalar, axial: Scalar, transverse: Scalar) -> Scalar:
         return force * axial_force_ratio(
-            powers, coefficients, energy.bending(rotation, transverse), force * axial
+            powers,
+            coefficients,
+            energy.bending_variables(rotation, transverse),
+            force * axial,
         )
 
     forces = jax.vmap(axial_force)(rotations, axial, transverse)

@@ -306,10 +306,12 @@ def _unloaded_points(
     decreasing = (factors[:-1] > 0) & (factors[1:] <= 0)
     down, has_down = first_row(decreasing, jnp.zeros((), int))
     up, has_up = first_row((factors[:-1] < 0) & (factors[1:] >= 0), down)
-    middle, second = (
-        _at_zero_load(system, run.metric, jax.lax.dynamic_slice_in_dim(points, row, 2))
-        for row in (down, up)
-    )
+
+    def state_after(row: Count) -> Float[Array, " n"]:
+        ends = jax.lax.dynamic_slice_in_dim(points, row, 2)
+        return _at_zero_load(system, run.metric, ends)
+
+    middle, second = jax.vmap(state_after)(jnp.stack([down, up]))
     found = jnp.stack([trace.number > 0, has_down, has_down & has_up])
     found &= trace.status != NOT_FINITE
     states = jnp.stack([trace.points[0], middle, second])

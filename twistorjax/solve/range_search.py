@@ -117,7 +117,7 @@ class RangeInput(NamedTuple):
         point = RangePoint(factor, solution.displacements, forces)
         return point, search_result(system, solution)
 
-    def at(
+    def results_at(
         self, point: RangePoint, dofs: DofPartition
     ) -> tuple[Equilibrium, Float[Array, " hinges"]]:
         """Compute all results at a known point, and the stresses (Pa), with derivatives.
@@ -138,13 +138,13 @@ class RangeInput(NamedTuple):
         )
         return solution, largest_stresses(system.hinges, solution.displacements)
 
-    def _multipliers(self, point: RangePoint) -> Entries | None:
-        """Return the constraint forces of a point; None without constraints; N m, N."""
-        return point.constraint_forces if self.constraints.size else None
-
     def excess(self, stresses: Float[Array, " hinges"]) -> Scalar:
         """Compute the largest ratio of stress and allowable stress, minus 1."""
         return jnp.max(stresses / self.allowable) - 1
+
+    def _multipliers(self, point: RangePoint) -> Entries | None:
+        """Return the constraint forces of a point; None without constraints; N m, N."""
+        return point.constraint_forces if self.constraints.size else None
 
 
 class RangeEnd(NamedTuple):
@@ -243,7 +243,7 @@ def _end(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> R
     found = jnp.abs(search.excess) < _REACHED
     point = search.point(side)
     factor = _with_derivative(point.factor, given, point, found, dofs)
-    solution, stresses = given.at(point._replace(factor=factor), dofs)
+    solution, stresses = given.results_at(point._replace(factor=factor), dofs)
     unstable = jnp.zeros((), bool)
     for reason in (
         RESULTS.successful,  # The next equilibrium is not connected to the last one.
@@ -351,7 +351,7 @@ def _(primals, tangents):
     _, change, *_ = tangents
 
     def excess(factor: Scalar, given: RangeInput) -> Scalar:
-        _, stresses = given.at(point._replace(factor=factor), dofs)
+        _, stresses = given.results_at(point._replace(factor=factor), dofs)
         return given.excess(stresses)
 
     _, slope = jax.jvp(lambda value: excess(value, given), (factor,), (1 + 0 * factor,))

@@ -115,10 +115,7 @@ def split_terms(
     powers: Powers, coefficients: Float[Array, " terms"]
 ) -> dict[tuple[int, ...], Scalar]:
     """Return the coefficient for each combination of powers."""
-    return {
-        row: lax.index_in_dim(coefficients, k, keepdims=False)
-        for k, row in enumerate(powers)
-    }
+    return dict(zip(powers, jnp.unstack(coefficients), strict=True))
 
 
 class PartialSums:

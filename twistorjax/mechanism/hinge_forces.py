@@ -249,8 +249,10 @@ def product(
     """
     if len(second) > _MOST_TERMS:
         return jnp.sum(first[:, :, None] * second[None], axis=1)
-    terms = [first[:, k, None] * second[None, k] for k in range(len(second))]
-    return sum(terms, start=jnp.zeros((len(first), second.shape[1]), first.dtype))
+    columns = jnp.split(first, len(second), axis=1)
+    rows = jnp.split(second, len(second))
+    zero = jnp.zeros((len(first), second.shape[1]), first.dtype)
+    return sum(map(jnp.multiply, columns, rows), start=zero)
 
 
 def as_array(rows: Sequence[Sequence[Scalar]]) -> Float[Array, "rows columns"]:

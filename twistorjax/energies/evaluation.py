@@ -23,6 +23,10 @@ from .monomials import Powers
 from .strains import Coordinates, translation_scale
 
 
+Coefficients = Float[Array, " terms"]
+Orders = tuple[int, ...]  # of a partial derivative, with respect to each variable
+
+
 def polynomial_variables(
     displacement: Displacement, coordinates: Coordinates, scale: Scalar
 ) -> tuple[Scalar, ...]:
@@ -38,11 +42,8 @@ def polynomial_variables(
     return displacement.sigma, displacement.xi, x1, x2
 
 
-Orders = tuple[int, ...]  # of a partial derivative, with respect to each variable
-
-
 def evaluate_polynomial(
-    powers: Powers, coefficients: Float[Array, " terms"], variables: tuple[Scalar, ...]
+    powers: Powers, coefficients: Coefficients, variables: tuple[Scalar, ...]
 ) -> Scalar:
     """Evaluate a polynomial; the value is in the unit of the coefficients."""
     value = (0,) * len(variables)
@@ -53,7 +54,7 @@ def evaluate_polynomial(
 def polynomial_derivatives(
     powers: Powers,
     orders: tuple[Orders, ...],
-    coefficients: Float[Array, " terms"],
+    coefficients: Coefficients,
     variables: tuple[Scalar, ...],
     continued: tuple[int, ...] = (),
 ) -> tuple[Scalar, ...]:
@@ -112,7 +113,7 @@ def _evaluate(powers, orders, coefficients, variables, continued):
 
 
 def split_terms(
-    powers: Powers, coefficients: Float[Array, " terms"]
+    powers: Powers, coefficients: Coefficients
 ) -> dict[tuple[int, ...], Scalar]:
     """Return the coefficient for each combination of powers."""
     return dict(zip(powers, jnp.unstack(coefficients), strict=True))

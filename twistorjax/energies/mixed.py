@@ -21,6 +21,7 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
 from .dilation import dilated_potential
+from .evaluation import Coefficients
 from .mixed_potential import (
     axial_force_ratio,
     Bending,
@@ -220,7 +221,7 @@ class _NewtonModel(AbstractEnergy):
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _model_energy(
     powers: Powers,
-    coefficients: Float[Array, " terms"],
+    coefficients: Coefficients,
     force_ratio: Scalar,
     axial: Scalar,
     rotation: Scalar,
@@ -249,7 +250,7 @@ def _(powers, primals, tangents):
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _model_gradient(
     powers: Powers,
-    coefficients: Float[Array, " terms"],
+    coefficients: Coefficients,
     force_ratio: Scalar,
     axial: Scalar,
     rotation: Scalar,
@@ -307,7 +308,7 @@ class _PotentialAt(NamedTuple):
     def of(
         cls,
         powers: Powers,
-        coefficients: Float[Array, " terms"],
+        coefficients: Coefficients,
         bending: Bending,
         force_ratio: Scalar,
     ) -> "_PotentialAt":

@@ -9,15 +9,19 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from .._utils.pytrees import jvp_of_varied
 from .._utils.types import Scalar
-from .evaluation import Orders, PartialSums, polynomial_derivatives, split_terms
+from .evaluation import (
+    Coefficients,
+    Orders,
+    PartialSums,
+    polynomial_derivatives,
+    split_terms,
+)
 from .monomials import Powers
 
 
-Coefficients = Float[Array, " terms"]
 Bending = tuple[Scalar, Scalar]  # rotation, relative transverse displacement
 
 _STEPS = 6  # of Newton's method

@@ -15,6 +15,7 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
 from .dilation import dilated_potential
+from .evaluation import Coefficients
 from .monomials import Powers
 from .one_freedom_potential import (
     ForceRatios,
@@ -230,7 +231,7 @@ class _NewtonModel(AbstractEnergy):
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _model_energy(
     powers: Powers,
-    coefficients: Float[Array, " terms"],
+    coefficients: Coefficients,
     forces: ForceRatios,
     compliant: Scalar,
     stretch_1: Scalar,
@@ -258,7 +259,7 @@ def _(powers, primals, tangents):
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _model_gradient(
     powers: Powers,
-    coefficients: Float[Array, " terms"],
+    coefficients: Coefficients,
     forces: ForceRatios,
     compliant: Scalar,
     stretch_1: Scalar,

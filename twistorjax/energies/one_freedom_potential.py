@@ -10,15 +10,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from .._utils.types import Scalar
-from .evaluation import evaluate_polynomial
+from .evaluation import Coefficients, evaluate_polynomial
 from .monomials import Powers
 
 
 ForceRatios = tuple[Scalar, Scalar]
-Coefficients = Float[Array, " terms"]
 
 _STEPS = 6  # of Newton's method; the first one is exact for a quadratic potential
 

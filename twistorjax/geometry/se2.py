@@ -292,6 +292,7 @@ def _(order, primals, tangents):
 
 @partial(jax.jit, static_argnums=0)  # traced once for each order
 def _evaluate_sinc_derivative(order: int, x: Scalar, cos: Scalar, sin: Scalar) -> Scalar:
+    """Compute it from the series if x is small; see `_sinc_derivative`."""
     near = jnp.abs(x) < 1
     # The first omitted term, of degree 22 or more, is below rounding.
     first = (order + 1) // 2

@@ -275,7 +275,7 @@ def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEn
 def energy_and_gradient(energy: AbstractEnergy, at: Displacement) -> tuple[Scalar, Three]:
     """Compute an energy, and its derivatives by the coordinates of the hinge.
 
-    The units are J, and N m, N, N. Both together take fewer operations than each alone.
+    The units are J, and N m, N, N. Their operations are shared.
     """
     value_and_gradient = jax.value_and_grad(_energy_function(energy, at), (0, 1, 2))
     return value_and_gradient(*hinge_coordinates(at))

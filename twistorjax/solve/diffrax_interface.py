@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .initial_state import InitialValueProblem
-from .results import RESULTS
+from .results import result_of_status, RESULTS
 
 
 @contextmanager
@@ -40,8 +40,7 @@ def smaller_program(own_controller: bool) -> Iterator[None]:
 def convert_result(result: dfx.RESULTS, finite: Array) -> RESULTS:
     """Convert the result of diffrax; `finite` is true if the final state is finite."""
     codes: Any = dfx.RESULTS
-    converted = RESULTS.solver_failed
-    for code, item in (
+    results = (
         (codes.successful, RESULTS.successful),
         (codes.event_occurred, RESULTS.event_occurred),
         (codes.max_steps_reached, RESULTS.max_steps_reached),
@@ -49,8 +48,8 @@ def convert_result(result: dfx.RESULTS, finite: Array) -> RESULTS:
         (codes.nonlinear_divergence, RESULTS.step_too_long),
         (codes.nonfinite, RESULTS.not_finite),
         (codes.nonfinite_input, RESULTS.not_finite),
-    ):
-        converted = RESULTS.where(result == code, item, converted)
+    )
+    converted = result_of_status(result, results, RESULTS.solver_failed)
     return RESULTS.where(finite, converted, RESULTS.not_finite)
 
 

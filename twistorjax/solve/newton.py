@@ -23,6 +23,7 @@ class NewtonSolution(NamedTuple):
         fraction: Fraction of the loads and prescribed displacements.
         steps: Number of Newton steps.
         status: Reason why the iteration stopped: one of the constants above.
+            `INCONSISTENT` is set outside of the iteration, which does not check it.
     """
 
     displacements: Poses

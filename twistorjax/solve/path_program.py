@@ -32,7 +32,7 @@ from .path_results import CriticalPoints, Path, PathPoint
 from .path_setup import FirstPoint
 from .path_start import start_at, start_on_branch
 from .path_system import PathSystem
-from .results import RESULTS
+from .results import result_of_status, RESULTS
 from .stresses import select_stresses
 
 
@@ -173,8 +173,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
 
 def path_result(trace: Trace) -> RESULTS:
     """Return the reason of the end of a path."""
-    result = RESULTS.successful
-    for status, item in (
+    results = (
         (continuation.AT_EVENT, RESULTS.event_occurred),
         (continuation.RETURNED, RESULTS.returned_to_start),
         (continuation.OUT_OF_RANGE, RESULTS.out_of_range),
@@ -182,9 +181,8 @@ def path_result(trace: Trace) -> RESULTS:
         (continuation.TOO_SHORT, RESULTS.path_interrupted),
         (continuation.NOT_FINITE, RESULTS.not_finite),
         (continuation.SINGULAR, RESULTS.unstable),
-    ):
-        result = RESULTS.where(trace.status == status, item, result)
-    return result
+    )
+    return result_of_status(trace.status, results, RESULTS.successful)
 
 
 def first_rows(run: PathRun, rows: int) -> PathRun:

@@ -94,10 +94,11 @@ class RangeInput(NamedTuple):
 
     def next_point(
         self, factor: Scalar, start: RangePoint, dofs: DofPartition
-    ) -> tuple[RangePoint, RESULTS]:
+    ) -> tuple[RangePoint, Float[Array, " hinges"], RESULTS]:
         """Search for the equilibrium at a factor of the input, from another one.
 
-        The result says why it was not found.
+        Returns:
+            The last point, the stresses there (Pa), and why it is not the equilibrium.
         """
         system = self.system_at(factor, dofs)
         first = LoadState(
@@ -115,7 +116,8 @@ class RangeInput(NamedTuple):
         forces = solution.multipliers
         forces = start.constraint_forces if forces is None else forces
         point = RangePoint(factor, solution.displacements, forces)
-        return point, search_result(system, solution)
+        stresses = largest_stresses(system.hinges, point.displacements)
+        return point, stresses, search_result(system, solution)
 
     def results_at(
         self, point: RangePoint, dofs: DofPartition
@@ -242,7 +244,7 @@ def _end(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> R
     search = _find(*jax.lax.stop_gradient((given, start)), side, dofs)
     found = jnp.abs(search.excess) < _REACHED
     point = search.point(side)
-    factor = _with_derivative(point.factor, given, point, found, dofs)
+    factor = _factor_with_derivative(point, given, found, dofs)
     solution, stresses = given.results_at(point._replace(factor=factor), dofs)
     unstable = jnp.zeros((), bool)
     for reason in (
@@ -292,8 +294,8 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
 
     def improve(search: _Search) -> _Search:
         factor = search.next_factor()
-        point, result = given.next_point(side * factor, search.point(side), dofs)
-        stresses = largest_stresses(given.hinges_at(side * factor), point.displacements)
+        lower = search.point(side)
+        point, stresses, result = given.next_point(side * factor, lower, dofs)
         excess = jnp.where(is_success(result), given.excess(stresses), jnp.nan)
         succeeded = jnp.isfinite(excess)
         below = succeeded & ((excess <= 0) | (jnp.abs(excess) < _PRECISION))
@@ -332,23 +334,20 @@ def _find(given: RangeInput, start: Poses, side: Scalar, dofs: DofPartition) -> 
 
 
 @eqx.filter_custom_jvp
-def _with_derivative(
-    factor: Scalar,
-    given: RangeInput,
-    point: RangePoint,
-    by_stress: Flag,
-    dofs: DofPartition,
+def _factor_with_derivative(
+    point: RangePoint, given: RangeInput, by_stress: Flag, dofs: DofPartition
 ) -> Scalar:
     """Return the factor of an end with a derivative, which is NaN if not `by_stress`."""
-    del given, point, by_stress, dofs
-    return factor
+    del given, by_stress, dofs
+    return point.factor
 
 
-@_with_derivative.def_jvp
+@_factor_with_derivative.def_jvp
 def _(primals, tangents):
     # At the end, the excess of the stress is zero, also if the mechanism changes.
-    factor, given, point, by_stress, dofs = primals
+    point, given, by_stress, dofs = primals
     _, change, *_ = tangents
+    factor = point.factor
 
     def excess(factor: Scalar, given: RangeInput) -> Scalar:
         _, stresses = given.results_at(point._replace(factor=factor), dofs)

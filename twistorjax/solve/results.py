@@ -1,8 +1,8 @@
 """Result codes of solvers, and base classes of solutions."""
 
 from collections import Counter
-from collections.abc import Callable
-from typing import Protocol, runtime_checkable, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, runtime_checkable, TypeVar
 
 import equinox as eqx
 import jax
@@ -158,6 +158,25 @@ def result_names(result: RESULTS) -> np.ndarray | None:
     return (
         None if index is None else np.array(np.array(RESULT_NAMES, object)[index], object)
     )
+
+
+def result_of_status(
+    status: Any, results: Sequence[tuple[Any, RESULTS]], default: RESULTS
+) -> RESULTS:
+    """Convert the status of a solver to a result.
+
+    Args:
+        status: The status, a traced integer or a member of an enumeration of equinox.
+        results: Each status that has a result of its own, and this result.
+        default: The result of any other status.
+
+    Returns:
+        The result.
+    """
+    result = default
+    for value, item in results:
+        result = RESULTS.where(status == value, item, result)
+    return result
 
 
 def is_success(result: RESULTS) -> BatchFlag:

@@ -22,7 +22,7 @@ from .consistency import independent
 from .dofs import DofPartition
 from .implicit_derivatives import differentiable_root
 from .load_state import LoadState
-from .results import is_success, RESULTS
+from .results import is_success, result_of_status, RESULTS
 from .static_errors import check_equilibrium
 from .static_results import Equilibrium, StateLike
 from .stresses import report_stresses, reported_hinges
@@ -181,15 +181,14 @@ def find_equilibrium(
 
 def search_result(system: System, solution: newton.NewtonSolution) -> RESULTS:
     """Return whether an equilibrium was found, and it is valid; otherwise the reason."""
-    result = RESULTS.successful
-    for status, item in (
+    results = (
         (newton.NOT_FINITE, RESULTS.not_finite),
         (newton.UNSTABLE, RESULTS.unstable),
         (newton.STUCK, RESULTS.no_equilibrium),
         (newton.USED_UP, RESULTS.steps_used_up),
         (newton.INCONSISTENT, RESULTS.inconsistent_constraints),
-    ):
-        result = RESULTS.where(solution.status == status, item, result)
+    )
+    result = result_of_status(solution.status, results, RESULTS.successful)
     outside = jnp.any(system.hinges.out_of_range(solution.displacements))
     outside &= solution.status == newton.CONVERGED
     return RESULTS.where(outside, RESULTS.out_of_range, result)

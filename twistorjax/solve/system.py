@@ -188,16 +188,6 @@ class System(eqx.Module):
         forces = self.hinges.forces(displacements)
         return self._unbalanced(forces, displacements, multipliers)
 
-    def _unbalanced(
-        self, forces: Wrenches, displacements: Poses, multipliers: Entries
-    ) -> Float[Array, " dofs"]:
-        """Subtract the loads and the constraint forces from the forces of the hinges."""
-        applied, _ = self.loads.apply(displacements)
-        residual = (forces - applied).reshape(-1)
-        if not self.constraints.size:
-            return residual
-        return residual - self.constraints.forces(displacements, self.time, multipliers)
-
     def first_residual(
         self, forces: Wrenches, displacements: Poses
     ) -> Float[Array, " dofs"]:
@@ -328,6 +318,16 @@ class System(eqx.Module):
             return Factors.of(stiffness, symmetric)
         units = self.free_units()
         return ConstrainedFactors.of(stiffness, jacobian, units, symmetric)
+
+    def _unbalanced(
+        self, forces: Wrenches, displacements: Poses, multipliers: Entries
+    ) -> Float[Array, " dofs"]:
+        """Subtract the loads and the constraint forces from the forces of the hinges."""
+        applied, _ = self.loads.apply(displacements)
+        residual = (forces - applied).reshape(-1)
+        if not self.constraints.size:
+            return residual
+        return residual - self.constraints.forces(displacements, self.time, multipliers)
 
     def _constrained(
         self,

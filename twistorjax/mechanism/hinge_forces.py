@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, Inexact
 
 from .._utils.fusion import computed_once
@@ -249,8 +250,8 @@ def product(
     """
     if len(second) > _MOST_TERMS:
         return jnp.sum(first[:, :, None] * second[None], axis=1)
-    columns = jnp.split(first, len(second), axis=1)
-    rows = jnp.split(second, len(second))
+    sizes = (1,) * len(second)  # `jnp.split` would not accept an empty one
+    columns, rows = lax.split(first, sizes, axis=1), lax.split(second, sizes)
     zero = jnp.zeros((len(first), second.shape[1]), first.dtype)
     return sum(map(jnp.multiply, columns, rows), start=zero)
 

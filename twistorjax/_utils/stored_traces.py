@@ -21,7 +21,11 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-from jax.core import Tracer
+from jax.core import ShapedArray, Tracer
+from jax.extend.core import Primitive
+from jax.extend.mlir import ir
+from jax.extend.mlir.dialects import func
+from jax.interpreters import mlir
 
 from .canonical_text import canonical_text, NoCanonicalTextError
 from .host import is_traced
@@ -157,11 +161,46 @@ class _Trace(NamedTuple):
 
     def call(self, inputs: Sequence[Any]) -> Any:
         """Compute the result of the function."""
-        values = self.program.call(*inputs)
+        values = _call.bind(*inputs, program=self.program)
         return jax.tree.map(
             lambda leaf: leaf.value(values) if isinstance(leaf, _Placeholder) else leaf,
             self.result,
         )
+
+
+# The results of `Exported.call` are committed to a device, and JAX compiles a function
+# again for committed arguments. This call leaves them uncommitted.
+_call = Primitive("call_stored_trace")
+_call.multiple_results = True
+
+
+@_call.def_abstract_eval
+def _shapes_of_results(*_: Any, program: jax.export.Exported) -> list[ShapedArray]:
+    """Return the shapes of the results of a stored program."""
+    return [ShapedArray(result.shape, result.dtype) for result in program.out_avals]
+
+
+def _insert_program(
+    context: mlir.LoweringRuleContext, *arguments: Any, program: jax.export.Exported
+) -> Sequence[Any]:
+    """Insert a stored program into the one that JAX is lowering, and call it."""
+    if b"lapack" in program.mlir_module_serialized:
+        # Only `Exported.call` prepares calls of LAPACK. It does so for each program, and
+        # imports `scipy.linalg`, which takes a third of the time of `import jax`.
+        by_jax = mlir.lower_fun(lambda *values: program.call(*values))
+        return by_jax(context, *arguments)
+    module = program.mlir_module(serialized=False)
+    main: Any = ir.SymbolTable(module.operation)["main"]
+    outer = context.module_context
+    name = mlir.merge_mlir_modules(
+        outer.module, program.fun_name, module, dst_symtab=outer.symbol_table
+    )
+    used = [arguments[index] for index in program.module_kept_var_idx]
+    call = func.CallOp(main.type.results, ir.FlatSymbolRefAttr.get(name), used)
+    return call.results
+
+
+mlir.register_lowering(_call, _insert_program)
 
 
 def _shape(leaf: Any) -> Any:

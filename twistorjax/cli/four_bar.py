@@ -73,6 +73,7 @@ def four_bar(
     output_times = _parse_times(times)
     prepare_jax()
     import equinox as eqx
+    import jax
 
     from ..examples import four_bar as example
 
@@ -102,7 +103,7 @@ def four_bar(
         else:
             motion = example.released_motion(linkage, times, release, **settings)
         require_success(motion)
-        return motion
+        return jax.device_get(motion)  # NumPy selects rows without compilation.
 
     # A simulation starts at zero, even if that time is not part of the output.
     first_row = 1 if output_times[0] > 0 else 0

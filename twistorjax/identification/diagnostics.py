@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..solve.results import result_message, result_names, RESULTS
+from ..solve.results import result_message, result_names
 from .measurement import Measurement
 from .optimizer import exceeds_rounding
 
@@ -103,8 +102,7 @@ def warnings(identification: "Identification") -> tuple[str, ...]:
 
 def undetermined_directions(identification: "Identification") -> tuple[str, ...]:
     """Descriptions of the changes of the parameters that the readings do not show."""
-    result = identification.result
-    if not bool(identification.succeeded | (result == RESULTS.not_converged)):
+    if str(result_names(identification.result)) not in ("successful", "not_converged"):
         return ()
     singular_values, directions = _sensitivities(identification)
     texts = []
@@ -138,7 +136,7 @@ def _warnings_on_residuals(identification: "Identification") -> list[str]:
     problem = identification.problem
     readings = identification.reading_count
     singular_values, _ = _sensitivities(identification)
-    rank = int(np.sum(exceeds_rounding(jnp.asarray(singular_values))))
+    rank = int(np.sum(exceeds_rounding(singular_values)))
     degrees_of_freedom = readings - rank
     texts = []
     if degrees_of_freedom <= 0:
@@ -195,15 +193,17 @@ def _outliers(identification: "Identification") -> list[str]:
     return [text for _, text in sorted(found, reverse=True)[:5]]
 
 
-def _full_changes(identification: "Identification") -> Float[Array, " parameters"]:
+def _full_changes(
+    identification: "Identification",
+) -> Float[np.ndarray, " parameters"]:
     """Changes of the normalized parameters that change each value by 100 % of `scales`.
 
     This is 100 % of the value, or of the distance to its bound.
     """
     parameters = identification.problem.parameters
-    derivatives = jnp.abs(parameters.derivatives(identification.normalized))
-    derivatives = jnp.where(derivatives > 0, derivatives, 1.0)
-    return parameters.scales(identification.normalized) / derivatives
+    derivatives = np.abs(parameters.derivatives(identification.normalized))
+    derivatives = np.where(derivatives > 0, derivatives, 1.0)
+    return np.asarray(parameters.scales(identification.normalized)) / derivatives
 
 
 def _at_bounds(identification: "Identification") -> list[int]:
@@ -227,7 +227,7 @@ def _sensitivities(identification: "Identification") -> tuple[np.ndarray, np.nda
         The singular values, one for each parameter; and the right singular vectors, one
         in each row.
     """
-    changes = np.asarray(_full_changes(identification))
+    changes = _full_changes(identification)
     matrix = np.asarray(identification.jacobian) * changes[None]
     matrix = np.delete(matrix, _at_bounds(identification), axis=1)
     _, values, directions = np.linalg.svd(matrix, full_matrices=True)
@@ -242,7 +242,7 @@ def _determined_parameters(identification: "Identification") -> np.ndarray:
     to undetermined directions, along which the estimates remain at the start.
     """
     variances = np.diagonal(np.asarray(identification.normalized_covariance))
-    relative = np.sqrt(variances) / np.asarray(_full_changes(identification))
+    relative = np.sqrt(variances) / _full_changes(identification)
     singular_values, directions = _sensitivities(identification)
     inverse = 1 / np.maximum(singular_values, 1e-150)
     shares = (directions * inverse[:, None]) ** 2

@@ -10,6 +10,7 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -21,7 +22,9 @@ from .._utils.types import Flag, Scalar
 ROUNDING = 1e-10
 
 
-def exceeds_rounding(sensitivities: Float[Array, " n"]) -> Bool[Array, " n"]:
+def exceeds_rounding(
+    sensitivities: Float[Array | np.ndarray, " n"],
+) -> Bool[Array | np.ndarray, " n"]:
     """Determine which sensitivities of the residuals are larger than rounding errors.
 
     A sensitivity above 1 always counts: there a relative change of a parameter by 100 %
@@ -33,7 +36,7 @@ def exceeds_rounding(sensitivities: Float[Array, " n"]) -> Bool[Array, " n"]:
     Returns:
         Whether each sensitivity is larger.
     """
-    largest = jnp.max(sensitivities, initial=0.0)
+    largest = sensitivities.max(initial=0.0)
     return (sensitivities > ROUNDING * largest) | (sensitivities > 1)
 
 
@@ -96,5 +99,5 @@ class AbstractOptimizer(eqx.Module):
 
 
 def from_numpy(value: Any) -> Array:
-    """Create an array with NumPy, because `jax.numpy.zeros` would compile a program."""
-    return jnp.asarray(np.asarray(value))
+    """Create an array with NumPy, because `jax.numpy` would compile a program."""
+    return jax.device_put(np.asarray(value))

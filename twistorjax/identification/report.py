@@ -128,6 +128,7 @@ class Identification(eqx.Module):
         return jnp.where(jnp.isinf(covariance), jnp.inf, scaled)
 
     @property
+    @fast_compile
     def standard_errors(self) -> Any:
         """Standard errors of the estimates, in a pytree with the structure of `start`."""
         standard_errors = jnp.sqrt(jnp.diagonal(self.covariance))

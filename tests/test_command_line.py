@@ -42,12 +42,12 @@ def test_stage_prints_its_gain_and_the_measured_gain(run):
         assert part in done.stdout
 
 
-def test_the_measurement_is_shown_only_for_the_measured_device(run):
-    assert "measured" not in run("stage", "--web", "0.3e-3").stdout
+def test_the_measurement_is_shown_only_for_the_measured_device(run_here):
+    assert "measured" not in run_here("stage", "--web", "0.3e-3").stdout
 
 
-def test_stage_prints_json(run):
-    done = run("stage", "--json", "--web", "0.3e-3", "--input", "2e-6")
+def test_stage_prints_json(run_here):
+    done = run_here("stage", "--json", "--web", "0.3e-3", "--input", "2e-6")
     result = json.loads(done.stdout)
     assert set(result) == {
         "gain",
@@ -73,11 +73,11 @@ def test_a_second_run_uses_the_cached_program(run_with_own_cache):
 
 
 @pytest.mark.parametrize("name", ["stage.png", "stage.svg"])
-def test_stage_draws_the_mechanism(run, name):
-    done = run("stage", "--plot", name)
+def test_stage_draws_the_mechanism(run_here, name):
+    done = run_here("stage", "--plot", name)
     assert done.returncode == 0
     assert f"figure saved to {name}" in done.stdout
-    assert (run.folder / name).stat().st_size > 10_000
+    assert (run_here.folder / name).stat().st_size > 10_000
 
 
 def test_the_transient_response_of_the_stage_ends_at_its_static_gain(run_here):
@@ -102,8 +102,8 @@ def test_four_bar_prints_json_and_draws_the_motion(run):
     assert (run.folder / "panels.png").stat().st_size > 10_000
 
 
-def test_fit_energy_reports_its_errors_and_saves_the_energy(run):
-    done = run(
+def test_fit_energy_reports_its_errors_and_saves_the_energy(run_here):
+    done = run_here(
         "fit-energy", str(REFERENCE / "fe_notch.csv"), "--order", "4", "--symmetry",
         "leaf", "--hold-out", "0.2", "--out", "notch.json", "--json",
     )  # fmt: skip
@@ -111,7 +111,7 @@ def test_fit_energy_reports_its_errors_and_saves_the_energy(run):
     result = json.loads(done.stdout)
     assert result["rank"] == result["terms"] == 12
     assert max(result["relative_error"]["held_out"]) < 1e-3
-    assert json.loads((run.folder / "notch.json").read_text())["twistorjax"] == 5
+    assert json.loads((run_here.folder / "notch.json").read_text())["twistorjax"] == 5
 
 
 def test_fit_energy_accepts_several_symmetries(run_here):

@@ -73,6 +73,7 @@ def test_invalid_input_of_four_bar(run_here, arguments, message):
     assert_usage_error(run_here("four-bar", *arguments), message)
 
 
+@pytest.mark.untyped
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -85,8 +86,8 @@ def test_invalid_input_of_four_bar(run_here, arguments, message):
         ([str(REFERENCE)], "is a directory"),
     ],
 )
-def test_invalid_input_of_fit_energy(run, arguments, message):
-    assert_usage_error(run("fit-energy", *arguments), message)
+def test_invalid_input_of_fit_energy(run_here, arguments, message):
+    assert_usage_error(run_here("fit-energy", *arguments), message)
 
 
 @pytest.mark.parametrize(
@@ -148,9 +149,9 @@ def test_invalid_input_of_sweep(run_here, arguments, message):
     assert_usage_error(run_here("sweep", *arguments), message)
 
 
-def test_a_folder_that_is_no_store(run):
-    (run.folder / "empty").mkdir()
-    done = run("sweep", "stage", "--web", "0.3e-3", "--out", "empty")
+def test_a_folder_that_is_no_store(run_here):
+    (run_here.folder / "empty").mkdir()
+    done = run_here("sweep", "stage", "--web", "0.3e-3", "--out", "empty")
     assert_usage_error(done, "'empty' is not a store of a sweep")
 
 

@@ -16,68 +16,77 @@ from twistorjax.examples import four_bar
 GRAVITY = 9.81
 
 
-def pendulum(spring=1e-3):
+def pendulum(spring=1e-3, mass=1.0):
     """Return a bob on a weak spring at its pivot, where a pin may be added."""
     energy = tj.Quadratic(spring * jnp.eye(3))
     hinge = tj.Hinge("spring", "wall", "bob", energy, at=(0.0, 0.0, 0.0))
-    bob = tj.Body("bob", (0.0, 0.5, 0.0), mass=1.0, inertia=0.01)
+    bob = tj.Body("bob", (0.0, 0.5, 0.0), mass=mass, inertia=0.01)
     return tj.Mechanism([tj.Body("wall"), bob], [hinge], fixed=["wall"])
 
 
-def test_motions_that_cannot_start_take_no_step():
-    """A batch of nine motions, eight of which have an invalid value."""
-
-    def simulate(values):
-        mechanism = pendulum(spring=values["spring"])
-        return tj.simulate(
-            mechanism,
-            [0.0, 1.0],
-            start=mechanism.reference.at[1, 0].add(values["rotation"]),
-            velocities={"bob": (values["rate"], 0.0, 0.5 * values["rate"])},
-            loads=[tj.Load("bob", force=(0.0, -GRAVITY))],
-            constraints=[tj.Pin("pin", "wall", "bob", at=(values["pin"], 0.0))],
-            tolerance=values["tolerance"],
-            throw=False,
-        )
-
-    usual = {"spring": 1e-3, "rotation": 0.0, "rate": 1.0, "pin": 0.0, "tolerance": 1e-4}
-    cases = [
-        ({}, "successful"),
-        ({"rotation": np.nan}, "not_finite"),
-        ({"rate": np.inf}, "not_finite"),
-        ({"pin": np.nan}, "not_finite"),
-        ({"tolerance": np.nan}, "not_finite"),
-        ({"tolerance": np.inf}, "not_finite"),
-        ({"tolerance": -1e-4}, "not_finite"),
-        ({"rotation": 0.1}, "inconsistent_constraints"),
-        ({"spring": np.nan}, "not_finite"),
-    ]
-    rows = [usual | change for change, _ in cases]
-    values = {name: jnp.array([row[name] for row in rows]) for name in usual}
-    motions = jax.jit(jax.vmap(simulate))(values)
-    names = tj.result_names(motions.result)
-    assert names is not None and names.tolist() == [result for _, result in cases]
-    # A mechanism that is not finite is found in the first step, other values before it.
-    assert motions.steps[0] > 3
-    np.testing.assert_array_equal(motions.steps[1:-1], 0)
-    assert motions.steps[-1] <= 1
-    assert np.all(np.isfinite(motions.displacements[0]))
-    assert np.all(np.isnan(motions.displacements[1:-1]))
-    assert np.all(np.isnan(motions.solution.ys[1].position[1:-1]))
+@jax.jit
+@jax.vmap
+def simulate_pendulum(values):
+    mechanism = pendulum(values["spring"], values["mass"])
+    return tj.simulate(
+        mechanism,
+        [0.0, 1.0],
+        start=mechanism.reference.at[1, 0].add(values["rotation"]),
+        velocities={"bob": (values["rate"], 0.0, 0.5 * values["rate"])},
+        loads=[tj.Load("bob", force=(0.0, -GRAVITY))],
+        constraints=[tj.Pin("pin", "wall", "bob", at=(values["pin"], 0.0))],
+        tolerance=values["tolerance"],
+        throw=False,
+    )
 
 
-def test_failed_motion_does_not_affect_the_rest_of_a_batch():
-    def simulate(mass):
-        mechanism, velocities = oscillator(mass=mass), {"block": (0, 1.0, 0)}
-        return tj.simulate(mechanism, [0.0, 0.5], velocities=velocities, throw=False)
+USUAL = {
+    "spring": 1e-3, "mass": 1.0, "rotation": 0.0, "rate": 1.0, "pin": 0.0,
+    "tolerance": 1e-4,
+}  # fmt: skip
+CASES = [
+    ({}, "successful"),
+    ({"rotation": np.nan}, "not_finite"),
+    ({"rate": np.inf}, "not_finite"),
+    ({"pin": np.nan}, "not_finite"),
+    ({"tolerance": np.nan}, "not_finite"),
+    ({"tolerance": np.inf}, "not_finite"),
+    ({"tolerance": -1e-4}, "not_finite"),
+    ({"rotation": 0.1}, "inconsistent_constraints"),
+    ({"spring": np.nan}, "not_finite"),
+    ({"mass": -1.0}, "not_finite"),
+]
 
-    batch = jax.vmap(simulate)(jnp.array([2.0, -1.0, 3.0]))
+
+def motions(changes):
+    """Simulate a batch, each motion of which has some unusual values."""
+    rows = [USUAL | change for change in changes]
+    return simulate_pendulum({name: jnp.array([r[name] for r in rows]) for name in USUAL})
+
+
+@pytest.fixture(scope="module")
+def batch():
+    """Return ten motions, all but the first of which have an invalid value."""
+    return motions([change for change, _ in CASES])
+
+
+def test_motions_that_cannot_start_take_no_step(batch):
     names = tj.result_names(batch.result)
-    assert names is not None
-    assert names.tolist() == ["successful", "not_finite", "successful"]
-    single = simulate(3.0).displacement("block")
-    assert_close(batch.displacement("block")[2], single, digits=9)
-    assert np.all(np.isnan(batch.displacement("block")[1]))
+    assert names is not None and names.tolist() == [result for _, result in CASES]
+    # A mechanism that is not finite is found in the first step, other values before it.
+    assert batch.steps[0] > 3
+    np.testing.assert_array_equal(batch.steps[1:8], 0)
+    assert batch.steps[8] <= 1
+    assert np.all(np.isfinite(batch.displacements[0]))
+    assert np.all(np.isnan(batch.displacements[1:8]))
+    assert np.all(np.isnan(batch.solution.ys[1].position[1:8]))
+
+
+def test_failed_motion_does_not_affect_the_rest_of_a_batch(batch):
+    valid = motions([{}] * len(CASES))
+    assert np.all(valid.succeeded)
+    assert_close(batch.displacements[0], valid.displacements[0], digits=9)
+    assert np.all(np.isnan(batch.displacements[9]))
 
 
 def test_invalid_drives_do_not_delay_the_rest_of_a_batch():
@@ -191,16 +200,22 @@ def test_drives_that_jax_cannot_compile_are_reported(drives):
         tj.simulate(four_bar.four_bar(), [0.0, 0.1], drives=drives)
 
 
+def few_steps(mechanism):
+    """Simulate a block that is released with 1 m/s, in at most ten steps."""
+    times, velocities = np.linspace(0, 9, 61), {"block": (0, 1.0, 0)}
+    return tj.simulate(mechanism, times, velocities=velocities, max_steps=10)
+
+
 def test_error_of_a_stopped_motion_names_time_and_hinge():
-    times, velocities = np.linspace(0, 9, 99), {"block": (0, 1.0, 0)}
     with pytest.raises(RuntimeError, match=r"reached t = .* in 10 steps.*'spring'"):
-        tj.simulate(oscillator(), times, velocities=velocities, max_steps=10)
+        few_steps(oscillator(0.1))
 
 
 def test_error_of_a_mass_that_is_not_finite_names_its_body():
-    broken = eqx.tree_at(lambda m: m.masses[1], oscillator(), jnp.array(jnp.nan))
+    nan = jnp.array(jnp.nan, float)
+    broken = eqx.tree_at(lambda m: m.masses[1], oscillator(0.1), nan)
     with pytest.raises(RuntimeError, match="body 'block'"):
-        tj.simulate(broken, [0.0, 1.0])
+        few_steps(broken)
 
 
 def test_damping_that_supplies_energy_is_an_error():
@@ -209,4 +224,4 @@ def test_damping_that_supplies_energy_is_an_error():
     damping = tj.energies.ViscousDamping(jnp.eye(3))
     wrong = eqx.tree_at(lambda damping: damping.damping, damping, -jnp.eye(3))
     with pytest.raises(ValueError, match="supply energy"):
-        tj.simulate(oscillator(wrong), [0.0, 1.0])
+        few_steps(oscillator(wrong))

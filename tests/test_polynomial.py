@@ -25,12 +25,12 @@ def random_polynomial(coordinates, order=4, seed=0, scale=0.7, **settings):
 
 
 def sum_of_terms(energy, pose):
-    """The polynomial, evaluated term by term."""
+    """The polynomial, as the sum of products of powers."""
     twistor = energy.coordinates == "twistor"
     variables = twistors.twistor(pose) if twistor else se2.twist(pose)
     variables = variables.at[-2:].divide(energy.scale)
-    terms = [jnp.prod(variables ** jnp.array(row, float)) for row in energy.powers]
-    return jnp.vdot(energy.coefficients, jnp.stack(terms))
+    terms = jnp.prod(variables[None] ** jnp.array(energy.powers, float), axis=1)
+    return jnp.vdot(energy.coefficients, terms)
 
 
 def idx4(i1, i2, i3, i4, order):

@@ -42,14 +42,39 @@ def parallelogram():
     return tj.Mechanism(bodies, hinges, fixed=["ground"])
 
 
+@pytest.fixture(scope="module")
+def displaced(parallelogram):
+    """Return equilibria of the parallelogram, for each displacement of the reference."""
+    rows = REFERENCE["parallelogram_w0.3_k33_30000"]["rows"]
+    return {
+        travel: tj.equilibrium(parallelogram, drives=[tj.Drive("stage", y=travel)])
+        for travel in (0.05, *(row[0] for row in rows))
+    }
+
+
+def test_force_and_parasitic_motion_of_a_parallelogram_are_those_of_exact_beams(
+    displaced, validated
+):
+    ratios, travel = np.ones(3), 0.0
+    for row in REFERENCE["parallelogram_w0.3_k33_30000"]["rows"]:
+        travel, *expected, _ = row  # force, axial motion, rotation
+        state = displaced[travel]
+        actual = [state.reaction("stage")[2], *state.displacement("stage")[1::-1]]
+        np.testing.assert_allclose(actual, expected, rtol=2e-3)
+        ratios = np.array(actual) / expected
+    what = f"parallel guide displaced by {travel:g} L: force, change of height, rotation"
+    exact = np.ones(3)
+    validated("Surrogates of leaves", what, ratios, exact, "exact beams, by SciPy")
+
+
 def test_stiffness_of_a_displaced_parallelogram_along_its_leaves(
-    parallelogram, validated
+    parallelogram, displaced, validated
 ):
     """It falls with the displacement. The reference has secants over forces of +-5."""
     column = REFERENCE["parallelogram_w0.3_k33_30000"]["rows"]
     travel, stiffness, along = 0.0, 0.0, jnp.zeros(())
     for travel, stiffness in [(0.05, 54_019), *((row[0], row[-1]) for row in column)]:
-        state = tj.equilibrium(parallelogram, drives=[tj.Drive("stage", y=travel)])
+        state = displaced[travel]
         push = tj.Load("stage", force=(0.0, state.reaction("stage")[2]))
         port = tj.port_compliance(parallelogram, "stage", about=state, loads=[push])
         along = port.stiffness_along("x", held=["y"])
@@ -137,15 +162,20 @@ def tilted_lever(stiffness=50.0):
 
 
 PORT = (0.5, 0.3, -0.2)
+TURN = tj.Drive("lever", angle=0.4)
 
 
-def test_displacements_and_centers_are_those_of_the_poses():
-    """Composition of poses, and the pole of a small displacement, as oracles."""
-    mechanism = tilted_lever()
-    drive = tj.Drive("lever", angle=0.4)
-    motion = tj.port_motion(
-        mechanism, "lever", PORT, direction="y", drive=drive, positions=401
+@pytest.fixture(scope="module")
+def turned():
+    """Motion of a port on the lever, at 401 positions."""
+    return tj.port_motion(
+        tilted_lever(), "lever", PORT, direction="y", drive=TURN, positions=401
     )
+
+
+def test_displacements_and_centers_are_those_of_the_poses(turned):
+    """Composition of poses, and the pole of a small displacement, as oracles."""
+    mechanism, motion = tilted_lever(), turned
     states = [
         tj.equilibrium(mechanism, drives=[tj.Drive("lever", angle=angle)])
         for angle in (0.0, 0.2, 0.202)
@@ -180,22 +210,21 @@ def test_a_stroke_is_an_input():
     np.testing.assert_allclose(motion.force, 75.0 * motion.travel, rtol=1e-12)
 
 
-def test_gains_are_differentiable_and_batched():
+def test_gains_are_differentiable_and_batched(turned):
     def gain(stiffness):
-        drive = tj.Drive("lever", angle=0.4)
         motion = tj.port_motion(
-            tilted_lever(stiffness), "lever", PORT, direction="y", drive=drive,
+            tilted_lever(stiffness), "lever", PORT, direction="y", drive=TURN,
             positions=3,
         )  # fmt: skip
         return motion.gain[-1]
 
-    values, slopes = jax.vmap(jax.value_and_grad(gain))(jnp.array([50.0, 60.0]))
-    assert_close(values[0], gain(50.0), digits=12)
-    difference = (gain(50.01) - gain(49.99)) / 0.02
-    assert_close(slopes[0] / difference, 1.0, digits=6)
+    stiffnesses = jnp.array([50.0, 49.99, 50.01])
+    values, slopes = jax.vmap(jax.value_and_grad(gain))(stiffnesses)
+    assert_close(values[0], turned.gain[-1], digits=12)
+    assert_close(slopes[0] / ((values[2] - values[1]) / 0.02), 1.0, digits=6)
 
 
-def test_inputs_that_are_not_one_coordinate_are_refused():
+def test_inputs_that_are_not_one_coordinate_are_refused(turned):
     mechanism, both = tilted_lever(), tj.Drive("lever", x=0.1, y=0.1)
     with pytest.raises(ValueError, match="There must be one input"):
         tj.port_motion(mechanism, "lever", direction="x")
@@ -206,10 +235,8 @@ def test_inputs_that_are_not_one_coordinate_are_refused():
     with pytest.raises(ValueError, match="2 actuators"):
         strokes = {"hinge": (0, 1, 0), "other": (0, 1, 0)}
         tj.port_motion(mechanism, "lever", direction="x", strokes=strokes)
-    push = tj.Drive("lever", x=0.1)
-    motion = tj.port_motion(mechanism, "lever", direction="y", drive=push)
     with pytest.raises(ValueError, match="Give `rigid_gain`"):
-        _ = motion.lost_motion
+        _ = turned.lost_motion
 
 
 @pytest.mark.release

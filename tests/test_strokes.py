@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -83,22 +84,41 @@ def whirling_mechanism(misfit=None, damping_time=1e-2):
     return tj.Mechanism(bodies, hinges, fixed=["ground"])
 
 
-def whirling_strokes(time):
-    return {
-        "a": (0.2 * jnp.sin(3 * time), 0.05 * time, 0.02 * time**2),
-        "b": (0.3 * time, 0.02 * jnp.sin(5 * time), -0.04 * time),
-    }
+class Strokes(eqx.Module):
+    """Strokes of the hinges a and b: rates times time, and harmonic ones.
+
+    Strokes with other numbers do not compile another program, but other functions do.
+    """
+
+    rates: Any
+    amplitudes: Any
+    frequency: Any = 0.0
+
+    def __call__(self, time):
+        wave = jnp.cos(self.frequency * time)
+        return dict(zip("ab", self.rates * time + wave * self.amplitudes, strict=True))
 
 
-@pytest.mark.parametrize("misfit", [None, (0.2, 0.03, -0.05)])
+WHIRLING = Strokes(
+    rates=jnp.array([[0.0, 0.05, 0.02], [0.3, 0.0, -0.04]]),
+    amplitudes=jnp.array([[0.2, 0.0, 0.01], [0.0, 0.02, 0.0]]),
+    frequency=jnp.array(4.0),
+)
+MISFIT = (0.2, 0.03, -0.05)
+
+
+def whirl(mechanism, times, strokes, *, velocities=None, **settings):
+    """Simulate the whirling mechanism, with the velocities of its two bodies."""
+    velocities = jnp.zeros((2, 3)) if velocities is None else velocities
+    given = {"first": velocities[0], "second": velocities[1]}
+    return tj.simulate(mechanism, times, strokes=strokes, velocities=given, **settings)
+
+
+@pytest.mark.parametrize("misfit", [None, MISFIT])
 def test_energy_is_balanced_while_hinges_are_displaced_and_turned(misfit):
     """The balance contains the work of the strokes and of the damping."""
-    motion = tj.simulate(
-        whirling_mechanism(misfit),
-        np.linspace(0.0, 1.0, 5),
-        strokes=whirling_strokes,
-        tolerance=1e-9,
-    )
+    mechanism = whirling_mechanism(misfit)
+    motion = whirl(mechanism, np.linspace(0.0, 1.0, 5), WHIRLING, tolerance=1e-9)
     energies = motion.energies
     assert float(energies.dissipated[-1]) > 1e-3
     assert float(jnp.max(jnp.abs(energies.imbalance))) < 1e-6 * float(
@@ -107,12 +127,14 @@ def test_energy_is_balanced_while_hinges_are_displaced_and_turned(misfit):
 
 
 def test_constant_strokes_are_misfits_in_a_motion():
-    mechanism, strokes = whirling_mechanism(), whirling_strokes(0.7)
-    times = [0.0, 0.2]
-    by_function = tj.simulate(mechanism, times, strokes=lambda time: strokes)
+    mechanism, strokes, times = whirling_mechanism(), WHIRLING(0.7), [0.0, 0.2]
+    rates = jnp.zeros((2, 3))
+    constant = Strokes(rates, jnp.stack([*strokes.values()]), jnp.array(0.0))
+    none = Strokes(rates, jnp.zeros((2, 3)), jnp.array(0.0))
+    by_function = whirl(mechanism, times, constant)
     for other in (
-        tj.simulate(mechanism, times, strokes=strokes),
-        tj.simulate(mechanism.with_strokes(strokes), times),
+        whirl(mechanism, times, strokes),
+        whirl(mechanism.with_strokes(strokes), times, none),
     ):
         assert_close(other.displacements, by_function.displacements, digits=12)
 
@@ -148,7 +170,7 @@ def test_the_response_to_a_harmonic_stroke_is_that_of_the_motion():
 
 def test_a_harmonic_stroke_about_a_preloaded_equilibrium():
     """A motion that starts in the harmonic response stays in it."""
-    mechanism = whirling_mechanism((0.2, 0.03, -0.05), damping_time=0.3)
+    mechanism = whirling_mechanism(MISFIT, damping_time=0.3)
     about, frequency, amplitude = tj.equilibrium(mechanism), 2.0, 1e-6
     shape = jnp.array([1.0, 0.2, -0.1])
     response = tj.frequency_response(
@@ -156,18 +178,17 @@ def test_a_harmonic_stroke_about_a_preloaded_equilibrium():
     )
     expected, omega = amplitude * response.displacements[0], 2 * np.pi * frequency
     times = np.linspace(0.0, 0.5, 9)
-    motion = tj.simulate(
+    motion = whirl(
         mechanism,
         times,
+        Strokes(
+            rates=jnp.zeros((2, 3)),
+            amplitudes=amplitude * jnp.stack([shape, jnp.zeros(3)]),
+            frequency=jnp.array(omega),
+        ),
         start=about.displacements + mechanism.reference + jnp.real(expected),
-        velocities={
-            name: -omega * jnp.imag(expected[row])
-            for row, name in enumerate(mechanism.names)
-            if name != "ground"
-        },
-        strokes=lambda time: {"a": amplitude * jnp.cos(omega * time) * shape},
+        velocities=-omega * jnp.imag(expected[1:]),
         tolerance=1e-13,
-        energies=False,
     )
     change = np.asarray(motion.displacements) - np.asarray(about.displacements)
     harmonic = np.exp(1j * omega * times)[:, None, None] * np.asarray(expected)
@@ -186,15 +207,15 @@ def test_unknown_actuators_are_named():
 
 def test_hinges_are_queried_with_the_strokes_of_a_solution():
     """Energies and wrenches of a motion, and of a linear response, include strokes."""
-    mechanism = whirling_mechanism((0.2, 0.03, -0.05))
+    mechanism = whirling_mechanism(MISFIT)
     times = np.linspace(0.0, 0.5, 3)
-    motion = tj.simulate(mechanism, times, strokes=whirling_strokes)
+    motion = whirl(mechanism, times, WHIRLING)
     total = sum(mechanism.energy_of(name, motion) for name in "ab")
     assert_close(total, motion.energies.elastic, digits=12)
     columns = motion.columns()
     assert_close(columns["energy_by_strokes"].values, motion.energies.by_strokes)
     for k, time in enumerate(times):
-        displaced = mechanism.with_strokes(whirling_strokes(time))
+        displaced = mechanism.with_strokes(WHIRLING(time))
         expected = displaced.wrench_of("b", motion.poses[k])
         assert_close(mechanism.wrench_of("b", motion)[k], expected, digits=9)
     plain = actuated_block()

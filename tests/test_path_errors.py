@@ -1,11 +1,14 @@
 """Messages of `path` about wrong arguments and about failures."""
 
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from path_helpers import bars_of_a_truss, truss_of
 
 import twistorjax as tj
 from twistorjax.examples.truss import von_mises_truss
+from twistorjax.solve.path_results import CriticalPoint
 
 
 PUSH = tj.Load("apex", force=(0.0, -20.0))
@@ -32,10 +35,23 @@ def test_settings(arguments, message):
         tj.path(von_mises_truss(), loads=[PUSH], **arguments)
 
 
+@pytest.mark.untyped
 def test_a_limit_point_is_no_start():
-    limit = tj.path(von_mises_truss(), loads=[PUSH]).critical_points[0]
+    truss = von_mises_truss()
+    limit: Any = CriticalPoint(
+        load_factor=jnp.array(0.4975),
+        displacements=jnp.zeros((2, 3)),
+        reference=truss.reference,
+        energy=jnp.array(1.0),
+        names=truss.names,
+        mode=jnp.zeros((2, 3)),
+        is_branch=jnp.array(False),
+        length=jnp.array(1.0),
+    )
     with pytest.raises(ValueError, match="no other path leaves at a limit point"):
-        tj.path(von_mises_truss(), loads=[PUSH], start=limit)
+        tj.path(truss, loads=[PUSH], start=limit)
+    with pytest.raises(ValueError, match="`start` is a critical point"):
+        tj.bistability(truss, loads=[PUSH], start=limit)
 
 
 @pytest.mark.untyped
@@ -48,28 +64,35 @@ def test_a_comparison_does_not_end_a_path():
         )
 
 
-def test_a_body_that_nothing_supports():
-    free = truss_of(bars_of_a_truss(), apex=())
-    with pytest.raises(RuntimeError, match=r"Nothing resists .* angle of 'apex'"):
-        tj.path(free, loads=[PUSH])
-
-
-def test_too_few_points():
-    with pytest.raises(RuntimeError, match="largest number of points") as error:
-        tj.path(von_mises_truss(), loads=[PUSH], max_points=20)
-    assert "20 points up to the load factor" in str(error.value)
-    found = tj.path(von_mises_truss(), loads=[PUSH], max_points=20, throw=False)
-    assert len(found.load_factors) == 20 and not bool(found.succeeded)
-
-
-def test_a_hinge_leaves_its_validity_range():
+def turn_a_block(stiffness=1.0, largest_step=0.1, **arguments):
+    """Follow the path of a block under a moment, on a spring valid to 0.5 rad."""
+    spring = tj.Quadratic(np.diag([stiffness, 1.0, 1.0]))
     narrow = tj.energies.WithValidityRange(
-        tj.Quadratic(np.eye(3)), rotation=0.5, force=1e6, error=[0.0, 0.0, 0.0]
+        spring, rotation=0.5, force=1e6, error=[0.0, 0.0, 0.0]
     )
     hinge = tj.Hinge("spring", "wall", "block", narrow, at=(0.0, 0.0, 0.0))
     block = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])
     turn = [tj.Load("block", moment=1.0)]
+    return tj.path(
+        block, loads=turn, max_points=16, largest_step=largest_step, **arguments
+    )
+
+
+def test_a_body_that_nothing_supports():
+    with pytest.raises(RuntimeError, match=r"Nothing resists .* angle of 'block'"):
+        turn_a_block(stiffness=0.0)
+
+
+def test_too_few_points():
+    with pytest.raises(RuntimeError, match="largest number of points") as error:
+        turn_a_block(largest_step=0.01)
+    assert "16 points up to the load factor" in str(error.value)
+    found = turn_a_block(largest_step=0.01, throw=False)
+    assert len(found.load_factors) == 16 and not bool(found.succeeded)
+
+
+def test_a_hinge_leaves_its_validity_range():
     with pytest.raises(RuntimeError, match="outside the validity range"):
-        tj.path(block, loads=turn)
-    found = tj.path(block, loads=turn, throw=False)
+        turn_a_block()
+    found = turn_a_block(throw=False)
     assert 0.3 < float(found.displacement("block")[-1, 0]) <= 0.5

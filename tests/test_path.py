@@ -1,5 +1,6 @@
 """Equilibrium paths: von Mises truss, column of rigid links, and tables."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +21,7 @@ from path_helpers import (
 import twistorjax as tj
 from twistorjax.examples.truss import von_mises_truss
 from twistorjax.plotting.shapes import shapes
+from twistorjax.solve import path_setup
 
 
 PUSH = tj.Load("apex", force=(0.0, -20.0))
@@ -167,7 +169,7 @@ class TestVonMisesTruss:
     @staticmethod
     def with_weight(weight, push=0.0, stroke=0.0):
         """Path of a truss with a weight, by a force or strokes of its bars; N, N, m."""
-        stroke = np.array([0.0, -stroke, 0.0])
+        stroke = (0.0, -stroke, 0.0)
         return tj.path(
             truss(),
             loads=[tj.Load("apex", force=(0.0, -push))],
@@ -182,6 +184,10 @@ class TestVonMisesTruss:
         assert_close(found.load_factors[0], 0.0)
         first = scipy.optimize.brentq(lambda h: von_mises_force(h) - 4.0, 0.2, 0.3)
         assert_close(height[0], first, digits=9)
+
+    def test_other_numbers_of_strokes_are_arguments_of_the_same_program(self):
+        given = path_setup._changes({"left": (0.0, -0.05, 0.0)}, None)
+        assert len(list(filter(eqx.is_array, jax.tree.leaves(given)))) == 3
 
     def test_strokes_that_move_the_ends_of_the_bars_apart(self):
         """A stroke of -d moves the ends of a bar on both bodies along it, by d / 2."""
@@ -218,20 +224,19 @@ class TestDerivatives:
     def batch(cls):
         """Both points of a batch of trusses, and their derivatives by the rise.
 
-        Those of the limit point are in reverse mode, those of the last point in forward
-        mode.
+        Those of the last point are in reverse and in forward mode.
         """
 
         def points_and_slopes(rise):
             points, change = jax.linearize(cls.limit_and_last_point, rise)
-            reverse = jax.linear_transpose(lambda by: change(by)[0], rise)
-            (of_limit,) = jax.vmap(reverse)(jnp.eye(2))
-            return points, (of_limit, change(jnp.ones(()))[1])
+            reverse = jax.linear_transpose(lambda by: jnp.concatenate(change(by)), rise)
+            (slopes,) = jax.vmap(reverse)(jnp.eye(4))
+            return points, (slopes[:2], slopes[2:], change(jnp.ones(()))[1])
 
         return jax.jit(jax.vmap(points_and_slopes))(jnp.asarray(cls.RISES))
 
     def test_derivatives_of_a_limit_point(self, batch, validated):
-        _, (found, _) = batch
+        _, (found, *_) = batch
         exact = jax.vmap(jax.jacrev(self.closed_form))(self.RISES)
         assert_close(found, exact, digits=10)
         what = "derivatives of the snap force and its displacement by the rise"
@@ -254,13 +259,14 @@ class TestDerivatives:
         def residual(height, rise):
             return von_mises_force(height, rise) - 20.0
 
-        (_, last), (_, slopes) = batch
+        (_, last), (_, *by_mode) = batch
         slope = jax.vmap(jax.grad(residual, argnums=(0, 1)))
         by_height, by_rise = slope(last[:, 1], jnp.asarray(self.RISES))
         assert_close(last[:, 0], np.ones(6))
         assert_close(residual(last[:, 1], self.RISES), np.zeros(6), digits=9)
-        assert_close(slopes[:, 0], np.zeros(6))
-        assert_close(slopes[:, 1], -by_rise / by_height, digits=9)
+        for slopes in by_mode:
+            assert_close(slopes[:, 0], np.zeros(6))
+            assert_close(slopes[:, 1], -by_rise / by_height, digits=9)
 
 
 class TestSteepTruss:

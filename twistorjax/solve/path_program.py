@@ -115,8 +115,11 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     fixed, mechanism = stop_gradient(system), system.mechanism
     rows = jnp.asarray(np.arange(len(trace.points)))
     used = rows < trace.number
+    # In rows that are not used, the equations must have a solution, too: otherwise their
+    # derivatives are NaN, also multiplied by zero.
     known = jnp.where(used[:, None], trace.points, trace.points[:1])
-    normals = trace.tangents * (metric.weights / metric.units)[None]
+    tangents = jnp.where(used[:, None], trace.tangents, trace.tangents[:1])
+    normals = tangents * (metric.weights / metric.units)[None]
     ended = (trace.status == continuation.AT_LIMIT) | (
         trace.status == continuation.AT_EVENT
     )

@@ -141,7 +141,8 @@ def _changes(
     if callable(strokes):
         of_strokes = strokes
     elif not isinstance(strokes, Mapping) or strokes:
-        of_strokes = eqx.Partial(_multiplied, strokes)
+        # Numbers of Python would be constants of the compiled program.
+        of_strokes = eqx.Partial(_multiplied, jax.tree.map(as_float, strokes))
     if callable(temperature):
         of_temperature = temperature
     elif temperature is not None:
@@ -153,7 +154,7 @@ def _changes(
 
 def _multiplied(values: Any, factor: Scalar) -> Any:
     """Multiply strokes or temperatures by the load factor."""
-    return jax.tree.map(lambda value: factor * jnp.asarray(value, float), values)
+    return jax.tree.map(lambda value: factor * value, values)
 
 
 def first_displacements(

@@ -20,6 +20,8 @@ os.environ.setdefault(
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
     " --xla_cpu_parallel_codegen_split_count=1",
 )
+# Threads of OpenBLAS wait actively for a processor that the other process uses.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The processes of the tests, and the next run, share the compiled programs.
 _PROGRAMS = pathlib.Path(__file__).parents[1] / ".pytest_cache" / "programs"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_PROGRAMS))

@@ -1,5 +1,6 @@
-"""Functions that several tests use: comparison of arrays, and random test data."""
+"""Functions that several tests use: comparisons, derivatives, and random test data."""
 
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
@@ -10,6 +11,30 @@ def assert_close(actual, expected, *, digits=12):
     assert np.shape(actual) == np.shape(expected)
     tolerance = 10.0**-digits
     np.testing.assert_allclose(actual, expected, rtol=tolerance, atol=tolerance)
+
+
+def with_value(function):
+    """Return a function for `has_aux=True`, so that its derivative comes with its value.
+
+    One program then computes both a derivative and the values for difference quotients.
+    """
+
+    def value_twice(argument):
+        value = function(argument)
+        return value, value
+
+    return value_twice
+
+
+def value_and_slopes(function, at):
+    """Return a value, and its derivatives in forward mode and in reverse mode."""
+    at = jnp.asarray(at)
+    value, change = jax.linearize(function, at)
+    forward = jax.vmap(change, out_axes=-1)(jnp.eye(at.size).reshape(-1, *at.shape))
+    basis = jnp.eye(value.size).reshape(-1, *value.shape)
+    (reverse,) = jax.vmap(jax.linear_transpose(change, at))(basis)
+    shape = *value.shape, *at.shape
+    return value, forward.reshape(shape), reverse.reshape(shape)
 
 
 def some_poses(seed, count=64):

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close, some_poses, some_stiffness
+from helpers import assert_close, some_poses, some_stiffness, with_value
 
 import twistorjax as tj
 from twistorjax.geometry import se2, twistors
@@ -139,10 +139,7 @@ def test_wrenches_have_third_derivatives(energy):
     def moment(step):
         return mechanism.wrenches(poses + step * direction)[1, 0]
 
-    def second(step):
-        second = jax.jacfwd(jax.jacfwd(moment))(step)
-        return second, second
-
+    second = with_value(jax.jacfwd(jax.jacfwd(moment)))
     derivatives = jax.jit(jax.jacfwd(second, has_aux=True))
     step = jnp.array(1e-4)
     third, _ = derivatives(0.0 * step)

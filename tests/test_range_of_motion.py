@@ -1,5 +1,6 @@
 """Ranges of motion that are limited by stress or by stability."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+from helpers import value_and_slopes
 
 import twistorjax as tj
 from twistorjax import flexures
@@ -222,19 +224,12 @@ def test_derivatives_of_the_range():
         )
         return jnp.concatenate([found.factors, found.displacement("block")[1]])
 
-    @jax.jit
-    def value_and_slopes(at):
-        """Value, and derivatives in forward and in reverse mode."""
-        value, change = jax.linearize(far, at)
-        transposed = jax.linear_transpose(change, at)
-        (reverse,) = jax.vmap(transposed)(jnp.eye(len(value)))
-        return value, jax.vmap(change, out_axes=1)(jnp.eye(2)), reverse
-
+    differentiate = jax.jit(partial(value_and_slopes, far))
     at = np.array([SIZES["thickness"], ALLOWABLE])
-    _, forward, reverse = value_and_slopes(at)
+    _, forward, reverse = differentiate(at)
     for k, scale in enumerate((1e-8, 1e3)):
         step = np.eye(2)[k] * scale
-        above, below = (value_and_slopes(each)[0] for each in (at + step, at - step))
+        above, below = (differentiate(each)[0] for each in (at + step, at - step))
         difference = (above - below) / (2 * scale)
         np.testing.assert_allclose(forward[:, k], difference, rtol=2e-5)
         np.testing.assert_allclose(reverse[:, k], forward[:, k], rtol=1e-9)

@@ -1,11 +1,13 @@
 """Stresses in hinges whose dimensions are known."""
 
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import value_and_slopes
 
 import twistorjax as tj
 from twistorjax import flexures
@@ -158,17 +160,9 @@ def test_derivatives_of_the_safety_factor(surrogate):
         load = tj.Load("block", moment=0.04, force=(20.0, force))
         return reported(tj.equilibrium(mechanism, loads=[load])).safety_factor
 
-    @jax.jit
-    @jax.vmap
-    def value_and_slopes(force):
-        """Value, and derivatives in forward and in reverse mode."""
-        value, change = jax.linearize(safety, force)
-        one = jnp.ones(())
-        (reverse,) = jax.linear_transpose(change, one)(one)
-        return value, change(one), reverse
-
     step = 1e-4
-    batch, *slopes = value_and_slopes(jnp.array([0.5, 0.6, 0.5 + step, 0.5 - step]))
+    differentiate = jax.jit(jax.vmap(partial(value_and_slopes, safety)))
+    batch, *slopes = differentiate(jnp.array([0.5, 0.6, 0.5 + step, 0.5 - step]))
     expected = (batch[2] - batch[3]) / (2 * step)
     for slope in slopes:
         np.testing.assert_allclose(slope[0], expected, rtol=1e-6)

@@ -11,6 +11,7 @@ from helpers import assert_close, some_stiffness
 from scipy.integrate import solve_ivp
 
 import twistorjax as tj
+from twistorjax.mechanism.hinge_changes import HingeChanges
 
 
 STIFFNESS, DAMPING, MASS = 400.0, 0.3, 2.0  # N/m, N s/m, kg
@@ -194,6 +195,11 @@ def test_a_harmonic_stroke_about_a_preloaded_equilibrium():
     harmonic = np.exp(1j * omega * times)[:, None, None] * np.asarray(expected)
     size = np.max(np.abs(harmonic), axis=(0, 1))
     np.testing.assert_allclose(change / size, np.real(harmonic) / size, atol=1e-5)
+
+
+def test_other_numbers_of_constant_strokes_are_arguments_of_the_same_program():
+    given = HingeChanges.of({"a": (0.0, 1e-6, 0)}, None)
+    assert len(list(filter(eqx.is_array, jax.tree.leaves(given)))) == 3
 
 
 def test_unknown_actuators_are_named():

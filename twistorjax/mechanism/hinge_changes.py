@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.host import as_float
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar
 from .hinge_assembly import HingeAssembly
 from .misfits import stroke_rows
@@ -113,7 +114,8 @@ class HingeChanges(eqx.Module):
         given = not isinstance(strokes, Mapping) or strokes
         if not given and temperature is None:
             return None
-        return cls(eqx.Partial(_constant, strokes) if given else None, temperature)
+        constant = eqx.Partial(_constant, with_arrays(strokes)) if given else None
+        return cls(constant, temperature)
 
     def state(self, mechanism: "Mechanism", time: Scalar) -> HingeState:
         """Evaluate the functions at a time; s."""
@@ -150,6 +152,18 @@ class HingeChanges(eqx.Module):
             return replace(hinges, misfits=misfits).energy(displacements)
 
         return jax.jvp(energy, (time,), (jnp.ones_like(time),))[1]
+
+
+def with_arrays(strokes: Mapping[str, PoseLike]) -> Mapping[str, PoseLike]:
+    """Convert numbers of Python in strokes (rad, m, m) to arrays.
+
+    Otherwise they are constants of a compiled program, which other numbers compile anew.
+    """
+
+    def convert(value: Any) -> Any:
+        return as_float(value) if isinstance(value, int | float) else value
+
+    return jax.tree.map(convert, strokes)
 
 
 def _constant(strokes: Mapping[str, PoseLike], time: Scalar) -> Mapping[str, PoseLike]:

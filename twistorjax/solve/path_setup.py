@@ -17,6 +17,7 @@ from ..mechanism.hinge_changes import (
     HingeChanges,
     Temperature,
     TemperatureInTime,
+    with_arrays,
 )
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -141,8 +142,7 @@ def _changes(
     if callable(strokes):
         of_strokes = strokes
     elif not isinstance(strokes, Mapping) or strokes:
-        # Numbers of Python would be constants of the compiled program.
-        of_strokes = eqx.Partial(_multiplied, jax.tree.map(as_float, strokes))
+        of_strokes = eqx.Partial(_multiplied, with_arrays(strokes))
     if callable(temperature):
         of_temperature = temperature
     elif temperature is not None:
@@ -154,7 +154,7 @@ def _changes(
 
 def _multiplied(values: Any, factor: Scalar) -> Any:
     """Multiply strokes or temperatures by the load factor."""
-    return jax.tree.map(lambda value: factor * value, values)
+    return jax.tree.map(lambda value: factor * jnp.asarray(value, float), values)
 
 
 def first_displacements(

@@ -11,7 +11,7 @@ from statics_helpers import BLOCK, block_on_spring, cantilever, WALL
 import twistorjax as tj
 from twistorjax.examples import stage
 from twistorjax.geometry import se2
-from twistorjax.solve.factorization import solve_once
+from twistorjax.solve.factorization import factorize, solve_once
 
 
 # Mattiasson, Int. J. Num. Meth. Eng. 17 (1981): PL^2/EI, w/L, u/L, tip angle
@@ -328,6 +328,35 @@ def test_a_batch_of_stiffnesses_is_solved_as_each_of_them(batched):
     assert np.array_equal(found_stable, stable)
     expected = np.linalg.solve(matrices[:, None], rights[..., None])[..., 0]
     np.testing.assert_allclose(found[stable], expected[stable], rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1, 5, 30])
+def test_solutions_by_factors_and_their_derivatives_agree_with_numpy(size):
+    """Stiffnesses of 24 rows and less are factorized by elimination, others by LAPACK."""
+    rng = np.random.default_rng(size)
+    root, change, force = rng.normal(size=(3, size, size))
+    units = np.logspace(-3, 3, size)
+    stiffness = units[:, None] * (root @ root.T + np.eye(size)) * units
+    change = units[:, None] * (change + change.T) * units
+    force = units * force[0]
+
+    def solve(stiffness):
+        return factorize(stiffness, symmetric=True).solve(jnp.asarray(force))
+
+    found, rate = jax.jvp(jax.jit(solve), (stiffness,), (change,))
+    expected = np.linalg.solve(stiffness, force)
+    expected_rate = -np.linalg.solve(stiffness, change @ expected)
+    for value, exact in ((found, expected), (rate, expected_rate)):
+        error = np.linalg.norm(units * (value - exact))
+        assert error < 1e-9 * np.linalg.norm(units * exact)
+
+
+@pytest.mark.parametrize("size", [1, 5, 30])
+def test_factors_tell_whether_a_stiffness_is_positive_definite(size):
+    stiffness = np.diag(np.logspace(-3, 3, size))
+    assert factorize(jnp.asarray(stiffness), symmetric=True).is_stable()
+    stiffness[-1, -1] *= -1
+    assert not factorize(jnp.asarray(stiffness), symmetric=True).is_stable()
 
 
 def test_a_batch_without_free_degrees_of_freedom_has_its_reactions():

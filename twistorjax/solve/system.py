@@ -11,7 +11,6 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -24,7 +23,7 @@ from ..mechanism.loads import Load, LoadSet
 from ..mechanism.mechanism import Mechanism
 from .block_factorization import block_layout
 from .dofs import DofPartition
-from .factorization import ConstrainedFactors, Factors
+from .factorization import ConstrainedFactors, factorize, Factors, SmallFactors
 from .load_state import LoadState
 from .tangent_stiffness import (
     add_load_stiffness,
@@ -220,6 +219,9 @@ class System(eqx.Module):
         """Compute the constraint forces of an equilibrium by least squares; N m, N."""
         if not self.constraints.size:
             return jnp.zeros(0)
+        # Only mechanisms with constraints need this package, which takes time to load.
+        import lineax as lx
+
         residual = self.residual(displacements, jnp.zeros(self.constraints.size))
         units = self.free_units()
         scaled = self.jacobian(displacements)[:, self.free] * units[None]
@@ -311,11 +313,11 @@ class System(eqx.Module):
 
     def factors(
         self, stiffness: Float[Array, "free free"], jacobian: Float[Array, "entries free"]
-    ) -> Factors | ConstrainedFactors:
+    ) -> Factors | SmallFactors | ConstrainedFactors:
         """Factorize the stiffness of the free degrees of freedom, with constraints."""
         symmetric = self.loads.conservative
         if not self.constraints.size:
-            return Factors.of(stiffness, symmetric)
+            return factorize(stiffness, symmetric)
         units = self.free_units()
         return ConstrainedFactors.of(stiffness, jacobian, units, symmetric)
 

@@ -11,7 +11,13 @@ from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.scatter import sum_entries
 from .block_factorization import BlockFactors, Layout
 from .dofs import DofPartition
-from .factorization import ConstrainedFactors, Factors, solve_once
+from .factorization import (
+    ConstrainedFactors,
+    factorize,
+    Factors,
+    SmallFactors,
+    solve_once,
+)
 
 
 def add_load_stiffness(
@@ -63,9 +69,9 @@ class DenseTangent(eqx.Module):
         """Compute the forces that prescribed displacements cause; N m, N."""
         return self.matrix[:, len(self.matrix) :] @ change
 
-    def factors(self, symmetric: bool) -> Factors:
+    def factors(self, symmetric: bool) -> Factors | SmallFactors:
         """Factorize the stiffness of the free degrees of freedom."""
-        return Factors.of(self.matrix[:, : len(self.matrix)], symmetric)
+        return factorize(self.matrix[:, : len(self.matrix)], symmetric)
 
     def solve(
         self, rights: Float[Array, "rights free"], symmetric: bool

@@ -352,11 +352,13 @@ def test_solutions_by_factors_and_their_derivatives_agree_with_numpy(size):
 
 
 @pytest.mark.parametrize("size", [1, 5, 30])
-def test_factors_tell_whether_a_stiffness_is_positive_definite(size):
+def test_solutions_of_a_stiffness_that_is_not_positive_definite_are_nan(size):
     stiffness = np.diag(np.logspace(-3, 3, size))
     assert factorize(jnp.asarray(stiffness), symmetric=True).is_stable()
     stiffness[-1, -1] *= -1
-    assert not factorize(jnp.asarray(stiffness), symmetric=True).is_stable()
+    unstable = factorize(jnp.asarray(stiffness), symmetric=True)
+    assert not unstable.is_stable()
+    assert np.all(np.isnan(unstable.solve(jnp.ones(size))))
 
 
 def test_a_batch_without_free_degrees_of_freedom_has_its_reactions():

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .small_matrices import eliminate, eliminate_one, inverse, inverse_cholesky
+from .small_matrices import eliminate, eliminate_one, inverse
 
 
 # A resistance below this fraction of the diagonal may be a rounding error.
@@ -70,41 +70,40 @@ class Factors(NamedTuple):
         return is_stable(self.triangle, self.pivots)
 
 
-class SmallFactors(NamedTuple):
-    """The inverse Cholesky factor of a small symmetric matrix, scaled by its diagonal.
+class Elimination(NamedTuple):
+    """A small symmetric matrix whose linear systems are solved by elimination.
 
-    If the matrix is not positive definite, the equilibrium is unstable, and all solutions
-    are NaN.
+    Each solution eliminates the matrix again. This takes a few microseconds, and in a
+    batch less time than factors by LAPACK. If the matrix is not positive definite, the
+    equilibrium is unstable, and all solutions are NaN.
 
     Args:
-        scale: Reciprocal square roots of the diagonal.
-        inverse_triangle: The inverse of the Cholesky factor.
+        matrix: The matrix.
     """
 
-    scale: Float[Array, " n"]
-    inverse_triangle: Float[Array, "n n"]
-
-    @classmethod
-    def of(cls, matrix: Float[Array, "n n"]) -> "SmallFactors":
-        """Factorize a matrix."""
-        scale = diagonal_scale(jnp.diagonal(matrix))
-        return cls(scale, inverse_cholesky(scale[:, None] * matrix * scale[None]))
+    matrix: Float[Array, "n n"]
 
     def solve(self, right: Float[Array, " n"]) -> Float[Array, " n"]:
         """Solve the linear system for one right-hand side."""
-        triangle = self.inverse_triangle
-        return self.scale * (triangle.T @ (triangle @ (self.scale * right)))
+
+        def solve(_, right: Array) -> Array:
+            (solution,), stable = _solve_symmetric(self.matrix, right[None])
+            return jnp.where(stable, solution, jnp.nan)
+
+        return jax.lax.custom_linear_solve(
+            lambda solution: self.matrix @ solution, right, solve, symmetric=True
+        )
 
     def is_stable(self) -> Bool[Array, ""]:
         """Decide whether the stiffness resists every displacement; see `Factors`."""
-        diagonal = jnp.diagonal(self.inverse_triangle)
-        return jnp.all(diagonal < 1 / np.sqrt(_SMALLEST_PIVOT))
+        matrix = jax.lax.stop_gradient(self.matrix)
+        return _solve_symmetric(matrix, jnp.zeros((0, len(matrix))))[1]
 
 
-def factorize(matrix: Float[Array, "n n"], symmetric: bool) -> Factors | SmallFactors:
+def factorize(matrix: Float[Array, "n n"], symmetric: bool) -> Factors | Elimination:
     """Factorize a stiffness."""
     if _is_eliminated(matrix, symmetric):
-        return SmallFactors.of(matrix)
+        return Elimination(matrix)
     return Factors.of(matrix, symmetric)
 
 
@@ -139,6 +138,9 @@ def _solve_symmetric(matrix: Array, rights: Array) -> tuple[Array, Array]:
 
 @_solve_symmetric.def_vmap
 def _(axis_size: int, in_batched: Sequence[bool], matrices: Array, rights: Array):
+    if not in_batched[0]:
+        solutions, stable = _solve_symmetric(matrices, rights.reshape(-1, len(matrices)))
+        return (solutions.reshape(rights.shape), stable), (True, False)
     matrices, rights = (
         jnp.moveaxis(values, 0, -1)
         if batched
@@ -226,7 +228,7 @@ class ConstrainedFactors(NamedTuple):
     stiffness: Float[Array, "n n"]
     pseudo_inverse: Float[Array, "n entries"]
     basis: Float[Array, "n allowed"]
-    reduced: Factors | SmallFactors
+    reduced: Factors | Elimination
 
     @classmethod
     def of(

@@ -19,7 +19,7 @@ from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
 from .consistency import consistent, inconsistency
 from .dofs import DofPartition
-from .factorization import ConstrainedFactors, Factors, SmallFactors
+from .factorization import ConstrainedFactors, Elimination, Factors
 from .results import RESULTS
 from .static_errors import check_equilibrium
 from .static_results import Equilibrium, state_in_range, StateLike
@@ -57,7 +57,7 @@ class Linearization(eqx.Module):
     about: Poses
     matrix: Float[Array, "dofs dofs"]
     jacobian: Float[Array, "entries dofs"]
-    factors: Factors | SmallFactors | ConstrainedFactors
+    factors: Factors | Elimination | ConstrainedFactors
     finite: Flag
     consistent: Flag
     dofs: DofPartition = eqx.field(static=True)

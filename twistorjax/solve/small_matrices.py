@@ -1,4 +1,4 @@
-"""Inverses and factors of small matrices, and linear equations, without LAPACK.
+"""Inverses of small matrices, and linear equations, without LAPACK.
 
 LAPACK takes longer for a small matrix, and the first program that calls it imports
 `scipy.linalg`, which takes a third of the time of `import jax`.
@@ -97,41 +97,6 @@ def eliminate_one(
     state = remaining, jnp.zeros(size, remaining.dtype)
     remaining, pivots = jax.lax.fori_loop(0, size, step, state)
     return remaining[:, size:], pivots
-
-
-@jax.custom_jvp
-def inverse_cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Invert the Cholesky factor of a symmetric matrix.
-
-    The result is the lower triangular matrix W for which `W matrix W.T` is a unit matrix.
-    It is not finite if the matrix is not positive definite.
-
-    Example:
-        >>> inverse_cholesky(jnp.array([[4.0, 2.0], [2.0, 2.0]]))
-        Array([[ 0.5,  0. ],
-               [-0.5,  1. ]], dtype=float64)
-    """
-    size = len(matrix)
-    rows = jnp.arange(size)
-
-    def eliminate(k: Array, augmented: Array) -> Array:
-        factor = jax.lax.rsqrt(augmented[k, k])
-        row = augmented[k] * factor
-        column = jnp.where(rows > k, augmented[:, k] * factor, 0.0)
-        others = augmented - column[:, None] * row[None]
-        return jnp.where((rows == k)[:, None], row[None], others)
-
-    augmented = jnp.concatenate([matrix, jnp.eye(size)], axis=1)
-    return jax.lax.fori_loop(0, size, eliminate, augmented)[:, size:]
-
-
-@inverse_cholesky.defjvp
-def _(primals, tangents):
-    (matrix,), (change,) = primals, tangents
-    found = inverse_cholesky(matrix)
-    relative = jnp.tril(found @ change @ found.T)
-    half_diagonal = jnp.diag(jnp.diagonal(relative) / 2)
-    return found, -(relative - half_diagonal) @ found
 
 
 @jax.custom_jvp

@@ -23,7 +23,7 @@ from ..mechanism.loads import Load, LoadSet
 from ..mechanism.mechanism import Mechanism
 from .block_factorization import block_layout
 from .dofs import DofPartition
-from .factorization import ConstrainedFactors, factorize, Factors, SmallFactors
+from .factorization import ConstrainedFactors, Elimination, factorize, Factors
 from .load_state import LoadState
 from .tangent_stiffness import (
     add_load_stiffness,
@@ -313,7 +313,7 @@ class System(eqx.Module):
 
     def factors(
         self, stiffness: Float[Array, "free free"], jacobian: Float[Array, "entries free"]
-    ) -> Factors | SmallFactors | ConstrainedFactors:
+    ) -> Factors | Elimination | ConstrainedFactors:
         """Factorize the stiffness of the free degrees of freedom, with constraints."""
         symmetric = self.loads.conservative
         if not self.constraints.size:

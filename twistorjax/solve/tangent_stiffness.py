@@ -13,9 +13,9 @@ from .block_factorization import BlockFactors, Layout
 from .dofs import DofPartition
 from .factorization import (
     ConstrainedFactors,
+    Elimination,
     factorize,
     Factors,
-    SmallFactors,
     solve_once,
 )
 
@@ -69,7 +69,7 @@ class DenseTangent(eqx.Module):
         """Compute the forces that prescribed displacements cause; N m, N."""
         return self.matrix[:, len(self.matrix) :] @ change
 
-    def factors(self, symmetric: bool) -> Factors | SmallFactors:
+    def factors(self, symmetric: bool) -> Factors | Elimination:
         """Factorize the stiffness of the free degrees of freedom."""
         return factorize(self.matrix[:, : len(self.matrix)], symmetric)
 

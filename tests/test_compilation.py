@@ -1,5 +1,6 @@
 """Numbers of compiled programs, and programs that JAX can store on disk."""
 
+import gc
 import json
 import os
 import subprocess
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import pytest
 
 import twistorjax as tj
+from twistorjax._utils.compilation import fast_compile
 from twistorjax.examples import four_bar, stage
 
 
@@ -236,3 +238,20 @@ def test_fast_compilation_is_an_option_of_xla(tmp_path, given, arguments, fast):
     )
     (used,) = tmp_path.glob("*jit_sin.debug_options")
     assert ("xla_cpu_use_fusion_emitters: false" in used.read_text()) == fast
+
+
+def test_the_garbage_collection_pauses_only_while_a_program_is_traced():
+    enabled = []
+
+    @fast_compile
+    def doubled(value):
+        enabled.append(gc.isenabled())
+        if value.ndim:
+            raise TypeError
+        return 2 * value
+
+    assert doubled(jnp.asarray(1.5)) == 3.0
+    with pytest.raises(TypeError):
+        doubled(jnp.ones(2))
+    assert enabled == [False, False]
+    assert gc.isenabled()

@@ -97,7 +97,7 @@ def disable_fusion_emitters() -> None:
 def _no_garbage_collection() -> Iterator[None]:
     """Pause the garbage collection of Python.
 
-    While JAX traces a program, the number of objects grows, which causes many collections.
+    While JAX traces a program, the number of objects grows, which causes collections.
     Without them, the first call of a motion takes 6 % less time.
     """
     enabled = gc.isenabled()

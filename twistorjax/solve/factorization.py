@@ -85,13 +85,23 @@ class Elimination(NamedTuple):
 
     def solve(self, right: Float[Array, " n"]) -> Float[Array, " n"]:
         """Solve the linear system for one right-hand side."""
+        return self.solve_and_check(right)[0]
 
-        def solve(_, right: Array) -> Array:
+    def solve_and_check(
+        self, right: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
+        """Solve the linear system, and decide whether the stiffness is stable."""
+
+        def solve(_, right: Array) -> tuple[Array, Array]:
             (solution,), stable = _solve_symmetric(self.matrix, right[None])
-            return jnp.where(stable, solution, jnp.nan)
+            return jnp.where(stable, solution, jnp.nan), stable
 
         return jax.lax.custom_linear_solve(
-            lambda solution: self.matrix @ solution, right, solve, symmetric=True
+            lambda solution: self.matrix @ solution,
+            right,
+            solve,
+            symmetric=True,
+            has_aux=True,
         )
 
     def is_stable(self) -> Bool[Array, ""]:
@@ -257,3 +267,12 @@ class ConstrainedFactors(NamedTuple):
     def is_stable(self) -> Bool[Array, ""]:
         """Decide whether the stiffness resists allowed displacements; see `Factors`."""
         return self.reduced.is_stable() & jnp.all(jnp.isfinite(self.pseudo_inverse))
+
+
+def solve_and_check(
+    factors: Factors | Elimination | ConstrainedFactors, right: Float[Array, " unknowns"]
+) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
+    """Solve a linear system, and decide whether its stiffness is stable."""
+    if isinstance(factors, Elimination):
+        return factors.solve_and_check(right)
+    return factors.solve(right), factors.is_stable()

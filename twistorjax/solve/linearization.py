@@ -19,7 +19,12 @@ from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
 from .consistency import consistent, inconsistency
 from .dofs import DofPartition
-from .factorization import ConstrainedFactors, Elimination, Factors
+from .factorization import (
+    ConstrainedFactors,
+    Elimination,
+    Factors,
+    solve_and_check,
+)
 from .results import RESULTS
 from .static_errors import check_equilibrium
 from .static_results import Equilibrium, state_in_range, StateLike
@@ -127,13 +132,12 @@ def _respond(
     multipliers, constraint = jnp.zeros(0), jnp.zeros_like(imposed)
     if linear.constraint_names:
         right = jnp.concatenate([right, -linear.jacobian @ imposed])
-    solution = linear.factors.solve(right)
+    solution, stable = solve_and_check(linear.factors, right)
     flat = imposed.at[free].set(solution[:count])
     if linear.constraint_names:
         multipliers = -solution[count:]
         constraint = multipliers @ linear.jacobian
     forces = linear.matrix @ flat
-    stable = linear.factors.is_stable()
     result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
     finite = linear.finite & jnp.all(jnp.isfinite(applied))
     result = RESULTS.where(finite, result, RESULTS.not_finite)

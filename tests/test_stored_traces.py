@@ -178,6 +178,14 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path, folder):
         assert push(oscillator()).displacement("block")[1] == pytest.approx(0.01)
 
 
+def test_an_error_of_a_function_that_is_traced_is_raised_once(folder):
+    hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(np.eye(3)), at=(0, 0, 0))
+    bodies = [tj.Body("wall"), tj.Body("block")]
+    with pytest.raises(ValueError, match="but has no `mass`") as caught:
+        shake(tj.Mechanism(bodies, [hinge], fixed=["wall"]))
+    assert "ValueError" not in repr(caught.value.__context__)
+
+
 def test_a_gradient_is_exact_if_the_residuals_are_of_another_trace(monkeypatch):
     """The gradient of another trace is computed with a new forward pass."""
     names = iter("ab")

@@ -26,10 +26,11 @@ def configure(
     of this library while a process runs, use `cache=False`.
 
     Args:
-        cache: Whether programs are stored in the cache folder of the user, or the path of
-            another folder, which must not have been used without a limit of its size. A
-            folder that is already set, for example by the environment variable
-            `JAX_COMPILATION_CACHE_DIR`, is kept, with its limit of compiled programs.
+        cache: Whether programs are stored in the cache folder of the user, which is
+            `~/.cache/twistorjax` on Linux; or the path of another folder, which must not
+            have been used without a limit of its size. A folder that is already set, for
+            example by the environment variable `JAX_COMPILATION_CACHE_DIR`, is kept, with
+            its limit of compiled programs.
         cache_size: Largest size of the folder; bytes. The programs that have not been
             used for the longest time are deleted first.
         fast_compilation: Whether XLA compiles programs for processors without its fusion

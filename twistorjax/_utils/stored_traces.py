@@ -83,16 +83,9 @@ def stored(function: Callable[..., Any]) -> Callable[..., Any]:
         inputs = list(filter(is_traced, jax.tree.leaves((arguments, settings))))
         if _folder is None or not inputs or jax.device_count() > 1:
             return function(*arguments, **settings)
-        try:
-            key = _key(function, arguments, settings)
-        except NoCanonicalTextError:
+        trace = _load_or_trace(_folder, function, arguments, settings)
+        if trace is None:
             return function(*arguments, **settings)
-        if (trace := _load(_folder.path / key)) is None:
-            try:
-                trace = _Trace.of(function, arguments, settings)
-            except (ValueError, NotImplementedError):  # of the function, or of JAX
-                return function(*arguments, **settings)
-            _save(_folder, key, trace)
         return trace.call(inputs)
 
     return loaded_or_traced
@@ -201,6 +194,27 @@ def _insert_program(
 
 
 mlir.register_lowering(_call, _insert_program)
+
+
+def _load_or_trace(
+    folder: _Folder, function: Callable[..., Any], arguments: tuple, settings: dict
+) -> _Trace | None:
+    """Load a trace, or trace a function and store the trace; None if it cannot be stored.
+
+    The errors of the function are not raised.
+    """
+    try:
+        key = _key(function, arguments, settings)
+    except NoCanonicalTextError:
+        return None
+    trace = _load(folder.path / key)
+    if trace is None:
+        try:
+            trace = _Trace.of(function, arguments, settings)
+        except (ValueError, NotImplementedError):  # of the function, or of JAX
+            return None
+        _save(folder, key, trace)
+    return trace
 
 
 def _shape(leaf: Any) -> Any:

@@ -27,6 +27,7 @@ def assert_clear(error, path):
     message.encode()
 
 
+@pytest.mark.filterwarnings("ignore:.*more than a full turn")
 @pytest.mark.parametrize("damaged", [damaged_trees, damaged_bytes])
 @random_examples(usual=100, release=3000)
 def test_a_damaged_file_of_a_mechanism_or_energy(tmp_path, damaged, examples):

@@ -289,6 +289,21 @@ def test_motion_is_printed_and_converted_to_a_table():
     assert int(dataset.steps) == int(motion.steps)
 
 
+def test_a_motion_of_microseconds_may_begin_at_a_late_time():
+    """The steps are a hundred times the spacing of numbers at this time."""
+    times = np.array([1e6, 1e6 + 2e-6])
+    frequency = 6 * np.pi / 2e-6  # rad/s
+    motion = tj.simulate(
+        oscillator(damping=0.0, mass=50.0 / frequency**2),
+        times,
+        loads=[tj.Load("block", force=(0.0, 0.0))],
+        start=[[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]],
+        tolerance=1e-9,
+    )
+    expected = 0.1 * np.cos(frequency * (times[1] - times[0]))
+    assert_close(motion.displacement("block")[-1, 1], expected, digits=7)
+
+
 def test_motion_that_starts_at_an_equilibrium_stays_there_under_the_same_loads():
     mechanism, push = oscillator(damping=0.0), tj.Load("block", force=(1.0, 0.0))
     equilibrium = tj.equilibrium(mechanism, loads=[push])

@@ -111,7 +111,7 @@ class Elimination(NamedTuple):
 
 
 def factorize(matrix: Float[Array, "n n"], symmetric: bool) -> Factors | Elimination:
-    """Factorize a stiffness."""
+    """Factorize a stiffness, unless it is solved by elimination."""
     if _is_eliminated(matrix, symmetric):
         return Elimination(matrix)
     return Factors.of(matrix, symmetric)
@@ -272,7 +272,10 @@ class ConstrainedFactors(NamedTuple):
 def solve_and_check(
     factors: Factors | Elimination | ConstrainedFactors, right: Float[Array, " unknowns"]
 ) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
-    """Solve a linear system, and decide whether its stiffness is stable."""
+    """Solve a linear system, and decide whether its stiffness is stable.
+
+    One elimination does both.
+    """
     if isinstance(factors, Elimination):
         return factors.solve_and_check(right)
     return factors.solve(right), factors.is_stable()

@@ -35,7 +35,7 @@ class Linearization(eqx.Module):
     """Linear map from small loads and prescribed displacements to the response.
 
     Call it as `linear(loads=..., drives=..., strokes=..., throw=...)`. The tangent
-    stiffness is factorized once. A call returns an `Equilibrium`. Its displacements,
+    stiffness is computed once. A call returns an `Equilibrium`. Its displacements,
     reactions, and constraint forces are the first-order changes from the equilibrium
     about which the mechanism was linearized.
 

@@ -48,7 +48,7 @@ def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
 
     from .._utils.configuration import configure
 
-    # While JAX traces a program, the default thresholds take a sixth of the time.
+    # With the default thresholds, imports and loaded programs take a tenth more time.
     gc.set_threshold(200_000, 20, 20)
     # JAX is imported with this package, so setting the environment variable is too late.
     any_platform = accelerator or "JAX_PLATFORMS" in os.environ

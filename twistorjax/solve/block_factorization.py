@@ -187,6 +187,12 @@ class BlockFactors(eqx.Module):
         _, solution = jax.lax.scan(backward, zero, (above, solution), reverse=True)
         return (self.scale * solution).reshape(-1)[order]
 
+    def solve_and_check(
+        self, right: Float[Array, " free"]
+    ) -> tuple[Float[Array, " free"], Flag]:
+        """Solve the linear system, and decide whether the stiffness is stable."""
+        return self.solve(right), self.is_stable()
+
     def is_stable(self) -> Flag:
         """Decide whether the matrix resists every displacement; see `Factors`."""
         return is_stable(self.triangles, self.pivots)

@@ -60,6 +60,12 @@ class Factors(NamedTuple):
             return jax.scipy.linalg.cho_solve((self.triangle, True), right)
         return jax.scipy.linalg.lu_solve((self.triangle, self.pivots), right)
 
+    def solve_and_check(
+        self, right: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
+        """Solve the linear system, and decide whether the stiffness is stable."""
+        return self.solve(right), self.is_stable()
+
     def is_stable(self) -> Bool[Array, ""]:
         """Decide whether the stiffness resists every displacement.
 
@@ -90,7 +96,10 @@ class Elimination(NamedTuple):
     def solve_and_check(
         self, right: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
-        """Solve the linear system, and decide whether the stiffness is stable."""
+        """Solve the linear system, and decide whether the stiffness is stable.
+
+        One elimination does both; see `Factors.is_stable`.
+        """
 
         def solve(_, right: Array) -> tuple[Array, Array]:
             (solution,), stable = _solve_symmetric(self.matrix, right[None])
@@ -103,11 +112,6 @@ class Elimination(NamedTuple):
             symmetric=True,
             has_aux=True,
         )
-
-    def is_stable(self) -> Bool[Array, ""]:
-        """Decide whether the stiffness resists every displacement; see `Factors`."""
-        matrix = jax.lax.stop_gradient(self.matrix)
-        return _solve_symmetric(matrix, jnp.zeros((0, len(matrix))))[1]
 
 
 def factorize(matrix: Float[Array, "n n"], symmetric: bool) -> Factors | Elimination:
@@ -256,26 +260,18 @@ class ConstrainedFactors(NamedTuple):
 
     def solve(self, right: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
         """Solve for displacements, then constraint forces, of one right-hand side."""
+        return self.solve_and_check(right)[0]
+
+    def solve_and_check(
+        self, right: Float[Array, " unknowns"]
+    ) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
+        """Solve, and decide whether the stiffness resists all allowed displacements."""
         count = len(self.units)
         force, violation = self.units * right[:count], right[count:]
         displacement = self.pseudo_inverse @ violation
         imbalance = self.basis.T @ (force - self.stiffness @ displacement)
-        displacement = displacement + self.basis @ self.reduced.solve(imbalance)
+        allowed, stable = self.reduced.solve_and_check(imbalance)
+        displacement = displacement + self.basis @ allowed
         multipliers = self.pseudo_inverse.T @ (force - self.stiffness @ displacement)
-        return jnp.concatenate([self.units * displacement, multipliers])
-
-    def is_stable(self) -> Bool[Array, ""]:
-        """Decide whether the stiffness resists allowed displacements; see `Factors`."""
-        return self.reduced.is_stable() & jnp.all(jnp.isfinite(self.pseudo_inverse))
-
-
-def solve_and_check(
-    factors: Factors | Elimination | ConstrainedFactors, right: Float[Array, " unknowns"]
-) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
-    """Solve a linear system, and decide whether its stiffness is stable.
-
-    One elimination does both.
-    """
-    if isinstance(factors, Elimination):
-        return factors.solve_and_check(right)
-    return factors.solve(right), factors.is_stable()
+        solution = jnp.concatenate([self.units * displacement, multipliers])
+        return solution, stable & jnp.all(jnp.isfinite(self.pseudo_inverse))

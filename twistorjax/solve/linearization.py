@@ -19,12 +19,7 @@ from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
 from .consistency import consistent, inconsistency
 from .dofs import DofPartition
-from .factorization import (
-    ConstrainedFactors,
-    Elimination,
-    Factors,
-    solve_and_check,
-)
+from .factorization import ConstrainedFactors, Elimination, Factors
 from .results import RESULTS
 from .static_errors import check_equilibrium
 from .static_results import Equilibrium, state_in_range, StateLike
@@ -132,7 +127,7 @@ def _respond(
     multipliers, constraint = jnp.zeros(0), jnp.zeros_like(imposed)
     if linear.constraint_names:
         right = jnp.concatenate([right, -linear.jacobian @ imposed])
-    solution, stable = solve_and_check(linear.factors, right)
+    solution, stable = linear.factors.solve_and_check(right)
     flat = imposed.at[free].set(solution[:count])
     if linear.constraint_names:
         multipliers = -solution[count:]

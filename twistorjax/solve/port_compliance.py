@@ -1,7 +1,6 @@
 """Compliance and stiffness of a mechanism at a port: a frame on one of its bodies."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -17,7 +16,6 @@ from ..geometry import se2
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from .factorization import solve_and_check
 from .linearization import Linearization, linearize
 from .static_results import StateLike
 
@@ -200,7 +198,7 @@ def _compliance(linear: Linearization, body: int, frame: Pose) -> Matrix:
     columns = [int(np.flatnonzero(free == 3 * body + k)[0]) for k in range(3)]
     size = len(free) + len(linear.constraint_names)
     forces = jnp.zeros((3, size)).at[:, np.array(columns)].set(rows)
-    response, stable = jax.vmap(partial(solve_and_check, linear.factors))(forces)
+    response, stable = jax.vmap(linear.factors.solve_and_check)(forces)
     compliance = response[:, np.array(columns)] @ rows.T
     usable = jnp.all(stable) & linear.finite & linear.consistent
     return jnp.where(usable, (compliance + compliance.T) / 2, jnp.nan)

@@ -203,7 +203,8 @@ def _solve_with_factors(
     factors: ConstrainedFactors | BlockFactors, rights: Float[Array, "rights unknowns"]
 ) -> tuple[Float[Array, "rights unknowns"], Flag]:
     """Solve linear systems, and decide whether the stiffness is stable."""
-    return jax.vmap(factors.solve)(rights), factors.is_stable()
+    solutions, stable = jax.vmap(factors.solve_and_check)(rights)
+    return solutions, jnp.all(stable)
 
 
 Tangent = DenseTangent | ConstrainedTangent | BlockTangent

@@ -4,12 +4,18 @@ import math
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Poses, Scalar
-from .hinge_forces import FOUR_OF_SIX, HingeTangent, UPPER_TRIANGLE
+from .hinge_forces import (
+    FOUR_OF_SIX,
+    HingeTangent,
+    predicted_stress,
+    UPPER_TRIANGLE,
+)
 from .hinge_motion import HingeMotionTangent
 from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
 
@@ -27,8 +33,7 @@ class AssemblyTangent(eqx.Module):
     Args:
         motion_forces: Forces on the motions of each hinge; N m, N m, N, N.
         stiffness: Upper triangle of the stiffness of each hinge; N m/rad, N/rad, N/m.
-        stress: Generalized stress of each hinge; N m, N, N.
-        stress_rates: Its derivatives with respect to the motions.
+        hinges: The tangent of each hinge; its leaves have an axis of hinges.
         work: Sum of the absolute values of force times coordinate; J.
         bodies: Number of bodies.
         ends: Indices of the two bodies of each hinge.
@@ -37,8 +42,7 @@ class AssemblyTangent(eqx.Module):
 
     motion_forces: Float[Array, "4 hinges"]
     stiffness: Float[Array, "10 hinges"]
-    stress: Float[Array, "3 hinges"]
-    stress_rates: Float[Array, "3 4 hinges"]
+    hinges: HingeTangent
     work: Scalar
     bodies: int = eqx.field(static=True)
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
@@ -52,14 +56,10 @@ class AssemblyTangent(eqx.Module):
         ends: tuple[tuple[int, int], ...],
         order: tuple[int, ...],
     ) -> "AssemblyTangent":
-        """Stack the values of all hinges in one array, and split it."""
-        rates = [value for line in tangent.stress_rates for value in line]
-        values = [*tangent.forces, *tangent.stiffness, *tangent.stress, *rates]
-        parts = jnp.split(jnp.stack([*values, tangent.work]), [4, 14, 17, 29])
-        forces, stiffness, stress, rates, work = parts
-        rates = rates.reshape(3, 4, -1)
-        total = jnp.sum(work)
-        return cls(forces, stiffness, stress, rates, total, bodies, ends, order)
+        """Stack the forces and stiffness of all hinges, and split them."""
+        values = [*tangent.forces, *tangent.stiffness, tangent.work]
+        forces, stiffness, work = jnp.split(jnp.stack(values), [4, 14])
+        return cls(forces, stiffness, tangent, jnp.sum(work), bodies, ends, order)
 
     def forces(self) -> Float[Array, " dofs"]:
         """Sum the forces of all hinges on each degree of freedom; N m, N."""
@@ -69,12 +69,15 @@ class AssemblyTangent(eqx.Module):
         return _sum_entries(self.motion_forces, places, motion, sign, (3 * self.bodies,))
 
     def matrix(
-        self, rows: tuple[int, ...], columns: tuple[int, ...]
+        self, rows: tuple[int, ...], columns: tuple[int, ...], batch_last: bool = False
     ) -> Float[Array, "rows columns"]:
-        """Sum the stiffness of all hinges among some degrees of freedom."""
+        """Sum the stiffness of all hinges among some degrees of freedom.
+
+        See `sum_entries` for `batch_last`.
+        """
         places = matrix_entries(self.ends, self.order, rows, columns)
-        shape = len(rows), len(columns)
-        return _sum_entries(self.stiffness, places, *_of_pairs(_SYMMETRIC), shape)
+        shape, of_pairs = (len(rows), len(columns)), _of_pairs(_SYMMETRIC)
+        return _sum_entries(self.stiffness, places, *of_pairs, shape, batch_last)
 
     def hinge_stiffness(self) -> Float[Array, "6 6 hinges"]:
         """Return the stiffness of each hinge with respect to its six displacements."""
@@ -89,11 +92,8 @@ class AssemblyTangent(eqx.Module):
     def predicted_stress(self, change: Poses) -> Float[Array, "3 hinges"]:
         """Predict the stress after small displacements of the bodies; rad, m, m."""
         first, second = np.array(self.ends).reshape(-1, 2)[list(self.order)].T
-        a, b = change[first].T, change[second].T
-        stress = self.stress
-        for motion, value in enumerate([a[0], b[0], b[1] - a[1], b[2] - a[2]]):
-            stress = stress + self.stress_rates[:, motion] * value[None]
-        return stress
+        of_bodies = tuple(change[first].T), tuple(change[second].T)
+        return jnp.stack(jax.vmap(predicted_stress)(self.hinges, *of_bodies))
 
 
 def _of_pairs(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,6 +122,7 @@ def _sum_entries(
     position: np.ndarray,
     signs: np.ndarray,
     shape: tuple[int, ...],
+    batch_last: bool = False,
 ) -> Array:
     """Sum the entries of all hinges, which are given for the four motions.
 
@@ -132,11 +133,12 @@ def _sum_entries(
         position: Index among the motions, for each index among the displacements.
         signs: The sign with which this entry enters.
         shape: Shape of the sum.
+        batch_last: See `sum_entries`.
     """
     entry, hinge = np.divmod(places[0], entries.shape[-1])
     source = position[entry] * entries.shape[-1] + hinge
-    flat, size = entries.reshape(-1), math.prod(shape)
-    return sum_entries(flat, source, places[1], size, signs[entry]).reshape(shape)
+    flat, size, signs = entries.reshape(-1), math.prod(shape), signs[entry]
+    return sum_entries(flat, source, places[1], size, signs, batch_last).reshape(shape)
 
 
 class AssemblyMotionTangent(NamedTuple):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._utils.fusion import computed_once
 from .._utils.host import as_float, on_host
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
@@ -353,7 +354,8 @@ class HingeAssembly(eqx.Module):
         members = np.array(group.members)
         first, second = np.array(self.ends)[members].T
         angle, x, y = displacements.T
-        cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
+        # XLA would compute both for each end of a hinge, instead of each body.
+        cos, sin = computed_once((jnp.cos(angle / 2), jnp.sin(angle / 2)), angle)
         arms, directions = self.arms[members], self.directions[members]
         numbers, rates = self.misfits, self.misfit_rates
         numbers = None if numbers is None else numbers[members]

@@ -77,15 +77,17 @@ class HingeTangent(NamedTuple):
         stiffness: Upper triangle of the second derivatives, row by row; N m/rad, N/rad,
             N/m.
         stress: Generalized stress; N m, N, N.
-        stress_rates: Derivatives of each component of the stress with respect to the
-            motions.
+        stress_rates: Derivatives of the stress with respect to each coordinate of the
+            hinge.
+        kinematics: Derivatives of these coordinates with respect to the motions.
         work: Sum of the absolute values of force times coordinate; J.
     """
 
     forces: Four
     stiffness: tuple[Scalar, ...]
     stress: Three
-    stress_rates: tuple[Four, Four, Four]
+    stress_rates: tuple[Three, Three, Three]
+    kinematics: HingeKinematics
     work: Scalar
 
 
@@ -126,12 +128,12 @@ def tangent(
     scale, growth, curvature = _translation_scale(energy, at)
     s1, s2 = gradient[1] / scale, gradient[2] / scale
     stress = gradient[0] - growth * (y1 * s1 + y2 * s2), s1, s2
-    by_s1 = (h01 - growth * s1) / scale, h11 / scale, h12 / scale
-    by_s2 = (h02 - growth * s2) / scale, h12 / scale, h22 / scale
-    by_s0 = (
-        h00 - curvature * (y1 * s1 + y2 * s2) - growth * (y1 * by_s1[0] + y2 * by_s2[0]),
-        h01 - growth * (s1 + y1 * by_s1[1] + y2 * by_s2[1]),
-        h02 - growth * (s2 + y1 * by_s1[2] + y2 * by_s2[2]),
+    of_s1 = (h01 - growth * s1) / scale, h11 / scale, h12 / scale
+    of_s2 = (h02 - growth * s2) / scale, h12 / scale, h22 / scale
+    of_s0 = (
+        h00 - curvature * (y1 * s1 + y2 * s2) - growth * (y1 * of_s1[0] + y2 * of_s2[0]),
+        h01 - growth * (s1 + y1 * of_s1[1] + y2 * of_s2[1]),
+        h02 - growth * (s2 + y1 * of_s1[2] + y2 * of_s2[2]),
     )
     slopes = gradient
     if predicted is not None:
@@ -153,12 +155,19 @@ def tangent(
         ),
         stress=stress,
         stress_rates=(
-            of_motions(columns, by_s0),
-            of_motions(columns, by_s1),
-            of_motions(columns, by_s2),
+            (of_s0[0], of_s1[0], of_s2[0]),
+            (of_s0[1], of_s1[1], of_s2[1]),
+            (of_s0[2], of_s1[2], of_s2[2]),
         ),
+        kinematics=kinematics,
         work=work,
     )
+
+
+def predicted_stress(at: HingeTangent, first: Three, second: Three) -> Three:
+    """Predict the stress after small displacements of both bodies; rad, m, m."""
+    s0, s1, s2 = combine(at.stress_rates, at.kinematics.rates(first, second))
+    return at.stress[0] + s0, at.stress[1] + s1, at.stress[2] + s2
 
 
 # Rows and columns of the entries of a symmetric matrix of four motions.

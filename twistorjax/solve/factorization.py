@@ -116,14 +116,14 @@ class Elimination(NamedTuple):
 
 def factorize(matrix: Float[Array, "n n"], symmetric: bool) -> Factors | Elimination:
     """Factorize a stiffness, unless it is solved by elimination."""
-    if _is_eliminated(matrix, symmetric):
+    if is_eliminated(len(matrix), symmetric):
         return Elimination(matrix)
     return Factors.of(matrix, symmetric)
 
 
-def _is_eliminated(matrix: Float[Array, "n n"], symmetric: bool) -> bool:
-    """Decide whether elimination is faster than LAPACK."""
-    return symmetric and 0 < len(matrix) <= _LARGEST_ELIMINATED
+def is_eliminated(size: int, symmetric: bool) -> bool:
+    """Decide whether elimination of a stiffness of this size is faster than LAPACK."""
+    return symmetric and 0 < size <= _LARGEST_ELIMINATED
 
 
 def solve_once(
@@ -138,7 +138,7 @@ def solve_once(
         The solutions, and whether the stiffness is stable; see `Factors.is_stable`. The
         solutions with an unstable one have no meaning.
     """
-    if _is_eliminated(matrix, symmetric):
+    if is_eliminated(len(matrix), symmetric):
         return _solve_symmetric(matrix, rights)
     factors = Factors.of(matrix, symmetric)
     return jax.vmap(factors.solve)(rights), factors.is_stable()

@@ -62,11 +62,11 @@ def eliminate(
     """
     remaining, pivots = jnp.concatenate([matrices, rights], axis=1), []
     for k in range(len(matrices)):
+        # Without a barrier, XLA would compute each row several times.
+        remaining = jax.lax.optimization_barrier(remaining)
         column, row = remaining[:, :1], remaining[k, 1:] / remaining[k, :1]
         others = remaining[:, 1:] - column * row[None]
         remaining = jnp.concatenate([others[:k], row[None], others[k + 1 :]])
-        # Without a barrier, XLA would compute each row several times.
-        remaining = jax.lax.optimization_barrier(remaining)
         pivots.append(column[k])
     return remaining, jnp.concatenate(pivots)
 

@@ -21,9 +21,16 @@ from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_co
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Load, LoadSet
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.scatter import gather_entries
 from .block_factorization import block_layout
 from .dofs import DofPartition
-from .factorization import ConstrainedFactors, Elimination, factorize, Factors
+from .factorization import (
+    ConstrainedFactors,
+    Elimination,
+    factorize,
+    Factors,
+    is_eliminated,
+)
 from .load_state import LoadState
 from .tangent_stiffness import (
     add_load_stiffness,
@@ -148,10 +155,12 @@ class System(eqx.Module):
     ) -> Poses:
         """Replace the free or the prescribed displacements; rad, m, m."""
         flat = displacements.reshape(-1)
-        if free is not None:
-            flat = flat.at[self.free].set(free)
-        if prescribed is not None:
-            flat = flat.at[self.prescribed].set(prescribed)
+        source, values = np.arange(flat.size), [flat]
+        for dofs, replaced in ((self.free, free), (self.prescribed, prescribed)):
+            if replaced is not None:
+                source[dofs] = sum(map(len, values)) + np.arange(len(dofs))
+                values.append(replaced)
+        flat = gather_entries(jnp.concatenate(values), source)
         return flat.reshape(displacements.shape)
 
     def violation(self, displacements: Poses) -> Entries:
@@ -266,8 +275,12 @@ class System(eqx.Module):
             )
             return hinges.forces() - applied, tangent, hinges
         columns = self.dofs.free + self.dofs.prescribed
-        residual, matrix = self.with_loads(hinges, displacements, columns, fraction)
-        if not self.constraints.size:
+        constrained = self.constraints.size > 0
+        batch_last = not constrained and is_eliminated(len(self.free), self.conservative)
+        residual, matrix = self.with_loads(
+            hinges, displacements, columns, fraction, batch_last
+        )
+        if not constrained:
             return residual, DenseTangent(matrix), hinges
         assert multipliers is not None
         return *self._constrained(displacements, residual, matrix, multipliers), hinges
@@ -278,13 +291,15 @@ class System(eqx.Module):
         displacements: Poses,
         columns: tuple[int, ...],
         fraction: Scalar | float = 1.0,
+        batch_last: bool = False,
     ) -> tuple[Float[Array, " dofs"], Float[Array, "free columns"]]:
         """Add a fraction of the loads to the forces of the hinges.
 
         The free forces are differentiated with respect to the degrees of freedom in
-        `columns`.
+        `columns`. See `sum_entries` for `batch_last`.
         """
-        forces, matrix = hinges.forces(), hinges.matrix(self.dofs.free, columns)
+        forces = hinges.forces()
+        matrix = hinges.matrix(self.dofs.free, columns, batch_last)
         loads = self.loads_at(fraction)
         if not loads.present:
             return forces, matrix

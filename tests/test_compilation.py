@@ -218,15 +218,20 @@ def test_an_invalid_size_of_the_cache_is_reported():
         tj.configure(cache_size=0)
 
 
+EMITTERS = "xla_cpu_use_fusion_emitters: false"
+LOOPS = "xla_cpu_small_while_loop_byte_threshold"
+
+
 @pytest.mark.parametrize(
-    ("given", "arguments", "fast"),
+    ("given", "arguments", "expected"),
     [
-        ("", "", True),
-        ("", "fast_compilation=False", False),
-        ("--xla_cpu_use_fusion_emitters=true", "", False),
+        ("", "", {EMITTERS, LOOPS}),
+        ("", "fast_compilation=False", {LOOPS}),
+        ("", "fast_loops=False", {EMITTERS}),
+        ("--xla_cpu_use_fusion_emitters=true", "", {LOOPS}),
     ],
 )
-def test_fast_compilation_is_an_option_of_xla(tmp_path, given, arguments, fast):
+def test_configure_sets_options_of_xla(tmp_path, given, arguments, expected):
     """The options that XLA uses are in a file that it writes about each program."""
     code = (
         f"import jax, twistorjax as tj; tj.configure(cache=False, {arguments}); "
@@ -237,7 +242,8 @@ def test_fast_compilation_is_an_option_of_xla(tmp_path, given, arguments, fast):
         [sys.executable, "-c", code], check=True, env={**os.environ, "XLA_FLAGS": dump}
     )
     (used,) = tmp_path.glob("*jit_sin.debug_options")
-    assert ("xla_cpu_use_fusion_emitters: false" in used.read_text()) == fast
+    options = used.read_text()
+    assert {option for option in (EMITTERS, LOOPS) if option in options} == expected
 
 
 def test_the_garbage_collection_pauses_only_while_a_program_is_traced():

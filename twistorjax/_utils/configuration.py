@@ -4,7 +4,7 @@ from pathlib import Path
 
 import jax
 
-from .compilation import disable_fusion_emitters
+from .compilation import add_xla_option, FAST_COMPILATION, FAST_LOOPS
 from .stored_traces import store_traces_in
 
 
@@ -13,8 +13,9 @@ def configure(
     cache: bool | str | Path = True,
     cache_size: int = 10**9,
     fast_compilation: bool = True,
+    fast_loops: bool = True,
 ) -> None:
-    """Enable double precision, fast compilation, and a cache of programs on disk.
+    """Enable double precision, options of XLA, and a cache of programs on disk.
 
     Call this function once, before arrays are created. JAX compiles a program for each
     kind of problem, which takes seconds. With the cache, later processes load the program
@@ -25,6 +26,10 @@ def configure(
     are those of this library and of the packages that it uses. If you replace functions
     of this library while a process runs, use `cache=False`.
 
+    The options of XLA are for processors. They are added to the environment variable
+    `XLA_FLAGS`, if they are not there. They act on all programs of this process, if JAX
+    has not created an array yet.
+
     Args:
         cache: Whether programs are stored in the cache folder of the user, which is
             `~/.cache/twistorjax` on Linux; or the path of another folder, which must not
@@ -33,11 +38,13 @@ def configure(
             its limit of compiled programs.
         cache_size: Largest size of the folder; bytes. The programs that have not been
             used for the longest time are deleted first.
-        fast_compilation: Whether XLA compiles programs for processors without its fusion
-            emitters, which takes about 40 % less time. The programs of this library run
-            as fast; those of other libraries may be slower. The option is added to the
-            environment variable `XLA_FLAGS`, if it is not there. It acts on all programs
-            of this process if JAX has not created an array yet.
+        fast_compilation: Whether XLA compiles programs without its fusion emitters, which
+            takes about 40 % less time. The programs of this library run as fast; those of
+            other libraries may be slower.
+        fast_loops: Whether XLA compiles each loop over small arrays to one function
+            instead of many. A motion then takes 25 % less time, its gradient less than
+            half the time, and an equilibrium 20 % less time. The gradient of a motion
+            compiles in 10 % more time.
 
     Raises:
         ValueError: The size is not positive.
@@ -51,7 +58,9 @@ def configure(
         raise ValueError(f"`cache_size` is {cache_size!r}, but must be positive; bytes.")
     jax.config.update("jax_enable_x64", True)
     if fast_compilation:
-        disable_fusion_emitters()
+        add_xla_option(FAST_COMPILATION)
+    if fast_loops:
+        add_xla_option(FAST_LOOPS)
     if cache is False:
         store_traces_in(None)
         return

@@ -295,12 +295,12 @@ def _inverse(
             jnp.diag(mass), tangent.damping, tangent.stiffness, tangent.jacobian,
         )
     )  # fmt: skip
-    matrix = inertia + eigenvalue * damping + eigenvalue**2 * stiffness
+    transposed = inertia + (eigenvalue * damping + eigenvalue**2 * stiffness).T
     entries = len(jacobian)
     if entries:
         zero = jnp.zeros((entries, entries), eigenvalue.dtype)
-        matrix = jnp.block([[matrix, -jacobian.T], [jacobian, zero]])
-    return inverse(matrix).T
+        transposed = jnp.block([[transposed, jacobian.T], [-jacobian, zero]])
+    return inverse(transposed)
 
 
 def _error(

@@ -4,11 +4,18 @@ LAPACK takes longer for a small matrix, and the first program that calls it impo
 `scipy.linalg`, which takes a third of the time of `import jax`.
 """
 
+from collections.abc import Callable, Sequence
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
 
+# Real numbers, or real and imaginary parts.
+_Parts = tuple[Inexact[Array, "rows columns batch"], ...]
+
+
+@jax.custom_jvp
 def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
     """Invert matrices by Gauss-Jordan elimination without pivoting.
 
@@ -25,23 +32,87 @@ def inverse(matrix: Inexact[Array, "... n n"]) -> Inexact[Array, "... n n"]:
         Array([[ 1., -1.],
                [-1.,  2.]], dtype=float64)
     """
-    size = matrix.shape[-1]
-    if not size:
+    if not matrix.size:
         return matrix
+    if matrix.ndim == 2:
+        return _inverse(matrix)
+    flat = matrix.reshape(-1, *matrix.shape[-2:])
+    return jax.vmap(_inverse)(flat).reshape(matrix.shape)
 
-    def eliminate(k: Array, remaining: Array) -> Array:
+
+@inverse.defjvp
+def _(primals, tangents):
+    (matrix,), (change,) = primals, tangents
+    found = inverse(matrix)
+    return found, -found @ change @ found
+
+
+@jax.custom_batching.custom_vmap
+def _inverse(matrix: Inexact[Array, "n n"]) -> Inexact[Array, "n n"]:
+    (found,) = _gauss_jordan((matrix[..., None],))
+    return found[..., 0]
+
+
+@_inverse.def_vmap
+def _(axis_size: int, in_batched: Sequence[bool], matrices: Array):
+    """Invert a batch as the last axis, and without complex numbers.
+
+    XLA processes four or more real numbers with one instruction, but not complex ones.
+    """
+    del axis_size, in_batched
+    last = jnp.moveaxis(matrices, 0, -1)
+    if jnp.iscomplexobj(last):
+        real, imaginary = _gauss_jordan((jnp.real(last), jnp.imag(last)))
+        last = jax.lax.complex(real, imaginary)
+    else:
+        (last,) = _gauss_jordan((last,))
+    return jnp.moveaxis(last, -1, 0), True
+
+
+def _gauss_jordan(matrices: _Parts) -> _Parts:
+    """Invert matrices, which are given by their parts."""
+    size = len(matrices[0])
+
+    def eliminate(k: Array, remaining: _Parts) -> _Parts:
         """Eliminate one unknown, and write the inverse over its row and column."""
-        column = jax.lax.dynamic_index_in_dim(remaining, k, 2, keepdims=True)
-        row = jax.lax.dynamic_index_in_dim(remaining, k, 1, keepdims=True)
-        factor = 1 / jax.lax.dynamic_index_in_dim(row, k, 2, keepdims=True)
-        row = row * factor
+        row, column = (
+            tuple(jax.lax.dynamic_index_in_dim(part, k, axis) for part in remaining)
+            for axis in (0, 1)
+        )
+        pivot = tuple(jax.lax.dynamic_index_in_dim(part, k, 1) for part in row)
+        factor = _reciprocal(pivot)
+        row = _multiply(row, factor)
+        in_column = _combine(jnp.negative, _multiply(column, factor))
+        others = _combine(jnp.subtract, remaining, _multiply(column, row))
         eliminated = jnp.arange(size) == k
-        in_row, in_column = eliminated[None, :, None], eliminated[None, None]
-        others = jnp.where(in_column, -column * factor, remaining - column * row)
-        return jnp.where(in_row, jnp.where(in_column, factor, row), others)
+        is_row, is_column = eliminated[:, None, None], eliminated[None, :, None]
+        row = _combine(lambda *parts: jnp.where(is_column, *parts), factor, row)
+        others = _combine(lambda *parts: jnp.where(is_column, *parts), in_column, others)
+        return _combine(lambda *parts: jnp.where(is_row, *parts), row, others)
 
-    flat = matrix.reshape(-1, size, size)
-    return jax.lax.fori_loop(0, size, eliminate, flat).reshape(matrix.shape)
+    return jax.lax.fori_loop(0, size, eliminate, matrices)
+
+
+def _combine(function: Callable[..., Array], *numbers: _Parts) -> _Parts:
+    """Apply a function to the real parts, and to the imaginary parts, of numbers."""
+    return tuple(map(function, *numbers))
+
+
+def _multiply(first: _Parts, second: _Parts) -> _Parts:
+    """Multiply numbers that are given by their parts."""
+    if len(first) == 1:
+        return _combine(jnp.multiply, first, second)
+    (a, b), (c, d) = first, second
+    return a * c - b * d, a * d + b * c
+
+
+def _reciprocal(number: _Parts) -> _Parts:
+    """Invert numbers that are given by their parts."""
+    if len(number) == 1:
+        return _combine(jnp.reciprocal, number)
+    a, b = number
+    scale = 1 / (a * a + b * b)
+    return a * scale, -b * scale
 
 
 def eliminate(

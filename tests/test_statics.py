@@ -12,6 +12,7 @@ import twistorjax as tj
 from twistorjax.examples import stage
 from twistorjax.geometry import se2
 from twistorjax.solve.factorization import factorize, solve_once
+from twistorjax.solve.small_matrices import inverse
 
 
 # Mattiasson, Int. J. Num. Meth. Eng. 17 (1981): PL^2/EI, w/L, u/L, tip angle
@@ -328,6 +329,31 @@ def test_a_batch_of_stiffnesses_is_solved_as_each_of_them(batched):
     assert np.array_equal(found_stable, stable)
     expected = np.linalg.solve(matrices[:, None], rights[..., None])[..., 0]
     np.testing.assert_allclose(found[stable], expected[stable], rtol=1e-9)
+
+
+@pytest.mark.parametrize("imaginary", [0.0, 1.0j])
+def test_inverses_in_batches_and_their_derivatives_agree_with_numpy(imaginary):
+    """The symmetric part of each matrix is positive definite."""
+    rng = np.random.default_rng(1)
+    random = rng.normal(size=(4, 6, 5, 5))
+    roots, skew, other, changes = random
+    matrices = roots @ roots.transpose(0, 2, 1) + np.eye(5)
+    matrices = matrices + skew - skew.transpose(0, 2, 1) + imaginary * other
+    matrices = jnp.asarray(matrices)
+    changes = jnp.asarray(changes, matrices.dtype)
+    inverses = np.linalg.inv(matrices)
+    for function in (inverse, jax.vmap(inverse)):
+        found, rates = jax.jvp(function, (matrices,), (changes,))
+        np.testing.assert_allclose(found, inverses, rtol=1e-9, atol=1e-12)
+        expected = -inverses @ changes @ inverses
+        np.testing.assert_allclose(rates, expected, rtol=1e-8, atol=1e-11)
+    np.testing.assert_allclose(inverse(matrices[0]), inverses[0], rtol=1e-9, atol=1e-12)
+    if not imaginary:
+        _, pull_back = jax.vjp(jax.vmap(inverse), matrices)
+        transposed = inverses.transpose(0, 2, 1)
+        gradient = -transposed @ changes @ transposed
+        (found,) = pull_back(changes)
+        np.testing.assert_allclose(found, gradient, rtol=1e-8, atol=1e-11)
 
 
 @pytest.mark.parametrize("size", [1, 5, 30])

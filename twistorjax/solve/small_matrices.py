@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
 
-# Real numbers, or real and imaginary parts.
-_Parts = tuple[Inexact[Array, "rows columns batch"], ...]
+# Real numbers, or their real and imaginary parts; rows, columns, batch.
+_Parts = tuple[Inexact[Array, "_ _ _"], ...]
 
 
 @jax.custom_jvp

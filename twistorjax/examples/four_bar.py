@@ -20,6 +20,7 @@ from typing import Literal, NamedTuple, TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Corners, NumberLike, Scalar, TimesLike
 from .._utils.validation import index_of
 from ..energies.base import AbstractEnergy
@@ -292,9 +293,8 @@ def _link(
     material: Material,
 ) -> Body:
     """Make a rectangular link with its center at (x, y); all lengths in m."""
-    corners = jnp.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) / 2
-    size = jnp.stack([jnp.asarray(width, float), jnp.asarray(height, float)])
-    center = jnp.stack([jnp.asarray(x, float), jnp.asarray(y, float)])
-    return plate(
-        name, center[None] + corners * size[None], width=_WIDTH, material=material
-    )
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) / 2
+    numbers, (x, y, width, height) = on_host(*map(as_float, (x, y, width, height)))
+    size, center = numbers.stack([width, height]), numbers.stack([x, y])
+    outline = as_float(center[None] + corners * size[None])
+    return plate(name, outline, width=_WIDTH, material=material)

@@ -12,6 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from .._utils.host import as_float, on_host
 from .._utils.types import Key, NamedNumbers, TimesLike
 from ..energies.base import AbstractEnergy
 from ..energies.mixed import MixedEnergy
@@ -62,8 +63,8 @@ def linkage(stiffnesses: NamedNumbers) -> Mechanism:
         >>> linkage(LEAF)
         Mechanism of 4 bodies (1, 2, 3, 4), 4 hinges (A, B, C, D); fixed: 1
     """
-    diagonal = [jnp.asarray(stiffnesses[name], float) for name in LEAF]
-    energy = Quadratic(jnp.diag(jnp.stack(diagonal)))
+    numbers, diagonal = on_host(*(as_float(stiffnesses[name]) for name in LEAF))
+    energy = Quadratic(numbers.diag(numbers.stack(diagonal)))
     return four_bar.four_bar(damping=four_bar.RELEASED_DAMPING, energies={"A": energy})
 
 

@@ -1,17 +1,15 @@
 """Identification of the parameters of a mechanism from measurements."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
-import optimistix as optx
 
 from .._utils.compilation import fast_compile
-from .._utils.host import all_concrete
+from .._utils.host import all_concrete, as_float, on_host
 from .._utils.pytrees import split_last_axis
 from .._utils.types import KeyLike
 from .._utils.validation import compilation_error, require_float64, require_kind
@@ -25,7 +23,11 @@ from .padding import cut, pad
 from .parameters import ParameterSet
 from .report import Identification
 from .search import search_compiled, search_with_progress, SearchState
-from .wrapped_optimizers import GradientDescent, OptimistixSolver
+
+
+if TYPE_CHECKING:
+    import optax
+    import optimistix as optx
 
 
 # Gradient descent uses reverse mode by default if there are more parameters.
@@ -38,7 +40,9 @@ def identify(
     data: Sequence[Measurement],
     *,
     held_out: Sequence[Measurement] = (),
-    method: optax.GradientTransformation | optx.AbstractLeastSquaresSolver | None = None,
+    method: "optax.GradientTransformation | optx.AbstractLeastSquaresSolver | None" = (
+        None
+    ),
     huber_threshold: float | None = None,
     restarts: int = 0,
     restart_standard_deviation: float = 0.5,
@@ -151,7 +155,7 @@ def identify(
     require_float64(jax.tree.leaves(parameters)[0])
     if reverse is None:
         reverse = len(parameters.names) > _MOST_IN_FORWARD_MODE
-    forward = not (isinstance(optimizer, GradientDescent) and reverse)
+    forward = optimizer.needs_jacobian or not reverse
     start_point = from_numpy(np.zeros(len(parameters.names)))
     arrays = jax.tree.leaves(eqx.filter((problem, key), eqx.is_array))
     given, problem = problem, pad(problem)
@@ -185,8 +189,17 @@ def _choose_optimizer(
     if method is None:
         bounded = [float(name in parameters.bounded) for name in parameters.names]
         zeros = from_numpy(np.zeros(len(bounded)))
-        offsets = parameters.vector(zeros) / parameters.derivatives(zeros)
+        _, (values, scales) = on_host(
+            parameters.vector(zeros), parameters.derivatives(zeros)
+        )
+        offsets = as_float(values / scales)
         return LevenbergMarquardt(tolerance, from_numpy(bounded), offsets), 100
+    # Only other methods need these packages, which take time to load.
+    import optax
+    import optimistix as optx
+
+    from .wrapped_optimizers import GradientDescent, OptimistixSolver
+
     if isinstance(method, optax.GradientTransformation):
         return GradientDescent(method, tolerance), 3000
     if isinstance(method, optx.AbstractLeastSquaresSolver):

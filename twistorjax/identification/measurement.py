@@ -136,7 +136,10 @@ class AbstractTest(eqx.Module):
                 self.predict(mechanism, throw=True)  # raises an error with the cause
         if key is not None:
             noise = jax.random.normal(random_key(key), values.shape, values.dtype)
-            values = values + self.standard_deviations * noise
+            _, (exact, deviations, noise) = on_host(
+                values, self.standard_deviations, noise
+            )
+            values = as_float(exact + deviations * noise)
         return Measurement(self, values, self.standard_deviations)
 
 

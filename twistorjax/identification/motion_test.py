@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import diffrax as dfx
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -78,14 +77,13 @@ class MotionTest(SensorTest):
         self.constraints = tuple(constraints)
         if isinstance(start, Equilibrium):
             start = start.poses
-        self.start = None if start is None else jnp.asarray(start, float)
+        self.start = None if start is None else as_float(start)
         self.velocities = None
         if velocities is not None:
             self.velocities = {
-                body: jnp.asarray(velocity, float)
-                for body, velocity in velocities.items()
+                body: as_float(velocity) for body, velocity in velocities.items()
             }
-        self.tolerance = jnp.asarray(tolerance, float)
+        self.tolerance = as_float(tolerance)
         actions = self.loads, self.drives, self.constraints
         if not any(actions) and start is None and velocities is None:
             raise ValueError(

@@ -7,7 +7,7 @@ themselves. The points are vectors of normalized parameters.
 """
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -68,7 +68,12 @@ class Evaluation(eqx.Module):
 
 
 class AbstractOptimizer(eqx.Module):
-    """Method that chooses the next point from the evaluations so far."""
+    """Method that chooses the next point from the evaluations so far.
+
+    It needs the derivatives of all residuals, or only the gradient of the loss.
+    """
+
+    needs_jacobian: ClassVar[bool] = True
 
     @abstractmethod
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> Any:

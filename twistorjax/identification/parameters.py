@@ -6,18 +6,16 @@ the parameter has a bound, of its distance to the bound. All real numbers are ma
 values between the bounds, so the optimization itself has no constraints.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .._utils.compilation import fast_compile
-from .._utils.host import concrete
+from .._utils.host import as_float, concrete, on_host
 from .._utils.pytrees import entry_names, path_name
 from .._utils.types import ArrayOfNumbers, Numbers
 
@@ -61,7 +59,7 @@ class Parameter(eqx.Module):
         upper: float | int | None = None,
         scale: ArrayOfNumbers | None = None,
     ):
-        self.value = jnp.asarray(value, float)
+        self.value = as_float(value)
         self.unit = unit if isinstance(unit, str) else tuple(unit)
         shape = self.value.shape
         if not isinstance(unit, str) and (not shape or len(unit) != shape[-1]):
@@ -71,7 +69,7 @@ class Parameter(eqx.Module):
             )
         self.lower = None if lower is None or lower == -np.inf else float(lower)
         self.upper = None if upper is None or upper == np.inf else float(upper)
-        self.scale = None if scale is None else jnp.asarray(scale, float)
+        self.scale = None if scale is None else as_float(scale)
         for name, bound in (("lower", self.lower), ("upper", self.upper)):
             if bound is not None and not np.isfinite(bound):
                 raise ValueError(
@@ -116,13 +114,7 @@ class Parameter(eqx.Module):
         Returns:
             The derivative, in the unit of the parameter.
         """
-        if self.lower is not None or self.upper is not None:
-            zeros, ones = jnp.zeros_like(self.value), jnp.ones_like(self.value)
-            return jax.jvp(self.value_at, (zeros,), (ones,))[1]
-        if self.scale is not None:
-            return jnp.broadcast_to(self.scale, self.value.shape)
-        magnitude = jnp.abs(self.value)
-        return jnp.where(magnitude > 0, magnitude, jnp.max(magnitude))
+        return self.slope_at(as_float(np.zeros(self.value.shape)))
 
     def value_at(self, normalized: Numbers) -> Numbers:
         """Compute the value from the normalized parameter.
@@ -133,16 +125,43 @@ class Parameter(eqx.Module):
         Returns:
             The value, which lies between the bounds; in the unit of the parameter.
         """
-        if self.lower is not None and self.upper is not None:
-            fraction = (self.value - self.lower) / (self.upper - self.lower)
-            logit = jnp.log(fraction / (1 - fraction))
-            span = self.upper - self.lower
-            return self.lower + span * jax.nn.sigmoid(logit + normalized)
-        if self.lower is not None:
-            return self.lower + (self.value - self.lower) * jnp.exp(normalized)
-        if self.upper is not None:
-            return self.upper - (self.upper - self.value) * jnp.exp(-normalized)
-        return self.value + self.initial_scale() * normalized
+        return as_float(self._value_and_slope(normalized)[0])
+
+    def slope_at(self, normalized: Numbers) -> Numbers:
+        """Differentiate the value with respect to the normalized parameter.
+
+        Args:
+            normalized: Normalized parameter.
+
+        Returns:
+            The derivative, in the unit of the parameter.
+        """
+        return as_float(self._value_and_slope(normalized)[1])
+
+    def _value_and_slope(
+        self, normalized: Numbers
+    ) -> tuple[ArrayOfNumbers, ArrayOfNumbers]:
+        """Compute the value and its derivative, both in the unit of the parameter."""
+        scale = self.value if self.scale is None else self.scale
+        xp, (value, scale, change) = on_host(self.value, scale, normalized)
+        lower, upper = self.lower, self.upper
+        if lower is not None and upper is not None:
+            position = xp.log((value - lower) / (upper - value)) + change
+            # the logistic function of the position, and of its negative
+            below = xp.exp(-xp.logaddexp(0.0, -position))
+            above = xp.exp(-xp.logaddexp(0.0, position))
+            span = upper - lower
+            return lower + span * below, span * below * above
+        if lower is not None:
+            slope = (value - lower) * xp.exp(change)
+            return lower + slope, slope
+        if upper is not None:
+            slope = (upper - value) * xp.exp(-change)
+            return upper - slope, slope
+        if self.scale is None:
+            size = xp.abs(value)
+            scale = xp.where(size > 0, size, xp.max(size))
+        return value + scale * change, xp.broadcast_to(scale, value.shape)
 
     def _bounds(self) -> str:
         """Text of the bounds, which starts with a space; empty if there is none."""
@@ -221,16 +240,15 @@ class ParameterSet(eqx.Module):
             )
         return cls(parameters, constants, tuple(names), tuple(units), frozenset(bounded))
 
-    @fast_compile
     def vector(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:
         """Values of the parameters as a vector, in their units."""
-        return ravel_pytree(self._values(normalized))[0]
+        return _as_vector(self._map(Parameter.value_at, normalized))
 
     def tree(self, normalized: Float[Array, " parameters"]) -> Any:
         """Argument of the design function: values of the parameters, and constants."""
-        return eqx.combine(self._values(normalized), self.constants)
+        return eqx.combine(self._map(Parameter.value_at, normalized), self.constants)
 
     def unflatten(self, vector: Float[Array, " parameters"]) -> Any:
         """Arrange one number for each parameter in a pytree.
@@ -241,12 +259,18 @@ class ParameterSet(eqx.Module):
         Returns:
             A pytree with the structure of `start`; None in place of the constants.
         """
-        values = jax.tree.map(
-            lambda parameter: parameter.value, self.parameters, is_leaf=_is_parameter
+        leaves, tree = jax.tree.flatten(self.parameters, is_leaf=_is_parameter)
+        shapes = [leaf.value.shape for leaf in leaves]
+        xp, (vector,) = on_host(vector)
+        parts = xp.split(vector, np.cumsum([math.prod(shape) for shape in shapes])[:-1])
+        return jax.tree.unflatten(
+            tree,
+            [
+                as_float(part.reshape(shape))
+                for part, shape in zip(parts, shapes, strict=True)
+            ],
         )
-        return ravel_pytree(values)[1](vector)
 
-    @fast_compile
     def scales(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:
@@ -256,26 +280,38 @@ class ParameterSet(eqx.Module):
             For a parameter with a bound, the distance to the bound; otherwise the larger
             one of the absolute value and the initial scale; in their units.
         """
-        is_free = jnp.asarray([name not in self.bounded for name in self.names])
-        derivatives = jnp.abs(self.derivatives(normalized))
-        largest = jnp.maximum(derivatives, jnp.abs(self.vector(normalized)))
-        return jnp.where(is_free, largest, derivatives)
+        is_free = np.array([name not in self.bounded for name in self.names])
+        xp, (derivatives, values) = on_host(
+            self.derivatives(normalized), self.vector(normalized)
+        )
+        derivatives = xp.abs(derivatives)
+        largest = xp.maximum(derivatives, xp.abs(values))
+        return as_float(xp.where(is_free, largest, derivatives))
 
-    @fast_compile
     def derivatives(
         self, normalized: Float[Array, " parameters"]
     ) -> Float[Array, " parameters"]:
         """Derivative of each value with respect to its normalized parameter."""
-        return jax.jvp(self.vector, (normalized,), (jnp.ones_like(normalized),))[1]
+        return _as_vector(self._map(Parameter.slope_at, normalized))
 
-    def _values(self, normalized: Float[Array, " parameters"]) -> Any:
-        """Values of the parameters in their pytree, in their units."""
+    def _map(
+        self,
+        function: Callable[[Parameter, Numbers], Numbers],
+        normalized: Float[Array, " parameters"],
+    ) -> Any:
+        """Call a function of each parameter and its normalized parameter."""
         return jax.tree.map(
-            Parameter.value_at,
+            function,
             self.parameters,
             self.unflatten(normalized),
             is_leaf=_is_parameter,
         )
+
+
+def _as_vector(tree: Any) -> Float[Array, " parameters"]:
+    """Join the numbers in the leaves of a pytree."""
+    xp, leaves = on_host(*jax.tree.leaves(tree))
+    return as_float(xp.concatenate([xp.ravel(leaf) for leaf in leaves]))
 
 
 def _is_parameter(leaf: Any) -> bool:

@@ -1,16 +1,14 @@
 """Result of an identification: estimates, uncertainties and warnings."""
 
+from statistics import NormalDist
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._utils.compilation import fast_compile
-from .._utils.host import all_concrete
-from .._utils.types import BatchFlag, BatchScalar, Parameters, Scalar
+from .._utils.host import all_concrete, as_float, on_host
+from .._utils.types import BatchFlag, BatchScalar, NumberLike, Parameters
 from ..solve.results import result_names, RESULTS
 from . import diagnostics
 from .objective import IdentificationProblem
@@ -71,30 +69,29 @@ class Identification(eqx.Module):
         return self.problem.parameters.vector(self.normalized)
 
     @property
-    @fast_compile
     def normalized_covariance(self) -> Float[Array, "parameters parameters"]:
         """Covariance of the normalized parameters.
 
         The variance of a parameter that the readings do not determine is infinite. For
         Huber's loss the covariance takes the distribution of the residuals into account.
         """
-        _, singular_values, directions = jnp.linalg.svd(
-            self.jacobian, full_matrices=False
-        )
+        xp, (jacobian,) = on_host(self.jacobian)
+        _, singular_values, directions = xp.linalg.svd(jacobian, full_matrices=False)
         determined = exceeds_rounding(singular_values)
-        divisor = jnp.where(determined, singular_values, 1.0)
-        inverse = jnp.where(determined, 1 / divisor, 0.0)
+        divisor = xp.where(determined, singular_values, 1.0)
+        inverse = xp.where(determined, 1 / divisor, 0.0)
         root = directions.T * inverse[None]
         covariance = root @ root.T
         if self.problem.huber_threshold is not None:
             factor = self._huber_correction(self.problem.huber_threshold)
             covariance = factor * covariance
-        kept = jnp.where(determined[:, None], directions, 0.0)
-        undetermined = jnp.sum(kept**2, axis=0) < 1 - 1e-9
-        diagonal = jnp.where(undetermined, jnp.inf, jnp.diagonal(covariance))
-        return jnp.where(jnp.eye(diagonal.size, dtype=bool), diagonal[None], covariance)
+        kept = xp.where(determined[:, None], directions, 0.0)
+        undetermined = xp.sum(kept**2, axis=0) < 1 - 1e-9
+        diagonal = xp.where(undetermined, xp.inf, xp.diagonal(covariance))
+        on_diagonal = np.eye(len(self.names), dtype=bool)
+        return as_float(xp.where(on_diagonal, diagonal[None], covariance))
 
-    def _huber_correction(self, threshold: float) -> Scalar:
+    def _huber_correction(self, threshold: float) -> NumberLike:
         """Factor by which Huber's loss increases the covariance, at least 1.
 
         The threshold of Huber's loss is in standard deviations.
@@ -102,46 +99,54 @@ class Identification(eqx.Module):
         Source:
             Huber, Robust Statistics, 1981, section 7.6.
         """
-        residuals = jnp.concatenate([table.reshape(-1) for table in self.residuals])
-        exists = jnp.concatenate(
-            [jnp.isfinite(each.values).reshape(-1) for each in self.problem.data]
+        data = self.problem.data
+        xp, tables = on_host(*self.residuals, *(each.values for each in data))
+        residuals, values = (
+            xp.concatenate([table.reshape(-1) for table in half])
+            for half in (tables[: len(data)], tables[len(data) :])
         )
-        count = jnp.sum(jnp.where(exists, 1.0, 0.0))
+        exists = xp.isfinite(values)
+        count = xp.sum(xp.where(exists, 1.0, 0.0))
         parameters = float(len(self.names))
-        clipped = jnp.clip(residuals, -threshold, threshold)
-        is_small = exists & (jnp.abs(residuals) <= threshold)
-        share = jnp.sum(jnp.where(is_small, 1.0, 0.0)) / count
-        variance = jnp.sum(clipped**2) / jnp.maximum(count - parameters, 1.0)
+        clipped = xp.clip(residuals, -threshold, threshold)
+        is_small = exists & (xp.abs(residuals) <= threshold)
+        share = xp.sum(xp.where(is_small, 1.0, 0.0)) / count
+        variance = xp.sum(clipped**2) / xp.maximum(count - parameters, 1.0)
         small_sample = 1 + parameters / count * (1 - share) / share
-        return jnp.maximum(small_sample**2 * variance / share**2, 1.0)
+        return xp.maximum(small_sample**2 * variance / share**2, 1.0)
 
     @property
-    @fast_compile
     def covariance(self) -> Float[Array, "parameters parameters"]:
         """Covariance of the estimates, in the products of their units.
 
         The variance of a parameter that the readings do not determine is infinite.
         """
-        derivatives = self.problem.parameters.derivatives(self.normalized)
-        covariance = self.normalized_covariance
-        scaled = covariance * derivatives[:, None] * derivatives[None]
-        return jnp.where(jnp.isinf(covariance), jnp.inf, scaled)
+        xp, (covariance, derivatives) = on_host(
+            self.normalized_covariance,
+            self.problem.parameters.derivatives(self.normalized),
+        )
+        infinite = xp.isinf(covariance)
+        finite = xp.where(infinite, 0.0, covariance)
+        scaled = finite * derivatives[:, None] * derivatives[None]
+        return as_float(xp.where(infinite, xp.inf, scaled))
 
     @property
-    @fast_compile
     def standard_errors(self) -> Any:
         """Standard errors of the estimates, in a pytree with the structure of `start`."""
-        standard_errors = jnp.sqrt(jnp.diagonal(self.covariance))
-        return self.problem.parameters.unflatten(standard_errors)
+        xp, (covariance,) = on_host(self.covariance)
+        errors = as_float(xp.sqrt(xp.diagonal(covariance)))
+        return self.problem.parameters.unflatten(errors)
 
     @property
-    @fast_compile
     def correlation(self) -> Float[Array, "parameters parameters"]:
         """Correlation matrix of the estimates."""
-        covariance = self.normalized_covariance
-        errors = jnp.sqrt(jnp.diagonal(covariance))
-        correlation = covariance / (errors[:, None] * errors[None])
-        return jnp.where(jnp.eye(errors.size, dtype=bool), 1.0, correlation)
+        xp, (covariance,) = on_host(self.normalized_covariance)
+        on_diagonal = np.eye(len(self.names), dtype=bool)
+        errors = xp.sqrt(xp.diagonal(covariance))
+        # An undetermined parameter has an infinite variance, and finite covariances.
+        others = xp.where(on_diagonal, 0.0, covariance)
+        correlation = others / (errors[:, None] * errors[None])
+        return as_float(xp.where(on_diagonal, 1.0, correlation))
 
     def confidence_interval(self, level: float = 0.95) -> tuple[Any, Any]:
         """Compute confidence intervals of the parameters, within their bounds.
@@ -158,11 +163,12 @@ class Identification(eqx.Module):
         """
         if not 0 < level < 1:
             raise ValueError(f"`level` is {level}, but must be between 0 and 1: 0.95.")
-        quantile = jax.scipy.special.ndtri((1 + level) / 2)
-        half_width = quantile * jnp.sqrt(jnp.diagonal(self.normalized_covariance))
+        xp, (covariance, center) = on_host(self.normalized_covariance, self.normalized)
+        quantile = NormalDist().inv_cdf((1 + level) / 2)
+        half_width = quantile * xp.sqrt(xp.diagonal(covariance))
         parameters = self.problem.parameters
-        low = parameters.vector(self.normalized - half_width)
-        high = parameters.vector(self.normalized + half_width)
+        low = parameters.vector(as_float(center - half_width))
+        high = parameters.vector(as_float(center + half_width))
         return parameters.unflatten(low), parameters.unflatten(high)
 
     @property

@@ -1,6 +1,6 @@
 """Optimizers of optax and least-squares solvers of optimistix, for an identification."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -33,6 +33,7 @@ class GradientDescent(AbstractOptimizer):
 
     optimizer: optax.GradientTransformation = eqx.field(static=True)
     tolerance: float
+    needs_jacobian: ClassVar[bool] = False
 
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> Any:
         del evaluation

@@ -1,10 +1,11 @@
 """Times of first calls in a new process, without and with cached programs.
 
-The start of Python, imports, and compilation are what a user waits for. Each process
-works in the same empty cache folder, so the second process of a kind finds the programs
-of the first one.
+The start of Python, imports, and compilation are what a user waits for. All processes of
+one kind use a cache folder that is empty at first, so the second process finds the
+programs of the first one.
 """
 
+import contextlib
 import os
 import statistics
 import subprocess
@@ -99,19 +100,25 @@ print(time.perf_counter() - start)
 
 def run() -> Iterator[Row]:
     """Yield the rows of the table."""
+    yield from _processes()
+    yield from _calls()
+
+
+@contextlib.contextmanager
+def _empty_cache() -> Iterator[dict[str, str]]:
+    """Create an empty cache folder, and return the environment for its processes."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "XDG_CACHE_HOME": cache}
         # An installation by pip contains compiled Python files, so let Python write them.
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-        yield from _processes(environment)
-        yield from _calls(environment)
+        yield environment
 
 
-def _processes(environment: dict[str, str]) -> Iterator[Row]:
+def _processes() -> Iterator[Row]:
     """Measure whole processes, also in multiples of the time of `import jax`."""
 
-    def elapsed(arguments: list[str]) -> float:
+    def elapsed(arguments: list[str], environment: dict[str, str]) -> float:
         start = time.perf_counter()
         subprocess.run(
             [sys.executable, *arguments],
@@ -121,22 +128,28 @@ def _processes(environment: dict[str, str]) -> Iterator[Row]:
         )
         return time.perf_counter() - start
 
-    jax_time = statistics.median(elapsed(["-c", "import jax"]) for _ in range(REPEATS))
+    def times(arguments: list[str]) -> tuple[float, float]:
+        """Measure the first call, and the median of further ones."""
+        with _empty_cache() as environment:
+            first, *others = (elapsed(arguments, environment) for _ in range(1 + REPEATS))
+        return first, statistics.median(others)
+
+    _, jax_time = times(["-c", "import jax"])
     yield Row("`import jax`", jax_time, "s")
     for name, (arguments, largest) in PROCESSES.items():
-        yield Row(f"{name}: first call", elapsed(arguments), "s")
-        second = statistics.median(elapsed(arguments) for _ in range(REPEATS))
+        first, second = times(arguments)
+        yield Row(f"{name}: first call", first, "s")
         yield Row(f"{name}: second call", second, "s")
         what = f"{name}: second call, in multiples of `import jax`"
         yield at_most(what, second / jax_time, "x", largest)
 
 
-def _calls(environment: dict[str, str]) -> Iterator[Row]:
+def _calls() -> Iterator[Row]:
     """Measure the first call of each solver in a new process, after all imports."""
     for name, (setup, call, bounds) in CALLS.items():
         code = SCRIPT.format(setup=setup, call=call)
 
-        def elapsed(code=code) -> float:
+        def elapsed(environment: dict[str, str], code=code) -> float:
             done = subprocess.run(
                 [sys.executable, "-c", code],
                 env=environment,
@@ -146,8 +159,9 @@ def _calls(environment: dict[str, str]) -> Iterator[Row]:
             )
             return float(done.stdout.split()[-1])
 
-        first = elapsed()
-        second = statistics.median(elapsed() for _ in range(REPEATS))
+        with _empty_cache() as environment:
+            first, *others = (elapsed(environment) for _ in range(1 + REPEATS))
+        second = statistics.median(others)
         for when, value, bound in zip(
             ("without a cache", "with a cache"),
             (first, second),

@@ -39,8 +39,8 @@ def fast_compile(
     Args:
         function: Function of pytrees.
         optimize: Whether XLA optimizes the program. Without optimization, the compilation
-            of a simulation and its derivatives takes half the time, and a run twice the
-            time, which pays off for the ten evaluations of a typical identification.
+            of a simulation takes half the time, and a run at least twice the time, which
+            pays off for a program that runs once.
         store: Whether traces are stored. Those with callbacks to Python cannot be stored.
         jit: `equinox.filter_jit`, or `jax.jit`, whose calls take less time.
         settings: Arguments of `jit`.

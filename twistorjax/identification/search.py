@@ -156,6 +156,5 @@ def _step(
 
 _compiled_step = fast_compile(_step, optimize=False)
 _compiled_evaluate = fast_compile(
-    lambda problem, point, forward: problem.evaluate(point, forward=forward),
-    optimize=False,
+    lambda problem, point, forward: problem.evaluate(point, forward=forward)
 )

@@ -164,10 +164,10 @@ def tangent(
     )
 
 
-def predicted_stress(at: HingeTangent, first: Three, second: Three) -> Three:
+def predicted_stress(hinge: HingeTangent, first: Three, second: Three) -> Three:
     """Predict the stress after small displacements of both bodies; rad, m, m."""
-    s0, s1, s2 = combine(at.stress_rates, at.kinematics.rates(first, second))
-    return at.stress[0] + s0, at.stress[1] + s1, at.stress[2] + s2
+    s0, s1, s2 = combine(hinge.stress_rates, hinge.kinematics.rates(first, second))
+    return hinge.stress[0] + s0, hinge.stress[1] + s1, hinge.stress[2] + s2
 
 
 # Rows and columns of the entries of a symmetric matrix of four motions.

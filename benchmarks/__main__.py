@@ -14,8 +14,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-import twistorjax as tj
-
 from . import (
     chains,
     condensed,
@@ -48,7 +46,6 @@ def main(
     ] = None,
 ) -> None:
     """Measure the times and errors of twistorjax and of other programs, in one run."""
-    tj.configure(cache=False)
     table = Table(*HEADINGS)
     rows: list[Row] = []
 

@@ -170,7 +170,6 @@ def ratios(rows: list[Row]) -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    tj.configure(cache=False)
     if os.environ.get("JAX_PLATFORMS", "cpu") == "cpu":
         # `process_cpu_count` exists from Python 3.13 on.
         cores = getattr(os, "process_cpu_count", os.cpu_count)() or 1

@@ -5,14 +5,14 @@ one kind use a cache folder that is empty at first, so the second process finds 
 programs of the first one.
 """
 
-import contextlib
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 from .measure import at_most, Row
 
@@ -104,21 +104,24 @@ def run() -> Iterator[Row]:
     yield from _calls()
 
 
-@contextlib.contextmanager
-def _empty_cache() -> Iterator[dict[str, str]]:
-    """Create an empty cache folder, and return the environment for its processes."""
+def _first_and_later(elapsed: Callable[[dict[str, str]], float]) -> tuple[float, float]:
+    """Measure the first call with an empty cache, and the median of later ones; s.
+
+    `elapsed` measures a call in a process with the given environment.
+    """
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "XDG_CACHE_HOME": cache}
         # An installation by pip contains compiled Python files, so let Python write them.
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-        yield environment
+        first, *later = (elapsed(environment) for _ in range(1 + REPEATS))
+    return first, statistics.median(later)
 
 
 def _processes() -> Iterator[Row]:
     """Measure whole processes, also in multiples of the time of `import jax`."""
 
-    def elapsed(arguments: list[str], environment: dict[str, str]) -> float:
+    def elapsed(environment: dict[str, str], arguments: list[str]) -> float:
         start = time.perf_counter()
         subprocess.run(
             [sys.executable, *arguments],
@@ -129,10 +132,7 @@ def _processes() -> Iterator[Row]:
         return time.perf_counter() - start
 
     def times(arguments: list[str]) -> tuple[float, float]:
-        """Measure the first call, and the median of further ones."""
-        with _empty_cache() as environment:
-            first, *others = (elapsed(arguments, environment) for _ in range(1 + REPEATS))
-        return first, statistics.median(others)
+        return _first_and_later(partial(elapsed, arguments=arguments))
 
     _, jax_time = times(["-c", "import jax"])
     yield Row("`import jax`", jax_time, "s")
@@ -159,9 +159,7 @@ def _calls() -> Iterator[Row]:
             )
             return float(done.stdout.split()[-1])
 
-        with _empty_cache() as environment:
-            first, *others = (elapsed(environment) for _ in range(1 + REPEATS))
-        second = statistics.median(others)
+        first, second = _first_and_later(elapsed)
         for when, value, bound in zip(
             ("without a cache", "with a cache"),
             (first, second),

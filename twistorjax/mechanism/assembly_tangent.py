@@ -31,42 +31,34 @@ class AssemblyTangent(eqx.Module):
     """Forces and stiffness of all hinges with respect to their four motions.
 
     Args:
-        motion_forces: Forces on the motions of each hinge; N m, N m, N, N.
-        stiffness: Upper triangle of the stiffness of each hinge; N m/rad, N/rad, N/m.
         hinges: The tangent of each hinge; its leaves have an axis of hinges.
-        work: Sum of the absolute values of force times coordinate; J.
         bodies: Number of bodies.
         ends: Indices of the two bodies of each hinge.
         order: Index of the hinge to which each column of the arrays belongs.
     """
 
-    motion_forces: Float[Array, "4 hinges"]
-    stiffness: Float[Array, "10 hinges"]
     hinges: HingeTangent
-    work: Scalar
     bodies: int = eqx.field(static=True)
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
     order: tuple[int, ...] = eqx.field(static=True)
 
-    @classmethod
-    def of(
-        cls,
-        tangent: HingeTangent,
-        bodies: int,
-        ends: tuple[tuple[int, int], ...],
-        order: tuple[int, ...],
-    ) -> "AssemblyTangent":
-        """Stack the forces and stiffness of all hinges, and split them."""
-        values = [*tangent.forces, *tangent.stiffness, tangent.work]
-        forces, stiffness, work = jnp.split(jnp.stack(values), [4, 14])
-        return cls(forces, stiffness, tangent, jnp.sum(work), bodies, ends, order)
+    @property
+    def stiffness(self) -> Float[Array, "10 hinges"]:
+        """Upper triangle of the stiffness of each hinge; N m/rad, N/rad, N/m."""
+        return jnp.stack(self.hinges.stiffness)
+
+    @property
+    def work(self) -> Scalar:
+        """Sum of the absolute values of force times coordinate; J."""
+        return jnp.sum(self.hinges.work)
 
     def forces(self) -> Float[Array, " dofs"]:
         """Sum the forces of all hinges on each degree of freedom; N m, N."""
         motion, sign = FOUR_OF_SIX
         dofs = hinge_dofs(self.ends, self.order).reshape(-1)
         places = np.arange(dofs.size), dofs
-        return _sum_entries(self.motion_forces, places, motion, sign, (3 * self.bodies,))
+        forces = jnp.stack(self.hinges.forces)
+        return _sum_entries(forces, places, motion, sign, (3 * self.bodies,))
 
     def matrix(
         self, rows: tuple[int, ...], columns: tuple[int, ...], batch_last: bool = False

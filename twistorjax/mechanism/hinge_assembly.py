@@ -204,7 +204,7 @@ class HingeAssembly(eqx.Module):
         more = () if predicted is None else (tuple(predicted),)
         function = _elastic(hinge_forces.tangent)
         local = self._evaluate(function, displacements, *more)
-        return AssemblyTangent.of(local, self.bodies, self.ends, self._order())
+        return AssemblyTangent(local, self.bodies, self.ends, self._order())
 
     def multiply_stiffness(
         self, stiffness: Float[Array, "6 6 hinges"], vector: Float[Array, " dofs"]

@@ -6,7 +6,6 @@ the parameter has a bound, of its distance to the bound. All real numbers are ma
 values between the bounds, so the optimization itself has no constraints.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -260,16 +259,13 @@ class ParameterSet(eqx.Module):
             A pytree with the structure of `start`; None in place of the constants.
         """
         leaves, tree = jax.tree.flatten(self.parameters, is_leaf=_is_parameter)
-        shapes = [leaf.value.shape for leaf in leaves]
         xp, (vector,) = on_host(vector)
-        parts = xp.split(vector, np.cumsum([math.prod(shape) for shape in shapes])[:-1])
-        return jax.tree.unflatten(
-            tree,
-            [
-                as_float(part.reshape(shape))
-                for part, shape in zip(parts, shapes, strict=True)
-            ],
-        )
+        parts = xp.split(vector, np.cumsum([leaf.value.size for leaf in leaves])[:-1])
+        numbers = [
+            as_float(part.reshape(leaf.value.shape))
+            for part, leaf in zip(parts, leaves, strict=True)
+        ]
+        return jax.tree.unflatten(tree, numbers)
 
     def scales(
         self, normalized: Float[Array, " parameters"]

@@ -81,14 +81,16 @@ def _gauss_jordan(matrices: _Parts) -> _Parts:
         )
         pivot = tuple(jax.lax.dynamic_index_in_dim(part, k, 1) for part in row)
         factor = _reciprocal(pivot)
-        row = _multiply(row, factor)
-        in_column = _combine(jnp.negative, _multiply(column, factor))
-        others = _combine(jnp.subtract, remaining, _multiply(column, row))
+        row, scaled = _multiply(row, factor), _multiply(column, factor)
+        products = _multiply(column, row)
         eliminated = jnp.arange(size) == k
-        is_row, is_column = eliminated[:, None, None], eliminated[None, :, None]
-        row = _combine(lambda *parts: jnp.where(is_column, *parts), factor, row)
-        others = _combine(lambda *parts: jnp.where(is_column, *parts), in_column, others)
-        return _combine(lambda *parts: jnp.where(is_row, *parts), row, others)
+        in_row, in_column = eliminated[:, None, None], eliminated[None, :, None]
+
+        def written(factor, row, scaled, remaining, products):
+            others = jnp.where(in_column, -scaled, remaining - products)
+            return jnp.where(in_row, jnp.where(in_column, factor, row), others)
+
+        return _combine(written, factor, row, scaled, remaining, products)
 
     return jax.lax.fori_loop(0, size, eliminate, matrices)
 

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Inexact, Int
 
 
 def gather_entries(
-    entries: Float[Array, "entries ..."], source: np.ndarray
-) -> Float[Array, "chosen ..."]:
+    entries: Inexact[Array, "entries ..."], source: np.ndarray
+) -> Inexact[Array, "chosen ..."]:
     """Return the entries at constant positions, which must not be negative.
 
     An index in brackets would take ten times as long to trace.
@@ -89,7 +89,7 @@ def _with_batch_last(function: Callable[[Array], Array]) -> Callable[[Array], Ar
         return jnp.moveaxis(function(jnp.moveaxis(values, 0, -1)), -1, 0), True
 
     # JAX cannot differentiate a function with such a rule in reverse mode.
-    linear = jax.custom_jvp(lambda values: batched(values))
+    linear = jax.custom_jvp(batched)
     linear.defjvp(lambda primals, changes: (linear(*primals), function(*changes)))
     return linear
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Inexact
 
 from .._utils.types import Poses
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.scatter import gather_entries
 
 
 class DofPartition(NamedTuple):
@@ -39,13 +40,18 @@ class DofPartition(NamedTuple):
         self,
         free: Inexact[Array, " free"],
         prescribed: Inexact[Array, " prescribed"],
+        fixed: Inexact[Array, "bodies 3"] | None = None,
     ) -> Inexact[Array, "bodies 3"]:
-        """Arrange values by bodies, with zero for the fixed degrees of freedom."""
+        """Arrange values by bodies.
+
+        Those of the fixed degrees of freedom are taken from `fixed`, by default zero.
+        """
         dofs = (*self.free, *self.prescribed)
-        source = np.full(self.total, len(dofs))
+        source = len(dofs) + np.arange(self.total)
         source[list(dofs)] = np.arange(len(dofs))
-        zero = jnp.zeros(1, free.dtype)
-        return jnp.concatenate([free, prescribed, zero])[source].reshape(-1, 3)
+        others = jnp.zeros(self.total, free.dtype) if fixed is None else fixed.reshape(-1)
+        values = jnp.concatenate([free, prescribed, others])
+        return gather_entries(values, source).reshape(-1, 3)
 
     def fixed_part(self, displacements: Poses) -> Poses:
         """Set all degrees of freedom to zero except the fixed ones."""

@@ -57,16 +57,12 @@ def _(static, primals, tangents):
 
     def residual(dynamic: System, start: Poses) -> Array:
         system = eqx.combine(dynamic, static)
-        displacements = system.with_displacements(
-            start, free=root[:count], prescribed=system.targets
-        )
+        displacements = system.dofs.expand(root[:count], system.targets, start)
         forces = system.residual(displacements, root[count:])
         return system.equations(forces, displacements)
 
     _, rate = jvp_of_varied(residual, (dynamic, start), (system_change, start_change))
-    displacements = system.with_displacements(
-        start, free=root[:count], prescribed=system.targets
-    )
+    displacements = system.dofs.expand(root[:count], system.targets, start)
     _, tangent, _ = system.tangent(displacements, multipliers=root[count:])
     rate = jnp.where(found, rate, 0.0)
     step = tangent.where(found).factors(system.loads.conservative).solve(rate)

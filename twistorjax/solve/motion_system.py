@@ -321,7 +321,7 @@ class MotionSystem(eqx.Module):
 
     def _displacements(self, position: Array, targets: Array) -> Poses:
         """Arrange displacements by bodies; the fixed ones are those at the start."""
-        return self.dofs.expand(position, targets) + self.dofs.fixed_part(self.start)
+        return self.dofs.expand(position, targets, self.start)
 
 
 def _derivative(time: Any, state: State, system: MotionSystem) -> State:

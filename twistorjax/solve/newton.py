@@ -323,11 +323,8 @@ def _newton_step(
     rights = jax.lax.optimization_barrier(jnp.stack([right, forcing]))
     right, _ = rights
     (step, response), stable = tangent.solve(rights, system.conservative)
-    displacements = system.with_displacements(
-        state.displacements,
-        free=flat[system.free] + step[: len(system.free)],
-        prescribed=prescribed,
-    )
+    free = flat[system.free] + step[: len(system.free)]
+    displacements = system.dofs.expand(free, prescribed, state.displacements)
     multipliers = state.multipliers
     if multipliers is not None:
         multipliers = multipliers - step[len(system.free) :]

@@ -98,9 +98,7 @@ class PathSystem(eqx.Module):
         """Return equations, displacements, and constraint forces of a point."""
         system = self.at(point[-1])
         count = len(self.dofs.free)
-        displacements = system.with_displacements(
-            self.start, free=point[:count], prescribed=system.targets
-        )
+        displacements = system.dofs.expand(point[:count], system.targets, self.start)
         return system, displacements, point[count:-1]
 
     def residual(self, point: Float[Array, " n"]) -> Float[Array, " unknowns"]:

@@ -213,9 +213,7 @@ def report_equilibrium(
     if solution.multipliers is not None:
         free, multipliers = jnp.split(root, [len(system.free)])
     prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
-    displacements = system.with_displacements(
-        start_displacements, free=free, prescribed=prescribed
-    )
+    displacements = system.dofs.expand(free, prescribed, start_displacements)
     result = search_result(system, solution)
     valid = is_success(result)
     if solution.multipliers is not None:  # no array of size zero; see `System.equations`

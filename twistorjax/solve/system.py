@@ -21,7 +21,6 @@ from ..mechanism.constraints import AbstractConstraint, ConstraintSet, gather_co
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import Load, LoadSet
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.scatter import gather_entries
 from .block_factorization import block_layout
 from .dofs import DofPartition
 from .factorization import (
@@ -146,22 +145,6 @@ class System(eqx.Module):
             return self.equations(forces.reshape(-1), displacements)
 
         return jax.jvp(equations, (fraction,), (increment,))[1]
-
-    def with_displacements(
-        self,
-        displacements: Poses,
-        free: Array | None = None,
-        prescribed: Array | None = None,
-    ) -> Poses:
-        """Replace the free or the prescribed displacements; rad, m, m."""
-        flat = displacements.reshape(-1)
-        source, values = np.arange(flat.size), [flat]
-        for dofs, replaced in ((self.free, free), (self.prescribed, prescribed)):
-            if replaced is not None:
-                source[dofs] = sum(map(len, values)) + np.arange(len(dofs))
-                values.append(replaced)
-        flat = gather_entries(jnp.concatenate(values), source)
-        return flat.reshape(displacements.shape)
 
     def violation(self, displacements: Poses) -> Entries:
         """Compute the violation of the constraints; rad or m."""

@@ -19,6 +19,7 @@ os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
     " --xla_cpu_parallel_codegen_split_count=1"
+    " --xla_disable_hlo_passes=reshape-mover,while-loop-invariant-code-motion"
     " --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000",
 )
 # Threads of OpenBLAS wait actively for a processor that the other process uses.

@@ -15,10 +15,15 @@ from .host import is_traced
 from .stored_traces import stored
 
 
-# The fusion emitters of XLA take 40 % of the time of the compilation of a motion, and the
-# higher levels of optimization take 15 %. It does not run faster with them (jaxlib
-# 0.10.2).
-_FAST = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
+# The fusion emitters of XLA take 40 % of the time of the compilation of a motion, the
+# higher levels of optimization take 15 %, and these passes take 5 %, because they change
+# one operation after another and XLA simplifies the program again after each change. The
+# motion does not run faster with them (jaxlib 0.10.2).
+_FAST = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_backend_optimization_level": 1,
+    "xla_disable_hlo_passes": "reshape-mover,while-loop-invariant-code-motion",
+}
 _NOT_OPTIMIZED = {**_FAST, "xla_backend_optimization_level": 0}
 
 

@@ -58,6 +58,31 @@ def test_a_batch_of_stiffnesses_is_solved_as_each_of_them(batched):
     np.testing.assert_allclose(found[stable], expected[stable], rtol=1e-9)
 
 
+def test_derivatives_of_solutions_agree_with_numpy():
+    """JAX needs a solution that does not depend on the batch of changes."""
+    rng = np.random.default_rng(3)
+    roots, changes, other = rng.normal(size=(3, 6, 5, 5))
+    matrices = roots @ roots.transpose(0, 2, 1) + np.eye(5)
+    changes = changes + changes.transpose(0, 2, 1)
+    rights, right_changes = other[:, :2], other[:, 2:4]
+
+    def solve(change, matrix, matrix_change, right, right_change):
+        matrix = jnp.asarray(matrix) + change * matrix_change
+        right = jnp.asarray(right) + change * right_change
+        return solve_once(matrix, right, symmetric=True)[0]
+
+    systems = matrices, changes, rights, right_changes
+    solutions = np.linalg.solve(matrices[:, None], rights[..., None])[..., 0]
+    differences = right_changes - np.einsum("brj,bji->bri", solutions, changes)
+    expected = np.linalg.solve(matrices[:, None], differences[..., None])[..., 0]
+    zeros = jnp.zeros(6)
+    for derivative in (jax.jacfwd(solve), jax.jacrev(solve)):
+        single = derivative(0.0, *(values[0] for values in systems))
+        np.testing.assert_allclose(single, expected[0], rtol=1e-8)
+        batch = jax.vmap(derivative)(zeros, *systems)
+        np.testing.assert_allclose(batch, expected, rtol=1e-8)
+
+
 @pytest.mark.parametrize("imaginary", [0.0, 1.0j])
 def test_inverses_in_batches_and_their_derivatives_agree_with_numpy(imaginary):
     """The symmetric part of each matrix is positive definite."""
@@ -116,3 +141,16 @@ def test_solutions_of_a_stiffness_that_is_not_positive_definite_are_nan(size):
     solution, stable = solve(stiffness)
     assert not stable
     assert np.all(np.isnan(solution))
+    derivatives = jax.jacrev(lambda stiffness: solve(stiffness)[0])(stiffness)
+    assert np.all(np.isnan(derivatives))
+
+
+@pytest.mark.parametrize("size", [5, 30])
+def test_stability_does_not_depend_on_the_forces(size):
+    """JAX raises an error if it finds one value for each member of a batch of forces."""
+    factors = factorize(jnp.eye(size), symmetric=True)
+
+    def is_stable(force):
+        return factors.solve_and_check(force)[1]
+
+    assert jax.vmap(is_stable, out_axes=None)(jnp.ones((3, size)))

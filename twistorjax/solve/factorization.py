@@ -91,7 +91,15 @@ class Elimination(NamedTuple):
 
     def solve(self, right: Float[Array, " n"]) -> Float[Array, " n"]:
         """Solve the linear system for one right-hand side."""
-        return self.solve_and_check(right)[0]
+
+        def solve(_, right: Array) -> Array:
+            (solution,), stable = _eliminate_symmetric(self.matrix, right[None])
+            return jnp.where(stable, solution, jnp.nan)
+
+        # JAX can transpose this call, which derivatives in reverse mode need.
+        return jax.lax.custom_linear_solve(
+            lambda solution: self.matrix @ solution, right, solve, symmetric=True
+        )
 
     def solve_and_check(
         self, right: Float[Array, " n"]
@@ -100,18 +108,9 @@ class Elimination(NamedTuple):
 
         One elimination does both; see `Factors.is_stable`.
         """
-
-        def solve(_, right: Array) -> tuple[Array, Array]:
-            (solution,), stable = _solve_symmetric(self.matrix, right[None])
-            return jnp.where(stable, solution, jnp.nan), stable
-
-        return jax.lax.custom_linear_solve(
-            lambda solution: self.matrix @ solution,
-            right,
-            solve,
-            symmetric=True,
-            has_aux=True,
-        )
+        (solution,), stable = _solve_symmetric(self.matrix, right[None])
+        # A product, so that derivatives are NaN as well
+        return solution * jnp.where(stable, 1.0, jnp.nan), stable
 
 
 def factorize(matrix: Float[Array, "n n"], symmetric: bool) -> Factors | Elimination:
@@ -132,7 +131,7 @@ def solve_once(
     """Solve linear systems with a stiffness that is not needed again.
 
     Systems with a small symmetric matrix are solved by elimination, which takes a third
-    of the time of LAPACK in a batch. These solutions have no derivatives in reverse mode.
+    of the time of LAPACK in a batch.
 
     Returns:
         The solutions, and whether the stiffness is stable; see `Factors.is_stable`. The
@@ -144,16 +143,33 @@ def solve_once(
     return jax.vmap(factors.solve)(rights), factors.is_stable()
 
 
-@jax.custom_batching.custom_vmap
+@jax.custom_jvp
 def _solve_symmetric(matrix: Array, rights: Array) -> tuple[Array, Array]:
+    return _eliminate_symmetric(matrix, rights)
+
+
+@_solve_symmetric.defjvp
+def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]):
+    # With the rule for batches only, JAX would have no derivative in reverse mode. In
+    # forward mode, it would return one solution for each member of a batch of changes.
+    (matrix, _), (matrix_change, rights_change) = primals, tangents
+    solutions, stable = _solve_symmetric(*primals)
+    rights_change = rights_change - solutions @ matrix_change
+    changes = jax.vmap(Elimination(matrix).solve)(rights_change)
+    return (solutions, stable), (changes, np.zeros(stable.shape, jax.dtypes.float0))
+
+
+@jax.custom_batching.custom_vmap
+def _eliminate_symmetric(matrix: Array, rights: Array) -> tuple[Array, Array]:
     solutions, pivots = eliminate_one(matrix, rights.T)
     return solutions.T, _are_stable(pivots, jnp.diagonal(matrix))
 
 
-@_solve_symmetric.def_vmap
+@_eliminate_symmetric.def_vmap
 def _(axis_size: int, in_batched: Sequence[bool], matrices: Array, rights: Array):
     if not in_batched[0]:
-        solutions, stable = _solve_symmetric(matrices, rights.reshape(-1, len(matrices)))
+        flat = rights.reshape(-1, len(matrices))
+        solutions, stable = _eliminate_symmetric(matrices, flat)
         return (solutions.reshape(rights.shape), stable), (True, False)
     matrices, rights = (
         jnp.moveaxis(values, 0, -1)
@@ -260,18 +276,31 @@ class ConstrainedFactors(NamedTuple):
 
     def solve(self, right: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
         """Solve for displacements, then constraint forces, of one right-hand side."""
-        return self.solve_and_check(right)[0]
+        imposed, imbalance = self._reduce(right)
+        return self._expand(right, imposed + self.basis @ self.reduced.solve(imbalance))
 
     def solve_and_check(
         self, right: Float[Array, " unknowns"]
     ) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
         """Solve, and decide whether the stiffness resists all allowed displacements."""
+        imposed, imbalance = self._reduce(right)
+        allowed, stable = self.reduced.solve_and_check(imbalance)
+        solution = self._expand(right, imposed + self.basis @ allowed)
+        return solution, stable & jnp.all(jnp.isfinite(self.pseudo_inverse))
+
+    def _reduce(
+        self, right: Float[Array, " unknowns"]
+    ) -> tuple[Float[Array, " n"], Float[Array, " allowed"]]:
+        """Return the displacement that constraints impose, and the imbalance in it."""
         count = len(self.units)
         force, violation = self.units * right[:count], right[count:]
-        displacement = self.pseudo_inverse @ violation
-        imbalance = self.basis.T @ (force - self.stiffness @ displacement)
-        allowed, stable = self.reduced.solve_and_check(imbalance)
-        displacement = displacement + self.basis @ allowed
+        imposed = self.pseudo_inverse @ violation
+        return imposed, self.basis.T @ (force - self.stiffness @ imposed)
+
+    def _expand(
+        self, right: Float[Array, " unknowns"], displacement: Float[Array, " n"]
+    ) -> Float[Array, " unknowns"]:
+        """Add the constraint forces, and return to units of displacements."""
+        force = self.units * right[: len(self.units)]
         multipliers = self.pseudo_inverse.T @ (force - self.stiffness @ displacement)
-        solution = jnp.concatenate([self.units * displacement, multipliers])
-        return solution, stable & jnp.all(jnp.isfinite(self.pseudo_inverse))
+        return jnp.concatenate([self.units * displacement, multipliers])

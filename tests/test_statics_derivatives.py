@@ -23,6 +23,23 @@ def test_derivatives_by_a_stiffness_are_those_of_the_closed_form():
     assert_close(jax.jit(jax.grad(jax.grad(displacement)))(k), 4.0 / k**3)
 
 
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+def test_derivatives_with_a_slider_are_those_of_the_closed_form(derivative):
+    """The slider along y leaves one spring."""
+
+    def displacements(k):
+        stiffness = jnp.diag(jnp.stack([jnp.ones(()), jnp.ones(()), k]))
+        slider = tj.Slider("slider", "wall", "block", at=(jnp.pi / 2, 0.0, 0.0))
+        load = tj.Load("block", force=(3.0, 2.0))
+        return tj.equilibrium(
+            block_on_spring(stiffness), loads=[load], constraints=[slider]
+        ).displacement("block")
+
+    k = jnp.array(8.0)
+    assert_close(displacements(k), [0.0, 0.0, 2.0 / k])
+    assert_close(derivative(displacements)(k), [0.0, 0.0, -2.0 / k**2])
+
+
 PARAMETERS = jnp.array([2.0, 0.4, 0.7, 0.3])
 
 

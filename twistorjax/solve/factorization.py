@@ -149,7 +149,7 @@ def _solve_symmetric(matrix: Array, rights: Array) -> tuple[Array, Array]:
 
 
 @_solve_symmetric.defjvp
-def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]):
+def _(primals, tangents):
     # With the rule for batches only, JAX would have no derivative in reverse mode. In
     # forward mode, it would return one solution for each member of a batch of changes.
     (matrix, _), (matrix_change, rights_change) = primals, tangents

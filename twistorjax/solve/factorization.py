@@ -1,7 +1,7 @@
 """Factors of a dense tangent stiffness, with and without constraints."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -156,7 +156,8 @@ def _(primals, tangents):
     solutions, stable = _solve_symmetric(*primals)
     rights_change = rights_change - solutions @ matrix_change
     changes = jax.vmap(Elimination(matrix).solve)(rights_change)
-    return (solutions, stable), (changes, np.zeros(stable.shape, jax.dtypes.float0))
+    no_change: Any = np.zeros(stable.shape, jax.dtypes.float0)
+    return (solutions, stable), (changes, no_change)
 
 
 @jax.custom_batching.custom_vmap

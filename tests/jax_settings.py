@@ -7,6 +7,7 @@ errors of the tests for the validation page of the manual.
 import contextlib
 import ctypes
 import gc
+import importlib.metadata
 import itertools
 import json
 import mmap
@@ -15,13 +16,14 @@ import pathlib
 
 
 # Most of the time of the tests is compilation, because a program runs only once.
-os.environ.setdefault(
-    "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-    " --xla_cpu_parallel_codegen_split_count=1"
+_XLA_FLAGS = (
+    "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
     " --xla_disable_hlo_passes=reshape-mover,while-loop-invariant-code-motion"
-    " --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000",
+    " --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000"
 )
+if importlib.metadata.version("jaxlib").startswith("0.10."):  # not in later versions
+    _XLA_FLAGS += " --xla_cpu_use_fusion_emitters=false"
+os.environ.setdefault("XLA_FLAGS", _XLA_FLAGS)
 # Threads of OpenBLAS wait actively for a processor that the other process uses.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The processes of the tests, and the next run, share the compiled programs.

@@ -9,9 +9,11 @@ import sys
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jaxlib.version
 import pytest
 
 import twistorjax as tj
+from twistorjax._utils import compilation
 from twistorjax._utils.compilation import fast_compile
 from twistorjax.examples import four_bar, stage
 
@@ -220,15 +222,24 @@ def test_an_invalid_size_of_the_cache_is_reported():
 
 EMITTERS = "xla_cpu_use_fusion_emitters: false"
 LOOPS = "xla_cpu_small_while_loop_byte_threshold"
+if_emitters_are_an_option = pytest.mark.skipif(
+    not jaxlib.version.__version__.startswith("0.10."),
+    reason="jaxlib 0.10 is the last version with an option for the fusion emitters",
+)
 
 
 @pytest.mark.parametrize(
     ("given", "arguments", "expected"),
     [
-        ("", "", {EMITTERS, LOOPS}),
         ("", "fast_compilation=False", {LOOPS}),
-        ("", "fast_loops=False", {EMITTERS}),
-        ("--xla_cpu_use_fusion_emitters=true", "", {LOOPS}),
+        *(
+            pytest.param(*case, marks=if_emitters_are_an_option)
+            for case in (
+                ("", "", {EMITTERS, LOOPS}),
+                ("", "fast_loops=False", {EMITTERS}),
+                ("--xla_cpu_use_fusion_emitters=true", "", {LOOPS}),
+            )
+        ),
     ],
 )
 def test_configure_sets_options_of_xla(tmp_path, given, arguments, expected):
@@ -244,6 +255,25 @@ def test_configure_sets_options_of_xla(tmp_path, given, arguments, expected):
     (used,) = tmp_path.glob("*jit_sin.debug_options")
     options = used.read_text()
     assert {option for option in (EMITTERS, LOOPS) if option in options} == expected
+
+
+def test_options_that_xla_does_not_know_are_left_out(monkeypatch):
+    """The attempt to compile with them is not repeated, which would take time."""
+    monkeypatch.setitem(compilation._FAST, "xla_unknown", True)
+    attempts = []
+
+    def jit(function, **settings):
+        compiled = jax.jit(function, **settings)
+
+        def call(*arguments):
+            attempts.append("compiler_options" in settings)
+            return compiled(*arguments)
+
+        return call
+
+    doubled = fast_compile(lambda value: 2 * value, jit=jit)
+    assert [doubled(jnp.asarray(x)) for x in (1.5, 2.0)] == [3.0, 4.0]
+    assert attempts == [True, False, False]
 
 
 def test_the_garbage_collection_pauses_only_while_a_program_is_traced():

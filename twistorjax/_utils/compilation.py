@@ -15,12 +15,14 @@ from .host import is_traced
 from .stored_traces import stored
 
 
+_JAXLIB = tuple(map(int, jaxlib.version.__version__.split(".")[:2]))
 # The fusion emitters of XLA take 40 % of the time of the compilation of a motion, the
 # higher levels of optimization take 15 %, and these passes take 5 %, because they change
 # one operation after another and XLA simplifies the program again after each change. The
-# motion does not run faster with them (jaxlib 0.10.2).
+# motion does not run faster with them (jaxlib 0.10.2). The emitters cannot be switched
+# off from jaxlib 0.11 on.
 _FAST = {
-    "xla_cpu_use_fusion_emitters": False,
+    **({"xla_cpu_use_fusion_emitters": False} if _JAXLIB < (0, 11) else {}),
     "xla_backend_optimization_level": 1,
     "xla_disable_hlo_passes": "reshape-mover,while-loop-invariant-code-motion",
 }
@@ -69,6 +71,7 @@ def fast_compile(
 
     @wraps(function)
     def compiled(*arguments: Any, **static: Any) -> Any:
+        nonlocal fast
         if is_traced((arguments, static)) or jax.default_backend() != "cpu":
             return plain(*arguments, **static)
         try:
@@ -80,6 +83,7 @@ def fast_compile(
             # The options are not a stable interface of XLA.
             if "No such compile option" not in str(error):
                 raise
+            fast = plain
         return plain(*arguments, **static)
 
     return compiled
@@ -95,6 +99,10 @@ FAST_COMPILATION = "xla_cpu_use_fusion_emitters=false"
 FAST_LOOPS = "xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000"
 
 
+# Versions of jaxlib that have an option.
+_JAXLIB_WITH = {FAST_COMPILATION: {(0, 10)}, FAST_LOOPS: {(0, 10), (0, 11)}}
+
+
 def add_xla_option(option: str) -> None:
     """Set an option of XLA for all programs of this process.
 
@@ -105,8 +113,7 @@ def add_xla_option(option: str) -> None:
     """
     name, given = option.split("=")[0], os.environ.get("XLA_FLAGS", "")
     # XLA ends the process if it does not know an option.
-    known = jaxlib.version.__version__.startswith("0.10.")
-    if known and name not in given:
+    if _JAXLIB in _JAXLIB_WITH[option] and name not in given:
         os.environ["XLA_FLAGS"] = f"{given} --{option}".strip()
 
 

@@ -97,7 +97,8 @@ def collocation_scheme(family: str, stages: int) -> Scheme:
     legendre[stages:] = 1.0
     if family == "radau":
         legendre[stages - 1] = -1.0
-    nodes = (np.sort(np.polynomial.legendre.legroots(legendre)) + 1) / 2
+    roots = np.real(np.polynomial.legendre.legroots(legendre))  # complex in NumPy 2.5
+    nodes = (np.sort(roots) + 1) / 2
     if family == "radau":
         nodes[-1] = 1.0
     to_coefficients = np.linalg.inv(np.vander(nodes, increasing=True))

@@ -156,8 +156,14 @@ class Designs:
     def __len__(self) -> int:
         return math.prod(self.shape)
 
-    def take(self, indices: np.ndarray) -> list[np.ndarray]:
-        """Return the parameters of the designs with these indices, in their order."""
+    def rows(self, start: int, stop: int) -> list[np.ndarray]:
+        """Return the parameters of consecutive designs, in their order.
+
+        Designs after the last one are copies of it.
+        """
+        if not self._is_grid and stop <= len(self):
+            return [array[start:stop] for array in self.arrays]
+        indices = np.minimum(np.arange(start, stop), len(self) - 1)
         if not self._is_grid:
             return [array[indices] for array in self.arrays]
         grid_indices = np.unravel_index(indices, self.shape)
@@ -167,7 +173,7 @@ class Designs:
         """Determine the shape and number type of each parameter for one design."""
         return tuple(
             (array.shape[1:], jax.dtypes.canonicalize_dtype(array.dtype))
-            for array in self.take(np.zeros(1, int))
+            for array in self.rows(0, 1)
         )
 
 

@@ -91,10 +91,12 @@ class Program:
         runs for the first time.
         """
         while not self._fixed_chunk_size:
-            needed = self._compile()
-            self._fixed_chunk_size = needed <= self.memory or self.chunk_size == 1
+            self._compile()
+            fits = self._needed_memory <= self.memory
+            self._fixed_chunk_size = fits or self.chunk_size == 1
             if not self._fixed_chunk_size:
-                fitting = int(0.9 * self.chunk_size * self.memory / needed)
+                fraction = 0.9 * self.memory / self._needed_memory
+                fitting = int(fraction * self.chunk_size)
                 self.chunk_size = max(1, fitting)
                 self._lower()
 
@@ -138,8 +140,7 @@ class Program:
             return
         if self._compiled is None:
             self._compile()
-        needed = _memory_size(self._compiled)
-        if needed > self.memory:
+        if (needed := self._needed_memory) > self.memory:
             remedy = "Reduce `chunk_size`, or increase `memory`."
             if self.chunk_size == 1:
                 remedy = "Increase `memory`."
@@ -199,13 +200,13 @@ class Program:
         self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
         self._lowered = lowered
 
-    def _compile(self) -> int:
-        """Compile the program, and return the memory that it needs on a device; bytes."""
+    def _compile(self) -> None:
+        """Compile the program, and determine the memory that it needs on a device."""
         if self.mesh is None:
             self._compiled = self._lowered.compile()
         else:
             self._compiled = self._compile_for_mesh(self.mesh)
-        return _memory_size(self._compiled)
+        self._needed_memory = _memory_size(self._compiled)
 
     def _compile_for_mesh(self, mesh: Mesh) -> Any:
         """Compile a program in which each device evaluates a chunk of its own."""
@@ -251,24 +252,20 @@ class Program:
         The devices may still be computing the outputs when they are returned.
         """
         group += (group[-1],) * (self.device_count - len(group))
-        # Indices after the last design are replaced by the last design.
-        indices = [
-            np.minimum(
-                np.arange(chunk * self.chunk_size, (chunk + 1) * self.chunk_size),
-                len(designs) - 1,
-            )
-            for chunk in group
-        ]
+        size = self.chunk_size
+        chunks = [designs.rows(chunk * size, (chunk + 1) * size) for chunk in group]
         if self.mesh is None:
-            return self._compiled(designs.take(indices[0]))
+            return self._compiled(chunks[0])
         sharding = NamedSharding(self.mesh, self._partition)
-        parameters = designs.take(np.concatenate(indices))
+
+        def of_device(parameter: int) -> Callable[..., np.ndarray]:
+            """Return the function by which JAX obtains the chunk of a device."""
+            return lambda index: chunks[(index[0].start or 0) // size][parameter]
+
         return self._compiled(
             [
-                jax.make_array_from_callback(
-                    array.shape, sharding, lambda index, array=array: array[index]
-                )
-                for array in parameters
+                jax.make_array_from_callback(argument.shape, sharding, of_device(k))
+                for k, argument in enumerate(self._arguments(len(group) * size))
             ]
         )
 

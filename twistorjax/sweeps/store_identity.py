@@ -1,7 +1,6 @@
 """Identity of a sweep, by which its store is recognized and continued."""
 
 import hashlib
-import importlib.metadata
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from .. import __version__
 from .dataset import Layout
 from .designs import Designs
 from .executor import Program, synchronize
@@ -78,7 +78,7 @@ def sweep_identity(
     digest = hashlib.sha256()
     for name, array in zip(designs.names, designs.arrays, strict=True):
         digest.update(f"{name} {array.dtype} {array.shape};".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
+        digest.update(np.ascontiguousarray(array).data)
     try:
         settings_text = json.dumps(dict(settings or {}), sort_keys=True)
     except TypeError as error:
@@ -92,7 +92,7 @@ def sweep_identity(
         "chunk_size": program.chunk_size,
         "program": program.fingerprint,
         "designs": digest.hexdigest(),
-        "twistorjax": importlib.metadata.version("twistorjax"),
+        "twistorjax": __version__,
         "jax": jax.__version__,
         "backend": jax.default_backend(),
     }

@@ -32,11 +32,26 @@ from . import (
 from .measure import Row
 
 
+MODULES = {
+    module.__name__.rpartition(".")[2]: module
+    for module in (
+        statics, peers, chains, peers_chains, leaves, condensed, motion, peers_motion,
+        paths, identification, peers_identification, sweeps, first_calls,
+    )
+}  # fmt: skip
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
 HEADINGS = ("benchmark", "result", "unit", "goal", "reached")
 
 
 def main(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MODULES]...",
+            help=f"Modules to run: {', '.join(MODULES)}. The default is all.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -46,6 +61,8 @@ def main(
     ] = None,
 ) -> None:
     """Measure the times and errors of twistorjax and of other programs, in one run."""
+    # The sweeps run in a process of their own, which needs memory of the accelerator.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     table = Table(*HEADINGS)
     rows: list[Row] = []
 
@@ -53,16 +70,16 @@ def main(
         rows.append(row)
         table.add_row(*format_row(row))
 
-    modules = (
-        statics, peers, chains, peers_chains, leaves, condensed, motion, peers_motion,
-        paths, identification, peers_identification, sweeps, first_calls,
-    )  # fmt: skip
+    if unknown := sorted(set(names or ()) - set(MODULES)):
+        raise typer.BadParameter(f"There is no module {', '.join(unknown)}.")
+    modules = [MODULES[name] for name in names or MODULES]
     for module in modules:
         for row in module.run():
             add(row)
     for module in (motion, sweeps, identification):
-        for row in module.ratios(rows):
-            add(row)
+        if module in modules:
+            for row in module.ratios(rows):
+                add(row)
     versions = {}
     for name in PACKAGES:
         try:

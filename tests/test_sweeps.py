@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from sweep_helpers import area, pulled_block, SIDES, spring
 import twistorjax as tj
 from twistorjax.examples import stage
 from twistorjax.examples.sweep_studies import stage_gain
+from twistorjax.sweeps.executor import default_chunk_size, default_memory
 
 
 pytest.importorskip("xarray")
@@ -162,6 +164,27 @@ def test_a_chunk_is_reduced_until_it_fits_into_the_memory():
     np.testing.assert_allclose(table["sum"], whole["sum"], rtol=1e-12)
     with pytest.raises(ValueError, match="`chunk_size` is 600, for which a device needs"):
         tj.sweep(study, {"a": np.linspace(0, 1, 600)}, memory=1e6, chunk_size=600)
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize(
+    ("platform", "statistics", "count", "chunk_size", "memory"),
+    [
+        ("cpu", None, 100_000, 4096, 2**30),
+        ("cpu", None, 5_000, 2048, 2**30),
+        ("gpu", {"bytes_limit": 2**36}, 1_000_000, 2**17, 2**35),
+        ("gpu", {"bytes_limit": 2**36}, 100_000, 2**17, 2**35),
+        ("gpu", {"bytes_limit": 2**36}, 70_000, 2**15, 2**35),
+        ("gpu", {"bytes_limit": 2**36}, 10_000, 2**14, 2**35),
+    ],
+)
+def test_an_accelerator_evaluates_larger_chunks_in_more_memory(
+    platform, statistics, count, chunk_size, memory
+):
+    device = SimpleNamespace(platform=platform, memory_stats=lambda: statistics)
+    mesh = SimpleNamespace(devices=np.array([device]), local_devices=[device])
+    assert default_chunk_size(count, mesh) == chunk_size
+    assert default_memory(mesh) == memory
 
 
 def test_a_study_is_compiled_once_for_several_sweeps():

@@ -21,9 +21,13 @@ from .designs import Designs, DesignStructure
 from .outputs import study_output, StudyOutput
 
 
-# Smallest and largest default number of designs in a chunk of a large sweep, on a
-# processor and on an accelerator
-_CPU_CHUNK_SIZES, _ACCELERATOR_CHUNK_SIZES = (128, 4096), (2**14, 2**17)
+# Smallest and largest default number of designs in a chunk of a large sweep, and the
+# largest fraction of padding, on a processor and on an accelerator. An accelerator
+# evaluates a few large chunks in less time than many small ones.
+_CPU_CHUNKS, _ACCELERATOR_CHUNKS = (128, 4096, 1 / 4), (2**14, 2**17, 1 / 2)
+# Memory that a chunk may use by default: bytes on a processor, and a fraction of the
+# memory of an accelerator
+_CPU_MEMORY, _ACCELERATOR_MEMORY = 2**30, 1 / 2
 # On a processor, a chunk is evaluated in batches of this size. The arrays of so few
 # designs stay in the cache, and the slowest design of a batch delays few others.
 _CPU_BATCH_SIZE = 128
@@ -39,18 +43,32 @@ def default_chunk_size(count: int, mesh: Mesh | None) -> int:
     Returns:
         The size of a chunk, which is a power of two, so that sweeps over other numbers of
         designs use the same program. With more designs than the smallest chunk has, the
-        padding of the last chunk is at most a quarter of the designs, if possible.
+        padding of the last chunk is at most a quarter of the designs on a processor, and
+        half of them on an accelerator, if possible.
     """
     devices = jax.devices()[:1] if mesh is None else list(mesh.devices.flat)
     per_device = -(-count // len(devices))
     on_cpu = devices[0].platform == "cpu"
-    smallest, largest = _CPU_CHUNK_SIZES if on_cpu else _ACCELERATOR_CHUNK_SIZES
+    smallest, largest, padding = _CPU_CHUNKS if on_cpu else _ACCELERATOR_CHUNKS
     if per_device <= smallest:
         return padded_size(per_device)
     size = largest
-    while size > smallest and -per_device % size > per_device / 4:
+    while size > smallest and -per_device % size > padding * per_device:
         size //= 2
     return size
+
+
+def default_memory(mesh: Mesh | None) -> float | int:
+    """Choose the memory that a chunk may use on each device; bytes.
+
+    Args:
+        mesh: Devices of the sweep; `None` for the default device.
+    """
+    device = (jax.local_devices() if mesh is None else mesh.local_devices)[0]
+    statistics = device.memory_stats() or {}  # a processor has none
+    if "bytes_limit" not in statistics:
+        return _CPU_MEMORY
+    return _ACCELERATOR_MEMORY * statistics["bytes_limit"]
 
 
 class Program:

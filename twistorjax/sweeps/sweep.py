@@ -24,6 +24,7 @@ from .dataset import (
 from .designs import Designs
 from .executor import (
     default_chunk_size,
+    default_memory,
     find_program,
     gather,
     Program,
@@ -48,7 +49,7 @@ def sweep(
     derivatives: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
     chunk_size: int | None = None,
-    memory: float | int = 2**30,
+    memory: float | int | None = None,
     mesh: jax.sharding.Mesh | None = None,
     store: str | Path | None = None,
     resume: bool = False,
@@ -80,7 +81,8 @@ def sweep(
         chunk_size: Number of designs that a device evaluates in one call. The default is
             at most 4096 on a processor and 131,072 on an accelerator, or less if `memory`
             requires it.
-        memory: Memory that a chunk may use on each device; bytes.
+        memory: Memory that a chunk may use on each device; bytes. The default is 1 GiB on
+            a processor, and half of the memory of an accelerator.
         mesh: Devices of this process, or of all processes that `jax.distributed`
             connects. Each device evaluates chunks of its own. The default is one device.
         store: Folder in zarr format in which each chunk is saved as soon as it is
@@ -139,6 +141,7 @@ def sweep(
         derivatives = (derivatives,)
     if chunk_size is not None and chunk_size < 1:
         raise ValueError(f"`chunk_size` is {chunk_size}, but must be at least 1.")
+    memory = default_memory(mesh) if memory is None else memory
     if not memory > 0:
         raise ValueError(f"`memory` is {memory} bytes, but must be positive.")
     if resume and store is None:

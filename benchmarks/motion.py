@@ -18,7 +18,7 @@ DESIGNS = 1000
 TIMES = jnp.linspace(0.0, 0.2, 101)
 RELEASED_MOTION = f"{RELEASED}: motion for 0.2 s"
 BATCH = f"{DESIGNS:,} released four-bar linkages"
-BATCH_SIMULATIONS = f"{BATCH}: simulations, on one core"
+BATCH_SIMULATIONS = f"{BATCH}: simulations"
 
 
 def released(thickness: jax.Array, tolerance: float) -> tj.Motion:

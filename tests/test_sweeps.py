@@ -3,6 +3,7 @@
 import itertools
 import sys
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -182,7 +183,7 @@ def test_an_accelerator_evaluates_larger_chunks_in_more_memory(
     platform, statistics, count, chunk_size, memory
 ):
     device = SimpleNamespace(platform=platform, memory_stats=lambda: statistics)
-    mesh = SimpleNamespace(devices=np.array([device]), local_devices=[device])
+    mesh: Any = SimpleNamespace(devices=np.array([device]), local_devices=[device])
     assert default_chunk_size(count, mesh) == chunk_size
     assert default_memory(mesh) == memory
 

@@ -189,7 +189,8 @@ def _insert_program(
         outer.module, program.fun_name, module, dst_symtab=outer.symbol_table
     )
     used = [arguments[index] for index in program.module_kept_var_idx]
-    call = func.CallOp(main.type.results, ir.FlatSymbolRefAttr.get(name), used)
+    called = ir.FlatSymbolRefAttr.get(name)
+    call = func.CallOp(main.type.results, called, used)  # pyright: ignore
     return call.results
 
 

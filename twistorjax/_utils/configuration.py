@@ -40,7 +40,7 @@ def configure(
             used for the longest time are deleted first.
         fast_compilation: Whether XLA compiles programs without its fusion emitters, which
             takes about 40 % less time. The programs of this library run as fast; those of
-            other libraries may be slower.
+            other libraries may be slower. JAX 0.11 does not have this option.
         fast_loops: Whether XLA compiles each loop over small arrays to one function
             instead of many. A motion then takes 25 % less time, its gradient less than
             half the time, and an equilibrium 20 % less time. The gradient of a motion

@@ -56,7 +56,7 @@ _tests = itertools.count(1)
 def _programs_are_dropped():
     """Drop all compiled programs before they take too much memory or too many maps."""
     yield
-    if next(_tests) % 5 == 0 and _PROCESS.exists():
+    if next(_tests) % 15 == 0 and _PROCESS.exists():
         memory = int((_PROCESS / "statm").read_text().split()[1]) * mmap.PAGESIZE
         maps = (_PROCESS / "maps").read_bytes().count(b"\n")
         if memory > _MOST_MEMORY or maps > _MOST_MAPS:

@@ -1,5 +1,6 @@
 from .axial_spring import AxialSpring as AxialSpring
 from .base import AbstractEnergy as AbstractEnergy
+from .beam_column import BeamColumn as BeamColumn
 from .damping import ViscousDamping as ViscousDamping
 from .fitting import (
     EnergyFit as EnergyFit,

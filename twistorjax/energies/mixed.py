@@ -5,8 +5,8 @@ small axial displacement causes a large force, and the axial shortening by bendi
 on all coordinates. As a function of the axial force it is smooth for any slenderness.
 """
 
+from abc import abstractmethod
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,12 +21,13 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
 from .dilation import dilated_potential
-from .evaluation import Coefficients
 from .mixed_potential import (
+    AbstractPotential,
+    AXIAL_COMPLIANCE,
     axial_force_ratio,
     Bending,
     maximum_over_force,
-    potential_derivatives,
+    PolynomialPotential,
 )
 from .monomials import Powers, VARIABLES
 from .polynomial import coefficients_error, require_coefficients, require_powers
@@ -35,10 +36,77 @@ from .strains import Coordinates, strain
 from .stress_model import AbstractStressModel
 
 
-_AXIAL_COMPLIANCE = (0, 0, 2)  # powers of the term of the axial reference compliance
+class AbstractMixedEnergy(AbstractEnergy):
+    """Energy of a flexure that is stiff along its axis, from a potential W.
+
+    `W(tau, t2, n)` is a function of the rotation `tau`, the transverse displacement `t2`
+    and the axial force `n`. The energy of the displacement `(tau, t1, t2)` is the maximum
+    of `n t1 + W(tau, t2, n)` over `n`, and the maximizing `n` is the axial force.
+    """
+
+    length: eqx.AbstractVar[Scalar]  # by which `t2` is divided; m
+
+    @property
+    @abstractmethod
+    def potential(self) -> AbstractPotential:
+        """The potential W of `tau`, `t2 / length` and `n / reference_force`."""
+
+    @property
+    @abstractmethod
+    def reference_force(self) -> Scalar:
+        """Force by which the axial force is divided; N."""
+
+    @abstractmethod
+    def potential_variables(self, displacement: Displacement) -> tuple[Bending, Scalar]:
+        """Return `(tau, t2 / length)` of a displacement, and `t1 reference_force`; J."""
+
+    def stored_energy(self, displacement: Displacement) -> Scalar:
+        return maximum_over_force(self.potential, *self.potential_variables(displacement))
+
+    def axial_force(self, displacement: Displacement) -> Scalar:
+        """Compute the axial force at a displacement; N."""
+        variables = self.potential_variables(displacement)
+        return self.reference_force * axial_force_ratio(self.potential, *variables)
+
+    def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
+        return _NewtonModel(self, stress[1] / self.reference_force)
+
+    def proportional_damping(self, time: Scalar) -> ViscousDamping:
+        return ViscousDamping(time * self.tangent_stiffness(), "twist", resisted=True)
+
+    def resisted_rates(
+        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Return the rates of rotation, axial stretch, and transverse displacement.
+
+        The axial stretch is the axial displacement without the part due to bending. Its
+        rate is multiplied by `sqrt(k / k0)`, where k is the axial stiffness at this
+        displacement and k0 that in the reference configuration. A damping proportional to
+        k0 then acts like one proportional to k, as in a solid with one damping time for
+        all strains.
+
+        Args:
+            displacement: Displacement of frame b relative to frame a.
+            rates: Rates of the twist; rad/s, m/s, m/s.
+
+        Returns:
+            The rates; rad/s, m/s, m/s.
+        """
+        potential = self.potential
+        bending, axial = self.potential_variables(displacement)
+        by_rotation, by_transverse, curvature = potential.derivatives(
+            ((1, 0, 1), (0, 1, 1), (0, 0, 2)),
+            bending,
+            axial_force_ratio(potential, bending, axial),
+        )
+        transverse_rate = rates[2] / self.length
+        bending_rate = by_rotation * rates[0] + by_transverse * transverse_rate
+        rate = rates[1] + bending_rate / self.reference_force
+        growth = jnp.sqrt(potential.reference_curvature / curvature)
+        return rates[0], rate * growth, rates[2]
 
 
-class MixedEnergy(CoordinateEnergy):
+class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
     """Energy of a flexure, from a polynomial of rotation, displacement and axial force.
 
     `W(tau, t2, n)` is a polynomial of the rotation `tau`, the transverse displacement
@@ -109,17 +177,31 @@ class MixedEnergy(CoordinateEnergy):
         return max(row[0] + row[1] for row in self.powers)
 
     @property
+    def potential(self) -> PolynomialPotential:
+        """The polynomial W."""
+        return PolynomialPotential(self.coefficients, self.powers)
+
+    @property
+    def reference_force(self) -> Scalar:
+        """Reference force; N."""
+        return self.force
+
+    @property
     def coordinates(self) -> Coordinates:
-        """Rotation and transverse displacement are components of the twist."""
+        """Rotation and displacements are components of the twist."""
         return "twist"
+
+    def potential_variables(self, displacement: Displacement) -> tuple[Bending, Scalar]:
+        rotation, axial, transverse = strain(displacement, "twist")
+        return (rotation, transverse / self.length), self.force * axial
 
     def validation_error(self) -> str | None:
         """Describe an invalid coefficient; None if all are valid."""
         if error := coefficients_error(self.coefficients, self.powers):
             return error
         values = concrete(self.coefficients)
-        if _AXIAL_COMPLIANCE not in self.powers or (
-            values is not None and values[self.powers.index(_AXIAL_COMPLIANCE)] >= 0
+        if AXIAL_COMPLIANCE not in self.powers or (
+            values is not None and values[self.powers.index(AXIAL_COMPLIANCE)] >= 0
         ):
             return (
                 "the coefficient of the term with powers (0, 0, 2) is missing or not "
@@ -127,64 +209,9 @@ class MixedEnergy(CoordinateEnergy):
             )
         return None
 
-    def stored_energy(self, displacement: Displacement) -> Scalar:
-        rotation, axial, transverse = strain(displacement, "twist")
-        return maximum_over_force(
-            self.powers,
-            self.coefficients,
-            self.bending_variables(rotation, transverse),
-            self.force * axial,
-        )
-
     def dilated(self, scale: Float[Array, "*batch"]) -> "MixedEnergy":
         """Return the energy if all dimensions of the hinge are multiplied."""
         return dilated_potential(self, scale)
-
-    def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
-        return _NewtonModel(self, stress[1] / self.force)
-
-    def proportional_damping(self, time: Scalar) -> ViscousDamping:
-        return ViscousDamping(time * self.tangent_stiffness(), "twist", resisted=True)
-
-    def resisted_rates(
-        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        """Return the rates of rotation, axial stretch, and transverse displacement.
-
-        The axial stretch is the axial displacement without the part due to bending. Its
-        rate is multiplied by `sqrt(k / k0)`, where k is the axial stiffness at this
-        displacement and k0 that in the reference configuration. A damping proportional to
-        k0 then acts like one proportional to k, as in a solid with one damping time for
-        all strains.
-
-        Args:
-            displacement: Displacement of frame b relative to frame a.
-            rates: Rates of the twist; rad/s, m/s, m/s.
-
-        Returns:
-            The rates; rad/s, m/s, m/s.
-        """
-        rotation, axial, transverse = strain(displacement, "twist")
-        bending = self.bending_variables(rotation, transverse)
-        force_ratio = axial_force_ratio(
-            self.powers, self.coefficients, bending, self.force * axial
-        )
-        by_rotation, by_transverse, curvature = potential_derivatives(
-            self.powers,
-            ((1, 0, 1), (0, 1, 1), (0, 0, 2)),
-            self.coefficients,
-            bending,
-            force_ratio,
-        )
-        reference = 2 * self.coefficients[self.powers.index(_AXIAL_COMPLIANCE)]
-        rotation_rate, transverse_rate = self.bending_variables(rates[0], rates[2])
-        bending_rate = by_rotation * rotation_rate + by_transverse * transverse_rate
-        rate = rates[1] + bending_rate / self.force
-        return rates[0], rate * jnp.sqrt(reference / curvature), rates[2]
-
-    def bending_variables(self, rotation: Scalar, transverse: Scalar) -> Bending:
-        """Return the variables of W that belong to bending: rotation, `t2 / length`."""
-        return rotation, transverse / self.length
 
 
 class _NewtonModel(AbstractEnergy):
@@ -200,28 +227,18 @@ class _NewtonModel(AbstractEnergy):
         force_ratio: Predicted axial force divided by the reference force, `n / force`.
     """
 
-    energy: MixedEnergy
+    energy: AbstractMixedEnergy
     force_ratio: Scalar
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         energy = self.energy
-        rotation, axial, transverse = strain(displacement, "twist")
-        return _model_energy(
-            energy.powers,
-            energy.coefficients,
-            self.force_ratio,
-            energy.force * axial,
-            *energy.bending_variables(rotation, transverse),
-        )
-
-    def translation_scale(self, displacement: Displacement) -> Scalar:
-        return self.energy.translation_scale(displacement)
+        bending, axial = energy.potential_variables(displacement)
+        return _model_energy(energy.potential, self.force_ratio, axial, *bending)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
+@jax.custom_jvp
 def _model_energy(
-    powers: Powers,
-    coefficients: Coefficients,
+    potential: AbstractPotential,
     force_ratio: Scalar,
     axial: Scalar,
     rotation: Scalar,
@@ -232,25 +249,24 @@ def _model_energy(
     The last three arguments are the axial displacement times the reference force (J), the
     rotation (rad), and the relative transverse displacement.
     """
-    at = _PotentialAt.of(powers, coefficients, (rotation, transverse), force_ratio)
+    at = _PotentialAt.of(potential, (rotation, transverse), force_ratio)
     residual = axial + at.by_force
     return axial * force_ratio + at.value - residual**2 / (2 * at.by_force_twice)
 
 
-# Derivatives with respect to the coefficients and the predicted force are not
-# implemented: Newton's method calls these functions on a system without derivatives
-# (`stop_gradient` in `solve.statics`).
+# Derivatives with respect to the potential and the predicted force are not implemented:
+# Newton's method calls these functions on a system without derivatives (`stop_gradient`
+# in `solve.statics`).
 @_model_energy.defjvp
-def _(powers, primals, tangents):
-    slopes = _model_gradient(powers, *primals)
+def _(primals, tangents):
+    slopes = _model_gradient(*primals)
     rate = sum(slope * rate for slope, rate in zip(slopes, tangents[2:], strict=True))
-    return _model_energy(powers, *primals), rate
+    return _model_energy(*primals), rate
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
+@jax.custom_jvp
 def _model_gradient(
-    powers: Powers,
-    coefficients: Coefficients,
+    potential: AbstractPotential,
     force_ratio: Scalar,
     axial: Scalar,
     rotation: Scalar,
@@ -261,15 +277,15 @@ def _model_gradient(
     The gradient is correct to first order in the residual, `axial` plus the derivative of
     W with respect to the force. In its derivative, terms of this order are neglected.
     """
-    at = _PotentialAt.of(powers, coefficients, (rotation, transverse), force_ratio)
+    at = _PotentialAt.of(potential, (rotation, transverse), force_ratio)
     return at.corrected_gradient(force_ratio, axial)
 
 
 @_model_gradient.defjvp
-def _(powers, primals, tangents):
-    coefficients, force_ratio, axial, rotation, transverse = primals
+def _(primals, tangents):
+    potential, force_ratio, axial, rotation, transverse = primals
     axial_rate, rotation_rate, transverse_rate = tangents[2:]
-    at = _PotentialAt.of(powers, coefficients, (rotation, transverse), force_ratio)
+    at = _PotentialAt.of(potential, (rotation, transverse), force_ratio)
     residual_rate = axial_rate + (
         at.mixed[0] * rotation_rate + at.mixed[1] * transverse_rate
     )
@@ -307,8 +323,7 @@ class _PotentialAt(NamedTuple):
     @classmethod
     def of(
         cls,
-        powers: Powers,
-        coefficients: Coefficients,
+        potential: AbstractPotential,
         bending: Bending,
         force_ratio: Scalar,
     ) -> "_PotentialAt":
@@ -317,8 +332,8 @@ class _PotentialAt(NamedTuple):
             (0, 0, 0), (0, 0, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0),
             (1, 0, 1), (0, 1, 1), (2, 0, 0), (1, 1, 0), (0, 2, 0),
         )  # fmt: skip
-        value, by_force, by_force_twice, *others = potential_derivatives(
-            powers, orders, coefficients, bending, force_ratio
+        value, by_force, by_force_twice, *others = potential.derivatives(
+            orders, bending, force_ratio
         )
         r, t, rn, tn, rr, rt, tt = others
         return cls(value, by_force, by_force_twice, (r, t), (rn, tn), (rr, rt, tt))

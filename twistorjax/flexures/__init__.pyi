@@ -30,6 +30,7 @@ from .guides import (
 from .leaf import (
     leaf as leaf,
     leaf_outline as leaf_outline,
+    linear_leaf as linear_leaf,
     quartic_leaf as quartic_leaf,
 )
 from .notch import (

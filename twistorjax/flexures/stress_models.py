@@ -1,4 +1,4 @@
-"""Stress models of flexures: linear leaves and notches, and exact beams."""
+"""Stress models of flexures: leaves, notches, and exact beams."""
 
 from operator import attrgetter
 from typing import Any
@@ -126,6 +126,60 @@ def _concentration_factors(ratio: Scalar) -> tuple[Scalar, Scalar]:
     tension = 2 * (safe + 1) * root / ((safe + 1) * angle + root)
     tension = jnp.where(thin, 1 + 2 / 3 * ratio - 7 / 45 * ratio**2, tension)
     return bending, tension
+
+
+class BeamColumnStress(AbstractStressModel):
+    """Stress in a leaf as a beam-column, on both sides of 17 cross-sections.
+
+    It includes the moment of the axial force in the bent leaf, which is largest between
+    the ends under compression. Stress concentrations at the ends are not included.
+
+    Args:
+        length: Free length; m.
+        thickness: In-plane thickness; m.
+        width: Out-of-plane width; m.
+        modulus: Young's modulus; Pa.
+        strengths: Strengths of the material.
+
+    Source:
+        Timoshenko and Gere, Theory of Elastic Stability, 1961, section 1.11.
+    """
+
+    length: Scalar
+    thickness: Scalar
+    width: Scalar
+    modulus: Scalar
+    strengths: Strengths
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, "34"]:
+        """Compute the stress on both sides of each cross-section; Pa."""
+        _, axial, transverse = wrench
+        area = self.width * self.thickness
+        bending = self.modulus * area * self.thickness**2 / 12
+        # Half the difference of the moments at the ends, from the equilibrium of moments
+        arm = displacement.x1 + self.length / 2 * displacement.sigma
+        odd = displacement.x2 * axial - arm * transverse
+        even = bending / self.length * displacement.angle
+        ratio = axial * self.length**2 / bending
+        root = jnp.sqrt(jnp.maximum(jnp.abs(ratio), 1e-8))
+        position = root * jnp.linspace(-0.5, 0.5, 17)
+        compressed = ratio < 0
+        cos = jnp.where(compressed, jnp.cos(position), jnp.cosh(position))
+        sin = jnp.where(compressed, jnp.sin(position), jnp.sinh(position))
+        moment = (even * root / 2 * cos + odd * sin) / sin[-1]
+        stress = 6 * moment / (area * self.thickness)
+        return axial / area + jnp.concatenate([-stress, stress])
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        _, (scale, *dimensions) = on_host(scale, *_dimensions(self))
+        new = tuple(as_float(scale * dimension) for dimension in dimensions)
+        return eqx.tree_at(_dimensions, self, new)
+
+
+_dimensions = attrgetter("length", "thickness", "width")
 
 
 class BeamStress(AbstractStressModel):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from .._utils.json_files import EntryError
 from ..energies.axial_spring import AxialSpring
 from ..energies.base import AbstractEnergy, Scaled, Sum, validation_error
+from ..energies.beam_column import BeamColumn
 from ..energies.mixed import MixedEnergy
 from ..energies.one_freedom import OneFreedomEnergy
 from ..energies.point_charges import PointCharges
@@ -17,7 +18,7 @@ from ..energies.quadratic import Quadratic
 from ..energies.stress_model import AbstractStressModel, Strengths
 from ..energies.validity import WithValidityRange
 from ..flexures.condensed import Condensed
-from ..flexures.stress_models import BeamStress, SectionStress
+from ..flexures.stress_models import BeamColumnStress, BeamStress, SectionStress
 from ..mechanism.sub_mechanism import SubMechanism
 
 
@@ -29,6 +30,7 @@ _CLASSES = {
         Rational,
         SumOfSquares,
         MixedEnergy,
+        BeamColumn,
         WithValidityRange,
         OneFreedomEnergy,
         Condensed,
@@ -40,7 +42,9 @@ _CLASSES = {
 }
 
 
-_STRESS_MODELS = {model.__name__: model for model in (SectionStress, BeamStress)}
+_STRESS_MODELS = {
+    model.__name__: model for model in (SectionStress, BeamColumnStress, BeamStress)
+}
 
 
 def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
@@ -48,9 +52,9 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
 
     Args:
         energy: Energy of one of the classes `Quadratic`, `Polynomial`, `Rational`,
-            `SumOfSquares`, `MixedEnergy`, `OneFreedomEnergy`, `WithValidityRange`,
-            `Condensed`, `PointCharges` and `AxialSpring`, or a sum or a multiple of
-            such energies.
+            `SumOfSquares`, `MixedEnergy`, `BeamColumn`, `OneFreedomEnergy`,
+            `WithValidityRange`, `Condensed`, `PointCharges` and `AxialSpring`, or a sum
+            or a multiple of such energies.
         path: Path of the file. A file that exists is replaced once the new one is
             complete.
 

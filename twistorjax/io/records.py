@@ -64,6 +64,14 @@ class SectionStress(_StressRecord, frozen=True):
     strengths: Strengths
 
 
+class BeamColumnStress(_StressRecord, frozen=True):
+    length: float
+    thickness: float
+    width: float
+    modulus: float
+    strengths: Strengths
+
+
 class BeamStress(_StressRecord, frozen=True):
     thickness: Sections
     curvature: Sections | None
@@ -76,7 +84,7 @@ class BeamStress(_StressRecord, frozen=True):
     law: Literal["linear", "saint-venant-kirchhoff"]
 
 
-StressModel = SectionStress | BeamStress
+StressModel = SectionStress | BeamColumnStress | BeamStress
 
 
 class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
@@ -122,6 +130,14 @@ class MixedEnergy(_EnergyRecord, frozen=True):
     length: float
     force: float
     powers: Powers
+    stress_model: StressModel | None = None
+
+
+class BeamColumn(_EnergyRecord, frozen=True):
+    length: float
+    bending_stiffness: float
+    axial_stiffness: float
+    shear_stiffness: float | None = None
     stress_model: StressModel | None = None
 
 
@@ -174,6 +190,7 @@ Energy = (
     | Rational
     | SumOfSquares
     | MixedEnergy
+    | BeamColumn
     | WithValidityRange
     | OneFreedomEnergy
     | Condensed

@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.types import Scalar
-from ...geometry import se2
+from ...geometry.twistors import Displacement
 from ..mixed import MixedEnergy
-from ..mixed_potential import axial_force_ratio
 from ..monomials import Powers
 from .least_squares import ConstrainedSolution, solve_constrained
 from .mixed_equations import (
@@ -206,17 +205,9 @@ def mixed_predictions(
     They are NaN at poses without an axial force.
     """
     energy = MixedEnergy(coefficients, powers, length=length, force=force)
-    rotations, axial, transverse = jax.vmap(se2.twist)(poses).T
-
-    def axial_force(rotation: Scalar, axial: Scalar, transverse: Scalar) -> Scalar:
-        return force * axial_force_ratio(
-            powers,
-            coefficients,
-            energy.bending_variables(rotation, transverse),
-            force * axial,
-        )
-
-    forces = jax.vmap(axial_force)(rotations, axial, transverse)
+    forces = jax.vmap(lambda pose: energy.axial_force(Displacement.from_pose(pose)))(
+        poses
+    )
     return jax.vmap(energy.wrench)(poses), jax.vmap(energy)(poses), forces
 
 

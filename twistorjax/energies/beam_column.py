@@ -180,7 +180,7 @@ class BeamColumnPotential(AbstractPotential):
     With the relative axial force p, and `a = tau^2`, `b = (t2 / length)^2`, it is
     `W = bending ((r(p) a + s(p) b - stretch p^2) / 2 + 108/35 b^2 + 3/10 a b
     + (36/175 b^2 + 9/1400 a b + a^2 / 480) p / (1 + 3/616 p))`. Below 0.999 times the
-    buckling load, W is continued by its second-order Taylor polynomial in p.
+    buckling load, the functions of p are continued linearly.
 
     Args:
         bending: E I / length; J.
@@ -310,7 +310,7 @@ def _functions_of_force(
     `q = x^2 = p / 4`, they are `r = y[0] - q` and `s = 4 y[0] y[1]`. The ratios are
     smooth functions of q down to the pole of `y[0] = x coth x` at `-pi^2`. They obey
     `y[n] = 2 n + 1 + q / y[n + 1]` and `dy[n]/dq = (1 - y[n] / y[n + 1]) / 2`. Below the
-    force `lowest`, the functions are Taylor polynomials.
+    force `lowest`, the functions are linear.
 
     Source:
         Abramowitz and Stegun, Handbook of Mathematical Functions, 10.2.18 and 10.2.19.
@@ -338,6 +338,6 @@ def _functions_of_force(
     quartic = [inside * u, u**2, -3 / 308 * u**3]
     outside = p - inside
     for row in (r, s, quartic):
-        row[0] = row[0] + outside * (row[1] + outside * row[2] / 2)
-        row[1] = row[1] + outside * row[2]
+        row[0] = row[0] + outside * row[1]
+        row[2] = jnp.where(outside < 0, 0.0, row[2])
     return r, s, quartic

@@ -274,10 +274,10 @@ class HasValidityRange(Protocol):
 
 @runtime_checkable
 class HasRangeShare(Protocol):
-    """An energy that is accurate for small displacements only."""
+    """An energy that is accurate for small displacements and axial forces only."""
 
     def range_share(self, displacement: Displacement) -> Scalar | None:
-        """Compute the share of a displacement in the largest accurate one.
+        """Compute the share of a displacement, or of its axial force, in the largest one.
 
         Args:
             displacement: Displacement of frame b relative to frame a.
@@ -285,6 +285,16 @@ class HasRangeShare(Protocol):
         Returns:
             1 where the error is 5 %; None if the energy is accurate everywhere.
         """
+        ...
+
+
+@runtime_checkable
+class HasFlexureLength(Protocol):
+    """An energy of a flexure along axis 1 whose length is known."""
+
+    @property
+    def flexure_length(self) -> Scalar | None:
+        """Length, or None if the energy is not that of a flexure; m."""
         ...
 
 
@@ -336,9 +346,9 @@ def range_message(energy: AbstractEnergy, displacement: Displacement) -> str:
 
 
 def range_share(energy: AbstractEnergy, displacement: Displacement) -> Scalar | None:
-    """Compute the largest share of a displacement in the range of a linear flexure.
+    """Compute the largest share of a displacement in the range of a simple flexure.
 
-    The result is None if no nested energy is that of a linear flexure.
+    The result is None if no nested energy is that of a linear flexure or `quartic_leaf`.
     """
     shares = [
         part.range_share(displacement)
@@ -347,6 +357,11 @@ def range_share(energy: AbstractEnergy, displacement: Displacement) -> Scalar | 
     ]
     shares = [share for share in shares if share is not None]
     return jnp.max(jnp.stack(shares)) if shares else None
+
+
+def flexure_length(energy: AbstractEnergy) -> Scalar | None:
+    """Return the length of a flexure; None if it is not known; m."""
+    return energy.flexure_length if isinstance(energy, HasFlexureLength) else None
 
 
 def validation_error(energy: AbstractEnergy) -> str | None:

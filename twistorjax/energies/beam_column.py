@@ -101,6 +101,11 @@ class BeamColumn(AbstractMixedEnergy):
         )
 
     @property
+    def flexure_length(self) -> Scalar:
+        """Length; m."""
+        return self.length
+
+    @property
     def reference_force(self) -> Scalar:
         """The force E I / length^2; N."""
         return self.bending_stiffness / self.length**2

@@ -60,10 +60,11 @@ class Quadratic(CoordinateEnergy):
         coordinates: "twistor" for the energy `2 v K v` of v = (xi, x1, x2), "twist" for
             the energy `s K s / 2` of the twist s = (tau, t1, t2).
         flexure: Whether this is the stiffness of an undeformed flexure along axis 1, such
-            as a leaf. `equilibrium` then warns of displacements at which the force or the
-            moment of a leaf differs from that of the energy by more than 5 %.
+            as a leaf. The solvers then warn of displacements and axial forces at which
+            the force or the moment of a leaf differs from that of the energy by more than
+            5 %.
         stress_model: Stress in a flexure whose dimensions are known, such as that of
-            `leaf` and `notch`.
+            `linear_leaf` and `notch`.
 
     Raises:
         ValueError: The stiffness is not 3 by 3 or not symmetric, it has a negative
@@ -113,15 +114,26 @@ class Quadratic(CoordinateEnergy):
         Forces and moments of a leaf without axial force were compared with the elastica,
         for all ratios of rotation and transverse displacement. Those of the energies of
         twist and twistor differ by 5 % outside an ellipse with the half axes 0.35 rad and
-        0.15 lengths. The limit of the axial strain is 5 %. A notch is compared with the
-        leaf that has the same ratio of rotational and transverse stiffness.
+        0.15 lengths. The axial force n changes the transverse stiffness of a leaf by
+        `6/5 n / length`, which is 5 % at `n = 0.5 E I / length^2`. A notch is compared
+        with the leaf that has the same ratio of rotational and transverse stiffness.
         """
         if not self.flexure:
             return None
-        length_squared = 12 * self.stiffness[0, 0] / self.stiffness[2, 2]
-        along, across = 2 * displacement.x1, 2 * displacement.x2
-        squares = (along / 0.05) ** 2 + (across / 0.15) ** 2
-        return jnp.sqrt((displacement.angle / 0.35) ** 2 + squares / length_squared)
+        rotational, length = self.stiffness[0, 0], self.flexure_length
+        across = 2 * displacement.x2 / (0.15 * length)
+        bending = jnp.sqrt((displacement.angle / 0.35) ** 2 + across**2)
+        of_strain = strain(displacement, self.coordinates)
+        force = sum(self.stiffness[1, k] * of_strain[k] for k in range(3))
+        return jnp.maximum(bending, jnp.abs(force) * length / (0.5 * rotational))
+
+    @property
+    def flexure_length(self) -> Scalar | None:
+        """Length of a leaf with the same ratio of stiffnesses; None if no flexure; m."""
+        if not self.flexure:
+            return None
+        xp, (stiffness,) = on_host(self.stiffness)
+        return xp.sqrt(12 * stiffness[..., 0, 0] / stiffness[..., 2, 2])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "Quadratic":
         """Return the energy if all dimensions of the hinge are multiplied."""

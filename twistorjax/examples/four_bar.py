@@ -26,7 +26,7 @@ from .._utils.validation import index_of
 from ..energies.base import AbstractEnergy
 from ..energies.damping import DampingLike
 from ..energies.strains import Coordinates
-from ..flexures import leaf, leaf_outline, notch, notch_outline
+from ..flexures import leaf_outline, linear_leaf, notch, notch_outline
 from ..mechanism.body import Body, plate
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
@@ -110,7 +110,7 @@ def four_bar(
     soft = Material(modulus=69e9 / 20, poisson=0.3)
 
     def leaf_flexure(length: NumberLike) -> _Flexure:
-        energy = leaf(
+        energy = linear_leaf(
             soft,
             length=length,
             thickness=thickness,

@@ -210,6 +210,7 @@ def quartic_leaf(
         tuple(terms),
         length=length,
         force=force,
+        flexure=True,
         stress_model=quadratic.stress_model,
     )
 

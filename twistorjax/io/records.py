@@ -28,10 +28,10 @@ from .._utils.validation import shorten
 from ..energies.polynomial import LARGEST_POWER
 
 
-VERSION = 5
-# Version 2 has neither misfits nor expansions, version 3 no sub-mechanisms, and version 4
-# no stress models.
-_READABLE_VERSIONS = (2, 3, 4, VERSION)
+VERSION = 6
+# Version 2 has neither misfits nor expansions, version 3 no sub-mechanisms, version 4 no
+# stress models, and version 5 no beam-columns.
+_READABLE_VERSIONS = (2, 3, 4, 5, VERSION)
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -130,6 +130,7 @@ class MixedEnergy(_EnergyRecord, frozen=True):
     length: float
     force: float
     powers: Powers
+    flexure: bool = False
     stress_model: StressModel | None = None
 
 

@@ -168,9 +168,9 @@ class HingeAssembly(eqx.Module):
         return jnp.zeros(len(self.ends), bool) if outside is None else outside
 
     def range_shares(self, displacements: Poses) -> Float[Array, " hinges"] | None:
-        """Compute the share of each displacement in the range of a linear flexure.
+        """Compute the share of each displacement in the range of a simple flexure.
 
-        It is zero for other hinges; None if there are no linear flexures.
+        It is zero for hinges without such a share; None if there is no other hinge.
         """
         displacements = jax.lax.stop_gradient(displacements)
         return self._of_energies(range_share, displacements, float)

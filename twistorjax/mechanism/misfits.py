@@ -21,7 +21,7 @@ from .._utils.validation import (
 )
 from ..energies.base import AbstractEnergy
 from ..energies.dilation import dilated
-from ..energies.quadratic import Quadratic
+from ..energies.base import flexure_length
 from .hinge_groups import dilate_groups
 
 
@@ -171,7 +171,7 @@ def _require_expansions(mechanism: "Mechanism", named: NamedNumbers) -> None:
         if expansion is not None or not expands:
             continue
         energy = mechanism.hinge_assembly.energy_of(row)
-        if isinstance(energy, Quadratic) and energy.flexure:
+        if flexure_length(energy) is not None:
             warnings.warn(
                 f"The hinge {name!r} is a flexure without an `expansion`. The bodies "
                 "move its middle instead of its clamped ends, and it does not expand. "

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._utils.host import all_concrete, concrete
-from ..energies.quadratic import Quadratic
+from ..energies.base import flexure_length
 from .body import Body
 from .hinge import Hinge
 from .outline import AbstractOutline
@@ -49,7 +49,6 @@ def warn_if_misplaced(
 
 def _length(hinge: Hinge) -> float | None:
     """Return the length of a flexure along axis 1, if it is known; m."""
-    energy = hinge.energy
     if isinstance(hinge.outline, AbstractOutline):
         return None
     if hinge.outline is not None:
@@ -58,11 +57,9 @@ def _length(hinge: Hinge) -> float | None:
     if hinge.expansion is not None:
         length = concrete(hinge.expansion.length)
         return None if length is None else float(length)
-    if isinstance(energy, Quadratic) and energy.flexure:
-        stiffness = concrete(energy.stiffness)
-        if stiffness is not None:
-            return float(np.sqrt(12 * stiffness[0, 0] / stiffness[2, 2]))
-    return None
+    length = flexure_length(hinge.energy)
+    known = None if length is None else concrete(length)
+    return None if known is None else float(known)
 
 
 def _distance(body: Body, point: Float[np.ndarray, "2"]) -> float:

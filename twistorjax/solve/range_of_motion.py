@@ -33,8 +33,7 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
-from .static_errors import warn_outside_linear_range
-from .static_results import StateLike
+from .static_results import StateLike, warn_outside_linear_range
 from .stresses import select_stresses, Stresses
 from .tables import Column, Columns
 
@@ -217,7 +216,7 @@ def range_of_motion(
     )
     if not throw:
         return found
-    warn_outside_linear_range(mechanism, solution)
+    warn_outside_linear_range(mechanism, solution.range_shares)
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         side = _SIDES[batch_index[-1]]

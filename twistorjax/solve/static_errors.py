@@ -1,18 +1,16 @@
 """Errors and warnings of a static equilibrium."""
 
-import warnings
 from collections.abc import Callable
 
 import numpy as np
 
-from .._utils.host import concrete
 from .._utils.types import NumberLike, Poses
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import Mechanism
 from .consistency import constraint_error
 from .dofs import DofPartition
 from .results import result_message, succeeded_or_raise
-from .static_results import Equilibrium
+from .static_results import Equilibrium, warn_outside_linear_range
 
 
 # A stiffness below this fraction of the largest one does not count in messages.
@@ -82,27 +80,5 @@ def check_equilibrium(
 
     solution = succeeded_or_raise(solution, error)
     if mechanism is not None:
-        warn_outside_linear_range(mechanism, solution, stacklevel=4)
+        warn_outside_linear_range(mechanism, solution.range_shares, stacklevel=4)
     return solution
-
-
-def warn_outside_linear_range(
-    mechanism: Mechanism, solution: Equilibrium, stacklevel: int = 3
-) -> None:
-    """Warn if a linear flexure errs by more than 5 % at an equilibrium, or in a batch.
-
-    `stacklevel` is that of `warnings.warn`; by default the warning refers to the call of
-    the function that calls this one.
-    """
-    shares = solution.range_shares
-    known = None if shares is None else concrete(shares)
-    if known is not None and np.any(known > 1):
-        hinge = mechanism.hinge_names[np.nanargmax(known) % known.shape[-1]]
-        warnings.warn(
-            f"The hinge {hinge!r} has a linear energy (`flexures.leaf` or "
-            f"`flexures.notch`), but its displacement is {np.nanmax(known):.3g} times "
-            "the one at which its force or moment errs by 5 %. Use "
-            "`flexures.surrogate`, whose error is known in its validity range, or "
-            "`flexures.quartic_leaf`.",
-            stacklevel=stacklevel,
-        )

@@ -1,13 +1,17 @@
 """Static equilibrium of a mechanism, and states that are given by one."""
 
+import warnings
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
-from .._utils.types import Count, Entries, Poses, PosesLike, Scalar, Wrenches
+from .._utils.types import Count, Entries, Flag, Poses, PosesLike, Scalar, Wrenches
+from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import LoadSet
 from ..mechanism.mechanism import Mechanism
 from .results import count_results, PoseSolution, result_names, RESULTS
@@ -34,9 +38,10 @@ class Equilibrium(PoseSolution):
         fraction: Fraction of the loads and prescribed displacements that was reached:
             1, or less if the solve failed.
         steps: Number of Newton steps.
-        range_shares: Displacement of each linear flexure, such as `flexures.leaf`,
-            divided by the one at which its force or moment errs by 5 %; zero for other
-            hinges; None if there are no linear flexures.
+        range_shares: Displacement or axial force of each flexure without a validity
+            range, such as `flexures.notch` and `flexures.linear_leaf`, divided by the one
+            at which its force or moment errs by 5 %; zero for other hinges; None if there
+            are no such flexures.
         loads: Sums of the loads on each body. Together with the misfits and the
             constraint forces, they let another solve start at this equilibrium; None for
             a linear response.
@@ -94,11 +99,44 @@ class Equilibrium(PoseSolution):
 StateLike = TypeAliasType("StateLike", PosesLike | Equilibrium)
 
 
+def warn_outside_linear_range(
+    mechanism: Mechanism,
+    shares: Float[Array, "*batch hinges"] | None,
+    stacklevel: int = 3,
+) -> None:
+    """Warn if a flexure without a validity range errs by more than 5 %.
+
+    `shares` are those of `Equilibrium.range_shares`, also in a batch, where NaN does not
+    count. `stacklevel` is that of `warnings.warn`; by default the warning refers to the
+    call of the function that calls this one.
+    """
+    known = None if shares is None else concrete(shares)
+    if known is not None and np.any(known > 1):
+        hinge = mechanism.hinge_names[np.nanargmax(known) % known.shape[-1]]
+        warnings.warn(
+            f"The displacement or the axial force of the hinge {hinge!r} is "
+            f"{np.nanmax(known):.3g} times the one at which its force or moment errs by "
+            "5 %, because its energy is that of small displacements under small axial "
+            "forces. Use `flexures.leaf`, or `flexures.surrogate` for other contours, "
+            "whose errors are known in their validity ranges.",
+            stacklevel=stacklevel,
+        )
+
+
+@fast_compile
+def _range_of(
+    hinges: HingeAssembly, displacements: Poses
+) -> tuple[Flag, Float[Array, " hinges"] | None]:
+    """Decide whether a hinge is out of range, and compute the `range_shares`."""
+    outside = jnp.any(hinges.out_of_range(displacements))
+    return outside, hinges.range_shares(displacements)
+
+
 def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> Poses:
     """Return the displacements of a state; rad, m, m.
 
     They are NaN if the state is traced and a hinge is outside the validity range of its
-    energy.
+    energy. A warning is given if a flexure without such a range errs by more than 5 %.
 
     Raises:
         ValueError: A hinge is outside this range, and the state is not traced.
@@ -111,7 +149,7 @@ def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> 
     if state is None:
         return jnp.zeros_like(mechanism.reference)
     displacements = mechanism.displacements(state, name, single=True)
-    outside = jnp.any(mechanism.hinge_assembly.out_of_range(displacements))
+    outside, shares = _range_of(mechanism.hinge_assembly, displacements)
     if concrete(outside) is None:
         return jnp.where(outside, jnp.nan, displacements)
     if outside:
@@ -119,4 +157,5 @@ def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> 
             f"At `{name}` a hinge is outside the validity range of its energy. "
             f"{mechanism.range_messages(mechanism.reference + displacements)}"
         )
+    warn_outside_linear_range(mechanism, shares, stacklevel=4)
     return displacements

@@ -22,7 +22,7 @@ from .stress_model import AbstractStressModel
 _ROTATION, _TRANSVERSE = 0.8, 0.25  # rad; of the length
 _STRAIN = 0.05  # of the axis
 _EULER = 4 * np.pi**2  # buckling load of a leaf with clamped ends, over E I / length^2
-_NEARLY = 0.999  # share of the buckling load up to which the potential is evaluated
+_NEARLY = 0.999  # share of the buckling load up to which the energy is valid
 
 
 class BeamColumn(AbstractMixedEnergy):
@@ -56,9 +56,9 @@ class BeamColumn(AbstractMixedEnergy):
         ValueError: A value is not positive.
 
     Source:
-        Timoshenko and Gere, Theory of Elastic Stability, 1961, sections 1.11 and 2.2 for
-        the stability functions, and section 2.17 for the reduction by shear. The terms of
-        the fourth order are derived in the manual ("The mechanics").
+        Timoshenko and Gere, Theory of Elastic Stability, 1961, sections 1.11 and 2.2. The
+        terms of the fourth order, and those of shear, are derived in the manual ("The
+        mechanics").
 
     Example:
         >>> leaf = BeamColumn(0.1, bending_stiffness=1.0, axial_stiffness=1e5)
@@ -176,7 +176,8 @@ class BeamColumn(AbstractMixedEnergy):
     def _lowest_force_ratio(self) -> Scalar:
         """Return the relative axial force of the largest valid compression."""
         potential = self.potential
-        return -jnp.minimum(potential.buckling_ratio, _STRAIN / potential.stretch)
+        buckling = _NEARLY * potential.buckling_ratio
+        return -jnp.minimum(buckling, _STRAIN / potential.stretch)
 
 
 class BeamColumnPotential(AbstractPotential):
@@ -184,7 +185,7 @@ class BeamColumnPotential(AbstractPotential):
 
     With the relative axial force p, and `a = tau^2`, `b = (t2 / length)^2`, it is
     `W = bending ((r(p) a + s(p) b - stretch p^2) / 2 + 108/35 b^2 + 3/10 a b
-    + (36/175 b^2 + 9/1400 a b + a^2 / 480) p / (1 + 3/616 p))`. Below 0.999 times the
+    + (36/175 b^2 + 9/1400 a b + a^2 / 480) p / (1 + 3/616 p))`. Above 0.999 times the
     buckling load, the functions of p are continued linearly.
 
     Args:
@@ -204,9 +205,13 @@ class BeamColumnPotential(AbstractPotential):
 
     @property
     def buckling_ratio(self) -> Scalar:
-        """Largest compressive force, at which the leaf buckles between clamped ends."""
-        ratio = jnp.full_like(self.stretch, _NEARLY * _EULER)
-        return ratio if self.shear is None else ratio / (1 + _EULER * self.shear)
+        """Compressive force at which the leaf buckles between clamped ends.
+
+        With shear, it is the root of `p - d p^2 = -4 pi^2`; see `_functions_of_force`.
+        """
+        if self.shear is None:
+            return jnp.full_like(self.stretch, _EULER)
+        return 2 * _EULER / (1 + jnp.sqrt(1 + 4 * _EULER * (self.shear - self.stretch)))
 
     def derivatives(
         self, orders: tuple[Orders, ...], bending: Bending, force_ratio: Scalar
@@ -258,15 +263,18 @@ class BeamColumnPotential(AbstractPotential):
             excess = excess + axial - self.stretch * p
             return jnp.maximum(p - excess / (decrease - self.stretch), lowest)
 
+        buckling = self.buckling_ratio
+        # Residue of the pole, for any shear stiffness
+        residue = (_EULER if self.shear is None else buckling / 2) * a
         drop = a / 8 - b / 2 - axial
-        pole = _EULER * a / jnp.where(drop > 0, drop, jnp.inf)
-        lowest = jnp.minimum(jnp.sqrt(pole), _EULER) - _EULER
-        lowest = jnp.where(drop > 0, lowest, 0.0)
+        above = jnp.sqrt(residue / jnp.where(drop > 0, drop, jnp.inf))
+        lowest = jnp.where(drop > 0, jnp.minimum(above - buckling, 0.0), 0.0)
         return jax.lax.fori_loop(0, 11, newton_step, jnp.zeros_like(axial))
 
     def _functions(self, p: Scalar) -> tuple[list[Scalar], ...]:
         """Evaluate the functions of the relative axial force, with two derivatives."""
-        return _functions_of_force(p, self.shear, -self.buckling_ratio)
+        lowest = -_NEARLY * self.buckling_ratio
+        return _functions_of_force(p, self.shear, self.stretch, lowest)
 
 
 def _quartic_slopes(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -306,7 +314,7 @@ def _bessel_ratio(q: Scalar) -> Scalar:
 
 @jax.jit
 def _functions_of_force(
-    p: Scalar, shear: Scalar | None, lowest: Scalar
+    p: Scalar, shear: Scalar | None, stretch: Scalar, lowest: Scalar
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
     """Compute r, s, and `p / (1 + 3/616 p)`, with their first two derivatives by p.
 
@@ -317,11 +325,17 @@ def _functions_of_force(
     `y[n] = 2 n + 1 + q / y[n + 1]` and `dy[n]/dq = (1 - y[n] / y[n + 1]) / 2`. Below the
     force `lowest`, the functions are linear.
 
+    With shear, r and s are those of Reissner's beam: `y` at `factor p` instead of p, with
+    `factor = 1 + (stretch - shear) p`, and `s / (factor^2 + shear s)` instead of s.
+
     Source:
         Abramowitz and Stegun, Handbook of Mathematical Functions, 10.2.18 and 10.2.19.
+        Buckling with shear: Haringx, Philips Research Reports 3, 1948.
     """
     inside = jnp.maximum(p, lowest)
-    q = inside / 4
+    change = None if shear is None else stretch - shear
+    factor = 1.0 if change is None else 1 + change * inside
+    q = factor * inside / 4
     inverse_y3 = _bessel_ratio(q)
     inverse_y2 = 1 / (5 + q * inverse_y3)
     y1 = 3 + q * inverse_y2
@@ -333,12 +347,20 @@ def _functions_of_force(
     y0_1 = (1 - y0 * inverse_y1) / 2
     y0_2 = -(y0_1 * inverse_y1 + y0 * inverse_y1_1) / 2
     y1_2 = -(y1_1 * inverse_y2 + y1 * inverse_y2_1) / 2
-    r = [y0 - q, (y0_1 - 1) / 4, y0_2 / 16]
+    r = [y0 - inside / 4, (y0_1 - 1) / 4, y0_2 / 16]
     s = [4 * (y1 + q), y1_1 + 1, y1_2 / 4]
-    if shear is not None:  # The compliance by shear adds to that by bending.
-        share = 1 / (1 + shear * s[0])
-        s_2 = (s[2] - 2 * shear * share * s[1] ** 2) * share**2
-        s = [s[0] * share, s[1] * share**2, s_2]
+    if shear is not None:
+        rate = 1 + 2 * change * inside  # of `factor p`
+        r[1] = (y0_1 * rate - 1) / 4
+        r[2] = y0_2 / 16 * rate**2 + y0_1 / 2 * change
+        s[1:] = s[1] * rate, s[2] * rate**2 + 2 * s[1] * change
+        # s / (factor^2 + shear s), and its derivatives
+        d = factor**2 + shear * s[0]
+        d_1 = 2 * factor * change + shear * s[1]
+        d_2 = 2 * change**2 + shear * s[2]
+        s[0] = s[0] / d
+        s[1] = (s[1] - s[0] * d_1) / d
+        s[2] = (s[2] - 2 * s[1] * d_1 - s[0] * d_2) / d
     u = 1 / (1 + 3 / 616 * inside)
     quartic = [inside * u, u**2, -3 / 308 * u**3]
     outside = p - inside

@@ -19,9 +19,8 @@ from .._utils.validation import (
     require_pose,
     shorten,
 )
-from ..energies.base import AbstractEnergy
+from ..energies.base import AbstractEnergy, flexure_length
 from ..energies.dilation import dilated
-from ..energies.base import flexure_length
 from .hinge_groups import dilate_groups
 
 

@@ -149,7 +149,7 @@ def test_a_leaf_has_the_wrenches_of_finite_elements_with_the_same_law(validated)
 def test_the_stiffness_of_an_exact_beam_is_that_of_timoshenko(law):
     energy = tj.flexures.ExactBeam(leaf(law))
     stiffness = jnp.diag(eqx.filter_jit(energy.tangent_stiffness)(jnp.zeros(3)))
-    expected = tj.flexures.leaf(
+    expected = tj.flexures.linear_leaf(
         POLYMER, length=10e-3, thickness=1e-3, width=5e-3, theory="timoshenko"
     ).stiffness
     np.testing.assert_allclose(stiffness, jnp.diag(expected), rtol=1e-9)

@@ -22,7 +22,9 @@ BENDING = float(BEAM.rotational_stiffness)  # E I / L; N m/rad
 DEGREES_20 = np.radians(20)
 
 
-QUADRATIC_LEAF = tj.flexures.leaf(STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3)
+QUADRATIC_LEAF = tj.flexures.linear_leaf(
+    STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3
+)
 PLAIN_LEAF = tj.Quadratic(QUADRATIC_LEAF.stiffness)
 RANGED_LEAF = tj.energies.WithValidityRange(
     PLAIN_LEAF, 0.5, force=100.0, error=[1e-3] * 3

@@ -228,7 +228,7 @@ def test_the_stiffness_has_derivatives_by_all_dimensions(name):
 
 def test_small_fillets_and_short_reinforcements_leave_a_leaf():
     leaf: Sizes = {"length": LENGTH, "thickness": 0.5e-3}
-    exact = diagonal(flexures.leaf(STEEL, width=WIDTH, **leaf))
+    exact = diagonal(flexures.linear_leaf(STEEL, width=WIDTH, **leaf))
     filleted = flexures.filleted_leaf(STEEL, width=WIDTH, fillet=1e-9, **leaf)
     np.testing.assert_allclose(diagonal(filleted), exact, rtol=1e-6)
     reinforced: Sizes = {"reinforced_length": 1e-11, "reinforced_thickness": 5e-3}

@@ -54,14 +54,14 @@ def neck_stiffness(web, hole=3e-3, width=0.02, modulus=69e9):
 
 
 def test_the_stiffness_of_the_leaf_of_the_four_bar():
-    leaf = tj.flexures.leaf(POLYMER, length=0.01, thickness=0.001, width=0.005)
+    leaf = tj.flexures.linear_leaf(POLYMER, length=0.01, thickness=0.001, width=0.005)
     assert_close(diagonal(leaf), [0.14375, 1.725e6, 17250.0])
 
 
 def test_a_leaf_has_the_compliance_of_a_cantilever_at_its_tip():
     """The compliances at the tip are L / EI, L^2 / 2 EI and L^3 / 3 EI."""
     length, bending = 0.03, 69e9 * 0.01 * 0.0005**3 / 12
-    leaf = tj.flexures.leaf(ALUMINUM, length=length, thickness=0.0005, width=0.01)
+    leaf = tj.flexures.linear_leaf(ALUMINUM, length=length, thickness=0.0005, width=0.01)
     tip = jnp.array([0.0, -length / 2, 0.0])  # pose of the middle relative to the tip
     compliance = np.linalg.inv(se2.transform_stiffness(tip, leaf.stiffness))
     expected = [length / bending, length**2 / 2 / bending, length**3 / 3 / bending]
@@ -76,7 +76,8 @@ def test_a_leaf_with_shear_has_the_transverse_compliance_of_timoshenko():
     bending = 69e9 * 0.005 * 0.002**3 / 12
     expected = 1 / (0.01**3 / (12 * bending) + 0.01 / shear)
     assert_close(
-        diagonal(tj.flexures.leaf(ALUMINUM, theory="timoshenko", **sizes))[2] / expected,
+        diagonal(tj.flexures.linear_leaf(ALUMINUM, theory="timoshenko", **sizes))[2]
+        / expected,
         1.0,
     )
 
@@ -84,11 +85,11 @@ def test_a_leaf_with_shear_has_the_transverse_compliance_of_timoshenko():
 @pytest.mark.parametrize(("theory", "limit"), [("euler-bernoulli", 0.1),
                                                ("timoshenko", 0.25)])  # fmt: skip
 def test_a_leaf_that_is_too_thick_raises_an_error(theory, limit):
-    tj.flexures.leaf(
+    tj.flexures.linear_leaf(
         POLYMER, length=3e-3, thickness=limit * 3e-3, width=1e-3, theory=theory
     )
     with pytest.raises(ValueError, match=f"is valid up to {limit}. Use a thinner"):
-        tj.flexures.leaf(
+        tj.flexures.linear_leaf(
             POLYMER, length=1e-2, thickness=1.001 * limit * 1e-2, width=1, theory=theory
         )
 
@@ -235,7 +236,7 @@ def test_a_quartic_leaf_has_the_stiffness_of_a_leaf():
     polymer = tj.Material(modulus=3.45e9, poisson=0.3)
     for theory in ("euler-bernoulli", "timoshenko"):
         quartic = tj.flexures.quartic_leaf(polymer, theory=theory, **sizes)
-        expected = tj.flexures.leaf(polymer, theory=theory, **sizes).stiffness
+        expected = tj.flexures.linear_leaf(polymer, theory=theory, **sizes).stiffness
         np.testing.assert_allclose(
             jnp.diag(quartic.tangent_stiffness()), jnp.diag(expected), rtol=1e-12
         )
@@ -244,7 +245,7 @@ def test_a_quartic_leaf_has_the_stiffness_of_a_leaf():
 def test_the_largest_stress_of_a_cantilever_is_at_its_clamp():
     """It is 6 P L / w t^2 for a transverse force, and P / w t for an axial force."""
     size: Sizes = {"length": 0.05, "thickness": 1e-3, "width": 0.01}
-    energy = tj.flexures.leaf(ALUMINUM, **size)
+    energy = tj.flexures.linear_leaf(ALUMINUM, **size)
     bodies = [tj.Body("wall"), tj.Body("tip", (0.0, 0.05, 0.0))]
     hinge = tj.Hinge("leaf", "wall", "tip", energy, at=(0.0, 0.025, 0.0))
     beam = tj.Mechanism(bodies, [hinge], fixed=["wall"])

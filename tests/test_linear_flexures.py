@@ -12,7 +12,7 @@ from twistorjax.geometry.twistors import Displacement
 
 
 UNIT = tj.Material(modulus=1.0, poisson=0.3)
-LEAF = tj.flexures.leaf(UNIT, length=1.0, thickness=0.01, width=12e6)
+LEAF = tj.flexures.linear_leaf(UNIT, length=1.0, thickness=0.01, width=12e6)
 
 
 def elastica(moment, force):
@@ -75,10 +75,10 @@ def cantilever(energy):
 
 def test_large_displacements_of_linear_leaves_are_reported():
     steel = tj.Material(210e9, poisson=0.3)
-    leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+    leaf = tj.flexures.linear_leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
     mechanism = cantilever(leaf)
     drive = [tj.Drive("tip", y=1.19)]
-    with pytest.warns(UserWarning, match="The hinge 'leaf' has a linear energy"):
+    with pytest.warns(UserWarning, match="of the hinge 'leaf' is .* times"):
         tj.equilibrium(mechanism, drives=drive)
     tj.equilibrium(mechanism, drives=[tj.Drive("tip", y=1e-3)])  # a warning is an error
     spring = tj.Quadratic(leaf.stiffness)
@@ -106,3 +106,68 @@ def test_sums_and_files_keep_the_range(tmp_path):
     tj.io.save_energy(LEAF, tmp_path / "leaf.json")
     loaded = tj.io.load_energy(tmp_path / "leaf.json")
     np.testing.assert_allclose(_share(loaded, at), 2.0)
+
+
+def guide(energy):
+    """A table on two leaves along y, which bear its axial load."""
+    hinges = [
+        tj.Hinge(name, "base", "table", energy, at=(np.pi / 2, x, 0.5))
+        for name, x in (("left", -1.0), ("right", 1.0))
+    ]
+    table = tj.Body("table", pose=(0.0, 0.0, 1.0), mass=1.0, inertia=1.0)
+    return tj.Mechanism([tj.Body("base"), table], hinges, fixed=["base"])
+
+
+def guided_stiffness(p):
+    """Transverse stiffness of a beam-column with parallel ends; EI/L^3."""
+    k = np.sqrt(complex(p))
+    return (p / (1 - 2 / k * np.tanh(k / 2))).real
+
+
+ENERGIES = {
+    "linear_leaf": (LEAF, (-0.5, 0.5)),
+    "quartic_leaf": (
+        tj.flexures.quartic_leaf(UNIT, length=1.0, thickness=0.01, width=12e6),
+        (-8.17, 84.3),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ENERGIES)
+def test_the_transverse_stiffness_errs_by_five_percent_at_the_limit_of_the_force(name):
+    energy, limits = ENERGIES[name]
+    for p in limits:
+        pose = jnp.array([0.0, p / 120_000, 0.0])
+        stiffness = float(energy.tangent_stiffness(pose)[2, 2])
+        np.testing.assert_allclose(
+            abs(stiffness / guided_stiffness(p) - 1), 0.05, atol=3e-3
+        )
+        share = _share(energy, Displacement.from_pose(pose))
+        np.testing.assert_allclose(share, 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ENERGIES)
+def test_every_analysis_about_a_state_warns_of_its_axial_force(name):
+    energy, (_, limit) = ENERGIES[name]
+    mechanism, push = guide(energy), [tj.Load("table", force=(1.0, 0.0))]
+    mild, strong = (
+        [tj.Load("table", force=(0.0, 2 * share * limit))] for share in (0.9, 1.1)
+    )
+    about = tj.equilibrium(mechanism, loads=mild)  # a warning is an error
+    text = r"axial force of the hinge '(left|right)' is 1.1 times"
+    with pytest.warns(UserWarning, match=text):
+        beyond = tj.equilibrium(mechanism, loads=strong)
+    analyses = (
+        lambda state, loads: tj.linearize(mechanism, about=state, loads=loads),
+        lambda state, loads: tj.vibrations(mechanism, about=state, loads=loads),
+        lambda state, loads: tj.frequency_response(
+            mechanism, [1.0], about=state, static_loads=loads, loads=push
+        ),
+        lambda state, loads: tj.state_space(
+            mechanism, {"push": push[0]}, {"x": ("table", "x")}, about=state, loads=loads
+        ),
+    )
+    for analysis in analyses:
+        analysis(about, mild)
+        with pytest.warns(UserWarning, match=text):
+            analysis(beyond, strong)

@@ -175,7 +175,7 @@ def test_surrogate_of_a_leaf_equals_the_beam_under_new_loads(degrees, validated)
 
 
 def test_reference_stiffness_of_a_surrogate_is_that_of_a_timoshenko_beam(leaf):
-    expected = tj.flexures.leaf(
+    expected = tj.flexures.linear_leaf(
         UNIT, length=1.0, thickness=0.1, width=12e3, theory="timoshenko"
     ).stiffness
     np.testing.assert_allclose(leaf.tangent_stiffness(), expected, rtol=1e-9, atol=1e-9)

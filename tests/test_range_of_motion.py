@@ -28,7 +28,7 @@ def cantilever(energy, **fixed):
 
 
 def leaf(thickness=SIZES["thickness"]):
-    return flexures.leaf(STEEL, **{**SIZES, "thickness": thickness})
+    return flexures.linear_leaf(STEEL, **{**SIZES, "thickness": thickness})
 
 
 def test_the_range_in_pure_bending(validated):
@@ -196,7 +196,7 @@ def test_the_unit_of_a_stroke_has_no_effect():
 
 def test_hinges_without_an_allowable_stress_keep_their_strength():
     strong = tj.Material(modulus=210e9, poisson=0.3, strength=200e6)
-    energy = flexures.leaf(strong, **SIZES)
+    energy = flexures.linear_leaf(strong, **SIZES)
     hinges = [
         tj.Hinge(name, "wall", "block", energy, at=(0, 0, 0)) for name in ("one", "two")
     ]

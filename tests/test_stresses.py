@@ -22,7 +22,7 @@ STRONG = tj.Material(
     endurance_limit=300e6,
 )
 SIZES: dict[str, Any] = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
-LEAF = flexures.leaf(STEEL, **SIZES)
+LEAF = flexures.linear_leaf(STEEL, **SIZES)
 PUSH = tj.Load("block", moment=0.04, force=(1.0, 0.5))
 
 
@@ -132,7 +132,7 @@ def test_stresses_are_reported_if_a_strength_is_given():
     table = pushed.to_xarray()
     assert table.stress.attrs["units"] == "Pa" and list(table.hinge) == ["flexure"]
     weak = tj.Material(modulus=210e9, poisson=0.3)
-    silent = cantilever(flexures.leaf(weak, **SIZES))
+    silent = cantilever(flexures.linear_leaf(weak, **SIZES))
     unknown = tj.equilibrium(silent, loads=[PUSH])
     assert unknown.stresses is None
     found = tj.stresses(silent, unknown)
@@ -140,7 +140,7 @@ def test_stresses_are_reported_if_a_strength_is_given():
 
 
 def test_stresses_along_a_path_and_in_a_motion():
-    mechanism = cantilever(flexures.leaf(STRONG, **SIZES))
+    mechanism = cantilever(flexures.linear_leaf(STRONG, **SIZES))
     path = tj.path(mechanism, loads=[PUSH], load_factors=(0.0, 1.0))
     assert reported(path).largest.shape == (len(path.load_factors), 1)
     last = reported(tj.equilibrium(mechanism, loads=[PUSH]))
@@ -194,7 +194,7 @@ def test_errors():
 
 def test_the_life_of_a_bent_leaf_follows_the_goodman_relation():
     """A moment M gives the stress 6 M / (w t^2) on one side, and its opposite there."""
-    mechanism = cantilever(flexures.leaf(STRONG, **SIZES))
+    mechanism = cantilever(flexures.linear_leaf(STRONG, **SIZES))
     states = [
         tj.equilibrium(mechanism, loads=[tj.Load("block", moment=moment)])
         for moment in (0.05, 0.0, 0.15)
@@ -217,7 +217,7 @@ def test_the_life_of_a_bent_leaf_follows_the_goodman_relation():
 
 def test_a_compressive_mean_stress_does_not_prolong_the_life():
     """The largest range of stress is on the side that is always in compression."""
-    mechanism = cantilever(flexures.leaf(STRONG, **SIZES))
+    mechanism = cantilever(flexures.linear_leaf(STRONG, **SIZES))
     squeezed = [
         tj.equilibrium(mechanism, loads=[tj.Load("block", force=(force, 0.0))])
         for force in (-4.0, -10.0)
@@ -232,6 +232,6 @@ def test_errors_of_fatigue():
     mechanism = cantilever(LEAF)
     with pytest.raises(ValueError, match="No material has an endurance limit"):
         tj.fatigue(mechanism, [mechanism.reference] * 2)
-    strong = cantilever(flexures.leaf(STRONG, **SIZES))
+    strong = cantilever(flexures.linear_leaf(STRONG, **SIZES))
     with pytest.raises(ValueError, match="`cycle` has one state"):
         tj.fatigue(strong, tj.equilibrium(strong))

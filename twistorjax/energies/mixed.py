@@ -220,14 +220,14 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
 
         Without axial force, its forces and moments were compared with the elastica. The
         transverse stiffness `12 + 6/5 p` at a relative axial force p was compared with
-        that of a beam-column, from which it differs by 5 % at -8.3 and 48.
+        that of a beam-column, from which it differs by 5 % at -8.17 and 84.3.
         """
         if not self.flexure:
             return None
         (rotation, transverse), _ = self.potential_variables(displacement)
         bending = jnp.sqrt((rotation / 0.5) ** 2 + (transverse / 0.2) ** 2)
         ratio = self.axial_force(displacement) / self.force
-        return jnp.maximum(bending, jnp.maximum(ratio / 48, -ratio / 8.3))
+        return jnp.maximum(bending, jnp.maximum(ratio / 84.3, -ratio / 8.17))
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "MixedEnergy":
         """Return the energy if all dimensions of the hinge are multiplied."""

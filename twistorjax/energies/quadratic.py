@@ -133,7 +133,7 @@ class Quadratic(CoordinateEnergy):
         if not self.flexure:
             return None
         xp, (stiffness,) = on_host(self.stiffness)
-        return xp.sqrt(12 * stiffness[..., 0, 0] / stiffness[..., 2, 2])
+        return as_float(xp.sqrt(12 * stiffness[..., 0, 0] / stiffness[..., 2, 2]))
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "Quadratic":
         """Return the energy if all dimensions of the hinge are multiplied."""

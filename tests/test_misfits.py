@@ -384,7 +384,7 @@ def test_a_hinge_without_misfit_has_no_arrays_of_misfits():
 def test_a_leaf_that_is_too_long_needs_few_steps(misfit):
     """It tilts the table of a guide; the force of a stiff leaf is large at first."""
     steel = tj.Material(210e9, poisson=0.3)
-    leaf = tj.flexures.leaf(steel, length=0.05, thickness=0.5e-3, width=10e-3)
+    leaf = tj.flexures.linear_leaf(steel, length=0.05, thickness=0.5e-3, width=10e-3)
     hinges = [
         tj.Hinge(
             name, "base", "table", leaf, (np.pi / 2, x, 0.025), misfit=(0.0, extra, 0.0)

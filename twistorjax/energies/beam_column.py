@@ -254,14 +254,17 @@ class BeamColumnPotential(AbstractPotential):
         a, b = bending[0] ** 2, bending[1] ** 2
         _, _, slope = _quartic_slopes(a, b)
 
-        def newton_step(_, p: Scalar) -> Scalar:
+        def excess_and_slope(p: Scalar) -> tuple[Scalar, Scalar]:
             r, s, quartic = self._functions(p)
-            excess, decrease = (
+            first, second = (
                 (r[order] * a + s[order] * b) / 2 + slope * quartic[order]
                 for order in (1, 2)
             )
-            excess = excess + axial - self.stretch * p
-            return jnp.maximum(p - excess / (decrease - self.stretch), lowest)
+            return axial + first - self.stretch * p, second - self.stretch
+
+        def newton_step(_, p: Scalar) -> Scalar:
+            excess, decrease = excess_and_slope(p)
+            return jnp.maximum(p - excess / decrease, lowest)
 
         buckling = self.buckling_ratio
         # Residue of the pole, for any shear stiffness
@@ -269,6 +272,8 @@ class BeamColumnPotential(AbstractPotential):
         drop = a / 8 - b / 2 - axial
         above = jnp.sqrt(residue / jnp.where(drop > 0, drop, jnp.inf))
         lowest = jnp.where(drop > 0, jnp.minimum(above - buckling, 0.0), 0.0)
+        buckled, _ = excess_and_slope(-_NEARLY * buckling)
+        lowest = jnp.where(buckled > 0, lowest, -jnp.inf)
         return jax.lax.fori_loop(0, 11, newton_step, jnp.zeros_like(axial))
 
     def _functions(self, p: Scalar) -> tuple[list[Scalar], ...]:

@@ -46,8 +46,8 @@ class Condensed(AbstractEnergy):
         ...     fixed=["frame"],
         ... )
         >>> energy = Condensed(tj.SubMechanism(series, "stage", at=(0, 0, 0)))
-        >>> stiffness = energy.tangent_stiffness()  # two leaves in series
-        >>> stiffness[0, 0] / leaf.stiffness[0, 0], stiffness[1, 1] / leaf.stiffness[1, 1]
+        >>> both, single = energy.tangent_stiffness(), leaf.tangent_stiffness()
+        >>> both[0, 0] / single[0, 0], both[1, 1] / single[1, 1]
         (Array(0.5, dtype=float64), Array(0.5, dtype=float64))
     """
 

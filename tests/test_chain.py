@@ -125,14 +125,56 @@ def test_the_derivative_of_a_displacement_by_the_thickness(under_loads):
     np.testing.assert_allclose(slope, -3 / 1e-3 * (above - below) / (2 * step), rtol=1e-4)
 
 
-def test_the_bodies_have_the_mass_of_the_leaf_without_half_a_segment_at_each_end(leaf):
+def test_bodies_and_ends_have_the_mass_of_the_leaf(leaf):
     masses = [float(body.mass) for body in leaf.bodies]
     mass = 2.0 * 1e-3 * 12e9
-    np.testing.assert_allclose(masses, [mass / 3, mass / 3], rtol=1e-12)
-    inertia = mass / 3 * (1 / 9 + 1e-6) / 12
-    np.testing.assert_allclose([body.inertia for body in leaf.bodies], inertia)
+    np.testing.assert_allclose(sum(masses) + sum(leaf.end_masses), mass, rtol=1e-12)
+    np.testing.assert_allclose(leaf.end_masses[0], leaf.end_masses[1], rtol=1e-12)
+    inertias = [float(body.inertia) for body in leaf.bodies]
+    np.testing.assert_allclose(inertias, np.array(masses) * 1e-6 / 12)
     assert [body.name for body in leaf.bodies] == ["leaf 1", "leaf 2"]
     assert [hinge.name for hinge in leaf.hinges] == ["leaf 1", "leaf 2", "leaf 3"]
+
+
+# Roots k L of the frequency equations of beams: clamped at both ends, and cantilevers
+CLAMPED = np.array([4.7300407449, 7.8532046241, 10.9956078380])
+FREE = np.array([1.8751040687, 4.6940911330, 7.8547574382])
+
+
+def bending_frequencies(fixed, **settings):
+    """Compute three frequencies (k L)^2 of a leaf for each set of fixed coordinates."""
+    flexure = tj.flexures.chain(
+        "leaf", slender(), "wall", "tip", (0.0, 0.5, 0.0), rotation=0.1, force=1.0,
+        **settings,
+    )  # fmt: skip
+    mass = float(flexure.end_masses[1])
+    found = []
+    for held in fixed:
+        ends = [
+            tj.Body(name, (0.0, x, 0.0), mass=mass, inertia=mass * 1e-6 / 12)
+            for name, x in (("wall", 0.0), ("tip", 1.0))
+        ]
+        bodies = [*ends, *flexure.bodies]
+        vibrations = tj.vibrations(tj.Mechanism(bodies, flexure.hinges, held))
+        found.append(vibrations.frequencies[:3])
+    unit = 2 * np.pi * np.sqrt(2.0 * 1e-3 * 12e9)  # E I / L^4 = 1
+    return [unit * np.asarray(each) for each in found]
+
+
+def test_frequencies_of_a_leaf_in_segments(validated):
+    """Errors decrease with the fourth power of the number of segments."""
+    pinned = {"wall": ("x", "y"), "tip": ("y",)}
+    fixed = [["wall", "tip"], ["wall"], pinned]
+    clamped, free, eight = bending_frequencies(fixed, segments=8)
+    np.testing.assert_allclose(clamped, CLAMPED**2, rtol=1e-3)
+    np.testing.assert_allclose(free, FREE**2, rtol=3e-3)
+    (five,) = bending_frequencies([pinned], modes=1)  # in five segments
+    exact = np.pi**2 * np.array([1.0, 4.0])
+    errors = [np.abs(found[:2] / exact - 1) for found in (five, eight)]
+    assert errors[0][0] < 3e-3
+    assert np.all(errors[0] > (8 / 5) ** 4 * errors[1])
+    what, oracle = "three frequencies of a clamped leaf in 8 segments", "a closed form"
+    validated("Surrogates", what, clamped, CLAMPED**2, oracle)
 
 
 def tapered():
@@ -163,6 +205,8 @@ def bow():
 def test_segments_of_a_tapered_curved_beam_are_the_undivided_beam(bow):
     """At the poses of its sections, the segments have its forces, up to 19 E I / L^2."""
     assert len(bow.hinges) == 2 and np.all(bow.error < 5e-3)
+    masses = [bow.end_masses[0], bow.bodies[0].mass, bow.end_masses[1]]
+    np.testing.assert_allclose(sum(masses), 7800.0 * 0.01 * 0.1 * 0.5e-3, rtol=1e-12)
     beam = tapered()
     unit = float(beam.rotational_stiffness)
     three = jax.jit(
@@ -221,6 +265,8 @@ def test_outlines_of_segments_join_and_have_the_area_of_the_beam(leaf, bow):
         ({"force": -1.0}, "`force` is -1, but must be positive"),
         ({"rotation": 7.0}, "`rotation` is 7, but must be positive and at most 2 pi"),
         ({"stress": 0.0}, "`stress` is 0, but must be positive"),
+        ({"modes": -1}, "`modes` is -1, but must be a whole number, zero or more"),
+        ({"modes": 10}, "`modes` is 10, which needs 26 segments, but the largest numb"),
         ({"segments": 1}, "Segment 1 of the flexure 'leaf': The beam cannot be computed "
          "everywhere up to a rotation of 1.2 rad and a force of 25 N"),
     ],

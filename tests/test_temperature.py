@@ -10,6 +10,7 @@ from helpers import assert_close, with_value
 import twistorjax as tj
 from twistorjax.examples import stage
 from twistorjax.examples.warm_stage import thermal_drift
+from twistorjax.flexures.stress_models import BeamStress
 from twistorjax.geometry import se2
 
 
@@ -186,6 +187,135 @@ def test_a_gradient_of_the_temperature_bends_a_cantilever(share, deflection):
     }
     found = tj.equilibrium(cantilever(elements).at_temperature(0.0, gradients=gradients))
     assert_close(found.displacement("100")[2], -deflection, digits=4)
+
+
+# A difference of 20 K over the thickness of a leaf: natural curvature, and turn of the
+# ends of a free leaf
+CURVATURE = 12e-6 * 20.0 / THICKNESS
+TURN = CURVATURE * LENGTH
+BENDING = 210e9 * WIDTH * THICKNESS**3 / 12  # N m^2
+BEAM = tj.flexures.Beam(STEEL, length=LENGTH, thickness=THICKNESS, width=WIDTH)
+
+
+def bent_leaf(energy, fixed):
+    """Return a leaf along x with a gradient of the temperature."""
+    hinge = tj.Hinge(
+        "leaf", "wall", "tip", energy, (0.0, LENGTH / 2, 0.0), expansion=GROWTH
+    )
+    bodies = [tj.Body("wall"), tj.Body("tip", (0.0, LENGTH, 0.0))]
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=fixed)
+    return mechanism.at_temperature(0.0, gradients={"leaf": 20.0 / THICKNESS})
+
+
+QUARTIC = tj.flexures.quartic_leaf(STEEL, length=LENGTH, thickness=THICKNESS, width=WIDTH)
+
+
+@pytest.mark.parametrize(
+    "energy", [LEAF, QUARTIC, 0.3 * LEAF + 0.7 * QUARTIC], ids=["leaf", "quartic", "sum"]
+)
+def test_a_gradient_loads_a_clamped_leaf_by_a_moment_only(energy):
+    """M = E I alpha g, without a force, and the stress is E alpha g t / 2."""
+    warm = bent_leaf(energy, ["wall", "tip"])
+    found = tj.equilibrium(warm)
+    wrench = warm.wrench_of("leaf", found)
+    assert_close(wrench[0] / (BENDING * CURVATURE), 1.0, digits=12)
+    assert np.all(np.abs(wrench[1:]) < 1e-12 * 210e9 * AREA)
+    stored = BENDING * CURVATURE**2 * LENGTH / 2
+    assert_close(warm.energy_of("leaf", found) / stored, 1.0, digits=12)
+    assert_close(found.energy / stored, 1.0, digits=12)
+    stress = 210e9 * CURVATURE * THICKNESS / 2
+    assert_close(tj.stresses(warm, found).of("leaf") / stress, 1.0, digits=9)
+
+
+def test_a_gradient_bends_a_free_leaf_to_an_arc():
+    """Its end approaches the wall by L - sin(a) / k, and it is free of stress."""
+    warm = bent_leaf(QUARTIC, ["wall"])
+    found = tj.equilibrium(warm)
+    x, y = np.sin(TURN) / CURVATURE - LENGTH, -(1 - np.cos(TURN)) / CURVATURE
+    ratios = found.displacement("tip") / np.array([-TURN, x, y])
+    np.testing.assert_allclose(ratios, 1.0, rtol=3e-4)
+    stored = BENDING * CURVATURE**2 * LENGTH / 2
+    assert abs(found.energy) < 1e-4 * stored
+    assert tj.stresses(warm, found).of("leaf") < 1e-6 * 210e9 * CURVATURE * THICKNESS
+
+
+def test_tension_of_a_clamped_leaf_does_not_act_on_its_natural_curvature():
+    """A straight leaf has the stress N / A + E alpha g t / 2, though N bends an arc."""
+    model = BeamStress.of(BEAM)
+    energy = tj.energies.WithValidityRange(
+        QUARTIC, 1.0, 1e4, 3 * [1e-3], stress_model=model
+    )
+    warm = bent_leaf(energy, ["wall", "tip"])
+    stretched = warm.reference.at[1, 1].add(1e-4 * LENGTH)  # N = 12 E I / L^2
+    stress = 210e9 * (1e-4 + CURVATURE * THICKNESS / 2)
+    assert_close(tj.stresses(warm, stretched).of("leaf") / stress, 1.0, digits=9)
+
+
+@pytest.mark.release
+def test_a_gradient_bends_a_curved_chain_as_one_arc():
+    """A ring segment of 1 rad in two segments: clamped, E I alpha g; free, an arc."""
+    curvature = 1.0 / LENGTH
+    beam = tj.flexures.Beam(
+        STEEL, length=LENGTH, thickness=THICKNESS, width=WIDTH,
+        curvature=lambda position: curvature + 0 * position,
+    )  # fmt: skip
+    ends = [
+        (side / 2, LENGTH * np.sin(side / 2), LENGTH * (1 - np.cos(side / 2)))
+        for side in (-1, 1)
+    ]
+    bodies = [tj.Body("wall", ends[0]), tj.Body("tip", ends[1])]
+    flexure = tj.flexures.chain("c", beam, "wall", "tip", (0, 0, 0), segments=2)
+    gradients = {hinge.name: 20.0 / THICKNESS for hinge in flexure.hinges}
+
+    def equilibrium(fixed):
+        mechanism = tj.Mechanism([*bodies, *flexure.bodies], flexure.hinges, fixed)
+        warm = mechanism.at_temperature(0.0, gradients=gradients)
+        return warm, tj.equilibrium(warm)
+
+    warm, found = equilibrium(["wall", "tip"])
+    for name in gradients:
+        wrench = warm.wrench_of(name, found)
+        assert_close(wrench[0] / (BENDING * CURVATURE), 1.0, digits=9)
+        assert np.all(np.abs(wrench[1:]) < 1e-12 * 210e9 * AREA)
+    _, found = equilibrium(["wall"])
+    new = curvature - CURVATURE
+    turn = new * LENGTH
+    arc = jnp.array([turn, np.sin(turn) / new, (1 - np.cos(turn)) / new])
+    exact = se2.compose(jnp.array(ends[0]), arc)
+    moved = exact - np.array(ends[1])
+    np.testing.assert_allclose(found.displacement("tip"), moved, rtol=1e-5)
+
+
+def test_only_energies_of_known_dimensions_dilate():
+    """A polynomial and the same quadratic energy stay; that of a flexure grows by s^3."""
+    stiffness = np.diag([2.0, 100.0, 100.0])
+    polynomial = tj.energies.Polynomial(
+        [1.0, 50.0, 50.0], [(2, 0, 0), (0, 2, 0), (0, 0, 2)], "twist"
+    )
+
+    def limited(energy):
+        return tj.energies.WithValidityRange(energy, 1.0, 100.0, 3 * [1e-3])
+
+    quadratic = tj.Quadratic(stiffness, "twist")
+    flexure = tj.Quadratic(stiffness, "twist", flexure=True)
+    for energy, factor in (
+        (polynomial, 1.0), (quadratic, 1.0), (limited(quadratic), 1.0),
+        (quadratic + 0.5 * quadratic, 1.5), (flexure, 1.1**3), (limited(flexure), 1.1**3),
+    ):  # fmt: skip
+        hinge = tj.Hinge(
+            "h",
+            "wall",
+            "block",
+            energy,
+            (0, 0, 0),
+            expansion=tj.Expansion(1e-3, length=1),
+        )
+        bodies = [tj.Body("wall"), tj.Body("block")]
+        warm = tj.Mechanism(bodies, [hinge], ["wall"]).at_temperature(100.0)
+        found = warm.hinge_assembly.energy_of(0)
+        assert_close(found.tangent_stiffness()[0, 0] / 2.0, factor, digits=12)
+        if isinstance(found, tj.energies.WithValidityRange):
+            assert_close(found.force, 100.0 * factor ** (2 / 3), digits=12)
 
 
 def test_drift_per_kelvin_is_a_derivative():

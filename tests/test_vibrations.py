@@ -76,6 +76,94 @@ def test_unstable_equilibrium_has_no_vibrations():
     assert not result.succeeded and np.isnan(result.frequencies[0])
 
 
+@pytest.mark.parametrize("pinned", [False, True], ids=["springs", "pin"])
+@pytest.mark.parametrize("force", [0.5, 1.0 + 1e-6, 1.5])
+def test_an_instability_is_found_however_slow_it_is(pinned, force):
+    """A rod on a torsion spring of 1 N m/rad, pressed at 1 m, beside modes at 5 MHz."""
+    stiff = 0.0 if pinned else 1e15
+    spring = tj.Quadratic(np.diag([1.0, stiff, stiff]))
+    bodies = [tj.Body("wall"), tj.Body("rod", (0, 0, 0.4), mass=1.0, inertia=1.0)]
+    hinges = [tj.Hinge("h", "wall", "rod", spring, (0, 0, 0))]
+    pins = [tj.Pin("pin", "wall", "rod", at=(0, 0))] if pinned else []
+    mechanism = tj.Mechanism(bodies, hinges, ["wall"])
+    loads = [tj.Load("rod", force=(0.0, -force), at=(0.0, 0.6))]
+    about = mechanism.reference
+    if not pinned:
+        about = tj.equilibrium(
+            mechanism, drives=[tj.Drive("rod", angle=0.0)], loads=loads
+        )
+    found = tj.vibrations(
+        mechanism, about=about, loads=loads, constraints=pins, throw=False
+    )
+    if force > 1:
+        assert tj.result_names(found.result) == "unstable"
+        assert np.isnan(found.frequencies[0])
+        assert np.all(found.frequencies[1:] > 1e6)
+    else:
+        assert found.succeeded
+        exact = np.sqrt((1.0 - force) / (1.0 + 0.4**2)) / (2 * np.pi)
+        assert_close(found.frequencies[0] / exact, 1.0, digits=9)
+
+
+def test_a_mechanism_that_floats_freely_is_not_unstable():
+    spring = tj.Quadratic(np.diag([1e3, 1e12, 1e12]))
+    bodies = [
+        tj.Body(name, (0.3, x, -0.7), mass=1.0, inertia=0.1)
+        for name, x in (("a", 0.2), ("b", 1.3))
+    ]
+    hinge = tj.Hinge("h", "a", "b", spring, (0.1, 0.6, -0.3))
+    found = tj.vibrations(tj.Mechanism(bodies, [hinge]))
+    assert np.all(found.frequencies[:3] < 1e-3) and found.frequencies[3] > 1
+
+
+def test_a_state_that_is_not_an_equilibrium_is_refused():
+    """The loads of the state must be given, and its prescribed coordinates."""
+    mechanism, loads = column(1.2)
+    solution = tj.equilibrium(mechanism, loads=loads)
+    small, output = tj.Load("rod", force=(1.0, 0.0)), {"x": ("rod", "x")}
+    analyses = [
+        lambda **state: tj.vibrations(mechanism, **state),
+        lambda **state: tj.linearize(mechanism, **state),
+        lambda **state: tj.state_space(mechanism, {"f": small}, output, **state),
+        lambda loads=(), **state: tj.frequency_response(
+            mechanism, [1.0], loads=[small], static_loads=loads, **state
+        ),
+    ]
+    _, half = column(0.6)
+    unbalanced = r"loads`: on the body 'rod', a force of {} N along y is not balanced"
+    for analysis in analyses:
+        analysis(about=solution, loads=loads)
+        for force, state in (
+            ("-1.2", {"loads": loads}),
+            ("1.2", {"about": solution}),
+            ("0.6", {"about": solution, "loads": half}),
+        ):
+            with pytest.raises(ValueError, match=unbalanced.format(force)):
+                analysis(**state)
+    turned = tj.equilibrium(mechanism, drives=[tj.Drive("rod", angle=0.1)])
+    tj.vibrations(mechanism, {"rod": ["angle"]}, about=turned)
+    with pytest.raises(ValueError, match=r"'rod', a moment of -0\.1997 N m is not"):
+        tj.vibrations(mechanism, about=turned)
+
+    @jax.vmap
+    def in_batch(force):
+        loads = [tj.Load("rod", force=(0.0, -force), at=(0.0, 0.5))]
+        found = tj.vibrations(mechanism, about=solution, loads=loads, throw=False)
+        return found.result
+
+    names = tj.result_names(in_batch(jnp.array([1.2, 1.3])))
+    assert names is not None and names.tolist() == ["successful", "not_finite"]
+
+
+@pytest.mark.untyped
+def test_prescribed_coordinates_that_are_not_names_are_reported():
+    mechanism, _ = column(1.0)
+    with pytest.raises(ValueError, match="`prescribed` is 5, but must be a list of na"):
+        tj.vibrations(mechanism, 5)
+    with pytest.raises(ValueError, match="`prescribed` of the body 'rod' is 'x', but"):
+        tj.linearize(mechanism, {"rod": "x"})
+
+
 def test_vibrations_with_follower_loads_are_an_error():
     mechanism, _ = column(1.0)
     follower = tj.Load("rod", force=(0, -1.0), follower=True)

@@ -22,7 +22,8 @@ class CanDilate(Protocol):
     def dilated(self, scale: Float[Array, "*batch"]) -> AbstractEnergy:
         """Return the energy if all dimensions of the hinge are multiplied.
 
-        The energy at a rotation and a translation becomes `scale^3` times that at the
+        It is the same object if the dimensions of the hinge are unknown. Otherwise, the
+        energy at a rotation and a translation becomes `scale^3` times that at the
         rotation and the translation divided by `scale`.
 
         Args:
@@ -37,25 +38,29 @@ class CanDilate(Protocol):
 def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEnergy:
     """Return an energy if all dimensions of its hinge are multiplied by a factor.
 
-    It applies to all energies in sums, multiples, and other wrappers, and to their stress
-    models. An energy that is not `CanDilate` does not change.
+    It applies to all energies in sums, multiples, and other wrappers, and to their
+    validity ranges and stress models. An energy of unknown dimensions does not change:
+    one that is not `CanDilate`, or a `Quadratic` that is not that of a flexure.
     """
-    if isinstance(energy, CanDilate):
-        energy = energy.dilated(scale)
+    new, is_wrapper = energy, False
     for field in fields(energy):
         value = getattr(energy, field.name, None)
-        if isinstance(value, AbstractEnergy):
-            new = dilated(value, scale)
-        elif isinstance(value, AbstractStressModel):
-            new = value.dilated(scale)
-        elif isinstance(value, tuple) and any(
-            isinstance(part, AbstractEnergy) for part in value
-        ):
-            new = tuple(dilated(part, scale) for part in value)
-        else:
+        parts = value if isinstance(value, tuple) else (value,)
+        if not any(isinstance(part, AbstractEnergy) for part in parts):
             continue
-        energy = eqx.tree_at(attrgetter(field.name), energy, new)
-    return energy
+        is_wrapper = True
+        larger = tuple(dilated(part, scale) for part in parts)
+        if any(part is not old for part, old in zip(larger, parts, strict=True)):
+            larger = larger if isinstance(value, tuple) else larger[0]
+            new = eqx.tree_at(attrgetter(field.name), new, larger)
+    if is_wrapper and new is energy:
+        return energy
+    if isinstance(new, CanDilate):
+        new = new.dilated(scale)
+    model = getattr(new, "stress_model", None)
+    if new is not energy and isinstance(model, AbstractStressModel):
+        new = eqx.tree_at(attrgetter("stress_model"), new, model.dilated(scale))
+    return new
 
 
 def dilated_potential(energy: Energy, scale: Float[Array, "*batch"]) -> Energy:

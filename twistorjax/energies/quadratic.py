@@ -62,7 +62,7 @@ class Quadratic(CoordinateEnergy):
         flexure: Whether this is the stiffness of an undeformed flexure along axis 1, such
             as a leaf. The solvers then warn of displacements and axial forces at which
             the force or the moment of a leaf differs from that of the energy by more than
-            5 %.
+            5 %, and thermal expansion changes the stiffness with the dimensions.
         stress_model: Stress in a flexure whose dimensions are known, such as that of
             `linear_leaf` and `notch`.
 
@@ -136,7 +136,9 @@ class Quadratic(CoordinateEnergy):
         return as_float(xp.sqrt(12 * stiffness[..., 0, 0] / stiffness[..., 2, 2]))
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "Quadratic":
-        """Return the energy if all dimensions of the hinge are multiplied."""
+        """Return the energy if all dimensions of a flexure are multiplied."""
+        if not self.flexure:
+            return self
         xp, (scale, stiffness) = on_host(scale, self.stiffness)
         units = xp.stack([scale**1.5, scale**0.5, scale**0.5], axis=-1)
         factors = units[..., :, None] * units[..., None, :]

@@ -107,6 +107,8 @@ def translation_scale(energy: AbstractEnergy, displacement: Displacement) -> Sca
 
 def newton_model(energy: AbstractEnergy, stress: Stress) -> AbstractEnergy:
     """Return the energy that replaces another one near a predicted stress; N m, N, N."""
+    if isinstance(energy, HasNewtonModel):
+        return energy.newton_model(stress)
     if isinstance(energy, AbstractWrapper):
         if energy.multiple is None:
             return newton_model(energy.energy, stress)
@@ -115,8 +117,6 @@ def newton_model(energy: AbstractEnergy, stress: Stress) -> AbstractEnergy:
         m, n1, n2 = (jnp.where(positive, part / multiple, 0.0) for part in stress)
         model = newton_model(energy.energy, (m, n1, n2))
         return Scaled(factor=energy.multiple, energy=model)
-    if isinstance(energy, HasNewtonModel):
-        return energy.newton_model(stress)
     return energy
 
 

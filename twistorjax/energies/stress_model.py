@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from .._utils.types import Scalar
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
+from .natural_curvature import NaturallyCurved
 
 
 # Moment, axial force, and transverse force in the mid-frame; N m, N, N
@@ -83,6 +84,14 @@ def surface_stresses(
     The energy has a stress model. A multiple of an energy is that of several equal
     flexures in parallel, each of which carries its share of the wrench (N m, N, N).
     """
+    if isinstance(energy, NaturallyCurved):
+        # The strain is that of the deformed shape minus that of the natural curvature.
+        zero = jnp.zeros_like(displacement.angle)
+        straight = Displacement(zero, zero + 1, zero, zero, zero)
+        deformed = energy.without_curvature(wrench)
+        natural = energy.without_curvature((zero, zero, zero))
+        stresses = surface_stresses(energy.energy, displacement, deformed)
+        return stresses - surface_stresses(energy.energy, straight, natural)
     inner: Any = energy
     while (model := getattr(inner, "stress_model", None)) is None:
         if inner.multiple is not None:

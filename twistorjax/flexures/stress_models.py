@@ -155,21 +155,22 @@ class BeamColumnStress(AbstractStressModel):
         self, displacement: Displacement, wrench: MidWrench
     ) -> Float[Array, "34"]:
         """Compute the stress on both sides of each cross-section; Pa."""
-        _, axial, transverse = wrench
+        moment, axial, transverse = wrench
         area = self.width * self.thickness
         bending = self.modulus * area * self.thickness**2 / 12
-        # Half the difference of the moments at the ends, from the equilibrium of moments
+        # Mean and half the difference of the moments at the ends, from the equilibrium
         arm = displacement.x1 + self.length / 2 * displacement.sigma
-        odd = displacement.x2 * axial - arm * transverse
-        even = bending / self.length * displacement.angle
+        mean = moment + self.length / 2 * displacement.xi * axial
+        half = displacement.x2 * axial - arm * transverse
         ratio = axial * self.length**2 / bending
         root = jnp.sqrt(jnp.maximum(jnp.abs(ratio), 1e-8))
         position = root * jnp.linspace(-0.5, 0.5, 17)
         compressed = ratio < 0
         cos = jnp.where(compressed, jnp.cos(position), jnp.cosh(position))
         sin = jnp.where(compressed, jnp.sin(position), jnp.sinh(position))
-        moment = (even * root / 2 * cos + odd * sin) / sin[-1]
-        stress = 6 * moment / (area * self.thickness)
+        bowing = bending / self.length * displacement.angle * root / 2
+        moments = mean + (bowing * (cos - cos[-1]) + half * sin) / sin[-1]
+        stress = 6 * moments / (area * self.thickness)
         return axial / area + jnp.concatenate([-stress, stress])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":

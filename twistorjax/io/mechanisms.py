@@ -210,7 +210,11 @@ def _damping_from_record(record: Any) -> ViscousDamping | float | None:
 
 def _expansion_from_record(record: Any) -> Expansion | None:
     """Create the thermal expansion of a hinge from its record."""
-    return None if record is None else Expansion(record.coefficient, length=record.length)
+    if record is None:
+        return None
+    return Expansion(
+        record.coefficient, length=record.length, arc_length=record.arc_length
+    )
 
 
 def _to_array(rows: Any) -> np.ndarray | None:

@@ -220,6 +220,7 @@ class Body(_Record, frozen=True):
 class Expansion(_Record, frozen=True):
     coefficient: float
     length: float
+    arc_length: float | None = None
 
 
 class Hinge(_Record, frozen=True):

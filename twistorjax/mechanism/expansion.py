@@ -22,9 +22,11 @@ class Expansion(eqx.Module):
             1/K.
         length: Free length of the hinge along axis 1, in the middle of which its frames
             are; m.
+        arc_length: Length of the center line of a curved hinge, along which a gradient of
+            the temperature bends it; by default `length`; m.
 
     Raises:
-        ValueError: The material has no coefficient, the coefficient is not finite, or the
+        ValueError: The material has no coefficient, the coefficient is not finite, or a
             length is not positive.
 
     Example:
@@ -34,8 +36,15 @@ class Expansion(eqx.Module):
 
     coefficient: Scalar
     length: Scalar
+    arc_length: Scalar | None
 
-    def __init__(self, material: ExpansionLike, *, length: NumberLike):
+    def __init__(
+        self,
+        material: ExpansionLike,
+        *,
+        length: NumberLike,
+        arc_length: NumberLike | None = None,
+    ):
         coefficient: Any = material
         if isinstance(material, Material):
             if material.expansion is None:
@@ -46,3 +55,6 @@ class Expansion(eqx.Module):
             coefficient = material.expansion
         self.coefficient = require_finite("`material`", coefficient)
         self.length = require_positive("`length`", length)
+        self.arc_length = None
+        if arc_length is not None:
+            self.arc_length = require_positive("`arc_length`", arc_length)

@@ -180,7 +180,7 @@ def check_energy(hinge: Hinge) -> None:
 
 def frame_and_misfit(
     hinge: Hinge, first: Pose, second: Pose
-) -> tuple[Pose, Float[Array, "5"] | None]:
+) -> tuple[Pose, Float[Array, "6"] | None]:
     """Compute the pose of both frames of a hinge in the reference configuration.
 
     `first` and `second` are the reference poses of bodies A and B; rad, m, m.

@@ -13,6 +13,7 @@ from .._utils.host import as_float, on_host
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
 from ..energies.damping import ViscousDamping
+from ..energies.natural_curvature import NaturallyCurved
 from ..geometry.twistors import Displacement
 from . import hinge_forces, hinge_motion
 from .assembly_tangent import AssemblyMotionTangent, AssemblyTangent
@@ -41,8 +42,8 @@ class HingeAssembly(eqx.Module):
             reference configuration and world axes; m.
         directions: Cosine and sine of the angle of each hinge in the reference
             configuration.
-        misfits: The five numbers of each hinge from which its `Misfit` is created; None
-            if there are none; rad, m, m, m, m.
+        misfits: The six numbers of each hinge from which its `Misfit` is created; None
+            if there are none; rad, m, m, m, m, rad.
         groups: Groups of hinges with the same kind of energy.
         sums: Energy and damping of each hinge whose energy is a sum; None for others.
         misfit_rates: Time derivatives of the misfits; None if they are constant.
@@ -52,10 +53,10 @@ class HingeAssembly(eqx.Module):
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
     arms: Float[Array, "hinges 2 2"]
     directions: Float[Array, "hinges 2"]
-    misfits: Float[Array, "hinges 5"] | None
+    misfits: Float[Array, "hinges 6"] | None
     groups: tuple[HingeGroup, ...]
     sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
-    misfit_rates: Float[Array, "hinges 5"] | None = None
+    misfit_rates: Float[Array, "hinges 6"] | None = None
 
     def characteristic_length(self, free: tuple[int, ...]) -> Scalar | np.float64:
         """Compute the root mean square distance from origins of bodies to hinges; m.
@@ -90,6 +91,20 @@ class HingeAssembly(eqx.Module):
         ]
         return jax.tree.unflatten(tree, member_leaves)
 
+    def bent_energy_of(self, row: int) -> AbstractEnergy:
+        """Return the energy of one hinge with its natural curvature, by its index."""
+        energy = self.energy_of(row)
+        loads = [
+            group.curvature_loads[member]
+            for group in self.groups
+            if group.curvature_loads is not None
+            for member, hinge in enumerate(group.members)
+            if hinge == row
+        ]
+        if not loads or self.misfits is None:
+            return energy
+        return NaturallyCurved(energy, Misfit.of(self.misfits[row]).turn, sum(loads))
+
     def with_strokes(
         self,
         strokes: Float[Array, "hinges 3"],
@@ -102,9 +117,9 @@ class HingeAssembly(eqx.Module):
         return self.with_more_misfit(*numbers)
 
     def with_more_misfit(
-        self, numbers: Float[Array, "hinges 5"], rates: Array | None = None
+        self, numbers: Float[Array, "hinges 6"], rates: Array | None = None
     ) -> "HingeAssembly":
-        """Add to the five numbers of the misfits, and set their time derivatives."""
+        """Add to the six numbers of the misfits, and set their time derivatives."""
         if self.misfits is not None:
             _, (old, more) = on_host(self.misfits, numbers)
             numbers = as_float(old + more)
@@ -367,12 +382,16 @@ class HingeAssembly(eqx.Module):
 
         leaves, tree = jax.tree.flatten((group.energy, group.damping))
 
-        def one_hinge(leaves, *hinge):
-            return function(*jax.tree.unflatten(tree, leaves), *hinge)
+        def one_hinge(leaves, loads, first, second, axis, *more):
+            energy, damping = jax.tree.unflatten(tree, leaves)
+            if loads is not None:
+                energy = NaturallyCurved(energy, axis.misfit.turn, loads)
+            return function(energy, damping, first, second, axis, *more)
 
-        in_axes = (list(group.batch_axes), *(3 + len(more)) * (0,))
+        in_axes = (list(group.batch_axes), *(4 + len(more)) * (0,))
         return jax.vmap(one_hinge, in_axes=in_axes)(
             leaves,
+            group.curvature_loads,
             end(first, arms[:, 0]),
             end(second, arms[:, 1]),
             Axis(directions[:, 0], directions[:, 1], *Misfit.with_rate(numbers, rates)),

@@ -15,6 +15,7 @@ from .._utils.types import Scalar
 from ..energies.base import AbstractEnergy
 from ..energies.damping import ViscousDamping
 from ..energies.dilation import dilated
+from ..energies.natural_curvature import curvature_loads
 from ..energies.solver_protocols import (
     has_resisted_rates,
     parallel_terms,
@@ -34,12 +35,16 @@ class HingeGroup(eqx.Module):
         damping: Their damping, stacked in the same way; None without damping.
         batch_axes: For each array of energy and damping: 0 if it is stacked, None if it
             is shared.
+        curvature_loads: Moment and transverse force of each member for its natural turn;
+            see `NaturallyCurved`. None if there was no gradient of the temperature; N
+            m/rad, N/rad.
     """
 
     members: tuple[int, ...] = eqx.field(static=True)
     energy: AbstractEnergy
     damping: ViscousDamping | None
     batch_axes: tuple[int | None, ...] = eqx.field(static=True)
+    curvature_loads: Float[Array, "members 2"] | None = None
 
 
 def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
@@ -73,9 +78,14 @@ def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
 
 
 def dilate_groups(
-    groups: Sequence[HingeGroup], scales: Float[Array | np.ndarray, " hinges"]
+    groups: Sequence[HingeGroup],
+    scales: Float[Array | np.ndarray, " hinges"],
+    has_gradients: bool,
 ) -> tuple[HingeGroup, ...]:
-    """Multiply the dimensions of all hinges by factors, as thermal expansion does."""
+    """Multiply the dimensions of all hinges by factors, as thermal expansion does.
+
+    The loads of natural curvature are computed if there are gradients of the temperature.
+    """
     new = []
     for group in groups:
         energy = dilated(group.energy, as_float(scales[np.array(group.members)]))
@@ -90,7 +100,12 @@ def dilate_groups(
             for stacked, axis in zip(changed, group.batch_axes, strict=False)
         ]
         axes += group.batch_axes[len(changed) :]
-        new.append(HingeGroup(group.members, energy, group.damping, tuple(axes)))
+        loads = None
+        if has_gradients or group.curvature_loads is not None:
+            loads = _curvature_loads(energy, tuple(axes[: len(changed)]))
+            loads = jnp.broadcast_to(loads, (len(group.members), 2))
+        group = HingeGroup(group.members, energy, group.damping, tuple(axes), loads)
+        new.append(group)
     return tuple(new)
 
 
@@ -133,6 +148,21 @@ def _proportional(
     if any(axis == 0 for axis in batch_axes):
         damping = jax.vmap(damping, in_axes=(of_energy, of_time))
     return damping(leaves, time)
+
+
+@partial(jax.jit, static_argnames="batch_axes")
+def _curvature_loads(
+    energy: AbstractEnergy, batch_axes: tuple[int | None, ...]
+) -> Float[Array, "*members 2"]:
+    """Compute the loads of natural curvature of stacked energies; N m/rad, N/rad."""
+    leaves, tree = jax.tree.flatten(energy)
+
+    def loads(leaves):
+        return curvature_loads(jax.tree.unflatten(tree, leaves))
+
+    if any(axis == 0 for axis in batch_axes):
+        return jax.vmap(loads, in_axes=(list(batch_axes),))(leaves)
+    return loads(leaves)
 
 
 def _stack(row: Sequence[Array]) -> Array:

@@ -63,6 +63,8 @@ class Misfit(NamedTuple):
         e2: Component of e along axis 2; m.
         f1: Component of f along axis 1; m.
         f2: Component of f along axis 2; m.
+        turn: Rotation of the ends due to natural curvature, which is not a part of the
+            displacement; see `NaturallyCurved`; rad.
     """
 
     angle: Scalar
@@ -72,25 +74,26 @@ class Misfit(NamedTuple):
     e2: Scalar
     f1: Scalar
     f2: Scalar
+    turn: Scalar
 
     @classmethod
-    def of(cls, numbers: Float[Array, "*hinges 5"]) -> "Misfit":
-        """Create a misfit from five numbers, to which further misfits may be added.
+    def of(cls, numbers: Float[Array, "*hinges 6"]) -> "Misfit":
+        """Create a misfit from six numbers, to which further misfits may be added.
 
         The numbers are the rotation (rad) and the mid-frame translation (m, m) of the
-        misfit, and the distance (m, m) along both axes from the point of body A that the
-        misfit belongs to, to that of body B, in the reference configuration. The frames
-        of the hinge are halfway between these points.
+        misfit; the distance (m, m) along both axes from the point of body A that the
+        misfit belongs to, to that of body B, in the reference configuration; and the turn
+        (rad). The frames of the hinge are halfway between these points.
         """
-        angle, d1, d2, gap1, gap2 = jnp.moveaxis(numbers, -1, 0)
+        angle, d1, d2, gap1, gap2, turn = jnp.moveaxis(numbers, -1, 0)
         cos, sin, tan = jnp.cos(angle / 2), jnp.sin(angle / 2), jnp.tan(angle / 4)
-        return cls(angle, cos, sin, d1 - gap1, d2 - gap2, tan * d1, tan * d2)
+        return cls(angle, cos, sin, d1 - gap1, d2 - gap2, tan * d1, tan * d2, turn)
 
     @classmethod
     def with_rate(
         cls,
-        numbers: Float[Array, "hinges 5"] | None,
-        rates: Float[Array, "hinges 5"] | None,
+        numbers: Float[Array, "hinges 6"] | None,
+        rates: Float[Array, "hinges 6"] | None,
     ) -> tuple["Misfit | None", "Misfit | None"]:
         """Create misfits and their time derivatives; None for those not given."""
         if numbers is None or rates is None:
@@ -98,8 +101,8 @@ class Misfit(NamedTuple):
         return jax.jvp(cls.of, (numbers,), (rates,))
 
 
-def misfit_numbers(poses: Float[Array, "*hinges 3"]) -> Float[Array, "*hinges 5"]:
-    """Compute the five numbers of misfits, from displacements (angle, x, y); rad, m, m.
+def misfit_numbers(poses: Float[Array, "*hinges 3"]) -> Float[Array, "*hinges 6"]:
+    """Compute the six numbers of misfits, from displacements (angle, x, y); rad, m, m.
 
     The translations are resolved in the mid-frame.
     """
@@ -107,7 +110,7 @@ def misfit_numbers(poses: Float[Array, "*hinges 3"]) -> Float[Array, "*hinges 5"
     angle, x, y = xp.moveaxis(known, -1, 0)
     cos, sin, zero = xp.cos(angle / 2), xp.sin(angle / 2), 0 * angle
     along, across = cos * x + sin * y, cos * y - sin * x
-    return as_float(xp.stack([angle, along, across, zero, zero], axis=-1))
+    return as_float(xp.stack([angle, along, across, zero, zero, zero], axis=-1))
 
 
 class Axis(NamedTuple):
@@ -137,8 +140,8 @@ class MidFrame(NamedTuple):
         slope: Derivative of the translation of `displacement` with respect to the
             rotation, at a constant translation of frame b; None without misfit; m/rad.
         curvature: The second derivative; None without misfit; m/rad^2.
-        drift: Rates of the coordinates of the hinge at constant poses of its bodies; None
-            if its misfit is constant; rad/s, m/s, m/s.
+        drift: Rates of the coordinates of the hinge, minus that of its turn, at constant
+            poses of its bodies; None if its misfit is constant; rad/s, m/s, m/s.
         drift_slope: Derivative of the last two with respect to the rotation; m/(rad s).
     """
 
@@ -180,7 +183,7 @@ def mid_frame(first: End, second: End, axis: Axis) -> MidFrame:
     if axis.misfit is None:
         displacement = Displacement(angle, sigma, xi, x1, x2)
         return MidFrame(displacement, (x1, x2), cos, sin)
-    angle_0, cos_0, sin_0, e1, e2, f1, f2 = axis.misfit
+    angle_0, cos_0, sin_0, e1, e2, f1, f2, _ = axis.misfit
     free_1, free_2 = sigma * e1 + xi * f1, sigma * e2 + xi * f2
     displacement = Displacement(
         angle - angle_0,
@@ -193,8 +196,8 @@ def mid_frame(first: End, second: End, axis: Axis) -> MidFrame:
     curvature = free_1 / 4, free_2 / 4
     drift = drift_slope = None
     if axis.misfit_rate is not None:
-        rate, _, _, e1, e2, f1, f2 = axis.misfit_rate
-        drift = -rate, -sigma * e1 - xi * f1, -sigma * e2 - xi * f2
+        rate, _, _, e1, e2, f1, f2, turn_rate = axis.misfit_rate
+        drift = -rate - turn_rate, -sigma * e1 - xi * f1, -sigma * e2 - xi * f2
         drift_slope = (xi * e1 - sigma * f1) / 2, (xi * e2 - sigma * f2) / 2
     return MidFrame(
         displacement, (x1, x2), cos, sin, slope, curvature, drift, drift_slope

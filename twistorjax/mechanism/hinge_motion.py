@@ -11,6 +11,7 @@ from .._utils.types import Scalar
 from ..energies import solver_protocols
 from ..energies.base import AbstractEnergy
 from ..energies.damping import ViscousDamping
+from ..energies.natural_curvature import NaturallyCurved
 from ..energies.strains import half_square, strain
 from ..geometry.twistors import Displacement
 from .hinge_forces import (
@@ -59,7 +60,7 @@ def forces_in_motion(
     angle = kinematics.middle.displacement.angle
     kinematics = computed_once(kinematics, angle)
     at, excess = _with_stretch(kinematics.middle.displacement, stretch)
-    slopes = energy_gradient(energy, at)
+    slopes = elastic = energy_gradient(energy, at)
     dissipated = by_stroke = jnp.zeros_like(slopes[0])
     if damping is not None:
         hinge_rates = kinematics.with_drift(kinematics.rates(*rates))
@@ -68,6 +69,10 @@ def forces_in_motion(
         slopes = _sum(slopes, viscous)
     if kinematics.middle.drift is not None:
         by_stroke = dot(slopes, kinematics.middle.drift)
+        if isinstance(energy, NaturallyCurved) and axis.misfit_rate is not None:
+            # The drift contains the rate of the turn, which is not one of a coordinate.
+            by_turn = energy.slope_by_turn(at) + elastic[0]
+            by_stroke = by_stroke + by_turn * axis.misfit_rate.turn
     forces = on_bodies(kinematics, computed_once(slopes, angle))
     return forces, excess, (dissipated, by_stroke)
 

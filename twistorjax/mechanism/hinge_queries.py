@@ -88,7 +88,7 @@ class HingeQueries(eqx.Module):
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
 
         def about_frame_b(hinges: HingeAssembly, displacements: Poses) -> Wrench:
-            wrench = hinges.energy_of(row).wrench
+            wrench = hinges.bent_energy_of(row).wrench
             misfits = hinges.misfits
             if misfits is None:
                 return wrench(_hinge_pose(hinges, row, displacements))
@@ -118,7 +118,7 @@ class HingeQueries(eqx.Module):
         row = index_of("`hinge`", "hinge", hinge, self.hinge_names)
 
         def stored(hinges: HingeAssembly, displacements: Poses) -> Scalar:
-            energy = hinges.energy_of(row)
+            energy = hinges.bent_energy_of(row)
             return energy(_hinge_pose(hinges, row, displacements, of_frames=False))
 
         return self.of_hinges(at, stored)
@@ -130,8 +130,9 @@ class HingeQueries(eqx.Module):
             hinge: Name of the hinge.
 
         Returns:
-            Displacement (angle, x, y) of frame b relative to frame a; None if no hinge of
-            the mechanism has a misfit; rad, m, m.
+            Displacement (angle, x, y) of frame b relative to frame a, without the bending
+            by a gradient of the temperature; None if no hinge of the mechanism has a
+            misfit; rad, m, m.
 
         Raises:
             ValueError: There is no hinge of this name.
@@ -141,7 +142,7 @@ class HingeQueries(eqx.Module):
         if misfits is None:
             return None
         xp, (numbers,) = on_host(misfits[row])
-        angle, d1, d2, gap1, gap2 = numbers
+        angle, d1, d2, gap1, gap2, _ = numbers
         cos, sin = xp.cos(angle / 2), xp.sin(angle / 2)
         y1, y2 = d1 - cos * gap1, d2 - cos * gap2
         return as_float(xp.stack([angle, cos * y1 - sin * y2, cos * y2 + sin * y1]))

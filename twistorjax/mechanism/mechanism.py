@@ -1,6 +1,6 @@
 """Mechanisms of rigid bodies that are connected by elastic hinges."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 import equinox as eqx
@@ -168,10 +168,12 @@ class Mechanism(HingeQueries):
         """Return the mechanism at another temperature.
 
         Bodies expand about the origins of their frames. Hinges with an `expansion` become
-        longer, and bend at a gradient of the temperature, which changes their misfits.
-        The stiffness of leaves, notches, and surrogates is that of their new dimensions,
-        so that a mechanism of one material at one temperature is only scaled. Moduli of
-        materials, and misfits that the hinges already have, do not change.
+        longer, which changes their misfits, and get a natural curvature by a gradient of
+        the temperature. The stiffness of leaves, notches, and surrogates is that of their
+        new dimensions, so that a mechanism of one material at one temperature is only
+        scaled. Moduli of materials, energies that are not those of flexures, such as a
+        `Quadratic` without `flexure=True`, and misfits that the hinges already have, do
+        not change.
 
         Args:
             change: Change of the temperature; K.
@@ -187,8 +189,12 @@ class Mechanism(HingeQueries):
                 temperature has no `expansion`.
 
         Source:
-            A hinge of length L becomes longer by `expansion * change * L`, and rotates by
-            `-expansion * gradient * L`.
+            A hinge of length L becomes longer by `expansion * change * L`. Its natural
+            curvature is `-expansion * gradient`. A prismatic leaf, straight or circular,
+            then has the additional energy `E I expansion gradient angle`, for any
+            displacement: clamped at both ends it has the moment `E I expansion gradient`
+            and no force, and if it is free it bends to an arc. For a notch or another
+            flexure of variable section, moment and force are exact to first order.
         """
         return expanded(self, change, bodies, hinges, gradients)
 
@@ -371,6 +377,11 @@ class Mechanism(HingeQueries):
                 f"`{argument}` is the string {chosen!r}, but must be a list of names, "
                 f"such as [{chosen!r}]."
             )
+        if not isinstance(chosen, Iterable):
+            raise ValueError(
+                f"`{argument}` is {shorten(repr(chosen))}, but must be a list of names "
+                "of bodies, or a mapping from names to some of 'angle', 'x', 'y'."
+            )
         if not isinstance(chosen, Mapping):
             names = require_distinct(f"body in `{argument}`", chosen)
             chosen = dict.fromkeys(names, COORDINATES)
@@ -378,18 +389,23 @@ class Mechanism(HingeQueries):
         for body_name, coordinates in chosen.items():
             body = index_of(f"`{argument}`", "body", body_name, self.names)
             where = f"`{argument}` of the body {body_name!r}"
+            if isinstance(coordinates, str) or not isinstance(coordinates, Iterable):
+                raise ValueError(
+                    f"{where} is {shorten(repr(coordinates))}, but must be a list of "
+                    "some of 'angle', 'x', 'y', such as ['x', 'y']."
+                )
             for name in coordinates:
                 dofs.add(3 * body + index_of(where, "coordinate", name, COORDINATES))
         return tuple(sorted(dofs))
 
 
 def _misfits(
-    rows: Sequence[Float[Array, "5"] | None],
-) -> Float[Array, "hinges 5"] | None:
+    rows: Sequence[Float[Array, "6"] | None],
+) -> Float[Array, "hinges 6"] | None:
     """Stack the numbers of misfits; None if there are none."""
     if all(row is None for row in rows):
         return None
-    xp, arrays = on_host(*(np.zeros(5) if row is None else row for row in rows))
+    xp, arrays = on_host(*(np.zeros(6) if row is None else row for row in rows))
     return as_float(xp.stack(arrays))
 
 

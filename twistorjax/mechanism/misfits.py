@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, on_host
-from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Wrenches
+from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import (
     index_of,
     require_finite,
@@ -21,6 +21,7 @@ from .._utils.validation import (
 )
 from ..energies.base import AbstractEnergy, flexure_length
 from ..energies.dilation import dilated
+from .expansion import Expansion
 from .hinge_groups import dilate_groups
 
 
@@ -102,11 +103,12 @@ def expanded(
         _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0),
         [0.0 if value is None else value.coefficient for value in expansions],
         [0.0 if value is None else value.length for value in expansions],
+        [0.0 if value is None else _arc_length(value) for value in expansions],
     )
     xp, (at, arms, directions, *arrays) = on_host(
         mechanism.at, assembly.arms, assembly.directions, *map(_stacked, numbers)
     )
-    of_bodies, of_material, of_hinges, slopes, coefficient, length = arrays
+    of_bodies, of_material, of_hinges, slopes, coefficient, length, arc_length = arrays
     strains = of_bodies * of_material
     ends = np.array(assembly.ends).reshape(-1, 2)
     # The clamped ends of a hinge, not its middle, move with the bodies.
@@ -117,19 +119,26 @@ def expanded(
     cos, sin = directions.T
     gap_along = cos * gap[:, 0] + sin * gap[:, 1]
     gap_across = cos * gap[:, 1] - sin * gap[:, 0]
-    growth, rotation = coefficient * length * of_hinges, coefficient * length * slopes
+    growth, turn = coefficient * length * of_hinges, -coefficient * arc_length * slopes
     scales = 1 + coefficient * of_hinges
-    columns = [-rotation, growth, 0 * growth, gap_along, gap_across]
+    zero = 0 * growth
+    columns = [zero, growth, zero, gap_along, gap_across, turn]
     warm = replace(
         assembly,
         arms=as_float(arms + middle[:, None]),
-        groups=dilate_groups(assembly.groups, scales),
+        groups=dilate_groups(assembly.groups, scales, bool(gradients)),
         sums=tuple(map(_dilated_sum, assembly.sums, scales)),
     )
     warm = warm.with_more_misfit(as_float(xp.stack(columns, axis=1)))
     moved_at = as_float(xp.concatenate([at[:, :1], at[:, 1:] + middle], axis=1))
     parts = moved_at, warm
     return eqx.tree_at(lambda new: (new.at, new.hinge_assembly), mechanism, parts)
+
+
+def _arc_length(expansion: Expansion) -> Scalar:
+    """Return the length along which a gradient of the temperature bends a hinge; m."""
+    length = expansion.arc_length
+    return expansion.length if length is None else length
 
 
 def _dilated_sum(

@@ -1,16 +1,19 @@
-"""Checks of constraints: whether they are independent, and whether they are satisfied."""
+"""Checks of states: whether constraints are satisfied, and forces are in equilibrium."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
+from .._utils.host import all_concrete
+from .._utils.pytrees import stop_gradient
 from .._utils.types import Flag, NumberLike, Poses
 from ..mechanism.constraints import ConstraintSet
-from ..mechanism.mechanism import Mechanism
+from ..mechanism.mechanism import COORDINATES, Mechanism
 from .dofs import DofPartition
 from .results import result_message
 from .small_matrices import inverse
+from .static_results import StateLike
 from .system import System
 
 
@@ -18,6 +21,89 @@ from .system import System
 # lengths of the mechanism.
 LARGEST_INITIAL_VIOLATION = 1e-9
 _LARGEST_INVERSE = 1e12  # of the Gram matrix of independent constraints
+# In equilibrium, an unbalanced force is below one of these limits: this fraction of the
+# largest force, the force that changes the energy by the square of this fraction, or what
+# rounding of the poses by this fraction causes.
+_LARGEST_IMBALANCE, _LARGEST_DECREMENT = 1e-4, 1e-6
+_ROUNDING = 64 * np.finfo(float).eps
+
+
+def require_equilibrium(
+    mechanism: Mechanism,
+    system: System,
+    displacements: Poses,
+    state: StateLike | None,
+    loads: str = "loads",
+) -> Poses:
+    """Check that a state about which a mechanism is linearized is an equilibrium.
+
+    Args:
+        mechanism: The mechanism.
+        system: Its equations with the loads at this state.
+        displacements: The displacements of the state; rad, m, m.
+        state: The argument `about`; None for the reference configuration.
+        loads: Name of the argument with the loads, for the message.
+
+    Returns:
+        The displacements; NaN if the state is traced and not an equilibrium.
+
+    Raises:
+        ValueError: The state is not an equilibrium, and not traced.
+    """
+    if state is None and not system.loads.present:
+        return displacements
+    frozen = stop_gradient((system, mechanism.reference, displacements))
+    excess, residual = _imbalance(*frozen)
+    unbalanced = (excess > 1) & consistent(system, displacements)
+    known = all_concrete([unbalanced, excess, residual])
+    if known is None:
+        return jnp.where(jnp.any(unbalanced), jnp.nan, displacements)
+    flags, excess, residual = known
+    if not np.any(flags):
+        return displacements
+    worst = int(np.nanargmax(excess))
+    dof, value = system.free[worst], float(residual[worst])
+    force = "a moment of {:.4g} N m"
+    if dof % 3:
+        force = f"a force of {{:.4g}} N along {COORDINATES[dof % 3]}"
+    subject = "The reference configuration" if state is None else "`about`"
+    raise ValueError(
+        f"{subject} is not an equilibrium under the given `{loads}`: on the body "
+        f"{mechanism.names[dof // 3]!r}, {force.format(-value)} is not balanced. Give "
+        f"`about=equilibrium(mechanism, loads={loads})`, and the loads, constraints, and "
+        "prescribed coordinates of this equilibrium."
+    )
+
+
+@fast_compile
+def _imbalance(
+    system: System, reference: Poses, displacements: Poses
+) -> tuple[Float[Array, " free"], Float[Array, " free"]]:
+    """Compute the forces on free degrees of freedom that are not balanced; N m, N.
+
+    The first result is their ratio to the largest ones that occur in equilibrium.
+    """
+    hinges, multipliers = system.hinges, system.constraint_forces(displacements)
+    tangent = hinges.tangent(displacements)
+    applied = system.loads.apply(displacements)[0].reshape(-1)
+    if system.constraints.size:
+        constraint = system.constraints.forces(displacements, system.time, multipliers)
+        applied = applied + constraint
+    residual = tangent.forces() - applied
+    units = jnp.tile(system.units(), len(displacements))
+    length = units[-1]
+    scales = jnp.stack([jnp.ones(()), jnp.ones(()), length, length])  # of four motions
+    of_hinges = jnp.abs(jnp.stack(tangent.hinges.forces)) * scales[:, None]
+    largest = jnp.maximum(jnp.max(of_hinges), jnp.max(jnp.abs(applied) * units))
+    magnitudes = jnp.abs(tangent.hinge_stiffness())
+    stiffness = hinges.multiply_stiffness(magnitudes, units)
+    poses = jnp.abs(reference) + jnp.abs(displacements)
+    rounding = hinges.multiply_stiffness(magnitudes, poses.reshape(-1))
+    allowed = jnp.maximum(_LARGEST_IMBALANCE * largest, _ROUNDING * rounding * units)
+    by_energy = _LARGEST_DECREMENT * jnp.sqrt(tangent.work * stiffness * units)
+    allowed = jnp.maximum(allowed, by_energy)
+    excess = jnp.abs(residual) * units / jnp.where(allowed > 0, allowed, 1.0)
+    return excess[system.free], residual[system.free]
 
 
 def independent_rows(jacobian: Float[Array, "entries n"]) -> Flag:

@@ -14,6 +14,9 @@ _EQUAL = 1e-8
 # the diagonal. The relative errors of the eigenvalues are then the square of this bound.
 _LARGEST_OFF_DIAGONAL = 1e-10
 _MOST_SWEEPS = 30  # Jacobi's method needs six to ten of them
+# Relative error of the entries of an eigenvector, and of the sum of the terms in its
+# stiffness, which may have the error of an equilibrium
+_ROUNDING, _LARGEST_ERROR = 16 * np.finfo(float).eps, 1e-11
 
 
 class Stiffness(NamedTuple):
@@ -31,6 +34,22 @@ class Stiffness(NamedTuple):
     rows: Float[Array, "rows n"]
     weights: Float[Array, " rows"]
     remainder: Float[Array, "n n"]
+
+
+def rounding_errors(
+    stiffness: Stiffness, vectors: Float[Array, "n modes"]
+) -> Float[Array, " modes"]:
+    """Bound the rounding errors of the stiffness of each eigenvector.
+
+    An eigenvector may be softer than others by any factor, so the bound follows from the
+    terms of its own stiffness, not from the largest eigenvalue.
+    """
+    rows, weights, remainder = stiffness
+    sizes = jnp.abs(vectors)
+    rounding = _ROUNDING * (jnp.abs(rows) @ sizes)
+    of_remainder = jnp.sum(sizes * (jnp.abs(remainder) @ sizes), axis=0)
+    terms = weights @ (rows @ vectors) ** 2 + of_remainder
+    return _LARGEST_ERROR * terms + weights @ rounding**2
 
 
 class Modes(NamedTuple):

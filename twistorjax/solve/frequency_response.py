@@ -15,7 +15,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from .consistency import consistent, inconsistency
+from .consistency import consistent, inconsistency, require_equilibrium
 from .dofs import DofPartition
 from .factorization import null_space
 from .results import BodySolution, result_message, RESULTS, succeeded_or_raise
@@ -99,8 +99,9 @@ def frequency_response(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a coordinate is
-            prescribed twice or is fixed, a body that moves has no mass, or the
-            constraints are not independent or not satisfied.
+            prescribed twice or is fixed, a body that moves has no mass, the state is not
+            an equilibrium under the static loads, or the constraints are not independent
+            or not satisfied.
         TypeError: An amplitude is complex. The excitations are in phase; the response to
             excitations that are not is a sum of responses with complex factors.
         RuntimeError: A frequency is a resonance without damping, or a value is not
@@ -132,6 +133,7 @@ def frequency_response(
     rows = stroke_rows(mechanism, strokes) if strokes else None
     system = System.of(mechanism, dofs, static_loads, constraints, time)
     state = state_in_range(mechanism, "about", about)
+    state = require_equilibrium(mechanism, system, state, about, "static_loads")
     response = _frequency_response(
         mechanism, system, values, load_set, rows, targets, state
     )

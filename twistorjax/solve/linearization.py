@@ -17,7 +17,7 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
-from .consistency import consistent, inconsistency
+from .consistency import consistent, inconsistency, require_equilibrium
 from .dofs import DofPartition
 from .factorization import ConstrainedFactors, Elimination, Factors
 from .results import RESULTS
@@ -189,8 +189,9 @@ def linearize(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a coordinate in
-            `prescribed` is fixed, a hinge is outside the validity range of its energy, or
-            the constraints are not independent or not satisfied.
+            `prescribed` is fixed, a hinge is outside the validity range of its energy, the
+            state is not an equilibrium under the loads, or the constraints are not
+            independent or not satisfied.
 
     Example:
         >>> import jax.numpy as jnp
@@ -216,6 +217,7 @@ def linearize(
     is_consistent = consistent(system, displacements)
     if concrete(is_consistent) is not None and not is_consistent:
         raise inconsistency(mechanism, system, displacements)
+    displacements = require_equilibrium(mechanism, system, displacements, about)
     return _linearize(mechanism, system, displacements, is_consistent)
 
 

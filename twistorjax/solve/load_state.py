@@ -19,12 +19,12 @@ class LoadState(NamedTuple):
 
     Args:
         loads: The loads.
-        misfits: The five numbers of the misfit of each hinge; None if there are none.
+        misfits: The six numbers of the misfit of each hinge; None if there are none.
         constraint_forces: Constraint forces; None if there are no constraints; N m, N.
     """
 
     loads: LoadSet
-    misfits: Float[Array | np.ndarray, "hinges 5"] | None
+    misfits: Float[Array | np.ndarray, "hinges 6"] | None
     constraint_forces: Float[Array | np.ndarray, " entries"] | None
 
     @classmethod

@@ -18,7 +18,7 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
-from .consistency import consistent, inconsistency
+from .consistency import consistent, inconsistency, require_equilibrium
 from .dofs import DofPartition
 from .factorization import null_space
 from .results import result_message, RESULTS, succeeded_or_raise
@@ -177,7 +177,8 @@ def state_space(
     Raises:
         ValueError: Double precision is disabled, there are no inputs or outputs, a name
             is unknown, a body that moves has no mass, a load is a follower load, `modes`
-            is invalid, or the constraints are not independent or not satisfied.
+            is invalid, the state is not an equilibrium under the loads, or the
+            constraints are not independent or not satisfied.
         RuntimeError: A value is not finite.
 
     Source:
@@ -235,6 +236,7 @@ def state_space(
     ]
     rows = tuple(_output_dof(mechanism, name, given) for name, given in outputs.items())
     state = state_in_range(mechanism, "about", about)
+    state = require_equilibrium(mechanism, system, state, about)
     names = tuple(inputs), tuple(outputs)
     model = _state_space(mechanism, system, columns, rows, modes or count, state, names)
 
@@ -321,7 +323,7 @@ def _state_space(
     coordinates y of the modes satisfy `y'' + D y' + W y = k u + h u'`.
     """
     free, size = system.free, system.dofs.total
-    angular, shapes = natural_modes(mechanism, system, displacements)
+    angular, shapes, _ = natural_modes(mechanism, system, displacements)
     modal = jnp.zeros((size, shapes.shape[1])).at[free].set(shapes)
     stiffness, jacobian = system.whole_stiffness(displacements)
     tangent = system.hinges.tangent_in_motion(

@@ -45,7 +45,7 @@ class Equilibrium(PoseSolution):
         loads: Sums of the loads on each body. Together with the misfits and the
             constraint forces, they let another solve start at this equilibrium; None for
             a linear response.
-        misfits: The five numbers of the misfit of each hinge; None if there are none.
+        misfits: The six numbers of the misfit of each hinge; None if there are none.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
@@ -64,7 +64,7 @@ class Equilibrium(PoseSolution):
     steps: Count
     range_shares: Float[Array, "*batch hinges"] | None
     loads: LoadSet | None
-    misfits: Float[Array, "*batch hinges 5"] | None
+    misfits: Float[Array, "*batch hinges 6"] | None
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)

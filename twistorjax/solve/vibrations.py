@@ -6,17 +6,18 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._utils.compilation import fast_compile
+from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from .consistency import consistent, inconsistency
+from .consistency import consistent, inconsistency, require_equilibrium
 from .dofs import DofPartition
-from .eigenmodes import modes, Stiffness
+from .eigenmodes import modes, rounding_errors, Stiffness
 from .factorization import null_space
 from .results import (
     count_results,
@@ -117,7 +118,8 @@ def vibrations(
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a body that moves has
             no mass, a load is a follower load, which has no potential, no coordinate is
-            free, or the constraints are not independent or not satisfied.
+            free, the state is not an equilibrium under the loads, or the constraints are
+            not independent or not satisfied.
         RuntimeError: The equilibrium is not stable, or a value is not finite.
 
     Source:
@@ -147,6 +149,7 @@ def vibrations(
             "by constraints. Leave at least one coordinate free."
         )
     state = state_in_range(mechanism, "about", about)
+    state = require_equilibrium(mechanism, system, state, about)
     solution = _vibrations(mechanism, system, state)
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
@@ -164,10 +167,13 @@ class NaturalModes(NamedTuple):
         angular: Angular frequencies, negative for unstable modes; rad/s.
         shapes: Mass-normalized mode shapes, one in each column; rad/(kg^0.5 m),
             1/kg^0.5.
+        unstable: Whether the stiffness of each mode is negative, and not zero within
+            rounding errors.
     """
 
     angular: Float[Array, " modes"]
     shapes: Float[Array, "free modes"]
+    unstable: Bool[Array, " modes"]
 
 
 def natural_modes(
@@ -186,25 +192,31 @@ def natural_modes(
         remainder = remainder + geometric[free[:, None], free]
         jacobian = system.jacobian(displacements)[:, free]
         _, basis = null_space(jacobian / root[None])
-    rows, remainder = rows / root[None], remainder / (root[:, None] * root[None])
+    stiffness = Stiffness(
+        rows / root[None], weights, remainder / (root[:, None] * root[None])
+    )
+    allowed = stiffness
     if basis is not None:
-        rows, remainder = rows @ basis, basis.T @ remainder @ basis
-    angular, vectors = modes(Stiffness(rows, weights, remainder))
+        remainder = basis.T @ stiffness.remainder @ basis
+        allowed = Stiffness(stiffness.rows @ basis, weights, remainder)
+    angular, vectors = modes(allowed)
     angular = jnp.diagonal(angular)
     if basis is not None:
         vectors = basis @ vectors
-    return NaturalModes(angular, vectors / root[:, None])
+    errors = rounding_errors(*stop_gradient((stiffness, vectors)))
+    unstable = (angular < 0) & (angular**2 > errors)
+    return NaturalModes(angular, vectors / root[:, None], unstable)
 
 
 @fast_compile
 def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> Vibrations:
     """Solve the eigenvalue problem of `vibrations`."""
-    angular, vectors = natural_modes(mechanism, system, displacements)
+    angular, vectors, unstable = natural_modes(mechanism, system, displacements)
     is_consistent = consistent(system, displacements)
     finite = jnp.all(jnp.isfinite(angular))
-    stable = angular[0] > -1e-7 * angular[-1]
+    stable = ~jnp.any(unstable)
     frequencies = jnp.maximum(angular, 0.0) / (2 * jnp.pi)
-    frequencies = jnp.where((angular > 0) | stable, frequencies, jnp.nan)
+    frequencies = jnp.where(unstable, jnp.nan, frequencies)
     shapes = jnp.zeros((vectors.shape[1], mechanism.reference.size))
     shapes = shapes.at[:, system.free].set(vectors.T)
     result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)

@@ -7,6 +7,7 @@ import sys
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import twistorjax as tj
 
@@ -38,6 +39,23 @@ def assert_same_dataset(actual, expected):
     import xarray
 
     xarray.testing.assert_identical(actual.drop_attrs(), expected.drop_attrs())
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """Gather the new programs of studies, without those of other tests."""
+    # Not before the plugin of jaxtyping has prepared the import of the package.
+    from twistorjax.sweeps.executor import _programs, Program
+
+    _programs.clear()
+    programs, lower = [], Program.lower
+
+    def counted(self):
+        programs.append(self)
+        lower(self)
+
+    monkeypatch.setattr(Program, "lower", counted)
+    return programs
 
 
 # Start of the code of each process.

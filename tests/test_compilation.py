@@ -1,4 +1,4 @@
-"""Numbers of compiled programs, and programs that JAX can store on disk."""
+"""Numbers of compiled programs, programs on disk, and functions of the user in them."""
 
 import gc
 import json
@@ -9,11 +9,13 @@ import sys
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import twistorjax as tj
 from twistorjax._utils import compilation
 from twistorjax._utils.compilation import fast_compile
+from twistorjax._utils.traced_function import traced, TracedFunction
 from twistorjax.examples import four_bar, stage
 
 
@@ -290,3 +292,146 @@ def test_the_garbage_collection_pauses_only_while_a_program_is_traced():
         doubled(jnp.ones(2))
     assert enabled == [False, False]
     assert gc.isenabled()
+
+
+def block(stiffness=100.0):
+    """Return a block on a spring, which can move along x only."""
+    energy = tj.Quadratic(jnp.diag(jnp.stack([1.0, jnp.asarray(stiffness), 1.0])))
+    hinge = tj.Hinge("spring", "wall", "block", energy, at=(0, 0, 0))
+    bodies = [tj.Body("wall"), tj.Body("block", mass=1.0, inertia=1.0)]
+    fixed = {"wall": ["angle", "x", "y"], "block": ["angle", "y"]}
+    return tj.Mechanism(bodies, [hinge], fixed=fixed)
+
+
+# Value that the following functions use, which are the same in all calls
+VALUE = np.array([0.1])
+
+
+def constant_load(time):
+    return [tj.Load("block", force=(100.0 * VALUE[0], 0.0))]
+
+
+def position_after_half_a_period():
+    """A constant force f on a spring k moves a block to 2 f / k."""
+    settings = {"loads": constant_load, "tolerance": 1e-9}
+    motion = tj.simulate(block(), [0.0, np.pi / 10], **settings)
+    return motion.displacement("block")[-1, 1] / 2
+
+
+def stroke(factor):
+    return {"spring": jnp.stack([0.0, factor * VALUE[0], 0.0])}
+
+
+def distance(point):
+    return point.displacement("block")[1] - VALUE[0] ** 2
+
+
+def load_factor_at_the_end_of_a_path():
+    """A stroke moves a block without a load."""
+    path = tj.path(block(), strokes=stroke, until=distance)
+    return path.load_factors[-1]
+
+
+STOP = tj.Constraint("stop", ["block"], lambda pose, time: pose[1] - VALUE[0])
+
+
+def position_by_a_constraint():
+    return tj.equilibrium(block(), constraints=[STOP]).displacement("block")[1]
+
+
+def scaled_block(stiffness):
+    return block(100.0 * stiffness / VALUE[0])
+
+
+def identified_stiffness():
+    from twistorjax.identification import BodySensor, identify, Parameter, StaticTest
+
+    camera = BodySensor("block", "x", standard_deviation=1e-4)
+    test = StaticTest([[tj.Load("block", force=(1.0, 0.0))]], [camera])
+    start, data = Parameter(0.5, lower=0.0), [test.measurement([[0.01]])]
+    return identify(scaled_block, start, data).estimates
+
+
+def thickness(position):
+    return VALUE[0] + 0.0 * position
+
+
+def thickness_of_a_beam():
+    """The angle of the tip of a cantilever under a moment is M L / (E I)."""
+    material = tj.Material(modulus=12e9, poisson=0.3)
+    beam = tj.flexures.Beam(material, length=1.0, thickness=thickness, width=1.0)
+    solution = tj.flexures.beam_under_load(beam, np.array([1e3, 0.0, 0.0]))
+    return (1e-6 / solution.pose[0]) ** (1 / 3)
+
+
+USES = [
+    position_after_half_a_period, load_factor_at_the_end_of_a_path,
+    position_by_a_constraint, identified_stiffness, thickness_of_a_beam,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_function_of_the_user_has_the_values_at_the_time_of_the_call(use):
+    for number in (0.1, 0.2, 0.1):
+        VALUE[0] = number
+        assert float(use()) == pytest.approx(number, rel=1e-6)
+
+
+def test_functions_that_compute_the_same_share_compiled_programs():
+    programs = []
+
+    @fast_compile
+    def evaluated(function, position):
+        programs.append(function)
+        return function(position)
+
+    def function(factor, exponent=2):
+        return traced(lambda x: factor * x**exponent, jnp.zeros(()))
+
+    position = jnp.asarray(3.0)
+    assert evaluated(function(2.0), position) == 18.0
+    assert evaluated(function(2.0), position) == 18.0
+    assert len(programs) == 1
+    assert evaluated(function(4.0), position) == 36.0  # a number is in the program
+    assert len(programs) == 2
+    for factor in (1.0, 2.0, 4.0):  # an array is an argument of the program
+        assert evaluated(function(np.array(factor)), position) == 9 * factor
+    assert len(programs) == 3
+    assert evaluated(function(np.array(1.0), exponent=3), position) == 27.0
+    assert len(programs) == 4
+    assert traced(jnp.sin) is jnp.sin
+    assert isinstance(traced(lambda x: x), TracedFunction)
+
+
+def test_functions_with_other_derivative_rules_are_different_programs():
+    """The derivative of x^2 times a factor, which only the rule contains."""
+
+    def square_with_rule(factor):
+        @jax.custom_jvp
+        def square(x):
+            return x**2
+
+        square.defjvps(lambda tangent, _, x: factor * 2 * x * tangent)
+        return square
+
+    @jax.jit
+    def slope(function, position):
+        return jax.grad(function)(position)
+
+    for factor in (1.0, 3.0):
+        square = traced(square_with_rule(factor), jnp.zeros(()))
+        assert slope(square, 2.0) == 4 * factor
+
+
+def test_a_traced_function_is_differentiated_by_what_it_contains():
+    def slope(factor):
+        def sum_and_others(x):
+            return {"sum": factor * x, "name": "a", "number": jnp.asarray(3.0)}
+
+        function = traced(sum_and_others, jnp.zeros(()))
+        result = jax.vmap(lambda x: function(x)["sum"])(jnp.arange(4.0))
+        assert function(1.0)["name"] == "a"
+        assert isinstance(function(1.0)["number"], jax.Array)
+        return jnp.sum(result)
+
+    assert jax.grad(slope)(2.0) == 6.0

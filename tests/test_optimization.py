@@ -14,7 +14,7 @@ from optimization_helpers import (
     WIDTH,
 )
 from scipy.stats import norm
-from sweep_helpers import pulled_block
+from sweep_helpers import compiled as compiled, pulled_block
 
 import twistorjax as tj
 from twistorjax.sweeps import optimize_cases
@@ -248,18 +248,26 @@ def test_cases_are_points_of_the_pareto_front():
     assert [float(each.parameters["modulus"]) for each in front] == moduli
 
 
-def test_study_is_traced_once_for_all_calls():
-    traces = []
+def test_study_is_compiled_once_for_all_calls(compiled):
+    tj.optimize(leaf_spring, leaf_parameters(), starts=4, **LEAF)
+    limits = {"stress": tj.Limit(upper=100e6)}
+    options = {"starts": 4, "maximize": "stiffness", "limits": limits}
+    tj.optimize(lambda design: leaf_spring(design), leaf_parameters(), **options)
+    assert len(compiled) == 1
+
+
+def test_study_uses_the_values_at_the_time_of_the_call():
+    """The smallest value of (x - c)^2 is at c."""
+    center = np.zeros(())
 
     def study(design):
-        traces.append(design)
-        return leaf_spring(design)
+        return {"distance": (design["x"] - center) ** 2}
 
-    tj.optimize(study, leaf_parameters(), starts=4, **LEAF)
-    first = len(traces)
-    limits = {"stress": tj.Limit(upper=100e6)}
-    tj.optimize(study, leaf_parameters(), starts=4, maximize="stiffness", limits=limits)
-    assert first > 0 and len(traces) == first
+    for value in (1.0, 2.0):
+        center.fill(value)
+        parameters = {"x": tj.Parameter(0.5, lower=0.0, upper=5.0)}
+        optimum = tj.optimize(study, parameters, minimize="distance")
+        assert float(optimum.parameters["x"]) == pytest.approx(value, abs=1e-4)
 
 
 def test_finished_searches_are_not_repeated(tmp_path, monkeypatch):

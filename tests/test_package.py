@@ -32,12 +32,6 @@ def test_every_package_has_a_docstring_about_its_purpose(path):
     assert len(docstring.split()) >= 15
 
 
-def test_no_file_has_more_than_400_lines():
-    tests = pathlib.Path(__file__).parent.glob("*.py")
-    lengths = {path.name: len(path.read_text().splitlines()) for path in [*FILES, *tests]}
-    assert not {name for name, length in lengths.items() if length > 400}
-
-
 def test_importing_does_not_change_settings_of_jax():
     """Packages that take long to load are imported when they are used."""
     code = (

@@ -114,6 +114,19 @@ def test_a_store_is_rejected_if_a_constant_of_the_study_has_changed(tmp_path):
         tj.sweep(scaled(changed), SIDES, store=path, resume=True)
 
 
+def test_a_store_is_rejected_if_a_value_that_the_study_uses_has_changed(tmp_path):
+    factors = np.ones(2)
+
+    def study(design):
+        return design["a"] * factors[0]
+
+    tj.sweep(study, SIDES, store=tmp_path / "s.zarr")
+    tj.sweep(study, SIDES, store=tmp_path / "s.zarr", resume=True)
+    factors[0] = 2.0
+    with pytest.raises(ValueError, match="differs in the program"):
+        tj.sweep(study, SIDES, store=tmp_path / "s.zarr", resume=True)
+
+
 def test_a_store_is_rejected_if_units_have_changed(tmp_path):
     path = tmp_path / "s.zarr"
     tj.sweep(area, SIDES, store=path)

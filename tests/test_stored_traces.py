@@ -2,6 +2,14 @@
 
 import enum
 import functools
+import os
+import pickle
+import random
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -11,17 +19,22 @@ import pytest
 from jax.core import Tracer
 
 import twistorjax as tj
-from twistorjax._utils import compiled_gradient, stored_traces
+from twistorjax._utils import compiled_gradient, stored_traces, trace_folder
 from twistorjax._utils.canonical_text import canonical_text, NoCanonicalTextError
+from twistorjax._utils.result_structure import from_text, to_text
+from twistorjax._utils.trace_folder import TraceFolder
+from twistorjax.flexures.beam import uniform
+from twistorjax.mechanism.hinge_changes import Temperature
 
 
 TIMES = [0.0, 0.02, 0.05]
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, monkeypatch):
     """Store traces in a folder of the test, and trace all functions anew."""
     jax.clear_caches()
+    monkeypatch.setattr(trace_folder, "_warned", False)
     before = stored_traces._folder
     stored_traces.store_traces_in(tmp_path / "traces")
     yield tmp_path / "traces"
@@ -150,16 +163,184 @@ def test_another_option_of_jax_or_another_version_is_another_trace(
     assert len(traced) == 3
 
 
-@pytest.mark.parametrize("content", [b"", b"no trace", None])
-def test_a_damaged_trace_is_replaced(content, folder, traced):
+class Intruder:
+    """An object that creates a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+DAMAGES = {
+    "empty": lambda content: b"",
+    "text": lambda content: b"no trace",
+    "half": lambda content: content[: len(content) // 2],
+    "bit": lambda content: content[:-9] + bytes([content[-9] ^ 16]) + content[-8:],
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_trace_is_replaced(name, folder, traced):
     expected = push(oscillator())
     (file,) = folder.iterdir()
     whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    file.write_bytes(DAMAGES[name](whole))
     jax.clear_caches()
     assert_same(push(oscillator()), expected)
     assert len(traced) == 2
     assert len(file.read_bytes()) == len(whole)
+
+
+KEY, OTHER_KEY = 64 * "a", 64 * "b"
+
+
+def test_no_flipped_bit_and_no_part_of_a_file_is_read(tmp_path):
+    folder = TraceFolder(tmp_path)
+    content = random.Random(0).randbytes(200)
+    folder.write(KEY, content)
+    file = tmp_path / KEY
+    whole = file.read_bytes()
+    for position in range(8 * len(whole)):
+        damaged = bytearray(whole)
+        damaged[position // 8] ^= 1 << position % 8
+        file.write_bytes(damaged)
+        assert folder.read(KEY) is None
+    for size in range(len(whole)):
+        file.write_bytes(whole[:size])
+        assert folder.read(KEY) is None
+    (tmp_path / OTHER_KEY).write_bytes(whole)  # the trace of another function
+    assert folder.read(OTHER_KEY) is None
+    file.write_bytes(whole)
+    assert folder.read(KEY) == content
+
+
+def test_a_file_of_others_is_never_executed_even_with_a_right_digest(folder, tmp_path):
+    expected = push(oscillator())
+    (file,) = folder.iterdir()
+    created = tmp_path / "executed"
+    attack = pickle.dumps(Intruder(created))
+    pickle.loads(attack)
+    created.unlink()  # It would have worked.
+    writer = TraceFolder(folder)
+    for content in (attack, b'["posix:system", ["touch"]]\n' + attack):
+        writer.write(file.name, content)
+        assert writer.read(file.name) == content
+        jax.clear_caches()
+        assert_same(push(oscillator()), expected)
+        assert not created.exists()
+        assert writer.read(file.name) != content  # replaced by a trace
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '["name", "os:system"]', '["os:stat_result", [1]]', '["name", "jax.numpy:sin"]',
+        '["partial", ["f", [], {}]]', '["twistorjax:Load", {"unknown": 1}]',
+        '["twistorjax.solve.path_program:PathRun", [1]]', '["list"]', "[", "", "[1, 2]",
+    ],
+)  # fmt: skip
+def test_only_known_classes_are_read_from_a_text(text):
+    with pytest.raises((ValueError, AttributeError, TypeError)):
+        from_text(text)
+
+
+def test_a_result_is_recovered_from_its_text():
+    value = (
+        None,
+        True,
+        1,
+        -0.0,
+        float("inf"),
+        "ö\n",
+        [1.5],
+        {"a": (), 2: frozenset("a")},
+    )
+    temperature = Temperature(5.0, hinges={"heater": 200.0}, bodies={}, gradients={})
+    placeholder = stored_traces._Placeholder(3, weak=True)
+    thickness = jax.tree_util.Partial(uniform, placeholder)
+    everything = value, tj.Load, temperature, [placeholder, thickness]
+    recovered = from_text(to_text(everything))
+    assert repr(recovered) == repr(everything)
+    assert recovered[1] is tj.Load and type(recovered[2]) is Temperature
+    for unknown in (Color.RED, Color, object(), push, {1, 2}, np.zeros(1)):
+        with pytest.raises(NoCanonicalTextError):
+            to_text((1, unknown))
+
+
+posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions of POSIX")
+
+
+@posix
+@pytest.mark.parametrize("unsafe", ["owner", "file", "folder"])
+def test_what_others_may_have_written_is_read_only_if_asked_for(
+    unsafe, folder, traced, monkeypatch
+):
+    expected = push(oscillator())
+    (file,) = folder.iterdir()
+    if unsafe == "owner":
+        own = os.geteuid()
+        monkeypatch.setattr(os, "geteuid", lambda: own + 1)
+    else:
+        (file if unsafe == "file" else folder).chmod(0o777)
+    jax.clear_caches()
+    stored_traces.store_traces_in(folder, shared=True)
+    assert_same(push(oscillator()), expected)
+    assert len(traced) == 1
+    jax.clear_caches()
+    stored_traces.store_traces_in(folder)
+    if unsafe == "file":  # Its folder is safe, so that it is replaced.
+        assert_same(push(oscillator()), expected)
+        assert not file.stat().st_mode & 0o022
+    else:
+        with pytest.warns(UserWarning, match="another user owns this folder or") as found:
+            assert_same(push(oscillator()), expected)
+            tj.vibrations(oscillator())
+        assert len(found) == 1
+    assert len(traced) == (2 if unsafe == "file" else 3)
+
+
+@posix
+def test_other_users_may_read_a_shared_folder_and_write_as_into_its_parent(tmp_path):
+    for mode, shared, expected in ((0o2775, True, 0o2775), (0o2775, False, 0o755)):
+        parent = tmp_path / str(shared)
+        parent.mkdir()
+        parent.chmod(mode)
+        TraceFolder(parent / "traces", shared=shared).write(KEY, b"content")
+        assert (parent / "traces").stat().st_mode & 0o777 == expected & 0o777
+        assert (parent / "traces" / KEY).stat().st_mode & 0o777 == 0o644
+
+
+def test_traces_in_a_read_only_folder_are_used(folder, traced, monkeypatch):
+    expected = push(oscillator())
+
+    def fail(*_, **__):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "utime", fail)
+    monkeypatch.setattr(trace_folder.tempfile, "mkstemp", fail)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
+    jax.clear_caches()
+    assert_same(push(oscillator()), expected)
+    assert len(traced) == 1
+    tj.vibrations(oscillator())  # is not stored, without a warning
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_a_full_disk_leaves_no_files_and_is_reported_once(tmp_path, monkeypatch):
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(trace_folder, "_warned", False)
+    folder, before = TraceFolder(tmp_path), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.warns(UserWarning, match="File too large") as found:
+            for key in (KEY, OTHER_KEY):
+                folder.write(key, bytes(2000))
+        assert len(found) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_oldest_traces_are_deleted(folder):
@@ -171,11 +352,116 @@ def test_the_oldest_traces_are_deleted(folder):
     assert second != first
 
 
-def test_a_folder_that_cannot_be_written_is_reported(tmp_path, folder):
+def test_files_of_killed_processes_count_and_are_deleted_when_they_are_old(tmp_path):
+    folder = TraceFolder(tmp_path, size=1000)
+    file_of_the_user = tmp_path / "data.csv"
+    file_of_the_user.write_bytes(bytes(5000))
+    old, new = tmp_path / "tmpabcdefg1", tmp_path / "tmpabcdefg2"
+    for path in (old, new):
+        path.write_bytes(bytes(500))
+    day_before = time.time() - 86_400
+    os.utime(old, (day_before, day_before))
+    folder.write(KEY, bytes(300))
+    assert not old.exists() and new.exists() and (tmp_path / KEY).exists()
+    folder.write(OTHER_KEY, bytes(300))  # There is no room for both.
+    assert not (tmp_path / KEY).exists() and (tmp_path / OTHER_KEY).exists()
+    folder.write(KEY, bytes(600))  # There is room for nothing else.
+    folder.write(KEY, bytes(1000))
+    assert {path.name for path in tmp_path.iterdir()} == {new.name, "data.csv"}
+
+
+def test_many_writers_at_the_same_time_stay_below_the_limit(tmp_path):
+    folder = TraceFolder(tmp_path, size=5000)
+    keys = [64 * letter for letter in "abcdef"]
+
+    def write(seed):
+        for key in random.Random(seed).choices(keys, k=30):
+            folder.write(key, key.encode() * 20)
+            assert folder.read(key) in (None, key.encode() * 20)
+
+    threads = [threading.Thread(target=write, args=(seed,)) for seed in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    files = list(tmp_path.iterdir())
+    assert 1 <= len(files) <= 3 and sum(file.stat().st_size for file in files) <= 5000
+    assert {file.name for file in files} <= set(keys)
+
+
+def test_a_folder_that_cannot_be_written_is_reported_once(tmp_path, folder):
     (tmp_path / "file").write_text("")
     stored_traces.store_traces_in(tmp_path / "file" / "traces")
-    with pytest.warns(UserWarning, match=r"A traced function was not stored in '.*file"):
+    message = r"A traced function was not stored in '.*file"
+    with pytest.warns(UserWarning, match=message) as found:
         assert push(oscillator()).displacement("block")[1] == pytest.approx(0.01)
+        tj.vibrations(oscillator())
+    assert len(found) == 1
+
+
+WITHOUT_INTERNALS = """
+import sys, equinox, diffrax, jax, jax.core, jax.export, jax.extend.core
+import jax.extend.mlir.dialects, jax.interpreters.mlir as mlir, jax.interpreters.ad as ad
+{remove}
+import numpy as np, twistorjax as tj
+tj.configure(cache={cache!r})
+hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(np.eye(3)), at=(0, 0, 0))
+guide = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])
+solution = tj.equilibrium(guide, loads=[tj.Load("block", force=(0.1, 0.0))])
+print(solution.displacement("block"))
+"""
+
+
+@pytest.mark.parametrize(
+    "remove",
+    [
+        "del ad.Zero, mlir.merge_mlir_modules, jax.export",
+        "sys.modules |= dict.fromkeys(['jax.extend', 'jax.export', mlir.__name__])",
+    ],
+)
+def test_the_library_works_without_the_internals_of_jax(remove, tmp_path):
+    code = WITHOUT_INTERNALS.format(remove=remove, cache=str(tmp_path))
+    process = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True, text=True, check=False,
+        env={**os.environ, "JAX_COMPILATION_CACHE_DIR": ""},
+    )  # fmt: skip
+    assert process.stderr == ""
+    assert process.stdout.split() == ["[0.", "0.1", "0.", "]"]
+
+
+@pytest.mark.parametrize(
+    "remove",
+    [
+        (jax.export, "export"), (jax.export, "deserialize"), (type(jax.config), "values"),
+        (jax.lax, "convert_element_type_p"), (stored_traces, "call_program"),
+    ],
+)  # fmt: skip
+def test_an_internal_of_jax_that_has_changed_is_not_used(remove, folder, monkeypatch):
+    push(oscillator())
+    jax.clear_caches()
+    monkeypatch.setattr(*remove, None)
+    assert push(oscillator()).displacement("block")[1] == pytest.approx(0.01)
+
+
+def test_a_cache_folder_that_cannot_be_created_is_reported_once(tmp_path):
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: getattr(jax.config, name) for name in names}
+    folder = stored_traces._folder
+    (tmp_path / "file").write_text("")
+    try:
+        with pytest.warns(
+            UserWarning, match="cannot be used: .* Nothing is sto"
+        ) as found:
+            tj.configure(
+                cache=tmp_path / "file", fast_compilation=False, fast_loops=False
+            )
+        assert len(found) == 1
+        assert stored_traces._folder is None and not getattr(jax.config, names[0])
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
+        stored_traces._folder = folder
 
 
 def test_an_error_of_a_function_that_is_traced_is_raised_once(folder):

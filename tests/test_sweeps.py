@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from sweep_helpers import area, pulled_block, SIDES, spring
+from sweep_helpers import area, compiled as compiled, pulled_block, SIDES, spring
 
 import twistorjax as tj
 from twistorjax.examples import stage
@@ -188,17 +189,120 @@ def test_an_accelerator_evaluates_larger_chunks_in_more_memory(
     assert default_memory(mesh) == memory
 
 
-def test_a_study_is_compiled_once_for_several_sweeps():
-    calls = []
+def test_a_study_is_compiled_once_for_several_sweeps(compiled):
+    for start in (0.0, 1.0, 2.0):
+        # A new function that computes the same is the same program.
+        table = tj.sweep(lambda design: design["a"], {"a": np.linspace(start, 5, 10)})
+        np.testing.assert_array_equal(table.output, table.a)
+    assert len(compiled) == 1
+
+
+def test_a_new_study_that_solves_the_same_mechanism_is_not_compiled_again(compiled):
+    """Neither with derivatives, which have rules of their own, nor with callbacks."""
+    designs = {"k": np.linspace(50.0, 150.0, 3), "force": np.ones(3)}
+    for derivatives in ((), ("travel",)):
+        for _ in range(2):
+            tj.sweep(lambda d: pulled_block(d), designs, derivatives=derivatives)
+        assert len(compiled) == (2 if derivatives else 1)
+
+    def raising(design):
+        loads = [tj.Load("block", (0.0, design["force"], 0.0))]
+        return tj.equilibrium(spring(design), loads=loads).displacement("block")[1]
+
+    for _ in range(2):
+        np.testing.assert_allclose(tj.sweep(raising, designs).output, 1 / designs["k"])
+    assert len(compiled) == 3
+
+
+FACTOR = 1.0
+
+
+class Model:
+    """A study with a constant."""
+
+    def __init__(self):
+        self.factor = 1.0
+
+    def study(self, design):
+        return design["a"] * self.factor
+
+
+def global_number():
+    def change(value):
+        global FACTOR
+        FACTOR = value
+
+    return lambda design: design["a"] * FACTOR, change
+
+
+def array_in_closure():
+    factors = np.ones(3)
+    return lambda design: design["a"] * factors[1], lambda value: factors.fill(value)
+
+
+def whole_array_in_closure():
+    factors = np.ones(3)
+    return lambda design: design["a"] * factors, lambda value: factors.fill(value)
+
+
+def nested_function():
+    factors = [1.0]
+
+    def inner(value):
+        return value * factors[0]
+
+    return lambda design: inner(design["a"]), lambda value: factors.__setitem__(0, value)
+
+
+def attribute():
+    model = Model()
+    return model.study, lambda value: setattr(model, "factor", value)
+
+
+def argument_of_partial():
+    factors = np.ones(3)
+
+    def study(factors, design):
+        return design["a"] * factors
+
+    return partial(study, factors), lambda value: factors.fill(value)
+
+
+def default_argument():
+    factors = np.ones(())
+
+    def study(design, factors=factors):
+        return design["a"] * factors
+
+    return study, lambda value: factors.fill(value)
+
+
+def stiffness_of_a_mechanism():
+    model = Model()
 
     def study(design):
-        calls.append(1)
-        return design["a"]
+        load = tj.Load("block", (0.0, model.factor * design["a"], 0.0))
+        fixed = {"k": jnp.asarray(1.0)}
+        return tj.equilibrium(spring(fixed), loads=[load]).displacement("block")[1]
 
-    for start in (0.0, 1.0, 2.0):
-        table = tj.sweep(study, {"a": np.linspace(start, 5, 10)})
-        np.testing.assert_array_equal(table.output, table.a)
-    assert len(calls) == 1
+    return study, lambda value: setattr(model, "factor", value)
+
+
+CHANGES = [
+    global_number, array_in_closure, whole_array_in_closure, nested_function, attribute,
+    argument_of_partial, default_argument, stiffness_of_a_mechanism,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("create", CHANGES)
+def test_a_study_uses_the_values_at_the_time_of_the_call(create, compiled):
+    study, change = create()
+    for value in (1.0, 2.0, 1.0, 2.0):
+        change(value)
+        table = tj.sweep(study, {"a": np.array([1.0, 3.0])})
+        mean = np.asarray(table.output).reshape(2, -1).mean(axis=1)
+        np.testing.assert_allclose(mean, [value, 3 * value])
+    assert len(compiled) == 2  # Earlier programs are used again.
 
 
 def test_lists_and_integers_are_parameters():

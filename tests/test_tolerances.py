@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import norm
+from sweep_helpers import compiled as compiled
 
 import twistorjax as tj
 from twistorjax.examples.sweep_studies import stage_gain
@@ -244,18 +245,27 @@ def test_tolerances_need_double_precision():
         tj.sweeps.tolerances(cube, {"x": tj.sweeps.Normal(1.0, 0.1)})
 
 
-def test_a_study_is_compiled_once_for_several_means():
-    calls = []
-
+def test_a_study_is_compiled_once_for_several_means(compiled):
     def study(design):
-        calls.append(design)
         return design["x"] * design["y"]
 
-    counts = []
     for mean in (1.0, 2.0):
         tj.sweeps.tolerances(study, {"x": tj.sweeps.Normal(mean, 0.1), "y": 3.0})
-        counts.append(len(calls))
-    assert counts[0] == counts[1]
+    assert len(compiled) == 1
+
+
+def test_a_study_uses_the_values_at_the_time_of_the_call():
+    """The standard deviation of a multiple is that of the variable times the factor."""
+    factors = np.zeros(1)
+
+    def study(design):
+        return design["x"] * factors[0]
+
+    for factor in (1.0, 2.0):
+        factors[0] = factor
+        found = tj.sweeps.tolerances(study, {"x": tj.sweeps.Normal(1.0, 0.1)})
+        assert found.first_order_standard_deviation == pytest.approx(0.1 * factor)
+        assert found.mean == pytest.approx(factor, rel=1e-3)
 
 
 def test_sampled_designs_show_what_the_first_order_formula_misses():

@@ -94,7 +94,7 @@ class _Writer:
         self.add(f"dtype {dtype.name}")
 
     def _write_object(self, value: Any) -> None:
-        name = _importable_name(value)
+        name = importable_name(value)
         if name is not None:
             self.add(f"name {name}")
         elif isinstance(value, types.FunctionType):
@@ -128,7 +128,7 @@ class _Writer:
             self.write(getattr(function, "__wrapped__", None))
             return
         code = function.__code__
-        if module.partition(".")[0] not in _PACKAGES:
+        if not is_known_module(module):
             raise NoCanonicalTextError(f"{module}.{function.__qualname__}")
         # Several functions may be in one line.
         constants = [value for value in code.co_consts if type(value) in _PLAIN]
@@ -154,13 +154,18 @@ class _Writer:
         self.add(")")
 
 
-def _importable_name(value: Any) -> str | None:
+def is_known_module(name: str) -> bool:
+    """Decide whether a module belongs to a package whose version is in the keys."""
+    return name.partition(".")[0] in _PACKAGES
+
+
+def importable_name(value: Any) -> str | None:
     """Return the name of a function or class of a package."""
     module = getattr(value, "__module__", None)
     qualified_name = getattr(value, "__qualname__", None)
     if not isinstance(module, str) or not isinstance(qualified_name, str):
         return None
-    if module.partition(".")[0] not in _PACKAGES:
+    if not is_known_module(module):
         return None
     found: Any = sys.modules.get(module)
     for name in qualified_name.split("."):

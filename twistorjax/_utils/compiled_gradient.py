@@ -9,13 +9,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import ShapedArray
-from jax.interpreters import ad
 from jaxtyping import Array
 
 from .canonical_text import canonical_text, NoCanonicalTextError
 from .compilation import fast_compile
 from .host import is_traced
+
+
+try:
+    from jax.core import ShapedArray
+    from jax.interpreters.ad import Zero
+except ImportError:  # The internals of JAX have changed.
+    ShapedArray = Zero = None
 
 
 def fast_compile_with_gradient(function: Callable) -> Callable:
@@ -92,12 +97,17 @@ def _linearize(function: Callable, perturbed: Any, arguments: tuple) -> tuple[An
 
 
 def _with_zeros(gradient: Any, value: Any) -> Any:
-    """Replace the gradients that are None by zeros whose products are not computed."""
+    """Replace the gradients that are None by zeros.
+
+    Products with symbolic zeros, if JAX has them, are not computed.
+    """
 
     def zero(shape: Any, part: Any) -> Any:
         if part is not None:
             return part
-        return ad.Zero(ShapedArray(shape.shape, shape.dtype))
+        if Zero is None or ShapedArray is None:
+            return jnp.zeros(shape.shape, shape.dtype)
+        return Zero(ShapedArray(shape.shape, shape.dtype))
 
     return jax.tree.map(zero, eqx.filter(value, _is_inexact), gradient)
 

@@ -1,5 +1,9 @@
 """Settings of JAX for this library."""
 
+import contextlib
+import math
+import os
+import warnings
 from pathlib import Path
 
 import jax
@@ -12,6 +16,7 @@ def configure(
     *,
     cache: bool | str | Path = True,
     cache_size: int = 10**9,
+    shared_cache: bool = False,
     fast_compilation: bool = True,
     fast_loops: bool = True,
 ) -> None:
@@ -38,6 +43,11 @@ def configure(
             its limit of compiled programs.
         cache_size: Largest size of the folder; bytes. The programs that have not been
             used for the longest time are deleted first.
+        shared_cache: Whether several users share the folder. Whoever may write into it
+            can then change your results and run any code with your permissions. By
+            default, traced functions are loaded only if nobody but you may change them;
+            JAX does not check this for its compiled programs. The size of a shared folder
+            has no limit.
         fast_compilation: Whether XLA compiles programs without its fusion emitters, which
             takes about 40 % less time. The programs of this library run as fast; those of
             other libraries may be slower. JAX 0.11 does not have this option.
@@ -61,18 +71,48 @@ def configure(
         add_xla_option(FAST_COMPILATION)
     if fast_loops:
         add_xla_option(FAST_LOOPS)
+    folder = getattr(jax.config, "jax_compilation_cache_dir", None)
     if cache is False:
         store_traces_in(None)
-        return
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    folder = getattr(jax.config, "jax_compilation_cache_dir", None)
-    if cache is not True or not folder:
-        import platformdirs
-
-        default = platformdirs.user_cache_path("twistorjax") / "programs"
-        folder = default if cache is True else cache
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_compilation_cache_max_size", cache_size * 9 // 10)
-        store_traces_in(Path(folder) / "traces", cache_size // 10)
+    elif cache is not True or not folder:
+        _use_folder(cache, cache_size, shared_cache)
     elif "://" not in folder:  # JAX also accepts the address of a storage service.
-        store_traces_in(Path(folder) / "traces")
+        with contextlib.suppress(OSError):  # JAX reports it.
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            store_traces_in(Path(folder) / "traces", shared=shared_cache)
+        _store_short_programs(Path(folder))
+
+
+def _use_folder(cache: bool | str | Path, size: int, shared: bool) -> None:
+    """Store programs and traces in a folder, or nowhere if it cannot be created."""
+    import platformdirs
+
+    default = platformdirs.user_cache_path("twistorjax") / "programs"
+    folder = default if isinstance(cache, bool) else Path(cache)
+    try:
+        if folder is default and not folder.is_absolute():
+            raise FileNotFoundError("the user has no home folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        is_own = not hasattr(os, "geteuid") or folder.stat().st_uid == os.geteuid()
+    except OSError as error:
+        warnings.warn(
+            f"The cache folder {str(folder)!r} cannot be used: {error}. Nothing is "
+            "stored. `cache` can be another folder, or False.",
+            stacklevel=3,
+        )
+        jax.config.update("jax_compilation_cache_dir", None)
+        store_traces_in(None)
+        return
+    # To limit its size, JAX writes into files that belong to the first user.
+    limited = is_own and not shared and os.access(folder, os.W_OK)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_max_size", size * 9 // 10 if limited else -1)
+    _store_short_programs(folder)
+    store_traces_in(folder / "traces", size // 10, shared=shared)
+
+
+def _store_short_programs(folder: Path) -> None:
+    """Let JAX store all programs, also short ones; none if the folder is read-only."""
+    read_only = folder.is_dir() and not os.access(folder, os.W_OK)
+    shortest = math.inf if read_only else 0.0  # of the stored programs; s
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", shortest)

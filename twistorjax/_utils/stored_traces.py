@@ -2,7 +2,8 @@
 
 JAX's cache of compiled programs saves the compilation, but a new process traces each
 function before it finds the program, which takes most of the time that is left. A stored
-trace is a program of `jax.export`, and the structure of its result.
+trace is a program of `jax.export`, and the structure of its result. If a trace cannot be
+stored or loaded, for whatever reason, the function is traced.
 """
 
 import contextlib
@@ -10,25 +11,26 @@ import functools
 import hashlib
 import math
 import os
-import pickle
-import tempfile
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-from jax.core import ShapedArray, Tracer
-from jax.extend.core import Primitive
-from jax.extend.mlir import ir
-from jax.extend.mlir.dialects import func
-from jax.interpreters import mlir
+from jax.core import Tracer
 
 from .canonical_text import canonical_text, NoCanonicalTextError
 from .host import is_traced
+from .result_structure import from_text, to_text
+from .trace_folder import TraceFolder
+
+
+try:
+    from .program_call import call_program
+except (ImportError, AttributeError):  # The internals of JAX have changed.
+    call_program = None
 
 
 # What a trace depends on, besides the sources of this package
@@ -36,33 +38,25 @@ _DISTRIBUTIONS = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax",
 _NO_INFLUENCE = ("cache", "compilation", "log", "traceback", "dump")
 
 
-class _Folder(NamedTuple):
-    """Where traces are stored.
-
-    Args:
-        path: The folder.
-        size: Largest total size of its files; infinite without a limit; bytes.
-    """
-
-    path: Path
-    size: int | float
+_folder: TraceFolder | None = None
 
 
-_folder: _Folder | None = None
-
-
-def store_traces_in(path: Path | None, size: int | float = math.inf) -> None:
+def store_traces_in(
+    path: Path | None, size: int | float = math.inf, *, shared: bool = False
+) -> None:
     """Choose the folder of the traces.
 
     Args:
         path: The folder, or None if no traces are stored.
         size: Largest total size of its files, by default without a limit; bytes. The
             traces that have not been used for the longest time are deleted first.
+        shared: Whether traces are loaded that other users may have stored.
     """
     global _folder
-    _folder = None if path is None else _Folder(path, size)
-    if path is not None:
-        _environment()  # before the sources may change
+    _folder = None
+    # The sources are read now, because they may change while the process runs.
+    if path is not None and call_program is not None and _environment() is not None:
+        _folder = TraceFolder(path, size, shared)
 
 
 def stored(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -80,13 +74,13 @@ def stored(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def loaded_or_traced(*arguments: Any, **settings: Any) -> Any:
-        inputs = list(filter(is_traced, jax.tree.leaves((arguments, settings))))
-        if _folder is None or not inputs or jax.device_count() > 1:
+        is_program = is_traced((arguments, settings)) and jax.device_count() == 1
+        if _folder is None or not is_program:
             return function(*arguments, **settings)
-        trace = _load_or_trace(_folder, function, arguments, settings)
-        if trace is None:
-            return function(*arguments, **settings)
-        return trace.call(inputs)
+        # An error of the function is raised again below; others are of changes in JAX.
+        with contextlib.suppress(Exception):
+            return _load_or_trace(_folder, function, arguments, settings)
+        return function(*arguments, **settings)
 
     return loaded_or_traced
 
@@ -117,11 +111,11 @@ class _Trace(NamedTuple):
     """A traced function.
 
     Args:
-        program: Program of the arrays.
+        program: Program of the arrays, as `jax.export` returns it.
         result: Result of the function, with placeholders instead of arrays.
     """
 
-    program: jax.export.Exported
+    program: Any
     result: Any
 
     @classmethod
@@ -152,70 +146,43 @@ class _Trace(NamedTuple):
         export = jax.export.export(jax.jit(program), disabled_checks=[any_call])
         return cls(export(*map(_shape, leaves)), results[0])
 
+    @classmethod
+    def from_bytes(cls, content: bytes) -> "_Trace":
+        """Read a trace that `to_bytes` has returned."""
+        structure, program = content.split(b"\n", 1)
+        return cls(jax.export.deserialize(bytearray(program)), from_text(structure))
+
+    def to_bytes(self) -> bytes:
+        """Convert a trace to bytes, unless its result has no text."""
+        text = to_text(self.result).encode()
+        return b"\n".join((text, bytes(self.program.serialize())))
+
     def call(self, inputs: Sequence[Any]) -> Any:
         """Compute the result of the function."""
-        values = _call.bind(*inputs, program=self.program)
+        assert call_program is not None
+        values = call_program(self.program, inputs)
         return jax.tree.map(
             lambda leaf: leaf.value(values) if isinstance(leaf, _Placeholder) else leaf,
             self.result,
         )
 
 
-# The results of `Exported.call` are committed to a device, and JAX compiles a function
-# again for committed arguments. This call leaves them uncommitted.
-_call = Primitive("call_stored_trace")
-_call.multiple_results = True
-
-
-@_call.def_abstract_eval
-def _shapes_of_results(*_: Any, program: jax.export.Exported) -> list[ShapedArray]:
-    """Return the shapes of the results of a stored program."""
-    return [ShapedArray(result.shape, result.dtype) for result in program.out_avals]
-
-
-def _insert_program(
-    context: mlir.LoweringRuleContext, *arguments: Any, program: jax.export.Exported
-) -> Sequence[Any]:
-    """Insert a stored program into the one that JAX is lowering, and call it."""
-    if b"lapack" in program.mlir_module_serialized:
-        # Only `Exported.call` prepares calls of LAPACK. It does so for each program, and
-        # imports `scipy.linalg`, which takes a third of the time of `import jax`.
-        by_jax = mlir.lower_fun(lambda *values: program.call(*values))
-        return by_jax(context, *arguments)
-    module = program.mlir_module(serialized=False)
-    main: Any = ir.SymbolTable(module.operation)["main"]
-    outer = context.module_context
-    name = mlir.merge_mlir_modules(
-        outer.module, program.fun_name, module, dst_symtab=outer.symbol_table
-    )
-    used = [arguments[index] for index in program.module_kept_var_idx]
-    called = ir.FlatSymbolRefAttr.get(name)
-    call = func.CallOp(main.type.results, called, used)  # pyright: ignore
-    return call.results
-
-
-mlir.register_lowering(_call, _insert_program)
-
-
 def _load_or_trace(
-    folder: _Folder, function: Callable[..., Any], arguments: tuple, settings: dict
-) -> _Trace | None:
-    """Load a trace, or trace a function and store the trace; None if it cannot be stored.
-
-    The errors of the function are not raised.
-    """
-    try:
-        key = _key(function, arguments, settings)
-    except NoCanonicalTextError:
-        return None
-    trace = _load(folder.path / key)
-    if trace is None:
-        try:
-            trace = _Trace.of(function, arguments, settings)
-        except (ValueError, NotImplementedError):  # of the function, or of JAX
-            return None
-        _save(folder, key, trace)
-    return trace
+    folder: TraceFolder, function: Callable[..., Any], arguments: tuple, settings: dict
+) -> Any:
+    """Call a function by its stored trace; otherwise trace it, and store the trace."""
+    key = _key(function, arguments, settings)
+    inputs = list(filter(is_traced, jax.tree.leaves((arguments, settings))))
+    if (content := folder.read(key)) is not None:
+        with contextlib.suppress(Exception):  # It is replaced by a new one.
+            return _Trace.from_bytes(content).call(inputs)
+    trace = _Trace.of(function, arguments, settings)
+    result = trace.call(inputs)
+    # The sources may have changed since this process started.
+    if str(_environment()).startswith(_sources()):
+        with contextlib.suppress(NoCanonicalTextError):
+            folder.write(key, trace.to_bytes())
+    return result
 
 
 def _shape(leaf: Any) -> Any:
@@ -232,19 +199,27 @@ def _key(function: Callable[..., Any], arguments: tuple, settings: dict) -> str:
 
 
 @functools.cache
-def _environment() -> str:
-    """Return a text that identifies this package and those that it uses."""
-    versions = [version(distribution) for distribution in _DISTRIBUTIONS]
+def _environment() -> str | None:
+    """Return a text that identifies this package and those that it uses.
+
+    It is None if they are installed without their sources or without their versions.
+    """
+    try:
+        sources = _sources()
+        versions = [version(distribution) for distribution in _DISTRIBUTIONS]
+    except (OSError, PackageNotFoundError):
+        return None
     variables = sorted(item for item in os.environ.items() if item[0].startswith("EQX_"))
-    return f"{_sources()} {versions} {variables}"
+    return f"{sources} {versions} {variables}" if sources else None
 
 
 def _sources() -> str:
-    """Return a text that identifies the sources of this package."""
+    """Return a text that identifies the sources of this package; empty if it has none."""
     sources = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+    paths = sorted(Path(__file__).parents[1].rglob("*.py"))
+    for path in paths:
         sources.update(path.read_bytes())
-    return sources.hexdigest()
+    return sources.hexdigest() if paths else ""
 
 
 def _options() -> str:
@@ -257,48 +232,3 @@ def _options() -> str:
             if not any(part in name for part in _NO_INFLUENCE)
         ]
     )
-
-
-def _load(path: Path) -> _Trace | None:
-    """Read a trace; None if there is none, or if its file is damaged."""
-    try:
-        program, result = pickle.loads(path.read_bytes())
-        os.utime(path)
-        return _Trace(jax.export.deserialize(bytearray(program)), result)
-    except Exception:  # a damaged file may cause any error
-        return None
-
-
-def _save(folder: _Folder, key: str, trace: _Trace) -> None:
-    """Write a trace, unless its result has no canonical text."""
-    try:
-        canonical_text(trace.result)
-        content = pickle.dumps((bytes(trace.program.serialize()), trace.result))
-    except (NoCanonicalTextError, pickle.PicklingError, AttributeError, TypeError):
-        return
-    if not _environment().startswith(_sources()):
-        return  # The sources have changed since this process started.
-    try:
-        folder.path.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder.path, delete=False) as file:
-            file.write(content)
-        Path(file.name).replace(folder.path / key)
-        _delete_oldest(folder)
-    except OSError as error:
-        warnings.warn(
-            f"A traced function was not stored in {str(folder.path)!r}: {error}",
-            stacklevel=2,
-        )
-
-
-def _delete_oldest(folder: _Folder) -> None:
-    """Delete the traces that have not been used for the longest time."""
-    files = []
-    for path in folder.path.glob("?" * 64):  # no temporary files of other processes
-        with contextlib.suppress(FileNotFoundError):  # deleted by another process
-            files.append((path.stat().st_mtime, path.stat().st_size, path))
-    total = 0
-    for _, size, path in sorted(files, reverse=True):
-        total += size
-        if total > folder.size:
-            path.unlink(missing_ok=True)

@@ -47,7 +47,8 @@ class AbstractEnergy(eqx.Module):
         """Compute the energy that is stored at a displacement.
 
         A subclass writes it with `jax.numpy`. The energy must be twice differentiable,
-        and its gradient must be zero in the reference configuration.
+        and its gradient must be zero in the reference configuration. Its constants are
+        fields: a compiled program keeps the values of other variables.
 
         Args:
             displacement: Displacement of frame b relative to frame a, with `twist()`

@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, on_host
+from .._utils.traced_function import traced
 from .._utils.types import NumberLike, Numbers, Scalar
 from .._utils.validation import (
     require_choice,
@@ -147,9 +148,10 @@ def _along_axis(
     """Return a function of the position; m."""
     if not callable(value):
         return jax.tree_util.Partial(uniform, value)
-    if isinstance(value, jax.tree_util.Partial):
-        return value
-    return jax.tree_util.Partial(value)
+    function = traced(value)
+    if isinstance(function, eqx.Module | jax.tree_util.Partial):
+        return function  # pyright: ignore[reportReturnType]
+    return jax.tree_util.Partial(function)
 
 
 def elementwise(function: Profile) -> Profile:

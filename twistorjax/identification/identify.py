@@ -11,6 +11,7 @@ import numpy as np
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, as_float, on_host
 from .._utils.pytrees import split_last_axis
+from .._utils.traced_function import traced
 from .._utils.types import KeyLike
 from .._utils.validation import compilation_error, require_float64, require_kind
 from ..mechanism.mechanism import Mechanism
@@ -61,8 +62,8 @@ def identify(
     The parameters are scaled by their sizes and stay within their bounds.
 
     Args:
-        design: Design function, which builds the mechanism from the parameters. Define it
-            once: a new function is compiled again.
+        design: Design function, which builds the mechanism from the parameters. It is
+            traced in each call, with the values that its variables have at this time.
         start: Argument of the design function: a pytree with the initial values. If it
             contains `Parameter`s, these are identified, with their units and bounds.
             Otherwise, all numbers in it are identified.
@@ -149,14 +150,18 @@ def identify(
     held_out = require_kind("held_out", held_out, Measurement)
     if not data:
         raise ValueError("`data` is empty, but must have at least one measurement.")
+    require_float64(jax.tree.leaves(parameters)[0])
+    start_point = from_numpy(np.zeros(len(parameters.names)))
+    try:
+        design = traced(design, eqx.filter_eval_shape(parameters.tree, start_point))
+    except jax.errors.JAXTypeError as error:
+        raise compilation_error("design", "about the parameters", error) from error
     problem = IdentificationProblem(
         as_pytree(design), parameters, data, held_out, huber_threshold
     )
-    require_float64(jax.tree.leaves(parameters)[0])
     if reverse is None:
         reverse = len(parameters.names) > _MOST_IN_FORWARD_MODE
     forward = optimizer.needs_jacobian or not reverse
-    start_point = from_numpy(np.zeros(len(parameters.names)))
     arrays = jax.tree.leaves(eqx.filter((problem, key), eqx.is_array))
     given, problem = problem, pad(problem)
     try:

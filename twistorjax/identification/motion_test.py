@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete
+from .._utils.traced_function import traced
 from .._utils.types import NumberLike, Poses, Scalar, Table, TimesLike, VelocityLike
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
 from ..solve.dynamics import Driving, Loading, simulate
-from ..solve.initial_state import check_times
+from ..solve.initial_state import check_times, explain_compilation
 from ..solve.static_results import Equilibrium, StateLike
 from .measurement import as_pytree, require_sensors, SensorTest
 from .sensors import AbstractSensor
@@ -26,7 +27,8 @@ class MotionTest(SensorTest):
         sensors: Sensors, which are read at each time.
         loads: Loads, or a function of time that returns them; see `simulate`.
         drives: Prescribed displacements, or a function of time that returns them; see
-            `simulate`.
+            `simulate`. Functions are traced when the test is created, with the values
+            that their variables have at this time.
         constraints: Constraints between the bodies; see `simulate`.
         start: Poses at the start, or an equilibrium, by default the reference poses; rad,
             m, m.
@@ -72,8 +74,9 @@ class MotionTest(SensorTest):
     ):
         self.times = check_times(times)
         self.sensors = require_sensors(sensors)
-        self.loads = as_pytree(loads) if callable(loads) else tuple(loads)
-        self.drives = as_pytree(drives) if callable(drives) else tuple(drives)
+        with explain_compilation(self.times[0], loads=loads, drives=drives):
+            self.loads = as_pytree(traced(loads)) if callable(loads) else tuple(loads)
+            self.drives = as_pytree(traced(drives)) if callable(drives) else tuple(drives)
         self.constraints = tuple(constraints)
         if isinstance(start, Equilibrium):
             start = start.poses

@@ -229,7 +229,7 @@ class FunctionSensor(AbstractSensor):
     Args:
         function: Function of the mechanism and of its equilibrium or motion. It returns
             a number or, for a motion, one for each time. Define it once: a new function
-            is compiled again.
+            is compiled again. If a variable that it uses changes, define a new function.
         name: Name of the sensor.
         unit: SI unit of the reading.
         standard_deviation: Standard deviation of the measurement error, in `unit`.

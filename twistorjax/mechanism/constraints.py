@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.traced_function import traced
 from .._utils.types import (
     Entries,
     Numbers,
@@ -33,7 +34,8 @@ from .mechanism import Mechanism
 class AbstractConstraint(eqx.Module):
     """Kinematic constraint: a function of the poses of some bodies that must be zero.
 
-    A subclass implements `violation`. For each of its entries there is a constraint
+    A subclass implements `violation`, whose constants are fields: a compiled program
+    keeps the values of other variables. For each of its entries there is a constraint
     force, which does no work on displacements that the constraint allows.
     """
 
@@ -100,6 +102,14 @@ class Constraint(AbstractConstraint):
         del references
         entries = jnp.asarray(self.zero(*poses, time))
         return entries[None] if entries.ndim == 0 else entries
+
+    def traced(self) -> "Constraint":
+        """Trace the function of the user, with the values that it uses at this time."""
+        number = jnp.result_type(float)
+        shapes = [*len(self.bodies) * [(3,)], ()]
+        examples = (jax.ShapeDtypeStruct(shape, number) for shape in shapes)
+        zero = traced(self.zero, *examples)
+        return eqx.tree_at(lambda constraint: constraint.zero, self, zero)
 
 
 class Pin(AbstractConstraint):
@@ -261,7 +271,7 @@ def gather_constraints(
             element of the list is not a constraint.
     """
     require_kind("constraints", constraints, AbstractConstraint)
-    bodies, sizes, names = [], [], set()
+    given, bodies, sizes, names = [], [], [], set()
     for constraint in constraints:
         where = f"The constraint {constraint.name!r}"
         if constraint.name in names:
@@ -270,6 +280,9 @@ def gather_constraints(
         rows = tuple(
             index_of(where, "body", body, mechanism.names) for body in constraint.bodies
         )
+        if isinstance(constraint, Constraint):
+            constraint = constraint.traced()
+        given.append(constraint)
         references = mechanism.reference[np.array(rows)]
         shape = eqx.filter_eval_shape(
             constraint.violation, references, references, jnp.zeros(())
@@ -281,9 +294,7 @@ def gather_constraints(
             )
         bodies.append(rows)
         sizes.append(shape[0])
-    return ConstraintSet(
-        tuple(constraints), tuple(bodies), tuple(sizes), mechanism.reference
-    )
+    return ConstraintSet(tuple(given), tuple(bodies), tuple(sizes), mechanism.reference)
 
 
 def _moved_frames(frame: Pose, poses: Poses, references: Poses) -> list[Pose]:

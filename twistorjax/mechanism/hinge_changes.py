@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float
+from .._utils.traced_function import traced
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar
 from .hinge_assembly import HingeAssembly
 from .misfits import stroke_rows
@@ -116,6 +117,11 @@ class HingeChanges(eqx.Module):
             return None
         constant = eqx.Partial(_constant, with_arrays(strokes)) if given else None
         return cls(constant, temperature)
+
+    def traced(self) -> "HingeChanges":
+        """Trace the functions of the user, with the values that they use at this time."""
+        functions = self.strokes, self.temperature
+        return HingeChanges(*(f if f is None else traced(f) for f in functions))
 
     def state(self, mechanism: "Mechanism", time: Scalar) -> HingeState:
         """Evaluate the functions at a time; s."""

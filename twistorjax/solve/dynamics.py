@@ -14,6 +14,7 @@ from typing_extensions import TypeAliasType
 from .._utils.compilation import fast_compile
 from .._utils.compiled_gradient import fast_compile_with_gradient
 from .._utils.host import as_float, is_traced, on_host, program_input
+from .._utils.traced_function import traced
 from .._utils.types import (
     Count,
     NumberLike,
@@ -101,8 +102,8 @@ def simulate(
         times: Times at which the motion is reported, from its start to its end; s.
         loads: Loads on its bodies, or a function of time that returns them.
         drives: Prescribed displacements of degrees of freedom that are not fixed, or a
-            smooth function of time that returns them. Define this function once: a new
-            function is compiled again.
+            smooth function of time that returns them. Functions of time are traced in
+            each call, with the values that their variables have at this time.
         strokes: Strokes of actuators, by the names of their hinges, or a smooth function
             of time that returns them; see `Mechanism.with_strokes`; rad, m, m.
         temperature: A smooth function of time that returns the change of the temperature
@@ -131,7 +132,8 @@ def simulate(
             saved at `times`.
         event: Event of diffrax that ends the motion. Its condition is called with the
             time and, as the state, an object with `poses`, `displacements`, and
-            `velocities` of the bodies.
+            `velocities` of the bodies. If a variable that it uses changes, define a new
+            function.
         progress_meter: Progress meter of diffrax; by default none.
         adjoint: Method of differentiation of diffrax; by default reverse mode. It repeats
             the steps of the motion in reverse order, or is
@@ -219,9 +221,9 @@ def simulate(
         motion = solve(
             mechanism,
             pad_times(instants) if pad else instants,
-            loads if callable(loads) else load_set,
-            drives if callable(drives) else tuple(drives),
-            changes,
+            traced(loads) if callable(loads) else load_set,
+            traced(drives) if callable(drives) else tuple(drives),
+            None if changes is None else changes.traced(),
             constraint_set,
             displacements,
             rates,

@@ -189,8 +189,8 @@ def linearize(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a coordinate in
-            `prescribed` is fixed, a hinge is outside the validity range of its energy, the
-            state is not an equilibrium under the loads, or the constraints are not
+            `prescribed` is fixed, a hinge is outside the validity range of its energy,
+            the state is not an equilibrium under the loads, or the constraints are not
             independent or not satisfied.
 
     Example:

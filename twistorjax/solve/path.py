@@ -15,6 +15,7 @@ from .._utils.host import (
     padded_size,
     take_rows,
 )
+from .._utils.traced_function import traced
 from .._utils.types import NumberLike, NumbersLike
 from .._utils.validation import require_positive
 from ..mechanism.constraints import AbstractConstraint
@@ -28,7 +29,7 @@ from .path_program import (
     solve_path,
     Until,
 )
-from .path_results import Path
+from .path_results import Path, PathPoint
 from .path_setup import (
     assemble_path,
     FirstPoint,
@@ -88,7 +89,8 @@ def path(
             branch point, 1 to begin in the direction of its mode, -1 in the opposite one.
         load_factors: Interval of the load factor, which contains that of the first point.
             The last point is at one of its ends, unless the path ends for another reason.
-        until: Function of a `PathPoint`. The path ends where its sign changes.
+        until: Function of a `PathPoint`. The path ends where its sign changes. It is
+            traced in each call, with the values that its variables have at this time.
         largest_step: Largest distance of successive points: rotations (rad), translations
             over the characteristic length of the mechanism, and load factors.
         max_points: Largest number of points.
@@ -135,6 +137,12 @@ def path(
         start, direction, time,
     )  # fmt: skip
     _require_inside(first, load_factors)
+    if until is not None:
+        start_point = PathPoint(
+            first.factor, first.displacements, mechanism.reference, first.factor,
+            mechanism.names,
+        )  # fmt: skip
+        until = traced(until, start_point)
     arguments = system, first, as_float(load_factors), step
     numbers = until, max_points, max_critical
     if is_traced(arguments):

@@ -149,7 +149,7 @@ def _changes(
         of_temperature = eqx.Partial(_multiplied, as_temperature(temperature))
     if of_strokes is None and of_temperature is None:
         return None
-    return HingeChanges(of_strokes, of_temperature)
+    return HingeChanges(of_strokes, of_temperature).traced()
 
 
 def _multiplied(values: Any, factor: Scalar) -> Any:

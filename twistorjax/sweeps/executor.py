@@ -6,9 +6,8 @@ The devices may belong to several processes, which `jax.distributed` connects.
 import contextlib
 import hashlib
 import re
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from collections import deque, OrderedDict
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -17,6 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from .._utils.host import padded_size
+from .._utils.program_key import program_key
 from .designs import Designs, DesignStructure
 from .outputs import study_output, StudyOutput
 
@@ -31,6 +31,7 @@ _CPU_MEMORY, _ACCELERATOR_MEMORY = 2**30, 1 / 2
 # On a processor, a chunk is evaluated in batches of this size. The arrays of so few
 # designs stay in the cache, and the slowest design of a batch delays few others.
 _CPU_BATCH_SIZE = 128
+_MOST_PROGRAMS = 32  # that are kept
 
 
 def default_chunk_size(count: int, mesh: Mesh | None) -> int:
@@ -100,7 +101,10 @@ class Program:
         self._batch_size = _CPU_BATCH_SIZE
         self._compiled: Any = None
         self._fixed_chunk_size, self.chunk_size = fixed_chunk_size, chunk_size
-        self._lower()
+        self._trace()
+        settings = structure, derivatives, chunk_size, memory, mesh, fixed_chunk_size
+        outputs = jax.tree.structure(self._traced.out_info)
+        self.key = settings, outputs, program_key(self._traced.jaxpr)
 
     def fit_memory(self) -> None:
         """Reduce the chunk size until a chunk fits into the memory.
@@ -116,7 +120,8 @@ class Program:
                 fraction = 0.9 * self.memory / self._needed_memory
                 fitting = int(fraction * self.chunk_size)
                 self.chunk_size = max(1, fitting)
-                self._lower()
+                self._trace()
+                self.lower()
 
     @property
     def device_count(self) -> int:
@@ -204,16 +209,24 @@ class Program:
         owners = np.array([device.process_index for device in self.mesh.devices.flat])
         return owners[chunks % self.device_count]
 
-    def _lower(self) -> None:
-        """Trace the program, and determine the shapes of its outputs."""
+    def _trace(self) -> None:
+        """Trace the study anew, because the values that it uses may have changed."""
+
+        def evaluate_chunk(parameters: list[jax.Array]) -> StudyOutput:
+            return self._evaluate_chunk(parameters)
+
+        self._traced = jax.jit(evaluate_chunk).trace(self._arguments(self.chunk_size))
+
+    def lower(self) -> None:
+        """Lower the program, and determine the shapes of its outputs."""
         while True:
-            arguments = self._arguments(self.chunk_size)
-            lowered = jax.jit(self._evaluate_chunk).lower(arguments)
+            lowered = self._traced.lower()
             text = lowered.as_text()
             batch_size = _single_threaded_batch_size(text)
             if batch_size >= self._batch_size:
                 break
             self._batch_size = batch_size
+            self._trace()
         self.output: StudyOutput = jax.tree.map(_shape, lowered.out_info)
         self.fingerprint = hashlib.sha256(text.encode()).hexdigest()
         self._lowered = lowered
@@ -305,15 +318,27 @@ class Program:
 
 
 def find_program(*arguments: Any) -> Program:
-    """Create a program, or find one that was created with the same arguments."""
+    """Create a program, or find an equal one, which may be compiled already.
+
+    The study is traced in each call, because it may use values that have changed.
+    """
+    program = Program(*arguments)
     try:
-        hash(arguments)
-    except TypeError:  # A study that contains arrays cannot be hashed.
-        return Program(*arguments)
-    return _cached_program(*arguments)
+        known = _programs.get(program.key)
+    except TypeError:  # A design with static lists cannot be hashed.
+        program.lower()
+        return program
+    if known is not None:
+        _programs.move_to_end(program.key)
+        return known
+    program.lower()
+    _programs[program.key] = program
+    if len(_programs) > _MOST_PROGRAMS:
+        _programs.popitem(last=False)
+    return program
 
 
-_cached_program = lru_cache(maxsize=32)(Program)
+_programs: OrderedDict[Hashable, Program] = OrderedDict()
 
 
 @contextlib.contextmanager

@@ -102,18 +102,6 @@ class DistributionSet:
         return matrix
 
     @property
-    def signature(self) -> tuple[Any, ...]:
-        """Hashable record of the constant parameters and of the shapes of the others.
-
-        Two sets with the same signature differ in their distributions only, so that one
-        compiled program serves both.
-        """
-        leaves, structure = jax.tree.flatten(self._constants)
-        arrays = map(np.asarray, leaves)
-        constants = [(array.shape, array.dtype.str, array.tobytes()) for array in arrays]
-        return self._structure, structure, *self._shapes, *constants
-
-    @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the uncertain parameters."""
         return tuple(self._distributions)

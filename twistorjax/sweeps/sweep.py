@@ -69,8 +69,9 @@ def sweep(
             number, an array, or a mapping from names to these. If it also returns a
             `RESULTS`, such as `solution.result`, a design succeeds if this result is a
             success. Otherwise a design succeeds if all outputs are finite. The study is
-            traced once for all designs, so random numbers from `numpy.random` are the
-            same for all designs.
+            traced once in each call for all designs, with the values that its variables
+            have at this time, so random numbers from `numpy.random` are the same for all
+            designs. It is compiled again only if it computes something else than before.
         designs: Mapping from names to arrays, or another tree of arrays, whose first axis
             has one entry for each design; `sample_designs` returns such a tree. A `Grid`
             contains all combinations of given values.

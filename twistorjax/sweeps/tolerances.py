@@ -295,25 +295,14 @@ def tolerances(
 
 
 class _SampledStudy:
-    """A study as a function of its uncertain parameters.
-
-    Two instances are equal if they have the same study and the same constant parameters,
-    so that `sweep` reuses the compiled program.
-    """
+    """A study as a function of its uncertain parameters."""
 
     def __init__(self, study: Callable[[Any], Any], distributions: DistributionSet):
         self._study, self._distributions = study, distributions
-        self._signature = (study, *distributions.signature)
         self.__qualname__ = getattr(study, "__qualname__", type(study).__qualname__)
 
     def __call__(self, parameters: Mapping[str, Array]) -> Any:
         return self._study(self._distributions.design(parameters))
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _SampledStudy) and self._signature == other._signature
-
-    def __hash__(self) -> int:
-        return hash(self._signature)
 
 
 def _sampled_shares(

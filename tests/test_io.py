@@ -9,11 +9,13 @@ from xml.etree import ElementTree
 
 import equinox as eqx
 import ezdxf.filemanagement
+import ezdxf.math
 import ezdxf.units
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from ezdxf.entities.lwpolyline import LWPolyline
 from helpers import assert_close
 from shapely.geometry import Polygon
@@ -88,6 +90,10 @@ def test_masses_and_outlines_are_optional(tmp_path):
         (
             lambda m: m["bodies"][1].update(outline=[[0, 1]]),
             "outline` is a list of 1 entry, but must be a list of at least 3",
+        ),
+        (
+            lambda m: m["bodies"][1].update(outline=[[0, 0], [1, 1], [1, 0], [0, 1]]),
+            "crosses itself: edge 0 from (0, 0) to (1, 1) crosses edge 2 from (1, 0)",
         ),
         (lambda m: m.update(bodies=[]), "names the body"),
         (
@@ -275,27 +281,204 @@ def test_a_file_of_another_kind_or_version_is_rejected(tmp_path):
 
 
 def total_area(mechanism):
-    """Area of bodies and hinges, which touch and do not overlap; mm2."""
+    """Area of bodies and hinges, which touch and hardly overlap; mm2."""
     parts = [*mechanism.outlines, *mechanism.hinge_outlines]
     return sum(Polygon(1e3 * np.asarray(part)).area for part in parts)
 
 
-def test_the_outline_to_be_cut_encloses_one_piece(tmp_path):
-    """The lines on the layer `cut` enclose the area of all bodies and hinges."""
-    mechanism = stage.microstage()
-    tj.io.save_outline(mechanism, tmp_path / "stage.dxf")
-    drawing = ezdxf.filemanagement.readfile(tmp_path / "stage.dxf")
-    assert drawing.units == ezdxf.units.MM
+def lines_of(path):
+    """Read the closed lines of a DXF file."""
     lines = []
-    for line in drawing.modelspace():
+    for line in ezdxf.filemanagement.readfile(path).modelspace():
         assert isinstance(line, LWPolyline) and line.closed
         lines.append(line)
-    cut = [line for line in lines if line.dxf.layer == "cut"]
-    areas = sorted(Polygon([p[:2] for p in line]).area for line in cut)
+    return lines
+
+
+def polygon_of(line):
+    """Return the polygon inside a line, with 1,000 chords for each arc."""
+    rows = line.get_points("xyb")
+    points = []
+    for (*first, bulge), (*second, _) in zip(rows, rows[1:] + rows[:1], strict=True):
+        points.append([first])
+        if bulge:
+            center, start, end, radius = ezdxf.math.bulge_to_arc(first, second, bulge)
+            angles = np.linspace(start, end + 2 * np.pi * (end < start), 1001)
+            directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+            arc = [center.x, center.y] + radius * directions
+            points.append(arc[1:-1] if bulge > 0 else arc[-2:0:-1])
+    return Polygon(np.concatenate(points))
+
+
+def cut_of(path):
+    """Return the part that a DXF file cuts; mm."""
+    polygons = [polygon_of(line) for line in lines_of(path) if line.dxf.layer == "cut"]
     # The largest line is the outer boundary; the others are the holes.
-    assert_close(areas[-1] - sum(areas[:-1]), total_area(mechanism), digits=3)
+    outer, *holes = sorted(polygons, key=lambda polygon: -polygon.area)
+    return outer.difference(shapely.union_all(holes))
+
+
+def test_the_outline_to_be_cut_is_exact(tmp_path):
+    """The cut part is one piece, and the necks have their thickness and their area."""
+    mechanism = stage.microstage()
+    path = tmp_path / "stage.dxf"
+    tj.io.save_outline(mechanism, path)
+    assert ezdxf.filemanagement.readfile(path).units == ezdxf.units.MM
+    part, lines = cut_of(path), lines_of(path)
+    assert_close(part.area, total_area(mechanism), digits=4)
+    for at in np.asarray(mechanism.at):
+        distance = part.boundary.distance(shapely.Point(1e3 * at[1:]))
+        assert_close(2 * distance, 0.25, digits=9)
+    for line in lines:
+        if line.dxf.layer == "hinge":
+            assert_close(polygon_of(line).area, 3.0 * 3.25 - np.pi * 1.5**2, digits=5)
+    bulges = [line.get_points("b") for line in lines if line.dxf.layer == "cut"]
+    assert np.count_nonzero(np.concatenate(bulges)) == 7 * 4
     layers = [line.dxf.layer for line in lines]
     assert [layers.count(name) for name in ("body", "fixed", "hinge")] == [5, 1, 7]
+
+
+SPRING = tj.Quadratic(np.eye(3))
+
+
+def outlined_body(outline):
+    """Return a mechanism with an outline of one body."""
+    spring = tj.Hinge("h", "a", "b", SPRING, at=(0.0, 0.0, 0.0))
+    return tj.Mechanism([tj.Body("a", outline=outline), tj.Body("b")], [spring], ["a"])
+
+
+def part_of(outline):
+    """Return a hinge between two blocks, 2 mm long, that are as high as its ends."""
+    x, y = np.ptp(np.asarray(outline), axis=0)
+    block = np.array([[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]]) * [1e-3, y]
+    bodies = [
+        tj.Body("left", (0.0, -x / 2 - 1e-3, 0.0), outline=block),
+        tj.Body("right", (0.0, x / 2 + 1e-3, 0.0), outline=block),
+    ]
+    hinge = tj.Hinge("h", "left", "right", SPRING, at=(0, 0, 0), outline=outline)
+    return tj.Mechanism(bodies, [hinge], fixed=["left"])
+
+
+@pytest.mark.parametrize("suffix", ["dxf", "svg"])
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_a_notch_is_cut_with_its_thickness(tmp_path, suffix, scale):
+    """Also a neck of 0.4 um between holes of 3 um. The arcs end at the height."""
+    hole, web, height = 3e-3 * scale, 0.4e-3 * scale, 2e-3 * scale
+    outline = tj.flexures.notch_outline(hole=hole, web=web, height=height)
+    path = tmp_path / f"notch.{suffix}"
+    tj.io.save_outline(part_of(outline), path)
+    if suffix == "dxf":
+        part = cut_of(path)
+        center = shapely.Point(0.0, 0.0)
+        distance = part.boundary.distance(center)
+        x, y = np.array(polygon_of(lines_of(path)[-1]).exterior.coords).T / scale
+        inside = np.abs(x) < 1.5 * np.sin(np.arccos(1 - 1.6 / 3)) - 1e-6
+        exact = 0.2 + 1.5 - np.sqrt(1.5**2 - x**2)
+        np.testing.assert_allclose(np.abs(y[inside]), exact[inside], atol=1e-8)
+        assert_close(2 * distance / scale, 0.4, digits=8)
+        return
+    commands = ElementTree.parse(path).getroot()[1][0].attrib["d"].split(" ")
+    radii = [
+        float(commands[k + 1].split(",")[0])
+        for k in range(len(commands))
+        if commands[k] == "A"
+    ]
+    np.testing.assert_allclose(radii, 4 * [1.5 * scale], rtol=1e-7)
+    ends = [word for word in commands if "," in word]
+    points = np.array([word.split(",") for word in ends], float)
+    assert any(
+        np.allclose(point, [0.0, 0.2 * scale], atol=1e-8 * scale) for point in points
+    )
+
+
+@pytest.mark.parametrize(
+    ("profile", "arcs"),
+    [
+        (tj.flexures.filleted_leaf_profile(length=0.02, thickness=5e-4, fillet=2e-3), 8),
+        (tj.flexures.elliptical_notch_profile(length=0.02, web=2e-4, depth=4e-3), 0),
+        (
+            tj.flexures.reinforced_leaf_profile(
+                length=0.02,
+                thickness=3e-4,
+                reinforced_length=0.014,
+                reinforced_thickness=2e-3,
+            ),
+            0,
+        ),
+    ],
+)
+def test_contours_are_cut_with_small_chord_errors(tmp_path, profile, arcs):
+    """Below 1e-4 of the smallest thickness, which is that of a corner."""
+    steel = tj.Material(210e9, poisson=0.3)
+    beam = tj.flexures.Beam(steel, length=0.02, thickness=profile, width=5e-3)
+    pivot = tj.flexures.parallelogram(beam, SPRING, spacing=0.02)
+    outline, _ = pivot.mechanism.hinge_outlines
+    path = tmp_path / "contour.dxf"
+    tj.io.save_outline(part_of(outline), path)
+    (hinge,) = [line for line in lines_of(path) if line.dxf.layer == "hinge"]
+    x, y, bulges = np.array(hinge.get_points("xyb")).T
+    radius = np.hypot(np.diff(x), np.diff(y)) / (
+        2 * np.sin(2 * np.arctan(np.abs(bulges[:-1])) + (bulges[:-1] == 0))
+    )
+    assert np.count_nonzero(np.isclose(radius[bulges[:-1] != 0], 2.0, rtol=1e-6)) == arcs
+    thinnest = 1e3 * float(jnp.min(jax.vmap(profile)(jnp.linspace(-0.01, 0.01, 2001))))
+    assert_close(2 * np.min(np.abs(y)), thinnest, digits=9)
+    # Points between the corners of the part, at least 10 um from the blocks
+    corners = shapely.get_coordinates(cut_of(path))
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    points = ((1 - share) * corners[:-1] + share * corners[1:]).reshape(-1, 2)
+    points = points[np.abs(points[:, 0]) < 9.99]
+    exact = 1e3 / 2 * np.asarray(jax.vmap(profile)(jnp.asarray(points[:, 0] / 1e3)))
+    slope = np.asarray(jax.vmap(jax.grad(profile))(jnp.asarray(points[:, 0] / 1e3))) / 2
+    error = np.abs(np.abs(points[:, 1]) - exact) / np.hypot(1.0, slope)
+    assert np.max(error) < 1e-4 * thinnest
+
+
+def test_the_arcs_of_a_displaced_notch_keep_their_accuracy(tmp_path):
+    """The neck of a notch that is displaced as a rigid body has its thickness."""
+    outline = tj.flexures.notch_outline(hole=3e-3, web=0.25e-3)
+    mechanism = part_of(outline)
+    pose = np.array([[0.3, 0.01, 0.02]])
+    origin = np.asarray(mechanism.reference)
+    turn = np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+    moved = np.concatenate(
+        [pose[0, 0] + origin[:, :1], pose[:, 1:] + origin[:, 1:] @ turn], 1
+    )
+    tj.io.save_outline(mechanism, tmp_path / "moved.dxf", moved)
+    distance = cut_of(tmp_path / "moved.dxf").boundary.distance(shapely.Point(10.0, 20.0))
+    assert_close(2 * distance, 0.25, digits=8)
+    bent = mechanism.reference.at[1].add(jnp.array([0.05, 0.0, 0.0]))
+    tj.io.save_outline(mechanism, tmp_path / "bent.dxf", bent)
+    (line,) = [
+        line for line in lines_of(tmp_path / "bent.dxf") if line.dxf.layer == "hinge"
+    ]
+    assert len(line) > 500
+
+
+def test_a_regular_polygon_with_few_corners_remains_a_polygon(tmp_path):
+    angles = np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+    corners = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    tj.io.save_outline(outlined_body(corners), tmp_path / "a.dxf")
+    for line in lines_of(tmp_path / "a.dxf"):
+        assert len(line) == 60 and not np.any(line.get_points("b"))
+
+
+@pytest.mark.parametrize(
+    ("outline", "message"),
+    [
+        (
+            1e308 * np.eye(3)[:, :2],
+            r"'a' has a size of 1e\+308 m and",
+        ),
+        (1e-300 * np.eye(3)[:, :2], "must have a size of at least 1e-09 m"),
+        ([[0, 0], [1, 0], [2, 0]], "The outline of the body 'a' encloses no area"),
+    ],
+)
+def test_an_outline_that_no_file_can_hold_is_rejected(tmp_path, outline, message):
+    mechanism = outlined_body(outline)
+    for name in ("a.dxf", "a.svg"):
+        with pytest.raises(ValueError, match=message):
+            tj.io.save_outline(mechanism, tmp_path / name)
 
 
 def test_an_svg_shows_the_displaced_bodies_upright(tmp_path):

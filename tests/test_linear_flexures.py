@@ -78,8 +78,10 @@ def test_large_displacements_of_linear_leaves_are_reported():
     leaf = tj.flexures.linear_leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
     mechanism = cantilever(leaf)
     drive = [tj.Drive("tip", y=1.19)]
-    with pytest.warns(UserWarning, match="of the hinge 'leaf' is .* times"):
+    text = "of the hinge 'leaf' is .* times"
+    with pytest.warns(UserWarning, match=text) as found:
         tj.equilibrium(mechanism, drives=drive)
+    assert found[0].filename == __file__
     tj.equilibrium(mechanism, drives=[tj.Drive("tip", y=1e-3)])  # a warning is an error
     spring = tj.Quadratic(leaf.stiffness)
     tj.equilibrium(cantilever(spring), drives=drive)

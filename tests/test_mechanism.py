@@ -1,5 +1,7 @@
 """Mechanisms, bodies, and plates: assembly, invariance, and invalid arguments."""
 
+import pathlib
+import warnings
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -336,6 +338,64 @@ def test_invalid_plates_are_reported(corners, density, message):
         tj.plate("p", corners, width=1.0, material=material)
 
 
+SQUARE = [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.0, 0.3)]
+HOLE = [(0.1, 0.1), (0.1, 0.2), (0.2, 0.2), (0.2, 0.1)]  # clockwise
+WITH_HOLE = [*SQUARE, SQUARE[0], *HOLE, HOLE[0]]  # a cut joins the two boundaries
+
+
+@pytest.mark.parametrize("scale", [4e307, 1.0, 1e-300])
+@pytest.mark.parametrize(
+    ("corners", "first", "second"),
+    [
+        ([(0, 0), (0.1, 0.1), (0.1, 0), (0, 0.1)], 0, 2),
+        ([(0, 0), (4, 0), (4, 4), (2, -1), (0, 4)], 0, 2),
+        # The crossing point is a corner of one edge, or of both
+        ([(0, 0), (1, 1), (1, 0), (0.5, 0.5), (0, 1)], 0, 2),
+        ([(0, 0), (0.5, 0.5), (1, 1), (1, 0), (0.5, 0.5), (0, 1)], 0, 3),
+        # The boundary is passed twice
+        ([(0, 0), (2, 0), (0, 2), (0, 0), (2, 0), (0, 2)], 0, 2),
+        # A hole is passed in the direction of the outer boundary
+        ([*WITH_HOLE[:5], *WITH_HOLE[5:][::-1]], 5, 8),
+    ],
+)
+def test_an_outline_that_crosses_itself_names_the_two_edges(
+    corners, first, second, scale
+):
+    crossed = scale * np.array(corners, float)
+    message = rf"edge {first} from \(.*\) to \(.*\) crosses edge {second} from \("
+    with pytest.raises(ValueError, match=f"`outline` of the body 'b' .* {message}"):
+        tj.Body("b", outline=crossed)
+
+
+@pytest.mark.untyped
+def test_plates_and_hinges_refuse_an_outline_that_crosses_itself():
+    bow = [(0, 0), (0.1, 0.1), (0.1, 0), (0, 0.1)]
+    with pytest.raises(ValueError, match="`corners` of the plate 'p' crosses itself"):
+        tj.plate("p", bow, width=1.0, material=STEEL)
+    with pytest.raises(ValueError, match="`outline` of the hinge 'h' crosses itself"):
+        tj.Hinge("h", "a", "b", SPRING, (0.0, 0.0, 0.0), outline=bow)
+
+
+@pytest.mark.parametrize(
+    ("corners", "area"),
+    [
+        (WITH_HOLE, 0.08),
+        (WITH_HOLE[::-1], 0.08),
+        ([corner for corner in SQUARE for _ in range(2)] + SQUARE[:1], 0.09),
+        # Two squares that touch at a corner, and a corner that touches an edge
+        ([(0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1)], 2.0),
+        ([(0, 0), (4, 0), (4, 4), (2, 0), (0, 4)], 8.0),
+    ],
+)
+@pytest.mark.parametrize("angle", [0.0, 0.3])
+def test_edges_that_only_touch_are_accepted(corners, area, angle):
+    """In every direction, although rounding errors move the corners."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    outline = np.array(corners, float) @ turn.T
+    bar = tj.plate("p", outline, width=1.0, material=STEEL)
+    assert_close(bar.mass, area * 7800.0)
+
+
 @pytest.mark.parametrize(
     ("build", "name"),
     [
@@ -360,6 +420,38 @@ def test_moduli_of_no_solid_are_noticed(modulus):
         tj.Material(modulus, poisson=0.3)
 
 
+def flexures_of(scale, material=STEEL):
+    """Create flexures of some micrometers times a factor."""
+    length, width, thickness = 100e-6 * scale, 20e-6 * scale, 2e-6 * scale
+    flexures = tj.flexures
+    flexures.Beam(material, length=length, thickness=thickness, width=width)
+    flexures.notch(material, hole=length, web=0.1 * length, width=width)
+    flexures.notch_profile(hole=length, web=thickness)
+    flexures.filleted_leaf_profile(length=length, thickness=thickness, fillet=width)
+    flexures.elliptical_notch_profile(length=length, web=thickness, depth=width)
+    flexures.power_law_notch_profile(length=length, web=thickness, depth=width)
+    flexures.v_notch_profile(length=length, web=thickness, radius=width, angle=1.0)
+    flexures.elliptical_notch(
+        material, length=length, web=thickness, depth=width, width=width
+    )
+
+
+def test_dimensions_in_millimeters_are_noticed():
+    """A leaf of 50 m is no flexure. Those of micromechanics and of large machines are."""
+    for scale in (1.0, 1e4):  # 100 um and 1 m
+        flexures_of(scale)  # a warning is an error
+    message = "`length` is 50 m, .*50 mm is 50e-3"
+    with pytest.warns(UserWarning, match=message) as found:
+        tj.flexures.Beam(STEEL, length=50.0, thickness=0.5, width=1.0)
+    assert found[0].filename == __file__
+    with pytest.warns(UserWarning) as found:
+        flexures_of(1e6)
+    names = [str(warning.message).split("`")[1] for warning in found]
+    assert len(names) > 15 and set(names) >= {"length", "hole", "width", "depth"}
+    without_units = tj.Material(1.0, poisson=0.3)
+    tj.flexures.Beam(without_units, length=10.0, thickness=1.0, width=1.0)
+
+
 def outlined(x, y, angle=np.pi / 2):
     """Return a leaf of 10 mm between two plates whose outlines are 10 mm apart."""
     square = np.array([[-5e-3, -2e-3], [5e-3, -2e-3], [5e-3, 2e-3], [-5e-3, 2e-3]])
@@ -380,3 +472,29 @@ def test_flexures_far_from_their_bodies_are_reported():
         outlined(0.3 + 16e-3, 0.0)
     with pytest.warns(UserWarning, match="'leaf', of length 0.01 m"):
         outlined(0.0, 0.3)  # x and y exchanged
+
+
+def warnings_of_a_user(build):
+    """Return the files and the lines to which the warnings of a call refer."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        build()
+    return [(warning.filename, warning.lineno) for warning in found]
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: tj.Material(210.0, 0.3),
+        lambda: tj.Body("a", (90.0, 0.0, 0.0)),
+        lambda: tj.Drive("a", angle=90.0),
+        lambda: outlined(0.0, 0.3),
+        lambda: jax.tree.map(lambda x: tj.Body("a", (90.0, x, 0.0)), [1.0]),
+    ],
+)
+def test_warnings_refer_to_the_line_of_the_user(build):
+    """Not to this library, nor to equinox, which calls its constructors."""
+    (place,) = set(warnings_of_a_user(build))
+    lines = pathlib.Path(__file__).read_text().splitlines()
+    assert place[0] == __file__
+    assert "tj." in lines[place[1] - 1]

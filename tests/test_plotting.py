@@ -379,9 +379,10 @@ def test_outputs_of_a_sweep_are_drawn_over_one_or_two_parameters():
 
 def test_the_outline_of_a_notch_is_no_higher_than_its_bodies():
     """It is as wide as its holes, and cut off where these exceed the bodies."""
-    plain = tj.flexures.notch_outline(hole=8e-3, web=0.5e-3)
     cut = tj.flexures.notch_outline(hole=8e-3, web=0.5e-3, height=5e-3)
     assert_close(jnp.abs(cut[:, 1]).max(), 2.5e-3)
     assert_close(jnp.abs(cut[:, 0]).max(), 4e-3)
-    inside = np.abs(plain[:, 1]) < 2.5e-3
-    np.testing.assert_array_equal(cut[inside], plain[inside])
+    on_arc = np.abs(cut[:, 0]) < 3.9e-3
+    to_center = np.hypot(cut[:, 0], 4.25e-3 - np.abs(cut[:, 1]))
+    np.testing.assert_allclose(to_center[on_arc], 4e-3)
+    assert np.sum(on_arc) == 2 * 61

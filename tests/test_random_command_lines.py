@@ -4,6 +4,7 @@ import contextlib
 import io
 import pathlib
 import sys
+import warnings
 
 import pytest
 from hypothesis import strategies as st
@@ -69,6 +70,7 @@ COMMANDS = {
             "--input": NUMBERS,
             "--web": NUMBERS,
             "--damping-time": NUMBERS,
+            "--temperature": NUMBERS,
             "--plot": PATHS,
         },
         [["--energy", "heat"], ["--web", "0"], ["--plot", "a.poem"], ["--help"]],
@@ -139,6 +141,38 @@ def test_a_random_command_line(tmp_path, examples, monkeypatch):
     with contextlib.suppress(FileExistsError):
         pathlib.Path("loop.json").symlink_to("loop.json")
     check_examples(examples, command_lines(), assert_clear_end)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (
+            "stage --temperature -1e9",
+            2,
+            "--temperature -1e+09: The body '1' would expand",
+        ),
+        ("stage --temperature 1e300", 2, "must be between -0.5 and 0.5"),
+        ("stage --temperature 1e4", 1, "--temperature 10000: No equilibrium"),
+        ("stage --input 5e-324", 1, "gain, dgain_dweb_per_m are not finite"),
+        ("truss --rise 1e-9", 2, "`rise / half_span` is 1e-09, but must be between 0.02"),
+        ("truss --rise 1e200", 2, "`rise / half_span` is 1e+200"),
+        ("truss --half-span 1e9", 2, "`rise / half_span` is 3e-10"),
+        ("truss --rise 1e300 --half-span 1e300", 1, "is not finite"),
+    ],
+)
+def test_an_extreme_number_ends_with_a_message(arguments, code, message):
+    found, output, text = run_command(arguments.split())
+    assert (found, output) == (code, "") and message in text and text.count("\n") == 1
+
+
+def test_a_warning_is_one_line():
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        code, _, text = run_command(["stage", "--temperature", "3e3"])
+    assert code == 0 and text.startswith(
+        "twistorjax: warning: The hinge 'a' has a linear"
+    )
+    assert text.count("\n") == text.count("twistorjax: warning")
 
 
 @random_examples(usual=5, release=300)

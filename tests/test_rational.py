@@ -158,8 +158,10 @@ def test_denominator_can_be_the_base_only():
 
 
 def test_fit_that_interpolates_raises_a_warning():
-    with pytest.warns(UserWarning, match="27 coefficients for 5 measured values"):
+    interpolates = "27 coefficients for 5 measured values"
+    with pytest.warns(UserWarning, match=interpolates) as found:
         fit = tj.energies.fit_rational(noise()[np.arange(5)], 2, ridge=0.0)
+    assert found[0].filename == __file__
     assert fit.rank == fit.value_count == 5
 
 

@@ -42,12 +42,55 @@ def test_xarray_reads_a_store_without_this_library(tmp_path):
     assert "a" in table.coords and table.a.attrs["units"] == "m"
 
 
-def test_a_grid_in_a_store_is_opened_as_a_grid(tmp_path):
-    grid = tj.Grid({"b": [1.0, 2.0, 3.0], "a": [0.5, 0.25]})
-    stored = tj.sweep(area, grid, chunk_size=4, store=tmp_path / "s.zarr")
+GRID = tj.Grid({"b": [1.0, 2.0, 3.0], "a": np.linspace(0.5, 0.25, 4)})
+
+
+@pytest.mark.parametrize("chunk_size", [None, 2, 8, 5])
+def test_a_grid_in_a_store_is_opened_as_a_grid(tmp_path, chunk_size):
+    """Also by xarray alone, unless the chunks are not blocks of the grid."""
+    path = tmp_path / "s.zarr"
+    stored = tj.sweep(area, GRID, chunk_size=chunk_size, units={"a": "m"}, store=path)
     assert stored.area.dims == ("b", "a")
-    opened = tj.sweeps.open_sweep(tmp_path / "s.zarr")
-    assert_same_dataset(opened, tj.sweep(area, grid))
+    opened = tj.sweeps.open_sweep(path)
+    assert_same_dataset(opened, tj.sweep(area, GRID))
+    if chunk_size != 5:
+        table = xarray.open_zarr(path, consolidated=False)
+        assert_same_dataset(table[list(stored)], stored)
+        expected = np.sin(GRID.values["a"]) * GRID.values["b"][:, None]
+        np.testing.assert_allclose(table.area.transpose("b", "a"), expected)
+        assert table.a.attrs["units"] == "m"
+    (path / "area" / "c").rename(tmp_path / "lost")
+    missing = tj.sweeps.open_sweep(path)
+    assert np.isnan(missing.area).all() and missing.attrs["chunks_missing"] > 0
+    resumed = tj.sweep(
+        area, GRID, chunk_size=chunk_size, units={"a": "m"}, store=path, resume=True
+    )
+    assert_same_dataset(resumed, stored)
+
+
+def test_a_flat_store_of_a_grid_is_still_continued(tmp_path, monkeypatch):
+    """Earlier versions stored the outputs of a grid along one axis."""
+    path = tmp_path / "s.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr("twistorjax.sweeps.store_creation.FORMAT", 3)
+        patch.setattr("twistorjax.sweeps.store_creation.grid_chunk", lambda *_: None)
+        stored = tj.sweep(area, GRID, chunk_size=4, store=path)
+    assert xarray.open_zarr(path, consolidated=False).area.dims == ("design",)
+    assert_same_dataset(tj.sweeps.open_sweep(path), stored)
+    (path / "area" / "zarr.json").unlink()
+    (path / "area" / "c" / "1").unlink()
+    resumed = tj.sweep(area, GRID, store=path, resume=True)
+    assert_same_dataset(resumed, stored)
+    assert xarray.open_zarr(path, consolidated=False).area.dims == ("design",)
+
+
+def test_the_chunks_of_a_large_grid_are_blocks(tmp_path):
+    """The default size of the chunks is reduced, here from 4096 to 4080 designs."""
+    sides = {"a": np.linspace(0.0, 1.0, 120), "b": np.linspace(1.0, 2.0, 60)}
+    path = tmp_path / "s.zarr"
+    tj.sweep(area, tj.Grid(sides), store=path)
+    table = xarray.open_zarr(path, consolidated=False)
+    np.testing.assert_array_equal(table.twice[:, 0], 2 * sides["a"])
 
 
 @pytest.mark.parametrize("damage", ["truncated", "deleted", "exchanged"])

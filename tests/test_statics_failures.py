@@ -8,6 +8,7 @@ from helpers import assert_close
 from statics_helpers import block_on_spring, cantilever
 
 import twistorjax as tj
+from twistorjax.solve.results import RESULTS
 from twistorjax.solve.static_errors import check_equilibrium
 
 
@@ -19,6 +20,18 @@ def test_error_of_a_batch_names_the_failed_design():
     batch = jax.vmap(solve)(jnp.array([4.0, 0.0]))
     with pytest.raises(RuntimeError, match="index 1 of the batch"):
         check_equilibrium(batch)
+    assert repr(batch.result) == "RESULTS<['successful' 'unstable']>"
+
+
+def test_a_result_prints_its_name():
+    """Equinox prints the message of a result, which is empty after a success."""
+    spring = block_on_spring(np.eye(3))
+    solution = tj.equilibrium(spring)
+    assert str(solution.result) == f"{RESULTS.successful}" == "RESULTS<successful>"
+    failed = tj.equilibrium(spring, loads=[tj.Load("block", moment=1.25)], throw=False)
+    assert repr(failed.result) == "RESULTS<no_equilibrium>"
+    shapes = jax.eval_shape(lambda: tj.equilibrium(spring))
+    assert repr(shapes.result) == "RESULTS<unknown>"
 
 
 @pytest.mark.parametrize("traced", [False, True])

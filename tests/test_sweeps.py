@@ -111,8 +111,9 @@ def test_a_failed_design_is_nan_and_does_not_affect_others():
     """A spring of negative stiffness has no stable equilibrium; one load is NaN."""
     designs = {"k": np.array([100.0, -50.0, 100.0, 100.0]), "force": np.ones(4)}
     designs["force"][2] = np.nan
-    with pytest.warns(UserWarning, match="2 of 4 designs failed"):
+    with pytest.warns(UserWarning, match="2 of 4 designs failed") as found:
         table = tj.sweep(pulled_block, designs, derivatives=("travel",))
+    assert found[0].filename == __file__
     assert table.succeeded.values.tolist() == [True, False, False, True]
     assert np.isnan(table.travel[1:3]).all() and np.isnan(table.travel_by_k[1:3]).all()
     np.testing.assert_array_equal(table.travel[[0, 3]], 0.01)

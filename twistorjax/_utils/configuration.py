@@ -3,13 +3,13 @@
 import contextlib
 import math
 import os
-import warnings
 from pathlib import Path
 
 import jax
 
 from .compilation import add_xla_option, FAST_COMPILATION, FAST_LOOPS
 from .stored_traces import store_traces_in
+from .validation import warn
 
 
 def configure(
@@ -95,10 +95,9 @@ def _use_folder(cache: bool | str | Path, size: int, shared: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         is_own = not hasattr(os, "geteuid") or folder.stat().st_uid == os.geteuid()
     except OSError as error:
-        warnings.warn(
+        warn(
             f"The cache folder {str(folder)!r} cannot be used: {error}. Nothing is "
-            "stored. `cache` can be another folder, or False.",
-            stacklevel=3,
+            "stored. `cache` can be another folder, or False."
         )
         jax.config.update("jax_compilation_cache_dir", None)
         store_traces_in(None)

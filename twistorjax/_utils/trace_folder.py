@@ -7,9 +7,10 @@ import os
 import re
 import tempfile
 import time
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
+
+from .validation import warn
 
 
 _DIGEST_SIZE = hashlib.sha256().digest_size
@@ -147,4 +148,4 @@ def _warn_once(message: str) -> None:
     global _warned
     if not _warned:
         _warned = True
-        warnings.warn(message, stacklevel=2)
+        warn(message)

@@ -7,9 +7,10 @@ not known, so most functions return it unchanged.
 """
 
 import importlib
+import sys
 import warnings
 from collections.abc import Iterable, Sequence
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
@@ -17,13 +18,37 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .host import as_float, concrete
+from .polygons import crossing_edges
 from .types import ArrayOfNumbers, NumberLike, Numbers, NumbersLike
 
 
 Choice = TypeVar("Choice", bound=str)
 Kind = TypeVar("Kind")
 
+# Packages whose frames stand between a call of a user and a warning. A frame without a
+# module is that of a type checker.
+_BETWEEN = {__name__.partition(".")[0], "equinox", "jax", "jaxtyping", "beartype", ""}
+
+_LONGEST = 2.0  # dimension of a flexure; m
+
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
+
+
+def warn(message: str) -> None:
+    """Warn, and refer to the line of the user's program that called this library."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and _module(frame).partition(".")[0] in _BETWEEN:
+        frame = frame.f_back
+    registry = frame.f_globals.setdefault("__warningregistry__", {})
+    file = frame.f_code.co_filename
+    warnings.warn_explicit(
+        message, UserWarning, file, frame.f_lineno, _module(frame), registry
+    )
+
+
+def _module(frame: FrameType) -> str:
+    """Return the name of the module of a frame; empty if it has none."""
+    return frame.f_globals.get("__name__", "")
 
 
 def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
@@ -179,6 +204,24 @@ def require_positive(name: str, value: NumberLike) -> Numbers:
     return require_interval(name, value, 0.0, largest, "must be positive and finite")
 
 
+def require_length(
+    name: str, value: NumberLike, modulus: NumberLike | None = None
+) -> Numbers:
+    """Require a positive dimension of a flexure, and warn if it seems to be in mm; m.
+
+    A Young's modulus of exactly 1 makes a study dimensionless, so there is no warning.
+    """
+    length = require_positive(name, value)
+    known = concrete(length)
+    dimensionless = modulus is not None and np.all(concrete(modulus) == np.array(1.0))
+    if known is not None and known > _LONGEST and not dimensionless:
+        warn(
+            f"{name} is {float(known):g} m, which is longer than any flexure. Lengths "
+            "are in meters: 50 mm is 50e-3."
+        )
+    return length
+
+
 def require_finite(name: str, value: NumberLike) -> Numbers:
     """Require a finite number; NaN if it is traced and not finite."""
     largest = float(np.finfo(float).max)
@@ -256,22 +299,52 @@ def warn_if_degrees(name: str, angle: NumberLike) -> None:
     """Warn if an angle that is not traced is more than a full turn; rad."""
     known = concrete(angle)
     if known is not None and abs(value := float(known)) > 2 * np.pi:
-        warnings.warn(
+        warn(
             f"{name} is {value:g} rad, more than a full turn. Angles are in radians: "
-            f"{value:g} degrees are {np.radians(value):.6g} rad.",
-            stacklevel=4,
+            f"{value:g} degrees are {np.radians(value):.6g} rad."
         )
 
 
 def require_corners(
     name: str, value: NumberLike | Sequence[Any]
 ) -> Float[Array, "corners 2"]:
-    """Require the corners of a polygon: three rows (x, y) or more; m."""
+    """Require the corners of a polygon that does not cross itself; m.
+
+    Corners may be repeated, and their order may be clockwise or counterclockwise; see
+    `crossing_edges`.
+    """
     requirement = "have a row (x, y) for each of three corners or more"
     array = require_array(name, value, (None, 2), requirement)
     if len(array) < 3:
         raise ValueError(f"{name} has shape {array.shape}, but must {requirement}.")
+    known = concrete(array)
+    if known is not None:
+        require_simple_polygon(name, known)
     return array
+
+
+def require_simple_polygon(name: str, corners: Float[np.ndarray, "corners 2"]) -> None:
+    """Require a polygon that does not cross itself; m.
+
+    Raises:
+        ValueError: Two edges cross; the message names them.
+    """
+    edges = crossing_edges(corners)
+    if edges is not None:
+        first, second = (
+            f"edge {edge} from {_point(corners[edge])} to "
+            f"{_point(corners[(edge + 1) % len(corners)])}"
+            for edge in edges
+        )
+        raise ValueError(
+            f"{name} crosses itself: {first} crosses {second}. List the corners in the "
+            "order in which they follow each other along the boundary."
+        )
+
+
+def _point(point: Float[np.ndarray, "2"]) -> str:
+    """Format the coordinates of a point for a message."""
+    return f"({point[0]:.6g}, {point[1]:.6g})"
 
 
 def require_deviations(

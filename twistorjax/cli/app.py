@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 import sys
+import warnings
 from typing import Annotated, no_type_check
 
 import typer
@@ -74,10 +75,12 @@ def main() -> None:
     The exit code is 0 on success; 1 if a solve failed, the memory is not sufficient, or
     the output or a store cannot be written; 2 if an argument is invalid, or a file that
     it names cannot be read or written; and 130 if the program was interrupted. Every
-    error is reported as one line on stderr.
+    error and every warning is reported as one line on stderr.
     """
     _prepare_streams()
-    code = _run()
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: _write(f"warning: {message}")
+        code = _run()
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -130,10 +133,15 @@ def _report_os_error(error: OSError) -> int:
 
 def _report(message: str, code: int) -> int:
     """Write a message as one line on stderr, and return the exit code."""
+    _write(message)
+    return code
+
+
+def _write(message: str) -> None:
+    """Write a message as one line on stderr."""
     line = shorten(" ".join(message.split()), _MESSAGE_LENGTH)
     with contextlib.suppress(OSError):
         sys.stderr.write(f"twistorjax: {line}\n")
-    return code
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -178,6 +178,20 @@ def to_json(record: Any) -> str:
         return value
 
     return json.dumps(without_nan(record), allow_nan=False)
+
+
+def require_finite_results(record: Mapping[str, Any]) -> None:
+    """Raise a `SolveError` if a number of a result is not finite."""
+    wrong = [
+        name
+        for name, value in record.items()
+        if isinstance(value, float) and not math.isfinite(value)
+    ]
+    if wrong:
+        raise SolveError(
+            f"The results {', '.join(wrong)} are not finite. A number of the options is "
+            "too large or too small."
+        )
 
 
 def progress_bar() -> Any:

@@ -14,6 +14,7 @@ from .common import (
     prepare_jax,
     print_result,
     progress_bar,
+    require_finite_results,
     require_success,
     save_figure,
     SolveError,
@@ -115,6 +116,7 @@ def _static(
         "strain_energy_J": float(deformed.energy),
         "dgain_dweb_per_m": float(slope),
     }
+    require_finite_results(values)
     if plot is not None:
         save_figure(plot, example.plot(example.microstage(web), result))
     poses = np.asarray(deformed.reference) + np.asarray(deformed.displacements)
@@ -136,7 +138,14 @@ def _drift(temperature: float, web: float, travel: float) -> tuple[dict[str, Any
         (True, "guide_expands", "guide of the input expands"),
         (False, "guide_keeps_its_place", "guide keeps its place"),
     ):
-        drift = thermal_drift(temperature, web=web, travel=travel, guide_expands=expands)
+        try:
+            drift = thermal_drift(
+                temperature, web=web, travel=travel, guide_expands=expands
+            )
+        except ValueError as error:
+            raise UsageError(f"--temperature {temperature:g}: {error}") from None
+        except RuntimeError as error:
+            raise SolveError(f"--temperature {temperature:g}: {error}") from None
         angle, x, y = (float(value) for value in drift.output)
         fields[key] = {
             "output_angle_rad": angle,
@@ -214,8 +223,9 @@ def _transient(
         )
     except RuntimeError as error:  # there is no equilibrium at the end of the motion
         raise SolveError(f"--input {travel:g}: {error}") from None
-    motion = response.motion
+    motion, record = response.motion, _transient_record(response)
     require_success(motion)
+    require_finite_results(record)
     if plot is not None:
         save_figure(plot, example.plot(response))
     kind = "step"
@@ -229,7 +239,7 @@ def _transient(
         f"elongation of a    {float(response.elongation) / 1e-9:.2f} nm\n"
         f"steps              {int(motion.steps)}"
     )
-    print_result(text, _transient_record(response), as_json, plot=plot)
+    print_result(text, record, as_json, plot=plot)
 
 
 def _transient_record(response: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from .._utils.host import on_host
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_positive
+from .._utils.validation import require_interval, require_positive
 from ..energies.axial_spring import AxialSpring
 from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
@@ -25,6 +25,9 @@ from ..solve.path_results import Path
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+_RATIOS = 0.02, 1000.0  # of the rise and half of the span, for `study`
 
 
 def von_mises_truss(
@@ -71,7 +74,8 @@ def limit_load(
 
     With the length L of the bars, half of the span a, and the stiffness k, the force at
     the height h is `2 k h (L / sqrt(a^2 + h^2) - 1)`. It is largest at
-    `h = sqrt((a^2 L)^(2/3) - a^2)`.
+    `h = sqrt((a^2 L)^(2/3) - a^2) = a sqrt(e)`, where it is `2 k a e^(3/2)`, with
+    `e = (L / a)^(2/3) - 1`.
 
     Args:
         rise: Height of the apex above the supports; m.
@@ -86,10 +90,8 @@ def limit_load(
         Array(9.94991696, dtype=float64)
     """
     rise, half_span = jnp.asarray(rise, float), jnp.asarray(half_span, float)
-    length = jnp.hypot(rise, half_span)
-    height = jnp.sqrt((half_span**2 * length) ** (2 / 3) - half_span**2)
-    shortening = length / jnp.hypot(half_span, height) - 1
-    return 2 * jnp.asarray(stiffness, float) * height * shortening
+    stretch = jnp.expm1(jnp.log1p((rise / half_span) ** 2) / 3)
+    return 2 * jnp.asarray(stiffness, float) * half_span * stretch**1.5
 
 
 class TrussStudy(NamedTuple):
@@ -156,7 +158,10 @@ def study(
         The path, and the stable states.
 
     Raises:
-        ValueError: An argument is not positive.
+        ValueError: An argument is not positive, or the rise is not between 0.02 and 1000
+            times half of the span. For other trusses, rounding errors are larger than
+            the forces at which they snap through or move to a side.
+        RuntimeError: The path or a stable state is not found.
 
     Example:
         >>> print(study())
@@ -168,6 +173,17 @@ def study(
         equilibria          63
     """
     truss = von_mises_truss(rise, half_span, stiffness)
+    _, (rise, half_span) = on_host(rise, half_span)
+    low, high = _RATIOS
+    requirement = f"must be between {low:g} and {high:g}"
+    tolerance = 1e-12  # The quotient of rounded numbers may exceed a limit.
+    require_interval(
+        "`rise / half_span`",
+        rise / half_span,
+        low * (1 - tolerance),
+        high * (1 + tolerance),
+        requirement,
+    )
     snap_force = limit_load(rise, half_span, stiffness)
     loads = [Load("apex", force=(0.0, -2 * snap_force))]
     return TrussStudy(

@@ -22,6 +22,7 @@ from .._utils.validation import (
     require_choice,
     require_finite,
     require_instance,
+    require_length,
     require_positive,
 )
 from ..mechanism.material import Material
@@ -106,8 +107,8 @@ class Beam(eqx.Module):
         steps: int = 16,
     ):
         self.material = require_instance("material", material, Material)
-        self.length = require_positive("`length`", length)
-        self.width = require_positive("`width`", width)
+        self.length = require_length("`length`", length, material.modulus)
+        self.width = require_length("`width`", width, material.modulus)
         self.bending_factor = require_positive("`bending_factor`", bending_factor)
         self.law = require_choice("`law`", law, ("linear", "saint-venant-kirchhoff"))
         if curvature is not None and law != "linear":
@@ -126,7 +127,7 @@ class Beam(eqx.Module):
             raise ValueError(f"`steps` is {steps!r}, but must be at least 1.")
         self.steps = steps
         if not callable(thickness):
-            thickness = require_positive("`thickness`", thickness)
+            thickness = require_length("`thickness`", thickness, material.modulus)
         self.profile = _along_axis(thickness)
         self.curvature = None
         if curvature is not None:

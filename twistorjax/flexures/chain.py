@@ -1,18 +1,17 @@
 """Flexures that are divided into segments, each with a surrogate of its own."""
 
 import math
-from functools import partial
 from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
-from .._utils.host import all_concrete, concrete
+from .._utils.host import all_concrete, as_float, concrete, is_traced
 from .._utils.types import (
     Corners,
     NumberLike,
@@ -44,6 +43,7 @@ from .beam_solution import (
     position_of,
     reference_ends,
 )
+from .leaf import leaf_outline
 from .samples import low_discrepancy_points
 from .surrogate import surrogate
 
@@ -58,6 +58,12 @@ _SEGMENTS_PER_MODE = 2.4
 _END_LENGTH = np.sqrt(0.5)
 _END_MASS, _NEXT_MASS = np.sqrt(2) / 6, 0.5 + np.sqrt(2) / 3
 _LOADS = 1000  # for the error estimate
+
+# Outlines of beams that are not straight or not of uniform thickness
+_POINTS = 2**11 + 1  # of which corners are selected
+_CHORD_ERROR = 5e-5  # relative to the smallest thickness
+_LARGEST_TURN = 0.05  # between two chords; rad. Denser ones are recognized as arcs.
+_TRACED_CORNERS = 97  # on each side of a beam whose dimensions are not known
 
 
 # Number of segments
@@ -433,21 +439,106 @@ def _body(name: str, pose: Pose, before: Beam, mass: Scalar | None) -> Body:
     return Body(name, pose, mass, inertia, expansion=before.material.expansion)
 
 
-@partial(jax.jit, static_argnames="points")
-def beam_outline(part: Beam, points: int = 12) -> Corners:
-    """Compute the outline of a segment in its frame, for drawing; m."""
+def beam_outline(part: Beam) -> Corners:
+    """Compute the outline of a beam in its frame; m.
+
+    The distance of the edges from the outline is below 1e-4 of the smallest thickness,
+    and the thinnest place is a corner, unless the beam is traced.
+    """
+    if is_uniform(part) and part.curvature is None:
+        thickness = part.profile(jnp.zeros(()))
+        return leaf_outline(length=part.length, thickness=thickness, points=12)
+    parameters = np.linspace(-1.0, 1.0, _POINTS)
+    sides = _sides(part, parameters)
+    if is_traced(sides):
+        rows = np.linspace(0, len(sides) - 1, _TRACED_CORNERS).astype(int)
+        return jnp.concatenate([sides[rows, 0], sides[rows[::-1], 1]])
+    known = np.asarray(sides)
     if part.curvature is None:
-        positions = part.length * jnp.asarray(np.linspace(-0.5, 0.5, points))
+        for _ in range(2):
+            parameters = _denser(parameters, known)
+            known = np.asarray(_sides(part, parameters))
+    rows = _corner_rows(known)
+    return as_float(np.concatenate([known[rows, 0], known[rows[::-1], 1]]))
+
+
+@jax.jit
+def _sides(
+    part: Beam, parameters: Float[ArrayLike, " points"]
+) -> Float[Array, "points 2 2"]:
+    """Compute points on both sides of a beam in its frame, at increasing parameters; m.
+
+    The parameters are those of `position_of`; for a curved beam they have equal steps.
+    """
+    positions = part.length * jax.vmap(position_of)(jnp.asarray(parameters))[0]
+    if part.curvature is None:
         zero = jnp.zeros_like(positions)
         line = jnp.stack([zero, positions, zero], axis=1)
     else:
-        line = beam_under_load(part, jnp.zeros(3), points).centerline
-        parameters = jnp.asarray(np.linspace(-1.0, 1.0, points))
-        positions = part.length * jax.vmap(position_of)(parameters)[0]
+        line = beam_under_load(part, jnp.zeros(3), _POINTS).centerline
     half = jax.vmap(part.profile)(positions) / 2
     directions = jnp.stack([-jnp.sin(line[:, 0]), jnp.cos(line[:, 0])], axis=1)
     normal, axis = half[:, None] * directions, line[:, 1:]
-    return jnp.concatenate([axis + normal, (axis - normal)[::-1]])
+    return jnp.stack([axis + normal, axis - normal], axis=1)
+
+
+def _denser(
+    parameters: Float[np.ndarray, " points"], sides: Float[np.ndarray, "points 2 2"]
+) -> Float[np.ndarray, " points"]:
+    """Return as many parameters that are denser where the sides (m) are curved more."""
+    bends = np.linalg.norm(np.diff(sides, 2, axis=0), axis=-1)
+    share = np.pad(np.sqrt(np.max(bends, axis=1)), 1, "edge")
+    share = share / max(np.sum(share), np.finfo(float).tiny) + 0.1 / len(share)
+    total = np.cumsum(share)
+    denser = np.interp(np.linspace(total[0], total[-1], len(total)), total, parameters)
+    thickness = np.hypot(*(sides[:, 0] - sides[:, 1]).T)
+    thinnest = parameters[np.argmin(thickness)]
+    denser[np.argmin(np.abs(denser - thinnest))] = thinnest
+    return denser
+
+
+def _corner_rows(
+    sides: Float[np.ndarray, "points 2 2"],
+) -> Int[np.ndarray, " corners"]:
+    """Select those of many points on both sides of a beam (m) that become corners.
+
+    Their number is rounded up, so that few programs are compiled for beams of different
+    dimensions.
+    """
+    thickness = np.hypot(*(sides[:, 0] - sides[:, 1]).T)
+    largest_distance = _CHORD_ERROR * np.min(thickness)
+    steps = np.diff(sides, axis=0)
+    before, after = steps[:-1], steps[1:]
+    cross = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
+    turn = np.abs(np.arctan2(cross, np.sum(before * after, axis=-1)))
+    turned = np.cumsum(np.pad(np.max(turn, axis=1), (1, 1)))
+    rows = np.arange(len(sides))
+    corners = np.unique([*np.linspace(0, rows[-1], 25).astype(int), np.argmin(thickness)])
+    while True:
+        interval = np.minimum(np.searchsorted(corners, rows, "right"), len(corners) - 1)
+        start, end = sides[corners[interval - 1]], sides[corners[interval]]
+        chord, arm = end - start, sides - start
+        cross = chord[..., 0] * arm[..., 1] - chord[..., 1] * arm[..., 0]
+        distance = np.max(np.abs(cross) / np.linalg.norm(chord, axis=-1), axis=1)
+        largest = np.maximum.reduceat(distance, corners[:-1])
+        long = (largest > largest_distance) | (np.diff(turned[corners]) > _LARGEST_TURN)
+        long &= np.diff(corners) > 1
+        if not np.any(long):
+            return _padded(corners)
+        middles = (corners[:-1] + corners[1:]) // 2
+        corners = np.unique(np.concatenate([corners, middles[long]]))
+
+
+def _padded(corners: Int[np.ndarray, " corners"]) -> Int[np.ndarray, " more"]:
+    """Divide the longest chords until their number is 24 times a power of two."""
+    chords = 24
+    while chords < len(corners) - 1:
+        chords *= 2
+    while (missing := chords + 1 - len(corners)) > 0:
+        longest = np.argsort(-np.diff(corners), kind="stable")[:missing]
+        middles = (corners[longest] + corners[longest + 1]) // 2
+        corners = np.sort(np.concatenate([corners, middles]))
+    return corners
 
 
 def _expansion(part: Beam, chord: Scalar) -> Expansion | None:

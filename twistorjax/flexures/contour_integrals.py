@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from .._utils.host import as_float, on_host
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_instance, require_positive
+from .._utils.validation import require_instance, require_length
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..energies.stress_model import AbstractStressModel
@@ -96,7 +96,7 @@ def quadratic_energy(
     """
     require_instance("material", material, Material)
     xp, (modulus, poisson, width, bending, axial, transverse) = on_host(
-        material.modulus, material.poisson, require_positive("`width`", width), *half
+        material.modulus, material.poisson, require_length("`width`", width), *half
     )
     compliances = [24 * bending, 2 * axial, 24 * transverse]
     if theory == "timoshenko":

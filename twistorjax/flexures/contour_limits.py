@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from .._utils.host import as_float, is_traced, on_host
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_choice, require_interval, require_positive
+from .._utils.validation import require_choice, require_interval, require_length
 from .leaf import Theory
 
 
@@ -16,7 +16,7 @@ def require_fillet(length: Scalar, fillet: NumberLike) -> Scalar:
     """Require a radius of fillets that fit into the length of a leaf; m."""
     return require_ratio(
         "`fillet / length`",
-        require_positive("`fillet`", fillet),
+        require_length("`fillet`", fillet),
         length,
         0.5,
         "must be at most 0.5, because there are fillets at both ends",
@@ -28,7 +28,7 @@ def require_arc(length: Scalar, radius: NumberLike, angle: Scalar) -> Scalar:
 
     The chord of the arc is at most the length (m).
     """
-    radius = require_positive("`radius`", radius)
+    radius = require_length("`radius`", radius)
     xp, (whole, half_angle) = on_host(length, angle)
     chord_limit = as_float(whole / (2 * xp.cos(half_angle / 2)))
     return require_ratio(
@@ -42,7 +42,7 @@ def require_arc(length: Scalar, radius: NumberLike, angle: Scalar) -> Scalar:
 
 def require_reinforcement(thickness: Scalar, reinforced: NumberLike) -> Scalar:
     """Require a thickness of a middle section that is at least another one; m."""
-    reinforced = require_positive("`reinforced_thickness`", reinforced)
+    reinforced = require_length("`reinforced_thickness`", reinforced)
     checked = require_ratio(
         "`thickness / reinforced_thickness`",
         thickness,
@@ -89,17 +89,17 @@ def require_notch(
     length: NumberLike, web: NumberLike, depth: NumberLike, theory: Theory
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Require the dimensions of a notch in the ranges of the formulas; m."""
-    length = require_positive("`length`", length)
+    length = require_length("`length`", length)
     depth = require_ratio(
         "`depth / length`",
-        require_positive("`depth`", depth),
+        require_length("`depth`", depth),
         length,
         0.5,
         "the formula of a beam is valid up to 0.5",
     )
     web = require_ratio(
         "`web / depth`",
-        require_positive("`web`", web),
+        require_length("`web`", web),
         depth,
         20.0,
         "the formula is valid up to 20. For a shallower notch, use `leaf`",

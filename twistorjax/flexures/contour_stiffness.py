@@ -10,7 +10,7 @@ import numpy as np
 
 from .._utils.host import as_float, on_host
 from .._utils.types import NumberLike
-from .._utils.validation import require_interval, require_positive
+from .._utils.validation import require_interval, require_length
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
@@ -90,8 +90,8 @@ def filleted_leaf(
         >>> energy.stiffness.diagonal()
         Array([1.27623813e+00, 5.79342767e+07, 5.18723846e+04], dtype=float64)
     """
-    length = require_positive("`length`", length)
-    thickness = require_positive("`thickness`", thickness)
+    length = require_length("`length`", length)
+    thickness = require_length("`thickness`", thickness)
     fillet = require_fillet(length, fillet)
     thickness = require_slender("`thickness / length`", thickness, length, theory)
     xp, (length, thickness, fillet) = on_host(length, thickness, fillet)
@@ -291,7 +291,7 @@ def v_notch(
         >>> energy.stiffness.diagonal()
         Array([1.18827486e+01, 2.40952959e+08, 1.54366033e+07], dtype=float64)
     """
-    length, web = require_positive("`length`", length), require_positive("`web`", web)
+    length, web = require_length("`length`", length), require_length("`web`", web)
     angle = require_interval(
         "`angle`", angle, 0.0, _LARGEST_ANGLE * (1 + 1e-12), "must be from 0 to 5/6 pi"
     )
@@ -377,10 +377,10 @@ def reinforced_leaf(
         >>> energy.stiffness.diagonal()
         Array([7.81346893e-01, 7.77777778e+07, 1.07686969e+04], dtype=float64)
     """
-    length = require_positive("`length`", length)
-    thickness = require_positive("`thickness`", thickness)
+    length = require_length("`length`", length)
+    thickness = require_length("`thickness`", thickness)
     reinforced_thickness = require_reinforcement(thickness, reinforced_thickness)
-    middle = require_positive("`reinforced_length`", reinforced_length)
+    middle = require_length("`reinforced_length`", reinforced_length)
     _, (whole, middle) = on_host(length, middle)
     outer = require_interval(
         "`length - reinforced_length`", whole - middle, 0.0, np.inf, "must be positive"

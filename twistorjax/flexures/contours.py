@@ -13,7 +13,7 @@ import numpy as np
 
 from .._utils.host import as_float, on_host
 from .._utils.types import NumberLike, Numbers, Scalar
-from .._utils.validation import require_interval, require_positive
+from .._utils.validation import require_interval, require_length, require_positive
 from .beam import elementwise
 from .contour_limits import (
     nan_where_nan,
@@ -54,8 +54,8 @@ def filleted_leaf_profile(
         >>> thickness(jnp.array(8e-3)), thickness(jnp.array(10e-3))
         (Array(0.0005, dtype=float64), Array(0.0045, dtype=float64))
     """
-    length = require_positive("`length`", length)
-    thickness = require_positive("`thickness`", thickness)
+    length = require_length("`length`", length)
+    thickness = require_length("`thickness`", thickness)
     fillet = require_fillet(length, fillet)
     return jax.tree_util.Partial(_filleted_leaf, length, thickness, fillet)
 
@@ -89,9 +89,9 @@ def elliptical_notch_profile(
     """
     return jax.tree_util.Partial(
         _elliptical_notch,
-        require_positive("`length`", length),
-        require_positive("`web`", web),
-        require_positive("`depth`", depth),
+        require_length("`length`", length),
+        require_length("`web`", web),
+        require_length("`depth`", depth),
     )
 
 
@@ -138,9 +138,9 @@ def power_law_notch_profile(
     low, high = _EXPONENTS
     return jax.tree_util.Partial(
         _power_law_notch,
-        require_positive("`length`", length),
-        require_positive("`web`", web),
-        require_positive("`depth`", depth),
+        require_length("`length`", length),
+        require_length("`web`", web),
+        require_length("`depth`", depth),
         require_interval(
             "`exponent`",
             exponent,
@@ -186,9 +186,9 @@ def v_notch_profile(
         >>> thickness(jnp.array(0.0)), thickness(jnp.array(10e-3)).round(6)
         (Array(0.0005, dtype=float64), Array(0.018843, dtype=float64))
     """
-    web = require_positive("`web`", web)
+    web = require_length("`web`", web)
     angle = require_interval("`angle`", angle, 0.0, np.pi, "must be from 0 to pi")
-    radius = require_arc(require_positive("`length`", length), radius, angle)
+    radius = require_arc(require_length("`length`", length), radius, angle)
     return jax.tree_util.Partial(_v_notch, web, radius, angle)
 
 
@@ -240,10 +240,10 @@ def reinforced_leaf_profile(
         >>> thickness(jnp.array(0.0)).round(6), thickness(jnp.array(10e-3)).round(6)
         (Array(0.002, dtype=float64), Array(0.0003, dtype=float64))
     """
-    length = require_positive("`length`", length)
-    thickness = require_positive("`thickness`", thickness)
+    length = require_length("`length`", length)
+    thickness = require_length("`thickness`", thickness)
     thick = require_reinforcement(thickness, reinforced_thickness)
-    middle = require_positive("`reinforced_length`", reinforced_length)
+    middle = require_length("`reinforced_length`", reinforced_length)
     _, (length, middle) = on_host(length, middle)
     transition = require_positive(
         "`transition`", length / 50 if transition is None else transition

@@ -109,6 +109,6 @@ def largest_thickness(beam: Beam) -> Scalar:
 def sector(inner: Scalar, outer: Scalar, first: Scalar, last: Scalar) -> Corners:
     """Return the corners of a sector of a ring between two angles (rad); m."""
     xp, (inner, outer, first, last) = on_host(inner, outer, first, last)
-    angles = first + (last - first) * np.linspace(0.0, 1.0, 13)
+    angles = first + (last - first) * np.linspace(0.0, 1.0, 61)
     directions = xp.stack([xp.cos(angles), xp.sin(angles)], axis=1)
     return as_float(xp.concatenate([outer * directions, inner * directions[::-1]]))

@@ -11,6 +11,7 @@ from .._utils.validation import (
     require_choice,
     require_instance,
     require_interval,
+    require_length,
     require_positive,
 )
 from ..energies.quadratic import Quadratic
@@ -93,9 +94,9 @@ def notch(
     low, high = _RANGES[require_choice("`formula`", formula, tuple(_RANGES))]
     xp, (modulus, hole, web, width) = on_host(
         material.modulus,
-        require_positive("`hole`", hole),
+        require_length("`hole`", hole, material.modulus),
         require_positive("`web`", web),
-        require_positive("`width`", width),
+        require_length("`width`", width, material.modulus),
     )
     ratio = require_interval(
         "`web / hole`",
@@ -140,7 +141,7 @@ def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial
         >>> thickness(jnp.array(0.0)), thickness(jnp.array(1.5e-3))
         (Array(0.00025, dtype=float64), Array(0.00325, dtype=float64))
     """
-    hole, web = require_positive("`hole`", hole), require_positive("`web`", web)
+    hole, web = require_length("`hole`", hole), require_length("`web`", web)
     return jax.tree_util.Partial(_neck_thickness, hole, web)
 
 
@@ -160,25 +161,42 @@ def notch_outline(
     hole: NumberLike,
     web: NumberLike,
     height: NumberLike | None = None,
-    points: int = 24,
+    points: int = 61,
 ) -> Corners:
-    """Compute the outline of the neck of a notch in its frame, for drawing.
+    """Compute the outline of the neck of a notch in its frame.
+
+    The thinnest place is a corner. With the default of `points`, `io.save_outline` writes
+    the edges as circular arcs.
 
     Args:
         hole: Diameter of the two circular holes; m.
         web: Smallest thickness of the neck; m.
         height: In-plane height of the adjacent bodies, which limits the outline; m. The
             default is the full height of the holes.
-        points: Number of points on each side.
+        points: Number of points on the arc of each side. An even number is increased by
+            one.
 
     Returns:
         The corners of the outline; m.
+
+    Example:
+        >>> outline = notch_outline(hole=3e-3, web=0.25e-3)
+        >>> outline[30, 1] - outline[91, 1]  # the thinnest place
+        Array(0.00025, dtype=float64)
     """
+    shares = np.linspace(-1.0, 1.0, points + 1 - points % 2)
     limit = np.inf if height is None else height
     xp, (hole, web, limit) = on_host(hole, web, limit)
-    angle = np.linspace(-np.pi / 2, np.pi / 2, points)
-    x = np.sin(angle) * hole / 2
-    y = xp.minimum((1 - np.cos(angle)) * hole / 2 + web / 2, limit / 2)
+    largest = np.pi / 2
+    if height is not None:  # The arc ends where it is as high as the bodies.
+        largest = xp.arccos(1 - xp.clip((limit - web) / hole, 0.0, 1.0))
+    angle = shares * largest
+    x = xp.sin(angle) * hole / 2
+    y = (1 - xp.cos(angle)) * hole / 2 + web / 2
+    if height is not None:
+        y = xp.minimum(y, limit / 2)
+        end = xp.reshape(hole / 2, (1,))
+        x, y = xp.concatenate([-end, x, end]), xp.concatenate([y[:1], y, y[-1:]])
     return as_float(xp.concatenate([xp.stack([x, y], 1), xp.stack([x, -y], 1)[::-1]]))
 
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from .._utils.types import BatchScalar, NumberLike, Scalar, WrenchLike
-from .._utils.validation import require_positive, require_row
+from .._utils.validation import require_length, require_row
 from ..energies.stress_model import Strengths
 from ..geometry.twistors import Displacement
 from .beam_solution import BeamSolution
@@ -76,9 +76,9 @@ def leaf_stress(
     """
     model = SectionStress.of_leaf(
         Strengths(),
-        require_positive("`length`", length),
-        require_positive("`thickness`", thickness),
-        require_positive("`width`", width),
+        require_length("`length`", length),
+        require_length("`thickness`", thickness),
+        require_length("`width`", width),
     )
     return _largest(model, wrench)
 
@@ -121,9 +121,9 @@ def notch_stress(
     """
     model = SectionStress.of_notch(
         Strengths(),
-        require_positive("`hole`", hole),
-        require_positive("`web`", web),
-        require_positive("`width`", width),
+        require_length("`hole`", hole),
+        require_length("`web`", web),
+        require_length("`width`", width),
     )
     return _largest(model, wrench)
 

@@ -33,13 +33,14 @@ class Body(eqx.Module):
         mass: Mass; needed for motion and vibrations only; kg.
         inertia: Moment of inertia about the origin of the frame; needed for motion and
             vibrations only; kg m^2.
-        outline: Corners of a closed polygon in the frame of the body, for drawing; m.
+        outline: Corners of a closed polygon in the frame of the body, for drawings and
+            for cutting, in order, clockwise or counterclockwise; m.
         expansion: Coefficient of thermal expansion, by default zero; 1/K. At a change of
             temperature the body expands about the origin of its frame.
 
     Raises:
         ValueError: A mass or a moment of inertia is not positive, a value is not finite,
-            or a shape is wrong.
+            a shape is wrong, or two edges of the outline cross each other.
     """
 
     name: str = eqx.field(static=True)
@@ -86,8 +87,8 @@ def plate(
 
     Args:
         name: Name of the body.
-        corners: Corners of the outline in the world, in order, in the reference
-            configuration; m.
+        corners: Corners of the outline in the world, in order, clockwise or
+            counterclockwise, in the reference configuration; m.
         width: Thickness of the plate, perpendicular to the plane of motion; m.
         material: Material of the plate, with its density.
 
@@ -96,7 +97,8 @@ def plate(
         to those of the world.
 
     Raises:
-        ValueError: The outline encloses no area, or the material has no density.
+        ValueError: The outline encloses no area, two of its edges cross each other, or
+            the material has no density.
 
     Example:
         >>> steel = Material(modulus=210e9, poisson=0.3, density=7.8e3)

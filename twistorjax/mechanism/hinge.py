@@ -62,8 +62,8 @@ class Hinge(eqx.Module):
 
     Raises:
         ValueError: Both or neither of `at` and `ports` are given, a hinge connects a body
-            to itself, a shape is wrong, a value is not finite, or the damping time is
-            negative.
+            to itself, a shape is wrong, a value is not finite, two edges of the outline
+            cross each other, or the damping time is negative.
 
     Source:
         A misfit is divided equally among the two frames. The energy is that of the

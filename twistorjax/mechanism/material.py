@@ -1,12 +1,10 @@
 """Elastic material of a plate."""
 
-import warnings
-
 import equinox as eqx
 
 from .._utils.host import concrete
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_finite, require_interval, require_positive
+from .._utils.validation import require_finite, require_interval, require_positive, warn
 from ..energies.stress_model import Strengths
 
 
@@ -57,10 +55,9 @@ class Material(eqx.Module):
         known = concrete(self.modulus)
         # A modulus of exactly 1 makes a study dimensionless.
         if known is not None and known != 1 and not 1e3 <= known <= 1e15:
-            warnings.warn(
+            warn(
                 f"`modulus` is {float(known):g} Pa, which is a thousand times off every "
-                "solid. Moduli are in pascals: 210 GPa is 210e9.",
-                stacklevel=3,
+                "solid. Moduli are in pascals: 210 GPa is 210e9."
             )
         requirement = "must be above -1 and at most 0.5"
         self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, requirement)

@@ -185,8 +185,9 @@ class Mechanism(HingeQueries):
             The mechanism.
 
         Raises:
-            ValueError: A name is unknown, a value is not finite, or a hinge with a
-                temperature has no `expansion`.
+            ValueError: A name is unknown, a value is not finite, a hinge with a
+                temperature has no `expansion`, or a body or a hinge would expand or
+                shrink by more than half of its size.
 
         Source:
             A hinge of length L becomes longer by `expansion * change * L`. Its natural

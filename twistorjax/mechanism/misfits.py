@@ -1,6 +1,5 @@
 """Changes of the misfits of a mechanism: strokes of actuators, and thermal expansion."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TYPE_CHECKING
@@ -11,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, on_host
+from .._utils.host import as_float, concrete, on_host
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import (
     index_of,
     require_finite,
     require_pose,
     shorten,
+    warn,
 )
 from ..energies.base import AbstractEnergy, flexure_length
 from ..energies.dilation import dilated
@@ -28,6 +28,9 @@ from .hinge_groups import dilate_groups
 if TYPE_CHECKING:
     from .hinge_assembly import HingeAssembly
     from .mechanism import Mechanism
+
+
+_LARGEST_STRAIN = 0.5  # due to a change of the temperature
 
 
 def stroke_rows(
@@ -120,6 +123,8 @@ def expanded(
     gap_along = cos * gap[:, 0] + sin * gap[:, 1]
     gap_across = cos * gap[:, 1] - sin * gap[:, 0]
     growth, turn = coefficient * length * of_hinges, -coefficient * arc_length * slopes
+    _require_small_strains("body", mechanism.names, strains)
+    _require_small_strains("hinge", mechanism.hinge_names, coefficient * of_hinges)
     scales = 1 + coefficient * of_hinges
     zero = 0 * growth
     columns = [zero, growth, zero, gap_along, gap_across, turn]
@@ -139,6 +144,23 @@ def _arc_length(expansion: Expansion) -> Scalar:
     """Return the length along which a gradient of the temperature bends a hinge; m."""
     length = expansion.arc_length
     return expansion.length if length is None else length
+
+
+def _require_small_strains(noun: str, names: Sequence[str], strains: Any) -> None:
+    """Check the thermal strains of bodies or hinges, for which expansion is linear.
+
+    Raises:
+        ValueError: The magnitude of a strain is more than 0.5.
+    """
+    known = concrete(strains)
+    if known is None or np.all(np.abs(known) <= _LARGEST_STRAIN):
+        return
+    row = int(np.argmax(np.abs(known)))
+    raise ValueError(
+        f"The {noun} {names[row]!r} would expand by {known[row]:.4g} times its size, but "
+        f"thermal strains must be between -{_LARGEST_STRAIN:g} and {_LARGEST_STRAIN:g}. "
+        "Changes of the temperature are in kelvin, and coefficients of expansion in 1/K."
+    )
 
 
 def _dilated_sum(
@@ -180,12 +202,11 @@ def _require_expansions(mechanism: "Mechanism", named: NamedNumbers) -> None:
             continue
         energy = mechanism.hinge_assembly.energy_of(row)
         if flexure_length(energy) is not None:
-            warnings.warn(
+            warn(
                 f"The hinge {name!r} is a flexure without an `expansion`. The bodies "
                 "move its middle instead of its clamped ends, and it does not expand. "
                 "Give `expansion=Expansion(material, length=...)`, also if its own "
-                "temperature does not change.",
-                stacklevel=4,
+                "temperature does not change."
             )
 
 

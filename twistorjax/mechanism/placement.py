@@ -1,12 +1,12 @@
 """Check that hinges are near the bodies that they connect."""
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from .._utils.host import all_concrete, concrete
+from .._utils.validation import warn
 from ..energies.base import flexure_length
 from .body import Body
 from .hinge import Hinge
@@ -38,12 +38,11 @@ def warn_if_misplaced(
         ends = np.array(center) - along, np.array(center) + along
         gaps = [min(_distance(body, end) for end in ends) for body in pair]
         if min(gaps) > length:
-            warnings.warn(
+            warn(
                 f"The ends of the hinge {hinge.name!r}, of length {length:.4g} m, are "
                 f"{gaps[0]:.4g} m and {gaps[1]:.4g} m away from the outlines of its "
                 f"bodies {hinge.first!r} and {hinge.second!r}. Check the pose `at` "
-                "(angle, x, y) of the hinge, whose axis 1 is along its length.",
-                stacklevel=4,
+                "(angle, x, y) of the hinge, whose axis 1 is along its length."
             )
 
 

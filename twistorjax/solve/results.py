@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Inexact
+from jaxtyping import Array, ArrayLike, Bool, Float, Inexact
 
 from .._utils.host import concrete
 from .._utils.types import BatchFlag, Numbers
@@ -18,8 +18,8 @@ from .tables import Column, Columns, columns, Tabular
 class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     """Reasons why a solve ended.
 
-    `RESULTS[solution.result]` is the message of a result, which is empty for
-    `successful`. `result_names(solution.result)` is its name.
+    A result prints its name, which is `result_names(solution.result)`.
+    `RESULTS[solution.result]` is its message, which is empty for `successful`.
 
     * Equilibria end as `successful`, `not_finite`, `unstable`, `no_equilibrium`,
       `steps_used_up`, `inconsistent_constraints`, or `out_of_range`.
@@ -245,6 +245,28 @@ def result_message(name: str) -> str:
 RESULT_NAMES = tuple(
     sorted(RESULTS._name_to_item, key=lambda name: int(getattr(RESULTS, name)._value))
 )
+_Item: Any = type(RESULTS.successful)
+
+
+class _NamedResult(_Item):
+    """A result that prints its name. Equinox prints the message, which may be empty."""
+
+    def __repr__(self) -> str:
+        known = not self.is_traced() and isinstance(self._value, np.ndarray | Array)
+        return f"RESULTS<{result_names(self) if known else RESULTS[self]}>"
+
+
+_where: Any = RESULTS.where
+
+
+def _named_where(pred: Bool[ArrayLike, "..."], a: RESULTS, b: RESULTS) -> RESULTS:
+    """Select one of two results; see `eqx.Enumeration.where`."""
+    return _NamedResult(_where(pred, a, b)._value, RESULTS)
+
+
+for _name, _item in RESULTS._name_to_item.items():
+    RESULTS._name_to_item[_name] = _NamedResult(_item._value, RESULTS)
+RESULTS.where = _named_where
 
 _WRENCH = ("moment", "N m"), ("force_x", "N"), ("force_y", "N")
 

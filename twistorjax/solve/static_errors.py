@@ -80,5 +80,5 @@ def check_equilibrium(
 
     solution = succeeded_or_raise(solution, error)
     if mechanism is not None:
-        warn_outside_linear_range(mechanism, solution.range_shares, stacklevel=4)
+        warn_outside_linear_range(mechanism, solution.range_shares)
     return solution

@@ -1,7 +1,5 @@
 """Static equilibrium of a mechanism, and states that are given by one."""
 
-import warnings
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +9,7 @@ from typing_extensions import TypeAliasType
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
 from .._utils.types import Count, Entries, Flag, Poses, PosesLike, Scalar, Wrenches
+from .._utils.validation import warn
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.loads import LoadSet
 from ..mechanism.mechanism import Mechanism
@@ -100,26 +99,22 @@ StateLike = TypeAliasType("StateLike", PosesLike | Equilibrium)
 
 
 def warn_outside_linear_range(
-    mechanism: Mechanism,
-    shares: Float[Array, "*batch hinges"] | None,
-    stacklevel: int = 3,
+    mechanism: Mechanism, shares: Float[Array, "*batch hinges"] | None
 ) -> None:
     """Warn if a flexure without a validity range errs by more than 5 %.
 
     `shares` are those of `Equilibrium.range_shares`, also in a batch, where NaN does not
-    count. `stacklevel` is that of `warnings.warn`; by default the warning refers to the
-    call of the function that calls this one.
+    count.
     """
     known = None if shares is None else concrete(shares)
     if known is not None and np.any(known > 1):
         hinge = mechanism.hinge_names[np.nanargmax(known) % known.shape[-1]]
-        warnings.warn(
+        warn(
             f"The displacement or the axial force of the hinge {hinge!r} is "
             f"{np.nanmax(known):.3g} times the one at which its force or moment errs by "
             "5 %, because its energy is that of small displacements under small axial "
             "forces. Use `flexures.leaf`, or `flexures.surrogate` for other contours, "
-            "whose errors are known in their validity ranges.",
-            stacklevel=stacklevel,
+            "whose errors are known in their validity ranges."
         )
 
 
@@ -157,5 +152,5 @@ def state_in_range(mechanism: Mechanism, name: str, state: StateLike | None) -> 
             f"At `{name}` a hinge is outside the validity range of its energy. "
             f"{mechanism.range_messages(mechanism.reference + displacements)}"
         )
-    warn_outside_linear_range(mechanism, shares, stacklevel=4)
+    warn_outside_linear_range(mechanism, shares)
     return displacements

@@ -185,7 +185,7 @@ def finish_dataset(
     """Reshape the outputs of a grid, and replace equal coordinates of all designs by one.
 
     Args:
-        table: Dataset in which all outputs have the axis `design`.
+        table: Dataset in which all outputs have the axis `design`, or the axes of a grid.
         grid: Names of the parameters of a grid; empty if the designs are not a grid.
         coordinates: Axis of each variable `<axis>_coordinate`; see `coordinate_names`.
 
@@ -195,10 +195,11 @@ def finish_dataset(
     """
     for name, axis in coordinates.items():
         computed = np.asarray(table["result"]) != NOT_COMPUTED
-        values = table[name] if computed.all() else table[name][computed]
         if not computed.any():
             continue
-        first = values[0].drop_vars(values.coords)
+        values = np.asarray(table[name])[computed]
+        index = np.unravel_index(np.argmax(computed), computed.shape)
+        first = table[name][index].drop_vars(table[name].coords)
         if np.array_equal(values, np.broadcast_to(first, values.shape), equal_nan=True):
             table = table.drop_vars(name).assign_coords({axis: first})
     if grid:

@@ -177,6 +177,46 @@ class Designs:
         )
 
 
+def grid_chunk(shape: Sequence[int], size: int) -> tuple[int, ...] | None:
+    """Find the block of a grid that holds so many consecutive designs.
+
+    Args:
+        shape: Number of values of each parameter of the grid.
+        size: Number of designs of each chunk; the last one may have fewer.
+
+    Returns:
+        The shape of the block; None if a chunk of this size is not a block.
+    """
+    axis, inner = _chunk_axis(shape, size)
+    count = min(size // inner, shape[axis])
+    if size < math.prod(shape) and (
+        size != count * inner or (axis > 0 and shape[axis] % count)
+    ):
+        return None
+    return (*axis * (1,), count, *shape[axis + 1 :])
+
+
+def grid_chunk_size(shape: Sequence[int], size: int) -> int:
+    """Reduce the size of chunks so that they are blocks of a grid; see `grid_chunk`.
+
+    The size stays as it is if it would have to be reduced to less than half.
+    """
+    axis, inner = _chunk_axis(shape, size)
+    if size >= math.prod(shape):
+        return size
+    count = size // inner
+    while axis > 0 and shape[axis] % count:
+        count -= 1
+    return count * inner if 2 * count * inner >= size else size
+
+
+def _chunk_axis(shape: Sequence[int], size: int) -> tuple[int, int]:
+    """Find the axis that chunks divide, and the designs in one step along it."""
+    inner = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
+    axis = next(axis for axis, count in enumerate(inner) if count <= size)
+    return axis, inner[axis]
+
+
 def _as_array(value: Any) -> Any:
     """Convert a list or tuple of numbers to an array; return anything else unchanged."""
     is_list = isinstance(value, list | tuple) and value and all(map(np.isscalar, value))

@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +22,7 @@ from .store_files import (
 )
 
 
+_FLAT_FORMAT = 3  # in which also the outputs of a grid have the axis `design`
 # age at which an incomplete file is removed; writing a file takes seconds; s
 _ABANDONED_AFTER = 3600.0
 
@@ -53,7 +55,7 @@ class Store:
                 f"{str(path)!r} is not a store of a sweep, because it has no file "
                 f"{MANIFEST.as_posix()!r}. Use another path."
             )
-        if (version := manifest.get("format")) != FORMAT:
+        if (version := manifest.get("format")) not in (_FLAT_FORMAT, FORMAT):
             raise ValueError(
                 f"The store {str(path)!r} has format {version}, but this version of "
                 f"twistorjax uses format {FORMAT}. Use another path, or the version that "
@@ -61,6 +63,8 @@ class Store:
             )
         self.identity: dict[str, Any] = manifest["identity"]
         self.grid = tuple(manifest["grid"])
+        # Shape of a chunk of a grid; None if the outputs have the axis `design`
+        self.block: list[int] | None = manifest.get("block")
         self.output_names = tuple(manifest["outputs"])
         self.coordinates: dict[str, str] = manifest["coordinates"]
         self._digests: dict[str, str] = manifest["files"]
@@ -142,16 +146,14 @@ class Store:
                 of an output that has not been computed.
 
         Returns:
-            The output, with one entry for each design along the first axis.
+            The output, with the axes of the array in the store.
         """
-        array, parts = self._arrays[name], []
-        for chunk, selected in enumerate(chunks):
-            rows = self._rows(chunk)
-            shape = (rows.stop - rows.start, *array.shape[1:])
-            missing = np.full(shape, fill_value(name, array.dtype), array.dtype)
+        array = self._arrays[name]
+        values = np.full(array.shape, fill_value(name, array.dtype), array.dtype)
+        for chunk in np.flatnonzero(chunks).tolist():
             with clear_errors(self.path, "read"):
-                parts.append(np.asarray(array[rows]) if selected else missing)
-        return np.concatenate(parts)
+                values[self._part(chunk)] = array[self._part(chunk)]
+        return values
 
     def written_chunks(self) -> Bool[np.ndarray, " chunks"]:
         """Determine whether each chunk has been written, without a verification."""
@@ -176,20 +178,26 @@ class Store:
         Raises:
             OSError: The store cannot be written.
         """
-        rows = self._rows(chunk)
-        count = rows.stop - rows.start
+        part = self._part(chunk)
+        shape = tuple(axis.stop - axis.start for axis in part)
+        count = math.prod(shape)
         values = {name: np.ascontiguousarray(v[:count]) for name, v in values.items()}
         remedy = "Finished chunks remain; repeat the sweep with `resume=True`."
         with clear_errors(self.path, "written", remedy):
             for name, array in self._arrays.items():
-                array[rows] = values[name]
+                array[part] = values[name].reshape(*shape, *values[name].shape[1:])
             self._checksums[chunk] = _checksum(chunk, values)
 
-    def _rows(self, chunk: int) -> slice:
-        """Return the range of the designs of a chunk."""
-        count = next(iter(self._arrays.values())).shape[0]
+    def _part(self, chunk: int) -> tuple[slice, ...]:
+        """Return the range of the designs of a chunk along each of their axes."""
         size = self.identity["chunk_size"]
-        return slice(chunk * size, min((chunk + 1) * size, count))
+        block = [size] if self.block is None else self.block
+        shape = next(iter(self._arrays.values())).shape[: len(block)]
+        first = np.unravel_index(chunk * size, shape)
+        return tuple(
+            slice(int(start), min(int(start) + count, length))
+            for start, count, length in zip(first, block, shape, strict=True)
+        )
 
     def _read_checksums(self) -> np.ndarray:
         """Read the checksums of all chunks; zero for a checksum that cannot be read."""
@@ -204,9 +212,9 @@ class Store:
 
     def _compute_checksum(self, chunk: int) -> int:
         """Compute the checksum of the files of a chunk; zero if one cannot be read."""
-        rows = self._rows(chunk)
+        part = self._part(chunk)
         try:
-            values = {name: np.asarray(a[rows]) for name, a in self._arrays.items()}
+            values = {name: np.asarray(a[part]) for name, a in self._arrays.items()}
         except Exception:  # The type of the error depends on the kind of damage.
             return 0
         return _checksum(chunk, values)

@@ -9,7 +9,7 @@ import re
 import shutil
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,11 @@ import numpy as np
 
 from .._utils.validation import require_package
 from .dataset import Layout, NOT_COMPUTED, RESULT_FLAGS
+from .designs import grid_chunk
 from .store_files import clear_errors, MANIFEST, write_manifest
 
 
-FORMAT = 3  # version of the layout of the files
+FORMAT = 4  # version of the layout of the files
 # age at which the folder of an unfinished creation is removed in any case; s
 _ABANDONED_AFTER = 24 * 3600.0
 
@@ -69,7 +70,10 @@ def create_store(path: Path, identity: Mapping[str, Any], layout: Layout) -> boo
     with clear_errors(path, "written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(path)
-        with _temporary_store(path, identity, layout) as temporary:
+        block = None
+        if layout.grid:
+            block = grid_chunk(layout.designs.shape, identity["chunk_size"])
+        with _temporary_store(path, identity, layout, block) as temporary:
             try:
                 os.rename(temporary, path)
             except OSError:
@@ -79,17 +83,20 @@ def create_store(path: Path, identity: Mapping[str, Any], layout: Layout) -> boo
     return True
 
 
-def rewrite_static_files(path: Path, identity: Mapping[str, Any], layout: Layout) -> None:
+def rewrite_static_files(
+    path: Path, identity: Mapping[str, Any], layout: Layout, block: Sequence[int] | None
+) -> None:
     """Write the coordinates, the labels and all metadata of a damaged store again.
 
-    The arguments are those of `create_store` for the sweep that created the store. Chunks
-    of outputs stay unchanged. The manifest is replaced last, so that the store counts as
-    damaged until all files are intact.
+    The arguments are those of `create_store` for the sweep that created the store, and
+    the shape of its chunks; see `Store`. Chunks of outputs stay unchanged. The manifest
+    is replaced last, so that the store counts as damaged until all files are intact.
 
     Raises:
         OSError: The store cannot be written.
     """
-    with clear_errors(path, "written"), _temporary_store(path, identity, layout) as new:
+    temporary = _temporary_store(path, identity, layout, block)
+    with clear_errors(path, "written"), temporary as new:
         files = [file.relative_to(new) for file in new.rglob("*") if file.is_file()]
         for file in sorted(files, key=lambda file: file == MANIFEST):
             (path / file).parent.mkdir(parents=True, exist_ok=True)
@@ -106,21 +113,27 @@ def fill_value(name: str, dtype: np.dtype) -> Any:
 
 @contextlib.contextmanager
 def _temporary_store(
-    path: Path, identity: Mapping[str, Any], layout: Layout
+    path: Path, identity: Mapping[str, Any], layout: Layout, block: Sequence[int] | None
 ) -> Iterator[Path]:
     """Create a store in a hidden folder, which is removed unless it is renamed."""
     temporary = path.with_name(
         f".{path.name}.{_machine_id()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     )
     try:
-        _write_store(temporary, identity, layout)
+        _write_store(temporary, identity, layout, block)
         yield temporary
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _write_store(folder: Path, identity: Mapping[str, Any], layout: Layout) -> None:
-    """Write all files of a store without outputs."""
+def _write_store(
+    folder: Path, identity: Mapping[str, Any], layout: Layout, block: Sequence[int] | None
+) -> None:
+    """Write all files of a store without outputs.
+
+    The outputs of a grid have its axes if the chunks are blocks of this shape; otherwise
+    they have the axis `design`.
+    """
     chunk_size = identity["chunk_size"]
     group = require_package("zarr", "Stores", "data").open_group(folder, mode="w")
     labels = {}
@@ -128,15 +141,21 @@ def _write_store(folder: Path, identity: Mapping[str, Any], layout: Layout) -> N
         labels.update(column.labels)
         units = {"units": column.unit} if column.unit else {}
         attributes = units | RESULT_FLAGS.get(name, {})
-        metadata = {"dimension_names": column.axes, "attributes": attributes}
+        axes = column.axes
+        if block is not None and name in layout.outputs:
+            axes = (*layout.grid, *axes[1:])
+        metadata = {"dimension_names": axes, "attributes": attributes}
         if name in layout.parameters:
             _write_static_array(group, name, np.asarray(column.values), **metadata)
             continue
         shape, dtype = column.values.shape, np.dtype(column.values.dtype)
+        designs, chunk = shape[:1], (min(chunk_size, shape[0]),)
+        if block is not None:
+            designs, chunk = layout.designs.shape, block
         group.create_array(
             name,
-            shape=shape,
-            chunks=(min(chunk_size, shape[0]), *(max(1, size) for size in shape[1:])),
+            shape=(*designs, *shape[1:]),
+            chunks=(*chunk, *(max(1, size) for size in shape[1:])),
             dtype=dtype,
             fill_value=fill_value(name, dtype),
             **metadata,
@@ -153,6 +172,7 @@ def _write_store(folder: Path, identity: Mapping[str, Any], layout: Layout) -> N
         "format": FORMAT,
         "identity": dict(identity),
         "grid": list(layout.grid),
+        "block": None if block is None else list(block),
         "outputs": list(layout.outputs),
         "coordinates": dict(layout.coordinates),
     }

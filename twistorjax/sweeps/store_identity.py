@@ -47,7 +47,7 @@ def open_store(
         existing = Store(path)
         existing.check_identity(identity)
         if existing.damaged_files():
-            rewrite_static_files(path, identity, layout)
+            rewrite_static_files(path, identity, layout, existing.block)
         existing.remove_partial_files()
     synchronize("store opened")
     return Store(path).open()

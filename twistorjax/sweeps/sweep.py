@@ -1,6 +1,5 @@
 """Evaluation of a study for many designs, with one dataset as the result."""
 
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, TYPE_CHECKING
 import jax
 import numpy as np
 
-from .._utils.validation import compilation_error, require_package
+from .._utils.validation import compilation_error, require_package, warn
 from ..solve.results import result_message, RESULT_NAMES
 from ..solve.tables import Column, dataset
 from .dataset import (
@@ -21,7 +20,7 @@ from .dataset import (
     require_memory,
     RESULT_FLAGS,
 )
-from .designs import Designs
+from .designs import Designs, grid_chunk_size
 from .executor import (
     default_chunk_size,
     default_memory,
@@ -88,7 +87,9 @@ def sweep(
             connects. Each device evaluates chunks of its own. The default is one device.
         store: Folder in zarr format in which each chunk is saved as soon as it is
             computed, so that an interrupted sweep can be resumed. Several processes need
-            a common folder. Names in a store must not contain spaces or slashes.
+            a common folder. Names in a store must not contain spaces or slashes. The
+            outputs of a grid have its axes in the store, unless a given `chunk_size` does
+            not fit to them; `open_sweep` returns the grid in any case.
         resume: Whether an existing store is continued. Intact chunks are not computed
             again. Damaged or missing files are written again.
         settings: Further entries for the attributes of the dataset, which JSON can
@@ -167,12 +168,12 @@ def sweep(
             "`resume=True`, or use another path."
         )
     fixed_chunk_size = chunk_size is not None or existing is not None
-    if chunk_size is None:
-        chunk_size = (
-            default_chunk_size(len(designs), mesh)
-            if existing is None
-            else existing.identity["chunk_size"]
-        )
+    if chunk_size is None and existing is not None:
+        chunk_size = existing.identity["chunk_size"]
+    elif chunk_size is None:
+        chunk_size = default_chunk_size(len(designs), mesh)
+        if store is not None and designs.dims != ("design",):
+            chunk_size = grid_chunk_size(designs.shape, chunk_size)
     try:
         program = find_program(
             study, designs.structure, tuple(derivatives), chunk_size, memory, mesh,
@@ -253,7 +254,8 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
         table = table.assign(outputs)
         table = table.assign_attrs(chunks_missing=int(np.sum(~available)))
     try:
-        return finish_dataset(table, opened.grid, opened.coordinates)
+        table = finish_dataset(table, opened.grid, opened.coordinates)
+        return table.load() if opened.grid else table
     except Exception:  # Without verification, what is read here may be damaged.
         if verify:
             raise
@@ -289,10 +291,9 @@ def warn_of_failures(table: "xarray.Dataset") -> None:
     reasons = " ".join(
         f"{count:,} {name}: {result_message(name)}" for name, count in counts.items()
     )
-    warnings.warn(
+    warn(
         f"{sum(counts.values()):,} of {table['succeeded'].size:,} designs failed, and "
-        f"their outputs are NaN. {reasons}",
-        stacklevel=3,
+        f"their outputs are NaN. {reasons}"
     )
 
 

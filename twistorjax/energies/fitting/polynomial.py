@@ -4,7 +4,6 @@ Sections 3.6, 4.7 and 7.1 of the dissertation. Here the equations are those of t
 components of the wrench, instead of the dissertation's four generalized forces.
 """
 
-import warnings
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..._utils.validation import require_choice, require_float64
+from ..._utils.validation import require_choice, require_float64, warn
 from ..evaluation import term_wrenches
 from ..mixed import MixedEnergy
 from ..monomials import (
@@ -135,7 +134,7 @@ def fit_energy(
         held_out = _errors(energy, trials[np.sort(shuffled[:count])])
     fit = best.report(trials, held_out)
     if fit.warning:
-        warnings.warn(fit.warning, stacklevel=2)
+        warn(fit.warning)
     return fit
 
 

@@ -4,7 +4,6 @@ Section 7.3 of the dissertation. Here a ridge keeps the denominator positive, an
 result reports the range of the denominator.
 """
 
-import warnings
 from collections.abc import Sequence
 from typing import Literal
 
@@ -13,7 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 from typing_extensions import TypeAliasType
 
-from ..._utils.validation import require_array, require_choice, require_float64
+from ..._utils.validation import require_array, require_choice, require_float64, warn
 from ..monomials import monomials, Symmetries
 from ..polynomial import Polynomial, Rational
 from ..strains import Coordinates
@@ -235,5 +234,5 @@ def fit_rational(
         largest_ratio=float(max(map(np.max, ratios))),
     )
     if fit.warning:
-        warnings.warn(fit.warning, stacklevel=2)
+        warn(fit.warning)
     return fit

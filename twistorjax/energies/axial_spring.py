@@ -1,6 +1,7 @@
 """Energy of a straight spring or bar whose ends are free to rotate."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,6 +11,7 @@ from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
+from .solver_protocols import Stress
 
 
 class AxialSpring(AbstractEnergy):
@@ -54,14 +56,55 @@ class AxialSpring(AbstractEnergy):
         return None
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        # The vector from one end to the other one in the mid-frame
-        along = 2 * displacement.x1 + self.length * displacement.sigma
-        across = 2 * displacement.x2
+        along, across = self.ends_apart(displacement)
         stretch = jnp.sqrt(along**2 + across**2) - self.length
         return self.stiffness * stretch**2 / 2
+
+    def ends_apart(self, displacement: Displacement) -> tuple[Scalar, Scalar]:
+        """Compute the vector from one end to the other one in the mid-frame; m."""
+        along = 2 * displacement.x1 + self.length * displacement.sigma
+        return along, 2 * displacement.x2
+
+    def newton_model(self, stress: Stress) -> AbstractEnergy:
+        """Return the energy that replaces it in a Newton step; see `HasNewtonModel`."""
+        return _NewtonModel(self, *stress[1:])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "AxialSpring":
         """Return the energy if all dimensions of the spring are multiplied."""
         _, (scale, stiffness, length) = on_host(scale, self.stiffness, self.length)
         new = as_float(stiffness * scale), as_float(length * scale)
         return eqx.tree_at(lambda spring: (spring.stiffness, spring.length), self, new)
+
+
+class _NewtonModel(AbstractEnergy):
+    """Replacement of the energy of a spring in Newton's method, near a predicted force.
+
+    A Newton step that turns a stiff bar stretches it, because its shortening along its
+    first direction is of second order. The large force of this stretch would slow down
+    Newton's method, so the geometric stiffness is that of the predicted force.
+
+    Args:
+        spring: The spring.
+        axial: Predicted axial force; N.
+        transverse: Predicted transverse force; N.
+    """
+
+    spring: AxialSpring
+    axial: Scalar
+    transverse: Scalar
+
+    def stored_energy(self, displacement: Displacement) -> Scalar:
+        spring, fixed = self.spring, jax.lax.stop_gradient(displacement)
+        along, across = spring.ends_apart(displacement)
+        along0, across0 = spring.ends_apart(fixed)
+        distance = jnp.sqrt(along**2 + across**2)
+        distance0 = jnp.sqrt(along0**2 + across0**2)
+        predicted = (self.axial * along0 + self.transverse * across0) / distance0
+        force = spring.stiffness * (distance0 - spring.length)
+        # The part of the distance that is not linear has no first derivatives.
+        turn = displacement.angle - fixed.angle
+        rate = along0 - spring.length * fixed.xi * turn / 2
+        rate += 2 * (displacement.x1 - fixed.x1)
+        rate = along0 * rate + across0 * across
+        curved = distance - rate / distance0
+        return spring.stored_energy(displacement) + (predicted - force) * curved

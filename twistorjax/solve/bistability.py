@@ -18,7 +18,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
 from .continuation import Metric, NOT_FINITE
-from .critical_points import with_derivatives
+from .critical_points import null_vectors, with_derivatives
 from .path import check_settings, path_message
 from .path_location import locate, Segment
 from .path_points import negative_eigenvalues, on_path, point_values
@@ -225,7 +225,7 @@ def bistability(
     if is_traced(arguments):
         return _solve(*arguments, *numbers)
     run = run_path(*arguments, *numbers)
-    if np.any(run.criticals.is_branch):
+    if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
         run = refine_path(system, run)
     found = _evaluate(system, run, first.direction)
     if not throw:
@@ -234,7 +234,7 @@ def bistability(
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
         return RuntimeError(
-            f"No second stable state was found. {path_message(item, system)}"
+            f"No second stable state was found. {path_message(item, system, run)}"
         )
 
     return succeeded_or_raise(found, error)
@@ -326,10 +326,11 @@ def _at_zero_load(
     chord = (ends[1] - ends[0]) / metric.units
     chord = chord / metric.length(chord)
     segment = Segment(ends, jnp.stack([chord, chord]))
-    point, _ = locate(
-        system, metric, segment, lambda point, _: point[-1], ends[:, -1], jnp.array(True)
-    )
-    return point.at[-1].set(0.0)
+    root = locate(
+        system, metric, segment, lambda point, *_: (point[-1], point[:0]), ends[:, -1],
+        ends[0, :0], jnp.array(True),
+    )  # fmt: skip
+    return root.point.at[-1].set(0.0)
 
 
 def _snap_factors(
@@ -352,7 +353,10 @@ def _snap_factors(
     found = jnp.stack([last >= 0, (last > 0) & complete])
     at = jnp.where(found[:, None], criticals.points[chosen], run.trace.points[:1])
     at_branch = criticals.is_branch[chosen] & found
-    at = with_derivatives(system, run.metric, at, at_branch)
+    null = null_vectors(
+        stop_gradient(system), run.metric, at, at_branch, criticals.multiplicities[chosen]
+    )
+    at = with_derivatives(system, run.metric, at, at_branch, null)
     return jnp.where(found, at[:, -1], jnp.nan), at_branch
 
 

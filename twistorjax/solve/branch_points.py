@@ -52,17 +52,25 @@ def refine_branch_points(
 
     The path of a mechanism that is nearly symmetric does not quite go through a branch
     point: near it, the path turns into one of the branches. The solution is a point at
-    which a small force would make both paths cross.
+    which a small force would make both paths cross. Multiple points stay as they are.
     """
-    is_branch, rows = criticals.is_branch, jnp.arange(len(criticals.points))
+    rows = jnp.arange(len(criticals.points))
+    is_branch = criticals.is_branch & (criticals.multiplicities == 1)
 
     def refine(state: tuple[Array, Count]) -> tuple[Array, Count]:
         points, last = state
         row = jnp.argmax(is_branch & (rows > last))
-        point = jax.lax.fori_loop(0, _ROUNDS, improve_point, points[row])
+        # Not to one of the other critical points
+        steps = (criticals.points - points[row][None]) / metric.units[None]
+        distances = jnp.sqrt(steps**2 @ metric.weights)
+        others = (rows != row) & (rows < criticals.number)
+        nearest = jnp.min(jnp.where(others, distances, jnp.inf))
+        largest = jnp.minimum(_LARGEST_REFINEMENT, nearest / 2)
+        improved = partial(improve_point, largest)
+        point = jax.lax.fori_loop(0, _ROUNDS, improved, points[row])
         return points.at[row].set(point), row
 
-    def improve_point(_, point: Array) -> Array:
+    def improve_point(largest: Scalar, _, point: Array) -> Array:
         start = point / metric.units
         equations = partial(
             _branch_residual, system, metric, singular_vectors(system, metric, point)
@@ -86,7 +94,7 @@ def refine_branch_points(
 
         nothing = _Refinement(jnp.zeros(2), jnp.array(jnp.inf), start, jnp.zeros((), int))
         last = jax.lax.while_loop(unfinished, improve, nothing)
-        near = metric.length(last.point - start) < _LARGEST_REFINEMENT
+        near = metric.length(last.point - start) < largest
         converged = last.last_change < _CONVERGED
         return jnp.where(near & converged, metric.units * last.point, point)
 
@@ -123,13 +131,13 @@ def _branch_residual(
         point = jnp.concatenate([free, factor[None]])
         tangent = system.tangent(metric.units * point)
         inverse, singular, null = bordered_inverse(
-            scaled_jacobian(metric, tangent), left, right
+            scaled_jacobian(metric, tangent), left[:, None], right[:, None]
         )
-        rate = jnp.sum(null * row_units * tangent.by_factor)
+        rate = jnp.sum(null[0] * row_units * tangent.by_factor)
         missing = coordinates[0] - jnp.sum(right * (free - start[:-1]))
         forces = jnp.concatenate([-row_units * tangent.residual, missing[None]])
         corrected = free + (inverse @ forces)[:-1]
-        return jnp.stack([singular, rate]), corrected, point
+        return jnp.stack([singular[0, 0], rate]), corrected, point
 
     nothing = jnp.zeros(2), start[:-1], start
     values, _, point = jax.lax.fori_loop(0, _CORRECTIONS, correct, nothing)

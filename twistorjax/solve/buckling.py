@@ -1,6 +1,7 @@
-"""Linearized buckling of a mechanism about an equilibrium."""
+"""Buckling of a mechanism: critical points near those of the linearized equations."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,14 +11,24 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import as_float
-from .._utils.types import BatchFlag, Flag, NumberLike, Scalar
+from .._utils.pytrees import stop_gradient
+from .._utils.types import BatchFlag, Count, Flag, NumberLike, Poses, Scalar
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from .continuation import Metric
+from .critical_points import (
+    basis_of_null_space,
+    LARGEST_MULTIPLICITY,
+    null_vectors_with_derivatives,
+    NullVectors,
+    with_derivatives,
+)
 from .dofs import DofPartition
-from .path_start import metric_of
-from .path_system import PathSystem
+from .path_points import allowed_stiffness
+from .path_start import first_point, metric_of
+from .path_system import PathSystem, PathTangent
 from .results import (
     count_results,
     result_message,
@@ -34,15 +45,23 @@ from .tables import Column, Columns, columns, Tabular
 _SINGULAR = 10 * np.finfo(float).eps
 # A mode whose geometric stiffness is below this share of the largest one does not buckle.
 _NO_GEOMETRIC_STIFFNESS = 1e-9
+_COUPLED = 0.1  # share of a mode in the first displacements that leads to a limit point
+_FIRST_CHANGE = 1e-3  # of the amplitude of a mode, as a fraction of it
+_LARGEST_CHANGE = 0.5
+_NEGLIGIBLE = 1e-11  # change after which the iteration ends
+_CONVERGED = 1e-7  # largest last change that is accepted
+_ITERATIONS = 30
+_SAME_FACTOR = 1e-8  # difference of load factors that are equal, as a fraction of them
 
 
 class Buckling(Tabular):
-    """Linearized buckling loads and modes.
+    """Buckling loads and modes.
 
     Args:
         load_factors: Factors of the loads at which the mechanism buckles, in the order of
-            their magnitudes. The last ones are infinite if fewer modes buckle. A negative
-            factor is one for loads in the opposite direction.
+            their magnitudes. The last ones are infinite if fewer modes buckle within the
+            validity ranges of the energies. A negative factor is one for loads in the
+            opposite direction.
         shapes: Displacements of the bodies in each mode: rotations (rad) and translations
             (m). The rotations, and the translations over the characteristic length of the
             mechanism, have unit norm.
@@ -95,13 +114,15 @@ def buckling(
     time: NumberLike = 0.0,
     throw: bool = True,
 ) -> Buckling:
-    """Compute the factors of the loads at which a mechanism buckles, by linearization.
+    """Compute the factors of the loads at which a mechanism buckles.
 
-    The tangent stiffness is assumed to change in proportion to the load factor, as it
-    does at the equilibrium. The error of the factors is of the order of the strains and
-    rotations before buckling: a slender column of surrogates that is shortened by 0.1 %
-    buckles within about 0.1 % of the factor. `path` locates limit points and branch
-    points without this assumption.
+    An eigenvalue problem, in which the tangent stiffness changes in proportion to the
+    load factor, gives first estimates. From these, Newton's method finds the factors at
+    which the stiffness of the nonlinear equations is singular. The displacements in the
+    buckling modes before buckling are those of the linearized equations, which is exact
+    if they are zero, as in a straight column, and if the load snaps the mechanism through
+    a limit point. Otherwise the error of the factors is of the order of these
+    displacements; `path` has no such error.
 
     Args:
         mechanism: The mechanism.
@@ -117,13 +138,15 @@ def buckling(
         throw: Whether a failure raises an error; otherwise it is reported by `result`.
 
     Returns:
-        Load factors and modes. Both have derivatives up to the third order, unless two
-        load factors are equal.
+        Load factors and modes. Both have derivatives. Those of equal load factors are
+        the derivatives of their mean.
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, nothing is multiplied
             by the load factor, or a load is a follower load.
-        RuntimeError: The equilibrium is not stable, or a value is not finite.
+        RuntimeError: The equilibrium is not stable, a value is not finite, a hinge is
+            outside the validity range of its energy at the first load factor, or the
+            stiffness is not singular near its estimate.
 
     Source:
         Bathe, Finite Element Procedures, 1996, section 6.8.2.
@@ -163,10 +186,12 @@ def buckling(
         time=as_float(time),
         dofs=DofPartition.of(mechanism, prescribed),
     )
-    solution = _buckling(system, modes)
+    solution, displacements = _buckling(system, modes)
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
         text = result_message(name)
+        if name == "out_of_range" and not batch_index:
+            text += f" {mechanism.range_messages(mechanism.reference + displacements)}"
         if name == "unstable" and not batch_index:
             text += describe_free_motions(
                 mechanism, system.constraints, system.dofs, state, time
@@ -176,78 +201,238 @@ def buckling(
     return succeeded_or_raise(solution, error) if throw else solution
 
 
+class _Modes(NamedTuple):
+    """Modes of the linearized equations, in the order of their load factors.
+
+    Args:
+        point: The equilibrium about which the equations are linearized.
+        rate: Change of this point with the load factor.
+        matrix: Derivative of the residual there.
+        basis: Displacements that the constraints allow as columns, divided by the units.
+        dual: Product of the modes, as rows, and the stiffness.
+        vectors: Modes as columns, in this basis, orthonormal in energy.
+        factors: Load factors; infinite if a mode has no geometric stiffness.
+    """
+
+    point: Float[Array, " n"]
+    rate: Float[Array, " n"]
+    matrix: Float[Array, "unknowns unknowns"]
+    basis: Float[Array, "free allowed"]
+    dual: Float[Array, "modes allowed"]
+    vectors: Float[Array, "allowed modes"]
+    factors: Float[Array, " modes"]
+
+
+class _Iteration(NamedTuple):
+    """State of the iteration for one load factor.
+
+    Args:
+        point: Current point.
+        amplitude: Load factor at which the linearized equations have the same modes.
+        last: Amplitude and eigenvalue at the last iterate.
+        change: Last change of the amplitude, as a fraction of it.
+        stiffness: Stiffness at the last iterate; see `allowed_stiffness`.
+        basis: Displacements that the constraints allow there.
+        iterations: Number of iterations.
+    """
+
+    point: Float[Array, " n"]
+    amplitude: Scalar
+    last: Float[Array, "2"]
+    change: Scalar
+    stiffness: Float[Array, "allowed allowed"]
+    basis: Float[Array, "free allowed"]
+    iterations: Count
+
+
 @fast_compile
-def _buckling(system: PathSystem, modes: int) -> Buckling:
-    """Solve the eigenvalue problem of `buckling`."""
-    equations = system.at(jnp.zeros(()))
-    free = system.start.reshape(-1)[equations.free]
-    multipliers = equations.constraint_forces(system.start)
-    point = jnp.concatenate([free, multipliers, jnp.zeros(1)])
-    tangent = system.tangent(point)
-    rate = -jnp.linalg.solve(tangent.jacobian, tangent.by_factor)
-    direction = jnp.concatenate([rate, jnp.ones(1)])
-    units = jax.lax.stop_gradient(metric_of(system, tangent, point).units[:-1])
+def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
+    """Solve the linearized equations of `buckling`, and correct their load factors.
 
-    def scaled(point: Float[Array, " n"]) -> Float[Array, "unknowns unknowns"]:
-        return units[:, None] * system.tangent(point).jacobian * units[None]
+    The second result has the displacements at the first load factor; rad, m, m.
+    """
+    fixed = stop_gradient(system)
+    point = first_point(fixed, fixed.start, jnp.zeros(()))
+    tangent = fixed.tangent(point)
+    metric = metric_of(fixed, tangent, point)
+    linear, stable, finite = _linearized(fixed, metric, point, tangent)
+    count = min(modes, len(linear.factors))
+    # Modes with the same load factor as the last one are needed as well.
+    more = min(count + LARGEST_MULTIPLICITY - 1, len(linear.factors))
+    rows = jnp.arange(more)
+    points, stiffness, bases, coupled, converged, outside = jax.lax.map(
+        lambda row: _corrected(fixed, metric, linear, row), rows
+    )
 
-    stiffness, geometric = jax.jvp(scaled, (point,), (direction,))
-    estimates, vectors, stable = _eigenvalues(
-        *jax.lax.stop_gradient((stiffness, geometric)), len(equations.free)
+    factors, valid = points[:, -1], converged & ~outside
+    # Under loads in the opposite direction, a mechanism may not buckle.
+    first, reached = linear.factors[0], points[0]
+    missing = jnp.isfinite(first) & ~valid[0] & ((first > 0) | ~jnp.any(valid))
+    distances = jnp.abs(factors[:, None] - factors[None])
+    same = distances <= _SAME_FACTOR * jnp.abs(factors)[:, None]
+    same = (same & valid[:, None] & valid[None]) | jnp.eye(more, dtype=bool)
+    multiplicities = jnp.sum(same, axis=1)
+    # Those with the same load factor are modes of one point.
+    leading = jnp.argmax(same, axis=1)
+    points = jnp.where(valid[:, None], points, jnp.nan)[leading]
+    free = len(fixed.dofs.free)
+    load = metric.units[:free] * tangent.by_factor[:free]
+    loads = jnp.where(coupled[leading, None], load[None], 0.0)
+    # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
+    vectors = jax.lax.map(
+        lambda arguments: basis_of_null_space(*arguments),
+        (stiffness[leading], bases[leading], loads, multiplicities),
     )
-    count = min(modes, len(estimates))
-    factors, vectors = jax.vmap(
-        lambda factor, vector: _refined(stiffness, geometric, factor, vector)
-    )(estimates[:count], vectors.T[:count])
-    displacements = vectors[:, : len(equations.free)]
-    size = jnp.linalg.norm(displacements, axis=1)
-    displacements = displacements / jnp.where(size > 0, size, 1.0)[:, None]
-    no_change = jnp.zeros(len(system.dofs.prescribed))
-    shapes = jax.vmap(lambda mode: system.dofs.expand(mode, no_change))(
-        displacements * units[None, : len(equations.free)]
+    vectors = jnp.pad(vectors, ((0, 0), (0, fixed.unknowns - free), (0, 0)))
+    null = NullVectors(vectors, vectors)
+    at = with_derivatives(system, metric, points, ~coupled, null)
+    known = jnp.where(valid[:, None], at, linear.point[None])
+    null = null_vectors_with_derivatives(system, metric, known, null)
+    places = jnp.sum(same & (rows[None] < rows[:, None]), axis=1)
+    vectors = jax.vmap(lambda vectors, place: vectors[:, place])(null, places)
+    no_change = jnp.zeros(len(fixed.dofs.prescribed))
+    units = metric.units[:free]
+    shapes = jax.vmap(lambda mode: fixed.dofs.expand(units * mode, no_change))(
+        vectors[:, :free] / jnp.linalg.norm(vectors[:, :free], axis=1, keepdims=True)
     )
-    # A singular stiffness has no geometric stiffness.
-    finite = jnp.all(jnp.isfinite(geometric)) | ~stable
-    finite &= jnp.all(jnp.isfinite(stiffness))
-    result = RESULTS.where(stable, RESULTS.successful, RESULTS.unstable)
+
+    factors = jnp.where(valid, at[:, -1], jnp.inf)
+    order = jnp.argsort(jnp.abs(factors))[:count]
+    result = RESULTS.where(missing, RESULTS.critical_point_not_found, RESULTS.successful)
+    result = RESULTS.where(missing & outside[0], RESULTS.out_of_range, result)
+    result = RESULTS.where(stable, result, RESULTS.unstable)
     result = RESULTS.where(finite, result, RESULTS.not_finite)
-    valid = stable & finite
-    return Buckling(
-        load_factors=jnp.where(valid, factors, jnp.nan),
-        shapes=jnp.where(valid, shapes, jnp.nan),
+    valid = result == RESULTS.successful
+    solution = Buckling(
+        load_factors=jnp.where(valid, factors[order], jnp.nan),
+        shapes=jnp.where(valid, shapes[order], jnp.nan),
         result=result,
         names=system.mechanism.names,
     )
+    return solution, fixed.split(reached)[1]
 
 
-def _eigenvalues(
-    stiffness: Float[Array, "n n"], geometric: Float[Array, "n n"], free: int
-) -> tuple[Float[Array, " n"], Float[Array, "n n"], Array]:
-    """Estimate load factors, in the order of their magnitudes, and their vectors.
+def _linearized(
+    system: PathSystem,
+    metric: Metric,
+    point: Float[Array, " n"],
+    tangent: PathTangent,
+) -> tuple[_Modes, Flag, Flag]:
+    """Compute the modes of linearized buckling.
 
-    The last result is whether the equilibrium is stable. With constraints, `stiffness`
-    has more rows than there are `free` degrees of freedom.
+    The other results are whether the equilibrium is stable, and all values are finite.
     """
-    if len(stiffness) == free:
-        lower, stable = _cholesky((stiffness + stiffness.T) / 2)
-        lower = jnp.where(stable, lower, jnp.eye(free))
-        half = jax.scipy.linalg.solve_triangular(lower, geometric, lower=True)
-        matrix = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
-        values, vectors = jnp.linalg.eigh(-(matrix + matrix.T) / 2)
-        vectors = jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False)
-    else:
-        values, vectors = jnp.linalg.eig(-jnp.linalg.solve(stiffness, geometric))
-        real = jnp.abs(values.imag) <= 1e-8 * jnp.abs(values)
-        values, vectors = jnp.where(real, values.real, 0.0), vectors.real
-        rows = stiffness[free:, :free]
-        basis = jnp.linalg.qr(rows.T, mode="complete")[0][:, len(rows) :]
-        reduced = basis.T @ stiffness[:free, :free] @ basis
-        _, stable = _cholesky(reduced)
+    rate = -jnp.linalg.solve(tangent.jacobian, tangent.by_factor)
+    rate = jnp.append(rate, 1.0)
+
+    def allowed(point: Float[Array, " n"]) -> tuple[Array, Array]:
+        return allowed_stiffness(system, metric, system.tangent(point))
+
+    (stiffness, basis), (geometric, _) = jax.jvp(allowed, (point,), (rate,))
+    lower, stable = _cholesky((stiffness + stiffness.T) / 2)
+    # A singular stiffness has no geometric stiffness.
+    finite = jnp.all(jnp.isfinite(geometric)) | ~stable
+    finite &= jnp.all(jnp.isfinite(stiffness))
+    usable = stable & finite
+    lower = jnp.where(usable, lower, jnp.eye(len(lower)))
+    geometric = jnp.where(usable, geometric, 0.0)
+    half = jax.scipy.linalg.solve_triangular(lower, geometric, lower=True)
+    matrix = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
+    values, vectors = jnp.linalg.eigh(-(matrix + matrix.T) / 2)
     order = jnp.argsort(-jnp.abs(values))
     values, vectors = values[order], vectors[:, order]
     buckles = jnp.abs(values) > _NO_GEOMETRIC_STIFFNESS * jnp.abs(values[0])
-    factors = jnp.where(buckles, 1 / jnp.where(buckles, values, 1.0), jnp.inf)
-    return factors, vectors, stable
+    return (
+        _Modes(
+            point=point,
+            rate=rate,
+            matrix=tangent.jacobian,
+            basis=basis,
+            dual=(lower @ vectors).T,
+            vectors=jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False),
+            factors=jnp.where(buckles, 1 / jnp.where(buckles, values, 1.0), jnp.inf),
+        ),
+        stable,
+        finite,
+    )
+
+
+def _corrected(
+    system: PathSystem, metric: Metric, linear: _Modes, row: Count
+) -> tuple[Array, Array, Array, Flag, Flag, Flag]:
+    """Find the equilibrium with a singular stiffness to which a linearized mode belongs.
+
+    The amplitudes of this mode, and of those that buckle before, are extrapolated from
+    the linearized equations; the other displacements are in equilibrium. If the load does
+    work in the mode, the mechanism snaps at a limit point: the load factor then follows
+    from the equilibrium in this mode.
+
+    Returns:
+        The point; the stiffness there, and displacements that the constraints allow;
+        whether the load does work in the mode; whether the iteration has converged; and
+        whether a hinge is outside the validity range of its energy.
+    """
+    free, units = len(linear.basis), metric.units[: len(linear.basis)]
+    estimate = linear.factors[row]
+    buckles = jnp.isfinite(estimate)
+    estimate = jnp.where(buckles, estimate, 0.0)
+    earlier = jnp.arange(len(linear.factors)) < row
+    index = jnp.sum(earlier & (linear.factors * estimate > 0))
+    held = jnp.abs(linear.factors) <= 2 * jnp.abs(estimate)
+
+    def in_modes(change: Float[Array, " n"]) -> Float[Array, " modes"]:
+        return linear.dual @ (linear.basis.T @ (change[:free] / units))
+
+    def of_held(change: Float[Array, " n"]) -> Float[Array, " n"]:
+        part = linear.vectors @ jnp.where(held, in_modes(change), 0.0)
+        return jnp.pad(units * (linear.basis @ part), (0, len(change) - free))
+
+    shares, held_rate = in_modes(linear.rate), of_held(linear.rate)
+    coupled = jnp.abs(shares[row]) > _COUPLED * jnp.linalg.norm(shares)
+    mode = units * (linear.basis @ linear.vectors[:, row])
+
+    def improve(state: _Iteration) -> _Iteration:
+        point, amplitude = state.point, state.amplitude
+        tangent = system.tangent(point)
+        stiffness, basis = allowed_stiffness(system, metric, tangent)
+        value = jnp.linalg.eigvalsh(stiffness)[index]
+        difference = value - state.last[1]
+        secant = value * (amplitude - state.last[0])
+        secant = -secant / jnp.where(difference == 0, 1.0, difference)
+        limit = _LARGEST_CHANGE * jnp.abs(amplitude)
+        change = jnp.clip(secant, -limit, limit)
+        change = jnp.where(state.iterations == 0, _FIRST_CHANGE * amplitude, change)
+        work, slope = mode @ tangent.residual[:free], mode @ tangent.by_factor[:free]
+        by_factor = jnp.where(coupled, -work / jnp.where(coupled, slope, 1.0), change)
+        # The matrix at the start is regular.
+        correction = -jnp.linalg.solve(linear.matrix, tangent.residual)
+        correction = jnp.append(correction, 0.0)
+        correction -= of_held(correction)
+        correction += by_factor * linear.rate + (change - by_factor) * held_rate
+        return _Iteration(
+            point + correction,
+            amplitude + change,
+            jnp.stack([amplitude, value]),
+            jnp.abs(change / amplitude),
+            stiffness,
+            basis,
+            state.iterations + 1,
+        )
+
+    def unfinished(state: _Iteration) -> Flag:
+        return (state.change > _NEGLIGIBLE) & (state.iterations < _ITERATIONS)
+
+    start = linear.point + estimate * linear.rate
+    stiffness, none = linear.dual.T @ linear.dual, jnp.zeros((), int)
+    change = jnp.where(buckles, 1.0, 0.0)
+    state = _Iteration(
+        start, estimate, jnp.zeros(2), change, stiffness, linear.basis, none
+    )
+    state = jax.lax.while_loop(unfinished, improve, state)
+    converged = buckles & (state.change <= _CONVERGED)
+    point = jnp.where(converged, state.point, start)
+    outside = system.out_of_range(point)
+    return point, state.stiffness, state.basis, coupled, converged, outside
 
 
 def _cholesky(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Flag]:
@@ -255,35 +440,3 @@ def _cholesky(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Flag]:
     lower = jnp.linalg.cholesky(matrix)
     smallest = _SINGULAR * len(matrix) * jnp.max(jnp.abs(jnp.diagonal(matrix)))
     return lower, jnp.all(jnp.diagonal(lower) ** 2 > smallest)
-
-
-def _refined(
-    stiffness: Float[Array, "n n"],
-    geometric: Float[Array, "n n"],
-    factor: Scalar,
-    vector: Float[Array, " n"],
-) -> tuple[Scalar, Float[Array, " n"]]:
-    """Apply Newton's method to one load factor, which gives it derivatives.
-
-    Two steps from the exact value have the derivatives up to the third order.
-    """
-    buckles = jnp.isfinite(factor)
-    factor, vector = jnp.where(buckles, factor, 0.0), jnp.where(buckles, vector, 1.0)
-    vector = vector / jnp.linalg.norm(vector)
-    right = jnp.zeros(len(vector) + 1).at[-1].set(1.0)
-    null = vector
-    for _ in range(2):
-        matrix = stiffness + factor * geometric
-        scale = jnp.linalg.norm(jax.lax.stop_gradient(matrix)) / len(vector)
-        bordered = jnp.block(
-            [
-                [matrix, scale * vector[:, None]],
-                [scale * vector[None], jnp.zeros((1, 1))],
-            ]
-        )
-        solution = jnp.linalg.solve(bordered, scale * right)
-        transposed = jnp.linalg.solve(bordered.T, scale * right)
-        null, left, gap = solution[:-1], transposed[:-1], solution[-1]
-        slope = jnp.where(buckles, left @ geometric @ null / scale, 1.0)
-        factor = factor + jnp.where(buckles, gap / slope, 0.0)
-    return jnp.where(buckles, factor, jnp.inf), null

@@ -20,8 +20,8 @@ from .path_system import PathSystem, PathTangent
 
 (
     RUNNING, AT_LIMIT, AT_EVENT, RETURNED, OUT_OF_RANGE, FULL, TOO_SHORT, NOT_FINITE,
-    SINGULAR,
-) = range(9)  # fmt: skip
+    SINGULAR, UNDEFINED, UNRESOLVED,
+) = range(11)  # fmt: skip
 
 _LARGEST_CORRECTION = 0.3  # of the first correction, as a fraction of the step
 _LARGEST_CONTRACTION = 0.25  # of the following corrections
@@ -72,14 +72,12 @@ class Step(NamedTuple):
         angle: Angle between the tangent and that of the last point; rad.
         orientation: Sign of the determinant of the bordered matrix, which changes at a
             branch point.
-        log_determinant: Logarithm of its absolute value.
     """
 
     correction: Float[Array, " n"]
     tangent: Float[Array, " n"]
     angle: Scalar
     orientation: Scalar
-    log_determinant: Scalar
 
 
 class Node(NamedTuple):
@@ -89,13 +87,11 @@ class Node(NamedTuple):
         point: The point.
         tangent: Unit tangent of the path, divided by the units.
         orientation: Orientation, see `Step`; zero at a branch point.
-        log_determinant: Logarithm of the determinant; see `Step`.
     """
 
     point: Float[Array, " n"]
     tangent: Float[Array, " n"]
     orientation: Scalar
-    log_determinant: Scalar
 
 
 class Trace(NamedTuple):
@@ -105,19 +101,19 @@ class Trace(NamedTuple):
         points: The points.
         tangents: Unit tangents, divided by the units.
         orientations: Orientations; see `Step`.
-        log_determinants: Logarithms of determinants; see `Step`.
         number: Number of points.
         steps: Number of evaluations of the tangent stiffness.
         status: Reason of the end.
+        reached: The last point that was computed, also if it is out of range.
     """
 
     points: Float[Array, "points n"]
     tangents: Float[Array, "points n"]
     orientations: Float[Array, " points"]
-    log_determinants: Float[Array, " points"]
     number: Count
     steps: Count
     status: Count
+    reached: Float[Array, " n"]
 
 
 class _State(NamedTuple):
@@ -125,6 +121,7 @@ class _State(NamedTuple):
 
     Args:
         last: The last point that was found.
+        reached: The last point that was computed, also if it is out of range.
         iterate: Current iterate.
         predicted: Predicted stress of the hinges, at the iterate and at the last point.
         curvature: Rate of the tangent along the path at the last point, estimated from
@@ -139,6 +136,7 @@ class _State(NamedTuple):
     """
 
     last: Node
+    reached: Float[Array, " n"]
     iterate: Float[Array, " n"]
     predicted: Float[Array, "2 3 hinges"]
     curvature: Float[Array, " n"]
@@ -174,7 +172,6 @@ def solve_step(
         tangent=direction / length,
         angle=jnp.arccos(jnp.clip(metric.length(border) / length, 0.0, 1.0)),
         orientation=determinant_sign(*factors),
-        log_determinant=jnp.sum(jnp.log(jnp.abs(jnp.diagonal(factors[0])))),
     )
 
 
@@ -284,27 +281,30 @@ def follow(
         own_stress = jnp.where(converged, stress, state.predicted[1])
 
         distance = metric.length((point - start.point) / metric.units)
-        occurred = jnp.zeros((), bool)
+        occurred = undefined = jnp.zeros((), bool)
         if event is not None:
-            occurred = event(point) * event(last.point) < 0
+            product = event(point) * event(last.point)
+            occurred, undefined = product < 0, jnp.isnan(product)
         same_direction = jnp.sum(metric.weights * step.tangent * start.tangent) > 0.8
         returned = (distance < state.size) & same_direction
         returned &= state.farthest > 4 * largest_step
         status = jnp.select(
             [
                 converged & outside,
+                kept & undefined,
                 kept & occurred,
                 kept & ((point[-1] < limits[0]) | (point[-1] > limits[1])),
                 kept & returned,
                 count >= max_points,
                 rejected & (size < smallest),
             ],
-            [OUT_OF_RANGE, AT_EVENT, AT_LIMIT, RETURNED, FULL, TOO_SHORT],
+            [OUT_OF_RANGE, UNDEFINED, AT_EVENT, AT_LIMIT, RETURNED, FULL, TOO_SHORT],
             RUNNING,
         )
-        node = Node(point, step.tangent, step.orientation, step.log_determinant)
+        node = Node(point, step.tangent, step.orientation)
         new = _State(
             last=select(kept, node, last),
+            reached=jnp.where(converged, point, state.reached),
             iterate=iterate,
             predicted=jnp.stack([next_stress, own_stress]),
             curvature=curvature,
@@ -333,9 +333,14 @@ def follow(
     finite = jnp.all(jnp.isfinite(start.tangent)) & jnp.all(jnp.isfinite(start.point))
     zero, one = jnp.zeros(()), jnp.ones((), int)
     stress = system.generalized_stress(start.point)
+    # Along one of several branches that leave a point, the stiffness in the directions of
+    # the others is singular at the load factor of this point.
+    ahead = metric.units * size * start.tangent
+    ahead = ahead.at[-1].add(jnp.where(at_branch, size**2 / 8, 0.0))
     state = _State(
         last=start,
-        iterate=start.point + metric.units * size * start.tangent,
+        reached=start.point,
+        iterate=start.point + ahead,
         predicted=jnp.stack([stress, stress]),
         curvature=0 * start.tangent,
         size=size,
@@ -354,7 +359,13 @@ def follow(
     state, nodes = jax.lax.while_loop(
         lambda carry: carry[0].status == RUNNING, advance_block, (state, nodes)
     )
-    return Trace(*nodes, number=state.number, steps=state.steps, status=state.status)
+    return Trace(
+        *nodes,
+        number=state.number,
+        steps=state.steps,
+        status=state.status,
+        reached=state.reached,
+    )
 
 
 def select(flag: Flag, chosen: Any, other: Any) -> Any:

@@ -17,14 +17,34 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.pytrees import jvp_of_varied
 from .._utils.types import Count, Flag, Scalar
-from .continuation import AT_EVENT, AT_LIMIT, Metric, PathEvent, Step, Trace
+from .continuation import (
+    AT_EVENT,
+    AT_LIMIT,
+    Metric,
+    PathEvent,
+    Step,
+    Trace,
+    UNDEFINED,
+    UNRESOLVED,
+)
 from .path_location import locate, Segment
+from .path_points import allowed_stiffness, count_of_values, stability_values
 from .path_system import PathSystem, PathTangent
 from .small_matrices import pivoted_inverse, solve
 
 
 _SHIFT = 1e-12  # of a matrix, relative to its largest entry
-_SAME_POINT = 1e-3  # largest distance of two critical points that are one point
+_SAME_POINT = 1e-8  # largest distance of critical points that are one multiple point
+LARGEST_MULTIPLICITY = 6  # null vectors that are computed
+# On the path that branches off, the load factor is stationary at a branch point. Both are
+# located, at least at this distance.
+_SAME_BRANCH_POINT = 1e-3
+_LIMIT_RATE = 1e-4  # of the load factor at a limit point, as a fraction of those nearby
+_SMALL_EIGENVALUE = 0.05  # at a critical point, as a fraction of those nearby
+# A point is inserted if an eigenvalue is predicted to be smaller between two points, as a
+# fraction of both of its values there.
+_DIP = 0.1
+_SHORTEST_SEGMENT = 1e-4  # in which a point is inserted
 
 
 class Criticals(NamedTuple):
@@ -33,12 +53,14 @@ class Criticals(NamedTuple):
     Args:
         points: The points.
         is_branch: Whether each of them is a branch point; otherwise it is a limit point.
+        multiplicities: Number of eigenvalues that vanish at each of them.
         rows: Index of the point of the path that precedes each of them.
         number: Number of critical points.
     """
 
     points: Float[Array, "critical n"]
     is_branch: Bool[Array, " critical"]
+    multiplicities: Int[Array, " critical"]
     rows: Int[Array, " critical"]
     number: Count
 
@@ -48,15 +70,75 @@ class _Search(NamedTuple):
 
     Args:
         trace: The path, whose last point is replaced by its end.
+        values: Stability values at its points; see `stability_values`.
         criticals: Critical points that were found.
-        row: Index of the point that precedes the last critical point.
+        row: Index of the point that precedes the current segment.
+        done: Number of critical points that were found on this segment.
         ended: Whether the end has been located.
+        finished: Whether there are no more critical points.
     """
 
     trace: Trace
+    values: Float[Array, "points values"]
     criticals: Criticals
     row: Count
+    done: Count
     ended: Flag
+    finished: Flag
+
+    def negative(self) -> Int[Array, " points"]:
+        """Return the number of negative values at each point."""
+        return jnp.sum(self.values < 0, axis=1)
+
+    def numbers(self) -> Int[Array, " segments"]:
+        """Return the number of critical points on each segment.
+
+        It is the change of the number of negative eigenvalues. The path that leaves a
+        branch point may go through it, which does not change this number.
+        """
+        trace = self.trace
+        changes = jnp.abs(jnp.diff(self.negative()))
+        rates, signs = trace.tangents[:, -1], trace.orientations
+        through = (rates[:-1] * rates[1:] < 0) & (signs[:-1] * signs[1:] < 0)
+        # At its start on a branch point, a path has no orientation.
+        used = (jnp.arange(len(changes)) < trace.number - 1) & (signs[:-1] != 0)
+        return jnp.where(used, jnp.maximum(changes, through.astype(int)), 0)
+
+    def dips(self, metric: Metric) -> Float[Array, " segments"]:
+        """Predict where the eigenvalue closest to zero may vanish twice on a segment.
+
+        Its absolute value is extrapolated by parabolas through three points, of which one
+        is in front of or behind the segment.
+
+        Returns:
+            The place on each segment, as a fraction of its length; zero if there is none.
+        """
+        trace = self.trace
+        steps = jnp.diff(trace.points, axis=0) / metric.units[None]
+        lengths = jnp.sqrt(steps**2 @ metric.weights)
+        rows = np.arange(len(lengths))
+        sizes = jnp.min(jnp.abs(self.values), axis=1)
+        slopes = jnp.diff(sizes) / jnp.where(lengths > 0, lengths, 1.0)
+        # Those in front of each segment, on it, and behind it
+        around = rows[:, None] + np.arange(3)
+        slopes, spans = (jnp.pad(array, 1)[around] for array in (slopes, lengths))
+        length, slope = lengths[:, None], slopes[:, 1:2]
+        sizes = jnp.stack([sizes[:-1], sizes[1:]], axis=1)
+        curvature = jnp.diff(slopes, axis=1) / (length + spans[:, ::2])
+        bent = curvature > 0
+        curvature = jnp.where(bent, curvature, 1.0)
+        begin = slope - curvature * length
+        place = -begin / (2 * curvature * length)
+        low = (sizes[:, :1] - begin**2 / (4 * curvature)) / jnp.min(sizes, axis=1)[
+            :, None
+        ]
+        dips = bent & (place > 0.02) & (place < 0.98) & (low < _DIP)
+        used = (rows + 1 < trace.number) & (lengths > _SHORTEST_SEGMENT)
+        used &= (self.numbers() == 0) & (trace.orientations[:-1] != 0)
+        used &= trace.number < len(trace.points)
+        known = jnp.stack([rows > 0, rows + 2 < trace.number], axis=1)
+        places = jnp.where(dips & known & used[:, None], place, 0.0)
+        return jnp.max(places, axis=1)
 
 
 def locate_points(
@@ -66,8 +148,11 @@ def locate_points(
     limits: Float[Array, "2"],
     event: PathEvent | None,
     largest_count: int,
-) -> tuple[Trace, Criticals]:
+) -> tuple[Trace, Criticals, Int[Array, " points"]]:
     """Locate the end of a path and its critical points, between its points.
+
+    On each segment, as many critical points are located as the number of negative
+    eigenvalues of the stiffness changes. If they are not found, the path ends before.
 
     Args:
         system: The equations.
@@ -78,107 +163,228 @@ def locate_points(
         largest_count: Largest number of critical points.
 
     Returns:
-        The path up to its end, and the critical points.
+        The path up to its end, the critical points, and the number of negative
+        eigenvalues at each point.
     """
+    rows = jnp.arange(len(trace.points))
 
-    def flags(trace: Trace) -> tuple[Array, Array]:
-        """Decide between which points there are limit points, and branch points."""
-        used = jnp.arange(len(trace.points) - 1) < trace.number - 1
-        rates, orientations = trace.tangents[:, -1], trace.orientations
-        turns = used & (rates[:-1] * rates[1:] < 0)
-        return turns, used & (orientations[:-1] * orientations[1:] < 0)
-
-    def next_row(search: _Search) -> tuple[Count, Flag]:
-        """Return the next row with a critical point, and whether there is one."""
-        turns, branches = flags(search.trace)
-        later = (turns | branches) & (np.arange(len(turns)) > search.row)
-        return jnp.argmax(later), jnp.any(later)
+    def evaluate(row: Count, values: Array) -> Array:
+        tangent = system.tangent(trace.points[row])
+        return values.at[row].set(stability_values(system, metric, tangent))
 
     def improve(search: _Search) -> _Search:
         trace, found = search.trace, search.criticals
-        row, _ = next_row(search)
-        row = jnp.where(search.ended, row, trace.number - 2)
-        points = jax.lax.dynamic_slice_in_dim(trace.points, row, 2)
-        tangents = jax.lax.dynamic_slice_in_dim(trace.tangents, row, 2)
-        determinants = jax.lax.dynamic_slice_in_dim(trace.log_determinants, row, 2)
-        signs = jax.lax.dynamic_slice_in_dim(trace.orientations, row, 2)
-        reference = jnp.max(determinants)
-        branch = search.ended & (signs[0] * signs[1] < 0)
+        # The next segment with a critical point or a dip
+        again = (rows[:-1] == search.row) & (search.done > 0)
+        dips = jnp.where(again, 0.0, search.dips(metric))
+        numbers = search.numbers() - jnp.where(again, search.done, 0)
+        todo = ((numbers > 0) | (dips > 0)) & (rows[:-1] >= search.row)
+        row = jnp.where(search.ended, jnp.argmax(todo), trace.number - 2)
+        done = jnp.where(again[row], search.done, 0)
+        finished = search.ended & ~jnp.any(todo)
+        finished |= search.ended & (found.number >= largest_count) & (done == 0)
+        place = jnp.where(numbers[row] > 0, 0.0, dips[row])
+        inserts = search.ended & ~finished & (place > 0)
+        points, tangents, signs, values = (
+            jax.lax.dynamic_slice_in_dim(array, row, 2)
+            for array in (
+                trace.points, trace.tangents, trace.orientations, search.values
+            )
+        )  # fmt: skip
+        rates, negative = tangents[:, -1], jnp.sum(values < 0, axis=1)
+        change = negative[1] - negative[0]
+        index = jnp.where(change > 0, negative[0] + done, negative[0] - 1 - done)
+        index = jnp.clip(index, 0, values.shape[1] - 1)
+        turns = (rates[0] * rates[1] < 0) & (jnp.abs(change) <= 1)
+        regular = ~search.ended | inserts | (turns & (signs[0] * signs[1] > 0))
         limit = jnp.where(points[1, -1] > limits[1], limits[1], limits[0])
         by_event = trace.status == AT_EVENT
+        border = metric.weights * tangents[0] / metric.units
+        reach = jnp.sum(border * (points[1] - points[0]))
 
-        def function(point: Array, step: Step) -> Scalar:
-            determinant = jnp.exp(step.log_determinant - reference)
-            critical = jnp.where(branch, step.orientation * determinant, step.tangent[-1])
+        def choose(point: Array, rate: Scalar, values: Array) -> Scalar:
+            """Return the quantity that is zero at the point to be located."""
             end = point[-1] - limit
             if event is not None:
                 end = jnp.where(by_event, event(point), end)
+            before = jnp.sum(border * (point - points[0])) - place * reach
+            critical = jnp.where(turns, rate, values[index])
+            critical = jnp.where(inserts, before, critical)
             return jnp.where(search.ended, critical, end)
 
-        values = jnp.stack(
-            [
-                function(
-                    points[k], Step(0 * points[k], tangents[k], limit, signs[k], size)
-                )
-                for k, size in enumerate(determinants)
-            ]
-        )
+        def function(point: Array, tangent: PathTangent, step: Step):
+            values = stability_values(system, metric, tangent)
+            return choose(point, step.tangent[-1], values), values
+
+        at_ends = [choose(points[k], rates[k], values[k]) for k in range(2)]
         segment = Segment(points, tangents)
-        point, step = locate(system, metric, segment, function, values, ~branch)
-        # On the path that branches off, the load factor is stationary at a branch point,
-        # which is not a limit point in addition.
-        before = found.points[found.number - 1]
-        distance = metric.length((point - before) / metric.units)
-        same = (found.number > 0) & (distance < _SAME_POINT)
-        index = jnp.where(search.ended, found.number - same.astype(int), largest_count)
+        root = locate(
+            system, metric, segment, function, jnp.stack(at_ends), values[0], regular,
+            finished,
+        )  # fmt: skip
+        point, rate = root.point, root.step.tangent[-1]
+        size = jnp.max(jnp.abs(values[:, index]))
+        resolved = jnp.abs(root.more[index]) <= _SMALL_EIGENVALUE * size
+        resolved |= ~search.ended | finished | inserts | (change == 0)
+
+        # The critical point, or one more eigenvalue that vanishes at the last one
+        flat = _LIMIT_RATE * jnp.max(jnp.abs(rates))
+        is_limit = (rates[0] * rates[1] < 0) | (jnp.min(jnp.abs(rates)) <= flat)
+        is_limit &= turns | (jnp.abs(rate) <= flat)
+        branch = (change == 0) | ~is_limit
+        last = found.number - 1
+        distance = metric.length((point - found.points[last]) / metric.units)
+        noise = 4 * np.finfo(float).eps * values.shape[1] * jnp.max(jnp.abs(values))
+        slope = jnp.abs(values[1, index] - values[0, index]) / reach
+        tolerance = jnp.maximum(_SAME_POINT, noise / jnp.where(slope > 0, slope, 1.0))
+        multiple = (found.number > 0) & (distance < tolerance) & (change != 0)
+        returns = search.negative()[found.rows[last]] == negative[1]
+        returns &= (distance < _SAME_BRANCH_POINT) & (branch != found.is_branch[last])
+        returns &= found.number > 0
+        multiple &= ~returns
+        same = multiple | returns
+        times = jnp.where(multiple, found.multiplicities[last] + 1, 1)
+        mean = found.points[last] + (point - found.points[last]) / times.astype(float)
+        both = returns | (branch & found.is_branch[last])
+        recorded = search.ended & ~finished & ~inserts & resolved
+        at = jnp.where(recorded, found.number - same.astype(int), largest_count)
         found = Criticals(
-            found.points.at[index].set(point, mode="drop"),
-            found.is_branch.at[index].set(
-                branch | (same & found.is_branch[found.number - 1]), mode="drop"
-            ),
-            found.rows.at[index].set(row, mode="drop"),
-            found.number + (search.ended & ~same).astype(int),
+            found.points.at[at].set(jnp.where(multiple, mean, point), mode="drop"),
+            found.is_branch.at[at].set(jnp.where(same, both, branch), mode="drop"),
+            found.multiplicities.at[at].set(times, mode="drop"),
+            found.rows.at[at].set(jnp.where(same, found.rows[last], row), mode="drop"),
+            found.number + (recorded & ~same).astype(int),
         )
-        last = jnp.where(search.ended, len(trace.points), trace.number - 1)
+
+        # The path with its end, or with one more point
+        changed = jnp.where(search.ended, len(rows), trace.number - 1)
+        changed = jnp.where(inserts, row + 1, changed)
+        source = rows - (inserts & (rows > row)).astype(int)
+        arrays = [
+            array[source].at[changed].set(value, mode="drop")
+            for array, value in (
+                (trace.points, point),
+                (trace.tangents, root.step.tangent),
+                (trace.orientations, root.step.orientation),
+                (search.values, root.more),
+            )
+        ]
+        number = trace.number + inserts.astype(int)
+        number = jnp.where(resolved, number, row + 1)
+        undefined = jnp.any(jnp.isnan(root.values)) & ~search.ended
+        status = jnp.where(undefined, UNDEFINED, trace.status)
         trace = trace._replace(
-            points=trace.points.at[last].set(point, mode="drop"),
-            tangents=trace.tangents.at[last].set(step.tangent, mode="drop"),
-            orientations=trace.orientations.at[last].set(step.orientation, mode="drop"),
+            points=arrays[0],
+            tangents=arrays[1],
+            orientations=arrays[2],
+            number=number,
+            status=jnp.where(resolved, status, UNRESOLVED),
         )
-        row = jnp.where(search.ended, row, search.row)
-        return _Search(trace, found, row, jnp.ones((), bool))
+        return _Search(
+            trace,
+            arrays[3],
+            found,
+            jnp.where(search.ended, row, search.row),
+            jnp.where(recorded, done + 1, 0),
+            jnp.ones((), bool),
+            finished,
+        )
 
     nothing = jnp.full((largest_count, trace.points.shape[1]), jnp.nan)
-    none = jnp.zeros(largest_count, bool)
-    rows = jnp.zeros(largest_count, int)
-    found = Criticals(nothing, none, rows, jnp.zeros((), int))
+    zero, none = jnp.zeros((), int), jnp.zeros(largest_count, int)
+    found = Criticals(nothing, jnp.zeros(largest_count, bool), none, none, zero)
     located = (trace.status != AT_LIMIT) & (trace.status != AT_EVENT)
-    search = _Search(trace, found, -jnp.ones((), int), located)
+    values = jnp.zeros((len(rows), count_of_values(system)))
+    values = jax.lax.fori_loop(0, trace.number, evaluate, values)
+    search = _Search(trace, values, found, zero, zero, located, zero > 0)
+    search = jax.lax.while_loop(lambda search: ~search.finished, improve, search)
+    return search.trace, search.criticals, search.negative()
 
-    def unfinished(search: _Search) -> Flag:
-        return ~search.ended | (
-            next_row(search)[1] & (search.criticals.number < largest_count)
-        )
 
-    search = jax.lax.while_loop(unfinished, improve, search)
-    return search.trace, search.criticals
+class NullVectors(NamedTuple):
+    """Null vectors of the stiffness at critical points, divided by the units.
+
+    They are orthonormal, and zero after the first ones, as many as the multiplicity.
+
+    Args:
+        left: Those of the rows of the scaled stiffness; see `scaled_jacobian`.
+        right: Those of its columns.
+    """
+
+    left: Float[Array, "critical unknowns vectors"]
+    right: Float[Array, "critical unknowns vectors"]
 
 
 def null_vectors(
-    system: PathSystem, metric: Metric, points: Float[Array, "critical n"]
-) -> Float[Array, "critical unknowns"]:
-    """Compute the null vectors of the stiffness, divided by the units, of unit length.
+    system: PathSystem,
+    metric: Metric,
+    points: Float[Array, "critical n"],
+    is_branch: Bool[Array, " critical"],
+    multiplicities: Int[Array, " critical"],
+) -> NullVectors:
+    """Compute the null vectors of the stiffness.
 
-    The largest entry is positive.
+    They have no parts of constraint forces. The first one at a limit point is that in
+    which the load does work. At a branch point, each of them is as close to a
+    displacement of one degree of freedom as possible; this part is positive.
     """
 
-    def one(point: Array) -> Float[Array, " unknowns"]:
-        _, mode = singular_vectors(system, metric, point)
-        mode = mode / metric.length(jnp.concatenate([mode, jnp.zeros(1)]))
-        largest = mode[jnp.argmax(jnp.abs(metric.weights[:-1] * mode))]
-        return jnp.where(largest < 0, -1.0, 1.0) * mode
+    def one(arguments: tuple[Array, Flag, Count]) -> NullVectors:
+        point, branch, multiplicity = arguments
+        if not system.symmetric:
+            left, right = singular_vectors(system, metric, point)
+            largest = right[jnp.argmax(jnp.abs(metric.weights[:-1] * right))]
+            right = jnp.where(largest < 0, -1.0, 1.0) * right
+            size = metric.length(jnp.append(right, 0.0))
+            return NullVectors(left[:, None], right[:, None] / size)
+        tangent = system.tangent(point)
+        matrix, basis = allowed_stiffness(system, metric, tangent)
+        load = metric.units[: len(basis)] * tangent.by_factor[: len(basis)]
+        load = jnp.where(branch, 0.0, load)
+        found = basis_of_null_space(matrix, basis, load, multiplicity)
+        found = jnp.pad(found, ((0, system.unknowns - len(basis)), (0, 0)))
+        return NullVectors(found, found)
 
-    return jax.vmap(one)(points)
+    # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
+    return jax.lax.map(one, (points, is_branch, multiplicities))
+
+
+def basis_of_null_space(
+    matrix: Float[Array, "allowed allowed"],
+    basis: Float[Array, "free allowed"],
+    load: Float[Array, " free"],
+    multiplicity: Count,
+) -> Float[Array, "free vectors"]:
+    """Compute an orthonormal basis of a null space; see `null_vectors`.
+
+    Args:
+        matrix: The stiffness for displacements that the constraints allow.
+        basis: These displacements.
+        load: Forces that do work in the first vector only; zero at a branch point.
+        multiplicity: Dimension of the null space.
+    """
+    values, vectors = jnp.linalg.eigh(matrix)
+    count = min(LARGEST_MULTIPLICITY, len(values))
+    chosen = vectors[:, jnp.argsort(jnp.abs(values))[:count]]
+    used = np.arange(count) < jnp.maximum(multiplicity, 1)
+    chosen = basis @ jnp.where(used[None], chosen, 0.0)
+
+    def add(k: Count, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        projection, load, found = state
+        vector = projection @ load
+        size = jnp.linalg.norm(vector)
+        vector = vector / jnp.where(size > 0, size, 1.0)
+        largest = vector[jnp.argmax(jnp.abs(vector))]
+        vector = jnp.where(used[k] & (size > 0), jnp.sign(largest) * vector, 0.0)
+        projection = projection - jnp.outer(vector, vector)
+        load = jnp.zeros_like(load).at[jnp.argmax(jnp.diagonal(projection))].set(1.0)
+        return projection, load, found.at[:, k].set(vector)
+
+    projection = chosen @ chosen.T
+    single = jnp.zeros_like(load).at[jnp.argmax(jnp.diagonal(projection))].set(1.0)
+    load = jnp.where(jnp.any(load != 0), load, single)
+    state = projection, load, jnp.zeros_like(chosen)
+    return jax.lax.fori_loop(0, count, add, state)[2]
 
 
 def singular_vectors(
@@ -197,7 +403,7 @@ def singular_vectors(
     right = right / jnp.linalg.norm(right)
     left = right @ found
     left = left / jnp.linalg.norm(left)
-    found = pivoted_inverse(_bordered(matrix, left, right))
+    found = pivoted_inverse(_bordered(matrix, left[:, None], right[:, None]))
     left, right = found[-1, :-1], found[:-1, -1]
     return left / jnp.linalg.norm(left), right / jnp.linalg.norm(right)
 
@@ -215,23 +421,31 @@ def scaled_jacobian(
 
 
 def _bordered(
-    matrix: Float[Array, "n n"], left: Float[Array, " n"], right: Float[Array, " n"]
-) -> Float[Array, "n_and_1 n_and_1"]:
-    """Border a matrix that is almost singular, such that it becomes regular."""
-    return jnp.block([[matrix, left[:, None]], [right[None], jnp.zeros((1, 1))]])
+    matrix: Float[Array, "n n"],
+    left: Float[Array, "n vectors"],
+    right: Float[Array, "n vectors"],
+) -> Float[Array, "n_and_vectors n_and_vectors"]:
+    """Border a matrix that is almost singular, such that it becomes regular.
+
+    Vectors that are zero have no effect.
+    """
+    unused = jnp.diag(jnp.where(jnp.any(right != 0, axis=0), 0.0, 1.0))
+    return jnp.block([[matrix, left], [right.T, unused]])
 
 
 def bordered_inverse(
-    matrix: Float[Array, "n n"], left: Float[Array, " n"], right: Float[Array, " n"]
-) -> tuple[Float[Array, "n_and_1 n_and_1"], Scalar, Float[Array, " n"]]:
+    matrix: Float[Array, "n n"],
+    left: Float[Array, "n vectors"],
+    right: Float[Array, "n vectors"],
+) -> tuple[Array, Float[Array, "vectors vectors"], Float[Array, "vectors n"]]:
     """Invert a matrix that is almost singular, with a border.
 
     Returns:
-        The inverse of the bordered matrix, a number that vanishes if `matrix` is
-        singular, and its left null vector.
+        The inverse of the bordered matrix, a small matrix that vanishes if all borders
+        are null vectors of `matrix`, and the left null vectors.
     """
-    found = pivoted_inverse(_bordered(matrix, left, right))
-    return found, found[-1, -1], found[-1, :-1]
+    found, size = pivoted_inverse(_bordered(matrix, left, right)), len(matrix)
+    return found, found[size:, size:], found[size:, :size]
 
 
 def _extended_residual(
@@ -240,70 +454,109 @@ def _extended_residual(
     borders: tuple[Array, Array],
     branch: Flag,
     unknowns: Array,
-) -> Float[Array, " n_and_1"]:
-    """Residual, condition of singularity, and closing condition of a critical point.
+) -> Float[Array, " n_and_vectors"]:
+    """Residual, condition of singularity, and closing conditions of a critical point.
 
-    The unknowns are a point and an unfolding: an additional force along the left null
-    vector, by which the equations of a branch point are regular. It is zero at a limit
-    point. At a branch point, the load factor has no part in the left null vector.
+    The unknowns are a point and an unfolding: additional forces along the left null
+    vectors, by which the equations of a branch point are regular. They are zero at a
+    simple limit point. At a branch point, the load factor has no part in the left null
+    vectors. At a multiple point, the mean of the eigenvalues is zero, and those of a
+    limit point are not coupled with the one in which the load does work.
 
     Args:
         system: The equations.
         metric: Units of the unknowns.
-        borders: The left and the right null vector near the point.
+        borders: The left and the right null vectors near the point.
         branch: Whether it is a branch point.
         unknowns: The point, divided by the units, and the unfolding.
     """
     left, right = borders
-    row_units, unfolding = metric.units[:-1], unknowns[-1]
-    tangent = system.tangent(metric.units * unknowns[:-1])
+    count = left.shape[1]
+    row_units, unfolding = metric.units[:-1], unknowns[-count:]
+    tangent = system.tangent(metric.units * unknowns[:-count])
     _, singular, null = bordered_inverse(scaled_jacobian(metric, tangent), left, right)
-    rate = jnp.sum(null * row_units * tangent.by_factor)
-    residual = row_units * tangent.residual + unfolding * left
-    closing = jnp.where(branch, rate, unfolding)
-    return jnp.concatenate([residual, jnp.stack([singular, closing])])
+    used = jnp.any(right != 0, axis=0)
+    rate = null @ (row_units * tangent.by_factor)
+    coupling = jnp.concatenate([unfolding[:1], singular[0, 1:]])
+    closing = jnp.where(used, jnp.where(branch, rate, coupling), unfolding)
+    residual = row_units * tangent.residual + left @ unfolding
+    mean = jnp.sum(jnp.where(used, jnp.diagonal(singular), 0.0))
+    return jnp.concatenate([residual, mean[None], closing])
 
 
 def with_derivatives(
-    system: PathSystem, metric: Metric, points: Array, is_branch: Array
+    system: PathSystem, metric: Metric, points: Array, is_branch: Array, null: NullVectors
 ) -> Float[Array, "critical n"]:
-    """Return critical points with derivatives with respect to the system."""
+    """Return critical points with derivatives with respect to the system.
+
+    Those of a multiple point are the mean of those of the points into which it separates.
+    """
     dynamic, static = eqx.partition(system, eqx.is_inexact_array)
 
-    def one(point: Array, branch: Flag) -> Array:
-        return _critical(static, dynamic, metric, point, branch)
+    def one(point: Array, branch: Flag, left: Array, right: Array) -> Array:
+        return _critical(static, dynamic, metric, point, branch, (left, right))
 
-    return jax.vmap(one)(points, is_branch)
+    return jax.vmap(one)(points, is_branch, *jax.lax.stop_gradient(null))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _critical(static: PathSystem, dynamic: PathSystem, metric, point, branch):
+def _critical(static: PathSystem, dynamic: PathSystem, metric, point, branch, borders):
     """Return the critical point; see `with_derivatives`."""
-    del static, dynamic, metric, branch
+    del static, dynamic, metric, branch, borders
     return point
 
 
 @partial(_critical.defjvp, symbolic_zeros=True)
 def _(static, primals, tangents):
-    dynamic, metric, point, branch = primals
-    point = _critical(static, dynamic, metric, point, branch)
+    dynamic, metric, point, branch, borders = primals
+    point = _critical(static, dynamic, metric, point, branch, borders)
     found = jnp.all(jnp.isfinite(point))
     metric, at = jax.lax.stop_gradient((metric, jnp.where(found, point, 0.0)))
-    left, right = jax.lax.stop_gradient(
-        singular_vectors(eqx.combine(jax.lax.stop_gradient(dynamic), static), metric, at)
-    )
 
     def equations(dynamic: PathSystem, unknowns: Array) -> Array:
         system = eqx.combine(dynamic, static)
-        return _extended_residual(system, metric, (left, right), branch, unknowns)
+        return _extended_residual(system, metric, borders, branch, unknowns)
 
-    scaled = jnp.where(found, point, 0.0) / metric.units
-    unknowns = jnp.concatenate([scaled, jnp.zeros(1)])
+    scaled, count = jnp.where(found, point, 0.0) / metric.units, borders[0].shape[1]
+    unknowns = jnp.concatenate([scaled, jnp.zeros(count)])
     _, rate = jvp_of_varied(
         lambda dynamic: equations(dynamic, unknowns), (dynamic,), (tangents[0],)
     )
     matrix = jax.jacfwd(equations, argnums=1)(dynamic, unknowns)
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
     change = -solve(matrix, rate)
-    change = jnp.where(found, metric.units * change[:-1], 0.0)
+    change = jnp.where(found, metric.units * change[:-count], 0.0)
     return point, change
+
+
+def null_vectors_with_derivatives(
+    system: PathSystem, metric: Metric, points: Array, null: NullVectors
+) -> Float[Array, "critical unknowns vectors"]:
+    """Return the right null vectors with derivatives with respect to the system."""
+    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
+
+    def one(point: Array, left: Array, right: Array) -> Array:
+        return _null_vectors(static, dynamic, metric, point, (left, right))
+
+    return jax.vmap(one)(points, *jax.lax.stop_gradient(null))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _null_vectors(static: PathSystem, dynamic: PathSystem, metric, point, borders):
+    """Return the null vectors; see `null_vectors_with_derivatives`."""
+    del static, dynamic, metric, point
+    return borders[1]
+
+
+@partial(_null_vectors.defjvp, symbolic_zeros=True)
+def _(static, primals, tangents):
+    dynamic, metric, point, borders = primals
+
+    def vectors(dynamic: PathSystem, point: Array) -> Array:
+        tangent = eqx.combine(dynamic, static).tangent(point)
+        matrix, size = scaled_jacobian(metric, tangent), len(point) - 1
+        return bordered_inverse(matrix, *borders)[0][:size, size:]
+
+    changes = tangents[0], tangents[2]
+    _, change = jvp_of_varied(vectors, (dynamic, point), changes)
+    return _null_vectors(static, *primals), change

@@ -1,6 +1,6 @@
 """Equilibrium path of a mechanism, with its stable and unstable equilibria."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +16,7 @@ from .._utils.host import (
     take_rows,
 )
 from .._utils.traced_function import traced
-from .._utils.types import NumberLike, NumbersLike
+from .._utils.types import NumberLike, NumbersLike, PoseLike
 from .._utils.validation import require_positive
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
@@ -24,6 +24,7 @@ from ..mechanism.mechanism import Mechanism
 from .path_program import (
     evaluate_path,
     first_rows,
+    PathRun,
     refine_path,
     run_path,
     solve_path,
@@ -52,7 +53,7 @@ def path(
     constant_loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
     start: StartLike | None = None,
-    direction: int = 1,
+    direction: int | Mapping[str, PoseLike] = 1,
     load_factors: NumbersLike = (-1.0, 1.0),
     until: Until | None = None,
     largest_step: float = 0.1,
@@ -81,12 +82,14 @@ def path(
         constant_loads: Loads that are not multiplied, such as weights.
         constraints: Pins, sliders, and other constraints between the bodies.
         start: Equilibrium or poses from which the first equilibrium is computed, a stable
-            one at the load factor zero; or a branch point of another path of the same
-            loads, from which the path follows the other branch; by default the
-            equilibrium without the multiplied loads that is connected to the reference
-            configuration.
+            one at the load factor zero; or a branch point or a multiple limit point of
+            another path of the same loads, from which the path follows another branch; by
+            default the equilibrium without the multiplied loads that is connected to the
+            reference configuration.
         direction: 1 to begin with increasing load factors, -1 with decreasing ones. At a
-            branch point, 1 to begin in the direction of its mode, -1 in the opposite one.
+            branch point, 1 to begin in the direction of its mode, -1 in the opposite one;
+            or displacements of bodies by their names, of which the part without stiffness
+            is the direction. Several branches leave a multiple branch point; rad, m, m.
         load_factors: Interval of the load factor, which contains that of the first point.
             The last point is at one of its ends, unless the path ends for another reason.
         until: Function of a `PathPoint`. The path ends where its sign changes. It is
@@ -105,10 +108,12 @@ def path(
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a degree of freedom
             is prescribed twice, nothing is multiplied by the load factor, `start` is a
-            limit point, or a setting is invalid.
+            simple limit point, the stiffness resists `direction`, or a setting is
+            invalid.
         TypeError: `until` returns a truth value.
         RuntimeError: There is no first equilibrium, a hinge leaves the validity range of
-            its energy, or the path cannot be continued.
+            its energy, a critical point is not found, `until` returns NaN, or the path
+            cannot be continued.
 
     Source:
         Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in
@@ -148,23 +153,26 @@ def path(
     if is_traced(arguments):
         return solve_path(*arguments, *numbers)
     run = run_path(*arguments, *numbers)
-    if np.any(run.criticals.is_branch):
+    if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
         run = refine_path(system, run)
     count = int(run.trace.number)
     rows = min(padded_size(count, 16), max_points)
     found = _first_points(evaluate_path(system, first_rows(run, rows)), count)
-    return _checked(found, system) if throw else found
+    return _checked(found, system, run) if throw else found
 
 
 def check_settings(
-    direction: int, load_factors: NumbersLike, max_points: int, max_critical: int = 1
+    direction: int | Mapping[str, PoseLike],
+    load_factors: NumbersLike,
+    max_points: int,
+    max_critical: int = 1,
 ) -> None:
     """Check the settings of a path.
 
     Raises:
         ValueError: A setting is invalid.
     """
-    if direction not in (1, -1):
+    if not isinstance(direction, Mapping) and direction not in (1, -1):
         raise ValueError(f"`direction` is {direction!r}, but must be 1 or -1.")
     limits = concrete(load_factors)
     if limits is not None and limits.shape != (2,):
@@ -218,6 +226,7 @@ def _first_points(found: Path, count: int) -> Path:
         "energies",
         "modes",
         "is_branch",
+        "multiplicities",
         "rows",
     )
 
@@ -233,12 +242,12 @@ def _first_points(found: Path, count: int) -> Path:
     )
 
 
-def _checked(found: Path, system: PathSystem) -> Path:
+def _checked(found: Path, system: PathSystem, run: PathRun) -> Path:
     """Return the path, and raise an error if it ended by a failure."""
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
-        text, count = path_message(item, system), len(found.load_factors)
+        text, count = path_message(item, system, run), len(found.load_factors)
         if count > 1:
             text += (
                 f" ({count} points up to the load factor "
@@ -250,9 +259,11 @@ def _checked(found: Path, system: PathSystem) -> Path:
     return succeeded_or_raise(found, error)
 
 
-def path_message(item: str, system: PathSystem) -> str:
+def path_message(item: str, system: PathSystem, run: PathRun) -> str:
     """Return the message of a failure of a path, by the name of the result."""
     text = result_message(item)
+    if item == "out_of_range":
+        text += f" {system.range_messages(run.trace.reached)}"
     if item == "unstable":
         text += describe_free_motions(
             system.mechanism, system.constraints, system.dofs, system.start, system.time

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from .._utils.types import Count, Flag, Scalar
 from .continuation import Metric, solve_step, Step
-from .path_system import PathSystem
+from .path_system import PathSystem, PathTangent
 
 
 _ITERATIONS = 60
@@ -30,6 +30,29 @@ class Segment(NamedTuple):
     tangents: Float[Array, "2 n"]
 
 
+# A function of a point of the path, of the derivatives, and of the step there. The second
+# result is returned with the root.
+SegmentFunction = Callable[
+    [Float[Array, " n"], PathTangent, Step], tuple[Scalar, Float[Array, " m"]]
+]
+
+
+class Root(NamedTuple):
+    """Point of a segment at which a function is zero.
+
+    Args:
+        point: The point.
+        step: The step there or nearby.
+        more: The second result of the function, there or nearby.
+        values: Values of the function on both sides of the root.
+    """
+
+    point: Float[Array, " n"]
+    step: Step
+    more: Float[Array, " m"]
+    values: Float[Array, "2"]
+
+
 class _Search(NamedTuple):
     """State of the search for a root on a segment.
 
@@ -39,6 +62,7 @@ class _Search(NamedTuple):
         position: Position of the current point.
         scaled: Current point, divided by the units.
         step: Step at the last accurate point.
+        more: Second result of the function at the last accurate point.
         base: Last accurate point, divided by the units.
         base_position: Its position.
         finished: Whether the root has been found.
@@ -50,6 +74,7 @@ class _Search(NamedTuple):
     position: Scalar
     scaled: Float[Array, " n"]
     step: Step
+    more: Float[Array, " m"]
     base: Float[Array, " n"]
     base_position: Scalar
     finished: Flag
@@ -60,10 +85,12 @@ def locate(
     system: PathSystem,
     metric: Metric,
     segment: Segment,
-    function: Callable[[Float[Array, " n"], Step], Scalar],
+    function: SegmentFunction,
     values: Float[Array, "2"],
+    more: Float[Array, " m"],
     regular: Flag,
-) -> tuple[Float[Array, " n"], Step]:
+    skip: Flag | bool = False,
+) -> Root:
     """Find the point of a segment at which a function is zero.
 
     The position on the segment is that along its first tangent. The root stays in an
@@ -73,13 +100,15 @@ def locate(
         system: The equations.
         metric: Units of the unknowns.
         segment: The segment.
-        function: The function of a point and of the step there.
+        function: The function.
         values: Values of the function at both ends, with different signs.
+        more: Second result of the function at one of the ends.
         regular: Whether the equations of a correction are regular at the root. Otherwise
             the root is extrapolated from a point nearby.
+        skip: Whether there is nothing to be found, so that the result has no meaning.
 
     Returns:
-        The point, and the step there or nearby.
+        The root.
     """
     border = metric.weights * segment.tangents[0]
     first, last = segment.points / metric.units[None]
@@ -108,7 +137,7 @@ def locate(
         accurate = singular | (size <= _CORRECTED * length)
         accurate |= search.iterations % 6 == 5
 
-        value = function(metric.units * scaled, step)
+        value, more = function(metric.units * scaled, tangent, step)
         at_left = value * search.values[0] > 0
         last_end = jnp.where(at_left, search.ends[0], search.ends[1])
         # The value at an end that stays twice is halved.
@@ -136,7 +165,7 @@ def locate(
         finished = (jnp.abs(change) <= enough) | found
         finished |= ends[1] - ends[0] <= _ROUNDING * length
         moved = _Search(
-            ends, at_ends, root, ahead, step, scaled, search.position, finished,
+            ends, at_ends, root, ahead, step, more, scaled, search.position, finished,
             search.iterations + 1,
         )  # fmt: skip
         corrected = search._replace(scaled=scaled, iterations=search.iterations + 1)
@@ -144,16 +173,17 @@ def locate(
 
     zero, ends = jnp.zeros(()), jnp.stack([jnp.zeros(()), length])
     position = _secant(ends, values)
-    nothing = Step(0 * first, segment.tangents[0], zero, zero, zero)
+    nothing = Step(0 * first, segment.tangents[0], zero, zero)
     search = _Search(
         ends=ends,
         values=values,
         position=position,
         scaled=interpolate(position),
         step=nothing,
+        more=more,
         base=first,
         base_position=-jnp.ones(()),
-        finished=jnp.zeros((), bool),
+        finished=jnp.asarray(skip),
         iterations=jnp.zeros((), int),
     )
     search = jax.lax.while_loop(
@@ -161,7 +191,7 @@ def locate(
         improve,
         search,
     )
-    return metric.units * search.scaled, search.step
+    return Root(metric.units * search.scaled, search.step, search.more, search.values)
 
 
 def _secant(ends: Float[Array, "2"], values: Float[Array, "2"]) -> Scalar:

@@ -58,4 +58,6 @@ def describe_critical_point(
         return ""
     fraction = float(criticals.points[0, -1])
     kind = "branch" if bool(criticals.is_branch[0]) else "limit"
+    if (times := int(criticals.multiplicities[0])) > 1:
+        kind = f"{times}-fold {kind}"
     return f" There is a {kind} point at the fraction {fraction:.8g}."

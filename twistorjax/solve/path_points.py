@@ -12,7 +12,7 @@ from .._utils.pytrees import jvp_of_varied
 from .._utils.types import Count
 from .continuation import determinant_sign, Metric
 from .factorization import null_space
-from .path_system import PathSystem
+from .path_system import PathSystem, PathTangent
 from .small_matrices import solve
 from .stresses import reported_stresses
 
@@ -60,26 +60,58 @@ def negative_eigenvalues(
 ) -> Int[Array, " points"]:
     """Count the negative eigenvalues of the stiffness at points of a path.
 
-    They are those for displacements that the constraints allow. With follower loads, the
-    stiffness is not symmetric, and the number is that of the factor -1 in the sign of its
-    determinant: 0 or 1.
+    With follower loads, the stiffness is not symmetric, and the number is that of the
+    factor -1 in the sign of its determinant: 0 or 1.
     """
-    free = len(system.dofs.free)
-    units = metric.units[:free]
 
     def one(point: Float[Array, " n"]) -> Count:
-        jacobian = system.tangent(point).jacobian
-        matrix = units[:, None] * jacobian[:free, :free] * units[None]
-        if system.constraints.size:
-            _, basis = null_space(jacobian[free:, :free] * units[None])
-            matrix = basis.T @ matrix @ basis
-        if not system.symmetric:
-            sign = determinant_sign(*jax.scipy.linalg.lu_factor(matrix))
-            return jnp.asarray(sign < 0, int)
-        return jnp.sum(jnp.linalg.eigvalsh(matrix) < 0)
+        return jnp.sum(stability_values(system, metric, system.tangent(point)) < 0)
 
     # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
     return jax.lax.map(one, points)
+
+
+def allowed_stiffness(
+    system: PathSystem, metric: Metric, tangent: PathTangent
+) -> tuple[Float[Array, "allowed allowed"], Float[Array, "free allowed"]]:
+    """Return the stiffness for displacements that the constraints allow; J.
+
+    The second result is an orthonormal basis of these displacements, in the units of the
+    metric.
+    """
+    free = len(system.dofs.free)
+    units, jacobian = metric.units[:free], tangent.jacobian
+    matrix = units[:, None] * jacobian[:free, :free] * units[None]
+    if not system.constraints.size:
+        return matrix, jnp.eye(free)
+    _, basis = null_space(jacobian[free:, :free] * units[None])
+    return basis.T @ matrix @ basis, basis
+
+
+def stability_values(
+    system: PathSystem, metric: Metric, tangent: PathTangent
+) -> Float[Array, " values"]:
+    """Compute functions of a point that change their signs where the stability changes.
+
+    They are the eigenvalues of the stiffness for displacements that the constraints
+    allow, in increasing order, which are continuous along a path. With follower loads,
+    it is the determinant of this stiffness, whose rows are normalized.
+    """
+    matrix, _ = allowed_stiffness(system, metric, tangent)
+    if not matrix.size:
+        return jnp.ones(1)
+    if system.symmetric:
+        return jnp.linalg.eigvalsh(matrix)
+    rows = matrix / jnp.linalg.norm(matrix, axis=1, keepdims=True)
+    factors = jax.scipy.linalg.lu_factor(rows)
+    size = jnp.exp(jnp.sum(jnp.log(jnp.abs(jnp.diagonal(factors[0])))))
+    return (determinant_sign(*factors) * size)[None]
+
+
+def count_of_values(system: PathSystem) -> int:
+    """Return the number of stability values."""
+    allowed = len(system.dofs.free) - system.constraints.size
+    return max(allowed, 1) if system.symmetric else 1
 
 
 def on_path(

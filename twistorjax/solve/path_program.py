@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
@@ -27,10 +27,10 @@ from .critical_points import (
     null_vectors,
     with_derivatives,
 )
-from .path_points import negative_eigenvalues, on_path, point_values
+from .path_points import on_path, point_values
 from .path_results import CriticalPoints, Path, PathPoint
 from .path_setup import FirstPoint
-from .path_start import start_at, start_on_branch
+from .path_start import first_point, start_at, start_on_branch
 from .path_system import PathSystem
 from .results import result_of_status, RESULTS
 from .stresses import select_stresses
@@ -46,12 +46,14 @@ class PathRun(NamedTuple):
     Args:
         metric: Units of the unknowns.
         trace: The points.
+        negative: Number of negative eigenvalues of the stiffness at each point.
         criticals: The critical points.
         end_normal: Normal of the plane in which the last point is for other parameters.
     """
 
     metric: Metric
     trace: Trace
+    negative: Int[Array, " points"]
     criticals: Criticals
     end_normal: Float[Array, " n"]
 
@@ -68,25 +70,27 @@ def run_uncompiled(
     """Follow the path, and locate its end and its critical points."""
     system, first = stop_gradient((system, first))
     event = None if until is None else _event(system, until)
-    equations = system.at(first.factor)
-    free = first.displacements.reshape(-1)[equations.free]
-    multipliers = equations.constraint_forces(first.displacements)
-    point = jnp.concatenate([free, multipliers, first.factor[None]])
-    mode = first.mode.reshape(-1)[equations.free]
-    mode = jnp.concatenate([mode, 0 * multipliers, jnp.zeros(1)])
+    point = first_point(system, first.displacements, first.factor)
+    mode = first.mode.reshape(-1)[np.array(system.dofs.free, int)]
+    mode = jnp.concatenate([mode, jnp.zeros(len(point) - len(mode))])
     metric, start, singular = start_at(system, point, first.direction)
     singular &= ~first.at_branch
     start = start_on_branch(metric, start, first.direction * mode, first.at_branch)
     trace = follow(system, metric, start, limits, largest_step, event, max_points)
     status = jnp.where(singular, continuation.SINGULAR, trace.status)
+    if event is not None:
+        undefined = jnp.isnan(event(point)) & (status != continuation.NOT_FINITE)
+        status = jnp.where(undefined & ~singular, continuation.UNDEFINED, status)
     trace = trace._replace(status=status)
-    trace, criticals = locate_points(system, metric, trace, limits, event, max_critical)
+    trace, criticals, negative = locate_points(
+        system, metric, trace, limits, event, max_critical
+    )
     normal = jnp.zeros_like(point).at[-1].set(1.0)
     if event is not None:
         by_event = trace.status == continuation.AT_EVENT
         slope = jax.grad(event)(trace.points[trace.number - 1])
         normal = jnp.where(by_event, slope, normal)
-    return PathRun(metric, trace, criticals, normal)
+    return PathRun(metric, trace, negative, criticals, normal)
 
 
 def _event(system: PathSystem, until: Until) -> continuation.PathEvent:
@@ -111,7 +115,7 @@ def _event(system: PathSystem, until: Until) -> continuation.PathEvent:
 
 def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     """Compute the quantities at the points, and give them derivatives."""
-    metric, trace, criticals, end_normal = run
+    metric, trace, negative, criticals, end_normal = run
     fixed, mechanism = stop_gradient(system), system.mechanism
     rows = jnp.asarray(np.arange(len(trace.points)))
     used = rows < trace.number
@@ -128,18 +132,19 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     # The first point stays at its load factor.
     normals = normals.at[0].set(jnp.zeros(len(end_normal)).at[-1].set(1.0))
     values = point_values(system, on_path(system, known, normals))
-    negative = negative_eigenvalues(fixed, metric, known)
     masked = jax.tree.map(lambda array: _masked(used, array), values)
 
     count = jnp.minimum(criticals.number, len(criticals.points))
     found = jnp.asarray(np.arange(len(criticals.points))) < count
     at = jnp.where(found[:, None], criticals.points, trace.points[:1])
-    at = with_derivatives(system, metric, at, criticals.is_branch)
+    null = null_vectors(fixed, metric, at, criticals.is_branch, criticals.multiplicities)
+    at = with_derivatives(system, metric, at, criticals.is_branch, null)
     critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
     free = len(system.dofs.free)
     no_change = jnp.zeros(len(system.dofs.prescribed))
-    modes = null_vectors(fixed, metric, jax.lax.stop_gradient(at))
-    modes = jax.vmap(lambda mode: system.dofs.expand(mode[:free], no_change))(modes)
+    modes = jax.vmap(lambda mode: system.dofs.expand(mode[:free], no_change))(
+        null.right[..., 0]
+    )
     length = fixed.length()
     stresses = None
     if masked.stresses is not None:
@@ -160,6 +165,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
             energies=critical.energy,
             modes=_masked(found, modes),
             is_branch=criticals.is_branch,
+            multiplicities=criticals.multiplicities,
             rows=criticals.rows,
             count=count,
             length=length,
@@ -184,6 +190,8 @@ def path_result(trace: Trace) -> RESULTS:
         (continuation.TOO_SHORT, RESULTS.path_interrupted),
         (continuation.NOT_FINITE, RESULTS.not_finite),
         (continuation.SINGULAR, RESULTS.unstable),
+        (continuation.UNDEFINED, RESULTS.until_not_a_number),
+        (continuation.UNRESOLVED, RESULTS.critical_point_not_found),
     )
     return result_of_status(trace.status, results, RESULTS.successful)
 
@@ -191,9 +199,10 @@ def path_result(trace: Trace) -> RESULTS:
 def first_rows(run: PathRun, rows: int) -> PathRun:
     """Return the first rows of the points of a path."""
     trace = run.trace
-    names = ("points", "tangents", "orientations", "log_determinants")
+    names = ("points", "tangents", "orientations")
     first = {name: take_rows(getattr(trace, name), slice(rows)) for name in names}
-    return run._replace(trace=trace._replace(**first))
+    negative = take_rows(run.negative, slice(rows))
+    return run._replace(trace=trace._replace(**first), negative=negative)
 
 
 def _masked(used: Bool[Array, " rows"], values: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.host import all_concrete, concrete
-from .._utils.types import Flag, Pose, Poses, Scalar
+from .._utils.types import Count, Flag, Pose, Poses, Scalar
 from .._utils.validation import index_of
 from .results import count_results, PoseSolution, result_names, RESULTS
 from .stresses import Stresses
@@ -79,11 +79,13 @@ class CriticalPoint(PathPoint):
             norm.
         is_branch: Whether this is a branch point.
         length: Characteristic length of the mechanism; m.
+        multiplicity: Number of eigenvalues of the stiffness that vanish at this point.
     """
 
     mode: Poses
     is_branch: Flag
     length: Scalar
+    multiplicity: Count | int = 1
 
     @property
     def kind(self) -> str:
@@ -112,6 +114,8 @@ class CriticalPoints(eqx.Module):
         energies: Energy stored in the hinges; J.
         modes: Displacements without stiffness; see `CriticalPoint`.
         is_branch: Whether each of them is a branch point.
+        multiplicities: Number of eigenvalues of the stiffness that vanish at each of
+            them. Points whose distance is below 1e-8 are one multiple point.
         rows: Index of the point of the path that precedes each of them.
         count: Number of critical points that were found.
         length: Characteristic length of the mechanism; m.
@@ -124,6 +128,7 @@ class CriticalPoints(eqx.Module):
     energies: Float[Array, "*batch critical"]
     modes: Float[Array, "*batch critical bodies 3"]
     is_branch: Bool[Array, "*batch critical"]
+    multiplicities: Int[Array, "*batch critical"]
     rows: Int[Array, "*batch critical"]
     count: Int[Array, "*batch"]
     length: Float[Array, "*batch"]
@@ -144,6 +149,7 @@ class CriticalPoints(eqx.Module):
             self.modes[index],
             self.is_branch[index],
             self.length,
+            self.multiplicities[index],
         )
 
     def __iter__(self) -> Iterator[CriticalPoint]:
@@ -245,5 +251,7 @@ def _critical_lines(points: Iterable[CriticalPoint]) -> list[str]:
         mode = np.asarray(point.mode)
         body, axis = np.unravel_index(np.argmax(np.abs(mode)), mode.shape)
         part = f"{('rotation', 'x', 'y')[axis]} of {point.names[body]!r}"
-        lines.append(f"{point.kind:<14} {float(point.load_factor):>13.8g}  {part}")
+        times = int(point.multiplicity)
+        kind = point.kind if times == 1 else f"{point.kind}, {times}-fold"
+        lines.append(f"{kind:<14} {float(point.load_factor):>13.8g}  {part}")
     return lines

@@ -10,7 +10,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, concrete
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
-from .._utils.validation import require_float64
+from .._utils.validation import index_of, require_float64, require_pose
 from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.hinge_changes import (
     as_temperature,
@@ -24,6 +24,7 @@ from ..mechanism.mechanism import Mechanism
 from ..mechanism.support import require_support
 from .dofs import DofPartition
 from .path_results import CriticalPoint
+from .path_start import branch_mode
 from .path_system import PathSystem
 from .static_results import StateLike
 from .statics import equilibrium
@@ -80,7 +81,7 @@ def assemble_path(
     constant_loads: Sequence[Load],
     constraints: Sequence[AbstractConstraint],
     start: StartLike | None,
-    direction: int,
+    direction: int | Mapping[str, PoseLike],
     time: NumberLike,
 ) -> tuple[PathSystem, FirstPoint]:
     """Check the arguments of `path`, and assemble the equations and the first point.
@@ -101,8 +102,8 @@ def assemble_path(
     require_support(mechanism, constraint_set.bodies, prescribed)
     dofs = DofPartition.of(mechanism, prescribed)
     if isinstance(start, CriticalPoint):
-        is_branch = concrete(start.is_branch)
-        if is_branch is not None and not is_branch:
+        is_simple_limit = concrete(~start.is_branch & (start.multiplicity == 1))
+        if is_simple_limit is not None and is_simple_limit:
             raise ValueError(
                 "`start` is a limit point, but must be a branch point: no other path "
                 "leaves at a limit point."
@@ -111,11 +112,18 @@ def assemble_path(
         first = FirstPoint(
             displacements=start.displacements,
             factor=as_float(start.load_factor),
-            direction=jnp.asarray(direction, float),
+            direction=jnp.asarray(
+                1 if isinstance(direction, Mapping) else direction, float
+            ),
             at_branch=jnp.ones((), bool),
             mode=start.mode,
         )
     else:
+        if isinstance(direction, Mapping):
+            raise ValueError(
+                "`direction` has displacements, but `start` is no branch point: give 1 to "
+                "begin with increasing load factors, or -1 with decreasing ones."
+            )
         begin = first_displacements(
             mechanism, drives, changes, constant_loads, constraints, start, time
         )
@@ -131,7 +139,30 @@ def assemble_path(
         time=as_float(time),
         dofs=dofs,
     )
+    if isinstance(start, CriticalPoint) and isinstance(direction, Mapping):
+        mode = branch_mode(
+            system, first.displacements, first.factor, jnp.asarray(start.multiplicity),
+            _named_displacements(mechanism, direction),
+        )  # fmt: skip
+        size = concrete(jnp.sum(mode**2))
+        if size is not None and not size > 0:
+            raise ValueError(
+                f"`direction` names {', '.join(map(repr, direction))}, but the branch "
+                "point has no mode in which they move in this direction."
+            )
+        first = first._replace(mode=mode)
     return system, first
+
+
+def _named_displacements(
+    mechanism: Mechanism, displacements: Mapping[str, PoseLike]
+) -> Poses:
+    """Arrange displacements that are given by the names of bodies; rad, m, m."""
+    rows = jnp.zeros_like(mechanism.reference)
+    for body, displacement in displacements.items():
+        row = index_of("`direction`", "body", body, mechanism.names)
+        rows = rows.at[row].set(require_pose(f"`direction` of {body!r}", displacement))
+    return rows
 
 
 def _changes(

@@ -4,9 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Flag, Scalar
+from .._utils.compilation import fast_compile
+from .._utils.types import Count, Flag, Poses, Scalar
 from .continuation import Metric, Node, select, solve_step
+from .critical_points import null_vectors
 from .path_system import PathSystem, PathTangent
+
+
+_SMALL_PART = 1e-6  # of a direction, which may consist of rounding errors
 
 
 def start_at(
@@ -22,7 +27,7 @@ def start_at(
     border = jnp.zeros_like(point).at[-1].set(sign)
     direction = solve_step(tangent, metric, border, jnp.zeros(())).tangent
     step = solve_step(tangent, metric, direction, jnp.zeros(()))
-    node = Node(point, step.tangent, step.orientation, step.log_determinant)
+    node = Node(point, step.tangent, step.orientation)
     finite = jnp.all(jnp.isfinite(tangent.jacobian))
     finite &= jnp.all(jnp.isfinite(tangent.by_factor))
     return metric, node, finite & ~jnp.all(jnp.isfinite(step.tangent))
@@ -37,8 +42,43 @@ def start_on_branch(
     """
     length = metric.length(mode)
     unit_mode = mode / jnp.where(at_branch, length, 1.0)
-    zero = jnp.zeros(())
-    return select(at_branch, Node(start.point, unit_mode, zero, zero), start)
+    return select(at_branch, Node(start.point, unit_mode, jnp.zeros(())), start)
+
+
+@fast_compile
+def branch_mode(
+    system: PathSystem,
+    displacements: Poses,
+    factor: Scalar,
+    multiplicity: Count,
+    direction: Poses,
+) -> Poses:
+    """Return the part of a direction (rad, m, m) without stiffness at a branch point.
+
+    It is divided by the units, and zero if it is a rounding error.
+    """
+    point = first_point(system, displacements, factor)
+    metric = metric_of(system, system.tangent(point), point)
+    null = null_vectors(
+        system, metric, point[None], jnp.ones(1, bool), multiplicity[None]
+    )
+    free = len(system.dofs.free)
+    vectors = null.right[0, :free]
+    wanted = direction.reshape(-1)[np.array(system.dofs.free, int)] / metric.units[:free]
+    mode = vectors @ (vectors.T @ wanted)
+    small = jnp.linalg.norm(mode) <= _SMALL_PART * jnp.linalg.norm(wanted)
+    no_change = jnp.zeros(len(system.dofs.prescribed))
+    return system.dofs.expand(jnp.where(small, 0.0, mode), no_change)
+
+
+def first_point(
+    system: PathSystem, displacements: Poses, factor: Scalar
+) -> Float[Array, " n"]:
+    """Return the vector of a point of the path; see `PathSystem`."""
+    equations = system.at(factor)
+    free = displacements.reshape(-1)[equations.free]
+    multipliers = equations.constraint_forces(displacements)
+    return jnp.concatenate([free, multipliers, factor[None]])
 
 
 def metric_of(

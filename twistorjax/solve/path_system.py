@@ -169,6 +169,14 @@ class PathSystem(eqx.Module):
         system, displacements, _ = self.split(point)
         return jnp.any(system.hinges.out_of_range(displacements))
 
+    def range_messages(self, point: Float[Array, " n"]) -> str:
+        """Describe the hinges that are outside the validity range of their energy."""
+        system, displacements, _ = self.split(point)
+        mechanism = eqx.tree_at(
+            lambda new: new.hinge_assembly, self.mechanism, system.hinges
+        )
+        return mechanism.range_messages(mechanism.reference + displacements)
+
     def displacement_change(
         self, change: Float[Array, " n"], rate: Scalar | float = 1.0
     ) -> Poses:

@@ -28,7 +28,8 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
       `inconsistent_constraints`.
     * Paths end as `successful` at a limit of the load factor, `event_occurred`,
       `returned_to_start`, `max_points_reached`, `out_of_range`, `path_interrupted`,
-      `not_finite`, or `unstable` if a body can move without any resistance.
+      `critical_point_not_found`, `until_not_a_number`, `not_finite`, or `unstable` if a
+      body can move without any resistance.
     * Ends of a range of motion end as `successful`, `stress_exceeded`,
       `stress_not_reached`, or as paths.
     * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,
@@ -126,8 +127,19 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     path_interrupted = (
         "No next point of the path was found, even at a very short distance. Several "
         "branches may meet at one point, as in a mechanism with several symmetries, or "
-        "an energy may not be smooth. Break the symmetry by a small load, or use smooth "
-        "energies."
+        "an energy may not be smooth. Break the symmetry by a small load, use smooth "
+        "energies, or start in another `direction` from a multiple branch point."
+    )
+    critical_point_not_found = (
+        "A critical point was not found. On a path, the number of negative eigenvalues of "
+        "the stiffness changes between two points, but no critical point between them "
+        "explains this change: the path may have jumped to another one. It ends before; "
+        "reduce `largest_step`. In a buckling analysis, the stiffness is not singular "
+        "near the load factor of the linearized equations; use `path`."
+    )
+    until_not_a_number = (
+        "The function `until` returned NaN on the path, so the end of the path is not "
+        "known. Let it return a number at every point."
     )
 
     stress_exceeded = (

@@ -68,8 +68,11 @@ def check_equilibrium(
                     constraints, dofs, mechanism, solution.reached, time
                 )
                 return ValueError(f"{text} {detail}")
-            if item == "no_equilibrium" and first_critical_point is not None:
-                text += first_critical_point()
+            ended = item in ("no_equilibrium", "steps_used_up")
+            if ended and first_critical_point is not None:
+                description = first_critical_point()
+                if description:
+                    text = result_message("no_equilibrium") + description
             if item == "unstable" and dofs is not None:
                 text += describe_free_motions(
                     mechanism, constraints, dofs, solution.reached, time

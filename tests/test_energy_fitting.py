@@ -294,7 +294,7 @@ def test_damaged_file_of_an_energy_raises_an_error(tmp_path):
     for damaged, message in (
         (text[: len(text) // 2], "is damaged or not a JSON file"),
         (
-            text.replace('"twistorjax": 5', '"twistorjax": 99'),
+            text.replace('"twistorjax": 6', '"twistorjax": 99'),
             "is 99, .* be one of 2, 3, 4, 5",
         ),
         (text.replace('"scale"', '"size"'), "`energy` has the unknown field `size`"),

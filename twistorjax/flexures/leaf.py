@@ -10,7 +10,7 @@ from .._utils.validation import (
     require_choice,
     require_instance,
     require_interval,
-    require_positive,
+    require_length,
 )
 from ..energies.beam_column import BeamColumn
 from ..energies.mixed import MixedEnergy
@@ -69,7 +69,9 @@ def leaf(
         >>> energy.tangent_stiffness().diagonal()
         Array([1.4375e-01, 1.7250e+06, 1.7250e+04], dtype=float64)
     """
-    length, thickness, width = _require_dimensions(length, thickness, width, theory)
+    length, thickness, width = _require_dimensions(
+        material, length, thickness, width, theory
+    )
     bending, axial, shear = _section_stiffnesses(material, thickness, width)
     return BeamColumn(
         length,
@@ -135,7 +137,9 @@ def linear_leaf(
         Array([1.4375e-01, 1.7250e+06, 1.7250e+04], dtype=float64)
     """
     require_choice("`coordinates`", coordinates, ("twistor", "twist"))
-    length, thickness, width = _require_dimensions(length, thickness, width, theory)
+    length, thickness, width = _require_dimensions(
+        material, length, thickness, width, theory
+    )
     bending, axial, shear = _section_stiffnesses(material, thickness, width)
     xp, (length, bending, axial, shear) = on_host(length, bending, axial, shear)
     compliance = length**3 / (12 * bending)
@@ -216,14 +220,19 @@ def quartic_leaf(
 
 
 def _require_dimensions(
-    length: NumberLike, thickness: NumberLike, width: NumberLike, theory: Theory
+    material: Material,
+    length: NumberLike,
+    thickness: NumberLike,
+    width: NumberLike,
+    theory: Theory,
 ) -> tuple[NumberLike, NumberLike, NumberLike]:
     """Check the dimensions of a leaf and its theory, and return the dimensions; m."""
+    modulus = require_instance("material", material, Material).modulus
     require_choice("`theory`", theory, ("euler-bernoulli", "timoshenko"))
     _, (length, thickness, width) = on_host(
-        require_positive("`length`", length),
-        require_positive("`thickness`", thickness),
-        require_positive("`width`", width),
+        require_length("`length`", length, modulus),
+        require_length("`thickness`", thickness, modulus),
+        require_length("`width`", width, modulus),
     )
     limit = 0.25 if theory == "timoshenko" else 0.1
     slenderness = require_interval(
@@ -242,7 +251,6 @@ def _section_stiffnesses(
     material: Material, thickness: NumberLike, width: NumberLike
 ) -> tuple[NumberLike, NumberLike, NumberLike]:
     """Compute the stiffnesses in bending, tension, and shear; N m^2, N, N."""
-    require_instance("material", material, Material)
     _, (modulus, poisson, thickness, width) = on_host(
         material.modulus, material.poisson, thickness, width
     )

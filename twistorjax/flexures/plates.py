@@ -4,7 +4,7 @@ from typing import Literal
 
 from .._utils.host import as_float, on_host
 from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_choice, require_interval, require_length
+from .._utils.validation import require_choice, require_interval, require_positive
 from .contour_limits import nan_where_nan, require_ratio
 
 
@@ -70,17 +70,17 @@ def bending_factor(
         Array(1.03426714, dtype=float64)
     """
     require_choice("`shape`", shape, ("s-shaped", "circular"))
-    length = require_length("`length`", length)
+    length = require_positive("`length`", length)
     thickness = require_ratio(
         "`thickness / length`",
-        require_length("`thickness`", thickness),
+        require_positive("`thickness`", thickness),
         length,
         _THICKEST,
         f"the factor is that of a plate, and valid up to {_THICKEST:g}",
     )
     requirement = "must be above -1 and at most 0.5"
     xp, (width, length, poisson) = on_host(
-        require_length("`width`", width),
+        require_positive("`width`", width),
         nan_where_nan(thickness, length),
         require_interval("`poisson`", poisson, -1.0, 0.5, requirement),
     )

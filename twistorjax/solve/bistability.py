@@ -40,7 +40,7 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
-from .static_results import StateLike
+from .static_results import StateLike, warn_outside_linear_range
 
 
 _MAX_CRITICAL = 10  # critical points of a path that are located
@@ -69,6 +69,9 @@ class Bistability(eqx.Module):
         result: Reason of the end of the path, or `RESULTS.successful` if the second state
             was found before; `result_names` returns its name.
         names: Names of the bodies.
+        range_shares: Displacement or axial force of each hinge in the three states,
+            divided by the one at which it errs by 5 %, as those of an `Equilibrium`; None
+            if all hinges have validity ranges.
     """
 
     is_bistable: Bool[Array, "*batch"]
@@ -79,6 +82,7 @@ class Bistability(eqx.Module):
     at_branch: Bool[Array, "*batch 2"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+    range_shares: Float[Array, "*batch 3 hinges"] | None = None
 
     @property
     def succeeded(self) -> BatchFlag:
@@ -230,6 +234,7 @@ def bistability(
     found = _evaluate(system, run, first.direction)
     if not throw:
         return found
+    warn_outside_linear_range(mechanism, found.range_shares)
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
@@ -264,6 +269,9 @@ def _evaluate_uncompiled(
     snap_factors, at_branch = _snap_factors(system, run, direction, end)
     bistable = found[2] & (negative[0] == 0) & (negative[2] == 0)
     result = RESULTS.where(found[2], RESULTS.successful, path_result(run.trace))
+    shares = values.range_shares
+    if shares is not None:
+        shares = jnp.where(found[:, None], shares, jnp.nan)
     return Bistability(
         is_bistable=bistable,
         displacements=jnp.where(known, values.displacements, jnp.nan),
@@ -273,6 +281,7 @@ def _evaluate_uncompiled(
         at_branch=at_branch,
         result=result,
         names=system.mechanism.names,
+        range_shares=shares,
     )
 
 

@@ -37,7 +37,7 @@ from .results import (
     succeeded_or_raise,
 )
 from .static_errors import describe_free_motions
-from .static_results import state_in_range, StateLike
+from .static_results import state_in_range, StateLike, warn_outside_linear_range
 from .tables import Column, Columns, columns, Tabular
 
 
@@ -68,12 +68,16 @@ class Buckling(Tabular):
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
+        range_shares: Displacement or axial force of each hinge at the first load factor,
+            divided by the one at which it errs by 5 %, as those of an `Equilibrium`; None
+            if all hinges have validity ranges.
     """
 
     load_factors: Float[Array, "*batch modes"]
     shapes: Float[Array, "*batch modes bodies 3"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+    range_shares: Float[Array, "*batch hinges"] | None = None
 
     @property
     def succeeded(self) -> BatchFlag:
@@ -198,7 +202,10 @@ def buckling(
             )
         return RuntimeError(text)
 
-    return succeeded_or_raise(solution, error) if throw else solution
+    if not throw:
+        return solution
+    warn_outside_linear_range(mechanism, solution.range_shares)
+    return succeeded_or_raise(solution, error)
 
 
 class _Modes(NamedTuple):
@@ -303,13 +310,15 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     result = RESULTS.where(stable, result, RESULTS.unstable)
     result = RESULTS.where(finite, result, RESULTS.not_finite)
     valid = result == RESULTS.successful
+    at_factor, displacements, _ = fixed.split(reached)
     solution = Buckling(
         load_factors=jnp.where(valid, factors[order], jnp.nan),
         shapes=jnp.where(valid, shapes[order], jnp.nan),
         result=result,
         names=system.mechanism.names,
+        range_shares=at_factor.hinges.range_shares(displacements),
     )
-    return solution, fixed.split(reached)[1]
+    return solution, displacements
 
 
 def _linearized(

@@ -41,6 +41,7 @@ from .path_setup import (
 from .path_system import PathSystem
 from .results import result_message, succeeded_or_raise
 from .static_errors import describe_free_motions
+from .static_results import warn_outside_linear_range
 
 
 def path(
@@ -158,7 +159,10 @@ def path(
     count = int(run.trace.number)
     rows = min(padded_size(count, 16), max_points)
     found = _first_points(evaluate_path(system, first_rows(run, rows)), count)
-    return _checked(found, system, run) if throw else found
+    if not throw:
+        return found
+    warn_outside_linear_range(mechanism, found.range_shares)
+    return _checked(found, system, run)
 
 
 def check_settings(
@@ -219,6 +223,7 @@ def _first_points(found: Path, count: int) -> Path:
         "constraint_forces",
         "energies",
         "negative_eigenvalues",
+        *(() if found.range_shares is None else ("range_shares",)),
     )
     of_criticals = (
         "load_factors",

@@ -27,6 +27,7 @@ class PointValues(NamedTuple):
         constraint_forces: Constraint forces; N m, N.
         energy: Energy stored in the hinges; J.
         stresses: Largest stress in each hinge, if a strength is known; Pa.
+        range_shares: As those of an `Equilibrium`.
     """
 
     load_factor: Float[Array, "..."]
@@ -35,6 +36,7 @@ class PointValues(NamedTuple):
     constraint_forces: Float[Array, "... entries"]
     energy: Float[Array, "..."]
     stresses: Float[Array, "... hinges"] | None
+    range_shares: Float[Array, "... hinges"] | None
 
 
 def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointValues:
@@ -50,6 +52,7 @@ def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointV
             multipliers,
             energy,
             reported_stresses(equations.hinges, displacements),
+            equations.hinges.range_shares(displacements),
         )
 
     return jax.vmap(one)(points)

@@ -176,6 +176,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
         result=path_result(trace),
         names=mechanism.names,
         constraint_names=system.constraints.names(),
+        range_shares=masked.range_shares,
         stresses=stresses,
     )
 

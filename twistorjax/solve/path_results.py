@@ -191,6 +191,9 @@ class Path(PoseSolution):
         result: Reason of the end of the path; `result_names` returns its name.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
+        range_shares: Displacement or axial force of each hinge, divided by the one at
+            which it errs by 5 %, as those of an `Equilibrium`; None if all hinges have
+            validity ranges.
         stresses: Stresses in the hinges at each point, if the `strength` of a material is
             given.
     """
@@ -208,6 +211,7 @@ class Path(PoseSolution):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+    range_shares: Float[Array, "*batch points hinges"] | None = None
     stresses: Stresses | None = None
 
     @property

@@ -147,6 +147,7 @@ def bending_frequencies(fixed, **settings):
         "leaf", slender(), "wall", "tip", (0.0, 0.5, 0.0), rotation=0.1, force=1.0,
         **settings,
     )  # fmt: skip
+    assert flexure.end_masses is not None
     mass = float(flexure.end_masses[1])
     found = []
     for held in fixed:

@@ -1,5 +1,6 @@
 """Stresses in hinges whose dimensions are known."""
 
+import json
 from functools import partial
 from typing import Any
 
@@ -11,6 +12,7 @@ from helpers import value_and_slopes
 
 import twistorjax as tj
 from twistorjax import flexures
+from twistorjax.energies.dilation import dilated
 
 
 STEEL = tj.Material(modulus=210e9, poisson=0.3, expansion=12e-6, strength=400e6)
@@ -179,6 +181,98 @@ def test_stresses_of_a_saved_mechanism(surrogate, tmp_path):
         )
         np.testing.assert_array_equal(before.largest, after.largest)
         np.testing.assert_array_equal(before.strength, after.strength)
+
+
+@pytest.fixture(scope="module")
+def pivot():
+    """Return a surrogate of a pivot of two leaves that cross in their middles."""
+    leaf = flexures.leaf(STRONG, **SIZES, coordinates="twist")
+    beam = flexures.Beam(STRONG, **SIZES)
+    part = flexures.cross_spring_pivot(beam, 2.0 * leaf)  # two leaves in one plane each
+    return tj.surrogate(part, rotation=0.3, force=20.0)
+
+
+def arc_stress(angle):
+    """Stress in a leaf that is bent to an arc: E t angle / (2 L); Pa."""
+    return 210e9 * SIZES["thickness"] * angle / (2 * SIZES["length"])
+
+
+def test_a_surrogate_of_a_pivot_has_a_range_of_motion_and_a_fatigue_life(pivot):
+    """A pure rotation bends both leaves to arcs, whose stress is proportional to it."""
+    mechanism = cantilever(pivot)
+    drives = [tj.Drive("block", angle=0.1)]
+    bent = tj.equilibrium(mechanism, drives=drives)
+    np.testing.assert_allclose(reported(bent).largest[0], arc_stress(0.1), rtol=1e-6)
+    assert reported(bent).strength[0] == 600e6
+    found = tj.range_of_motion(mechanism, drives=drives, stress=200e6)
+    np.testing.assert_allclose(found.factors, [-1.904762, 1.904762], rtol=1e-6)
+    assert np.all(found.by_stress)
+    life = tj.fatigue(mechanism, found)
+    np.testing.assert_allclose(life.amplitude, [200e6], rtol=1e-6)
+    np.testing.assert_allclose(life.utilization, [200 / 300], rtol=1e-5)
+
+
+def test_the_stress_of_a_pivot_is_that_of_its_leaves(pivot, tmp_path):
+    """Under forces, in a pivot of other dimensions, and after it was saved."""
+
+    def stress_in(energy, state):
+        hinge = tj.Hinge("pivot", "A", "B", energy, at=(0, 0, 0))
+        mechanism = tj.Mechanism([tj.Body("A"), tj.Body("B")], [hinge], fixed=["A"])
+        return tj.stresses(mechanism, np.stack([np.zeros(3), state])).largest
+
+    state = np.array([0.2, 1e-7, 2e-7])  # forces of 6 N and 7 N
+    leaf = flexures.leaf(STRONG, **SIZES, coordinates="twist")
+    part = flexures.cross_spring_pivot(flexures.Beam(STRONG, **SIZES), leaf)
+    exact = tj.stresses(part.mechanism, np.stack([np.zeros(3), state])).largest
+    found = stress_in(pivot, state)
+    np.testing.assert_allclose(found, [np.max(exact)], rtol=1e-6)
+    larger = dilated(pivot, jnp.array(1.3))
+    same = stress_in(larger, state * np.array([1.0, 1.3, 1.3]))
+    np.testing.assert_allclose(same, found, rtol=1e-9)
+    tj.io.save_energy(pivot, tmp_path / "pivot.json")
+    loaded = tj.io.load_energy(tmp_path / "pivot.json")
+    np.testing.assert_array_equal(stress_in(loaded, state), found)
+
+
+def damaged_entries():
+    """List invalid numbers in a file of a surrogate or of a leaf."""
+    for value in (-1.0, 0.0):
+        for entry in ("length", "width", "modulus", "bending_factor", "shear_ratio"):
+            yield "beam", (entry,), value
+        yield "beam", ("thickness", 7), value
+        yield "beam", ("strengths", "static"), value
+        yield "leaf", ("thickness",), value
+        yield "leaf", ("width",), value
+    yield "leaf", ("arm",), -1.0
+    yield "leaf", ("ratio",), -1.0
+
+
+@pytest.mark.parametrize(("kind", "entry", "value"), list(damaged_entries()))
+def test_negative_dimensions_in_a_file_are_rejected(
+    surrogate, tmp_path, kind, entry, value
+):
+    path = tmp_path / "energy.json"
+    tj.io.save_energy(surrogate if kind == "beam" else LEAF, path)
+    content = json.loads(path.read_text())
+    owner = content["energy"]["stress_model"]
+    for key in entry[:-1]:
+        owner = owner[key]
+    owner[entry[-1]] = value
+    path.write_text(json.dumps(content))
+    limit = "at least 0" if entry[0] in ("arm", "ratio") else "above 0"
+    message = rf"stress_model\.{entry[0]}.*` is {value:g}.*, but must be .*, {limit}"
+    with pytest.raises(ValueError, match=message):
+        tj.io.load_energy(path)
+
+
+def test_coefficients_of_another_shape_in_a_file_are_rejected(pivot, tmp_path):
+    path = tmp_path / "pivot.json"
+    tj.io.save_energy(pivot, path)
+    content = json.loads(path.read_text())
+    content["energy"]["stress_model"]["coefficients"][1].pop()
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=r"must have the shape \(2, 6, 104\)"):
+        tj.io.load_energy(path)
 
 
 def test_errors():

@@ -68,9 +68,8 @@ def test_a_heated_actuator_moves_a_block_as_its_base_would():
 def table_on_leaves(expansion=1e-2):
     """Return a table on two leaves whose dimensions change by percents."""
     steel = tj.Material(210e9, poisson=0.3)
-    size = {"length": 0.05, "thickness": 0.5e-3, "width": 0.01}
-    leaf = tj.flexures.leaf(steel, **size)
-    quartic = tj.flexures.quartic_leaf(steel, **size)
+    leaf = tj.flexures.leaf(steel, length=0.05, thickness=0.5e-3, width=0.01)
+    quartic = tj.flexures.quartic_leaf(steel, length=0.05, thickness=0.5e-3, width=0.01)
     growth = tj.Expansion(expansion, length=0.05)
     hinges = [
         tj.Hinge(

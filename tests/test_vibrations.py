@@ -159,7 +159,7 @@ def test_a_state_that_is_not_an_equilibrium_is_refused():
 def test_prescribed_coordinates_that_are_not_names_are_reported():
     mechanism, _ = column(1.0)
     with pytest.raises(ValueError, match="`prescribed` is 5, but must be a list of na"):
-        tj.vibrations(mechanism, 5)
+        tj.vibrations(mechanism, 5)  # pyright: ignore
     with pytest.raises(ValueError, match="`prescribed` of the body 'rod' is 'x', but"):
         tj.linearize(mechanism, {"rod": "x"})
 

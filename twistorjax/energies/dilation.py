@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 from operator import attrgetter
-from typing import Protocol, runtime_checkable, TypeVar
+from typing import Any, Protocol, runtime_checkable, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -44,7 +44,7 @@ def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEn
     """
     new, is_wrapper = energy, False
     for field in fields(energy):
-        value = getattr(energy, field.name, None)
+        value: Any = getattr(energy, field.name, None)
         parts = value if isinstance(value, tuple) else (value,)
         if not any(isinstance(part, AbstractEnergy) for part in parts):
             continue

@@ -81,8 +81,18 @@ def surface_stresses(
 ) -> Float[Array, " points"]:
     """Compute the normal stress at points of the surface of a flexure; Pa.
 
-    The energy has a stress model. A multiple of an energy is that of several equal
-    flexures in parallel, each of which carries its share of the wrench (N m, N, N).
+    The energy has a stress model. The wrench is that of the hinge; N m, N, N.
+    """
+    model = stress_model(energy)
+    assert model is not None
+    return model.surface_stresses(displacement, wrench_of_flexure(energy, wrench))
+
+
+def wrench_of_flexure(energy: AbstractEnergy, wrench: MidWrench) -> MidWrench:
+    """Compute the wrench of the flexure of a hinge; N m, N, N.
+
+    A multiple of an energy is that of several equal flexures in parallel, each of which
+    carries its share of the wrench of the hinge.
     """
     if isinstance(energy, NaturallyCurved):
         # The strain is that of the deformed shape minus that of the natural curvature.
@@ -93,10 +103,10 @@ def surface_stresses(
         stresses = surface_stresses(energy.energy, displacement, deformed)
         return stresses - surface_stresses(energy.energy, straight, natural)
     inner: Any = energy
-    while (model := getattr(inner, "stress_model", None)) is None:
+    while getattr(inner, "stress_model", None) is None:
         if inner.multiple is not None:
             share = jnp.where(inner.multiple > 0, 1 / inner.multiple, 0.0)
             moment, axial, transverse = wrench
             wrench = share * moment, share * axial, share * transverse
         inner = inner.energy
-    return model.surface_stresses(displacement, wrench)
+    return wrench

@@ -217,14 +217,12 @@ def chain(
         )
         for k in range(count)
     )  # fmt: skip
-    masses = [None] * (count + 1)
-    if has_mass:
-        masses = _masses(beam, parts, corrected)
-    bodies = tuple(
-        _body(names[k], ends[k], parts[k], masses[k + 1]) for k in range(count - 1)
-    )
-    end_masses = (masses[0], masses[-1]) if has_mass else None
-    return Chain(bodies, hinges, errors, end_masses)
+    if not has_mass:
+        bodies = [_body(names[k], ends[k], parts[k], None) for k in range(count - 1)]
+        return Chain(tuple(bodies), hinges, errors)
+    first_mass, *masses, last_mass = _masses(beam, parts, corrected)
+    bodies = [_body(names[k], ends[k], parts[k], mass) for k, mass in enumerate(masses)]
+    return Chain(tuple(bodies), hinges, errors, (first_mass, last_mass))
 
 
 def _count(relative_force: Scalar, rotation: Scalar, modes: int) -> int:
@@ -347,15 +345,15 @@ def _energies(
     Segments of a uniform flexure with the same share in its length have the same one.
     """
     same = is_uniform(parts[0])
-    found: dict[float, WithValidityRange] = {}
+    of_share: dict[float, WithValidityRange] = {}
     energies: list[WithValidityRange] = []
     for k, part in enumerate(parts):
-        if same and shares[k] in found:
-            energies.append(found[shares[k]])
+        if same and shares[k] in of_share:
+            energies.append(of_share[shares[k]])
             continue
         try:
             energies.append(surrogate(part, rotation=rotation, force=force, error=error))
-            found[shares[k]] = energies[-1]
+            of_share[shares[k]] = energies[-1]
         except ValueError as found:
             raise ValueError(
                 f"Segment {k + 1} of the flexure {name!r}: {found} Or divide the flexure "

@@ -1,5 +1,6 @@
 """Samples of a sub-mechanism, and the fit of a `OneFreedomEnergy` to them."""
 
+from collections.abc import Sequence
 from functools import partial
 from itertools import product
 from typing import NamedTuple
@@ -16,9 +17,12 @@ from ..energies.evaluation import power_derivatives
 from ..energies.fitting.mixed_equations import twists_and_stresses
 from ..energies.monomials import Powers
 from ..energies.one_freedom import Freedom, FREEDOM_VARIABLES, OneFreedomEnergy
+from ..energies.strains import strain
+from ..energies.stress_model import Strengths
 from ..energies.validity import WithValidityRange
 from ..geometry import se2
 from ..geometry.twistors import Displacement
+from ..mechanism.hinge_stress import member_models, member_states
 from ..mechanism.loads import Drive, Load
 from ..mechanism.sub_mechanism import SubMechanism
 from ..solve.results import RESULTS
@@ -30,9 +34,11 @@ from .samples import (
     relative_errors,
     SAMPLES,
 )
+from .stress_models import MechanismStress, terms_of_state
 
 
 _FORCE_ORDER = 4  # largest sum of the powers of both forces
+_STRESS_ORDER = 6  # largest power of the compliant coordinate in a `MechanismStress`
 # The variables whose sign changes under a symmetry operation; see `monomials`
 _ODD_VARIABLES = {
     "mirror": {"tau", "t2", "m", "n2"},
@@ -53,6 +59,7 @@ class MechanismSamples(NamedTuple):
         stiffness: Stiffness in the reference configuration; N m/rad, N/rad, N/m.
         length: Reference length; m.
         force: Reference force; N.
+        states: States of the flexures with a known stress; see `member_states`.
     """
 
     poses: Float[Array, "samples 3"]
@@ -62,6 +69,7 @@ class MechanismSamples(NamedTuple):
     stiffness: Matrix
     length: Scalar
     force: Scalar
+    states: Float[Array, "samples members 6"]
 
 
 @partial(fast_compile, jit=partial(jax.jit, static_argnames="freedom"))
@@ -79,7 +87,7 @@ def sample_mechanism(
     stiffness = reference_stiffness(part)
     length = jnp.sqrt(stiffness[0, 0] / stiffness[1, 1])
 
-    def sample(point: Float[Array, "3"]) -> tuple[Pose, Wrench, RESULTS]:
+    def sample(point: Float[Array, "3"]) -> tuple[Pose, Wrench, Array, RESULTS]:
         moved = size * (2 * point[0] - 1)
         zero = jnp.zeros(())
         if freedom == "rotation":
@@ -97,12 +105,13 @@ def sample_mechanism(
         pose = found.displacement(part.second)
         total = load + found.reaction(part.second)
         in_b = jnp.concatenate([total[:1], se2.rotate(-pose[0], total[1:])])
-        return pose, in_b, found.result
+        states = member_states(part.mechanism.hinge_assembly, found.displacements)
+        return pose, in_b, states, found.result
 
     for_fit = low_discrepancy_points(SAMPLES)
     for_error = low_discrepancy_points(SAMPLES // 2, start=0.5)
     points = jnp.asarray(np.concatenate([for_fit, for_error]))
-    poses, wrenches, results = jax.vmap(sample)(points)
+    poses, wrenches, states, results = jax.vmap(sample)(points)
     return MechanismSamples(
         poses,
         wrenches,
@@ -111,6 +120,7 @@ def sample_mechanism(
         stiffness,
         length,
         force,
+        states,
     )
 
 
@@ -173,6 +183,58 @@ def fit_mechanism(
         return WithValidityRange(energy, size, samples.force, error)
     largest = jnp.max(jnp.abs(jax.lax.stop_gradient(samples.poses[:, 0])))
     return WithValidityRange(energy, largest, samples.force, error, displacement=size)
+
+
+def mechanism_stress(
+    part: SubMechanism, freedom: Freedom, samples: MechanismSamples
+) -> MechanismStress | None:
+    """Create the stress model of a surrogate; None if no stress in it is known."""
+    models = member_models(part.mechanism.hinge_assembly)
+    if not models:
+        return None
+    rows = product(range(_STRESS_ORDER + 1), *2 * (range(_FORCE_ORDER + 1),))
+    powers = tuple(
+        row for row in rows if sum(row) > 0 and row[1] + row[2] <= _FORCE_ORDER
+    )
+    strengths = Strengths(
+        *map(_smallest, zip(*(m.strengths for m in models), strict=True))
+    )
+    return MechanismStress(
+        parts=models,
+        coefficients=_fit_states(powers, freedom, samples),
+        length=samples.length,
+        force=samples.force,
+        strengths=strengths,
+        powers=powers,
+        freedom=freedom,
+    )
+
+
+def _smallest(strengths: Sequence[Scalar | None]) -> Scalar | None:
+    """Return the smallest strength that is known; Pa."""
+    known = [strength for strength in strengths if strength is not None]
+    return jnp.min(jnp.stack(known)) if known else None
+
+
+@partial(fast_compile, jit=partial(jax.jit, static_argnums=(0, 1)))
+def _fit_states(
+    powers: Powers, freedom: Freedom, samples: MechanismSamples
+) -> Float[Array, "members 6 terms"]:
+    """Fit the polynomials of a `MechanismStress` to the states of the flexures."""
+
+    def terms(pose: Pose, wrench: Wrench) -> Float[Array, " terms"]:
+        at = Displacement.from_pose(pose)
+        force = se2.rotate(pose[0] / 2, wrench[1:])
+        moment = wrench[0] + at.x1 * force[1] - at.x2 * force[0]
+        units = samples.length, samples.force
+        twist = strain(at, "twist")
+        return terms_of_state(powers, freedom, units, twist, (moment, force[0], force[1]))
+
+    rows = jax.vmap(terms)(samples.poses[:SAMPLES], samples.wrenches[:SAMPLES])
+    states = samples.states[:SAMPLES]
+    columns = states.reshape(SAMPLES, -1).T
+    found = jax.vmap(lambda column: least_squares(rows, column))(columns)
+    return found.reshape(*states.shape[1:], len(powers))
 
 
 def _coefficients(

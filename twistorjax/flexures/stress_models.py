@@ -1,4 +1,4 @@
-"""Stress models of flexures: leaves, notches, and exact beams."""
+"""Stress models of leaves, notches, exact beams, and sub-mechanisms of flexures."""
 
 from operator import attrgetter
 from typing import Any
@@ -10,7 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, on_host
+from .._utils.pytrees import group_by_structure
 from .._utils.types import NumberLike, Pose, Scalar, Wrench
+from ..energies.monomials import Powers
+from ..energies.one_freedom import Freedom
+from ..energies.strains import strain
 from ..energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ..geometry import se2
 from ..geometry.twistors import Displacement
@@ -346,3 +350,97 @@ class BeamStress(AbstractStressModel):
             return jnp.array([0.0, -0.5, 0.0])
         poses = self._integrate(sections, jnp.zeros(3), jnp.zeros(3))
         return se2.inverse(poses[len(poses) // 2])
+
+
+class MechanismStress(AbstractStressModel):
+    """Stress in the flexures of a sub-mechanism that is replaced by one energy.
+
+    The displacement and the wrench of each flexure are polynomials of the compliant
+    coordinate and of the forces in the stiff directions, in the units of a
+    `OneFreedomEnergy`. The stress follows from them by the stress model of the flexure.
+
+    Args:
+        parts: Stress models of the flexures.
+        coefficients: Coefficients of the polynomials of each flexure: displacement
+            (angle, x, y), moment, axial force, and transverse force in its mid-frame;
+            rad, m, m, N m, N, N.
+        length: Reference length, by which the transverse displacement is divided; m.
+        force: Reference force, by which forces are divided; moments are divided by the
+            force times the length; N.
+        strengths: Strengths of the material; the smallest ones, if the flexures have
+            several materials.
+        powers: Powers of the compliant coordinate and of both forces in each term.
+        freedom: The compliant direction; see `OneFreedomEnergy`.
+    """
+
+    parts: tuple[AbstractStressModel, ...]
+    coefficients: Float[Array, "parts 6 terms"]
+    length: Scalar
+    force: Scalar
+    strengths: Strengths
+    powers: Powers = eqx.field(static=True)
+    freedom: Freedom = eqx.field(static=True)
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, " points"]:
+        """Compute the stress at the points of all flexures; Pa."""
+        twist = strain(displacement, "twist")
+        terms = terms_of_state(
+            self.powers, self.freedom, (self.length, self.force), twist, wrench
+        )
+        states = self.coefficients @ terms
+        stresses = {}
+        # Flexures of the same kind are evaluated together.
+        for rows in group_by_structure(self.parts):
+            same = [self.parts[row] for row in rows]
+            parts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *same)
+            values = jax.vmap(_stresses_at)(parts, states[np.array(rows)])
+            stresses.update(zip(rows, values, strict=True))
+        return jnp.concatenate([stresses[row] for row in sorted(stresses)])
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "MechanismStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        _, (scale, coefficients, length, force) = on_host(
+            scale, self.coefficients, self.length, self.force
+        )
+        powers = np.array([0, 1, 1, 3, 2, 2])[:, None]
+        new = (
+            tuple(part.dilated(as_float(scale)) for part in self.parts),
+            as_float(scale[..., None, None, None] ** powers * coefficients),
+            as_float(scale * length),
+            as_float(scale**2 * force),
+        )
+        return eqx.tree_at(
+            attrgetter("parts", "coefficients", "length", "force"), self, new
+        )
+
+
+def terms_of_state(
+    powers: Powers,
+    freedom: Freedom,
+    units: tuple[Scalar, Scalar],
+    twist: tuple[Scalar, Scalar, Scalar],
+    wrench: MidWrench,
+) -> Float[Array, " terms"]:
+    """Evaluate the terms of the polynomials of a `MechanismStress`.
+
+    The units are the reference length and force (m, N). The twist (rad, m, m) and the
+    wrench in the mid-frame (N m, N, N) are those of the sub-mechanism.
+    """
+    length, force = units
+    moment, axial, transverse = wrench
+    variables = twist[0], axial / force, transverse / force
+    if freedom == "transverse":
+        variables = twist[2] / length, moment / (force * length), axial / force
+    factors = [
+        jnp.stack([variable**k for k in range(max(column) + 1)])[np.array(column)]
+        for variable, column in zip(variables, zip(*powers, strict=True), strict=True)
+    ]
+    return factors[0] * factors[1] * factors[2]
+
+
+def _stresses_at(part: AbstractStressModel, state: Float[Array, "6"]) -> Array:
+    """Compute the stress at the points of a flexure at a state; Pa."""
+    displacement = Displacement.from_pose(state[:3])
+    return part.surface_stresses(displacement, (state[3], state[4], state[5]))

@@ -32,6 +32,7 @@ from .beam import arc_rotation, Beam, functions_along, is_constant
 from .mechanism_surrogate import (
     fit_mechanism,
     mechanism_powers,
+    mechanism_stress,
     mechanism_symmetries,
     sample_mechanism,
 )
@@ -88,6 +89,8 @@ def surrogate(
         The energy with its validity range. Its field `error` has the relative errors of
         the moment, the axial force and the transverse force. They are computed on
         separate samples, which are uniformly distributed over displacements and forces.
+        If the stress in the hinges of a sub-mechanism is known, so is that in the energy,
+        within 0.1 % of the stress in the whole sub-mechanism.
 
     Raises:
         ValueError: Double precision is disabled, the error is not reached, a beam buckles
@@ -206,7 +209,8 @@ def _mechanism_surrogate(
     if known is None:
         symmetries = mechanism_symmetries(part, samples)
         powers = mechanism_powers(symmetries, order or 6, freedom)
-        return fit_mechanism(powers, freedom, size, samples)
+        energy = fit_mechanism(powers, freedom, size, samples)
+        return replace(energy, stress_model=mechanism_stress(part, freedom, samples))
     unit = "rad" if displacement is None else "m"
     limits = f"{float(size):.4g} {unit} and {float(force):.4g} N"
     name = "rotation" if displacement is None else "displacement"
@@ -226,7 +230,8 @@ def _mechanism_surrogate(
         return fit_mechanism(powers, freedom, size, samples)
 
     symmetries = mechanism_symmetries(part, samples)
-    return _lowest_order(fit, order, error, limits, advice)
+    energy = _lowest_order(fit, order, error, limits, advice)
+    return replace(energy, stress_model=mechanism_stress(part, freedom, samples))
 
 
 def _wrong_freedom(stiffness: np.ndarray, freedom: Freedom) -> str:

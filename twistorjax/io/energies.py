@@ -18,7 +18,12 @@ from ..energies.quadratic import Quadratic
 from ..energies.stress_model import AbstractStressModel, Strengths
 from ..energies.validity import WithValidityRange
 from ..flexures.condensed import Condensed
-from ..flexures.stress_models import BeamColumnStress, BeamStress, SectionStress
+from ..flexures.stress_models import (
+    BeamColumnStress,
+    BeamStress,
+    MechanismStress,
+    SectionStress,
+)
 from ..mechanism.sub_mechanism import SubMechanism
 
 
@@ -43,7 +48,8 @@ _CLASSES = {
 
 
 _STRESS_MODELS = {
-    model.__name__: model for model in (SectionStress, BeamColumnStress, BeamStress)
+    model.__name__: model
+    for model in (SectionStress, BeamColumnStress, BeamStress, MechanismStress)
 }
 
 
@@ -147,6 +153,8 @@ def _stress_record(model: AbstractStressModel) -> dict[str, Any]:
         )
 
     values = {field.name: getattr(model, field.name) for field in fields(model)}
+    if isinstance(model, MechanismStress):
+        values["parts"] = [_stress_record(part) for part in model.parts]
     return {"kind": name, **values, "strengths": model.strengths._asdict()}
 
 
@@ -164,7 +172,20 @@ def _stress_from_record(record: Any) -> AbstractStressModel:
         names = record.__struct_fields__
         return {name: to_argument(getattr(record, name)) for name in names}
 
-    return _STRESS_MODELS[type(record).__name__](**arguments(record))
+    model = _STRESS_MODELS[type(record).__name__]
+    if model is not MechanismStress:
+        return model(**arguments(record))
+    parts = tuple(map(_stress_from_record, record.parts))
+    powers = tuple(map(tuple, record.powers))
+    return model(
+        parts=parts,
+        coefficients=jnp.asarray(record.coefficients, float),
+        length=jnp.asarray(record.length, float),
+        force=jnp.asarray(record.force, float),
+        strengths=Strengths(**arguments(record.strengths)),
+        powers=powers,
+        freedom=record.freedom,
+    )
 
 
 def _mechanisms():

@@ -39,7 +39,9 @@ Matrix = tuple[Triple, Triple, Triple]
 Power = Annotated[int, Meta(ge=0, le=LARGEST_POWER)]
 Powers = list[list[Power]]
 Corners = Annotated[list[Pair], Meta(min_length=3)]
-Sections = Annotated[list[float], Meta(min_length=201, max_length=201)]
+_SECTIONS = Meta(min_length=201, max_length=201)
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
 
 
 class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -47,9 +49,9 @@ class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Strengths(_Record, frozen=True):
-    static: float | None
-    ultimate: float | None
-    endurance: float | None
+    static: Positive | None
+    ultimate: Positive | None
+    endurance: Positive | None
 
 
 class _StressRecord(_Record, frozen=True, tag_field="kind", tag=True):
@@ -57,34 +59,56 @@ class _StressRecord(_Record, frozen=True, tag_field="kind", tag=True):
 
 
 class SectionStress(_StressRecord, frozen=True):
-    arm: float
-    thickness: float
-    width: float
-    ratio: float
+    arm: NotNegative
+    thickness: Positive
+    width: Positive
+    ratio: NotNegative
     strengths: Strengths
 
 
 class BeamColumnStress(_StressRecord, frozen=True):
-    length: float
-    thickness: float
-    width: float
-    modulus: float
+    length: Positive
+    thickness: Positive
+    width: Positive
+    modulus: Positive
     strengths: Strengths
 
 
 class BeamStress(_StressRecord, frozen=True):
-    thickness: Sections
-    curvature: Sections | None
-    length: float
-    width: float
-    modulus: float
-    bending_factor: float
-    shear_ratio: float | None
+    thickness: Annotated[list[Positive], _SECTIONS]
+    curvature: Annotated[list[float], _SECTIONS] | None
+    length: Positive
+    width: Positive
+    modulus: Positive
+    bending_factor: Positive
+    shear_ratio: Positive | None
     strengths: Strengths
     law: Literal["linear", "saint-venant-kirchhoff"]
 
 
-StressModel = SectionStress | BeamColumnStress | BeamStress
+class MechanismStress(_StressRecord, frozen=True):
+    parts: Annotated[list["StressModel"], Meta(min_length=1)]
+    coefficients: list[list[list[float]]]
+    length: Positive
+    force: Positive
+    strengths: Strengths
+    powers: Powers
+    freedom: Literal["rotation", "transverse"]
+
+    def __post_init__(self) -> None:
+        shape = len(self.parts), 6, len(self.powers)
+        lengths = [len(self.coefficients), *map(len, self.coefficients)]
+        rows = [len(row) for part in self.coefficients for row in part]
+        if lengths != [shape[0]] + shape[0] * [6] or any(n != shape[2] for n in rows):
+            raise ValueError(
+                f"`coefficients` must have the shape {shape}: six rows for each of the "
+                "`parts`, with one coefficient for each of the `powers`."
+            )
+        if any(len(row) != 3 for row in self.powers):
+            raise ValueError("Each row of `powers` must have three entries.")
+
+
+StressModel = SectionStress | BeamColumnStress | BeamStress | MechanismStress
 
 
 class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
@@ -135,10 +159,10 @@ class MixedEnergy(_EnergyRecord, frozen=True):
 
 
 class BeamColumn(_EnergyRecord, frozen=True):
-    length: float
-    bending_stiffness: float
-    axial_stiffness: float
-    shear_stiffness: float | None = None
+    length: Positive
+    bending_stiffness: Positive
+    axial_stiffness: Positive
+    shear_stiffness: Positive | None = None
     stress_model: StressModel | None = None
 
 
@@ -336,7 +360,7 @@ def _convert(content: Any, kind: str) -> Any:
 _PATH = re.compile(r"(.*) - at `\$((?:\.\w+|\[\d+\])*)`", re.DOTALL)
 _TYPE = re.compile(
     r"Expected `(?P<types>[^`]+)`(?: of length (?P<length>(?:>= )?\d+)"
-    r"| (?P<limit>[<>]= \d+))?(?:, got .+)?"
+    r"| (?P<limit>[<>]=? [\d.]+))?(?:, got .+)?"
 )
 _TYPE_NAMES = {
     "float": "a number",
@@ -366,7 +390,7 @@ def _message(original: str, content: Any, kind: str) -> str:
         keys, problem = [], original
     name = f"the entry `{entry_name([kind, *keys])}`"
     if keys and keys[-1] == "kind":  # of an energy or a stress model
-        records = StressModel if keys[-2:-1] == ["stress_model"] else Energy
+        records = StressModel if "stress_model" in keys else Energy
         kinds = ", ".join(record.__name__ for record in get_args(records))
         return f"{name} is {describe_value(value)}, but must be one of {kinds}."
     if match := _TYPE.fullmatch(problem):
@@ -389,6 +413,7 @@ def _expected(match: re.Match[str]) -> str:
     if match["length"]:
         return f"{words} of {match['length'].replace('>= ', 'at least ')} entries"
     if match["limit"]:
-        limit = match["limit"].replace(">= ", "at least ").replace("<= ", "at most ")
-        return f"{words}, {limit}"
+        sign, number = match["limit"].split()
+        relation = {">=": "at least", "<=": "at most", ">": "above"}[sign]
+        return f"{words}, {relation} {float(number):g}"
     return words

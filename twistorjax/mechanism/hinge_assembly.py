@@ -103,7 +103,8 @@ class HingeAssembly(eqx.Module):
         ]
         if not loads or self.misfits is None:
             return energy
-        return NaturallyCurved(energy, Misfit.of(self.misfits[row]).turn, sum(loads))
+        total = sum(loads, start=jnp.zeros(2))
+        return NaturallyCurved(energy, Misfit.of(self.misfits[row]).turn, total)
 
     def with_strokes(
         self,

@@ -8,7 +8,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._utils.types import Poses
-from ..energies.stress_model import stress_model, surface_stresses
+from ..energies.stress_model import (
+    AbstractStressModel,
+    stress_model,
+    surface_stresses,
+    wrench_of_flexure,
+)
 from . import hinge_forces
 from .hinge_assembly import HingeAssembly
 from .hinge_kinematics import mid_frame
@@ -47,6 +52,45 @@ def member_stresses(
         for group in hinges.groups
         if stress_model(group.energy) is not None
     )
+
+
+def member_states(
+    hinges: HingeAssembly, displacements: Poses
+) -> Float[Array, "members 6"]:
+    """Compute the states of all flexures, from which their stresses follow.
+
+    The members are those of `member_stresses`. A state is the displacement of a flexure
+    (angle, x, y), and its moment, axial force, and transverse force in the mid-frame;
+    rad, m, m, N m, N, N.
+    """
+
+    def of_hinge(energy, damping, first, second, axis):
+        del damping
+        at = mid_frame(first, second, axis).displacement
+        wrench = wrench_of_flexure(energy, hinge_forces.energy_gradient(energy, at))
+        return jnp.concatenate([at.pose(), jnp.stack(wrench)])
+
+    states = [
+        hinges.map_members(of_hinge, group, displacements)
+        for group in hinges.groups
+        if stress_model(group.energy) is not None
+    ]
+    return jnp.concatenate([jnp.zeros((0, 6)), *states])
+
+
+def member_models(hinges: HingeAssembly) -> tuple[AbstractStressModel, ...]:
+    """Return the stress models of all flexures, in the order of `member_states`."""
+    models = []
+    for group in hinges.groups:
+        leaves, tree = jax.tree.flatten((group.energy, group.damping))
+        for member in range(len(group.members)):
+            values = [
+                leaf if axis is None else leaf[member]
+                for leaf, axis in zip(leaves, group.batch_axes, strict=True)
+            ]
+            model = stress_model(jax.tree.unflatten(tree, values)[0])
+            models += [] if model is None else [model]
+    return tuple(models)
 
 
 def rows_with_stress(

@@ -34,6 +34,7 @@ def require_equilibrium(
     displacements: Poses,
     state: StateLike | None,
     loads: str = "loads",
+    held: tuple[int, ...] = (),
 ) -> Poses:
     """Check that a state about which a mechanism is linearized is an equilibrium.
 
@@ -43,6 +44,7 @@ def require_equilibrium(
         displacements: The displacements of the state; rad, m, m.
         state: The argument `about`; None for the reference configuration.
         loads: Name of the argument with the loads, for the message.
+        held: Degrees of freedom on which unknown constant forces may act.
 
     Returns:
         The displacements; NaN if the state is traced and not an equilibrium.
@@ -54,14 +56,15 @@ def require_equilibrium(
         return displacements
     frozen = stop_gradient((system, mechanism.reference, displacements))
     excess, residual = _imbalance(*frozen)
-    unbalanced = (excess > 1) & consistent(system, displacements)
+    counts = ~np.isin(system.free, held)
+    unbalanced = (excess > 1) & counts & consistent(system, displacements)
     known = all_concrete([unbalanced, excess, residual])
     if known is None:
         return jnp.where(jnp.any(unbalanced), jnp.nan, displacements)
     flags, excess, residual = known
     if not np.any(flags):
         return displacements
-    worst = int(np.nanargmax(excess))
+    worst = int(np.nanargmax(excess * counts))
     dof, value = system.free[worst], float(residual[worst])
     force = "a moment of {:.4g} N m"
     if dof % 3:

@@ -203,6 +203,22 @@ def linearize(
         >>> small(drives=[Drive("block", y=1e-3)]).reaction("block")
         Array([0.  , 0.  , 0.01], dtype=float64)
     """
+    return linearize_held(mechanism, (), prescribed, about, loads, constraints, time)
+
+
+def linearize_held(
+    mechanism: Mechanism,
+    held: tuple[int, ...],
+    prescribed: Sequence[str] | Mapping[str, Sequence[str]],
+    about: StateLike | None,
+    loads: Sequence[Load],
+    constraints: Sequence[AbstractConstraint],
+    time: NumberLike,
+) -> Linearization:
+    """Linearize a mechanism about an equilibrium; see `linearize`.
+
+    Unknown constant forces may act on the degrees of freedom `held` at this equilibrium.
+    """
     require_float64(mechanism.reference)
     dofs = mechanism.dofs_of("prescribed", prescribed)
     if both := sorted(set(dofs) & set(mechanism.fixed)):
@@ -217,7 +233,9 @@ def linearize(
     is_consistent = consistent(system, displacements)
     if concrete(is_consistent) is not None and not is_consistent:
         raise inconsistency(mechanism, system, displacements)
-    displacements = require_equilibrium(mechanism, system, displacements, about)
+    displacements = require_equilibrium(
+        mechanism, system, displacements, about, held=held
+    )
     return _linearize(mechanism, system, displacements, is_consistent)
 
 

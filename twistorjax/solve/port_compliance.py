@@ -16,7 +16,7 @@ from ..geometry import se2
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from .linearization import Linearization, linearize
+from .linearization import Linearization, linearize_held
 from .static_results import StateLike
 
 
@@ -142,7 +142,9 @@ def port_compliance(
         prescribed: Coordinates with prescribed displacements, which do not move; see
             `linearize`.
         about: Equilibrium or poses; by default the reference configuration; rad, m, m.
-        loads: Loads that act at this equilibrium.
+        loads: Loads that act at this equilibrium. The body of the port may also be held
+            there by an unknown moment and an unknown force at its origin, which are
+            constant.
         constraints: Constraints between the bodies.
         time: Time at which time-dependent constraints are evaluated; s.
 
@@ -174,10 +176,8 @@ def port_compliance(
     """
     row = index_of("`body`", "body", body, mechanism.names)
     frame = require_pose("`at`", at)
-    linear = linearize(
-        mechanism, prescribed, about=about, loads=loads, constraints=constraints,
-        time=time,
-    )  # fmt: skip
+    dofs = 3 * row, 3 * row + 1, 3 * row + 2
+    linear = linearize_held(mechanism, dofs, prescribed, about, loads, constraints, time)
     held = [3 * row + k for k in range(3) if 3 * row + k not in linear.dofs.free]
     if held:
         names = " and ".join(mechanism.dof_name(dof) for dof in held)

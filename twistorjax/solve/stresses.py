@@ -97,10 +97,12 @@ def stresses(mechanism: Mechanism, at: PosesOrResult) -> Stresses:
     """Compute the largest stress in each hinge of a mechanism.
 
     The dimensions of a hinge are known if its energy was created by `flexures.leaf`,
-    `flexures.notch`, another function of `flexures`, or `surrogate` of a `Beam`. The
-    stress in a leaf or a notch is that of linear bending and tension under the wrench of
-    the hinge. The stress in a surrogate is that in the cross-sections of the deformed
-    beam. Only `flexures.notch` includes the stress concentration at the curved surface.
+    `flexures.notch`, another function of `flexures`, or `surrogate` of a `Beam` or of a
+    sub-mechanism of such hinges. The stress in a leaf or a notch is that of linear
+    bending and tension under the wrench of the hinge. The stress in a surrogate is that
+    in the cross-sections of the deformed beam, or the largest one of the hinges of the
+    sub-mechanism. Only `flexures.notch` includes the stress concentration at the curved
+    surface.
     At fillets and sharp corners, and in necks that are as thick as long, the largest
     stress needs finite elements.
 

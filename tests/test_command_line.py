@@ -8,6 +8,8 @@ import sys
 import numpy as np
 import pytest
 
+import twistorjax as tj
+
 
 REFERENCE = pathlib.Path(__file__).parent / "reference"
 
@@ -111,7 +113,29 @@ def test_fit_energy_reports_its_errors_and_saves_the_energy(run_here):
     result = json.loads(done.stdout)
     assert result["rank"] == result["terms"] == 12
     assert max(result["relative_error"]["held_out"]) < 1e-3
-    assert json.loads((run_here.folder / "notch.json").read_text())["twistorjax"] == 5
+    np.testing.assert_allclose(result["stiffness_eigenvalues"][0], 2.3875, rtol=2e-3)
+    saved = tj.io.load_energy(run_here.folder / "notch.json")
+    assert isinstance(saved, tj.energies.WithValidityRange)
+    trials = tj.energies.read_trials(REFERENCE / "fe_notch.csv")
+    np.testing.assert_allclose(saved.rotation, np.max(np.abs(trials.poses[:, 0])))
+
+
+def test_fit_energy_saves_no_worthless_energy(run_here, tmp_path):
+    """The sign of the wrench is reversed; `--accept` saves the fit nevertheless."""
+    trials = np.loadtxt(REFERENCE / "fe_notch.csv", delimiter=",", skiprows=1)[:, :6]
+    header = "angle_rad,px_m,py_m,moment_Nm,fx_N,fy_N"
+    path, out = tmp_path / "reversed.csv", tmp_path / "hinge.json"
+    np.savetxt(
+        path, trials * [1, 1, 1, -1, -1, -1], "%.17g", ",", header=header, comments=""
+    )
+    arguments = ("fit-energy", str(path), "--order", "2", "--out", str(out))
+    done = run_here(*arguments)
+    assert done.returncode == 1 and not out.exists()
+    assert "the wrench points back to the reference" in done.stderr
+    assert "eigenvalues" in done.stdout
+    done = run_here(*arguments, "--accept", "--without-range")
+    assert done.returncode == 0, done.stderr
+    assert isinstance(tj.io.load_energy(out), tj.energies.Polynomial)
 
 
 def test_fit_energy_accepts_several_symmetries(run_here):
@@ -130,7 +154,7 @@ def test_fit_energy_reports_trials_that_determine_no_coefficient(run_here, tmp_p
     path.write_text("angle_rad,px_m,py_m,moment_Nm,fx_N,fy_N\n1,2,3,4,5,6\n")
     options = ("--order", "2", "--json")
     done = run_here("fit-energy", str(path), "--coordinates", "twist", *options)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 1 and "the error at new trials is" in done.stderr
     result = json.loads(done.stdout)
     assert (result["rank"], result["condition"]) == (0, None)
     path.write_text("angle_rad,px_m,py_m,moment_Nm,fx_N,fy_N\n0,1,0,0,1e-320,0\n")

@@ -77,9 +77,9 @@ def test_covariance_is_that_of_repeated_fits():
     assert exact.wrenches is not None
     coefficients, covariances = [], []
     for _ in range(300):
-        noisy = exact.wrenches + 0.01 * jnp.array(rng.normal(size=exact.wrenches.shape))
+        noisy = exact.wrenches + 0.005 * jnp.array(rng.normal(size=exact.wrenches.shape))
         trials = tj.energies.Trials(
-            exact.poses, noisy, wrench_deviations=0.01 * np.ones(3)
+            exact.poses, noisy, wrench_deviations=0.005 * np.ones(3)
         )
         fit = tj.fit_energy(trials, order=2, ridge=0.0)
         coefficients.append(np.asarray(fit.energy.coefficients))
@@ -97,7 +97,8 @@ def test_reference_is_unstressed_unless_it_is_free():
         [1.0, 5.0, 5.0], [(0, 1, 0, 0), (0, 0, 2, 0), (0, 2, 0, 0)]
     )
     trials = random_trials(energy, 60)
-    unstressed = tj.fit_energy(trials, order=2, reference="unstressed")
+    with pytest.warns(UserWarning, match="the error at new trials is up to 4"):
+        unstressed = tj.fit_energy(trials, order=2, reference="unstressed")
     assert_close(unstressed.energy.wrench(jnp.zeros(3)), jnp.zeros(3), digits=12)
     free = tj.fit_energy(trials, order=2, reference="free")
     assert_close(free.energy.wrench(jnp.zeros(3)), jnp.array([0.5, 0.0, 0.0]), digits=9)
@@ -109,7 +110,8 @@ def test_stable_reference_has_a_positive_definite_stiffness():
         [1.0, 9.0, -2.0, 40.0], [(0, 2, 0, 0), (0, 0, 2, 0), (0, 0, 0, 2), (0, 0, 0, 4)]
     )
     trials = random_trials(energy, 60)
-    stable = tj.fit_energy(trials, order=4).energy.tangent_stiffness()
+    with pytest.warns(UserWarning, match="is not positive definite"):
+        stable = tj.fit_energy(trials, order=4).energy.tangent_stiffness()
     assert np.linalg.eigvalsh(stable)[0] > 0
     unstable = tj.fit_energy(trials, order=4, reference="unstressed")
     assert np.linalg.eigvalsh(unstable.energy.tangent_stiffness())[0] < -0.5
@@ -163,6 +165,83 @@ def test_fit_to_random_trials_interpolates_and_raises_a_warning():
     assert fit.held_out is not None
     assert np.all(fit.held_out.relative > 1.0)  # predicting zero gives 1
     assert "warning: the fit interpolates" in repr(fit)
+
+
+def leaf_trials():
+    """Trials of a leaf by finite elements; rotations up to 46 degrees."""
+    return tj.energies.read_trials(REFERENCE / "fe_leaf.csv")
+
+
+DEGREE = np.pi / 180
+
+
+@pytest.mark.parametrize(
+    ("pose_units", "wrench_units", "message"),
+    [
+        ([DEGREE, 1e-3, 1e-3], [1e-3, 1, 1], "rad, more than one turn: are the angles"),
+        ([1, 1e-3, 1e-3], [1, 1, 1], "smaller if the translations are in millimeters"),
+        ([1, 1, 1], [1e-3, 1, 1], "times smaller if the moments are in N mm"),
+        ([1, 1, 1], [-1, -1, -1], "In 61 of 61 trials the wrench points back"),
+        ([1, 1, 1], [1, -1, 1], "if the sign of the forces along axis 1 is reversed"),
+    ],
+)
+def test_wrong_units_and_signs_of_trials_are_recognized(
+    pose_units, wrench_units, message
+):
+    """The finite-element trials in other units, read as if they were in SI units."""
+    trials = leaf_trials()[np.arange(0, 122, 2)]
+    assert trials.wrenches is not None
+    wrong = tj.energies.Trials(
+        trials.poses / np.array([pose_units], float),
+        trials.wrenches / np.array([wrench_units], float),
+    )
+    with pytest.warns(UserWarning, match="the error at new trials is up to") as caught:
+        fit = tj.fit_energy(wrong, order=4, symmetry="leaf")
+    assert message in str(caught[0].message) and message in repr(fit)
+
+
+def test_negative_definite_stiffness_raises_a_warning():
+    """A free reference does not exclude the energy of reversed wrenches."""
+    trials = random_trials(-1.0 * tj.Quadratic(some_stiffness(3)), 20)
+    with pytest.warns(UserWarning, match="all eigenvalues of the stiffness"):
+        fit = tj.fit_energy(trials, order=2, reference="unstressed")
+    assert_close(fit.stiffness, -some_stiffness(3), digits=9)
+
+
+def test_component_without_measured_values_has_a_small_relative_error():
+    """Rounding errors of a force that is zero are no error of 100 %."""
+    slider = tj.Quadratic(np.diag([2.0, 0.0, 9.0]), "twist")
+    poses = random_trials(slider, 30).poses * np.array([[0.0, 1.0, 1.0]])
+    wrenches = jax.vmap(slider.wrench)(poses)
+    noise = 1e-9 * np.random.default_rng(0).normal(size=(30, 3))
+    trials = tj.energies.Trials(poses, wrenches + noise)
+    fit = tj.fit_energy(trials, order=2, reference="unstressed")
+    assert np.all(fit.expected.relative < 1e-3)
+
+
+def test_validity_range_is_that_of_the_trials():
+    fit = tj.fit_energy(leaf_trials(), 4, coordinates="mixed", symmetry="leaf")
+    limited = fit.with_validity_range
+    assert_close(limited.rotation, 0.8)
+    largest = np.max(np.linalg.norm(leaf_trials().wrenches[:, 1:], axis=1))
+    assert_close(limited.force, largest)
+    assert_close(limited.error, fit.expected.relative)
+
+
+def test_search_of_orders_ends_when_the_error_increases(monkeypatch):
+    """Trials of a quadratic energy with noise; order 2 is the best one."""
+    from twistorjax.energies.fitting import polynomial
+
+    orders, fit_order = [], polynomial._candidate
+
+    def record(trials, order, *others):
+        orders.append(order)
+        return fit_order(trials, order, *others)
+
+    monkeypatch.setattr(polynomial, "_candidate", record)
+    trials = random_trials(tj.Quadratic(some_stiffness(3)), 100, noise=0.01)
+    fit = tj.fit_energy(trials)
+    assert fit.energy.order == 2 and orders == [2, 3, 4]
 
 
 def write(path, text):

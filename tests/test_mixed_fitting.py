@@ -76,9 +76,10 @@ def test_mixed_fit_to_noisy_trials_has_the_smallest_possible_error():
     deviations = 0.1 * np.sqrt(np.mean(exact**2, axis=0))
     noisy = exact + deviations * rng.normal(size=exact.shape)
     trials = tj.energies.Trials(poses, noisy, wrench_deviations=deviations)
-    fit = tj.fit_energy(
-        trials, 2, coordinates="mixed", symmetry="leaf", ridge=0.0, scale=1.0
-    )
+    with pytest.warns(UserWarning, match="the error at new trials is up to 1"):
+        fit = tj.fit_energy(
+            trials, 2, coordinates="mixed", symmetry="leaf", ridge=0.0, scale=1.0
+        )
 
     assert isinstance(fit.energy, tj.energies.MixedEnergy)
     found, force = fit.energy.coefficients, fit.energy.force
@@ -109,7 +110,7 @@ def test_mixed_energy_of_unsuitable_trials_raises_an_error():
     trials = tj.energies.read_trials(REFERENCE / "random_trials.csv")
     poses, wrenches = np.asarray(trials.poses), np.asarray(trials.wrenches)
     pulls_when_compressed = tj.energies.Trials(poses * [0, 1, 1], -poses * [0, 1, -1])
-    with pytest.raises(ValueError, match="No mixed energy was found"):
+    with pytest.raises(ValueError, match=r"No mixed energy was found.*sign rev"):
         tj.fit_energy(
             pulls_when_compressed, 2, coordinates="mixed", reference="unstressed"
         )
@@ -122,6 +123,7 @@ def test_mixed_energy_of_unsuitable_trials_raises_an_error():
     without_wrenches = tj.energies.Trials(trials.poses, energies=np.ones(17))
     with pytest.raises(ValueError, match="needs the wrench of each"):
         tj.fit_energy(without_wrenches, 2, coordinates="mixed")
-    fit = tj.fit_energy(without_wrenches, 2, symmetry="leaf")
+    with pytest.warns(UserWarning, match="the error at new trials is up to 31"):
+        fit = tj.fit_energy(without_wrenches, 2, symmetry="leaf")
     with pytest.raises(ValueError, match="has no validity range"):
         _ = fit.with_validity_range

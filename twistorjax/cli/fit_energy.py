@@ -1,5 +1,6 @@
 """`twistorjax fit-energy`: fit the energy of a hinge to measured trials."""
 
+import sys
 import warnings
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,6 +13,7 @@ from .common import (
     prepare_jax,
     print_result,
     SeedOption,
+    SolveError,
     UsageError,
     writing,
 )
@@ -55,14 +57,30 @@ def fit_energy(
     seed: SeedOption = 0,
     out: Annotated[
         Path | None,
-        typer.Option(help="Save the energy to this JSON file.", callback=check_folder),
+        typer.Option(
+            help="Save the energy to this JSON file, with the range of rotations and "
+            "forces of the trials as its validity range.",
+            callback=check_folder,
+        ),
     ] = None,
+    without_range: Annotated[
+        bool, typer.Option(help="Save the energy without a validity range.")
+    ] = False,
+    accept: Annotated[
+        bool,
+        typer.Option(help="Save an energy in spite of a warning, with exit code 0."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fit a polynomial energy to displacements of a hinge and the wrenches they require.
 
-    The first line of the file names the columns: angle_rad, px_m, py_m, moment_Nm, fx_N,
-    fy_N; optionally energy_J and standard deviations (such as sd_fx_N).
+    The first line of the file names the columns with their units: angle_rad, px_m, py_m,
+    moment_Nm, fx_N, fy_N, or other units such as angle_deg, px_mm, moment_Nmm; optionally
+    energy_J and standard deviations (such as sd_fx_N).
+
+    An expected error above 5 % of a component, and units or signs that seem to be wrong,
+    cause a warning. The energy is then not saved, and the exit code is 1, unless --accept
+    is given.
 
     Example: twistorjax fit-energy trials.csv --coordinates mixed --symmetry leaf
     """
@@ -84,17 +102,28 @@ def fit_energy(
                 symmetry=symmetries,
                 hold_out=hold_out,
                 seed=seed,
+                progress=sys.stderr.isatty(),
             )
     except (ValueError, OSError) as error:
         raise UsageError(str(error)) from None
+    if result.warning and not accept:
+        print_result(result, _record(result), as_json)
+        raise SolveError(
+            f"{result.warning} The energy is not saved. Use --accept to accept the fit."
+        )
     if out is not None:
         with writing("--out"):
-            save_energy(result.energy, out)
+            energy = result.energy if without_range else result.with_validity_range
+            save_energy(energy, out)
     print_result(result, _record(result), as_json, out=out)
 
 
 def _record(result: Any) -> dict[str, Any]:
     """Return the fields of the JSON output."""
+    import numpy as np
+
+    from ..energies.fitting.report import eigenvalues
+
     errors = {
         "training": result.training,
         "expected": result.expected,
@@ -104,6 +133,7 @@ def _record(result: Any) -> dict[str, Any]:
         name: None if error is None else error.relative.tolist()
         for name, error in errors.items()
     }
+    stiffness = np.asarray(result.stiffness)
     return {
         "order": result.energy.order,
         "terms": result.terms,
@@ -111,6 +141,8 @@ def _record(result: Any) -> dict[str, Any]:
         "rank": result.rank,
         "condition": result.condition,
         "relative_error": relative,
+        "stiffness": stiffness.tolist(),
+        "stiffness_eigenvalues": eigenvalues(stiffness).tolist(),
         "not_determined": result.undetermined,
         "warning": result.warning,
     }

@@ -8,6 +8,7 @@ problem of a fit.
 import math
 from functools import partial, reduce
 from operator import mul
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +16,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._utils.host import on_host, padded_size
 from .._utils.pytrees import is_zero
 from .._utils.types import Scalar
-from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .monomials import Powers
 from .strains import Coordinates, translation_scale
 
 
+AnyArray = Array | np.ndarray  # of JAX or of NumPy
 Coefficients = Float[Array, " terms"]
 Orders = tuple[int, ...]  # of a partial derivative, with respect to each variable
 
@@ -217,14 +219,16 @@ class _PowersOf:
         return self._powers[power]
 
 
-@partial(jax.jit, static_argnums=(2, 3))
 def term_wrenches(
-    poses: Float[Array, "trials 3"],
-    scale: Scalar,
+    poses: Float[AnyArray, "trials 3"],
+    scale: Scalar | float,
     powers: Powers,
     coordinates: Coordinates,
-) -> tuple[Float[Array, "trials 3 terms"], Float[Array, "trials terms"]]:
+) -> tuple[Float[np.ndarray, "trials 3 terms"], Float[np.ndarray, "trials terms"]]:
     """Compute the wrench and the energy of each term of a polynomial at many poses.
+
+    JAX differentiates the variables, in a program that does not depend on the powers. A
+    program for each order would compile for longer than the whole fit takes.
 
     Args:
         poses: Poses of frame b relative to frame a; rad, m, m.
@@ -236,43 +240,109 @@ def term_wrenches(
         The wrenches about frame b in its axes (N m, N, N), and the energies (J), for
         coefficients of 1 J.
     """
-    exponents = np.array(powers).reshape(len(powers), -1)
+    poses = np.asarray(poses)
+    values, slopes, _ = _variables_at(poses, scale, coordinates)
+    tables = _power_tables(values, powers)
+    energies = reduce(mul, [power for power, *_ in tables])
+    gradients = np.zeros((len(poses), 3, len(powers)))
+    for k in range(len(tables)):
+        partial_derivative = _partial_derivative(tables, (k,))
+        gradients += slopes[:, k, :, None] * partial_derivative[:, None]
+    c, s = np.cos(poses[:, :1]), np.sin(poses[:, :1])
+    moment, force_x, force_y = np.moveaxis(gradients, 1, 0)
+    wrenches = moment, c * force_x + s * force_y, c * force_y - s * force_x
+    return np.stack(wrenches, axis=1), energies
+
+
+def term_stiffnesses(
+    scale: Scalar | float, powers: Powers, coordinates: Coordinates
+) -> Float[np.ndarray, "3 3 terms"]:
+    """Compute the second derivatives of each term of a polynomial in the reference.
+
+    Args:
+        scale: Length by which the translations are divided; m.
+        powers: Powers of each term.
+        coordinates: "twist" or "twistor".
+
+    Returns:
+        The second derivatives with respect to the pose (N m/rad, N/rad, N/m), for
+        coefficients of 1 J.
+    """
+    values, slopes, curvatures = _variables_at(np.zeros((1, 3)), scale, coordinates)
+    tables = _power_tables(values, powers)
+    stiffnesses = np.zeros((3, 3, len(powers)))
+    for k in range(len(tables)):
+        stiffnesses += curvatures[0, k, :, :, None] * _partial_derivative(tables, (k,))
+        for other in range(len(tables)):
+            product = np.outer(slopes[0, k], slopes[0, other])
+            stiffnesses += product[..., None] * _partial_derivative(tables, (k, other))
+    return stiffnesses
+
+
+def _variables_at(
+    poses: Float[np.ndarray, "trials 3"], scale: Scalar | float, coordinates: Coordinates
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Evaluate the variables of a polynomial and their first two derivatives by the pose.
+
+    The first axis is that of the poses, the second one that of the variables.
+    """
+    padded = np.zeros((padded_size(len(poses), 256), 3))
+    padded[: len(poses)] = poses
+    found = _variables_and_derivatives(padded, np.asarray(scale, float), coordinates)
+    values, slopes, curvatures = (np.asarray(array)[: len(poses)] for array in found)
+    return values, slopes, curvatures
+
+
+@partial(jax.jit, static_argnums=2)
+def _variables_and_derivatives(
+    poses: Float[AnyArray, "trials 3"], scale: Scalar, coordinates: Coordinates
+) -> tuple[Array, Array, Array]:
+    """Differentiate the variables of a polynomial by the pose; see `_variables_at`."""
 
     def variables(pose: Array) -> Array:
         displacement = Displacement.from_pose(pose)
         return jnp.stack(polynomial_variables(displacement, coordinates, scale))
 
-    values, slopes = jax.vmap(
-        lambda pose: (variables(pose), jax.jacfwd(variables)(pose))
-    )(poses)
-    tables = [
+    slopes = jax.jacfwd(variables)
+    return (
+        jax.vmap(variables)(poses),
+        jax.vmap(slopes)(poses),
+        jax.vmap(jax.jacfwd(slopes))(poses),
+    )
+
+
+def _power_tables(
+    values: Float[np.ndarray, "trials variables"], powers: Powers
+) -> list[list[Any]]:
+    """Compute the powers of each variable and their first two derivatives."""
+    exponents = np.array(powers).reshape(len(powers), -1)
+    return [
         power_derivatives(values[:, k], exponents[:, k])
         for k in range(exponents.shape[1])
     ]
-    factors = [power for power, *_ in tables]
-    energies = reduce(mul, factors)
-    gradients = jnp.zeros((len(poses), 3, len(powers)))
-    for k, (_, derivative, _) in enumerate(tables):
-        partial_derivative = reduce(mul, [*factors[:k], derivative, *factors[k + 1 :]])
-        gradients = gradients + slopes[:, k, :, None] * partial_derivative[:, None]
-    rotate_terms = jax.vmap(jax.vmap(se2.rotate, (None, 1), 1))
-    forces = rotate_terms(-poses[:, 0], gradients[:, 1:])
-    return jnp.concatenate([gradients[:, :1], forces], axis=1), energies
+
+
+def _partial_derivative(
+    tables: list[list[Any]], variables: tuple[int, ...]
+) -> Float[np.ndarray, "trials terms"]:
+    """Differentiate each term once with respect to each of some variables."""
+    return reduce(mul, [table[variables.count(k)] for k, table in enumerate(tables)])
 
 
 def power_derivatives(
-    values: Float[Array, " trials"], exponents: np.ndarray
-) -> list[Array]:
+    values: Float[AnyArray, " trials"], exponents: np.ndarray
+) -> list[Any]:
     """Compute powers of a variable, and the first two derivatives of these powers.
 
     Each of the three arrays has a row for each value and a column for each exponent.
     """
-    rows = [jnp.ones_like(values)]
+    xp, (values,) = on_host(values)
+    rows = [xp.ones_like(values)]
     for _ in range(exponents.max(initial=0)):
         rows.append(rows[-1] * values)
-    table = jnp.stack(rows, axis=1)
+    table = xp.stack(rows, axis=1)
     factors = np.ones(exponents.shape), exponents * 1.0, exponents * (exponents - 1.0)
     return [
-        jnp.asarray(factor)[None] * table[:, np.maximum(exponents - derivative, 0)]
+        factor[None] * table[:, np.maximum(exponents - derivative, 0)]
         for derivative, factor in enumerate(factors)
     ]

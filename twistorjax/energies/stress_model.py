@@ -83,6 +83,14 @@ def surface_stresses(
 
     The energy has a stress model. The wrench is that of the hinge; N m, N, N.
     """
+    if isinstance(energy, NaturallyCurved):
+        # The strain is that of the deformed shape minus that of the natural curvature.
+        zero = jnp.zeros_like(displacement.angle)
+        straight = Displacement(zero, zero + 1, zero, zero, zero)
+        deformed = energy.without_curvature(wrench)
+        natural = energy.without_curvature((zero, zero, zero))
+        stresses = surface_stresses(energy.energy, displacement, deformed)
+        return stresses - surface_stresses(energy.energy, straight, natural)
     model = stress_model(energy)
     assert model is not None
     return model.surface_stresses(displacement, wrench_of_flexure(energy, wrench))
@@ -94,14 +102,6 @@ def wrench_of_flexure(energy: AbstractEnergy, wrench: MidWrench) -> MidWrench:
     A multiple of an energy is that of several equal flexures in parallel, each of which
     carries its share of the wrench of the hinge.
     """
-    if isinstance(energy, NaturallyCurved):
-        # The strain is that of the deformed shape minus that of the natural curvature.
-        zero = jnp.zeros_like(displacement.angle)
-        straight = Displacement(zero, zero + 1, zero, zero, zero)
-        deformed = energy.without_curvature(wrench)
-        natural = energy.without_curvature((zero, zero, zero))
-        stresses = surface_stresses(energy.energy, displacement, deformed)
-        return stresses - surface_stresses(energy.energy, straight, natural)
     inner: Any = energy
     while getattr(inner, "stress_model", None) is None:
         if inner.multiple is not None:

@@ -24,6 +24,8 @@ class ConstrainedSolution(NamedTuple):
         covariance: Covariance of the coefficients for measurements of unit variance.
         undetermined: Directions of coefficients that the trials do not determine, in
             columns.
+        stiffness_replaced: Whether the stiffness was not positive definite without a
+            constraint.
     """
 
     coefficients: np.ndarray
@@ -35,6 +37,7 @@ class ConstrainedSolution(NamedTuple):
     ridge: float
     covariance: np.ndarray
     undetermined: np.ndarray
+    stiffness_replaced: bool = False
 
 
 def solve_constrained(
@@ -70,15 +73,20 @@ def solve_constrained(
     solution = _solve(rows, targets, constraints, values, ridge)
     if stiffness is None:
         return solution
+    rounding = np.zeros(3)
+    if solution.rank < solution.free:  # the stiffness may be zero up to rounding errors
+        diagonal = np.abs(np.diagonal(stiffness))
+        rounding = 1e-9 * np.sum(diagonal, axis=0) * np.max(np.abs(solution.coefficients))
     matrix = _nearest_positive_definite(
-        np.einsum("ijk,k->ij", stiffness, solution.coefficients)
+        np.einsum("ijk,k->ij", stiffness, solution.coefficients), rounding
     )
     if matrix is None:
         return solution
     upper = np.triu_indices(3)
     constraints = np.concatenate([constraints, stiffness[upper]])
     values = np.concatenate([values, matrix[upper]])
-    return _solve(rows, targets, constraints, values, ridge)
+    solution = _solve(rows, targets, constraints, values, ridge)
+    return solution._replace(stiffness_replaced=True)
 
 
 def _solve(
@@ -191,22 +199,27 @@ def _undetermined_directions(
     """
     if not np.any(significant):
         return null_space
+    if np.sum(significant) == null_space.shape[1]:
+        return null_space[:, :0]
     basis = np.linalg.svd(v[significant], full_matrices=True)[2]
     return null_space @ basis[int(np.sum(significant)) :].T
 
 
-def _nearest_positive_definite(matrix: np.ndarray) -> np.ndarray | None:
+def _nearest_positive_definite(
+    matrix: np.ndarray, rounding: np.ndarray
+) -> np.ndarray | None:
     """Replace the eigenvalues of a symmetric matrix that are not positive.
 
     The matrix is scaled by its diagonal first, because its entries have different units.
-    The result is `None` if the matrix is positive definite.
+    The result is `None` if the matrix is positive definite, or if negative eigenvalues
+    are much smaller than the `rounding` errors of the diagonal.
     """
-    scale = np.sqrt(np.abs(np.diagonal(matrix)))
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), rounding))
     scale = np.where(scale > 0, scale, 1.0)
     units = np.outer(scale, scale)
     scaled = matrix / units
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-    if values[0] > 0:
+    if values[0] > (-1e-6 if np.any(rounding) else 0.0):
         return None
     values = np.maximum(values, 1e-6 * max(values[-1], 1e-300))
     return (vectors * values) @ vectors.T * units

@@ -6,28 +6,25 @@ the predicted wrenches, whose axial forces follow from the measured displacement
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+from numpy.polynomial.polynomial import polyder, polyval
 
-from ..._utils.types import Scalar
-from ...geometry.twistors import Displacement
 from ..mixed import MixedEnergy
 from ..monomials import Powers
 from .least_squares import ConstrainedSolution, solve_constrained
 from .mixed_equations import (
     mixed_equations,
+    MixedEquations,
     twists_and_stresses,
     weighted_equations,
 )
 from .trials import Trials
 
 
-_MAX_STEPS = 50
+_AXIAL_STEPS = 6  # of Newton's method for the axial force; see `axial_force_ratio`
 _RELATIVE_TOLERANCE = 1e-9  # on the change of the predictions in a step
 
 
@@ -38,6 +35,7 @@ def fit_mixed(
     reference: str,
     ridge: float | None,
     scale: float | None,
+    max_steps: int = 50,
 ) -> tuple[MixedEnergy, ConstrainedSolution, bool] | None:
     """Fit a mixed energy to trials.
 
@@ -47,6 +45,7 @@ def fit_mixed(
         reference: Condition in the reference configuration; see `fit_energy`.
         ridge: Ridge parameter; see `fit_energy`.
         scale: Reference length, by default the largest transverse displacement; m.
+        max_steps: Largest number of Gauss-Newton steps.
 
     Returns:
         The energy, the solution of the least-squares problem, and whether the iteration
@@ -65,18 +64,16 @@ def fit_mixed(
         )
     if reference != "free":
         powers = tuple(row for row in powers if sum(row) > 1)
-    twists, stresses, to_wrenches = twists_and_stresses(
-        trials.poses, trials.wrenches, trials.wrench_deviations
-    )
-    for name, values in (("displacement", twists), ("force", stresses)):
+    data = _MixedData.of(trials)
+    for name, values in (("displacement", data.twists), ("force", data.stresses)):
         if not np.any(values[:, 1]):
             raise ValueError(
                 f"The axial {name} of all `trials` is zero, so they do not determine "
                 "the axial compliance of a mixed energy. Add trials with axial forces, "
                 "or use the coordinates 'twistor' or 'twist'."
             )
-    length = scale or _largest_magnitude(twists[:, 2])
-    force = _largest_magnitude(stresses[:, 1])
+    length = scale or _largest_magnitude(data.twists[:, 2])
+    force = _largest_magnitude(data.stresses[:, 1])
     stiffness = None
     if reference == "stable":
         stiffness = _reference_stiffness(powers, length, force)
@@ -85,50 +82,72 @@ def fit_mixed(
         axial_forces: np.ndarray, coefficients: np.ndarray | None
     ) -> ConstrainedSolution:
         """Solve with the weights of a previous solution."""
-        equations = mixed_equations(
-            powers,
-            twists,
-            stresses,
-            to_wrenches,
-            jnp.asarray(axial_forces),
-            length,
-            force,
-        )
-        known = None if coefficients is None else jnp.asarray(coefficients)
-        rows, targets = map(np.asarray, weighted_equations(equations, known))
+        with np.errstate(all="ignore"):  # implausible trials may overflow
+            equations = data.equations(powers, axial_forces, length, force)
+            rows, targets = weighted_equations(equations, coefficients)
         if trials.energies is not None:
             deviations = np.asarray(trials.energy_deviations)[:, None]
-            potentials = trials.energies - axial_forces * twists[:, 1]
-            energy_rows = np.asarray(equations.energy) / deviations
+            potentials = np.asarray(trials.energies) - axial_forces * data.twists[:, 1]
+            energy_rows = equations.energy / deviations
             rows = np.concatenate([rows, energy_rows[:, None]], axis=1)
             targets = np.concatenate([targets, potentials[:, None] / deviations], axis=1)
         return solve_constrained(rows, targets, ridge, stiffness=stiffness)
 
     def predict(coefficients: np.ndarray) -> _Prediction:
-        """Predict the measurements, and evaluate their errors."""
-        wrenches, energies, axial_forces = map(
-            np.asarray,
-            mixed_predictions(
-                powers, jnp.asarray(coefficients), length, force, trials.poses
-            ),
-        )
-        residuals = (wrenches - trials.wrenches) / trials.wrench_deviations
-        if trials.energies is not None:
-            deviations = np.asarray(trials.energy_deviations)
-            energy_residuals = (energies - trials.energies) / deviations
-            residuals = np.concatenate([residuals, energy_residuals[:, None]], axis=1)
-        return _Prediction(coefficients, np.asarray(residuals), axial_forces)
+        return _predict(data, trials, powers, coefficients, length, force)
 
-    measured = np.asarray(stresses[:, 1])
+    measured = data.stresses[:, 1]
     solution = solve(measured, None)
     for _ in range(3):
         solution = solve(measured, solution.coefficients)
-    best, solution, converged = _gauss_newton(solve, predict, solution, measured)
+    best, solution, converged = _gauss_newton(
+        solve, predict, solution, measured, max_steps
+    )
     if not np.isfinite(best.cost):
         return None
     energy = MixedEnergy(best.coefficients, powers, length=length, force=force)
     solution = solution._replace(coefficients=best.coefficients, residuals=best.residuals)
     return energy, solution, converged
+
+
+def mixed_residuals(
+    energy: MixedEnergy, trials: Trials
+) -> Float[np.ndarray, "trials values"]:
+    """Predict trials with wrenches by a mixed energy, and evaluate the errors.
+
+    Returns:
+        Predicted minus measured values in standard deviations; see
+        `errors_of_residuals`. They are NaN at a trial without an axial force.
+    """
+    coefficients = np.asarray(energy.coefficients)
+    length, force = float(energy.length), float(energy.force)
+    data = _MixedData.of(trials)
+    return _predict(data, trials, energy.powers, coefficients, length, force).residuals
+
+
+class _MixedData(NamedTuple):
+    """Measured trials in the coordinates of a mixed energy; see `twists_and_stresses`.
+
+    Args:
+        twists: Twist of each trial; rad, m, m.
+        stresses: Generalized stress of each trial; N m, N, N.
+        to_wrenches: Matrices from an error of the generalized stress to the error of the
+            wrench in standard deviations.
+    """
+
+    twists: np.ndarray
+    stresses: np.ndarray
+    to_wrenches: np.ndarray
+
+    @classmethod
+    def of(cls, trials: Trials) -> "_MixedData":
+        arrays = trials.poses, trials.wrenches, trials.wrench_deviations
+        return cls(*map(np.asarray, twists_and_stresses(*arrays)))
+
+    def equations(
+        self, powers: Powers, axial_forces: np.ndarray, length: float, force: float
+    ) -> MixedEquations:
+        return mixed_equations(powers, *self, axial_forces, length, force)
 
 
 class _Prediction(NamedTuple):
@@ -156,6 +175,7 @@ def _gauss_newton(
     predict: Callable[[np.ndarray], _Prediction],
     solution: ConstrainedSolution,
     measured: np.ndarray,
+    max_steps: int,
 ) -> tuple[_Prediction, ConstrainedSolution, bool]:
     """Minimize the errors of the predictions, starting from a solution.
 
@@ -167,13 +187,14 @@ def _gauss_newton(
         predict: Predicts the measurements for given coefficients.
         solution: The start.
         measured: Measured axial forces; they replace predictions that do not exist; N.
+        max_steps: Largest number of steps.
 
     Returns:
         The prediction with the smallest errors, the last solution, and whether the
         iteration converged.
     """
     best = predict(solution.coefficients)
-    for _ in range(_MAX_STEPS):
+    for _ in range(max_steps):
         is_known = np.isfinite(best.axial_forces)
         axial_forces = np.where(is_known, best.axial_forces, measured)
         solution = solve(axial_forces, best.coefficients)
@@ -192,28 +213,49 @@ def _gauss_newton(
     return best, solution, False
 
 
-@partial(jax.jit, static_argnums=0)
-def mixed_predictions(
+def _predict(
+    data: _MixedData,
+    trials: Trials,
     powers: Powers,
-    coefficients: Float[Array, " terms"],
-    length: Scalar | float,
-    force: Scalar | float,
-    poses: Float[Array, "trials 3"],
-) -> tuple[Float[Array, "trials 3"], Float[Array, " trials"], Float[Array, " trials"]]:
-    """Predict wrenches (N m, N, N), energies (J) and axial forces (N) at many poses.
+    coefficients: np.ndarray,
+    length: float,
+    force: float,
+) -> _Prediction:
+    """Predict the measurements, and evaluate their errors.
 
-    They are NaN at poses without an axial force.
+    The axial forces follow from the measured displacements by Newton's method.
     """
-    energy = MixedEnergy(coefficients, powers, length=length, force=force)
-    forces = jax.vmap(lambda pose: energy.axial_force(Displacement.from_pose(pose)))(
-        poses
-    )
-    return jax.vmap(energy.wrench)(poses), jax.vmap(energy)(poses), forces
+    exponents = np.array(powers)
+    rotations, axial, transverse = data.twists.T
+    bending = rotations[:, None] ** exponents[:, 0]
+    bending = bending * (transverse[:, None] / length) ** exponents[:, 1]
+    # For each trial, W is a polynomial of the axial force.
+    of_force = exponents[:, 2:] == np.arange(exponents[:, 2].max() + 1)
+    slope = polyder(((bending * coefficients) @ of_force).T)
+    curvature = polyder(slope)
+    ratios = np.zeros(len(axial))
+    with np.errstate(all="ignore"):  # trials without an axial force become NaN
+        for _ in range(_AXIAL_STEPS):
+            inside = np.clip(ratios, -1.0, 1.0)
+            residual = force * axial + polyval(inside, slope, tensor=False)
+            ratios = inside - residual / polyval(inside, curvature, tensor=False)
+        is_maximum = polyval(np.clip(ratios, -1.0, 1.0), curvature, tensor=False) < 0
+        forces = np.where(is_maximum, force * ratios, np.nan)
+        at = data.equations(powers, forces, length, force)
+        transverse_forces = at.transverse_force @ coefficients
+        stresses = np.stack([at.moment @ coefficients, forces, transverse_forces], axis=1)
+        residuals = np.einsum("sij,sj->si", data.to_wrenches, stresses - data.stresses)
+        if trials.energies is not None:
+            energies = forces * axial + at.energy @ coefficients
+            errors = energies - np.asarray(trials.energies)
+            errors = errors / np.asarray(trials.energy_deviations)
+            residuals = np.concatenate([residuals, errors[:, None]], axis=1)
+    return _Prediction(coefficients, residuals, forces)
 
 
-def _largest_magnitude(values: Float[Array, " trials"]) -> float:
+def _largest_magnitude(values: Float[np.ndarray, " trials"]) -> float:
     """Return the largest absolute value, or one if its square would underflow."""
-    largest = float(jnp.max(jnp.abs(values)))
+    largest = float(np.max(np.abs(values)))
     return largest if largest > 1e-150 else 1.0
 
 

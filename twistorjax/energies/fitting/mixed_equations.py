@@ -1,10 +1,11 @@
 """Equations for the coefficients of a `MixedEnergy`; see `fit_mixed`.
 
 The moment, the transverse force and the axial displacement are derivatives of the mixed
-potential W, so they are linear in its coefficients if the axial force is given.
+potential W, so they are linear in its coefficients if the axial force is given. NumPy
+evaluates them for measured trials, because a program of JAX for each order would compile
+for longer than the fit takes.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -12,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._utils.host import on_host
 from ..._utils.types import Matrix, Pose, Scalar, Twist
 from ...geometry import se2
-from ..evaluation import power_derivatives
+from ..evaluation import AnyArray, power_derivatives
 from ..monomials import Powers
 
 
@@ -41,26 +43,25 @@ class MixedEquations(NamedTuple):
         energy: Contributions to W; J.
     """
 
-    twists: Float[Array, "trials 3"]
-    stresses: Float[Array, "trials 3"]
-    to_wrenches: Float[Array, "trials 3 3"]
-    axial_forces: Float[Array, " trials"]
-    moment: Float[Array, "trials terms"]
-    transverse_force: Float[Array, "trials terms"]
-    axial_displacement: Float[Array, "trials terms"]
-    axial_compliance: Float[Array, "trials terms"]
-    moment_sensitivity: Float[Array, "trials terms"]
-    transverse_sensitivity: Float[Array, "trials terms"]
-    energy: Float[Array, "trials terms"]
+    twists: Float[AnyArray, "trials 3"]
+    stresses: Float[AnyArray, "trials 3"]
+    to_wrenches: Float[AnyArray, "trials 3 3"]
+    axial_forces: Float[AnyArray, " trials"]
+    moment: Float[AnyArray, "trials terms"]
+    transverse_force: Float[AnyArray, "trials terms"]
+    axial_displacement: Float[AnyArray, "trials terms"]
+    axial_compliance: Float[AnyArray, "trials terms"]
+    moment_sensitivity: Float[AnyArray, "trials terms"]
+    transverse_sensitivity: Float[AnyArray, "trials terms"]
+    energy: Float[AnyArray, "trials terms"]
 
 
-@partial(jax.jit, static_argnums=0)
 def mixed_equations(
     powers: Powers,
-    twists: Float[Array, "trials 3"],
-    stresses: Float[Array, "trials 3"],
-    to_wrenches: Float[Array, "trials 3 3"],
-    axial_forces: Float[Array, " trials"],
+    twists: Float[AnyArray, "trials 3"],
+    stresses: Float[AnyArray, "trials 3"],
+    to_wrenches: Float[AnyArray, "trials 3 3"],
+    axial_forces: Float[AnyArray, " trials"],
     length: Scalar | float,
     force: Scalar | float,
 ) -> MixedEquations:
@@ -79,10 +80,12 @@ def mixed_equations(
     Returns:
         The contributions of all terms at all trials.
     """
+    xp, arrays = on_host(twists, stresses, to_wrenches, axial_forces, length, force)
+    twists, stresses, to_wrenches, axial_forces, length, force = arrays
     rotations, _, transverse = twists.T
     exponents = np.array(powers)
     force_ratios = axial_forces / force
-    inside = jnp.clip(force_ratios, -1.0, 1.0)
+    inside = xp.clip(force_ratios, -1.0, 1.0)
     variables = rotations, transverse / length, inside
     (t, dt, _), (y, dy, _), (n, dn, ddn) = (
         power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
@@ -105,10 +108,9 @@ def mixed_equations(
     )
 
 
-@jax.jit
 def weighted_equations(
-    equations: MixedEquations, coefficients: Float[Array, " terms"] | None
-) -> tuple[Float[Array, "trials 3 terms"], Float[Array, "trials 3"]]:
+    equations: MixedEquations, coefficients: Float[AnyArray, " terms"] | None
+) -> tuple[Float[AnyArray, "trials 3 terms"], Float[AnyArray, "trials 3"]]:
     """Weight the equations so that their residuals are errors of the wrench.
 
     An error of the axial displacement is equivalent to an error of the axial force, by
@@ -125,16 +127,17 @@ def weighted_equations(
     Returns:
         The matrix and the right-hand side of the least-squares problem.
     """
+    xp, _ = on_host(equations.moment)
     axial_displacements, axial_forces = equations.twists[:, 1], equations.axial_forces
     if coefficients is None:
-        rms = jnp.sqrt(jnp.mean(axial_forces**2))
-        estimate = jnp.std(axial_displacements) / jnp.where(rms > 0, rms, 1.0)
-        estimate = jnp.where(estimate > 0, estimate, 1.0)
-        compliance = jnp.full_like(axial_forces, estimate)
-        by_moment = by_transverse_force = jnp.zeros_like(axial_forces)
+        rms = xp.sqrt(xp.mean(axial_forces**2))
+        estimate = xp.std(axial_displacements) / xp.where(rms > 0, rms, 1.0)
+        estimate = xp.where(estimate > 0, estimate, 1.0)
+        compliance = xp.full_like(axial_forces, estimate)
+        by_moment = by_transverse_force = xp.zeros_like(axial_forces)
     else:
         compliance = equations.axial_compliance @ coefficients
-        compliance = jnp.maximum(compliance, 1e-3 * jnp.median(jnp.abs(compliance)))
+        compliance = xp.maximum(compliance, 1e-3 * xp.median(xp.abs(compliance)))
         by_moment = equations.moment_sensitivity @ coefficients
         by_transverse_force = equations.transverse_sensitivity @ coefficients
     axial_rows = -equations.axial_displacement / compliance[:, None]
@@ -150,8 +153,8 @@ def weighted_equations(
         equations.stresses[:, 2] + by_transverse_force * axial_targets,
     ]
     return (
-        equations.to_wrenches @ jnp.stack(rows, axis=1),
-        jnp.einsum("sij,sj->si", equations.to_wrenches, jnp.stack(targets, axis=1)),
+        equations.to_wrenches @ xp.stack(rows, axis=1),
+        xp.einsum("sij,sj->si", equations.to_wrenches, xp.stack(targets, axis=1)),
     )
 
 

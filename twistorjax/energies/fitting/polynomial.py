@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from tqdm import tqdm
 
 from ..._utils.validation import require_choice, require_float64, warn
-from ..evaluation import term_wrenches
+from ..evaluation import term_stiffnesses, term_wrenches
 from ..mixed import MixedEnergy
 from ..monomials import (
     FitCoordinates,
@@ -26,14 +25,24 @@ from ..monomials import (
 from ..polynomial import Polynomial
 from ..strains import Coordinates
 from .least_squares import ConstrainedSolution, solve_constrained
-from .mixed import fit_mixed, mixed_predictions
+from .mixed import fit_mixed, mixed_residuals
+from .plausibility import better_conversion, implausible_values, reversed_wrenches
 from .report import (
+    as_sentences,
     coordinates_of,
     describe_direction,
+    eigenvalues,
     EnergyFit,
     interpolation_warning,
+    large_error_warning,
+    LARGEST_ERROR,
+    largest_error,
+    reference_stiffness,
 )
 from .trials import Errors, errors_of_predictions, errors_of_residuals, Trials
+
+
+_FEWEST_TRIALS = 12  # with which energies of order 2 are compared
 
 
 def fit_energy(
@@ -48,14 +57,23 @@ def fit_energy(
     scale: float | None = None,
     hold_out: float = 0.0,
     seed: int = 0,
+    progress: bool = False,
 ) -> EnergyFit:
     """Fit the energy of a hinge to trials, and estimate its error at new trials.
+
+    A warning is raised, and is in the result, if the expected error or the error at the
+    held-out trials exceeds 5 % of the rms value of a component, or if the units of the
+    trials are implausible: a rotation of more than a turn, or a translation of more than
+    a meter. If the error exceeds 5 %, the warning names other units and signs of the
+    trials with which a fit is at least five times as accurate, if there are any. A factor
+    by which all wrenches are wrong cannot be recognized.
 
     Args:
         trials: Measured or computed trials.
         order: Order of the polynomial, by default the order from 2 to 12 with the
-            smallest expected error. Orders above 2 are tried as long as the number of
-            terms is at most 0.8 times the number of measured values.
+            smallest expected error. The search ends after two higher orders with a larger
+            error, or if the number of terms exceeds 0.8 times the number of measured
+            values.
         coordinates: "twistor" or "twist" for a `Polynomial`, or "mixed" for a
             `MixedEnergy`. A mixed energy is by far the most accurate for flexures, which
             are stiff along axis 1.
@@ -74,6 +92,7 @@ def fit_energy(
         hold_out: Fraction of the trials that are held out. A fit to the others is checked
             with them; the returned energy is fitted to all trials.
         seed: Seed of the random choice of the held-out trials.
+        progress: Whether to show a progress bar.
 
     Returns:
         The energy with its errors.
@@ -119,7 +138,7 @@ def fit_energy(
         raise ValueError(f"`ridge` is {ridge!r}, but must be finite and not negative.")
     settings = _Settings(coordinates, reference, redundant, symmetry, ridge, scale)
     orders = (order,) if order is not None else range(2, 13)
-    best = _best_candidate(trials, orders, settings)
+    best = _best_candidate(trials, orders, settings, progress)
     held_out = None
     if hold_out:
         count = max(1, round(hold_out * len(trials)))
@@ -132,7 +151,7 @@ def fit_energy(
         others = trials[np.sort(shuffled[count:])]
         energy = _best_candidate(others, (best.order,), settings).energy
         held_out = _errors(energy, trials[np.sort(shuffled[:count])])
-    fit = best.report(trials, held_out)
+    fit = best.report(trials, held_out, reference)
     if fit.warning:
         warn(fit.warning)
     return fit
@@ -147,6 +166,7 @@ class _Settings(NamedTuple):
     symmetry: Symmetries
     ridge: float | None
     scale: float | None
+    max_steps: int = 50  # of the iteration of a mixed fit
 
 
 class _Candidate(NamedTuple):
@@ -158,32 +178,35 @@ class _Candidate(NamedTuple):
     converged: bool = True
 
     @property
+    def score(self) -> float:
+        """Expected rms error in standard deviations; infinite if it is not known."""
+        score = float(np.sqrt(np.mean(self.solution.leave_one_out_residuals**2)))
+        return score if np.isfinite(score) else np.inf
+
+    @property
     def interpolates(self) -> bool:
         solution = self.solution
         return solution.rank >= solution.residuals.size and solution.ridge == 0
 
-    def report(self, trials: Trials, held_out: Errors | None) -> EnergyFit:
+    def report(
+        self, trials: Trials, held_out: Errors | None, reference: str
+    ) -> EnergyFit:
         """Return the result of `fit_energy`; `held_out` has the errors of its check."""
         solution = self.solution
         value_count = solution.residuals.size
         degrees_of_freedom = max(1, value_count - solution.rank)
         variance = np.sum(solution.residuals**2) / degrees_of_freedom
-        warning = None
-        if self.interpolates:
-            warning = interpolation_warning(solution.free, value_count)
-        elif not self.converged:
-            warning = (
-                "The iteration of the mixed fit did not converge, so its error is not "
-                "the smallest possible one. Use another order or more trials."
-            )
         names = VARIABLES[coordinates_of(self.energy)]
         forces = np.full((1, 2), np.nan)
         if trials.wrenches is not None:
             forces = np.asarray(trials.wrenches[:, 1:])
+        expected = errors_of_residuals(trials, solution.leave_one_out_residuals)
+        errors = [expected] if held_out is None else [expected, held_out]
+        texts = _warnings(trials, self, errors, reference)
         return EnergyFit(
             energy=self.energy,
             training=_errors(self.energy, trials),
-            expected=errors_of_residuals(trials, solution.leave_one_out_residuals),
+            expected=expected,
             held_out=held_out,
             value_count=value_count,
             terms=solution.free,
@@ -195,53 +218,129 @@ class _Candidate(NamedTuple):
                 describe_direction(direction, self.energy.powers, names)
                 for direction in solution.undetermined.T[:5]
             ),
-            warning=warning,
+            warning=as_sentences(texts) or None,
             rotation=float(np.abs(trials.poses[:, 0]).max()),
             force=float(np.linalg.norm(forces, axis=1).max()),
         )
 
 
+def _warnings(
+    trials: Trials, best: _Candidate, errors: Sequence[Errors], reference: str
+) -> list[str]:
+    """Describe the reasons for which an energy may be worthless, in sentences.
+
+    The errors are the expected ones, and those at the held-out trials.
+    """
+    solution, texts = best.solution, []
+    largest = max(largest_error(trials, each) for each in errors)
+    if best.interpolates:
+        texts.append(interpolation_warning(solution.free, solution.residuals.size))
+    elif not best.converged:
+        texts.append(
+            "the iteration of the mixed fit did not converge, so its error is not the "
+            "smallest possible one. Use another order or more trials."
+        )
+    if largest > LARGEST_ERROR and not best.interpolates:
+        texts.append(large_error_warning(largest))
+    if reference != "stable" and np.all(
+        eigenvalues(reference_stiffness(best.energy)) < 0
+    ):
+        texts.append(
+            "all eigenvalues of the stiffness in the reference configuration are "
+            "negative: is the sign of the wrenches reversed?"
+        )
+    if solution.stiffness_replaced:
+        texts.append(
+            "the stiffness in the reference configuration that fits best is not positive "
+            "definite, so it was replaced. Use `reference='unstressed'` if the hinge is "
+            "unstable in this configuration."
+        )
+    texts += implausible_values(trials)
+    if trials.wrenches is None or best.interpolates or largest <= LARGEST_ERROR:
+        return texts
+    if reference == "stable" and (text := reversed_wrenches(trials)):
+        return [*texts, text]
+    if len(trials) < _FEWEST_TRIALS:
+        return texts
+
+    def quick_error(trials: Trials, order: int) -> float:
+        return min(
+            _quick_error(trials, name, order, reference) for name in ("twistor", "mixed")
+        )
+
+    error = min(best.score, quick_error(trials, 4))
+    if text := better_conversion(trials, error, quick_error):
+        texts.append(text)
+    elif error < best.score / 5:
+        texts.append("the coordinates 'mixed' are much more accurate for these trials.")
+    return texts
+
+
+def _quick_error(
+    trials: Trials, coordinates: FitCoordinates, order: int, reference: str
+) -> float:
+    """Estimate the expected error of an energy of low order; see `_Candidate.score`.
+
+    The order is reduced if there are few trials.
+    """
+    settings = _Settings(coordinates, reference, False, (), 1e-9, None, max_steps=5)
+    while order > 2 and len(_powers(order, settings)) > 0.8 * 3 * len(trials):
+        order -= 1
+    try:
+        with np.errstate(all="ignore"):
+            candidate = _candidate(trials, order, _powers(order, settings), settings)
+    except ValueError:  # the trials have no axial forces, or the equations overflow
+        return np.inf
+    return np.inf if candidate is None else candidate.score
+
+
 def _best_candidate(
-    trials: Trials, orders: Sequence[int], settings: _Settings
+    trials: Trials,
+    orders: Sequence[int],
+    settings: _Settings,
+    progress: bool = False,
 ) -> _Candidate:
     """Fit energies of several orders and return that with the smallest expected error.
 
     The orders ascend. Those with more than 0.8 coefficients for each measured value are
-    left out.
+    left out. The search ends after two orders with a larger error.
     """
     values_per_trial = 3 * (trials.wrenches is not None) + (trials.energies is not None)
-    value_count = values_per_trial * len(trials)
-    candidates = []
-    for order in orders:
-        powers = tuple(
-            row
-            for row in monomials(
-                order,
-                settings.coordinates,
-                symmetry=settings.symmetry,
-                redundant=settings.redundant,
-            )
-            if any(row)
-        )
-        if len(orders) > 1 and candidates:
-            if len(powers) > 0.8 * value_count:
-                break
-            # a symmetry may exclude all new terms of an odd order
-            if powers == candidates[-1].energy.powers:
-                continue
+    best, previous, worse = None, None, 0
+    for order in tqdm(orders, unit="order", delay=1.0, leave=False, disable=not progress):
+        powers = _powers(order, settings)
+        too_many = len(powers) > 0.8 * values_per_trial * len(trials)
+        if previous is not None and (too_many or worse == 2):
+            break
+        if powers == previous:  # a symmetry may exclude all new terms of an odd order
+            continue
+        previous = powers
         candidate = _candidate(trials, order, powers, settings)
-        if candidate is not None:
-            candidates.append(candidate)
-    if not candidates:
-        raise ValueError(
-            "No mixed energy was found whose axial compliance is positive at all "
-            "`trials`. Use another order, more trials, or the coordinates 'twistor' or "
-            "'twist'."
-        )
-    scores = [
-        np.mean(candidate.solution.leave_one_out_residuals**2) for candidate in candidates
+        if candidate is None or (best is not None and not candidate.score < best.score):
+            worse += 1
+        else:
+            best, worse = candidate, 0
+    if best is not None:
+        return best
+    texts = [
+        "No mixed energy was found whose axial compliance is positive at all `trials`. "
+        "Use another order, more trials, or the coordinates 'twistor' or 'twist'.",
+        *implausible_values(trials),
     ]
-    return candidates[int(np.nanargmin(np.where(np.isfinite(scores), scores, 1e300)))]
+    if text := reversed_wrenches(trials):
+        texts.append(text)
+    raise ValueError(as_sentences(texts))
+
+
+def _powers(order: int, settings: _Settings) -> Powers:
+    """List the terms of an order, without the constant."""
+    rows = monomials(
+        order,
+        settings.coordinates,
+        symmetry=settings.symmetry,
+        redundant=settings.redundant,
+    )
+    return tuple(row for row in rows if any(row))
 
 
 def _candidate(
@@ -251,15 +350,22 @@ def _candidate(
     coordinates, reference = settings.coordinates, settings.reference
     ridge, scale = settings.ridge, settings.scale
     if coordinates == "mixed":
-        found = fit_mixed(trials, powers, reference=reference, ridge=ridge, scale=scale)
+        found = fit_mixed(
+            trials,
+            powers,
+            reference=reference,
+            ridge=ridge,
+            scale=scale,
+            max_steps=settings.max_steps,
+        )
         return None if found is None else _Candidate(order, *found)
     scale = scale or trials.largest_translation
     rows, targets = _equations(trials, powers, coordinates, scale)
     wrench = stiffness = None
     if reference != "free":
-        wrench, stiffness = _reference_terms(powers, coordinates, scale)
-    if reference == "unstressed":
-        stiffness = None
+        wrench = term_wrenches(np.zeros((1, 3)), scale, powers, coordinates)[0][0]
+    if reference == "stable":
+        stiffness = term_stiffnesses(scale, powers, coordinates)
     solution = solve_constrained(
         rows, targets, ridge, constraints=wrench, stiffness=stiffness
     )
@@ -275,9 +381,7 @@ def _equations(
     The matrix of the least-squares problem and the measured values are in standard
     deviations. They have a block for each trial, with a row for each measured value.
     """
-    wrenches, energies = map(
-        np.asarray, term_wrenches(trials.poses, jnp.asarray(scale), powers, coordinates)
-    )
+    wrenches, energies = term_wrenches(trials.poses, scale, powers, coordinates)
     rows, targets = [], []
     if trials.wrenches is not None:
         deviations = np.asarray(trials.wrench_deviations)
@@ -290,40 +394,12 @@ def _equations(
     return np.concatenate(rows, axis=1), np.concatenate(targets, axis=1)
 
 
-def _reference_terms(
-    powers: Powers, coordinates: Coordinates, scale: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the wrench and the stiffness of each term in the reference configuration.
-
-    Terms have coefficients of one joule and are in the last axis. The wrenches are in
-    N m, N, N; the stiffnesses are in N m/rad, N/rad, N/m.
-    """
-
-    def wrench(pose: Array) -> Array:
-        return term_wrenches(pose[None], jnp.asarray(scale), powers, coordinates)[0][0]
-
-    pose = jnp.zeros(3)
-    stiffness = jax.jacfwd(wrench)(pose)
-    return np.asarray(wrench(pose)), np.moveaxis(np.asarray(stiffness), 2, 1)
-
-
 def _errors(energy: Polynomial | MixedEnergy, trials: Trials) -> Errors:
     """Compute the errors of an energy at trials."""
     if isinstance(energy, MixedEnergy):
-        wrenches, energies, _ = map(
-            np.asarray,
-            mixed_predictions(
-                energy.powers,
-                energy.coefficients,
-                energy.length,
-                energy.force,
-                trials.poses,
-            ),
-        )
-        return errors_of_predictions(trials, wrenches, energies)
-    wrenches, energies = map(
-        np.asarray,
-        term_wrenches(trials.poses, energy.scale, energy.powers, energy.coordinates),
+        return errors_of_residuals(trials, mixed_residuals(energy, trials))
+    wrenches, energies = term_wrenches(
+        trials.poses, energy.scale, energy.powers, energy.coordinates
     )
     coefficients = np.asarray(energy.coefficients)
     energies = energies - reference_values(energy.powers)

@@ -6,7 +6,6 @@ A fit sets up the equations at the trials with `rational_equations` and solves t
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -110,11 +109,10 @@ def evaluate_terms(
     Raises:
         ValueError: The base is not positive at a pose.
     """
-    all_poses = jnp.concatenate(poses)
+    all_poses = np.concatenate(poses)
 
     def evaluate(powers: Powers) -> tuple[np.ndarray, np.ndarray]:
-        wrenches, values = term_wrenches(all_poses, base.scale, powers, base.coordinates)
-        return np.asarray(wrenches), np.asarray(values)
+        return term_wrenches(all_poses, base.scale, powers, base.coordinates)
 
     coefficients = np.asarray(base.coefficients)
     base_wrenches, base_values = (
@@ -123,7 +121,7 @@ def evaluate_terms(
     if not np.all(base_values > 0):
         row = int(np.argmin(base_values))
         raise ValueError(
-            f"`base` is {base_values[row]:g} at the pose {np.asarray(all_poses[row])}, "
+            f"`base` is {base_values[row]:g} at the pose {all_poses[row]}, "
             "but must be positive at all trials and poses. Use another base, or leave "
             "this pose out."
         )

@@ -121,7 +121,9 @@ class Errors(eqx.Module):
         rms_wrench: Rms error of each component of the wrench, NaN without measured
             wrenches; N m, N, N.
         largest_wrench: Largest error of each component of the wrench; N m, N, N.
-        relative: Rms error divided by the rms value of the measured component.
+        relative: Rms error divided by the rms value of the measured component; for a
+            component that is nearly zero, divided by a hundredth of that of the force, or
+            of the force times the largest translation.
         rms_energy: Rms error of the energy, NaN without measured energies; J.
         largest_energy: Largest error of the energy; J.
     """
@@ -186,6 +188,9 @@ def errors_of_residuals(
         rms_wrench = np.sqrt(np.mean(error**2, axis=0))
         largest_wrench = np.max(np.abs(error), axis=0)
         measured = np.sqrt(np.mean(np.asarray(trials.wrenches) ** 2, axis=0))
+        force = np.linalg.norm(measured[1:])
+        smallest = 0.01 * force * np.array([trials.largest_translation, 1.0, 1.0])
+        measured = np.maximum(measured, smallest)
         relative = rms_wrench / np.where(measured > 0, measured, np.nan)
     if trials.energies is not None:
         error = residuals[:, -1] * np.asarray(trials.energy_deviations)

@@ -2,6 +2,7 @@
 
 import json
 import pathlib
+from typing import TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,14 @@ from twistorjax.geometry.twistors import Displacement
 REFERENCE = json.loads(
     (pathlib.Path(__file__).parent / "reference" / "beams.json").read_text()
 )
+
+
+class Size(TypedDict):
+    length: float
+    thickness: float
+    width: float
+
+
 UNIT = tj.Material(modulus=1.0, poisson=0.3)
 AXIAL = 30_000  # E A L^2 / (E I) of the reference values
 UP = np.pi / 2
@@ -226,7 +235,7 @@ def test_derivatives_of_the_energy():
 
 def test_stress_is_largest_between_the_ends_of_a_compressed_leaf():
     steel = tj.Material(modulus=210e9, poisson=0.3, strength=500e6)
-    size = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
+    size: Size = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
     leaf = tj.flexures.leaf(steel, **size)
     exact = tj.flexures.Beam(steel, **size, shear_factor=None)
     unit = 210e9 * 10e-3 * 0.5e-3**3 / 12 / 50e-3**2  # E I / L^2
@@ -238,6 +247,7 @@ def test_stress_is_largest_between_the_ends_of_a_compressed_leaf():
         )
         pose = mechanism.displacement_of("leaf 0", turned)
         stress = jnp.abs(tj.flexures.beam_at_pose(exact, pose).stress).max(axis=1)
+        assert turned.stresses is not None
         np.testing.assert_allclose(turned.stresses.largest[0], stress.max(), rtol=5e-3)
         assert (stress.argmax() in (0, len(stress) - 1)) == (force > 0)
 
@@ -245,7 +255,7 @@ def test_stress_is_largest_between_the_ends_of_a_compressed_leaf():
 def test_a_thick_leaf_shears():
     """Against the exact beam with the same shear correction factor."""
     thickness = 0.2
-    size = {"length": 1.0, "thickness": thickness, "width": 12 / thickness**3}
+    size: Size = {"length": 1.0, "thickness": thickness, "width": 12 / thickness**3}
     exact = tj.flexures.Beam(UNIT, **size, shear_factor=5 / 6)
     energy = unit_leaf(thickness, theory="timoshenko")
     for load in ([0.0, 0.0, 1.0], [0.3, 3.0, -0.5], [0.3, -3.0, 0.5]):

@@ -260,6 +260,33 @@ def test_columns_of_a_file_are_found_by_their_names(tmp_path):
     assert trials.energies is None
 
 
+def test_units_in_the_header_are_converted(tmp_path):
+    """180 degrees are pi; 1 mm, N mm, mJ are 1e-3; a kN is 1000 N."""
+    text = (
+        "# rig 3\nangle_deg,px_mm,py_\u00b5m,moment_N mm,fx_kN,fy_mN,energy_mJ,"
+        "sd_moment_Nmm,sd_fx_N,sd_fy_N,sd_energy_J\n"
+        "180,1,2,3,4,5,6,7,8,9,10\n\n  # a pause\n-90,1,2,3,4,5,6,7,8,9,10\n"
+    )
+    path = tmp_path / "t.csv"
+    path.write_text(text, encoding="utf-8")
+    trials = tj.energies.read_trials(path)
+    assert_close(trials.poses, [[np.pi, 1e-3, 2e-6], [-np.pi / 2, 1e-3, 2e-6]])
+    assert_close(trials.wrenches, [[3e-3, 4e3, 5e-3]] * 2)
+    assert_close(trials.energies, [6e-3] * 2)
+    assert_close(trials.wrench_deviations, [[7e-3, 8.0, 9.0]] * 2)
+    assert_close(trials.energy_deviations, [10.0] * 2)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_header_may_be_a_comment_after_a_byte_order_mark(tmp_path, encoding):
+    """`numpy.savetxt` writes the header as a comment."""
+    path = tmp_path / "t.csv"
+    path.write_text(f"# made by a rig\r\n# {HEAD}\r\n1,2,3,4,5,6\r\n", encoding=encoding)
+    trials = tj.energies.read_trials(path)
+    assert_close(trials.poses, [[1.0, 2.0, 3.0]])
+    assert_close(trials.wrenches, [[4.0, 5.0, 6.0]])
+
+
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_separator_is_found_in_the_first_line(tmp_path, separator):
     text = f"{HEAD}\n1,2,3,4,5,6\n".replace(",", separator)
@@ -278,6 +305,10 @@ def test_separator_is_found_in_the_first_line(tmp_path, separator):
         (f"{HEAD}\n", "has no trials"),
         (f"{HEAD},fx_N\n1,2,3,4,5,6,7\n", "has the column fx_N more than once"),
         (f"{HEAD},sd_fx_N\n1,2,3,4,5,6,7\n", "lacks the column sd_moment_Nm, sd_fy_N"),
+        (f"{HEAD},px_mm\n1,2,3,4,5,6,7\n", "has the column px twice, in different"),
+        (f"{HEAD}\n1,2,3,4,5,6\n# 2\n1,2,3,4,5,x\n", "line 4: fy_N is x"),
+        (HEAD.replace("fx", "f"), "Optional are the standard deviations sd_moment_Nm"),
+        (HEAD.replace("px_m", "px_inch"), "the unit of px must be one of m, cm, mm"),
         ("angle_rad;px_m;py_m;energy_J\n1;2;3;1,5\n", "is 1,5, but must be a finite"),
         (f'"a\nnote",{HEAD}\n1,2,3,4,5,6,x\n', "line 3: fy_N is x"),
         (f"{HEAD}\n1,2,3,4,1_0,6\n", "line 2: fx_N is 1_0, but must be a finite"),
@@ -364,6 +395,15 @@ def test_saved_energy_is_loaded_to_the_last_bit(tmp_path, energy):
     arrays = zip(jax.tree.leaves(loaded), jax.tree.leaves(energy), strict=True)
     for actual, expected in arrays:
         assert np.asarray(actual).tobytes() == np.asarray(expected).tobytes()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_energy_is_loaded_from_a_file_with_a_byte_order_mark(tmp_path, encoding):
+    path = tmp_path / "hinge.json"
+    tj.io.save_energy(energies()[0], path)
+    path.write_text(path.read_text(), encoding=encoding)
+    loaded = tj.io.load_energy(path)
+    assert_close(loaded.coefficients, energies()[0].coefficients, digits=16)
 
 
 def test_damaged_file_of_an_energy_raises_an_error(tmp_path):

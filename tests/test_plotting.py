@@ -332,7 +332,7 @@ def test_a_vibration_is_animated_in_its_mode_shape():
 def test_contours_show_the_energy_within_its_validity_range():
     """A leaf stores k angle^2 / 2. Poses out of the validity range are blank."""
     alloy = tj.Material(69e9, 0.33)
-    leaf = tj.flexures.leaf(
+    leaf = tj.flexures.linear_leaf(
         alloy, length=0.01, thickness=1e-3, width=5e-3, coordinates="twist"
     )
     stiffness = float(leaf.stiffness[0, 0])

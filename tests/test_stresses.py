@@ -186,7 +186,7 @@ def test_stresses_of_a_saved_mechanism(surrogate, tmp_path):
 @pytest.fixture(scope="module")
 def pivot():
     """Return a surrogate of a pivot of two leaves that cross in their middles."""
-    leaf = flexures.leaf(STRONG, **SIZES, coordinates="twist")
+    leaf = flexures.linear_leaf(STRONG, **SIZES, coordinates="twist")
     beam = flexures.Beam(STRONG, **SIZES)
     part = flexures.cross_spring_pivot(beam, 2.0 * leaf)  # two leaves in one plane each
     return tj.surrogate(part, rotation=0.3, force=20.0)
@@ -221,7 +221,7 @@ def test_the_stress_of_a_pivot_is_that_of_its_leaves(pivot, tmp_path):
         return tj.stresses(mechanism, np.stack([np.zeros(3), state])).largest
 
     state = np.array([0.2, 1e-7, 2e-7])  # forces of 6 N and 7 N
-    leaf = flexures.leaf(STRONG, **SIZES, coordinates="twist")
+    leaf = flexures.linear_leaf(STRONG, **SIZES, coordinates="twist")
     part = flexures.cross_spring_pivot(flexures.Beam(STRONG, **SIZES), leaf)
     exact = tj.stresses(part.mechanism, np.stack([np.zeros(3), state])).largest
     found = stress_in(pivot, state)

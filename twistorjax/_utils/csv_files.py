@@ -1,4 +1,4 @@
-"""Text files of named columns of numbers."""
+"""Text files of named columns of numbers, and the units of the columns."""
 
 import csv
 import re
@@ -6,7 +6,26 @@ from pathlib import Path
 
 import numpy as np
 
+from .json_files import decode_text
 from .validation import shorten
+
+
+# Factors from the units of a file to SI units, by SI unit.
+UNIT_FACTORS = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": np.pi / 180},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
+    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180},
+    "N m": {"Nm": 1.0, "kNm": 1e3, "Nmm": 1e-3, "mNm": 1e-3, "uNm": 1e-6},
+    "N": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3},
+    "J": {"J": 1.0, "mJ": 1e-3, "uJ": 1e-6, "Nm": 1.0, "Nmm": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "Hz": {"Hz": 1.0, "kHz": 1e3},
+}
+# Micro sign, Greek letter mu, degree sign; products of units such as "N mm".
+_SPELLINGS = str.maketrans(
+    {"\u00b5": "u", "\u03bc": "u", "\u00b0": "deg", " ": "", "*": "", "\u00b7": ""}
+)
 
 
 _SEPARATORS = ",;\t"
@@ -14,11 +33,37 @@ _SEPARATORS = ",;\t"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-class CsvFile:
-    """The content of a text file of separated values, with column names in line 1.
+def unit_factor(
+    source: str, header: str, quantity: str, si_unit: str, unit: str
+) -> float:
+    """Return the factor from the unit of a column to the SI unit of its quantity.
 
-    The separator is a comma, a semicolon or a tab: the most frequent of these in the
-    first line.
+    Args:
+        source: Name of the file or the dataset, for messages.
+        header: Name of the column, for messages.
+        quantity: Quantity of the column, for messages.
+        si_unit: SI unit of the quantity.
+        unit: Unit of the column.
+
+    Raises:
+        ValueError: The unit is not one of the quantity.
+    """
+    factors = UNIT_FACTORS[si_unit]
+    if (found := unit.translate(_SPELLINGS)) not in factors:
+        raise ValueError(
+            f"{source} has the column {shorten(header)!r} in {shorten(unit)!r}, but the "
+            f"unit of {quantity} must be one of {', '.join(factors)}; the letter µ is "
+            "accepted for u."
+        )
+    return factors[found]
+
+
+class CsvFile:
+    """The content of a text file of separated values; its first line has the names.
+
+    Lines that start with `#` are comments. If the first other line has numbers only, the
+    comment above it has the column names. The separator is a comma, a semicolon or a tab:
+    the most frequent of these in the line of column names.
 
     Args:
         path: Path of the file.
@@ -32,15 +77,24 @@ class CsvFile:
     def __init__(self, path: str | Path):
         self.path = Path(path)
         try:
-            lines = self.path.read_text(encoding="utf-8-sig").split("\n")
+            text = decode_text(self.path.read_bytes())
         except UnicodeDecodeError as error:
             raise ValueError(
                 f"{path} is not a UTF-8 text file of separated values."
             ) from error
-        separator = max(_SEPARATORS, key=lines[0].count)
+        # Comments become empty lines, so that the numbers of lines in messages are right.
+        given = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        lines = ["" if line.lstrip().startswith("#") else line for line in given]
+        first = next((row for row, line in enumerate(lines) if line.strip()), 0)
+        if first and given[first - 1].strip() and _has_numbers_only(lines[first]):
+            first -= 1
+            lines[first] = given[first].lstrip(" \t#")
+        separator = max(_SEPARATORS, key=lines[first].count)
         # Without `strict`, an unclosed quotation mark hides the following lines.
         reader = csv.reader(lines, delimiter=separator, strict=True)
         try:
+            for _ in range(first):
+                next(reader)
             self.names = [name.strip() for name in next(reader, [])]
             self._rows = [
                 (reader.line_num, [entry.strip() for entry in row])
@@ -111,3 +165,8 @@ class CsvFile:
                 f"{shorten(entry) or 'empty'}, but must be a finite number.{hint}"
             )
         return value
+
+
+def _has_numbers_only(line: str) -> bool:
+    """Decide whether all entries of a line are numbers, with any separator."""
+    return all(_NUMBER.fullmatch(entry) for entry in re.split(r"[,;\t ]+", line.strip()))

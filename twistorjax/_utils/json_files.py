@@ -1,5 +1,6 @@
 """JSON files: validation of every entry, and writing without partly written files."""
 
+import codecs
 import contextlib
 import json
 import os
@@ -39,13 +40,13 @@ def read_json(path: str | Path) -> Any:
         a float.
 
     Raises:
-        ValueError: The file is not UTF-8 or not JSON, is nested too deeply, or has an
+        ValueError: The file is not text or not JSON, is nested too deeply, or has an
             entry that is not finite, that cannot be encoded, or that occurs twice. The
             message names the file and the entry.
         OSError: The file cannot be read.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = decode_text(Path(path).read_bytes())
         if not text.strip():
             raise ValueError(f"{path} is empty, but must be a JSON file.")
         tree = json.loads(text, object_pairs_hook=_object, parse_int=_integer)
@@ -56,6 +57,18 @@ def read_json(path: str | Path) -> Any:
     if problem := find_invalid_entry(tree):
         raise ValueError(f"{path}: {problem}")
     return tree
+
+
+def decode_text(data: bytes) -> str:
+    """Decode the content of a text file: UTF-8, or UTF-16 with a byte order mark.
+
+    Programs of Windows add a byte order mark; it is removed.
+
+    Raises:
+        UnicodeDecodeError: The content is no such text.
+    """
+    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return data.decode("utf-16" if is_utf16 else "utf-8-sig")
 
 
 def write_json(path: str | Path, tree: Any) -> None:

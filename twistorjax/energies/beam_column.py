@@ -230,7 +230,7 @@ class BeamColumnPotential(AbstractPotential):
         of_transverse = [s[k] + 2 * slope_b * quartic[k] for k in (0, 1)]
         of_rotation[0] = of_rotation[0] + 3 / 5 * b
         of_transverse[0] = of_transverse[0] + 432 / 35 * b + 3 / 5 * a
-        values = {
+        values: dict[Orders, Scalar] = {
             (0, 0, 0): by_force[0] + constant,
             (0, 0, 1): by_force[1],
             (0, 0, 2): by_force[2],
@@ -338,8 +338,8 @@ def _functions_of_force(
         Buckling with shear: Haringx, Philips Research Reports 3, 1948.
     """
     inside = jnp.maximum(p, lowest)
-    change = None if shear is None else stretch - shear
-    factor = 1.0 if change is None else 1 + change * inside
+    change = jnp.zeros_like(stretch) if shear is None else stretch - shear
+    factor = 1 + change * inside
     q = factor * inside / 4
     inverse_y3 = _bessel_ratio(q)
     inverse_y2 = 1 / (5 + q * inverse_y3)

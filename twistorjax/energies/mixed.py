@@ -279,8 +279,9 @@ def _model_energy(
 # in `solve.statics`).
 @_model_energy.defjvp
 def _(primals, tangents):
-    slopes = _model_gradient(*primals)
-    rate = sum(slope * rate for slope, rate in zip(slopes, tangents[2:], strict=True))
+    by_axial, by_rotation, by_transverse = _model_gradient(*primals)
+    axial, rotation, transverse = tangents[2:]
+    rate = by_axial * axial + by_rotation * rotation + by_transverse * transverse
     return _model_energy(*primals), rate
 
 

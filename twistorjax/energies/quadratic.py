@@ -118,9 +118,10 @@ class Quadratic(CoordinateEnergy):
         `6/5 n / length`, which is 5 % at `n = 0.5 E I / length^2`. A notch is compared
         with the leaf that has the same ratio of rotational and transverse stiffness.
         """
-        if not self.flexure:
+        length = self.flexure_length
+        if length is None:
             return None
-        rotational, length = self.stiffness[0, 0], self.flexure_length
+        rotational = self.stiffness[0, 0]
         across = 2 * displacement.x2 / (0.15 * length)
         bending = jnp.sqrt((displacement.angle / 0.35) ** 2 + across**2)
         of_strain = strain(displacement, self.coordinates)

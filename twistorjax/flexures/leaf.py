@@ -79,9 +79,11 @@ def leaf(
         axial,
         shear if theory == "timoshenko" else None,
         stress_model=BeamColumnStress(
-            *map(as_float, (length, thickness, width)),
-            material.modulus,
-            material.strengths,
+            length=as_float(length),
+            thickness=as_float(thickness),
+            width=as_float(width),
+            modulus=material.modulus,
+            strengths=material.strengths,
         ),
     )
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from .._utils.csv_files import CsvFile
+from .._utils.csv_files import CsvFile, unit_factor
 from .._utils.validation import shorten
 from ..mechanism.loads import Drive, Load
 from .measurement import Measurement
@@ -21,18 +21,6 @@ if TYPE_CHECKING:
     import xarray
 
 
-# Factors from the units of a file to SI units.
-_FACTORS = {
-    "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": np.pi / 180},
-    "m/s": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
-    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180},
-    "N m": {"N m": 1.0, "Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "uNm": 1e-6},
-    "N": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "Hz": {"Hz": 1.0, "kHz": 1e3},
-}
-_MICRO = str.maketrans("\u00b5\u03bc", "uu")  # micro sign, and Greek letter mu
 _LOADS = ("moment", "force_x", "force_y")
 _DRIVES = ("angle", "x", "y")
 # Quantities that do not belong to a body or a hinge.
@@ -288,14 +276,8 @@ def _parse_header(source: str, header: str) -> tuple[bool, str, str, str, float]
 
 def _unit_factor(source: str, header: str, quantity: str, unit: str) -> float:
     """Factor from the unit of a column to the SI unit of its quantity."""
-    factors = _FACTORS[UNITS.get(quantity) or _GLOBAL_UNITS[quantity]]
-    if unit.translate(_MICRO) not in factors:
-        raise ValueError(
-            f"{source} has the column {shorten(header)!r} in {shorten(unit)!r}, but the "
-            f"unit of {quantity} must be one of {', '.join(factors)}; the letter µ is "
-            "accepted for u."
-        )
-    return factors[unit.translate(_MICRO)]
+    si_unit = UNITS.get(quantity) or _GLOBAL_UNITS[quantity]
+    return unit_factor(source, header, quantity, si_unit, unit)
 
 
 def _read_dataset(dataset: Any) -> _Table:

@@ -135,8 +135,9 @@ def reference_stiffness(energy: Polynomial | MixedEnergy) -> Float[Array, "3 3"]
     if isinstance(energy, Polynomial):
         energy = Polynomial(coefficients, powers, energy.coordinates, energy.scale)
     else:
-        lengths = {"length": energy.length, "force": energy.force}
-        energy = MixedEnergy(coefficients, powers, **lengths)
+        energy = MixedEnergy(
+            coefficients, powers, length=energy.length, force=energy.force
+        )
     return energy.tangent_stiffness()
 
 

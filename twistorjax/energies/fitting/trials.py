@@ -1,6 +1,6 @@
 """Measured displacements, wrenches and energies of a hinge, and errors of an energy."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import equinox as eqx
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._utils.csv_files import CsvFile
+from ..._utils.csv_files import CsvFile, unit_factor
 from ..._utils.types import (
     EnergiesLike,
     EnergyDeviationsLike,
@@ -18,9 +18,10 @@ from ..._utils.types import (
 from ..._utils.validation import require_array, require_deviations, shorten
 
 
-_POSE = ("angle_rad", "px_m", "py_m")
-_WRENCH = ("moment_Nm", "fx_N", "fy_N")
-_ENERGY = "energy_J"
+_POSE = {"angle": "rad", "px": "m", "py": "m"}
+_WRENCH = {"moment": "N m", "fx": "N", "fy": "N"}
+_ENERGY = {"energy": "J"}
+_DEVIATIONS = {f"sd_{name}": unit for name, unit in {**_WRENCH, **_ENERGY}.items()}
 
 
 class Trials(eqx.Module):
@@ -200,63 +201,79 @@ def errors_of_residuals(
 
 
 def read_trials(path: str | Path) -> Trials:
-    """Read trials from a text file with a header line and a line for each trial.
+    """Read trials from a text file with a line of column names and a line for each trial.
 
-    The columns are separated by commas, semicolons or tabs. The header names them:
+    The columns are separated by commas, semicolons or tabs. Their names have the units:
 
     * `angle_rad`, `px_m`, `py_m`: the pose;
     * `moment_Nm`, `fx_N`, `fy_N`: the wrench; or `energy_J`: the energy; or both;
     * `sd_moment_Nm`, `sd_fx_N`, `sd_fy_N`, `sd_energy_J`: standard deviations, optional.
 
-    Other columns are ignored.
+    Other units are converted: rad, mrad, urad, deg; m, cm, mm, um, nm; Nm, kNm, Nmm, mNm,
+    uNm; N, mN, uN, kN; J, mJ, uJ, Nm, Nmm. Other columns are ignored, and so are lines
+    that start with `#`.
 
     Args:
         path: Path of the file.
 
     Returns:
-        The trials, in the order of the lines.
+        The trials, in the order of the lines; in SI units.
 
     Raises:
-        ValueError: A column is missing or given twice, a line is too short or too long,
-            or an entry is not a finite number. The message names the line; the header is
-            line 1.
+        ValueError: A column is missing or given twice, a unit is not one of its quantity,
+            a line is too short or too long, or an entry is not a finite number. The
+            message names the line; the first line of the file is line 1.
         OSError: The file cannot be read.
     """
     file = CsvFile(path)
-    has_wrench = any(name in file.names for name in _WRENCH)
-    required = [*_POSE, *(_WRENCH if has_wrench else ())]
-    if not has_wrench or _ENERGY in file.names:
-        required.append(_ENERGY)
-    deviations = [f"sd_{name}" for name in _WRENCH]
-    has_deviations = any(name in file.names for name in deviations)
-    required += deviations if has_deviations else ()
-    if missing := [name for name in required if name not in file.names]:
+    columns: dict[str, np.ndarray] = {}
+    for header in file.names:
+        name, _, unit = header.removeprefix("sd_").partition("_")
+        name = "sd_" * header.startswith("sd_") + name
+        si_unit = {**_POSE, **_DEVIATIONS, **_WRENCH, **_ENERGY}.get(name)
+        if si_unit is None or not unit:
+            continue
+        if name in columns and file.names.count(header) == 1:
+            raise ValueError(f"{path} has the column {name} twice, in different units.")
+        factor = unit_factor(str(path), header, name, si_unit, unit)
+        columns[name] = file.numbers(header, factor=factor)
+    has_wrench = any(name in columns for name in _WRENCH)
+    required = {**_POSE, **(_WRENCH if has_wrench else _ENERGY)}
+    has_deviations = any(f"sd_{name}" in columns for name in _WRENCH)
+    if has_deviations:
+        required |= {f"sd_{name}": unit for name, unit in _WRENCH.items()}
+    if missing := [name for name in required if name not in columns]:
         raise ValueError(
-            f"{path} lacks the column {', '.join(missing)}. Its first line is "
-            f"{shorten(', '.join(file.names), 300) or 'empty'}, but must name "
-            f"{', '.join(_POSE)}, and {', '.join(_WRENCH)} or {_ENERGY} or all of these. "
-            "Standard deviations of the wrench must be given for all three components or "
-            "for none."
+            f"{path} lacks the column {_with_units(missing)}. Its first line is "
+            f"{shorten(', '.join(file.names), 300) or 'empty'}, but must have "
+            f"{_with_units(_POSE)}, and {_with_units(_WRENCH)} or {_with_units(_ENERGY)} "
+            "or all of these; other units are converted: angle_deg, px_mm, moment_Nmm. "
+            f"Optional are the standard deviations {_with_units(_DEVIATIONS)}; those of "
+            "the wrench must be given for all three components or for none."
         )
-    if f"sd_{_ENERGY}" in file.names:
-        required.append(f"sd_{_ENERGY}")
     if not len(file):
-        raise ValueError(f"{path} has no trials, only a header line.")
-    columns = {name: file.numbers(name) for name in required}
+        raise ValueError(f"{path} has no trials, only a line of column names.")
 
-    def block(names: Sequence[str]) -> np.ndarray:
+    def block(names: Iterable[str]) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=1)
 
+    deviations = [f"sd_{name}" for name in _WRENCH]
     try:
         return Trials(
             block(_POSE),
             block(_WRENCH) if has_wrench else None,
-            columns.get(_ENERGY),
+            columns.get("energy"),
             wrench_deviations=block(deviations) if has_deviations else None,
-            energy_deviations=columns.get(f"sd_{_ENERGY}"),
+            energy_deviations=columns.get("sd_energy"),
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _with_units(names: Iterable[str]) -> str:
+    """List the names of columns with their SI units, such as "px_m, py_m"."""
+    units = {**_POSE, **_WRENCH, **_ENERGY, **_DEVIATIONS}
+    return ", ".join(f"{name}_{units[name].replace(' ', '')}" for name in names)
 
 
 def _root_mean_square(values: Array) -> Array:

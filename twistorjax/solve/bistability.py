@@ -1,6 +1,7 @@
 """Stable states of a bistable mechanism, and the loads between which it snaps."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -17,8 +18,9 @@ from .._utils.validation import index_of, require_positive
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from .continuation import Metric, NOT_FINITE
+from .continuation import Metric, NOT_FINITE, Step
 from .critical_points import null_vectors, with_derivatives
+from .dofs import DofPartition
 from .path import check_settings, path_message
 from .path_location import locate, Segment
 from .path_points import negative_eigenvalues, on_path, point_values
@@ -31,8 +33,9 @@ from .path_program import (
     run_uncompiled,
 )
 from .path_results import CriticalPoint
-from .path_setup import assemble_path, FirstPoint
-from .path_system import PathSystem
+from .path_setup import assemble_path, first_displacements, FirstPoint
+from .path_start import metric_of
+from .path_system import PathSystem, PathTangent
 from .results import (
     count_results,
     is_success,
@@ -40,10 +43,16 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
+from .small_matrices import solve
 from .static_results import StateLike, warn_outside_linear_range
 
 
 _MAX_CRITICAL = 10  # critical points of a path that are located
+_CORRECTIONS = 12  # of a state without prescribed displacements
+_CORRECTED = 1e-9  # largest last correction that is accepted
+_SAME_STATE = 1e-6  # largest distance of states that are equal
+# The second state may be at the full prescribed displacements.
+_FARTHER = 1 + 1e-6
 
 
 class Bistability(eqx.Module):
@@ -63,7 +72,9 @@ class Bistability(eqx.Module):
             states; -1 if a state does not exist.
         snap_factors: Load factor at which the first state becomes unstable, and that at
             which the second one does. If it is bistable, the second one is negative: it
-            needs loads in the opposite direction.
+            needs loads in the opposite direction. A mechanism under prescribed
+            displacements that has no critical point is switched at its unstable state,
+            where the drive force changes its sign.
         at_branch: Whether each of them is a branch point, at which a symmetric mechanism
             leaves the path to a side, and not a limit point.
         result: Reason of the end of the path, or `RESULTS.successful` if the second state
@@ -173,10 +184,15 @@ def bistability(
     than that at which the mechanism snaps: a mechanism that is monostable up to the full
     loads may snap under larger ones, or under loads in another direction.
 
+    Without loads, the mechanism is switched by prescribed displacements. The states are
+    then those without drive force, to which the mechanism moves if the drive is released.
+
     Args:
         mechanism: The mechanism.
         loads: Loads by which the mechanism is switched.
-        drives: Prescribed displacements that are multiplied together with the loads.
+        drives: Prescribed displacements that are multiplied together with the loads. If
+            there are no loads, they are measured from the first state, and must reach the
+            second one.
         constant_loads: Loads that always act, such as weights.
         constraints: Pins, sliders, and other constraints between the bodies.
         start: Equilibrium or poses from which the first state is computed; by default
@@ -220,18 +236,24 @@ def bistability(
     if not loads and not drives:
         raise ValueError("Nothing is multiplied by the load factor. Give `loads`.")
     step = require_positive("`largest_step`", largest_step)
+    by_drives, begin = not loads, None
+    if by_drives:
+        begin = first_displacements(
+            mechanism, (), None, constant_loads, constraints, start, time
+        )
     system, first = assemble_path(
         mechanism, loads, drives, {}, None, constant_loads, constraints, start,
-        direction, time,
+        direction, time, begin,
     )  # fmt: skip
-    arguments = system, first, jnp.array([-1.0, 1.0]), step
+    limits = np.array([-1.0, 1.0]) * (_FARTHER if by_drives else 1.0)
+    arguments = system, first, jnp.asarray(limits), step
     numbers = None, max_points, _MAX_CRITICAL
     if is_traced(arguments):
-        return _solve(*arguments, *numbers)
+        return _solve(*arguments, *numbers, by_drives)
     run = run_path(*arguments, *numbers)
     if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
         run = refine_path(system, run)
-    found = _evaluate(system, run, first.direction)
+    found = _evaluate(system, run, first.direction, by_drives)
     if not throw:
         return found
     warn_outside_linear_range(mechanism, found.range_shares)
@@ -249,26 +271,43 @@ def _solve_uncompiled(
     system: PathSystem, first: FirstPoint, *arguments: Any
 ) -> Bistability:
     """Compute the result of `bistability`, inside another program."""
+    *arguments, by_drives = arguments
     run = refine_uncompiled(system, run_uncompiled(system, first, *arguments))
-    return _evaluate_uncompiled(system, run, first.direction)
+    return _evaluate_uncompiled(system, run, first.direction, by_drives)
 
 
 def _evaluate_uncompiled(
-    system: PathSystem, run: PathRun, direction: Scalar
+    system: PathSystem, run: PathRun, direction: Scalar, by_drives: bool
 ) -> Bistability:
-    """Compute the states and the loads of a path, and give them derivatives."""
-    fixed = stop_gradient(system)
-    states, found, end = _unloaded_points(fixed, run, direction)
+    """Compute the states and the loads of a path, and give them derivatives.
+
+    `by_drives` is whether the mechanism is switched by prescribed displacements only.
+    """
+    fixed, metric, path_system = stop_gradient(system), run.metric, system
+    states, found, rows = _unloaded_points(fixed, run, direction, by_drives)
+    lost = jnp.zeros((), bool)
+    if by_drives:
+        system = _released(system)
+        states, metric, converged = _released_points(fixed, states)
+        fixed, lost = stop_gradient(system), found[2] & ~converged[2]
+        found &= converged
     at_zero_load = jnp.zeros_like(states).at[:, -1].set(1.0)
     states = on_path(system, states, at_zero_load)
     values = point_values(system, states)
-    negative = negative_eigenvalues(fixed, run.metric, jax.lax.stop_gradient(states))
+    negative = negative_eigenvalues(fixed, metric, jax.lax.stop_gradient(states))
     work = jax.vmap(system.constant_loads.work)(values.displacements)
     energies = values.energy - work
     known = found[:, None, None]
-    snap_factors, at_branch = _snap_factors(system, run, direction, end)
+    middle = jnp.array(jnp.nan)
+    if by_drives:
+        change = (values.displacements[1] - path_system.start).reshape(-1)
+        change = change[np.array(path_system.dofs.prescribed, int)]
+        targets = path_system.targets
+        middle = jnp.where(found[1], change @ targets / (targets @ targets), jnp.nan)
+    snap_factors, at_branch = _snap_factors(path_system, run, direction, rows, middle)
     bistable = found[2] & (negative[0] == 0) & (negative[2] == 0)
     result = RESULTS.where(found[2], RESULTS.successful, path_result(run.trace))
+    result = RESULTS.where(lost, RESULTS.no_equilibrium, result)
     shares = values.range_shares
     if shares is not None:
         shares = jnp.where(found[:, None], shares, jnp.nan)
@@ -286,16 +325,23 @@ def _evaluate_uncompiled(
 
 
 def _unloaded_points(
-    system: PathSystem, run: PathRun, sign: Scalar
-) -> tuple[Float[Array, "3 n"], Bool[Array, "3"], Scalar]:
+    system: PathSystem, run: PathRun, sign: Scalar, by_drives: bool
+) -> tuple[Float[Array, "3 n"], Bool[Array, "3"], Float[Array, "2"]]:
     """Find the points of a path at the load factor zero, and whether they exist.
 
-    The last result is the row of the path after which the second state is, or the last
-    one; a half is added behind a limit point in the same interval.
+    Under prescribed displacements only, they are the points without drive force. The last
+    result has the rows of the path after which the unstable state and the second stable
+    one are, infinite if they do not exist; a half is added behind a limit point in the
+    same interval.
     """
-    trace, criticals = run.trace, run.criticals
+    trace, criticals, metric = run.trace, run.criticals, run.metric
+
+    def value_at(point: Float[Array, " n"]) -> Scalar:
+        return system.drive_force(point) if by_drives else point[-1]
+
     # Between two successive points of a path, or of its limit points, the load factor
-    # increases or decreases, so that there is at most one state.
+    # increases or decreases, so that there is at most one state. The drive force has
+    # other extreme values.
     rows, indices = jnp.arange(len(trace.points)), jnp.arange(len(criticals.points))
     is_limit = (indices < criticals.number) & ~criticals.is_branch
     keys = jnp.concatenate(
@@ -304,9 +350,13 @@ def _unloaded_points(
             jnp.where(is_limit, criticals.rows.astype(float) + 0.5, jnp.inf),
         ]
     )
+    points = jnp.concatenate([trace.points, criticals.points])
+    if by_drives:
+        key, point = _least_force(system, run, value_at)
+        keys, points = jnp.append(keys, key), jnp.concatenate([points, point[None]])
     order = jnp.argsort(keys)
-    keys, points = keys[order], jnp.concatenate([trace.points, criticals.points])[order]
-    factors, used = sign * points[:, -1], jnp.isfinite(keys[1:])
+    keys, points = keys[order], points[order]
+    factors, used = sign * jax.vmap(value_at)(points), jnp.isfinite(keys[1:])
 
     def first_row(crossing: Array, after: Count) -> tuple[Count, Flag]:
         crossing = crossing & used & (jnp.arange(len(used)) > after)
@@ -318,38 +368,118 @@ def _unloaded_points(
 
     def state_after(row: Count) -> Float[Array, " n"]:
         ends = jax.lax.dynamic_slice_in_dim(points, row, 2)
-        return _at_zero_load(system, run.metric, ends)
+        point = _root_between(system, metric, ends, value_at)
+        return point if by_drives else point.at[-1].set(0.0)
 
     middle, second = jax.vmap(state_after)(jnp.stack([down, up]))
     found = jnp.stack([trace.number > 0, has_down, has_down & has_up])
     found &= trace.status != NOT_FINITE
     states = jnp.stack([trace.points[0], middle, second])
-    end = jnp.where(found[2], keys[up], jnp.inf)
-    return jnp.where(found[:, None], states, trace.points[:1]), found, end
+    rows = jnp.where(found[1:], keys[jnp.stack([down, up])], jnp.inf)
+    return jnp.where(found[:, None], states, trace.points[:1]), found, rows
 
 
-def _at_zero_load(
-    system: PathSystem, metric: Metric, ends: Float[Array, "2 n"]
+def _least_force(
+    system: PathSystem, run: PathRun, value_at: Callable[[Array], Scalar]
+) -> tuple[Scalar, Float[Array, " n"]]:
+    """Return a point at which the drive force is least, between two points of the path.
+
+    The first result is its row, increased by a half; infinite if there is none.
+    """
+    trace, metric = run.trace, run.metric
+
+    def force_and_rate(point: Array, tangent: Array) -> tuple[Scalar, Scalar]:
+        return jax.jvp(value_at, (point,), (metric.units * tangent,))
+
+    forces, rates = jax.vmap(force_and_rate)(trace.points, trace.tangents)
+    sizes, growth = jnp.abs(forces), jnp.sign(forces) * rates
+    least = (forces[:-1] * forces[1:] > 0) & (growth[:-1] < 0) & (growth[1:] > 0)
+    least &= np.arange(len(least)) + 1 < trace.number
+    row = jnp.argmin(jnp.where(least, jnp.minimum(sizes[:-1], sizes[1:]), jnp.inf))
+    segment = Segment(
+        jax.lax.dynamic_slice_in_dim(trace.points, row, 2),
+        jax.lax.dynamic_slice_in_dim(trace.tangents, row, 2),
+    )
+
+    def function(point: Array, _: PathTangent, step: Step) -> tuple[Scalar, Array]:
+        return force_and_rate(point, step.tangent)[1], point[:0]
+
+    ends = jax.lax.dynamic_slice_in_dim(rates, row, 2)
+    nothing = trace.points[0, :0]
+    exists = least[row]
+    root = locate(system, metric, segment, function, ends, nothing, exists, ~exists)
+    return jnp.where(exists, row.astype(float) + 0.5, jnp.inf), root.point
+
+
+def _root_between(
+    system: PathSystem,
+    metric: Metric,
+    ends: Float[Array, "2 n"],
+    function: Callable[[Float[Array, " n"]], Scalar],
 ) -> Float[Array, " n"]:
-    """Compute the equilibrium at the load factor zero between two points of a path."""
+    """Compute the equilibrium at which a function is zero between two points."""
     chord = (ends[1] - ends[0]) / metric.units
     chord = chord / metric.length(chord)
     segment = Segment(ends, jnp.stack([chord, chord]))
-    root = locate(
-        system, metric, segment, lambda point, *_: (point[-1], point[:0]), ends[:, -1],
+    values = jnp.stack([function(end) for end in ends])
+    return locate(
+        system, metric, segment, lambda point, *_: (function(point), point[:0]), values,
         ends[0, :0], jnp.array(True),
-    )  # fmt: skip
-    return root.point.at[-1].set(0.0)
+    ).point  # fmt: skip
+
+
+def _released(system: PathSystem) -> PathSystem:
+    """Return the equations of a mechanism without its prescribed displacements."""
+    dofs, targets = DofPartition.of(system.mechanism), jnp.zeros(0)
+    return replace(system, dofs=dofs, targets=targets)
+
+
+def _released_points(
+    system: PathSystem, states: Float[Array, "3 n"]
+) -> tuple[Float[Array, "3 m"], Metric, Bool[Array, "3"]]:
+    """Compute the equilibria without prescribed displacements near points of a path.
+
+    The other results are their metric, and whether they were found.
+    """
+    released = _released(system)
+
+    def released_point(state: Float[Array, " n"]) -> Float[Array, " m"]:
+        _, displacements, multipliers = system.split(state)
+        free = displacements.reshape(-1)[np.array(released.dofs.free, int)]
+        return jnp.concatenate([free, multipliers, jnp.zeros(1)])
+
+    points = jax.vmap(released_point)(states)
+    metric = metric_of(released, released.tangent(points[0]), points[0])
+
+    def correct(_, state: tuple[Array, Scalar]) -> tuple[Array, Scalar]:
+        tangent = released.tangent(state[0])
+        change = jnp.append(-solve(tangent.jacobian, tangent.residual), 0.0)
+        return state[0] + change, metric.length(change / metric.units)
+
+    def corrected(point: Float[Array, " m"]) -> tuple[Array, Scalar]:
+        return jax.lax.fori_loop(0, _CORRECTIONS, correct, (point, jnp.zeros(())))
+
+    points, changes = jax.vmap(corrected)(points)
+    distances = jax.vmap(metric.length)((points - points[:1]) / metric.units[None])
+    moved = (distances > _SAME_STATE) | (np.arange(3) == 0)
+    return points, metric, (changes <= _CORRECTED) & moved
 
 
 def _snap_factors(
-    system: PathSystem, run: PathRun, sign: Scalar, end: Scalar
+    system: PathSystem,
+    run: PathRun,
+    sign: Scalar,
+    states: Float[Array, "2"],
+    middle: Scalar,
 ) -> tuple[Float[Array, "2"], Bool[Array, "2"]]:
     """Return the load factors at which the first and the second state become unstable.
 
     They are the first critical point, and the last one before the second state, or before
-    the end of the path.
+    the end of the path. Prescribed displacements switch a mechanism at the load factor of
+    its unstable state, `middle`, if there is no critical point before. `states` are the
+    rows of the unstable state and of the second stable one.
     """
+    end = states[1]
     criticals, indices = run.criticals, jnp.arange(len(run.criticals.points))
     rows = criticals.rows.astype(float)
     before = (rows < end) | (sign * criticals.points[:, -1] < 0)
@@ -366,7 +496,10 @@ def _snap_factors(
         stop_gradient(system), run.metric, at, at_branch, criticals.multiplicities[chosen]
     )
     at = with_derivatives(system, run.metric, at, at_branch, null)
-    return jnp.where(found, at[:, -1], jnp.nan), at_branch
+    around = rows[chosen] - states[0]
+    switched = jnp.isfinite(middle) & ~(found & (around * np.array([1.0, -1.0]) <= 0))
+    factors = jnp.where(switched, middle, jnp.where(found, at[:, -1], jnp.nan))
+    return factors, at_branch & ~switched
 
 
 _solve = fast_compile(_solve_uncompiled)

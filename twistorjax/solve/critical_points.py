@@ -123,22 +123,19 @@ class _Search(NamedTuple):
         around = rows[:, None] + np.arange(3)
         slopes, spans = (jnp.pad(array, 1)[around] for array in (slopes, lengths))
         length, slope = lengths[:, None], slopes[:, 1:2]
-        sizes = jnp.stack([sizes[:-1], sizes[1:]], axis=1)
         curvature = jnp.diff(slopes, axis=1) / (length + spans[:, ::2])
         bent = curvature > 0
         curvature = jnp.where(bent, curvature, 1.0)
         begin = slope - curvature * length
-        place = -begin / (2 * curvature * length)
-        low = (sizes[:, :1] - begin**2 / (4 * curvature)) / jnp.min(sizes, axis=1)[
-            :, None
-        ]
-        dips = bent & (place > 0.02) & (place < 0.98) & (low < _DIP)
+        places = -begin / (2 * curvature * length)
+        low = sizes[:-1, None] - begin**2 / (4 * curvature)
+        dips = low < _DIP * jnp.minimum(sizes[:-1], sizes[1:])[:, None]
+        dips &= bent & (places > 0.02) & (places < 0.98)
         used = (rows + 1 < trace.number) & (lengths > _SHORTEST_SEGMENT)
         used &= (self.numbers() == 0) & (trace.orientations[:-1] != 0)
         used &= trace.number < len(trace.points)
         known = jnp.stack([rows > 0, rows + 2 < trace.number], axis=1)
-        places = jnp.where(dips & known & used[:, None], place, 0.0)
-        return jnp.max(places, axis=1)
+        return jnp.max(jnp.where(dips & known & used[:, None], places, 0.0), axis=1)
 
 
 def locate_points(
@@ -331,6 +328,8 @@ def null_vectors(
 
     def one(arguments: tuple[Array, Flag, Count]) -> NullVectors:
         point, branch, multiplicity = arguments
+        if not system.unknowns:
+            return NullVectors(jnp.zeros((0, 1)), jnp.zeros((0, 1)))
         if not system.symmetric:
             left, right = singular_vectors(system, metric, point)
             largest = right[jnp.argmax(jnp.abs(metric.weights[:-1] * right))]
@@ -511,7 +510,7 @@ def _(static, primals, tangents):
     dynamic, metric, point, branch, borders = primals
     point = _critical(static, dynamic, metric, point, branch, borders)
     found = jnp.all(jnp.isfinite(point))
-    metric, at = jax.lax.stop_gradient((metric, jnp.where(found, point, 0.0)))
+    metric = jax.lax.stop_gradient(metric)
 
     def equations(dynamic: PathSystem, unknowns: Array) -> Array:
         system = eqx.combine(dynamic, static)

@@ -83,8 +83,12 @@ def assemble_path(
     start: StartLike | None,
     direction: int | Mapping[str, PoseLike],
     time: NumberLike,
+    begin: Poses | None = None,
 ) -> tuple[PathSystem, FirstPoint]:
     """Check the arguments of `path`, and assemble the equations and the first point.
+
+    If the first displacements (rad, m, m) are given by `begin`, those that are prescribed
+    are measured from them.
 
     Raises:
         ValueError: An argument is invalid; see `path`.
@@ -121,12 +125,13 @@ def assemble_path(
     else:
         if isinstance(direction, Mapping):
             raise ValueError(
-                "`direction` has displacements, but `start` is no branch point: give 1 to "
-                "begin with increasing load factors, or -1 with decreasing ones."
+                "`direction` has displacements, but `start` is no branch point: give 1 "
+                "to begin with increasing load factors, or -1 with decreasing ones."
             )
-        begin = first_displacements(
-            mechanism, drives, changes, constant_loads, constraints, start, time
-        )
+        if begin is None:
+            begin = first_displacements(
+                mechanism, drives, changes, constant_loads, constraints, start, time
+            )
         first = regular_point(begin, jnp.zeros(()), direction)
     system = PathSystem(
         mechanism=mechanism,

@@ -159,6 +159,15 @@ class PathSystem(eqx.Module):
 
         return jax.jvp(forces, (factor,), (jnp.ones_like(factor),))[1]
 
+    def drive_force(self, point: Float[Array, " n"]) -> Scalar:
+        """Compute the work of the reactions for a unit of the load factor; J.
+
+        It is zero in an equilibrium that needs no reactions of prescribed displacements.
+        """
+        system, displacements, multipliers = self.split(point)
+        reactions, _ = system.reactions_and_energy(displacements, multipliers)
+        return reactions.reshape(-1)[system.prescribed] @ self.targets
+
     def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 hinges"]:
         """Compute the generalized stress of the hinges at a point; N m, N, N."""
         system, displacements, _ = self.split(point)

@@ -131,8 +131,8 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
         "energies, or start in another `direction` from a multiple branch point."
     )
     critical_point_not_found = (
-        "A critical point was not found. On a path, the number of negative eigenvalues of "
-        "the stiffness changes between two points, but no critical point between them "
+        "A critical point was not found. On a path, the number of negative eigenvalues "
+        "of the stiffness changes between two points, but no critical point between them "
         "explains this change: the path may have jumped to another one. It ends before; "
         "reduce `largest_step`. In a buckling analysis, the stiffness is not singular "
         "near the load factor of the linearized equations; use `path`."

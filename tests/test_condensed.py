@@ -22,8 +22,10 @@ BENDING = float(BEAM.rotational_stiffness)  # E I / L; N m/rad
 DEGREES_20 = np.radians(20)
 
 
-QUADRATIC_LEAF = tj.flexures.linear_leaf(
-    STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3
+QUADRATIC_LEAF = tj.Quadratic(
+    tj.flexures.linear_leaf(
+        STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3
+    ).stiffness
 )
 PLAIN_LEAF = tj.Quadratic(QUADRATIC_LEAF.stiffness)
 RANGED_LEAF = tj.energies.WithValidityRange(

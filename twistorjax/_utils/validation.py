@@ -29,7 +29,7 @@ Kind = TypeVar("Kind")
 # module is that of a type checker.
 _BETWEEN = {__name__.partition(".")[0], "equinox", "jax", "jaxtyping", "beartype", ""}
 
-_LONGEST = 2.0  # dimension of a flexure; m
+_LONGEST = 10.0  # dimension of a flexure; m
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
 

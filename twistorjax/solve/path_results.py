@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.host import all_concrete, concrete
-from .._utils.types import Count, Flag, Pose, Poses, Scalar
+from .._utils.types import Flag, NumberLike, Pose, Poses, Scalar
 from .._utils.validation import index_of
 from .results import count_results, PoseSolution, result_names, RESULTS
 from .stresses import Stresses
@@ -85,7 +85,7 @@ class CriticalPoint(PathPoint):
     mode: Poses
     is_branch: Flag
     length: Scalar
-    multiplicity: Count | int = 1
+    multiplicity: NumberLike = 1
 
     @property
     def kind(self) -> str:

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Inexact
+from jaxtyping import Array, Float, Inexact
 
 from .._utils.host import concrete
 from .._utils.types import BatchFlag, Numbers
@@ -271,7 +271,7 @@ class _NamedResult(_Item):
 _where: Any = RESULTS.where
 
 
-def _named_where(pred: Bool[ArrayLike, "..."], a: RESULTS, b: RESULTS) -> RESULTS:
+def _named_where(pred: Any, a: RESULTS, b: RESULTS) -> RESULTS:
     """Select one of two results; see `eqx.Enumeration.where`."""
     return _NamedResult(_where(pred, a, b)._value, RESULTS)
 

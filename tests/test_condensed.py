@@ -27,9 +27,8 @@ QUADRATIC_LEAF = tj.Quadratic(
         STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3
     ).stiffness
 )
-PLAIN_LEAF = tj.Quadratic(QUADRATIC_LEAF.stiffness)
 RANGED_LEAF = tj.energies.WithValidityRange(
-    PLAIN_LEAF, 0.5, force=100.0, error=[1e-3] * 3
+    QUADRATIC_LEAF, 0.5, force=100.0, error=[1e-3] * 3
 )
 
 

@@ -191,7 +191,8 @@ def test_a_file_that_is_not_json_is_rejected(tmp_path):
     path = tmp_path / "model.json"
     for content, message in (
         (b"", "is empty"),
-        (b"\xff\xfe", "is damaged or not a JSON file"),
+        (b"\xff\xfe", "is empty"),  # the byte order mark of UTF-16
+        (b"\xff\xff", "is damaged or not a JSON file"),
         (b"{", "is damaged or not a JSON file"),
     ):
         path.write_bytes(content)

@@ -170,7 +170,7 @@ def test_a_warning_is_one_line():
         warnings.simplefilter("always")
         code, _, text = run_command(["stage", "--temperature", "3e3"])
     assert code == 0 and text.startswith(
-        "twistorjax: warning: The hinge 'a' has a linear"
+        "twistorjax: warning: The displacement or the axial force of the hinge 'a'"
     )
     assert text.count("\n") == text.count("twistorjax: warning")
 

@@ -127,7 +127,7 @@ def buckling_force(mechanism):
 
 def test_a_column_ends_where_it_buckles():
     """In tension the stress limits the range, in compression the stability."""
-    mechanism = cantilever(flexures.quartic_leaf(STEEL, **SIZES))
+    mechanism = cantilever(flexures.leaf(STEEL, **SIZES))
     pull = tj.Load("block", force=(1.0, 0.0))
     found = tj.range_of_motion(mechanism, loads=[pull], stress=ALLOWABLE)
     critical = buckling_force(mechanism)
@@ -163,7 +163,8 @@ def test_the_origin_of_a_body_has_no_effect():
 
     def ends(origin, direction, stress):
         bodies = [tj.Body("wall"), tj.Body("block", (0.0, origin, 0.0))]
-        hinge = tj.Hinge("flexure", "wall", "block", leaf(), at=(0, 0, 0))
+        energy = flexures.leaf(STEEL, **SIZES)
+        hinge = tj.Hinge("flexure", "wall", "block", energy, at=(0, 0, 0))
         mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
         load = tj.Load("block", force=direction, at=(25e-3 - origin, 0.0))
         found = tj.range_of_motion(mechanism, loads=[load], stress=stress)
@@ -237,7 +238,8 @@ def test_derivatives_of_the_range():
 
 def test_a_batch_of_ranges():
     def factor(thickness):
-        mechanism = cantilever(leaf(thickness))
+        sizes = {**SIZES, "thickness": thickness}
+        mechanism = cantilever(flexures.leaf(STEEL, **sizes))
         drive = tj.Drive("block", angle=0.01, x=0.0, y=2.5e-4)
         return tj.range_of_motion(mechanism, drives=[drive], stress=ALLOWABLE).factors
 

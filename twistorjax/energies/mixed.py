@@ -225,7 +225,7 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
         if not self.flexure:
             return None
         (rotation, transverse), _ = self.potential_variables(displacement)
-        bending = jnp.sqrt((rotation / 0.5) ** 2 + (transverse / 0.2) ** 2)
+        bending = jnp.sqrt((rotation / 0.6) ** 2 + (transverse / 0.22) ** 2)
         ratio = self.axial_force(displacement) / self.force
         return jnp.maximum(bending, jnp.maximum(ratio / 84.3, -ratio / 8.17))
 

@@ -311,7 +311,7 @@ def test_the_life_of_a_bent_leaf_follows_the_goodman_relation():
 
 def test_a_compressive_mean_stress_does_not_prolong_the_life():
     """The largest range of stress is on the side that is always in compression."""
-    mechanism = cantilever(flexures.linear_leaf(STRONG, **SIZES))
+    mechanism = cantilever(flexures.leaf(STRONG, **SIZES))
     squeezed = [
         tj.equilibrium(mechanism, loads=[tj.Load("block", force=(force, 0.0))])
         for force in (-4.0, -10.0)

@@ -108,6 +108,7 @@ def fit_energy(
         prediction, Technometrics 16, 1974.
 
     Example:
+        >>> import jax.numpy as jnp
         >>> from twistorjax import Quadratic
         >>> spring = Quadratic(jnp.diag(jnp.array([2.0, 30.0, 9.0])))
         >>> poses = 0.1 * jax.random.normal(jax.random.key(0), (20, 3))

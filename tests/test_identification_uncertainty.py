@@ -175,6 +175,65 @@ def test_intervals_of_hubers_loss_have_their_level_with_few_readings():
     assert abs(share - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
 
 
+def test_uncertainties_of_a_batch_are_those_of_a_straight_line():
+    """The covariance of the coefficients of `a + b x` is `s^2 inv(X^T X)`."""
+    x, deviation = np.array([0.0, 0.3, 0.5, 1.0]), 0.1
+    test = FormulaTest(lambda u: u[0] + u[1] * x, deviation * jnp.ones(4))
+    start = {"a": Parameter(1.3), "b": Parameter(1.7)}
+
+    def line(values):
+        data = [test.measurement(values[:, None])]
+        return tj.identify(body_at, start, data, throw=False)
+
+    readings = jnp.array([[1.0, 1.6, 2.0, 3.0], [2.0, 2.5, 2.9, 3.2], [0.5, 0.5, 0.7, 1]])
+    batch = jax.vmap(line)(readings)
+    matrix = np.stack([np.ones(4), x], axis=1)
+    covariance = deviation**2 * np.linalg.inv(matrix.T @ matrix)
+    errors = np.sqrt(np.diagonal(covariance))
+    exact = np.linalg.lstsq(matrix, np.asarray(readings).T)[0].T
+    assert_close(batch.values, exact, digits=7)
+    assert_close(batch.covariance, np.stack([covariance] * 3), digits=7)
+    correlation = covariance / np.outer(errors, errors)
+    assert_close(batch.correlation, np.stack([correlation] * 3), digits=7)
+    assert_close(batch.standard_errors["b"], errors[[1, 1, 1]], digits=7)
+    low, high = batch.confidence_interval()
+    assert_close((high["a"] - low["a"]) / 2, 1.959964 * errors[[0, 0, 0]], digits=6)
+    assert not np.any(batch.bound_sides)
+    with pytest.raises(ValueError, match=r"a batch of the shape \(3,\). Select one"):
+        _ = batch.warnings
+    one = jax.tree.map(lambda array: array[1], batch)
+    assert "2 parameters from 4 readings" in repr(one) and not one.warnings
+
+
+@pytest.mark.parametrize(
+    ("value", "bounds", "at_bound"),
+    [
+        (0.2, {"lower": 0.5}, 0.5),
+        (0.48, {"lower": 0.5, "upper": 3.0}, 0.5),
+        (2.5, {"upper": 2.0}, 2.0),
+        (1.2, {"lower": 0.5, "upper": 2.0}, None),
+        (1e7, {"lower": 0.0}, None),
+    ],
+)
+def test_estimates_at_a_bound_and_their_uncertainties(value, bounds, at_bound):
+    """Three readings of `b` have the standard error 0.1 / sqrt(3), also at a bound."""
+    test = FormulaTest(lambda u: u[1] * jnp.ones(3), 0.1 * jnp.ones(3))
+    data = [test.measurement(np.full((3, 1), value))]
+    start = {"a": 0.0, "b": Parameter(1.0, "m", **bounds)}
+    result = tj.identify(body_at, start, data, throw=False)
+    error = 0.1 / np.sqrt(3)
+    if at_bound is None:
+        assert not any("bound" in text for text in result.warnings)
+        return
+    assert any(f"b is at its bound, {at_bound:g} m" in w for w in result.warnings)
+    assert "at its bound" in repr(result) and "not determined" not in repr(result)
+    assert_close(result.standard_errors["b"], error, digits=6)
+    low, high = (limit["b"] for limit in result.confidence_interval())
+    estimate, width = float(result.estimates["b"]), 1.959964 * error
+    assert_close(low, max(estimate - width, bounds.get("lower", -np.inf)), digits=6)
+    assert_close(high, min(estimate + width, bounds.get("upper", np.inf)), digits=6)
+
+
 def test_a_confidence_interval_depends_on_its_level():
     data = [push(5.0).measurement([[0.05]])]
     result = tj.identify(spring, {"along": positive(80.0)}, data)

@@ -12,12 +12,18 @@ import pytest
 from helpers import assert_close, some_stiffness
 
 import twistorjax as tj
+from twistorjax._utils.validation import require_choice
 from twistorjax.geometry import se2
 
 
 SPRING = tj.Quadratic(some_stiffness(1))
 STEEL = tj.Material(modulus=210e9, poisson=0.3, density=7800.0)
 BASE = tj.Body("base")
+
+
+SQUARE = [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.0, 0.3)]
+HOLE = [(0.1, 0.1), (0.1, 0.2), (0.2, 0.2), (0.2, 0.1)]  # clockwise
+WITH_HOLE = [*SQUARE, SQUARE[0], *HOLE, HOLE[0]]  # a cut joins the two boundaries
 
 
 class Axial(tj.AbstractEnergy):
@@ -317,6 +323,53 @@ def test_poses_of_another_mechanism_are_reported():
         mechanism_of().energy(jnp.zeros((3, 3)))
 
 
+LONG = "x" * 10_000
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: tj.Body(LONG),
+        lambda: tj.plate(LONG, SQUARE, width=1.0, material=tj.Material(1.0, 0.3)),
+        lambda: hinge(LONG, "a", "b"),
+        lambda: hinge("h", LONG, "b"),
+        lambda: tj.Load(LONG),
+        lambda: tj.Drive(LONG),
+        lambda: tj.Drive(LONG, angle=jnp.nan),
+        lambda: tj.Pin(LONG, "a", "b", at=(0.0, 0.0)),
+        lambda: mechanism_of().index(LONG),
+        lambda: mechanism_of().wrench_of(LONG, jnp.zeros((2, 3))),
+        lambda: tj.equilibrium(mechanism_of(), loads=[tj.Load(LONG, moment=1.0)]),
+        lambda: require_choice("`formula`", LONG, ["fitted"]),
+        lambda: tj.sweeps.Grid({LONG: [1.0]}),
+        lambda: tj.Mechanism([tj.Body(f"{k}") for k in range(5000)], [], fixed=["none"]),
+        lambda: tj.Mechanism(
+            [tj.Body(f"{k:050}") for k in range(500)], [hinge("h", "a", "b")]
+        ),
+    ],
+)
+@pytest.mark.untyped
+def test_long_names_are_not_repeated_in_messages(build):
+    with pytest.raises(ValueError) as error:
+        build()
+    assert len(str(error.value)) < 1000
+    tj.Body("x" * 200)
+
+
+def test_a_start_must_not_displace_a_fixed_body():
+    mechanism = mechanism_of()
+    start = np.asarray(mechanism.reference) + np.array(
+        [[0.0, 1e-3, 0.0], [0.0, 0.0, 0.0]]
+    )
+    message = "`start` displaces the x of the body 'a' by 0.001, but it is fixed"
+    for solve in (
+        lambda: tj.equilibrium(mechanism, start=start),
+        lambda: tj.path(mechanism, loads=[tj.Load("b", moment=0.1)], start=start),
+    ):
+        with pytest.raises(ValueError, match=message):
+            solve()
+
+
 def test_unknown_names_are_reported():
     with pytest.raises(ValueError, match="names the hinge 'k', but the hinges are 'h'"):
         mechanism_of().displacement_of("k", jnp.zeros((2, 3)))
@@ -336,11 +389,6 @@ def test_invalid_plates_are_reported(corners, density, message):
     material = tj.Material(modulus=1.0, poisson=0.3, density=density)
     with pytest.raises(ValueError, match=message):
         tj.plate("p", corners, width=1.0, material=material)
-
-
-SQUARE = [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.0, 0.3)]
-HOLE = [(0.1, 0.1), (0.1, 0.2), (0.2, 0.2), (0.2, 0.1)]  # clockwise
-WITH_HOLE = [*SQUARE, SQUARE[0], *HOLE, HOLE[0]]  # a cut joins the two boundaries
 
 
 @pytest.mark.parametrize("scale", [4e307, 1.0, 1e-300])

@@ -29,6 +29,7 @@ Kind = TypeVar("Kind")
 # module is that of a type checker.
 _BETWEEN = {__name__.partition(".")[0], "equinox", "jax", "jaxtyping", "beartype", ""}
 
+_LONGEST_NAME = 200  # characters
 _LONGEST = 10.0  # dimension of a flexure; m
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
@@ -54,8 +55,9 @@ def _module(frame: FrameType) -> str:
 def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
     """Require one of several strings."""
     if value not in choices:
-        listed = ", ".join(repr(choice) for choice in choices)
-        raise ValueError(f"{name} is {value!r}, but must be one of {listed}.")
+        raise ValueError(
+            f"{name} is {quote(value)}, but must be one of {listing(choices)}."
+        )
     return value
 
 
@@ -75,9 +77,9 @@ def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
         ValueError: The name is not in the list.
     """
     if name not in names:
-        listed = ", ".join(map(repr, names))
         raise ValueError(
-            f"{where} names the {noun} {name!r}, but the {PLURAL[noun]} are {listed}."
+            f"{where} names the {noun} {quote(name)}, but the {PLURAL[noun]} are "
+            f"{listing(names)}."
         )
     return names.index(name)
 
@@ -89,10 +91,27 @@ def shorten(text: str, length: int = 60) -> str:
     return f"{text[: length * 2 // 3]}...{text[-(length // 4) :]}"
 
 
+def quote(value: Any) -> str:
+    """Return the representation of a value for a message, without its middle if long."""
+    return shorten(repr(value), 100)
+
+
+def listing(names: Iterable[Any], none: str = "none") -> str:
+    """List names for a message, without those in the middle of a long list."""
+    return shorten(", ".join(map(quote, names)), 600) or none
+
+
 def require_text(name: str, value: Any) -> str:
-    """Require a string that is not empty."""
+    """Require a string that is not empty, and not too long to be shown in messages."""
     if not isinstance(value, str) or not value:
-        raise ValueError(f"{name} is {value!r}, but must be a string that is not empty.")
+        raise ValueError(
+            f"{name} is {quote(value)}, but must be a string that is not empty."
+        )
+    if len(value) > _LONGEST_NAME:
+        raise ValueError(
+            f"{shorten(name, 200)} is {quote(value)}, which has {len(value):,} "
+            f"characters, but must have at most {_LONGEST_NAME}."
+        )
     return value
 
 
@@ -192,7 +211,7 @@ def require_interval(
         traced = jnp.asarray(value, float)
         return jnp.where((traced > low) & (traced <= high), traced, jnp.nan)
     if not np.issubdtype(known.dtype, np.number) or known.shape != ():
-        raise ValueError(f"{name} is {value!r}, but must be a number.")
+        raise ValueError(f"{name} is {quote(value)}, but must be a number.")
     if not low < float(known) <= high:  # also true for NaN
         raise ValueError(f"{name} is {known:g}, but {requirement}.")
     return as_float(known)
@@ -384,6 +403,8 @@ def require_distinct(noun: str, names: Sequence[str]) -> tuple[str, ...]:
     distinct: set[str] = set()
     for name in names:
         if name in distinct:
-            raise ValueError(f"The {noun} {name!r} is given twice; names must differ.")
+            raise ValueError(
+                f"The {noun} {quote(name)} is given twice; names must differ."
+            )
         distinct.add(name)
     return tuple(names)

@@ -60,6 +60,102 @@ class ExactBeam(AbstractEnergy):
     def stored_energy(self, displacement: Displacement) -> Scalar:
         return _energy(self.beam, displacement.pose())
 
+    def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
+        return _NewtonModel(self.beam, jnp.stack(stress))
+
+
+class _NewtonModel(AbstractEnergy):
+    """Replacement of an exact beam in Newton's method, near a predicted wrench.
+
+    The wrench and the displacement are independent unknowns, and the residual of their
+    relation is eliminated to first order, by the compliance of the beam under the
+    predicted wrench. With the energy itself, a transverse Newton step would stretch the
+    beam, whose large axial force would slow down Newton's method.
+
+    Args:
+        beam: The beam.
+        stress: Predicted moment, axial force, and transverse force; N m, N, N.
+    """
+
+    beam: Beam
+    stress: Float[Array, "3"]
+
+    def stored_energy(self, displacement: Displacement) -> Scalar:
+        at = displacement
+        coordinates = jnp.stack([at.angle, 2 * at.x1, 2 * at.x2])
+        return _model_energy(self.beam, self.stress, coordinates)
+
+
+# Derivatives with respect to the beam and the predicted wrench are not implemented:
+# Newton's method calls these functions on a system without derivatives.
+@jax.custom_jvp
+def _model_energy(
+    beam: Beam, stress: Float[Array, "3"], coordinates: Float[Array, "3"]
+) -> Scalar:
+    """Compute half the work of the wrench in the model; J.
+
+    The coordinates are an angle and a translation in the mid-frame; rad, m, m.
+    """
+    return jnp.dot(_model_gradient(beam, stress, coordinates), coordinates) / 2
+
+
+@_model_energy.defjvp
+def _(primals, tangents):
+    rate = jnp.dot(_model_gradient(*primals), tangents[2])
+    return _model_energy(*primals), rate
+
+
+@jax.custom_jvp
+def _model_gradient(
+    beam: Beam, stress: Float[Array, "3"], coordinates: Float[Array, "3"]
+) -> Float[Array, "3"]:
+    """Correct the predicted wrench to first order in the residual (N m, N, N)."""
+    return _corrected_stress(beam, stress, coordinates)[0]
+
+
+@_model_gradient.defjvp
+def _(primals, tangents):
+    corrected, stiffness = _corrected_stress(*primals)
+    return corrected, stiffness @ tangents[2]
+
+
+def _corrected_stress(
+    beam: Beam, stress: Float[Array, "3"], coordinates: Float[Array, "3"]
+) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
+    """Take one Newton step for the wrench at given coordinates (rad, m, m).
+
+    Returns:
+        The wrench in the mid-frame (N m, N, N), and the stiffness of the beam.
+    """
+    forces, lengths = load_units(beam), _pose_units(beam)
+    stress, target = stress / forces, coordinates / lengths
+    ends = reference_ends(beam)
+
+    def load_of(stress: Array, target: Array) -> Array:
+        """Move the wrench from the mid-frame to frame a."""
+        force = se2.rotate(target[0] / 2, stress[1:])
+        arm = se2.rotate(target[0] / 2, target[1:]) / 2
+        return jnp.concatenate([(stress[0] + se2.cross(arm, force))[None], force])
+
+    load = load_of(stress, target)
+    pose, compliance = value_and_jacfwd(partial(_reached, beam, ends), load)
+
+    def reached(stress: Array, target: Array) -> Array:
+        """Compute the coordinates that the wrench produces, to first order."""
+        moved = pose + compliance @ (load_of(stress, target) - load)
+        translation = se2.rotate(-moved[0] / 2, moved[1:])
+        return jnp.concatenate([moved[:1], translation])
+
+    by_stress, by_target = jax.jacfwd(reached, (0, 1))(stress, target)
+    residual = reached(stress, target) - target
+    # In the reference configuration, rounding errors would load the mechanism.
+    undeformed = jnp.all(stress == 0) & jnp.all(target == 0)
+    residual = jnp.where(undeformed, 0.0, residual)
+    rights = jnp.concatenate([residual[:, None], by_target - jnp.eye(3)], axis=1)
+    solved = -jnp.linalg.solve(by_stress, rights)
+    stiffness = forces[:, None] * (solved[:, 1:] + solved[:, 1:].T) / 2 / lengths[None]
+    return forces * (stress + solved[:, 0]), stiffness
+
 
 def beam_at_pose(beam: Beam, pose: PoseLike, sections: int | None = None) -> BeamSolution:
     """Compute the deformed state of a beam at a given displacement of its ends.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..solve.results import result_message, result_names
 from .measurement import Measurement
@@ -21,9 +21,6 @@ _UNDETERMINED = 1.0
 _HIGH_CORRELATION = 0.999
 # Larger residuals are outliers, in standard deviations of the readings.
 _OUTLIER = 5.0
-# A parameter is at its bound if its normalized value is larger: its distance to the bound
-# is then exp(-12) of the initial distance.
-_AT_BOUND = 12.0
 
 
 def count_readings(data: Sequence[Measurement]) -> int:
@@ -49,9 +46,13 @@ def summary(identification: "Identification") -> str:
     errors = np.sqrt(np.diagonal(np.asarray(identification.covariance)))
     determined = _determined_parameters(identification)
     values = np.asarray(identification.values)
-    rows = zip(names, values, errors, determined, identification.units, strict=True)
-    for name, value, error, is_determined, unit in rows:
+    sides = np.asarray(identification.bound_sides)
+    units = identification.units
+    rows = zip(names, values, errors, determined, units, sides, strict=True)
+    for name, value, error, is_determined, unit, side in rows:
         uncertainty = f"± {error:.2g} {unit}".rstrip()
+        if side:
+            uncertainty += "  at its bound"
         digits = 3
         if not is_determined:
             uncertainty = f"{unit}  not determined".strip()
@@ -88,7 +89,7 @@ def warnings(identification: "Identification") -> tuple[str, ...]:
                 f"the RMS residual of the held-out readings is {held_out_rms:.3g} "
                 f"standard deviations, that of the fitted readings {rms:.3g}"
             )
-    texts += [f"{names[k]} is at its bound" for k in _at_bounds(identification)]
+    texts += _warnings_on_bounds(identification)
     losses = np.asarray(identification.losses)
     if losses.size > 1:
         best = np.sum(losses <= losses.min() * 1.001 + 1e-9)
@@ -206,15 +207,24 @@ def _full_changes(
     return np.asarray(parameters.scales(identification.normalized)) / derivatives
 
 
-def _at_bounds(identification: "Identification") -> list[int]:
+def _at_bounds(identification: "Identification") -> Int[np.ndarray, " at_bound"]:
     """Indices of the parameters that are at a bound."""
-    bounded = identification.problem.parameters.bounded
-    normalized = np.asarray(identification.normalized)
-    return [
-        k
-        for k, name in enumerate(identification.names)
-        if name in bounded and abs(normalized[k]) > _AT_BOUND
-    ]
+    return np.flatnonzero(np.asarray(identification.bound_sides))
+
+
+def _warnings_on_bounds(identification: "Identification") -> list[str]:
+    """Warnings on estimates at their bounds."""
+    texts = []
+    lower, upper = identification.problem.parameters.bounds
+    for k in _at_bounds(identification):
+        bound = (lower if identification.bound_sides[k] < 0 else upper)[k]
+        value = f"{bound:g} {identification.units[k]}".strip()
+        texts.append(
+            f"{identification.names[k]} is at its bound, {value}: the readings indicate "
+            "a value at the bound or beyond it. The standard errors are those of the "
+            "model without this bound"
+        )
+    return texts
 
 
 def _sensitivities(identification: "Identification") -> tuple[np.ndarray, np.ndarray]:
@@ -248,9 +258,11 @@ def _determined_parameters(identification: "Identification") -> np.ndarray:
     shares = (directions * inverse[:, None]) ** 2
     undetermined = np.sum(shares[inverse > _UNDETERMINED], axis=0)
     is_free = undetermined > np.maximum(0.5 * np.sum(shares, axis=0), 0.01)
-    kept = np.delete(np.arange(len(variances)), _at_bounds(identification))
+    at_bounds = _at_bounds(identification)
+    kept = np.delete(np.arange(len(variances)), at_bounds)
     determined = relative <= _UNDETERMINED
     determined[kept] &= ~is_free
+    determined[at_bounds] = np.isfinite(variances[at_bounds])
     return determined
 
 

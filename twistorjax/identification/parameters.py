@@ -245,6 +245,17 @@ class ParameterSet(eqx.Module):
         """Values of the parameters as a vector, in their units."""
         return _as_vector(self._map(Parameter.value_at, normalized))
 
+    @property
+    def bounds(
+        self,
+    ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
+        """Lower and upper bounds of the values, infinite if there is none."""
+        leaves = jax.tree.leaves(self.parameters, is_leaf=_is_parameter)
+        counts = [leaf.value.size for leaf in leaves]
+        lower = [-np.inf if leaf.lower is None else leaf.lower for leaf in leaves]
+        upper = [np.inf if leaf.upper is None else leaf.upper for leaf in leaves]
+        return np.repeat(lower, counts), np.repeat(upper, counts)
+
     def tree(self, normalized: Float[Array, " parameters"]) -> Any:
         """Argument of the design function: values of the parameters, and constants."""
         return eqx.combine(self._map(Parameter.value_at, normalized), self.constants)

@@ -1,9 +1,12 @@
 """Result of an identification: estimates, uncertainties and warnings."""
 
+from collections.abc import Callable
+from functools import wraps
 from statistics import NormalDist
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -15,12 +18,38 @@ from .objective import IdentificationProblem
 from .optimizer import exceeds_rounding
 
 
+# A parameter is at its bound if its distance to the bound is exp(-12) of the initial one;
+# or if it is less than 1/e of the initial one, and the linearized model has its minimum
+# beyond the bound, or nearer to it by a factor of ten.
+_AT_BOUND, _NEAR_BOUND, _STEP_TO_BOUND = 12.0, 1.0, 0.9
+
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _for_each(method: _Method) -> _Method:
+    """Apply a method of one identification to each entry of a batch of them."""
+
+    @wraps(method)
+    def for_each(self: Any, *arguments: Any) -> Any:
+        if self.normalized.ndim == 1:
+            return method(self, *arguments)
+        return eqx.filter_vmap(lambda one: for_each(one, *arguments))(self)
+
+    return for_each  # pyright: ignore[reportReturnType]
+
+
 class Identification(eqx.Module):
     """Estimated parameters of a mechanism, and their uncertainties.
 
     The uncertainties follow from the linearization of the model at the estimates. They
     assume that the errors of the readings are normal, independent, and as large as the
-    given standard deviations.
+    given standard deviations. If an estimate is at its bound, they are those of the model
+    without the bound, and a warning says so.
+
+    The result of `jax.vmap` is a batch of identifications, with one more axis in all
+    arrays. The texts are those of one identification:
+    `jax.tree.map(lambda array: array[0], batch).warnings`.
 
     Args:
         estimates: Estimated values, in a pytree with the structure of `start`.
@@ -64,19 +93,23 @@ class Identification(eqx.Module):
         return self.problem.parameters.units
 
     @property
-    def values(self) -> Parameters:
+    @_for_each
+    def values(self) -> Float[Array, "*batch parameters"]:
         """Estimated values as a vector, in the order of `names`."""
         return self.problem.parameters.vector(self.normalized)
 
     @property
-    def normalized_covariance(self) -> Float[Array, "parameters parameters"]:
+    @_for_each
+    def normalized_covariance(self) -> Float[Array, "*batch parameters parameters"]:
         """Covariance of the normalized parameters.
 
         The variance of a parameter that the readings do not determine is infinite. For
         Huber's loss the covariance takes the distribution of the residuals into account.
         """
-        xp, (jacobian,) = on_host(self.jacobian)
-        _, singular_values, directions = xp.linalg.svd(jacobian, full_matrices=False)
+        xp, (jacobian, growth) = on_host(self.jacobian, self._distance_ratios())
+        _, singular_values, directions = xp.linalg.svd(
+            jacobian * growth[None], full_matrices=False
+        )
         determined = exceeds_rounding(singular_values)
         divisor = xp.where(determined, singular_values, 1.0)
         inverse = xp.where(determined, 1 / divisor, 0.0)
@@ -85,11 +118,61 @@ class Identification(eqx.Module):
         if self.problem.huber_threshold is not None:
             factor = self._huber_correction(self.problem.huber_threshold)
             covariance = factor * covariance
+        covariance = covariance * growth[:, None] * growth[None]
         kept = xp.where(determined[:, None], directions, 0.0)
         undetermined = xp.sum(kept**2, axis=0) < 1 - 1e-9
         diagonal = xp.where(undetermined, xp.inf, xp.diagonal(covariance))
         on_diagonal = np.eye(len(self.names), dtype=bool)
         return as_float(xp.where(on_diagonal, diagonal[None], covariance))
+
+    def _distance_ratios(self) -> Parameters:
+        """Ratio of the initial to the final distance of each parameter from its bound.
+
+        It is at least 1. The readings hardly depend on the normalized value of a
+        parameter near its bound; with this factor they depend on it as at the start.
+        """
+        parameters = self.problem.parameters
+        start = as_float(np.zeros(len(self.names)))
+        xp, (initial, final) = on_host(
+            parameters.derivatives(start), parameters.derivatives(self.normalized)
+        )
+        lower, upper = parameters.bounds
+        is_bounded = np.isfinite(lower) | np.isfinite(upper)
+        ratios = initial / xp.maximum(final, 1e-100 * initial)
+        return as_float(xp.where(is_bounded, xp.maximum(ratios, 1.0), 1.0))
+
+    @property
+    @_for_each
+    def bound_sides(self) -> Int[Array, "*batch parameters"]:
+        """Bound at which each estimate is: -1 for the lower, 1 for the upper, 0 for none.
+
+        An estimate is also at its bound if the linearized model has its minimum at the
+        bound or beyond it. The search ends before it has reached the bound if the rest of
+        the distance is smaller than the standard error.
+        """
+        xp, (jacobian, growth, normalized, *tables) = on_host(
+            self.jacobian, self._distance_ratios(), self.normalized, *self.residuals
+        )
+        residuals = xp.concatenate([table.reshape(-1) for table in tables])
+        if (threshold := self.problem.huber_threshold) is not None:
+            residuals = xp.clip(residuals, -threshold, threshold)
+        left, singular_values, directions = xp.linalg.svd(
+            jacobian * growth[None], full_matrices=False
+        )
+        determined = exceeds_rounding(singular_values)
+        divisor = xp.where(determined, singular_values, 1.0)
+        components = xp.where(determined, residuals @ left / divisor, 0.0)
+        step = -growth * (components @ directions)
+        lower, upper = self.problem.parameters.bounds
+
+        def is_at_bound(change: Any, step: Any) -> Any:
+            near = (change > _NEAR_BOUND) & (step >= _STEP_TO_BOUND)
+            return near | (change > _AT_BOUND)
+
+        at_lower = is_at_bound(-normalized, -step) & np.isfinite(lower)
+        at_upper = is_at_bound(normalized, step) & np.isfinite(upper)
+        sides = xp.where(at_lower, -1, xp.where(at_upper, 1, 0))
+        return jnp.asarray(sides)
 
     def _huber_correction(self, threshold: float) -> NumberLike:
         """Factor by which Huber's loss increases the covariance, at least 1.
@@ -116,7 +199,8 @@ class Identification(eqx.Module):
         return xp.maximum(small_sample**2 * variance / share**2, 1.0)
 
     @property
-    def covariance(self) -> Float[Array, "parameters parameters"]:
+    @_for_each
+    def covariance(self) -> Float[Array, "*batch parameters parameters"]:
         """Covariance of the estimates, in the products of their units.
 
         The variance of a parameter that the readings do not determine is infinite.
@@ -131,6 +215,7 @@ class Identification(eqx.Module):
         return as_float(xp.where(infinite, xp.inf, scaled))
 
     @property
+    @_for_each
     def standard_errors(self) -> Any:
         """Standard errors of the estimates, in a pytree with the structure of `start`."""
         xp, (covariance,) = on_host(self.covariance)
@@ -138,7 +223,8 @@ class Identification(eqx.Module):
         return self.problem.parameters.unflatten(errors)
 
     @property
-    def correlation(self) -> Float[Array, "parameters parameters"]:
+    @_for_each
+    def correlation(self) -> Float[Array, "*batch parameters parameters"]:
         """Correlation matrix of the estimates."""
         xp, (covariance,) = on_host(self.normalized_covariance)
         on_diagonal = np.eye(len(self.names), dtype=bool)
@@ -148,6 +234,7 @@ class Identification(eqx.Module):
         correlation = others / (errors[:, None] * errors[None])
         return as_float(xp.where(on_diagonal, 1.0, correlation))
 
+    @_for_each
     def confidence_interval(self, level: float = 0.95) -> tuple[Any, Any]:
         """Compute confidence intervals of the parameters, within their bounds.
 
@@ -163,15 +250,29 @@ class Identification(eqx.Module):
         """
         if not 0 < level < 1:
             raise ValueError(f"`level` is {level}, but must be between 0 and 1: 0.95.")
-        xp, (covariance, center) = on_host(self.normalized_covariance, self.normalized)
+        parameters = self.problem.parameters
+        xp, (covariance, center, values, derivatives, sides) = on_host(
+            self.normalized_covariance,
+            self.normalized,
+            self.values,
+            parameters.derivatives(self.normalized),
+            self.bound_sides,
+        )
         quantile = NormalDist().inv_cdf((1 + level) / 2)
         half_width = quantile * xp.sqrt(xp.diagonal(covariance))
-        parameters = self.problem.parameters
-        low = parameters.vector(as_float(center - half_width))
-        high = parameters.vector(as_float(center + half_width))
-        return parameters.unflatten(low), parameters.unflatten(high)
+        # The normalized value of a parameter at its bound is no linear measure of it.
+        nonlinear = xp.where(sides == 0, half_width, 0.0)
+        linear = xp.where(sides == 0, 0.0, half_width * derivatives)
+        limits = []
+        for sign in (-1.0, 1.0):
+            limit = parameters.vector(as_float(center + sign * nonlinear))
+            at_bound = xp.clip(values + sign * linear, *parameters.bounds)
+            limit = xp.where(sides == 0, limit, at_bound)
+            limits.append(parameters.unflatten(as_float(limit)))
+        return limits[0], limits[1]
 
     @property
+    @_for_each
     def mechanism(self) -> Any:
         """Mechanism that the design function builds from the estimates."""
         return self.problem.design(self.estimates)
@@ -179,6 +280,7 @@ class Identification(eqx.Module):
     @property
     def reading_count(self) -> int:
         """Number of readings from which the parameters were estimated."""
+        self._require_one("reading_count")
         return diagnostics.count_readings(self.problem.data)
 
     @property
@@ -188,12 +290,23 @@ class Identification(eqx.Module):
         A direction is undetermined if its standard error is larger than a relative change
         of the parameters by 100 %.
         """
+        self._require_one("undetermined_directions")
         return diagnostics.undetermined_directions(self)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Reasons to doubt the estimates or their standard errors."""
+        self._require_one("warnings")
         return diagnostics.warnings(self)
+
+    def _require_one(self, name: str) -> None:
+        """Raise an error if this is a batch of identifications."""
+        if self.normalized.ndim > 1:
+            raise ValueError(
+                f"`{name}` belongs to one identification, but this is a batch of the "
+                f"shape {self.normalized.shape[:-1]}. Select one of them: "
+                f"`jax.tree.map(lambda array: array[0], batch).{name}`."
+            )
 
     def __repr__(self) -> str:
         name = result_names(self.result)

@@ -107,6 +107,7 @@ def plate(
         >>> bar.pose, bar.mass
         (Array([0.  , 0.05, 0.05], dtype=float64), Array(0.78, dtype=float64))
     """
+    require_text("The name of a plate", name)
     if not isinstance(material, Material):
         raise ValueError(
             f"`material` of the plate {name!r} is a {type(material).__name__}, but must "

@@ -22,6 +22,7 @@ from .._utils.types import (
 )
 from .._utils.validation import (
     index_of,
+    quote,
     require_kind,
     require_row,
     warn_if_degrees,
@@ -69,12 +70,12 @@ class Load(eqx.Module):
         follower: bool = False,
     ):
         self.body = body
-        where = f"of the load on {body!r}"
+        where = f"of the load on {quote(body)}"
         parts = force is not None or moment is not None
         if (wrench is None) != parts:
             raise ValueError(
-                f"The load on {body!r} needs either `wrench`, or `force` and `moment`, "
-                f"but {'both are' if parts else 'neither is'} given."
+                f"The load on {quote(body)} needs either `wrench`, or `force` and "
+                f"`moment`, but {'both are' if parts else 'neither is'} given."
             )
         if wrench is not None:
             self.wrench = require_row(f"`wrench` {where}", wrench, "(moment, fx, fy)")
@@ -124,13 +125,13 @@ class Drive(eqx.Module):
         values = dict(zip(COORDINATES, (angle, x, y), strict=True))
         if all(value is None for value in values.values()):
             raise ValueError(
-                f"The drive of {body!r} prescribes no coordinate. Give `angle`, `x`, or "
-                "`y`."
+                f"The drive of {quote(body)} prescribes no coordinate. Give `angle`, "
+                "`x`, or `y`."
             )
         self.angle, self.x, self.y = (
             None
             if value is None
-            else _number(f"`{name}` of the drive of {body!r}", value)
+            else _number(f"`{name}` of the drive of {quote(body)}", value)
             for name, value in values.items()
         )
         if self.angle is not None:
@@ -339,5 +340,5 @@ def _number(name: str, value: NumberLike) -> Scalar:
         and np.issubdtype(number.dtype, np.number)
         and np.isfinite(number)
     ):
-        raise ValueError(f"{name} is {value!r}, but must be a finite number.")
+        raise ValueError(f"{name} is {quote(value)}, but must be a finite number.")
     return as_float(value)

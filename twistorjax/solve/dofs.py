@@ -7,9 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Inexact
 
-from .._utils.types import Poses
-from ..mechanism.mechanism import Mechanism
+from .._utils.host import concrete
+from .._utils.types import Poses, PosesOrResult
+from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.scatter import gather_entries
+
+
+_FIXED = 1e-12  # displacement of a fixed coordinate that is a rounding error; rad, m
 
 
 class DofPartition(NamedTuple):
@@ -64,3 +68,26 @@ class DofPartition(NamedTuple):
         supported = np.ones(self.total)
         supported[list(self.free)] = 0.0
         return (jnp.asarray(supported, forces.dtype) * forces).reshape(-1, 3)
+
+
+def displacements_at_start(mechanism: Mechanism, start: PosesOrResult) -> Poses:
+    """Return the displacements of the bodies at a start; rad, m, m.
+
+    Raises:
+        ValueError: The start is not that of the mechanism, or a fixed coordinate of a
+            body is displaced.
+    """
+    displacements = mechanism.displacements(start, "start", single=True)
+    known = concrete(displacements)
+    if known is None:
+        return displacements
+    moved = [dof for dof in mechanism.fixed if abs(known.flat[dof]) > _FIXED]
+    if moved:
+        body, coordinate = divmod(moved[0], 3)
+        raise ValueError(
+            f"`start` displaces the {COORDINATES[coordinate]} of the body "
+            f"{mechanism.names[body]!r} by {known.flat[moved[0]]:.4g}, but it is fixed. "
+            "Give a start in which it has its reference pose, or build the mechanism "
+            "with another reference pose."
+        )
+    return displacements

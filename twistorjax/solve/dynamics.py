@@ -31,7 +31,7 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from .collocation import Gauss, Radau
 from .diffrax_interface import convert_result, smaller_program, with_end
-from .dofs import DofPartition
+from .dofs import displacements_at_start, DofPartition
 from .events import with_snapshots
 from .initial_state import (
     check_finite,
@@ -196,7 +196,7 @@ def simulate(
     dofs = DofPartition.of(mechanism, prescribed_dofs(mechanism, first_drives)[0])
     displacements = jnp.zeros_like(mechanism.reference)
     if start is not None:
-        displacements = mechanism.displacements(start, "start", single=True)
+        displacements = displacements_at_start(mechanism, start)
         check_finite("start", displacements)
     rates = check_velocities(mechanism, velocities, dofs.free)
     constraint_set = gather_constraints(mechanism, constraints)

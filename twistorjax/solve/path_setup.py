@@ -22,7 +22,7 @@ from ..mechanism.hinge_changes import (
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.support import require_support
-from .dofs import DofPartition
+from .dofs import displacements_at_start, DofPartition
 from .path_results import CriticalPoint
 from .path_start import branch_mode
 from .path_system import PathSystem
@@ -204,7 +204,7 @@ def first_displacements(
 ) -> Poses:
     """Compute the equilibrium at the load factor zero; rad, m, m."""
     if start is not None:
-        start = mechanism.displacements(start, "start", single=True)
+        start = displacements_at_start(mechanism, start)
     if changes is not None:
         hinges = changes.state(mechanism, jnp.zeros(())).hinges(mechanism)
         mechanism = eqx.tree_at(lambda new: new.hinge_assembly, mechanism, hinges)

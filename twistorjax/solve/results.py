@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Inexact
 
 from .._utils.host import concrete
 from .._utils.types import BatchFlag, Numbers
+from .._utils.validation import listing, quote
 from .tables import Column, Columns, columns, Tabular
 
 
@@ -356,8 +357,8 @@ class BodySolution(Tabular):
         if not rows:
             names = dict.fromkeys(self.constraint_names)
             raise ValueError(
-                f"`constraint` is {constraint!r}, but the constraints are "
-                f"{', '.join(map(repr, names)) or 'none'}."
+                f"`constraint` is {quote(constraint)}, but the constraints are "
+                f"{listing(names)}."
             )
         return self.constraint_forces[..., np.array(rows)]
 
@@ -382,8 +383,7 @@ class BodySolution(Tabular):
         """Return the index of a body."""
         if body not in self.names:
             raise ValueError(
-                f"`body` is {body!r}, but the bodies are "
-                f"{', '.join(map(repr, self.names))}."
+                f"`body` is {quote(body)}, but the bodies are {listing(self.names)}."
             )
         return self.names.index(body)
 

@@ -19,7 +19,7 @@ from ..mechanism.mechanism import Mechanism
 from ..mechanism.support import require_support
 from . import newton
 from .consistency import independent
-from .dofs import DofPartition
+from .dofs import displacements_at_start, DofPartition
 from .implicit_derivatives import differentiable_root
 from .load_state import LoadState
 from .results import is_success, result_of_status, RESULTS
@@ -75,7 +75,8 @@ def equilibrium(
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a degree of freedom
             is prescribed twice or is fixed, constraints are redundant or contradict one
-            another, a shape is wrong, or a setting is invalid.
+            another, `start` displaces a fixed body, a shape is wrong, or a setting is
+            invalid.
         RuntimeError: No equilibrium was found; the message gives the reason.
 
     Source:
@@ -102,16 +103,16 @@ def equilibrium(
     prescribed, targets = prescribed_dofs(mechanism, drives)
     require_support(mechanism, constraint_set.bodies, prescribed)
     dofs = DofPartition.of(mechanism, prescribed)
-    start_displacements = np.zeros(mechanism.reference.shape)
+    begin = np.zeros(mechanism.reference.shape)
     if start is not None:
-        start_displacements = mechanism.displacements(start, "start", single=True)
+        begin = displacements_at_start(mechanism, start)
     # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`, but
     # constraints may contain functions.
     solve = _solve_with_functions if constraint_set.size else _solve
     solution = solve(
         mechanism.hinge_assembly,
         mechanism.reference,
-        start_displacements,
+        begin,
         LoadState.of(mechanism, start, load_set, constraint_set),
         load_set,
         constraint_set,

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from .._utils.validation import require_text
 from ..solve.tables import Columns
 
 
@@ -26,6 +27,7 @@ def check_parameter_names(names: Sequence[Any]) -> None:
                 f"`designs` has a parameter {name!r}, but a name must be a string that "
                 "is not empty."
             )
+        require_text("The name of a parameter", name)
         if count > 1:
             raise ValueError(
                 f"`designs` has {count} parameters {name!r}. Give them different names."
@@ -55,6 +57,7 @@ def check_outputs(
     used = {*parameters, *design_axes, *RESERVED}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in outputs.items():
+        require_text("The name of an output", name)
         if name in used:
             raise ValueError(
                 f"The study returns an output {name!r}, but this name is reserved, or is "

@@ -223,8 +223,9 @@ def test_validity_range_is_that_of_the_trials():
     fit = tj.fit_energy(leaf_trials(), 4, coordinates="mixed", symmetry="leaf")
     limited = fit.with_validity_range
     assert_close(limited.rotation, 0.8)
-    largest = np.max(np.linalg.norm(leaf_trials().wrenches[:, 1:], axis=1))
-    assert_close(limited.force, largest)
+    wrenches = leaf_trials().wrenches
+    assert wrenches is not None
+    assert_close(limited.force, np.max(np.linalg.norm(wrenches[:, 1:], axis=1)))
     assert_close(limited.error, fit.expected.relative)
 
 
@@ -403,6 +404,7 @@ def test_energy_is_loaded_from_a_file_with_a_byte_order_mark(tmp_path, encoding)
     tj.io.save_energy(energies()[0], path)
     path.write_text(path.read_text(), encoding=encoding)
     loaded = tj.io.load_energy(path)
+    assert isinstance(loaded, tj.energies.Polynomial)
     assert_close(loaded.coefficients, energies()[0].coefficients, digits=16)
 
 

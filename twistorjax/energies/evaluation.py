@@ -299,7 +299,7 @@ def _variables_and_derivatives(
 ) -> tuple[Array, Array, Array]:
     """Differentiate the variables of a polynomial by the pose; see `_variables_at`."""
 
-    def variables(pose: Array) -> Array:
+    def variables(pose: Any) -> Array:
         displacement = Displacement.from_pose(pose)
         return jnp.stack(polynomial_variables(displacement, coordinates, scale))
 

@@ -347,7 +347,7 @@ def _fit_coefficients(
 
     def solve(coefficients: Float[Array, " terms"] | None) -> Float[Array, " terms"]:
         """Solve with the weights of a previous solution."""
-        rows, targets = weighted_equations(equations, coefficients)
+        rows, targets = map(jnp.asarray, weighted_equations(equations, coefficients))
         rows, targets = rows.reshape(-1, len(powers)), targets.reshape(-1)
         found = least_squares(rows[:, free], targets - rows @ start)
         return start.at[free].set(found)

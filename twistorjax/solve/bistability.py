@@ -271,8 +271,8 @@ def _solve_uncompiled(
     system: PathSystem, first: FirstPoint, *arguments: Any
 ) -> Bistability:
     """Compute the result of `bistability`, inside another program."""
-    *arguments, by_drives = arguments
-    run = refine_uncompiled(system, run_uncompiled(system, first, *arguments))
+    *others, by_drives = arguments
+    run = refine_uncompiled(system, run_uncompiled(system, first, *others))
     return _evaluate_uncompiled(system, run, first.direction, by_drives)
 
 

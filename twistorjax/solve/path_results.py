@@ -255,7 +255,7 @@ def _critical_lines(points: Iterable[CriticalPoint]) -> list[str]:
         mode = np.asarray(point.mode)
         body, axis = np.unravel_index(np.argmax(np.abs(mode)), mode.shape)
         part = f"{('rotation', 'x', 'y')[axis]} of {point.names[body]!r}"
-        times = int(point.multiplicity)
+        times = int(np.asarray(point.multiplicity))
         kind = point.kind if times == 1 else f"{point.kind}, {times}-fold"
         lines.append(f"{kind:<14} {float(point.load_factor):>13.8g}  {part}")
     return lines

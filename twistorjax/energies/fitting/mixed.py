@@ -84,7 +84,7 @@ def fit_mixed(
         """Solve with the weights of a previous solution."""
         with np.errstate(all="ignore"):  # implausible trials may overflow
             equations = data.equations(powers, axial_forces, length, force)
-            rows, targets = weighted_equations(equations, coefficients)
+            rows, targets = map(np.asarray, weighted_equations(equations, coefficients))
         if trials.energies is not None:
             deviations = np.asarray(trials.energy_deviations)[:, None]
             potentials = np.asarray(trials.energies) - axial_forces * data.twists[:, 1]

@@ -72,3 +72,36 @@ def column_load(count=6, force=1.0):
     """Force at the upper end of the column, downward."""
     last = f"link {count - 1}"
     return tj.Load(last, force=(0.0, -force), at=(0.0, 0.5 / count))
+
+
+def parallel_links(loads):
+    """Links on rotational springs that buckle independently at the given load factors.
+
+    The load factor times 1 N acts on the upper end of each link, which is 1 m long.
+    """
+    names = [f"link {k}" for k in range(len(loads))]
+    fixed = {"base": ["angle", "x", "y"], **{name: ["x", "y"] for name in names}}
+    bodies, hinges, forces = [tj.Body("base")], [], []
+    for x, (name, load) in enumerate(zip(names, loads, strict=True)):
+        spring = tj.Quadratic(jnp.diag(jnp.stack([load, 1.0, 1.0])), "twist")
+        bodies.append(tj.Body(name, pose=(0.0, float(x), 0.0)))
+        at = (np.pi / 2, float(x), 0.0)
+        hinges.append(tj.Hinge(name, "base", name, spring, at=at))
+        forces.append(tj.Load(name, force=(0.0, -1.0), at=(0.0, 1.0)))
+    return tj.Mechanism(bodies, hinges, fixed=fixed), forces
+
+
+def two_trusses(rise=0.3):
+    """Two equal trusses of von Mises without any connection, and a load on each; m."""
+    bodies, hinges, loads = [tj.Body("wall")], [], []
+    fixed = {"wall": ["angle", "x", "y"]}
+    for name, x in (("first", 0.0), ("second", 5.0)):
+        apex = np.array([x, rise])
+        bodies.append(tj.Body(name, pose=(0.0, x, rise)))
+        fixed[name] = ["angle"]
+        for side in (-1.0, 1.0):
+            foot = np.array([x + side, 0.0])
+            of_side = f"{name} {side}"
+            hinges.append(bar(of_side, "wall", name, foot, apex, BAR_STIFFNESS))
+        loads.append(tj.Load(name, force=(0.0, -20.0)))
+    return tj.Mechanism(bodies, hinges, fixed=fixed), loads

@@ -13,6 +13,7 @@ from path_helpers import (
     bars_of_a_truss,
     column,
     column_load,
+    parallel_links,
     truss_of,
     von_mises_force,
     von_mises_limit_force,
@@ -142,6 +143,85 @@ class TestBistability:
             tj.bistability(von_mises_truss())
 
 
+class Softened(tj.energies.AbstractEnergy):
+    """A rotational stiffness that decreases with the square of the axial force; N."""
+
+    def stored_energy(self, displacement):
+        angle, x = displacement.angle, 2 * displacement.x1
+        stiffness = 1e6
+        force = stiffness * x
+        softened = 2.0 - force**2
+        return (stiffness * x**2 + softened * angle**2 + 1e6 * displacement.x2**2) / 2
+
+
+class TestPrescribedDisplacements:
+    """The states of the truss of von Mises do not depend on what moves it."""
+
+    @pytest.mark.parametrize("drive", [{"y": -0.65}, {"y": -0.6}, {"x": 0.0, "y": -0.65}])
+    def test_states_are_those_without_drive_force(self, drive):
+        found = tj.bistability(von_mises_truss(), drives=[tj.Drive("apex", **drive)])
+        assert bool(found.is_bistable)
+        assert_close(found.travel("apex"), np.array([0.0, 0.0, -0.6]), digits=9)
+        assert_close(found.barriers, np.full(2, barrier(0.3)), digits=9)
+        np.testing.assert_array_equal(found.negative_eigenvalues, [0, 1, 0])
+        # The drive force changes its sign where the bars are flat.
+        assert_close(found.snap_factors, np.full(2, -0.3 / drive["y"]), digits=9)
+
+    def test_a_displacement_that_does_not_reach_the_second_state(self):
+        found = tj.bistability(von_mises_truss(), drives=[tj.Drive("apex", y=-0.5)])
+        assert not bool(found.is_bistable) and np.isnan(found.energies[2])
+        assert_close(found.snap_factors, np.full(2, 0.6), digits=9)
+
+    def test_a_monostable_truss(self):
+        push = [tj.Drive("apex", y=-0.9)]
+        found = tj.bistability(supported_truss(spring=200.0), drives=push)
+        assert not bool(found.is_bistable) and "monostable" in repr(found)
+
+    def test_a_lift_that_almost_makes_the_truss_monostable(self):
+        lift = [tj.Load("apex", force=(0.0, von_mises_limit_force() * (1 - 1e-3)))]
+        truss, drive = von_mises_truss(), tj.Drive("apex", y=-1.2)
+        found = tj.bistability(truss, drives=[drive], constant_loads=lift)
+        by_load = tj.bistability(truss, loads=[PUSH], constant_loads=lift)
+        assert bool(found.is_bistable)
+        assert_close(found.displacements, by_load.displacements, digits=8)
+        assert_close(found.energies, by_load.energies, digits=9)
+
+    def test_a_prescribed_angle(self):
+        """A spring pulls a rotor over its dead center, at the angle 0."""
+        begin, foot = 0.5, np.array([2.0, 0.0])
+        end = np.array([np.cos(begin), np.sin(begin)])
+        pivot = tj.Quadratic(np.diag([0.02, 1e6, 1e6]), "twist")
+        hinges = [
+            tj.Hinge("pivot", "wall", "rotor", pivot, at=(0.0, 0.0, 0.0)),
+            bar("spring", "wall", "rotor", foot, end, 10.0),
+        ]
+        bodies = [tj.Body("wall"), tj.Body("rotor", pose=(0.0, 0.5, 0.0))]
+        toggle = tj.Mechanism(bodies, hinges, fixed=["wall"])
+        found = tj.bistability(toggle, drives=[tj.Drive("rotor", angle=-1.2)])
+
+        def energy(turn):
+            length = jnp.sqrt(5.0 - 4.0 * jnp.cos(begin + turn))
+            stretch = length - np.hypot(*(foot - end))
+            return 0.01 * turn**2 + 5.0 * stretch**2
+
+        turns = np.array(
+            [brentq(jax.grad(energy), *ends) for ends in ((-0.7, -0.4), (-1.1, -0.8))]
+        )
+        np.testing.assert_allclose(found.displacements[1:, 1, 0], turns, atol=1e-5)
+        energies = np.array([energy(turn) for turn in turns])
+        np.testing.assert_allclose(found.energies[1:], energies, rtol=1e-4)
+
+    def test_barrier_and_switching_point_have_derivatives(self):
+        def quantities(rise):
+            drive = tj.Drive("apex", y=-0.8)
+            truss = von_mises_truss(rise)
+            found = tj.bistability(truss, drives=[drive], max_points=60)
+            return jnp.stack([found.barriers[0], 0.8 * found.snap_factors[0]])
+
+        exact = np.array([jax.grad(barrier)(0.3), 1.0])
+        assert_close(jax.jit(jax.jacfwd(quantities))(0.3), exact, digits=9)
+
+
 class TestBuckling:
     COUNT = 6
 
@@ -200,6 +280,65 @@ class TestBuckling:
         value, *slopes = jax.jit(partial(value_and_slopes, factor))(1.5)
         assert_close(value, 1.5, digits=10)
         assert_close(jnp.stack(slopes), np.ones(2), digits=9)
+
+    @pytest.mark.parametrize("loads", [(1.3, 1.3), (2.7, 2.7, 4.0), (0.7, 0.7, 0.7)])
+    def test_equal_load_factors(self, loads):
+        """Their modes are orthonormal."""
+        links, forces = parallel_links([*loads, *(4 - len(loads)) * [9.0]])
+        found = tj.buckling(links, loads=forces)
+        assert_close(found.load_factors[: len(loads)], np.array(loads), digits=10)
+        shapes = np.asarray(found.shapes).reshape(4, -1)
+        assert_close(shapes @ shapes.T, np.eye(4), digits=9)
+
+    def test_derivatives_of_equal_load_factors(self):
+        def factors(stiffness):
+            links, forces = parallel_links([stiffness, stiffness, 1.5 * stiffness, 9.0])
+            return tj.buckling(links, loads=forces, modes=3).load_factors
+
+        slopes = jax.jit(jax.jacrev(factors))(1.0)
+        assert_close(slopes, np.array([1.0, 1.0, 1.5]), digits=9)
+
+    @pytest.mark.parametrize("rise", [0.05, 0.3, 1.0])
+    def test_a_truss_buckles_at_its_limit_point(self, rise):
+        """Far from the load factor of the linearized equations."""
+        push = [tj.Load("apex", force=(0.0, -1.0))]
+        found = tj.buckling(supported_truss(rise), loads=push, modes=1)
+        force = von_mises_limit_force(rise)
+        assert_close(found.load_factors, np.array([float(force)]), digits=9)
+
+    def test_a_stiffness_that_depends_on_the_force(self):
+        """A column that is softened by its load; see `Softened`."""
+        hinge = tj.Hinge("hinge", "base", "link", Softened(), at=(np.pi / 2, 0.0, 0.0))
+        bodies = [tj.Body("base"), tj.Body("link", pose=(0.0, 0.0, 0.5))]
+        link = tj.Mechanism(bodies, [hinge], fixed=["base"])
+        load = tj.Load("link", force=(0.0, -1.0), at=(0.0, 0.5))
+        found = tj.buckling(link, loads=[load], modes=1)
+        # The stiffness against rotation, 2 - P^2, is P times the length 1.
+        np.testing.assert_allclose(found.load_factors, [1.0], rtol=1e-5)
+
+    def test_a_hinge_outside_its_validity_range(self):
+        """The column buckles at 0.35 N, and the energies are valid up to 0.2 N."""
+
+        def narrow(force):
+            rod = column(1)
+            energy = tj.energies.WithValidityRange(
+                rod.hinge_assembly.energy_of(0), rotation=0.5, force=force,
+                error=[0.0, 0.0, 0.0],
+            )  # fmt: skip
+            hinge = tj.Hinge("hinge 0", "base", "link 0", energy, at=(np.pi / 2, 0, 0))
+            bodies = [tj.Body("base"), tj.Body("link 0", pose=(0.0, 0.0, 0.5))]
+            return tj.Mechanism(bodies, [hinge], fixed=["base"])
+
+        load = [column_load(1)]
+        message = r"'hinge 0': its rotation is .* force 1 N, .* valid up to .* 0\.2 N"
+        with pytest.raises(RuntimeError, match=message):
+            tj.buckling(narrow(0.2), loads=load)
+        failed = tj.buckling(narrow(0.2), loads=load, throw=False)
+        assert str(tj.result_names(failed.result)) == "out_of_range"
+        assert np.isnan(failed.load_factors).all()
+        np.testing.assert_allclose(
+            tj.buckling(narrow(1.2), loads=load, modes=1).load_factors, [1.0], rtol=1e-6
+        )
 
     def test_a_body_that_nothing_supports(self):
         free = column(rotational=0.0)

@@ -1,9 +1,11 @@
 """Optima against closed forms, finite differences, and solvers of SciPy alone."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+from helpers import assert_close
 from optimization_helpers import (
     LEAF,
     leaf_parameters,
@@ -314,3 +316,59 @@ def test_searches_become_a_dataset():
     assert dict(table.sizes) == {"start": 3, "number": 2}
     assert list(table.number.values) == ["length", "thickness"]
     assert float(table.objective.max()) == optimum.objective
+
+
+def circle_and_lines(design):
+    x, y = design["x"], design["y"]
+    return {
+        "f": x**2 + 2 * y**2,
+        "sum": x + y,
+        "double": 2 * (x + y),
+        "circle": x**2 + y**2,
+    }
+
+
+POINT = {"x": tj.Parameter(1.0), "y": tj.Parameter(3.0)}
+
+
+@pytest.mark.parametrize("others", [{"double": 2.0}, {"double": 2.0, "y": 1 / 3}])
+def test_redundant_prescribed_outputs(others):
+    """The minimum of x^2 + 2 y^2 on x + y = 1 is (2, 1) / 3."""
+    limits = {
+        name: tj.Limit(lower=v, upper=v) for name, v in ({"sum": 1.0} | others).items()
+    }
+    best = tj.optimize(
+        lambda d: circle_and_lines(d) | {"y": d["y"]}, POINT, minimize="f", limits=limits
+    )
+    assert_close(best.parameters["x"], 2 / 3, digits=6)
+    assert_close(best.parameters["y"], 1 / 3, digits=6)
+
+
+def test_contradictory_prescribed_outputs_have_no_feasible_design():
+    limits = {"sum": tj.Limit(1.0, 1.0), "double": tj.Limit(3.0, 3.0)}
+    found = tj.optimize(circle_and_lines, POINT, minimize="f", limits=limits, throw=False)
+    assert tj.result_names(found.result) == "no_feasible_design"
+
+
+def test_prescribed_outputs_whose_gradients_are_parallel_at_the_start():
+    """At x = y the line and the circle have parallel gradients; they meet at (0, 1)."""
+    limits = {"sum": tj.Limit(1.0, 1.0), "circle": tj.Limit(1.0, 1.0)}
+    start = {"x": tj.Parameter(1.0), "y": tj.Parameter(1.0)}
+    best = tj.optimize(circle_and_lines, start, minimize="f", limits=limits)
+    points = np.array([best.parameters["x"], best.parameters["y"]])
+    assert_close(np.sort(points), np.array([0.0, 1.0]), digits=6)
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize("limits", [None, {"f": tj.Limit(lower=0.0)}])
+def test_complex_outputs_of_an_optimization_raise_an_error(limits):
+    def study(design):
+        return {"f": jax.lax.complex(0.0, design["x"]), "g": design["x"] ** 2}
+
+    with pytest.raises(ValueError, match="The output 'f' is complex, but an objective"):
+        tj.optimize(
+            study,
+            {"x": tj.Parameter(1.0)},
+            minimize="g" if limits else "f",
+            limits=limits,
+        )

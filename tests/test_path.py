@@ -14,7 +14,9 @@ from path_helpers import (
     bars_of_a_truss,
     column,
     column_load,
+    parallel_links,
     truss_of,
+    two_trusses,
     von_mises_force,
     von_mises_limit_force,
     von_mises_limit_height,
@@ -353,6 +355,128 @@ class TestColumn:
         names = [f"link {k}" for k in range(self.COUNT)]
         found = np.array([buckled.displacement(name)[-1, 0] for name in names])
         np.testing.assert_allclose(found, angles, rtol=2e-4)
+
+
+class TestEqualBucklingLoads:
+    """Links that buckle independently, so that several eigenvalues vanish at once."""
+
+    @staticmethod
+    def straight(*loads):
+        """Path of four links; those whose loads are not given do not buckle; N."""
+        links, forces = parallel_links([*loads, *(4 - len(loads)) * [9.0]])
+        return links, {"loads": forces, "load_factors": (0.0, 2.0)}
+
+    @pytest.mark.parametrize(
+        "loads",
+        [
+            (1.0, 1.0),
+            (1.0, 1.0 + 1e-9),
+            (1.0, 1.0003),
+            (1.0, 1.03),
+            (1.0, 1.001, 1.002),
+            (1.0, 1.0, 1.5),
+            (1.0, 1.0, 1.0, 1.0),
+        ],
+    )
+    def test_all_buckling_loads_are_found(self, loads):
+        links, arguments = self.straight(*loads)
+        found = tj.path(links, **arguments)
+        points = found.critical_points
+        assert all(point.kind == "branch" for point in points)
+        factors = np.repeat(points.load_factors, np.asarray(points.multiplicities))
+        np.testing.assert_allclose(factors, loads, rtol=1e-8)
+        below = np.array([np.sum(np.array(loads) < f) for f in found.load_factors])
+        np.testing.assert_array_equal(found.negative_eigenvalues, below)
+
+    @pytest.mark.parametrize("turns", [(1, 0), (0, -1), (1, -1)])
+    def test_branches_of_a_double_branch_point(self, turns):
+        """A link of the buckling load 1 is at the angle a where the factor is a / sin a.
+
+        Either link buckles, or both of them.
+        """
+        links, arguments = self.straight(1.0, 1.0, 1.5)
+        (first, _) = tj.path(links, **arguments).critical_points
+        assert int(first.multiplicity) == 2 and "branch, 2-fold" in repr(first)
+        direction = {f"link {k}": (turn, 0.0, 0.0) for k, turn in enumerate(turns)}
+        branch = tj.path(links, **arguments, start=first, direction=direction)
+        angles = np.asarray(branch.displacements)[1:, 1:3, 0]
+        np.testing.assert_array_equal(np.sign(angles), np.tile(turns, (len(angles), 1)))
+        expected = angles / np.sinc(angles / np.pi)
+        factors = np.asarray(branch.load_factors)[1:, None]
+        np.testing.assert_allclose(factors * angles, expected, atol=1e-9)
+
+    def test_a_direction_that_is_no_branch(self):
+        links, arguments = self.straight(1.0, 1.0, 1.5)
+        (first, _) = tj.path(links, **arguments).critical_points
+        with pytest.raises(ValueError, match="no mode in which they move"):
+            tj.path(
+                links, **arguments, start=first, direction={"link 2": (1.0, 0.0, 0.0)}
+            )
+        with pytest.raises(ValueError, match="`start` is no branch point"):
+            tj.path(links, **arguments, direction={"link 2": (1.0, 0.0, 0.0)})
+
+    @pytest.mark.release
+    def test_derivatives_by_a_common_stiffness(self):
+        def factors(stiffness):
+            scale = jnp.array([1.0, 1.0, 1.5, 9.0])
+            links, arguments = self.straight(*(stiffness * scale))
+            return tj.path(links, max_points=40, **arguments).critical_points.load_factors
+
+        slopes = jax.jit(jax.jacrev(factors))(1.0)
+        assert_close(slopes[:2], np.array([1.0, 1.5]), digits=9)
+
+
+def test_both_columns_of_a_table_buckle():
+    """Two links of length a with a spring k between them buckle at 2 k / a."""
+    stiff, side = tj.Quadratic(np.diag([0.0, 1e7, 1e7])), np.pi / 2
+    middle = tj.Quadratic(np.diag([0.5, 1e7, 1e7]))
+    bodies, hinges = [tj.Body("base"), tj.Body("table", pose=(0.0, 0.0, 2.0))], []
+    for x in (-1.0, 1.0):
+        lower, upper = f"lower {x}", f"upper {x}"
+        bodies += [tj.Body(lower, pose=(0.0, x, 0.5)), tj.Body(upper, pose=(0, x, 1.5))]
+        ends, springs = ("base", lower, upper, "table"), (stiff, middle, stiff)
+        hinges += [
+            tj.Hinge(f"{x} {k}", ends[k], ends[k + 1], springs[k], at=(side, x, float(k)))
+            for k in range(3)
+        ]
+    fixed = {"base": ["angle", "x", "y"], "table": ["angle", "x"]}
+    table = tj.Mechanism(bodies, hinges, fixed=fixed)
+    press = [tj.Load("table", force=(0.0, -2.0))]
+    (point,) = tj.path(table, loads=press, load_factors=(0.0, 1.3)).critical_points
+    assert point.kind == "branch" and int(point.multiplicity) == 2
+    np.testing.assert_allclose(point.load_factor, 1.0, rtol=1e-6)
+
+
+class TestLimitPoints:
+    def test_two_equal_trusses_snap_at_a_double_limit_point(self):
+        trusses, loads = two_trusses()
+        points = tj.path(trusses, loads=loads).critical_points
+        assert [point.kind for point in points] == ["limit", "limit"]
+        np.testing.assert_array_equal(points.multiplicities, [2, 2])
+        force = von_mises_limit_force() / 20
+        assert_close(points.load_factors, np.array([force, -force]), digits=9)
+
+    @pytest.mark.parametrize("largest_step", [0.1, 0.3])
+    def test_limit_points_that_are_closer_than_a_step(self, largest_step):
+        """A spring below the apex makes the truss almost monostable."""
+        stiffness, size = 87.0, 60.0
+        foot, apex = np.array([0.0, -1e3]), np.array([0.0, 0.3])
+        spring = bar("spring", "wall", "apex", foot, apex, stiffness)
+        supported = truss_of([*bars_of_a_truss(), spring])
+        push = [tj.Load("apex", force=(0.0, -size))]
+        found = tj.path(supported, loads=push, largest_step=largest_step)
+
+        def force(height):
+            return von_mises_force(height) + stiffness * (0.3 - height)
+
+        heights = [
+            scipy.optimize.brentq(jax.grad(force), *ends, xtol=1e-13)
+            for ends in ((0.0, 0.3), (-0.3, 0.0))
+        ]
+        exact = np.array([force(height) / size for height in heights])
+        assert 0 < exact[0] - exact[1] < 1e-3
+        assert_close(found.critical_points.load_factors, exact, digits=9)
+        assert int(np.sum(~np.asarray(found.stable))) > 0
 
 
 def test_follower_load_on_a_single_link_has_no_limit_point():

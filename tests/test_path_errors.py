@@ -92,7 +92,40 @@ def test_too_few_points():
 
 
 def test_a_hinge_leaves_its_validity_range():
-    with pytest.raises(RuntimeError, match="outside the validity range"):
+    with pytest.raises(RuntimeError, match=r"The hinge 'spring': its rotation is 0\.5"):
         turn_a_block()
     found = turn_a_block(throw=False)
     assert 0.3 < float(found.displacement("block")[-1, 0]) <= 0.5
+
+
+@pytest.mark.parametrize("limit", [-1.0, 0.3])
+def test_a_condition_that_is_not_a_number(limit):
+    """At the first point, or behind a point of the path."""
+
+    def until(point):
+        angle = point.displacement("block")[0]
+        return jnp.where(angle > limit, jnp.nan, angle - 0.45)
+
+    with pytest.raises(RuntimeError, match="`until` returned NaN"):
+        turn_a_block(until=until)
+    found = turn_a_block(until=until, throw=False)
+    assert str(tj.result_names(found.result)) == "until_not_a_number"
+
+
+class JumpingStiffness(tj.energies.AbstractEnergy):
+    """The transverse stiffness changes its sign at an angle of 0.3 rad."""
+
+    def stored_energy(self, displacement):
+        angle, x, y = displacement.angle, displacement.x1, displacement.x2
+        return (angle**2 + x**2 + jnp.sign(0.3 - angle) * y**2) / 2
+
+
+def test_a_change_of_stability_without_a_critical_point_ends_a_path():
+    hinge = tj.Hinge("spring", "wall", "block", JumpingStiffness(), at=(0.0, 0.0, 0.0))
+    block = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])
+    turn = [tj.Load("block", moment=1.0)]
+    with pytest.raises(RuntimeError, match="explains this change"):
+        tj.path(block, loads=turn)
+    found = tj.path(block, loads=turn, throw=False)
+    assert str(tj.result_names(found.result)) == "critical_point_not_found"
+    assert found.stable.all() and 0.2 < float(found.load_factors[-1]) < 0.3

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 
 import twistorjax as tj
 from twistorjax.geometry import se2
@@ -238,3 +239,72 @@ def test_equilibria_of_a_thousand_designs_are_connected_to_the_reference(
     wrong, missed, _ = count_errors(count, count, coordinates, frame, 63)
     assert wrong == 0
     assert missed <= 1
+
+
+class TestStiffBarOnSoftSprings:
+    """A stiff, flat bar between two soft springs, moved through a third one; N, m."""
+
+    STIFFNESS, SPAN, RISE, SIDE, BACK, PULL = 2e4, 3000.0, 28.0, 1.4, 0.27, 1.05
+
+    def mechanism(self):
+        length = float(np.hypot(self.SPAN, self.RISE))
+        bodies = [
+            tj.Body("ground"),
+            tj.Body("node"),
+            tj.Body("apex", (0.0, self.SPAN, self.RISE)),
+            tj.Body("load", (0.0, -100.0, 0.0)),
+        ]
+
+        def spring(x, y):
+            return tj.Quadratic(np.diag([0.0, x, y]))
+
+        bar = tj.energies.AxialSpring(self.STIFFNESS, length=length)
+        slope, apex = np.arctan2(self.RISE, self.SPAN), (self.SPAN, self.RISE)
+        hinges = [
+            tj.Hinge("bar", "node", "apex", bar, (slope, self.SPAN / 2, self.RISE / 2)),
+            tj.Hinge("side", "ground", "apex", spring(0.0, self.SIDE), (0.0, *apex)),
+            tj.Hinge("back", "ground", "node", spring(self.BACK, 0.0), (0.0, 0.0, 0.0)),
+            tj.Hinge("pull", "load", "node", spring(self.PULL, 0.0), (0.0, 0.0, 0.0)),
+        ]
+        fixed = {
+            "ground": ["angle", "x", "y"],
+            "node": ["angle", "y"],
+            "apex": ["angle", "x"],
+            "load": ["angle", "y"],
+        }
+        return tj.Mechanism(bodies, hinges, fixed=fixed)
+
+    def node_and_load(self, down):
+        """Displacements of the node and the load if the apex moves down."""
+        height, length = self.RISE - down, np.hypot(self.SPAN, self.RISE)
+        stretched = scipy.optimize.brentq(
+            lambda size: (
+                self.STIFFNESS * (length / size - 1) * height - self.SIDE * down
+            ),
+            0.9 * length, length, xtol=1e-12,
+        )  # fmt: skip
+        along = np.sqrt(stretched**2 - height**2)
+        force = self.STIFFNESS * (length - stretched) * along / stretched
+        node = self.SPAN - along
+        return node, node + (force + self.BACK * node) / self.PULL
+
+    def test_an_equilibrium_just_before_the_fold_and_none_behind_it(self):
+        fold = scipy.optimize.minimize_scalar(
+            lambda down: -self.node_and_load(down)[1], bounds=(1.0, 25.0),
+            method="bounded", options={"xatol": 1e-9},
+        )  # fmt: skip
+        largest = -fold.fun
+        target = 0.995 * largest
+        down = scipy.optimize.brentq(
+            lambda down: self.node_and_load(down)[1] - target, 0.1, fold.x, xtol=1e-12
+        )
+        stiff = self.mechanism()
+        found = tj.equilibrium(stiff, drives=[tj.Drive("load", x=target)])
+        np.testing.assert_allclose(found.displacement("apex")[2], -down, rtol=1e-7)
+        assert int(found.steps) < 100
+        message = rf"limit point at the fraction {1 / 1.05:.6g}"
+        for steps in (60, 400):  # too few steps, and enough
+            with pytest.raises(RuntimeError, match=message) as error:
+                drive = tj.Drive("load", x=1.05 * largest)
+                tj.equilibrium(stiff, drives=[drive], max_steps=steps)
+            assert str(error.value).startswith("No equilibrium at the full loads")

@@ -344,3 +344,24 @@ def test_errors_of_assembly_load_an_over_constrained_guide():
     # The outer leaves tilt the table by (e3 - e1) / (2 spacing).
     tilt = float(result.table["tilt"].std())
     np.testing.assert_allclose(tilt, deviation / (np.sqrt(2) * 0.04), rtol=0.02)
+
+
+@pytest.mark.parametrize("count", [2, 3, 15, 64])
+def test_standard_error_of_a_standard_deviation_from_few_designs(count):
+    """For normal variables it is the standard deviation over `sqrt(2 (count - 1))`."""
+    design = {"x": tj.sweeps.Normal(1.0, 2.0)}
+    result = tj.sweeps.tolerances(
+        lambda d: {"o": d["x"]}, design, "o", count=count, method="random"
+    )
+    expected = result.standard_deviation / np.sqrt(2 * (count - 1))
+    error = result.standard_deviation_standard_error
+    np.testing.assert_allclose(error, expected, rtol=1e-12 if count < 16 else 0.3)
+
+
+@pytest.mark.untyped
+def test_tolerances_of_a_complex_output_raise_an_error():
+    design = {"x": tj.sweeps.Normal(1.0, 1.0)}
+    with pytest.raises(ValueError, match="'o' is complex, but must be real"):
+        tj.sweeps.tolerances(
+            lambda d: {"o": jax.lax.complex(0.0, d["x"])}, design, "o", count=4
+        )

@@ -249,7 +249,7 @@ def bistability(
     arguments = system, first, jnp.asarray(limits), step
     numbers = None, max_points, _MAX_CRITICAL
     if is_traced(arguments):
-        return _solve(*arguments, *numbers, by_drives)
+        return _solve(system, first, by_drives, *arguments[2:], *numbers)
     run = run_path(*arguments, *numbers)
     if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
         run = refine_path(system, run)
@@ -268,11 +268,10 @@ def bistability(
 
 
 def _solve_uncompiled(
-    system: PathSystem, first: FirstPoint, *arguments: Any
+    system: PathSystem, first: FirstPoint, by_drives: bool, *arguments: Any
 ) -> Bistability:
     """Compute the result of `bistability`, inside another program."""
-    *others, by_drives = arguments
-    run = refine_uncompiled(system, run_uncompiled(system, first, *others))
+    run = refine_uncompiled(system, run_uncompiled(system, first, *arguments))
     return _evaluate_uncompiled(system, run, first.direction, by_drives)
 
 

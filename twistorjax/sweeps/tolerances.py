@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # number of independent samples, whose differences give the standard errors
 _REPLICATES = 8
+_FEWEST_FOR_FOURTH_MOMENT = 16  # designs of a single sample
 
 
 class VarianceShare(NamedTuple):
@@ -166,7 +167,9 @@ def tolerances(
         method: Sampling method; see `sample_designs`. With "sobol" or "latin_hypercube"
             and at least 128 designs, the standard errors come from the differences of
             eight independent samples. Fewer designs are one sample, whose standard
-            errors are those of independent designs, which are too large.
+            errors are those of independent designs, which are too large. With fewer than
+            16, the standard error of the standard deviation is that of a normal
+            distribution.
         seed: Seed of the random number generator.
         correlation: Correlation matrix of all random variables; see `sample_designs`.
         sweep_options: Further arguments of `sweep`, such as `units`, `store` or
@@ -239,6 +242,11 @@ def tolerances(
         raise ValueError(
             f"{output!r} has shape {everything[output].shape[1:]} for each design, but "
             "must be a scalar."
+        )
+    if np.iscomplexobj(everything[output]):
+        raise ValueError(
+            f"{output!r} is complex, but must be real. Return its magnitude, "
+            "`jnp.abs(...)`, or its real part."
         )
     nominal, table = everything.isel(design=0), everything.isel(design=slice(1, None))
     if not bool(nominal["succeeded"]):
@@ -328,15 +336,22 @@ def _standard_errors(replicates: list[np.ndarray]) -> tuple[float, float]:
     """Compute the standard errors of the mean and of the standard deviation.
 
     Each replicate holds the outputs of one independent sample. The designs of a single
-    sample are taken as independent.
+    sample are taken as independent. A few of them do not show the fourth moment of their
+    distribution, which is then that of a normal distribution.
+
+    Source:
+        Kenney and Keeping, Mathematics of Statistics, part 2, 1951, section 7.7, for the
+        variance of a sampled variance.
     """
-    if len(replicates) == 1:
-        (values,) = replicates
-        deviation = values.std(ddof=1)
-        fourth_moment = np.mean((values - values.mean()) ** 4)
-        error = np.sqrt(max(fourth_moment - deviation**4, 0.0) / len(values))
-        error = error / (2 * deviation or 1.0)
-        return float(deviation / np.sqrt(len(values))), float(error)
     statistics = np.array([(v.mean(), v.std(ddof=1)) for v in replicates if len(v) > 1])
-    mean, deviation = statistics.std(axis=0, ddof=1) / np.sqrt(len(statistics))
-    return float(mean), float(deviation)
+    if len(statistics) > 1:
+        mean, deviation = statistics.std(axis=0, ddof=1) / np.sqrt(len(statistics))
+        return float(mean), float(deviation)
+    values = np.concatenate(replicates)
+    count, deviation = len(values), values.std(ddof=1)
+    fourth_moment = 3 * deviation**4
+    if count >= _FEWEST_FOR_FOURTH_MOMENT:
+        fourth_moment = np.mean((values - values.mean()) ** 4)
+    variance = fourth_moment / count - (count - 3) / (count - 1) * deviation**4 / count
+    error = np.sqrt(max(variance, 0.0)) / (2 * deviation or 1.0)
+    return float(deviation / np.sqrt(count)), float(error)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...solve.results import RESULT_NAMES
 from .deviations import neighbors, with_deviation_jacobian
@@ -32,6 +32,9 @@ _FACTORS = (100.0, 10.0, 1.0)
 # changes that are left. The search is continued with short first steps, until it does not
 # move any more. A search that ends before an optimum is continued once.
 _SMALL_GRADIENT, _CONTINUED_FACTORS, _SMALL_MOVE = 1e-2, (0.1,), 1e-5
+# Gradients with a smaller sine of the angle between them are linearly dependent. The
+# distance from a start with dependent gradients, in typical changes of the variables
+_DEPENDENT, _BESIDE = 1e-8, 0.03
 # Largest gradient at the end of a search that does not move any more
 _TOLERATED_RESIDUAL = 1e-3
 
@@ -134,21 +137,22 @@ def _improve(
     problem, point = evaluator.problem, start
     first = evaluator(start)
     lower, upper = problem.bounds
-    constraints = [
-        {
-            "type": kind,
-            "fun": lambda x, rows=rows: evaluator.margins(x)[rows],
-            "jac": lambda x, rows=rows: evaluator.margin_gradients(x)[rows],
-        }
-        for kind, rows in (
-            ("eq", problem.margins.is_equality),
-            ("ineq", ~problem.margins.is_equality),
-        )
-        if np.any(rows)
-    ]
     steps = 0
     for factor in factors:
         try:
+            point, equalities = _independent_equalities(evaluator, point)
+            constraints = [
+                {
+                    "type": kind,
+                    "fun": lambda x, rows=rows: evaluator.margins(x)[rows],
+                    "jac": lambda x, rows=rows: evaluator.margin_gradients(x)[rows],
+                }
+                for kind, rows in (
+                    ("eq", equalities),
+                    ("ineq", np.flatnonzero(~problem.margins.is_equality)),
+                )
+                if rows.size
+            ]
             solution = minimize(
                 lambda x, factor=factor: factor * evaluator.objective(x),
                 point,
@@ -173,6 +177,40 @@ def _improve(
         if not end.succeeded or problem.violation(end) > problem.violation(first):
             point = start
     return point, steps
+
+
+def _independent_equalities(
+    evaluator: "_Evaluator", point: Float[np.ndarray, " variables"]
+) -> tuple[Float[np.ndarray, " variables"], Int[np.ndarray, " equalities"]]:
+    """Select prescribed outputs whose gradients are linearly independent.
+
+    SLSQP cannot solve for its step if they are dependent. The others follow from the
+    selected ones, or contradict them, which the violation at the end shows. If gradients
+    are dependent at the start only, the search begins beside it.
+
+    Returns:
+        The normalized variables at which the search begins, and the rows of the margins.
+    """
+    from scipy.linalg import qr
+
+    rows = np.flatnonzero(evaluator.problem.margins.is_equality)
+
+    def independent(point: np.ndarray) -> np.ndarray:
+        gradients = evaluator.margin_gradients(point)[rows]
+        norms = np.linalg.norm(gradients, axis=1)
+        scaled = gradients / np.where(norms > 0, norms, 1.0)[:, None]
+        triangle, order = qr(scaled.T, mode="r", pivoting=True)
+        rank = np.sum(np.abs(np.diagonal(triangle)) > _DEPENDENT)
+        return rows[np.sort(order[:rank])]
+
+    if not rows.size or (found := independent(point)).size == rows.size:
+        return point, rows
+    rng = np.random.default_rng(0)
+    beside = point + _BESIDE * rng.uniform(-1.0, 1.0, point.size)
+    beside = np.clip(beside, *evaluator.problem.bounds)
+    if evaluator(beside).succeeded and (others := independent(beside)).size > found.size:
+        return beside, others
+    return point, found
 
 
 def _is_optimum(

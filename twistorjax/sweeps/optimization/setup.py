@@ -113,6 +113,13 @@ class Setup(NamedTuple):
                 f"`units` names {unknown[0]!r}, which is not an output of the study."
             )
         outputs = OutputVector.of(program.output, names, space)
+        for name in names:
+            if np.issubdtype(outputs.columns[name].values.dtype, np.complexfloating):
+                raise ValueError(
+                    f"The output {name!r} is complex, but an objective and a limited "
+                    "output must be real. Return its magnitude, `jnp.abs(...)`, or its "
+                    "real part."
+                )
         shape = outputs.columns[objective].values.shape[1:]
         if shape:
             raise ValueError(

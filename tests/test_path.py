@@ -10,6 +10,7 @@ import pytest
 import scipy.optimize
 from helpers import assert_close, value_and_slopes
 from path_helpers import (
+    bar,
     BAR_STIFFNESS,
     bars_of_a_truss,
     column,

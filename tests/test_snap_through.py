@@ -274,14 +274,14 @@ class TestStiffBarOnSoftSprings:
         }
         return tj.Mechanism(bodies, hinges, fixed=fixed)
 
-    def node_and_load(self, down):
-        """Displacements of the node and the load if the apex moves down."""
-        height, length = self.RISE - down, np.hypot(self.SPAN, self.RISE)
+    def node_and_load(self, up):
+        """Displacements of the node and the load if the apex moves up."""
+        height, length = self.RISE + up, np.hypot(self.SPAN, self.RISE)
         stretched = scipy.optimize.brentq(
             lambda size: (
-                self.STIFFNESS * (length / size - 1) * height - self.SIDE * down
+                self.STIFFNESS * (length / size - 1) * height - self.SIDE * up
             ),
-            0.9 * length, length, xtol=1e-12,
+            0.5 * length, length, xtol=1e-12,
         )  # fmt: skip
         along = np.sqrt(stretched**2 - height**2)
         force = self.STIFFNESS * (length - stretched) * along / stretched
@@ -290,19 +290,19 @@ class TestStiffBarOnSoftSprings:
 
     def test_an_equilibrium_just_before_the_fold_and_none_behind_it(self):
         fold = scipy.optimize.minimize_scalar(
-            lambda down: -self.node_and_load(down)[1], bounds=(1.0, 25.0),
+            lambda up: -self.node_and_load(up)[1], bounds=(100.0, 2500.0),
             method="bounded", options={"xatol": 1e-9},
         )  # fmt: skip
         largest = -fold.fun
         target = 0.995 * largest
-        down = scipy.optimize.brentq(
-            lambda down: self.node_and_load(down)[1] - target, 0.1, fold.x, xtol=1e-12
+        up = scipy.optimize.brentq(
+            lambda up: self.node_and_load(up)[1] - target, 100.0, fold.x, xtol=1e-12
         )
         stiff = self.mechanism()
         found = tj.equilibrium(stiff, drives=[tj.Drive("load", x=target)])
-        np.testing.assert_allclose(found.displacement("apex")[2], -down, rtol=1e-7)
+        np.testing.assert_allclose(found.displacement("apex")[2], up, rtol=1e-7)
         assert int(found.steps) < 100
-        message = rf"limit point at the fraction {1 / 1.05:.6g}"
+        message = r"limit point at the fraction 0\.95238"  # 1 / 1.05
         for steps in (60, 400):  # too few steps, and enough
             with pytest.raises(RuntimeError, match=message) as error:
                 drive = tj.Drive("load", x=1.05 * largest)

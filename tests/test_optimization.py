@@ -344,6 +344,12 @@ def test_redundant_prescribed_outputs(others):
     assert_close(best.parameters["y"], 1 / 3, digits=6)
 
 
+def test_limit_that_follows_from_a_prescribed_output():
+    limits = {"sum": tj.Limit(1.0, 1.0), "double": tj.Limit(lower=2.0)}
+    best = tj.optimize(circle_and_lines, POINT, minimize="f", limits=limits)
+    assert_close(best.parameters["x"], 2 / 3, digits=6)
+
+
 def test_contradictory_prescribed_outputs_have_no_feasible_design():
     limits = {"sum": tj.Limit(1.0, 1.0), "double": tj.Limit(3.0, 3.0)}
     found = tj.optimize(circle_and_lines, POINT, minimize="f", limits=limits, throw=False)

@@ -295,7 +295,7 @@ def _variables_at(
 
 @partial(jax.jit, static_argnums=2)
 def _variables_and_derivatives(
-    poses: Float[AnyArray, "trials 3"], scale: Scalar, coordinates: Coordinates
+    poses: Float[Array, "trials 3"], scale: Scalar, coordinates: Coordinates
 ) -> tuple[Array, Array, Array]:
     """Differentiate the variables of a polynomial by the pose; see `_variables_at`."""
 

@@ -140,17 +140,14 @@ def _improve(
     steps = 0
     for factor in factors:
         try:
-            point, equalities = _independent_equalities(evaluator, point)
+            point, rows = _independent_limits(evaluator, point)
             constraints = [
                 {
                     "type": kind,
                     "fun": lambda x, rows=rows: evaluator.margins(x)[rows],
                     "jac": lambda x, rows=rows: evaluator.margin_gradients(x)[rows],
                 }
-                for kind, rows in (
-                    ("eq", equalities),
-                    ("ineq", np.flatnonzero(~problem.margins.is_equality)),
-                )
+                for kind, rows in zip(("eq", "ineq"), rows, strict=True)
                 if rows.size
             ]
             solution = minimize(
@@ -179,38 +176,48 @@ def _improve(
     return point, steps
 
 
-def _independent_equalities(
+def _independent_limits(
     evaluator: "_Evaluator", point: Float[np.ndarray, " variables"]
-) -> tuple[Float[np.ndarray, " variables"], Int[np.ndarray, " equalities"]]:
-    """Select prescribed outputs whose gradients are linearly independent.
+) -> tuple[Float[np.ndarray, " variables"], list[Int[np.ndarray, " rows"]]]:
+    """Leave out limits whose gradients depend linearly on those of prescribed outputs.
 
-    SLSQP cannot solve for its step if they are dependent. The others follow from the
-    selected ones, or contradict them, which the violation at the end shows. If gradients
+    SLSQP cannot solve for its step with them. They follow from the prescribed outputs
+    that are kept, or contradict them, which the violation at the end shows. If gradients
     are dependent at the start only, the search begins beside it.
 
     Returns:
-        The normalized variables at which the search begins, and the rows of the margins.
+        The normalized variables at which the search begins, the rows of the margins of
+        prescribed outputs, and those of the other limits.
     """
     from scipy.linalg import qr
 
-    rows = np.flatnonzero(evaluator.problem.margins.is_equality)
+    prescribed = evaluator.problem.margins.is_equality
+    if not np.any(prescribed):
+        return point, [np.flatnonzero(prescribed), np.flatnonzero(~prescribed)]
 
-    def independent(point: np.ndarray) -> np.ndarray:
-        gradients = evaluator.margin_gradients(point)[rows]
+    def independent(point: np.ndarray) -> list[np.ndarray]:
+        gradients = evaluator.margin_gradients(point)
         norms = np.linalg.norm(gradients, axis=1)
         scaled = gradients / np.where(norms > 0, norms, 1.0)[:, None]
-        triangle, order = qr(scaled.T, mode="r", pivoting=True)
-        rank = np.sum(np.abs(np.diagonal(triangle)) > _DEPENDENT)
-        return rows[np.sort(order[:rank])]
+        q, r, order = qr(scaled[prescribed].T, mode="economic", pivoting=True)
+        rank = np.sum(np.abs(np.diagonal(r)) > _DEPENDENT)
+        equalities = np.flatnonzero(prescribed)[np.sort(order[:rank])]
+        basis = q[:, :rank]
+        remainders = np.linalg.norm(scaled - scaled @ basis @ basis.T, axis=1)
+        is_dependent = (norms > 0) & (remainders < _DEPENDENT) & (rank < point.size)
+        return [equalities, np.flatnonzero(~prescribed & ~is_dependent)]
 
-    if not rows.size or (found := independent(point)).size == rows.size:
+    rows = independent(point)
+    if sum(map(len, rows)) == prescribed.size:
         return point, rows
     rng = np.random.default_rng(0)
     beside = point + _BESIDE * rng.uniform(-1.0, 1.0, point.size)
     beside = np.clip(beside, *evaluator.problem.bounds)
-    if evaluator(beside).succeeded and (others := independent(beside)).size > found.size:
-        return beside, others
-    return point, found
+    if evaluator(beside).succeeded:
+        others = independent(beside)
+        if sum(map(len, others)) > sum(map(len, rows)):
+            return beside, others
+    return point, rows
 
 
 def _is_optimum(

@@ -268,6 +268,7 @@ class TestFrameOfLee:
         np.testing.assert_allclose(turns, exact, rtol=1e-5)
 
 
+@pytest.mark.filterwarnings("ignore:`length` is 187")  # as published
 @pytest.mark.release
 def test_the_critical_load_of_a_deep_arch():
     """The published value is 897."""

@@ -239,7 +239,7 @@ def test_an_exact_beam_is_a_hinge_of_a_mechanism():
         solution = tj.equilibrium(mechanism, loads=[load])
         tip = under_tip_force(thin, np.array([0.0, force * 4e-3])).centerline[-1]
         np.testing.assert_allclose(solution.pose("tip"), tip, rtol=1e-7)
-        assert int(solution.steps) < 80
+        assert int(solution.steps) < 60
 
 
 @pytest.mark.untyped

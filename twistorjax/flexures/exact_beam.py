@@ -124,37 +124,44 @@ def _corrected_stress(
 ) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
     """Take one Newton step for the wrench at given coordinates (rad, m, m).
 
+    The relation between wrench and coordinates is linearized at a deformed state whose
+    wrench is close to the predicted one. There its derivative is symmetric, which keeps
+    the much smaller stiffness in bending accurate.
+
     Returns:
         The wrench in the mid-frame (N m, N, N), and the stiffness of the beam.
     """
     forces, lengths = load_units(beam), _pose_units(beam)
-    stress, target = stress / forces, coordinates / lengths
+    target = coordinates / lengths
     ends = reference_ends(beam)
 
-    def load_of(stress: Array, target: Array) -> Array:
-        """Move the wrench from the mid-frame to frame a."""
-        force = se2.rotate(target[0] / 2, stress[1:])
-        arm = se2.rotate(target[0] / 2, target[1:]) / 2
-        return jnp.concatenate([(stress[0] + se2.cross(arm, force))[None], force])
+    def state(load: Array) -> Array:
+        return _in_mid_frame(load, _reached(beam, ends, load))
 
-    load = load_of(stress, target)
-    pose, compliance = value_and_jacfwd(partial(_reached, beam, ends), load)
-
-    def reached(stress: Array, target: Array) -> Array:
-        """Compute the coordinates that the wrench produces, to first order."""
-        moved = pose + compliance @ (load_of(stress, target) - load)
-        translation = se2.rotate(-moved[0] / 2, moved[1:])
-        return jnp.concatenate([moved[:1], translation])
-
-    by_stress, by_target = jax.jacfwd(reached, (0, 1))(stress, target)
-    residual = reached(stress, target) - target
+    values, rates = value_and_jacfwd(state, _load_of(stress / forces, target))
+    wrench, position = jnp.split(values, 2)
+    wrench_rates, position_rates = jnp.split(rates, 2)
+    stiffness = jnp.linalg.solve(position_rates.T, wrench_rates.T)
+    stiffness = (stiffness + stiffness.T) / 2
+    corrected = wrench + stiffness @ (target - position)
     # In the reference configuration, rounding errors would load the mechanism.
     undeformed = jnp.all(stress == 0) & jnp.all(target == 0)
-    residual = jnp.where(undeformed, 0.0, residual)
-    rights = jnp.concatenate([residual[:, None], by_target - jnp.eye(3)], axis=1)
-    solved = -jnp.linalg.solve(by_stress, rights)
-    stiffness = forces[:, None] * (solved[:, 1:] + solved[:, 1:].T) / 2 / lengths[None]
-    return forces * (stress + solved[:, 0]), stiffness
+    corrected = jnp.where(undeformed, 0.0, corrected)
+    return forces * corrected, forces[:, None] * stiffness / lengths[None]
+
+
+def _load_of(stress: Float[Array, "3"], coordinates: Float[Array, "3"]) -> Array:
+    """Move a dimensionless wrench from the mid-frame to frame a."""
+    force = se2.rotate(coordinates[0] / 2, stress[1:])
+    arm = se2.rotate(coordinates[0] / 2, coordinates[1:]) / 2
+    return jnp.concatenate([(stress[0] + se2.cross(arm, force))[None], force])
+
+
+def _in_mid_frame(load: Float[Array, "3"], pose: Float[Array, "3"]) -> Array:
+    """Return the wrench in the mid-frame and its coordinates, all dimensionless."""
+    force, arm = (se2.rotate(-pose[0] / 2, part[1:]) for part in (load, pose))
+    moment = load[0] - se2.cross(arm, force) / 2
+    return jnp.concatenate([moment[None], force, pose[:1], arm])
 
 
 def beam_at_pose(beam: Beam, pose: PoseLike, sections: int | None = None) -> BeamSolution:

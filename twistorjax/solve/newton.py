@@ -79,8 +79,8 @@ class _State(NamedTuple):
         energy_scale: Energy change of the first step of this increment; J.
         first_correction: Norm of the first correction of this increment.
         last_correction: Norm of the last correction.
-        imbalance: Residual at the start of this increment without the forces due to the
-            change of misfits, with the opposite sign.
+        imbalance: Residual at the start of this increment, with the misfits there, and
+            with the opposite sign.
         response: Response to this imbalance, to the change of misfits, and to the
             prescribed displacements, by the tangent at the start of the increment.
         nonlinearity: Largest nonlinearity that was observed in this increment, as a
@@ -124,8 +124,8 @@ def solve_in_increments(
     former are unknown, forces of constant direction keep the mechanism at `start`, and
     decrease in proportion as the fraction increases. A violation of constraints at
     `start` decreases in the same way.
-    Prescribed degrees of freedom move in the first Newton step of each increment,
-    together with the first response of the free ones.
+    Prescribed degrees of freedom and misfits change in the first Newton step of each
+    increment, together with the first response of the free degrees of freedom.
 
     Convergence is measured by the energy change of a Newton step, relative to the sum of
     the absolute values of force times displacement of the hinges. The observed
@@ -180,8 +180,8 @@ def solve_in_increments(
         rotation = jnp.max(rotations, initial=0.0)
         acceptable = step.stable & jnp.isfinite(energy) & (rotation <= _LARGEST_ROTATION)
         acceptable &= contracts
-        # The first step of an increment with prescribed displacements used only the
-        # tangent before them.
+        # The first step of an increment with prescribed displacements or misfits used only
+        # the tangent before them.
         tangent_is_current = ~first | step.prescribed_imposed
         # Intermediate increments are solved less accurately than the last one.
         goal_tolerance = jnp.where(step.goal < 1, jnp.sqrt(tolerance), tolerance)
@@ -283,7 +283,8 @@ class _Step(NamedTuple):
         goal: Fraction at the end of the increment.
         stable: Whether the tangent stiffness indicates a stable equilibrium.
         finite: Whether residual and tangent are finite.
-        prescribed_imposed: Whether the prescribed displacements had their values already.
+        prescribed_imposed: Whether the prescribed displacements and misfits had their
+            values already.
     """
 
     displacements: Poses
@@ -305,8 +306,10 @@ def _newton_step(
 ) -> _Step:
     """Take one Newton step toward the end of the increment."""
     goal = state.fraction + state.increment
+    first = state.tries == 0
+    misfits = jnp.where(first, state.fraction, goal)
     forces, tangent, hinges = system.tangent(
-        state.displacements, goal, state.predicted, state.multipliers
+        state.displacements, goal, state.predicted, state.multipliers, misfits
     )
     flat = state.displacements.reshape(-1)
     begin = start.reshape(-1)[system.prescribed]
@@ -314,10 +317,13 @@ def _newton_step(
     prescribed_change = prescribed - flat[system.prescribed]
     residual = system.equations(forces, state.displacements)
     residual = residual - (1 - goal) * initial_residual
-    right = -(residual + tangent.prescribed_forces(prescribed_change))
     # The forces due to misfits and prescribed displacements follow from the tangent.
-    misfit_forces = system.misfit_forces(state.displacements, goal, state.increment)
-    imbalance = jnp.where(state.tries == 0, misfit_forces - residual, state.imbalance)
+    misfit_forces, misfit_stress = system.misfit_response(
+        state.displacements, misfits, state.increment
+    )
+    right = -(residual + tangent.prescribed_forces(prescribed_change))
+    right = jnp.where(first, right - misfit_forces, right)
+    imbalance = jnp.where(first, -residual, state.imbalance)
     whole_change = state.increment * (system.targets - begin)
     forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)
     rights = jax.lax.optimization_barrier(jnp.stack([right, forcing]))
@@ -329,10 +335,12 @@ def _newton_step(
     if multipliers is not None:
         multipliers = multipliers - step[len(system.free) :]
     change = displacements - state.displacements
+    predicted = hinges.predicted_stress(change) + jnp.where(first, misfit_stress, 0.0)
+    imposed = jnp.all(prescribed_change == 0)
     return _Step(
         displacements=displacements,
         multipliers=multipliers,
-        predicted=hinges.predicted_stress(change),
+        predicted=predicted,
         change=change,
         energies=jnp.abs(step * right),
         work=hinges.work,
@@ -341,7 +349,7 @@ def _newton_step(
         goal=goal,
         stable=stable,
         finite=hinges.finite() & jnp.all(jnp.isfinite(right)),
-        prescribed_imposed=jnp.all(prescribed_change == 0),
+        prescribed_imposed=imposed & (not system.changes_misfits),
     )
 
 

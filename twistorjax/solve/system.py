@@ -130,21 +130,23 @@ class System(eqx.Module):
         end = jnp.zeros(()) if last is None else last
         return replace(self.hinges, misfits=begin + fraction * (end - begin))
 
-    def misfit_forces(
+    def misfit_response(
         self, displacements: Poses, fraction: Scalar, increment: Scalar
-    ) -> Float[Array, " unknowns"]:
-        """Compute the forces due to an increment of the misfits, to first order; N m, N.
+    ) -> tuple[Float[Array, " unknowns"], Float[Array, "3 hinges"]]:
+        """Compute the change of forces and stress with an increment of the misfits.
 
-        They are zero if the misfits are constant, and in the rows of constraints.
+        Both are of first order, in N m and N. They are zero if the misfits are constant,
+        and the forces are zero in the rows of constraints.
         """
         if not self.changes_misfits:
-            return jnp.zeros(len(self.free) + self.constraints.size)
+            unknowns = len(self.free) + self.constraints.size
+            return jnp.zeros(unknowns), jnp.zeros((3, len(self.hinges.ends)))
 
-        def equations(fraction: Scalar) -> Float[Array, " unknowns"]:
-            forces = self.hinges_at(fraction).forces(displacements)
-            return self.equations(forces.reshape(-1), displacements)
+        def forces_and_stress(fraction: Scalar) -> tuple[Array, Array]:
+            forces, stress = self.hinges_at(fraction).forces_and_stress(displacements)
+            return self.equations(forces.reshape(-1), displacements), stress
 
-        return jax.jvp(equations, (fraction,), (increment,))[1]
+        return jax.jvp(forces_and_stress, (fraction,), (increment,))[1]
 
     def violation(self, displacements: Poses) -> Entries:
         """Compute the violation of the constraints; rad or m."""
@@ -232,6 +234,7 @@ class System(eqx.Module):
         fraction: Scalar | float = 1.0,
         predicted: Float[Array, "3 hinges"] | None = None,
         multipliers: Entries | None = None,
+        misfit_fraction: Scalar | None = None,
     ) -> tuple[Float[Array, " dofs"], Tangent, AssemblyTangent]:
         """Compute the residual under a fraction of the loads, and its derivatives.
 
@@ -241,12 +244,15 @@ class System(eqx.Module):
             predicted: Generalized stress of the hinges that determines their geometric
                 stiffness; by default the stress at these displacements; N m, N, N.
             multipliers: Constraint forces, if there are constraints; N m, N.
+            misfit_fraction: Fraction of the misfits, by default that of the loads.
 
         Returns:
             The residual, the tangent stiffness of the free degrees of freedom, and the
             tangent of the hinges alone.
         """
-        hinges = self.hinges_at(fraction).tangent(displacements, predicted)
+        if misfit_fraction is None:
+            misfit_fraction = jnp.asarray(fraction)
+        hinges = self.hinges_at(misfit_fraction).tangent(displacements, predicted)
         layout = block_layout(self.hinges.ends, self.dofs.free)
         if not self.constraints.size and layout is not None:
             applied, by_angle = (

@@ -242,6 +242,24 @@ def test_an_exact_beam_is_a_hinge_of_a_mechanism():
         assert int(solution.steps) < 60
 
 
+def test_a_guide_of_exact_beams_needs_few_steps():
+    """Without the rotation of the table, the force is twice that of one beam."""
+    thin = leaf(thickness=0.1e-3)
+    bodies = [tj.Body("base"), tj.Body("table", pose=(0.0, 10e-3, 0.0))]
+    hinges = [
+        tj.Hinge(name, "base", "table", tj.flexures.ExactBeam(thin), at=(0.0, 5e-3, y))
+        for name, y in (("a", -10e-3), ("b", 10e-3))
+    ]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["base"])
+    stroke = tj.Drive("table", y=1e-3)
+    assert int(tj.equilibrium(mechanism, drives=[stroke]).steps) < 10
+    stroke = tj.Drive("table", angle=0.0, y=1e-3)
+    found = tj.equilibrium(mechanism, drives=[stroke])
+    assert int(found.steps) < 10
+    one = tj.flexures.beam_at_pose(thin, found.displacement("table"))
+    np.testing.assert_allclose(found.reaction("table")[2], 2 * one.wrench[2], rtol=1e-6)
+
+
 @pytest.mark.untyped
 @pytest.mark.parametrize(
     ("make", "message"),

@@ -133,6 +133,13 @@ def test_a_clamped_leaf_is_out_of_range_above_its_buckling_load():
     tj.equilibrium(rod, loads=[tj.Load("b", force=(-0.99 * 4 * np.pi**2, 0.0))])
     with pytest.raises(RuntimeError, match=r"hinge 'rod'.*axial forces above -39\.44 N"):
         tj.equilibrium(rod, loads=[tj.Load("b", force=(-1.01 * 4 * np.pi**2, 0.0))])
+    load = [tj.Load("b", force=(-1.0, 0.0))]
+    with pytest.warns(UserWarning, match=r"up to the load factor 39\.4.* hinge 'rod'"):
+        buckled = tj.buckling(rod, loads=load)
+    assert np.all(np.isinf(buckled.load_factors))
+    assert "no mode buckles within the validity ranges" in repr(buckled)
+    with pytest.raises(ValueError, match="All bodies are fixed or driven"):
+        tj.buckling(rod, drives=[tj.Drive("b", x=-1e-3)])
 
 
 @pytest.mark.parametrize(

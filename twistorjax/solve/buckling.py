@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
-from .._utils.host import as_float
+from .._utils.host import as_float, concrete
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, Count, Flag, NumberLike, Poses, Scalar
-from .._utils.validation import require_float64
+from .._utils.validation import require_float64, warn
 from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -53,6 +53,9 @@ _CONVERGED = 1e-7  # largest last change that is accepted
 _ITERATIONS = 30
 _SAME_FACTOR = 1e-8  # difference of load factors that are equal, as a fraction of them
 
+_EXPONENTS = -15.0, 15.0  # of ten, of load factors that may be out of a validity range
+_TRIED_FACTORS = 301
+
 
 class Buckling(Tabular):
     """Buckling loads and modes.
@@ -60,7 +63,8 @@ class Buckling(Tabular):
     Args:
         load_factors: Factors of the loads at which the mechanism buckles, in the order of
             their magnitudes. The last ones are infinite if fewer modes buckle within the
-            validity ranges of the energies. A negative factor is one for loads in the
+            validity ranges of the energies, and a warning names the hinge that limits
+            this if all are. A negative factor is one for loads in the
             opposite direction.
         shapes: Displacements of the bodies in each mode: rotations (rad) and translations
             (m). The rotations, and the translations over the characteristic length of the
@@ -97,6 +101,8 @@ class Buckling(Tabular):
             return eqx.tree_pformat(self)
         if names.shape:
             return count_results("buckling analyses", names)
+        if not np.any(np.isfinite(self.load_factors)) and names == "successful":
+            return f"{names}: no mode buckles within the validity ranges of the energies"
         lines = [f"{names}: {self.load_factors.size} modes", "load factor  largest part"]
         for factor, shape in zip(self.load_factors, self.shapes, strict=True):
             size = np.abs(np.asarray(shape))
@@ -178,6 +184,12 @@ def buckling(
     if modes < 1:
         raise ValueError(f"`modes` is {modes!r}, but must be at least 1.")
     prescribed, targets = prescribed_dofs(mechanism, drives)
+    if not DofPartition.of(mechanism, prescribed).free:
+        raise ValueError(
+            "All bodies are fixed or driven, so none can buckle. Drive fewer "
+            "displacements, or divide a flexure by `flexures.chain`, so that it can "
+            "buckle between its ends."
+        )
     state = state_in_range(mechanism, "about", about)
     system = PathSystem(
         mechanism=mechanism,
@@ -205,7 +217,44 @@ def buckling(
     if not throw:
         return solution
     warn_outside_linear_range(mechanism, solution.range_shares)
+    factors = concrete(solution.load_factors)
+    if factors is not None and np.all(np.isinf(factors)):
+        _warn_of_range(system)
     return succeeded_or_raise(solution, error)
+
+
+def _warn_of_range(system: PathSystem) -> None:
+    """Warn that no mode buckles before a hinge leaves its validity range."""
+    point = concrete(_range_limit(system))
+    if point is not None and np.isfinite(point[-1]):
+        warn(
+            f"No mode of the bodies buckles up to the load factor {point[-1]:.4g}, at "
+            "which a hinge leaves the validity range of its energy: "
+            f"{system.range_messages(jnp.asarray(point))} Buckling of a flexure between "
+            "its ends is no mode of the bodies."
+        )
+
+
+@fast_compile
+def _range_limit(system: PathSystem) -> Float[Array, " n"]:
+    """Find the first linearized displacements outside a validity range.
+
+    The load factor of the returned point is infinite if there are none.
+    """
+    point = first_point(system, system.start, jnp.zeros(()))
+    tangent = system.tangent(point)
+    rate = jnp.append(-jnp.linalg.solve(tangent.jacobian, tangent.by_factor), 1.0)
+    exponents, factor = jnp.linspace(*_EXPONENTS, _TRIED_FACTORS), jnp.zeros(())
+    for _ in range(3):
+        factors = jnp.stack([10.0**exponents, -(10.0**exponents)])
+        outside = jax.vmap(lambda factor: system.out_of_range(point + factor * rate))
+        found = outside(factors.reshape(-1)).reshape(2, -1)
+        row = jnp.argmax(jnp.any(found, axis=0))
+        factor = factors[jnp.argmax(found[:, row]), row]
+        factor = jnp.where(jnp.any(found), factor, jnp.inf)
+        start = exponents[jnp.maximum(row - 1, 0)]
+        exponents = jnp.linspace(start, exponents[row], _TRIED_FACTORS)
+    return jnp.where(jnp.isfinite(factor), point + factor * rate, jnp.inf)
 
 
 class _Modes(NamedTuple):

@@ -180,8 +180,8 @@ def solve_in_increments(
         rotation = jnp.max(rotations, initial=0.0)
         acceptable = step.stable & jnp.isfinite(energy) & (rotation <= _LARGEST_ROTATION)
         acceptable &= contracts
-        # The first step of an increment with prescribed displacements or misfits used only
-        # the tangent before them.
+        # The first step of an increment with prescribed displacements or misfits used
+        # only the tangent before them.
         tangent_is_current = ~first | step.prescribed_imposed
         # Intermediate increments are solved less accurately than the last one.
         goal_tolerance = jnp.where(step.goal < 1, jnp.sqrt(tolerance), tolerance)

@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from ..._utils.validation import require_choice, require_float64, warn
 from ..evaluation import term_stiffnesses, term_wrenches
@@ -72,8 +71,8 @@ def fit_energy(
         trials: Measured or computed trials.
         order: Order of the polynomial, by default the order from 2 to 12 with the
             smallest expected error. The search ends after two higher orders with a larger
-            error, or if the number of terms exceeds 0.8 times the number of measured
-            values.
+            error, after one with an error 1.5 times as large, or if the number of terms
+            exceeds 0.8 times the number of measured values.
         coordinates: "twistor" or "twist" for a `Polynomial`, or "mixed" for a
             `MixedEnergy`. A mixed energy is by far the most accurate for flexures, which
             are stiff along axis 1.
@@ -304,23 +303,28 @@ def _best_candidate(
     """Fit energies of several orders and return that with the smallest expected error.
 
     The orders ascend. Those with more than 0.8 coefficients for each measured value are
-    left out. The search ends after two orders with a larger error.
+    left out. The search ends after two orders with a larger error, or one with an error
+    1.5 times as large. The low orders may have no valid energy, so it ends after four of
+    them if none was found.
     """
+    from tqdm import tqdm  # only a fit needs it, and `twistorjax` shall load quickly
+
     values_per_trial = 3 * (trials.wrenches is not None) + (trials.energies is not None)
     best, previous, worse = None, None, 0
     for order in tqdm(orders, unit="order", delay=1.0, leave=False, disable=not progress):
         powers = _powers(order, settings)
         too_many = len(powers) > 0.8 * values_per_trial * len(trials)
-        if previous is not None and (too_many or worse == 2):
+        if previous is not None and (too_many or worse >= (2 if best else 4)):
             break
         if powers == previous:  # a symmetry may exclude all new terms of an odd order
             continue
         previous = powers
         candidate = _candidate(trials, order, powers, settings)
-        if candidate is None or (best is not None and not candidate.score < best.score):
-            worse += 1
-        else:
+        score = np.inf if candidate is None else candidate.score
+        if candidate is not None and (best is None or score < best.score):
             best, worse = candidate, 0
+        else:
+            worse += 2 if best and score > 1.5 * best.score else 1
     if best is not None:
         return best
     texts = [

@@ -129,9 +129,9 @@ def range_of_motion(
 
     The input is multiplied by negative and by positive factors. Displacements may be
     large. The stresses are those of `stresses`, which explains their limits. If the
-    equilibrium becomes unstable before, the range ends there. The linear hinges
-    `flexures.leaf` and `flexures.notch` do not buckle under an axial force; use
-    `flexures.quartic_leaf` or `flexures.surrogate` if a leaf is compressed. The factors
+    equilibrium becomes unstable before, the range ends there. Linear hinges, such as
+    `flexures.linear_leaf` and `flexures.notch`, do not buckle under an axial force; use
+    `flexures.leaf` or `flexures.surrogate` if a flexure is compressed. The factors
     and the displacements have derivatives of first order with respect to the mechanism,
     its input, and the allowable stress.
 

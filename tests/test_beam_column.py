@@ -124,6 +124,34 @@ def test_a_guide_buckles_at_the_load_of_euler():
         tj.equilibrium(guide, loads=[tj.Load("table", force=(0, -1.01 * 2 * np.pi**2))])
 
 
+@pytest.mark.parametrize("slenderness", [1e3, 1e5, 1e7])
+@pytest.mark.parametrize("shear", [False, True])
+def test_the_axial_force_is_that_of_its_axial_displacement(slenderness, shear):
+    """The axial displacement is an explicit function of the force, and not vice versa.
+
+    Rotations are zero, tiny, and large, because the pole at buckling depends on them.
+    """
+    leaf = tj.energies.BeamColumn(
+        1.0, 1.0, slenderness, slenderness / 3 if shear else None
+    )
+    potential, random = leaf.potential, np.random.default_rng(0)
+    radius, phase = random.uniform(0, 1, 3000), random.uniform(0, 2 * np.pi, 3000)
+    size = np.repeat([0.0, 1.0, 1.0], 1000) * 10.0 ** random.uniform(-8, 0, 3000)
+    size[2000:] = 1.0
+    bending = 0.8 * size * radius * np.cos(phase), 0.25 * radius * np.sin(phase)
+    lowest = -0.999 * potential.buckling_ratio
+    force = np.where(
+        random.uniform(size=3000) < 0.5,
+        lowest * random.uniform(0, 1, 3000),
+        np.minimum(lowest + 10.0 ** random.uniform(-4, 3, 3000), 0.05 * slenderness),
+    )
+    (shortening,) = jax.vmap(lambda b, p: potential.derivatives(((0, 0, 1),), b, p))(
+        bending, force
+    )
+    found = jax.vmap(potential.force_ratio)(bending, -shortening)
+    np.testing.assert_allclose(found, force, rtol=1e-9, atol=1e-9)
+
+
 def test_a_clamped_leaf_is_out_of_range_above_its_buckling_load():
     rod = tj.Mechanism(
         [tj.Body("a"), tj.Body("b", (0.0, 1.0, 0.0))],

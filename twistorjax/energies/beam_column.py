@@ -248,7 +248,8 @@ class BeamColumnPotential(AbstractPotential):
         # The derivative of `p axial + W` is convex and decreasing. So Newton's iterations
         # increase monotonically to its zero if they start below, as they do after a step
         # from p = 0. If this step passes the pole of the derivative, a lower bound of the
-        # zero follows from the pole alone. Ten steps reach rounding errors for axial
+        # zero follows from the pole alone, or is the force below which W is continued:
+        # there, the derivative is not convex. Ten steps reach rounding errors for axial
         # displacements up to a tenth of the length, and any slenderness.
         axial = axial / self.bending
         a, b = bending[0] ** 2, bending[1] ** 2
@@ -273,6 +274,7 @@ class BeamColumnPotential(AbstractPotential):
         above = jnp.sqrt(residue / jnp.where(drop > 0, drop, jnp.inf))
         lowest = jnp.where(drop > 0, jnp.minimum(above - buckling, 0.0), 0.0)
         buckled, _ = excess_and_slope(-_NEARLY * buckling)
+        lowest = jnp.maximum(lowest, -_NEARLY * buckling)
         lowest = jnp.where(buckled > 0, lowest, -jnp.inf)
         return jax.lax.fori_loop(0, 11, newton_step, jnp.zeros_like(axial))
 

@@ -260,6 +260,18 @@ def test_a_guide_of_exact_beams_needs_few_steps():
     np.testing.assert_allclose(found.reaction("table")[2], 2 * one.wrench[2], rtol=1e-6)
 
 
+def test_a_displacement_at_which_no_load_of_a_beam_is_found_is_reported():
+    """Also if nothing is free, so that Newton's method has no residual."""
+    beam = tj.flexures.ExactBeam(leaf(thickness=0.1e-3))
+    bodies = [tj.Body("wall"), tj.Body("tip", pose=(0.0, 5e-3, 0.0))]
+    hinge = tj.Hinge("leaf", "wall", "tip", beam, at=(0.0, 0.0, 0.0))
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    stretched = [tj.Drive("tip", angle=0.0, x=0.0, y=3e-3)]
+    solution = tj.equilibrium(mechanism, drives=stretched, throw=False)
+    assert str(tj.result_names(solution.result)) == "not_finite"
+    assert np.all(np.isnan(solution.reactions))
+
+
 @pytest.mark.untyped
 @pytest.mark.parametrize(
     ("make", "message"),

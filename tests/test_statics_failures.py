@@ -67,6 +67,16 @@ def test_single_precision_is_an_error():
             tj.linearize(block_on_spring(np.eye(3)))
 
 
+def test_parts_in_single_precision_are_an_error():
+    """They were created before `tj.configure()`."""
+    with jax.enable_x64(False):
+        spring = tj.Quadratic(np.eye(3))
+    bodies = [tj.Body("wall"), tj.Body("block")]
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="hinge 'spring' has numbers of type float32"):
+        tj.Mechanism(bodies, [hinge], fixed=["wall"])
+
+
 @pytest.mark.untyped
 @pytest.mark.parametrize(
     ("arguments", "message"),

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from types import FrameType, ModuleType
 from typing import Any, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -148,6 +149,19 @@ def require_float64(array: Array) -> None:
             "double precision is disabled in JAX. Enable it before you create any array: "
             "`twistorjax.configure()`."
         )
+
+
+def require_same_precision(name: str, part: Any) -> None:
+    """Require that a part of a model was created in the precision that JAX now has."""
+    precision = jnp.result_type(float)
+    for leaf in jax.tree.leaves(part):
+        kind = getattr(leaf, "dtype", precision)
+        if kind != precision and jnp.issubdtype(kind, jnp.floating):
+            raise ValueError(
+                f"{name} has numbers of type {kind}, but JAX computes with {precision}. "
+                "Call `twistorjax.configure()` first, and create all parts of the "
+                "mechanism afterwards."
+            )
 
 
 def compilation_error(name: str, subject: str, error: Exception) -> ValueError:

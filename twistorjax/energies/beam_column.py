@@ -158,19 +158,21 @@ class BeamColumn(AbstractMixedEnergy):
         lowest = self.reference_force * self._lowest_force_ratio()
         values = all_concrete([rotation, transverse, force, self.length, lowest])
         advice = (
-            "Use `flexures.surrogate` for large rotations, and `flexures.chain` for a "
-            "leaf that buckles between its ends"
+            "Use `flexures.surrogate` of a `flexures.Beam` for large rotations, and "
+            "`flexures.chain` for a leaf that buckles between its ends"
         )
         if values is None:
             return f"it is a leaf outside of its validity range. {advice}"
         rotation, transverse, force, length, lowest = map(float, values)
+        limit = _TRANSVERSE * length
+        bending = (rotation / _ROTATION) ** 2 + (transverse / limit) ** 2
         return (
             f"its rotation is {rotation:.4g} rad, its transverse displacement "
-            f"{transverse:.4g} m, and its axial force {force:.4g} N, but the energy of a "
-            f"leaf is valid for rotations up to {_ROTATION} rad without transverse "
-            f"displacement, transverse displacements up to {_TRANSVERSE * length:.4g} m "
-            f"without rotation, axial forces above {lowest:.4g} N, and elongations up to "
-            f"{_STRAIN * length:.4g} m. {advice}"
+            f"{transverse:.4g} m, and its axial force {force:.4g} N. The energy of a "
+            f"leaf is valid if (rotation / {_ROTATION} rad)^2 + (transverse displacement "
+            f"/ {limit:.4g} m)^2 is at most 1 (it is {bending:.3g}), for axial forces "
+            f"above {lowest:.4g} N, and elongations up to {_STRAIN * length:.4g} m. "
+            f"{advice}"
         )
 
     def _lowest_force_ratio(self) -> Scalar:

@@ -38,10 +38,10 @@ def leaf(
     Its frame is at the middle of the leaf, with axis 1 along the leaf. The energy is
     exact in the axial force, so it includes the change of the transverse stiffness by
     tension and compression, buckling, the shortening of the bent leaf, and its axial
-    compliance. It is of second order in the transverse displacement: moment and
-    transverse force err by up to 5 % at a rotation of 0.5 rad or at a transverse
-    displacement of a fifth of the length, and a solution with larger ones is out of
-    range. Use `surrogate` for larger rotations.
+    compliance. Terms of the fourth order extend it to rotations up to 0.8 rad, or
+    transverse displacements up to a quarter of the length; `BeamColumn` has the errors.
+    A solution with larger ones is out of range: use `surrogate` of a `Beam`. The leaf has
+    no mass; `chain` divides it into segments that have.
 
     Args:
         material: Material of the plate.

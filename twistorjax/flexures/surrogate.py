@@ -113,8 +113,8 @@ def surrogate(
     """
     if not isinstance(flexure, Beam | SubMechanism):
         raise ValueError(
-            f"`flexure` is a {type(flexure).__name__}, but must be a `Beam` or a "
-            "`SubMechanism`."
+            f"`flexure` is a {type(flexure).__name__}, but must be a `flexures.Beam`, "
+            "which has the material and the dimensions, or a `SubMechanism`."
         )
     if not error > 0:
         raise ValueError(f"`error` is {error!r}, but must be positive.")

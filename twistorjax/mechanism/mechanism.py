@@ -22,7 +22,14 @@ from .._utils.types import (
     Scalar,
     Wrenches,
 )
-from .._utils.validation import index_of, PLURAL, require_distinct, require_kind, shorten
+from .._utils.validation import (
+    index_of,
+    PLURAL,
+    require_distinct,
+    require_kind,
+    require_same_precision,
+    shorten,
+)
 from .body import Body
 from .expansion import Expansion
 from .hinge import check_energy, frame_and_misfit, Hinge
@@ -85,6 +92,9 @@ class Mechanism(HingeQueries):
     ):
         require_kind("bodies", bodies, Body)
         require_kind("hinges", hinges, Hinge)
+        for kind, parts in (("body", bodies), ("hinge", hinges)):
+            for part in parts:
+                require_same_precision(f"The {kind} {part.name!r}", part)
         self.names = require_distinct("body", [body.name for body in bodies])
         self.hinge_names = require_distinct("hinge", [hinge.name for hinge in hinges])
         self.reference = _rows([body.pose for body in bodies])

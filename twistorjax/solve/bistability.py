@@ -64,7 +64,8 @@ class Bistability(eqx.Module):
 
     Args:
         is_bistable: Whether the path has a second stable equilibrium. If not, there may
-            be one beyond the full loads.
+            be one beyond the full loads, or on another path that crosses this one at a
+            branch point.
         displacements: Displacements of the bodies in the three states; rad, m, m.
         energies: Energies in the three states: those stored in the hinges, minus the work
             of the constant loads; J.
@@ -151,6 +152,11 @@ class Bistability(eqx.Module):
             for factor, branch in zip(factors, at_branch, strict=True)
         )
         lines = ["bistable" if bistable else "not bistable, but it snaps"]
+        if at_branch[0] and not bistable:
+            lines = [
+                "no second stable state on this symmetric path; after the branch point, "
+                "the mechanism leaves it: add a small constant load that is not symmetric"
+            ]
         lines.append(f"snaps at the load factor {forth}, back at {back}")
         if bistable:
             first, second = (energies[1] - energies[k] for k in (0, 2))

@@ -44,9 +44,10 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
     successful = ""
     not_finite = (
         "A value of the mechanism, its loads, or its prescribed displacements is not "
-        "finite: a NaN was given, or a dimension of a hinge is outside the range of its "
-        "formula. Build the mechanism once without `jax.grad`, `jax.vmap`, and "
-        "`jax.jit`: the message then names the value."
+        "finite: a NaN was given, a dimension of a hinge is outside the range of its "
+        "formula, or its energy is not defined at its displacement. Build the mechanism "
+        "once without `jax.grad`, `jax.vmap`, and `jax.jit`: the message then names the "
+        "value."
     )
     unstable = (
         "A body can move without an increase of the energy, so the equilibrium is not "

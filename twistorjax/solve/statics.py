@@ -215,11 +215,15 @@ def report_equilibrium(
         free, multipliers = jnp.split(root, [len(system.free)])
     prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
     displacements = system.dofs.expand(free, prescribed, start_displacements)
+    reactions, energy = system.reactions_and_energy(displacements, multipliers)
     result = search_result(system, solution)
+    # Newton's method does not evaluate forces at prescribed displacements alone.
+    finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(reactions))
+    undefined = is_success(result) & ~finite
+    result = RESULTS.where(undefined, RESULTS.not_finite, result)
     valid = is_success(result)
     if solution.multipliers is not None:  # no array of size zero; see `System.equations`
         multipliers = jnp.where(valid, multipliers, jnp.nan)
-    reactions, energy = system.reactions_and_energy(displacements, multipliers)
     return Equilibrium(
         displacements=jnp.where(valid, displacements, jnp.nan),
         reference=reference,

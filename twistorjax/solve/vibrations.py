@@ -91,7 +91,8 @@ def vibrations(
 ) -> Vibrations:
     """Compute the natural frequencies and mode shapes about an equilibrium.
 
-    Damping is neglected; `frequency_response` includes it. The result is differentiable.
+    Damping is neglected; `frequency_response` includes it. Hinges have no mass: divide a
+    flexure whose mass matters by `flexures.chain`. The result is differentiable.
     If some frequencies are equal, only symmetric functions of them have first
     derivatives, and only their sum has second derivatives.
 

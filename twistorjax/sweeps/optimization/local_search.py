@@ -230,7 +230,7 @@ def _is_optimum(
     """
     if not evaluation.succeeded or problem.violation(evaluation) > FEASIBILITY_TOLERANCE:
         return False
-    return find_multipliers(problem, evaluation).residual < tolerance
+    return bool(find_multipliers(problem, evaluation).residual < tolerance)
 
 
 def _restored(

@@ -34,6 +34,9 @@ _LARGEST_ANGLE = 0.35  # between the tangents of successive points; rad
 _GOOD_ANGLE = 0.12
 _GROWTH = 2.0
 _REDUCTION = 0.4  # of a step that was rejected
+# A path has returned if it passes its first point at this fraction of its largest
+# displacement, which may be small compared with the metric in a shallow mechanism.
+_SAME_PLACE = 0.05
 _BLOCK = 16  # steps, after which points are stored
 _FIRST_STEP = 0.1  # as a fraction of the largest one
 _FIRST_BRANCH_STEP = 0.3
@@ -129,7 +132,7 @@ class _State(NamedTuple):
         size: Length of the current step.
         tries: Number of corrections in this step.
         last_correction: Length of the last correction.
-        farthest: Largest distance from the first point.
+        farthest: Largest distance from the first point, and its displacements alone.
         number: Number of points that were found.
         steps: Number of evaluations of the tangent stiffness.
         status: Reason of the end, or `RUNNING`.
@@ -143,7 +146,7 @@ class _State(NamedTuple):
     size: Scalar
     tries: Count
     last_correction: Scalar
-    farthest: Scalar
+    farthest: Float[Array, "2"]
     number: Count
     steps: Count
     status: Count
@@ -280,14 +283,20 @@ def follow(
         next_stress = jnp.where(rejected, state.predicted[1], next_stress)
         own_stress = jnp.where(converged, stress, state.predicted[1])
 
-        distance = metric.length((point - start.point) / metric.units)
+        from_start = (point - start.point) / metric.units
+        distance = metric.length(from_start)
+        displaced = metric.length(from_start.at[-1].set(0.0))
         occurred = undefined = jnp.zeros((), bool)
         if event is not None:
             product = event(point) * event(last.point)
             occurred, undefined = product < 0, jnp.isnan(product)
+        # The point of the path that is next to the first one
+        along = jnp.sum(metric.weights * start.tangent * from_start)
+        beside = (from_start - along * start.tangent).at[-1].set(0.0)
         same_direction = jnp.sum(metric.weights * step.tangent * start.tangent) > 0.8
         returned = (distance < state.size) & same_direction
-        returned &= state.farthest > 4 * largest_step
+        returned &= state.farthest[0] > 4 * largest_step
+        returned &= metric.length(beside) < _SAME_PLACE * state.farthest[1]
         status = jnp.select(
             [
                 converged & outside,
@@ -311,7 +320,9 @@ def follow(
             size=size,
             tries=jnp.where(converged | rejected, 0, state.tries + 1),
             last_correction=length,
-            farthest=jnp.maximum(state.farthest, jnp.where(kept, distance, 0.0)),
+            farthest=jnp.maximum(
+                state.farthest, jnp.where(kept, jnp.stack([distance, displaced]), 0.0)
+            ),
             number=count,
             steps=state.steps + 1,
             status=status,
@@ -346,7 +357,7 @@ def follow(
         size=size,
         tries=0 * one,
         last_correction=zero,
-        farthest=zero,
+        farthest=jnp.zeros(2),
         number=one,
         steps=0 * one,
         status=jnp.where(finite, RUNNING, NOT_FINITE),

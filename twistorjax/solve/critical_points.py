@@ -38,13 +38,14 @@ _SAME_POINT = 1e-8  # largest distance of critical points that are one multiple 
 LARGEST_MULTIPLICITY = 6  # null vectors that are computed
 # On the path that branches off, the load factor is stationary at a branch point. Both are
 # located, at least at this distance.
-_SAME_BRANCH_POINT = 1e-3
+_SAME_BRANCH_POINT = 1e-5
 _LIMIT_RATE = 1e-4  # of the load factor at a limit point, as a fraction of those nearby
 _SMALL_EIGENVALUE = 0.05  # at a critical point, as a fraction of those nearby
 # A point is inserted if an eigenvalue is predicted to be smaller between two points, as a
 # fraction of both of its values there.
 _DIP = 0.1
 _SHORTEST_SEGMENT = 1e-4  # in which a point is inserted
+_SEPARATE = 1e-3  # distance of opposite changes of stability, as a fraction of a segment
 
 
 class Criticals(NamedTuple):
@@ -71,6 +72,8 @@ class _Search(NamedTuple):
     Args:
         trace: The path, whose last point is replaced by its end.
         values: Stability values at its points; see `stability_values`.
+        between: Place on each segment that separates opposite changes of stability, as a
+            fraction of its length; zero if there is none.
         criticals: Critical points that were found.
         row: Index of the point that precedes the current segment.
         done: Number of critical points that were found on this segment.
@@ -80,6 +83,7 @@ class _Search(NamedTuple):
 
     trace: Trace
     values: Float[Array, "points values"]
+    between: Float[Array, " segments"]
     criticals: Criticals
     row: Count
     done: Count
@@ -105,10 +109,12 @@ class _Search(NamedTuple):
         return jnp.where(used, jnp.maximum(changes, through.astype(int)), 0)
 
     def dips(self, metric: Metric) -> Float[Array, " segments"]:
-        """Predict where the eigenvalue closest to zero may vanish twice on a segment.
+        """Predict where a point has to be inserted, so that no change of sign is missed.
 
-        Its absolute value is extrapolated by parabolas through three points, of which one
-        is in front of or behind the segment.
+        Two eigenvalues may change their signs in opposite directions, or the one closest
+        to zero may vanish twice: its absolute value is extrapolated by parabolas through
+        three points, of which one is in front of or behind the segment, and by straight
+        lines.
 
         Returns:
             The place on each segment, as a fraction of its length; zero if there is none.
@@ -132,10 +138,19 @@ class _Search(NamedTuple):
         dips = low < _DIP * jnp.minimum(sizes[:-1], sizes[1:])[:, None]
         dips &= bent & (places > 0.02) & (places < 0.98)
         used = (rows + 1 < trace.number) & (lengths > _SHORTEST_SEGMENT)
-        used &= (self.numbers() == 0) & (trace.orientations[:-1] != 0)
+        used &= trace.orientations[:-1] != 0
         used &= trace.number < len(trace.points)
         known = jnp.stack([rows > 0, rows + 2 < trace.number], axis=1)
-        return jnp.max(jnp.where(dips & known & used[:, None], places, 0.0), axis=1)
+        known &= (self.numbers() == 0)[:, None]
+        places = jnp.max(jnp.where(dips & known, places, 0.0), axis=1)
+        # Straight lines through the points before and behind the segment
+        begin = -sizes[:-1] / (slopes[:, 0] * lengths)
+        end = 1 - sizes[1:] / (slopes[:, 2] * lengths)
+        crosses = (slopes[:, 0] < 0) & (slopes[:, 2] > 0) & (begin < end)
+        crosses &= jnp.all(known, axis=1)
+        places = jnp.where(crosses & (places == 0), (begin + end) / 2, places)
+        places = jnp.where(self.between > 0, self.between, places)
+        return jnp.where(used, places, 0.0)
 
 
 def locate_points(
@@ -165,9 +180,14 @@ def locate_points(
     """
     rows = jnp.arange(len(trace.points))
 
-    def evaluate(row: Count, values: Array) -> Array:
+    def evaluate(row: Count, arrays: tuple[Array, Array]) -> tuple[Array, Array]:
+        values, between = arrays
         tangent = system.tangent(trace.points[row])
-        return values.at[row].set(stability_values(system, metric, tangent))
+        values = values.at[row].set(stability_values(system, metric, tangent))
+        previous = jax.lax.dynamic_slice_in_dim(trace.points, row - 1, 2)
+        place = _place_between(system, metric, previous)
+        segment = jnp.where(row > 0, row - 1, len(rows))
+        return values, between.at[segment].set(place, mode="drop")
 
     def improve(search: _Search) -> _Search:
         trace, found = search.trace, search.criticals
@@ -180,7 +200,7 @@ def locate_points(
         done = jnp.where(again[row], search.done, 0)
         finished = search.ended & ~jnp.any(todo)
         finished |= search.ended & (found.number >= largest_count) & (done == 0)
-        place = jnp.where(numbers[row] > 0, 0.0, dips[row])
+        place = dips[row]
         inserts = search.ended & ~finished & (place > 0)
         points, tangents, signs, values = (
             jax.lax.dynamic_slice_in_dim(array, row, 2)
@@ -266,9 +286,20 @@ def locate_points(
                 (search.values, root.more),
             )
         ]
+        # The two parts of a segment with a new point
+        parts = jax.lax.dynamic_slice_in_dim(arrays[0], row, 3)
+        between = search.between[source[:-1]]
+        places = jax.lax.map(
+            lambda k: _place_between(
+                system, metric, jax.lax.dynamic_slice_in_dim(parts, k, 2)
+            ),
+            jnp.arange(2),
+        )
+        split = jnp.where(inserts, row, len(rows)) + np.arange(2)
+        between = between.at[split].set(places, mode="drop")
         number = trace.number + inserts.astype(int)
         number = jnp.where(resolved, number, row + 1)
-        undefined = jnp.any(jnp.isnan(root.values)) & ~search.ended
+        undefined = jnp.any(jnp.isnan(root.values)) & ~search.ended & by_event
         status = jnp.where(undefined, UNDEFINED, trace.status)
         trace = trace._replace(
             points=arrays[0],
@@ -280,6 +311,7 @@ def locate_points(
         return _Search(
             trace,
             arrays[3],
+            between,
             found,
             jnp.where(search.ended, row, search.row),
             jnp.where(recorded, done + 1, 0),
@@ -292,10 +324,42 @@ def locate_points(
     found = Criticals(nothing, jnp.zeros(largest_count, bool), none, none, zero)
     located = (trace.status != AT_LIMIT) & (trace.status != AT_EVENT)
     values = jnp.zeros((len(rows), count_of_values(system)))
-    values = jax.lax.fori_loop(0, trace.number, evaluate, values)
-    search = _Search(trace, values, found, zero, zero, located, zero > 0)
+    between = jnp.zeros(len(rows) - 1)
+    values, between = jax.lax.fori_loop(0, trace.number, evaluate, (values, between))
+    search = _Search(trace, values, between, found, zero, zero, located, zero > 0)
     search = jax.lax.while_loop(lambda search: ~search.finished, improve, search)
     return search.trace, search.criticals, search.negative()
+
+
+def _place_between(
+    system: PathSystem, metric: Metric, points: Float[Array, "2 n"]
+) -> Scalar:
+    """Find the place on a segment that separates opposite changes of stability.
+
+    The stiffness at the second point is compared with that at the first one in each of
+    its eigenvectors. If it has become negative in some of them and positive in others,
+    the number of negative eigenvalues changes by less than the number of critical points.
+
+    Returns:
+        The place as a fraction of the length; zero if there are no opposite changes.
+    """
+    if not (system.symmetric and len(system.dofs.free) > system.constraints.size):
+        return jnp.zeros(())
+    stiffness, basis = jax.lax.map(
+        lambda point: allowed_stiffness(system, metric, system.tangent(point)), points
+    )
+    before, vectors = jnp.linalg.eigh(stiffness[0])
+    vectors = basis[1].T @ (basis[0] @ vectors)
+    after = jnp.sum(vectors * (stiffness[1] @ vectors), axis=0)
+    changes = before * after < 0
+    places = before / jnp.where(changes, before - after, 1.0)
+    falls, rises = changes & (before > 0), changes & (before < 0)
+    fall, rise = (
+        jnp.sum(jnp.where(kind, places, 0.0)) / jnp.maximum(jnp.sum(kind), 1)
+        for kind in (falls, rises)
+    )
+    opposite = jnp.any(falls) & jnp.any(rises) & (jnp.abs(fall - rise) > _SEPARATE)
+    return jnp.where(opposite, jnp.clip((fall + rise) / 2, 0.02, 0.98), 0.0)
 
 
 class NullVectors(NamedTuple):

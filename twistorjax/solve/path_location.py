@@ -8,14 +8,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._utils.types import Count, Flag, Scalar
-from .continuation import Metric, solve_step, Step
+from .continuation import Metric, select, solve_step, Step
 from .path_system import PathSystem, PathTangent
 
 
 _ITERATIONS = 60
 _CORRECTED = 1e-7  # largest correction of an accurate point, as a fraction of the segment
 _ROUNDING = 1e-12  # of the position on the segment, as a fraction of its length
-_CLOSE = 1e-5  # from here an extrapolation is as accurate as a correction
+# At this distance from an accurate point, as a fraction of the segment, an extrapolation
+# is as accurate as a correction.
+_CLOSE = 1e-5
 
 
 class Segment(NamedTuple):
@@ -63,8 +65,10 @@ class _Search(NamedTuple):
         scaled: Current point, divided by the units.
         step: Step at the last accurate point.
         more: Second result of the function at the last accurate point.
-        base: Last accurate point, divided by the units.
+        last_position: Position of the last evaluation of the function.
+        base: Last corrected point, divided by the units.
         base_position: Its position.
+        slope: Rate of the path with the position, there.
         finished: Whether the root has been found.
         iterations: Number of evaluations.
     """
@@ -75,8 +79,10 @@ class _Search(NamedTuple):
     scaled: Float[Array, " n"]
     step: Step
     more: Float[Array, " m"]
+    last_position: Scalar
     base: Float[Array, " n"]
     base_position: Scalar
+    slope: Float[Array, " n"]
     finished: Flag
     iterations: Count
 
@@ -130,8 +136,11 @@ def locate(
         excess = jnp.sum(border * (search.scaled - first)) - search.position
         step = solve_step(tangent, metric, segment.tangents[0], excess)
         size = metric.length(step.correction)
-        # At a branch point, only rounding errors would be corrected.
-        singular = ~regular & ~(size <= 0.1 * length)
+        # Near a branch point, only rounding errors would be corrected: the point is
+        # extrapolated from the last corrected one.
+        from_base = search.position - search.base_position
+        singular = ~regular & (jnp.abs(from_base) <= _CLOSE * length)
+        singular |= ~(size <= jnp.where(regular, jnp.inf, 0.1 * length))
         scaled = search.scaled + jnp.where(singular, 0.0, step.correction)
         # Rounding errors need not become smaller.
         accurate = singular | (size <= _CORRECTED * length)
@@ -141,7 +150,7 @@ def locate(
         at_left = value * search.values[0] > 0
         last_end = jnp.where(at_left, search.ends[0], search.ends[1])
         # The value at an end that stays twice is halved.
-        kept = jnp.where(search.base_position == last_end, 0.5, 1.0)
+        kept = jnp.where(search.last_position == last_end, 0.5, 1.0)
         ends = jnp.stack(
             [
                 jnp.where(at_left, search.position, search.ends[0]),
@@ -154,22 +163,26 @@ def locate(
                 jnp.where(at_left, kept * search.values[1], value),
             ]
         )
-        found = (value == 0) | singular
-        root = jnp.where(found, search.position, _secant(ends, at_ends))
+        root = jnp.where(value == 0, search.position, _secant(ends, at_ends))
         change = root - search.position
         slope = step.tangent / jnp.sum(border * step.tangent)
-        near = jnp.abs(change) < 0.05 * length
-        ahead = jnp.where(near, scaled + change * slope, interpolate(root))
-        ahead = jnp.where(found, scaled, ahead)
-        enough = jnp.where(regular, _ROUNDING, _CLOSE) * length
-        finished = (jnp.abs(change) <= enough) | found
+        base, base_position, slope = select(
+            singular,
+            (search.base, search.base_position, search.slope),
+            (scaled, search.position, slope),
+        )
+        ahead = root - base_position
+        near = jnp.abs(ahead) < 0.05 * length
+        ahead = jnp.where(near, base + ahead * slope, interpolate(root))
+        ahead = jnp.where(value == 0, scaled, ahead)
+        finished = (jnp.abs(change) <= _ROUNDING * length) | (value == 0)
         finished |= ends[1] - ends[0] <= _ROUNDING * length
         moved = _Search(
-            ends, at_ends, root, ahead, step, more, scaled, search.position, finished,
-            search.iterations + 1,
+            ends, at_ends, root, ahead, step, more, search.position, base, base_position,
+            slope, finished, search.iterations + 1,
         )  # fmt: skip
         corrected = search._replace(scaled=scaled, iterations=search.iterations + 1)
-        return jax.tree.map(lambda a, b: jnp.where(accurate, a, b), moved, corrected)
+        return select(accurate, moved, corrected)
 
     zero, ends = jnp.zeros(()), jnp.stack([jnp.zeros(()), length])
     position = _secant(ends, values)
@@ -181,8 +194,10 @@ def locate(
         scaled=interpolate(position),
         step=nothing,
         more=more,
+        last_position=-jnp.ones(()),
         base=first,
-        base_position=-jnp.ones(()),
+        base_position=zero,
+        slope=slopes[0],
         finished=jnp.asarray(skip),
         iterations=jnp.zeros((), int),
     )

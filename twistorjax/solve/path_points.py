@@ -97,18 +97,16 @@ def stability_values(
     """Compute functions of a point that change their signs where the stability changes.
 
     They are the eigenvalues of the stiffness for displacements that the constraints
-    allow, in increasing order, which are continuous along a path. With follower loads,
-    it is the determinant of this stiffness, whose rows are normalized.
+    allow, in increasing order, which are continuous along a path. With follower loads, it
+    is the smallest singular value of this stiffness with the sign of its determinant.
     """
     matrix, _ = allowed_stiffness(system, metric, tangent)
     if not matrix.size:
         return jnp.ones(1)
     if system.symmetric:
         return jnp.linalg.eigvalsh(matrix)
-    rows = matrix / jnp.linalg.norm(matrix, axis=1, keepdims=True)
-    factors = jax.scipy.linalg.lu_factor(rows)
-    size = jnp.exp(jnp.sum(jnp.log(jnp.abs(jnp.diagonal(factors[0])))))
-    return (determinant_sign(*factors) * size)[None]
+    sign = determinant_sign(*jax.scipy.linalg.lu_factor(matrix))
+    return sign * jnp.linalg.svd(matrix, compute_uv=False)[-1:]
 
 
 def count_of_values(system: PathSystem) -> int:

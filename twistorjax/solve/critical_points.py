@@ -354,11 +354,11 @@ def _place_between(
     changes = before * after < 0
     places = before / jnp.where(changes, before - after, 1.0)
     falls, rises = changes & (before > 0), changes & (before < 0)
+    opposite = jnp.any(falls) & jnp.any(rises)
     fall, rise = (
-        jnp.sum(jnp.where(kind, places, 0.0)) / jnp.maximum(jnp.sum(kind), 1)
-        for kind in (falls, rises)
+        jnp.mean(places, where=jnp.where(opposite, kind, True)) for kind in (falls, rises)
     )
-    opposite = jnp.any(falls) & jnp.any(rises) & (jnp.abs(fall - rise) > _SEPARATE)
+    opposite &= jnp.abs(fall - rise) > _SEPARATE
     return jnp.where(opposite, jnp.clip((fall + rise) / 2, 0.02, 0.98), 0.0)
 
 

@@ -74,21 +74,24 @@ def column_load(count=6, force=1.0):
     return tj.Load(last, force=(0.0, -force), at=(0.0, 0.5 / count))
 
 
-def parallel_links(loads):
+def parallel_links(loads, forces=None):
     """Links on rotational springs that buckle independently at the given load factors.
 
-    The load factor times 1 N acts on the upper end of each link, which is 1 m long.
+    The load factor times a force acts downward on the upper end of each link, which is
+    1 m long; by default 1 N.
     """
+    sizes = jnp.ones(len(loads)) if forces is None else jnp.asarray(forces, float)
     names = [f"link {k}" for k in range(len(loads))]
     fixed = {"base": ["angle", "x", "y"], **{name: ["x", "y"] for name in names}}
-    bodies, hinges, forces = [tj.Body("base")], [], []
+    bodies, hinges, applied = [tj.Body("base")], [], []
     for x, (name, load) in enumerate(zip(names, loads, strict=True)):
-        spring = tj.Quadratic(jnp.diag(jnp.stack([load, 1.0, 1.0])), "twist")
+        stiffness = load * jnp.abs(sizes[x])
+        spring = tj.Quadratic(jnp.diag(jnp.stack([stiffness, 1.0, 1.0])), "twist")
         bodies.append(tj.Body(name, pose=(0.0, float(x), 0.0)))
         at = (np.pi / 2, float(x), 0.0)
         hinges.append(tj.Hinge(name, "base", name, spring, at=at))
-        forces.append(tj.Load(name, force=(0.0, -1.0), at=(0.0, 1.0)))
-    return tj.Mechanism(bodies, hinges, fixed=fixed), forces
+        applied.append(tj.Load(name, force=(0.0, -sizes[x]), at=(0.0, 1.0)))
+    return tj.Mechanism(bodies, hinges, fixed=fixed), applied
 
 
 def two_trusses(rise=0.3):

@@ -154,6 +154,19 @@ class Softened(tj.energies.AbstractEnergy):
         return (stiffness * x**2 + softened * angle**2 + 1e6 * displacement.x2**2) / 2
 
 
+@pytest.mark.parametrize("rise", [0.02, 0.003])
+def test_a_shallow_truss_is_bistable(rise):
+    """Its second state is closer to the first one than a step of the path.
+
+    The bars are straight in between, each shorter by half the square of the rise.
+    """
+    push = tj.Load("apex", force=(0.0, -2 * von_mises_limit_force(rise)))
+    states = tj.bistability(truss_of(bars_of_a_truss(rise=rise), rise), loads=[push])
+    assert bool(states.is_bistable)
+    assert_close(states.travel("apex"), [0.0, 0.0, -2 * rise], digits=9)
+    np.testing.assert_allclose(states.barriers, barrier(rise), rtol=1e-6)
+
+
 class TestPrescribedDisplacements:
     """The states of the truss of von Mises do not depend on what moves it."""
 
@@ -249,6 +262,34 @@ class TestBuckling:
         second, first = jax.jit(jax.jacfwd(first_twice, has_aux=True))(1.3)
         np.testing.assert_allclose(first, self.exact()[:3], rtol=1e-5)
         assert_close(second, np.zeros(3), digits=6)
+
+    def test_a_limit_point_far_from_the_linearized_equations_is_refused(self):
+        """At the rise 1.4 it is found. A link beside it must not hide it either."""
+        push = [tj.Load("apex", force=(0.0, -1.0))]
+        found = tj.buckling(truss_of(bars_of_a_truss(rise=1.4), 1.4), loads=push)
+        limit = von_mises_limit_force(1.4)
+        np.testing.assert_allclose(found.load_factors[0], limit, rtol=1e-8)
+        steep = truss_of(bars_of_a_truss(rise=1.5), 1.5)
+        with pytest.raises(RuntimeError, match="use `path`"):
+            tj.buckling(steep, loads=push)
+
+    def test_a_branch_point_does_not_hide_a_lower_limit_point(self):
+        limit = von_mises_limit_force()
+        spring = tj.Quadratic(np.diag([1.2 * limit, 1.0, 1.0]))
+        hinge = tj.Hinge("link", "wall", "link", spring, (np.pi / 2, 10.0, 0.0))
+        bodies = [
+            tj.Body("wall"),
+            tj.Body("apex", (0, 0, 0.3)),
+            tj.Body("link", (0, 10, 0)),
+        ]
+        fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"], "link": ["x", "y"]}
+        mechanism = tj.Mechanism([*bodies], [*bars_of_a_truss(), hinge], fixed=fixed)
+        loads = [
+            tj.Load("apex", force=(0.0, -1.0)),
+            tj.Load("link", force=(0.0, -1.0), at=(0.0, 1.0)),
+        ]
+        found = tj.buckling(mechanism, loads=loads, throw=False)
+        assert not np.any(np.isclose(found.load_factors[0], 1.2 * limit))
 
     def test_tension_buckles_with_negative_factors(self):
         found = tj.buckling(column(), loads=[column_load(force=-1.0)])

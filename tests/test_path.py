@@ -389,6 +389,65 @@ class TestEqualBucklingLoads:
         below = np.array([np.sum(np.array(loads) < f) for f in found.load_factors])
         np.testing.assert_array_equal(found.negative_eigenvalues, below)
 
+    @pytest.mark.parametrize(
+        "loads", [(1.0, 1.0, 9.0), (1.1, 1.102, 1.101), (1.1, 1.12, 1.11)]
+    )
+    def test_eigenvalues_that_cross_each_other(self, loads):
+        """Under other forces, they decrease at other rates."""
+        links, forces = parallel_links(loads, forces=(2.0, 1.0, 3.0))
+        points = tj.path(links, loads=forces, load_factors=(0.0, 2.0)).critical_points
+        factors = np.repeat(points.load_factors, np.asarray(points.multiplicities))
+        expected = sorted(load for load in loads if load < 2)
+        np.testing.assert_allclose(factors, expected, rtol=1e-8)
+
+    @pytest.mark.parametrize("regained", [1.01, 0.98])
+    def test_a_link_that_becomes_stable_while_another_buckles(self, regained):
+        """The number of unstable links is the same before and behind both points.
+
+        A stiff bar pulls the upper end of each link down. With the force P and the length
+        l of the bar, whose foot is at the depth d below that of the link, the stiffness
+        against the rotation of the link is `1 - P d / l`.
+        """
+        depth, stiffness = 3.0, 1e7
+        length = depth + 1.0
+        critical = length / depth
+
+        def force(factor):
+            """Let the first link buckle at 1, the second one from 0.3 to `regained`."""
+            inside = (factor - 0.3) * (regained - factor)
+            rises = 1 + 0.8 * inside / (0.3 * regained)
+            return critical * jnp.stack([factor, rises])
+
+        bodies = [tj.Body("base"), *(tj.Body(f"link {k}", (0.0, k, 0.0)) for k in (0, 1))]
+        springs = tj.Quadratic(np.diag([1.0, 1.0, 1.0]))
+        hinges = [
+            tj.Hinge(f"{k}", "base", f"link {k}", springs, (np.pi / 2, k, 0.0))
+            for k in (0, 1)
+        ]
+        for k in (0, 1):
+            foot, end = np.array([k, -depth]), np.array([k, 1.0])
+            hinges.append(bar(f"bar {k}", "base", f"link {k}", foot, end, stiffness))
+        fixed = {"base": ["angle", "x", "y"], "link 0": ["x", "y"], "link 1": ["x", "y"]}
+
+        def strokes(factor):
+            extensions = -force(factor) / stiffness
+            return {f"bar {k}": jnp.stack([0.0, extensions[k], 0.0]) for k in (0, 1)}
+
+        mechanism = tj.Mechanism(bodies, hinges, fixed=fixed)
+        found = tj.path(mechanism, strokes=strokes, load_factors=(0.0, 2.0))
+        expected = sorted([0.3, 1.0, regained])
+        assert_close(found.critical_points.load_factors, expected, digits=6)
+
+    @pytest.mark.parametrize("loads", [(1.0, 1.03, 5.0), (1.0, 5.0, 5.0)])
+    def test_follower_loads_on_a_link_that_does_not_buckle(self, loads):
+        links, forces = parallel_links(loads)
+        follower = tj.Load("link 2", force=(0.1, 0.0), at=(0.0, 0.5), follower=True)
+        found = tj.path(
+            links, loads=forces, constant_loads=[follower], load_factors=(0.0, 2.0)
+        )
+        expected = [load for load in loads if load < 2]
+        assert_close(found.critical_points.load_factors, expected, digits=8)
+
     @pytest.mark.parametrize("turns", [(1, 0), (0, -1), (1, -1)])
     def test_branches_of_a_double_branch_point(self, turns):
         """A link of the buckling load 1 is at the angle a where the factor is a / sin a.
@@ -458,6 +517,31 @@ class TestLimitPoints:
         np.testing.assert_array_equal(points.multiplicities, [2, 2])
         force = von_mises_limit_force() / 20
         assert_close(points.load_factors, np.array([force, -force]), digits=9)
+
+    @pytest.mark.parametrize("share", [0.9999, 0.999])
+    def test_a_link_that_buckles_close_to_the_limit_point_of_a_truss(self, share):
+        """It becomes stable again on the way back, and buckles once more at the end."""
+        force, spring = von_mises_limit_force(), np.diag([share / 2, 1.0, 1.0])
+        at = (np.pi / 2, 10.0, 0.0)
+        hinges = [
+            *bars_of_a_truss(),
+            tj.Hinge("link", "wall", "link", tj.Quadratic(spring), at=at),
+        ]
+        bodies = [
+            tj.Body("wall"),
+            tj.Body("apex", (0, 0, 0.3)),
+            tj.Body("link", (0, 10, 0)),
+        ]
+        fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"], "link": ["x", "y"]}
+        loads = [
+            tj.Load("apex", force=(0.0, -2 * force)),
+            tj.Load("link", force=(0.0, -1.0), at=(0.0, 1.0)),
+        ]
+        found = tj.path(tj.Mechanism(bodies, hinges, fixed=fixed), loads=loads)
+        points, link = found.critical_points, share / 2
+        kinds = ["branch", "limit", "branch", "limit", "branch"]
+        assert [point.kind for point in points] == kinds
+        assert_close(points.load_factors, [link, 0.5, link, -0.5, link], digits=8)
 
     @pytest.mark.parametrize("largest_step", [0.1, 0.3])
     def test_limit_points_that_are_closer_than_a_step(self, largest_step):

@@ -53,6 +53,11 @@ _CONVERGED = 1e-7  # largest last change that is accepted
 _ITERATIONS = 30
 _SAME_FACTOR = 1e-8  # difference of load factors that are equal, as a fraction of them
 
+# The equilibrium is followed in steps to this share of the first load factor, where the
+# stiffness in one direction must be below this share of its initial value.
+_NEARLY_CRITICAL, _SMALL_STIFFNESS = 0.98, 0.5
+_LOAD_STEPS, _CORRECTIONS = 12, 10
+_FOLLOWED = 1e-8  # largest last correction of an equilibrium, in the units of the metric
 _EXPONENTS = -15.0, 15.0  # of ten, of load factors that may be out of a validity range
 _TRIED_FACTORS = 301
 
@@ -62,10 +67,11 @@ class Buckling(Tabular):
 
     Args:
         load_factors: Factors of the loads at which the mechanism buckles, in the order of
-            their magnitudes. The last ones are infinite if fewer modes buckle within the
-            validity ranges of the energies, and a warning names the hinge that limits
-            this if all are. A negative factor is one for loads in the
-            opposite direction.
+            their magnitudes. The last ones are infinite if fewer were found: modes may
+            not buckle within the validity ranges of the energies, or only at limit points
+            far from the linearized equations. If all are, a warning names the hinge that
+            limits the range. A negative factor is one for loads in the opposite
+            direction.
         shapes: Displacements of the bodies in each mode: rotations (rad) and translations
             (m). The rotations, and the translations over the characteristic length of the
             mechanism, have unit norm.
@@ -132,7 +138,8 @@ def buckling(
     buckling modes before buckling are those of the linearized equations, which is exact
     if they are zero, as in a straight column, and if the load snaps the mechanism through
     a limit point. Otherwise the error of the factors is of the order of these
-    displacements; `path` has no such error.
+    displacements; `path` has no such error. The equilibrium is followed up to the first
+    factor: if it becomes unstable before, the result is `critical_point_not_found`.
 
     Args:
         mechanism: The mechanism.
@@ -321,9 +328,16 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     )
 
     factors, valid = points[:, -1], converged & ~outside
+    sizes = jnp.where(valid, jnp.abs(factors), jnp.inf)
+    positive = jnp.where(factors > 0, sizes, jnp.inf)
+    followed = jax.lax.map(
+        lambda row: _is_first(fixed, metric, linear, points[row]) | ~valid[row],
+        jnp.stack([jnp.argmin(sizes), jnp.argmin(positive)]),
+    )
     # Under loads in the opposite direction, a mechanism may not buckle.
     first, reached = linear.factors[0], points[0]
     missing = jnp.isfinite(first) & ~valid[0] & ((first > 0) | ~jnp.any(valid))
+    missing |= ~jnp.all(followed)
     distances = jnp.abs(factors[:, None] - factors[None])
     same = distances <= _SAME_FACTOR * jnp.abs(factors)[:, None]
     same = (same & valid[:, None] & valid[None]) | jnp.eye(more, dtype=bool)
@@ -491,6 +505,51 @@ def _corrected(
     point = jnp.where(converged, state.point, start)
     outside = system.out_of_range(point)
     return point, state.stiffness, state.basis, coupled, converged, outside
+
+
+def _is_first(
+    system: PathSystem, metric: Metric, linear: _Modes, critical: Float[Array, " n"]
+) -> Flag:
+    """Decide whether the equilibrium becomes unstable first at a critical point.
+
+    It is followed from the load factor zero almost to this point. It must stay stable,
+    and in one direction the stiffness must have become a fraction of its initial value.
+    Otherwise the equilibrium has become unstable before, or the point is on another path.
+    """
+    free = len(linear.basis)
+    matrix = metric.units[:free, None] * linear.matrix[:free, :free]
+    matrix = matrix * metric.units[None, :free]
+
+    def correct(state: tuple[Array, Scalar, Count]) -> tuple[Array, Scalar, Count]:
+        point, _, count = state
+        tangent = system.tangent(point)
+        change = -jnp.linalg.solve(tangent.jacobian, tangent.residual)
+        change = jnp.append(change, 0.0)
+        return point + change, metric.length(change / metric.units), count + 1
+
+    def follow(
+        state: tuple[Array, Flag], share: Scalar
+    ) -> tuple[tuple[Array, Flag], Scalar]:
+        point, stable = state
+        change = share * critical[-1] - point[-1]
+        tangent = system.tangent(point)
+        rate = -jnp.linalg.solve(tangent.jacobian, tangent.by_factor)
+        start = point + change * jnp.append(rate, 1.0)
+        point, size, _ = jax.lax.while_loop(
+            lambda state: (state[1] > _FOLLOWED) & (state[2] < _CORRECTIONS),
+            correct,
+            (start, jnp.ones(()), jnp.zeros((), int)),
+        )
+        stiffness, basis = allowed_stiffness(system, metric, system.tangent(point))
+        lower = jnp.linalg.cholesky(basis.T @ matrix @ basis)
+        half = jax.scipy.linalg.solve_triangular(lower, stiffness, lower=True)
+        relative = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
+        lowest = jnp.linalg.eigvalsh((relative + relative.T) / 2)[0]
+        return (point, stable & (lowest > 0) & (size <= _FOLLOWED)), lowest
+
+    shares = jnp.linspace(0.0, _NEARLY_CRITICAL, _LOAD_STEPS + 1)[1:]
+    (_, stable), lowest = jax.lax.scan(follow, (linear.point, jnp.ones((), bool)), shares)
+    return stable & (lowest[-1] < _SMALL_STIFFNESS)
 
 
 def _cholesky(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Flag]:

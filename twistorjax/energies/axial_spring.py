@@ -1,16 +1,16 @@
 """Energy of a straight spring or bar whose ends are free to rotate."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete, on_host
+from .._utils.host import concrete
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
+from .dilation import multiply_fields
 from .solver_protocols import Stress
 
 
@@ -71,9 +71,7 @@ class AxialSpring(AbstractEnergy):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "AxialSpring":
         """Return the energy if all dimensions of the spring are multiplied."""
-        _, (scale, stiffness, length) = on_host(scale, self.stiffness, self.length)
-        new = as_float(stiffness * scale), as_float(length * scale)
-        return eqx.tree_at(lambda spring: (spring.stiffness, spring.length), self, new)
+        return multiply_fields(self, scale, stiffness=1, length=1)
 
 
 class _NewtonModel(AbstractEnergy):

@@ -1,16 +1,16 @@
 """The energy of a straight leaf as a beam-column, in closed form."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import all_concrete, as_float, on_host
+from .._utils.host import all_concrete
 from .._utils.types import Flag, NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry import se2
 from ..geometry.twistors import Displacement
+from .dilation import multiply_fields
 from .evaluation import Orders
 from .mixed import AbstractMixedEnergy
 from .mixed_potential import AbstractPotential, Bending
@@ -127,17 +127,10 @@ class BeamColumn(AbstractMixedEnergy):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumn":
         """Return the energy if all dimensions of the hinge are multiplied."""
-        shear = self.shear_stiffness
-        _, (scale, length, bending, axial, shear) = on_host(
-            scale, self.length, self.bending_stiffness, self.axial_stiffness,
-            1.0 if shear is None else shear,
+        return multiply_fields(
+            self, scale,
+            length=1, bending_stiffness=4, axial_stiffness=2, shear_stiffness=2,
         )  # fmt: skip
-        new = [scale * length, scale**4 * bending, scale**2 * axial, scale**2 * shear]
-        new = new if self.shear_stiffness is not None else new[:3]
-        return eqx.tree_at(lambda leaf: jax.tree.leaves(
-            (leaf.length, leaf.bending_stiffness, leaf.axial_stiffness,
-             leaf.shear_stiffness)
-        ), self, [as_float(value) for value in new])  # fmt: skip
 
     def out_of_range(self, displacement: Displacement) -> Flag:
         """Decide whether bending, buckling, or the axial strain is out of range."""

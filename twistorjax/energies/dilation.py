@@ -5,6 +5,7 @@ from operator import attrgetter
 from typing import Any, Protocol, runtime_checkable, TypeVar
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, on_host
@@ -12,7 +13,7 @@ from .base import AbstractEnergy
 from .stress_model import AbstractStressModel
 
 
-Energy = TypeVar("Energy", bound=AbstractEnergy)
+Part = TypeVar("Part", bound=AbstractEnergy | AbstractStressModel)
 
 
 @runtime_checkable
@@ -63,30 +64,27 @@ def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEn
     return new
 
 
-def dilated_potential(energy: Energy, scale: Float[Array, "*batch"]) -> Energy:
-    """Return an energy with the fields `coefficients`, `length`, and `force`.
+def multiply_fields(part: Part, scale: Float[Array, "*batch"], **exponents: Any) -> Part:
+    """Multiply fields of an energy or a stress model by powers of a factor.
 
     Args:
-        energy: An energy whose coefficients (J) belong to displacements over the length
-            (m) and forces over the force (N).
-        scale: The factor of all dimensions of its hinge.
+        part: The energy or the stress model. Fields that are None stay None.
+        scale: The factor of all dimensions of the hinge; one for each energy if the
+            energies are stacked.
+        exponents: Exponent of the factor for each field, with as many axes as the field
+            of one energy has.
 
     Returns:
-        The energy of the larger hinge.
+        The energy or the stress model of the larger hinge.
     """
-    xp, (scale, *values) = on_host(scale, *_potential_fields(energy))
-    coefficients, length, force = values
-    shape = (*xp.shape(scale), coefficients.shape[-1])
-    factors = xp.broadcast_to(xp.asarray(scale**3)[..., None], shape)
-    return eqx.tree_at(
-        _potential_fields,
-        energy,
-        (
-            as_float(factors * xp.broadcast_to(coefficients, factors.shape)),
-            as_float(scale * length),
-            as_float(scale**2 * force),
-        ),
-    )
-
-
-_potential_fields = attrgetter("coefficients", "length", "force")
+    names = [name for name in exponents if getattr(part, name) is not None]
+    xp, (scale, *values) = on_host(scale, *(getattr(part, name) for name in names))
+    new = []
+    for name, value in zip(names, values, strict=True):
+        exponent = np.asarray(exponents[name], float)
+        axes = exponent.ndim
+        shape = (*scale.shape, *value.shape[value.ndim - axes :])
+        factors = xp.broadcast_to(scale[(..., *axes * (None,))], shape)
+        factors = factors ** np.broadcast_to(exponent, shape)
+        new.append(as_float(factors * xp.broadcast_to(value, shape)))
+    return eqx.tree_at(lambda part: [getattr(part, name) for name in names], part, new)

@@ -20,7 +20,7 @@ from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
-from .dilation import dilated_potential
+from .dilation import multiply_fields
 from .mixed_potential import (
     AbstractPotential,
     AXIAL_COMPLIANCE,
@@ -231,7 +231,7 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "MixedEnergy":
         """Return the energy if all dimensions of the hinge are multiplied."""
-        return dilated_potential(self, scale)
+        return multiply_fields(self, scale, coefficients=[3], length=1, force=2)
 
 
 class _NewtonModel(AbstractEnergy):

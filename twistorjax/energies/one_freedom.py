@@ -14,7 +14,7 @@ from .._utils.validation import require_choice, require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
-from .dilation import dilated_potential
+from .dilation import multiply_fields
 from .evaluation import Coefficients
 from .monomials import Powers
 from .one_freedom_potential import (
@@ -129,7 +129,7 @@ class OneFreedomEnergy(CoordinateEnergy):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "OneFreedomEnergy":
         """Return the energy if all dimensions of the hinge are multiplied."""
-        return dilated_potential(self, scale)
+        return multiply_fields(self, scale, coefficients=[3], length=1, force=2)
 
     def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
         return _NewtonModel(self, self.force_ratios(stress))

@@ -10,6 +10,7 @@ from .._utils.validation import require_choice
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
+from .dilation import multiply_fields
 from .strains import Coordinates, half_square, matrix_error, strain, translation_scale
 from .stress_model import AbstractStressModel
 
@@ -140,11 +141,7 @@ class Quadratic(CoordinateEnergy):
         """Return the energy if all dimensions of a flexure are multiplied."""
         if not self.flexure:
             return self
-        xp, (scale, stiffness) = on_host(scale, self.stiffness)
-        units = xp.stack([scale**1.5, scale**0.5, scale**0.5], axis=-1)
-        factors = units[..., :, None] * units[..., None, :]
-        stiffness = factors * xp.broadcast_to(stiffness, factors.shape)
-        return eqx.tree_at(lambda energy: energy.stiffness, self, as_float(stiffness))
+        return multiply_fields(self, scale, stiffness=[[3, 2, 2], [2, 1, 1], [2, 1, 1]])
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
         """Multiply the stiffness by a time (s).

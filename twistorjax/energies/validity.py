@@ -5,11 +5,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._utils.host import all_concrete, as_float, on_host
+from .._utils.host import all_concrete
 from .._utils.types import Flag, NumberLike, Scalar, WrenchLike
 from .._utils.validation import require_positive, require_row
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper, Scaled, Sum
+from .dilation import multiply_fields
 from .stress_model import AbstractStressModel
 
 
@@ -93,14 +94,7 @@ class WithValidityRange(AbstractWrapper):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "WithValidityRange":
         """Return the range if all dimensions of the hinge are multiplied."""
-        _, (scale, force) = on_host(scale, self.force)
-        new = eqx.tree_at(lambda energy: energy.force, self, as_float(scale**2 * force))
-        if self.displacement is None:
-            return new
-        _, (scale, largest) = on_host(scale, self.displacement)
-        return eqx.tree_at(
-            lambda energy: energy.displacement, new, as_float(scale * largest)
-        )
+        return multiply_fields(self, scale, force=2, displacement=1)
 
     def _force_magnitude(self, displacement: Displacement) -> Scalar:
         """Compute the magnitude of the force that is limited, at a displacement; N."""

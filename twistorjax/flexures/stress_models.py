@@ -1,6 +1,5 @@
 """Stress models of leaves, notches, exact beams, and sub-mechanisms of flexures."""
 
-from operator import attrgetter
 from typing import Any
 
 import equinox as eqx
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float
 from .._utils.host import as_float, on_host
 from .._utils.pytrees import group_by_structure
 from .._utils.types import NumberLike, Pose, Scalar, Wrench
+from ..energies.dilation import multiply_fields
 from ..energies.monomials import Powers
 from ..energies.one_freedom import Freedom
 from ..energies.strains import strain
@@ -105,12 +105,7 @@ class SectionStress(AbstractStressModel):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
         """Return the model if all dimensions of the flexure are multiplied."""
-        _, (scale, arm, thickness, width, ratio) = on_host(
-            scale, self.arm, self.thickness, self.width, self.ratio
-        )
-        new = scale * arm, scale * thickness, scale * width, 0 * scale + ratio
-        fields = attrgetter("arm", "thickness", "width", "ratio")
-        return eqx.tree_at(fields, self, tuple(map(as_float, new)))
+        return multiply_fields(self, scale, arm=1, thickness=1, width=1)
 
 
 def _concentration_factors(ratio: Scalar) -> tuple[Scalar, Scalar]:
@@ -179,12 +174,7 @@ class BeamColumnStress(AbstractStressModel):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
         """Return the model if all dimensions of the flexure are multiplied."""
-        _, (scale, *dimensions) = on_host(scale, *_dimensions(self))
-        new = tuple(as_float(scale * dimension) for dimension in dimensions)
-        return eqx.tree_at(_dimensions, self, new)
-
-
-_dimensions = attrgetter("length", "thickness", "width")
+        return multiply_fields(self, scale, length=1, thickness=1, width=1)
 
 
 class BeamStress(AbstractStressModel):
@@ -279,17 +269,9 @@ class BeamStress(AbstractStressModel):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
         """Return the model if all dimensions of the flexure are multiplied."""
-        fields = ["thickness", "length", "width"]
-        _, (scale, thickness, length, width) = on_host(
-            scale, self.thickness, self.length, self.width
+        return multiply_fields(
+            self, scale, thickness=[1], curvature=[-1], length=1, width=1
         )
-        along = np.ones(len(_POSITIONS))
-        new = [scale[..., None] * along * thickness, scale * length, scale * width]
-        if self.curvature is not None:
-            _, (inverse, curvature) = on_host(1 / scale, self.curvature)
-            fields.append("curvature")
-            new.append(inverse[..., None] * along * curvature)
-        return eqx.tree_at(attrgetter(*fields), self, tuple(map(as_float, new)))
 
     def _strains(
         self, section: CrossSection, load: Wrench, pose: Pose
@@ -401,19 +383,10 @@ class MechanismStress(AbstractStressModel):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "MechanismStress":
         """Return the model if all dimensions of the flexure are multiplied."""
-        _, (scale, coefficients, length, force) = on_host(
-            scale, self.coefficients, self.length, self.force
-        )
-        powers = np.array([0, 1, 1, 3, 2, 2])[:, None]
-        new = (
-            tuple(part.dilated(as_float(scale)) for part in self.parts),
-            as_float(scale[..., None, None, None] ** powers * coefficients),
-            as_float(scale * length),
-            as_float(scale**2 * force),
-        )
-        return eqx.tree_at(
-            attrgetter("parts", "coefficients", "length", "force"), self, new
-        )
+        exponents = np.array([0, 1, 1, 3, 2, 2])[None, :, None]
+        new = multiply_fields(self, scale, coefficients=exponents, length=1, force=2)
+        parts = tuple(part.dilated(scale) for part in self.parts)
+        return eqx.tree_at(lambda model: model.parts, new, parts)
 
 
 def terms_of_state(

@@ -554,38 +554,33 @@ def with_derivatives(
 
     Those of a multiple point are the mean of those of the points into which it separates.
     """
-    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
-
-    def one(point: Array, branch: Flag, left: Array, right: Array) -> Array:
-        return _critical(static, dynamic, metric, point, branch, (left, right))
-
-    return jax.vmap(one)(points, is_branch, *jax.lax.stop_gradient(null))
+    one = partial(_critical, system, metric)
+    return jax.vmap(one)(points, is_branch, tuple(jax.lax.stop_gradient(null)))
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _critical(static: PathSystem, dynamic: PathSystem, metric, point, branch, borders):
+@eqx.filter_custom_jvp
+def _critical(system: PathSystem, metric: Metric, point, branch, borders) -> Array:
     """Return the critical point; see `with_derivatives`."""
-    del static, dynamic, metric, branch, borders
+    del system, metric, branch, borders
     return point
 
 
-@partial(_critical.defjvp, symbolic_zeros=True)
-def _(static, primals, tangents):
-    dynamic, metric, point, branch, borders = primals
-    point = _critical(static, dynamic, metric, point, branch, borders)
+@_critical.def_jvp
+def _(primals, tangents):
+    system, metric, point, branch, borders = primals
+    point = _critical(*primals)
     found = jnp.all(jnp.isfinite(point))
     metric = jax.lax.stop_gradient(metric)
 
-    def equations(dynamic: PathSystem, unknowns: Array) -> Array:
-        system = eqx.combine(dynamic, static)
+    def equations(system: PathSystem, unknowns: Array) -> Array:
         return _extended_residual(system, metric, borders, branch, unknowns)
 
     scaled, count = jnp.where(found, point, 0.0) / metric.units, borders[0].shape[1]
     unknowns = jnp.concatenate([scaled, jnp.zeros(count)])
     _, rate = jvp_of_varied(
-        lambda dynamic: equations(dynamic, unknowns), (dynamic,), (tangents[0],)
+        lambda system: equations(system, unknowns), (system,), tangents[:1]
     )
-    matrix = jax.jacfwd(equations, argnums=1)(dynamic, unknowns)
+    matrix = jax.jacfwd(partial(equations, system))(unknowns)
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
     change = -solve(matrix, rate)
     change = jnp.where(found, metric.units * change[:-count], 0.0)
@@ -596,30 +591,26 @@ def null_vectors_with_derivatives(
     system: PathSystem, metric: Metric, points: Array, null: NullVectors
 ) -> Float[Array, "critical unknowns vectors"]:
     """Return the right null vectors with derivatives with respect to the system."""
-    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
-
-    def one(point: Array, left: Array, right: Array) -> Array:
-        return _null_vectors(static, dynamic, metric, point, (left, right))
-
-    return jax.vmap(one)(points, *jax.lax.stop_gradient(null))
+    one = partial(_null_vectors, system, metric)
+    return jax.vmap(one)(points, tuple(jax.lax.stop_gradient(null)))
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _null_vectors(static: PathSystem, dynamic: PathSystem, metric, point, borders):
+@eqx.filter_custom_jvp
+def _null_vectors(system: PathSystem, metric: Metric, point, borders) -> Array:
     """Return the null vectors; see `null_vectors_with_derivatives`."""
-    del static, dynamic, metric, point
+    del system, metric, point
     return borders[1]
 
 
-@partial(_null_vectors.defjvp, symbolic_zeros=True)
-def _(static, primals, tangents):
-    dynamic, metric, point, borders = primals
+@_null_vectors.def_jvp
+def _(primals, tangents):
+    system, metric, point, borders = primals
 
-    def vectors(dynamic: PathSystem, point: Array) -> Array:
-        tangent = eqx.combine(dynamic, static).tangent(point)
-        matrix, size = scaled_jacobian(metric, tangent), len(point) - 1
+    def vectors(system: PathSystem, point: Array) -> Array:
+        matrix = scaled_jacobian(metric, system.tangent(point))
+        size = len(matrix)
         return bordered_inverse(matrix, *borders)[0][:size, size:]
 
     changes = tangents[0], tangents[2]
-    _, change = jvp_of_varied(vectors, (dynamic, point), changes)
-    return _null_vectors(static, *primals), change
+    _, change = jvp_of_varied(vectors, (system, point), changes)
+    return _null_vectors(*primals), change

@@ -1,9 +1,6 @@
 """Derivatives of an equilibrium by the implicit function theorem."""
 
-from functools import partial
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -36,32 +33,29 @@ def differentiable_root(
     Returns:
         The same values as `root`.
     """
-    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
-    return _root(static, dynamic, root, start, found)
+    return _root(system, root, start, found)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _root(static: System, dynamic: System, root, start, found):
+@eqx.filter_custom_jvp
+def _root(system: System, root: Array, start: Poses, found: Flag) -> Array:
     """Return the root; see `differentiable_root`."""
-    del static, dynamic, start, found
+    del system, start, found
     return root
 
 
-@partial(_root.defjvp, symbolic_zeros=True)
-def _(static, primals, tangents):
-    dynamic, root, start, found = primals
+@_root.def_jvp
+def _(primals, tangents):
+    system, root, start, found = primals
     system_change, _, start_change, _ = tangents
-    root = _root(static, dynamic, root, start, found)
-    system = eqx.combine(dynamic, static)
+    root = _root(*primals)
     count = len(system.free)
 
-    def residual(dynamic: System, start: Poses) -> Array:
-        system = eqx.combine(dynamic, static)
+    def residual(system: System, start: Poses) -> Array:
         displacements = system.dofs.expand(root[:count], system.targets, start)
         forces = system.residual(displacements, root[count:])
         return system.equations(forces, displacements)
 
-    _, rate = jvp_of_varied(residual, (dynamic, start), (system_change, start_change))
+    _, rate = jvp_of_varied(residual, (system, start), (system_change, start_change))
     displacements = system.dofs.expand(root[:count], system.targets, start)
     _, tangent, _ = system.tangent(displacements, multipliers=root[count:])
     rate = jnp.where(found, rate, 0.0)

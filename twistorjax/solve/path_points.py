@@ -124,30 +124,25 @@ def on_path(
 
     If the system changes, a point moves in the plane that is perpendicular to its normal.
     """
-    dynamic, static = eqx.partition(system, eqx.is_inexact_array)
-    return jax.vmap(partial(_on_path, static, dynamic))(points, normals)
+    return jax.vmap(partial(_on_path, system))(points, normals)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _on_path(static: PathSystem, dynamic: PathSystem, point, normal):
+@eqx.filter_custom_jvp
+def _on_path(system: PathSystem, point: Array, normal: Array) -> Array:
     """Return the point; see `on_path`."""
-    del static, dynamic, normal
+    del system, normal
     return point
 
 
-@partial(_on_path.defjvp, symbolic_zeros=True)
-def _(static, primals, tangents):
-    dynamic, point, normal = primals
-    point = _on_path(static, dynamic, point, normal)
+@_on_path.def_jvp
+def _(primals, tangents):
+    system, point, normal = primals
+    point = _on_path(*primals)
     normal = jax.lax.stop_gradient(normal)
     found = jnp.all(jnp.isfinite(point))
     at = jnp.where(found, point, 0.0)
-
-    def residual(dynamic: PathSystem) -> Array:
-        return eqx.combine(dynamic, static).residual(at)
-
-    _, rate = jvp_of_varied(residual, (dynamic,), (tangents[0],))
-    tangent = eqx.combine(dynamic, static).tangent(at)
+    _, rate = jvp_of_varied(lambda system: system.residual(at), (system,), tangents[:1])
+    tangent = system.tangent(at)
     rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
     matrix = jnp.concatenate([rows, normal[None]])
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))

@@ -19,10 +19,9 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from .continuation import Metric
 from .critical_points import (
-    basis_of_null_space,
     LARGEST_MULTIPLICITY,
+    null_vectors,
     null_vectors_with_derivatives,
-    NullVectors,
     with_derivatives,
 )
 from .dofs import DofPartition
@@ -294,8 +293,6 @@ class _Iteration(NamedTuple):
         amplitude: Load factor at which the linearized equations have the same modes.
         last: Amplitude and eigenvalue at the last iterate.
         change: Last change of the amplitude, as a fraction of it.
-        stiffness: Stiffness at the last iterate; see `allowed_stiffness`.
-        basis: Displacements that the constraints allow there.
         iterations: Number of iterations.
     """
 
@@ -303,8 +300,6 @@ class _Iteration(NamedTuple):
     amplitude: Scalar
     last: Float[Array, "2"]
     change: Scalar
-    stiffness: Float[Array, "allowed allowed"]
-    basis: Float[Array, "free allowed"]
     iterations: Count
 
 
@@ -323,7 +318,7 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     # Modes with the same load factor as the last one are needed as well.
     more = min(count + LARGEST_MULTIPLICITY - 1, len(linear.factors))
     rows = jnp.arange(more)
-    points, stiffness, bases, coupled, converged, outside = jax.lax.map(
+    points, coupled, converged, outside = jax.lax.map(
         lambda row: _corrected(fixed, metric, linear, row), rows
     )
 
@@ -345,26 +340,19 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     # Those with the same load factor are modes of one point.
     leading = jnp.argmax(same, axis=1)
     points = jnp.where(valid[:, None], points, jnp.nan)[leading]
-    free = len(fixed.dofs.free)
-    load = metric.units[:free] * tangent.by_factor[:free]
-    loads = jnp.where(coupled[leading, None], load[None], 0.0)
-    # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
-    vectors = jax.lax.map(
-        lambda arguments: basis_of_null_space(*arguments),
-        (stiffness[leading], bases[leading], loads, multiplicities),
-    )
-    vectors = jnp.pad(vectors, ((0, 0), (0, fixed.unknowns - free), (0, 0)))
-    null = NullVectors(vectors, vectors)
-    at = with_derivatives(system, metric, points, ~coupled, null)
+    known = jnp.where(valid[:, None], points, linear.point[None])
+    is_branch = ~coupled[leading]
+    null = null_vectors(fixed, metric, known, is_branch, multiplicities)
+    at = with_derivatives(system, metric, points, is_branch, null)
     known = jnp.where(valid[:, None], at, linear.point[None])
     null = null_vectors_with_derivatives(system, metric, known, null)
     places = jnp.sum(same & (rows[None] < rows[:, None]), axis=1)
     vectors = jax.vmap(lambda vectors, place: vectors[:, place])(null, places)
+    vectors = vectors[:, : len(linear.basis)]
+    units = metric.units[: len(linear.basis)]
+    vectors = vectors / jnp.linalg.norm(vectors, axis=1, keepdims=True)
     no_change = jnp.zeros(len(fixed.dofs.prescribed))
-    units = metric.units[:free]
-    shapes = jax.vmap(lambda mode: fixed.dofs.expand(units * mode, no_change))(
-        vectors[:, :free] / jnp.linalg.norm(vectors[:, :free], axis=1, keepdims=True)
-    )
+    shapes = jax.vmap(lambda mode: fixed.dofs.expand(units * mode, no_change))(vectors)
 
     factors = jnp.where(valid, at[:, -1], jnp.inf)
     order = jnp.argsort(jnp.abs(factors))[:count]
@@ -431,7 +419,7 @@ def _linearized(
 
 def _corrected(
     system: PathSystem, metric: Metric, linear: _Modes, row: Count
-) -> tuple[Array, Array, Array, Flag, Flag, Flag]:
+) -> tuple[Array, Flag, Flag, Flag]:
     """Find the equilibrium with a singular stiffness to which a linearized mode belongs.
 
     The amplitudes of this mode, and of those that buckle before, are extrapolated from
@@ -440,9 +428,8 @@ def _corrected(
     from the equilibrium in this mode.
 
     Returns:
-        The point; the stiffness there, and displacements that the constraints allow;
-        whether the load does work in the mode; whether the iteration has converged; and
-        whether a hinge is outside the validity range of its energy.
+        The point; whether the load does work in the mode; whether the iteration has
+        converged; and whether a hinge is outside the validity range of its energy.
     """
     free, units = len(linear.basis), metric.units[: len(linear.basis)]
     estimate = linear.factors[row]
@@ -466,7 +453,7 @@ def _corrected(
     def improve(state: _Iteration) -> _Iteration:
         point, amplitude = state.point, state.amplitude
         tangent = system.tangent(point)
-        stiffness, basis = allowed_stiffness(system, metric, tangent)
+        stiffness, _ = allowed_stiffness(system, metric, tangent)
         value = jnp.linalg.eigvalsh(stiffness)[index]
         difference = value - state.last[1]
         secant = value * (amplitude - state.last[0])
@@ -486,8 +473,6 @@ def _corrected(
             amplitude + change,
             jnp.stack([amplitude, value]),
             jnp.abs(change / amplitude),
-            stiffness,
-            basis,
             state.iterations + 1,
         )
 
@@ -495,16 +480,13 @@ def _corrected(
         return (state.change > _NEGLIGIBLE) & (state.iterations < _ITERATIONS)
 
     start = linear.point + estimate * linear.rate
-    stiffness, none = linear.dual.T @ linear.dual, jnp.zeros((), int)
-    change = jnp.where(buckles, 1.0, 0.0)
-    state = _Iteration(
-        start, estimate, jnp.zeros(2), change, stiffness, linear.basis, none
-    )
+    change, none = jnp.where(buckles, 1.0, 0.0), jnp.zeros((), int)
+    state = _Iteration(start, estimate, jnp.zeros(2), change, none)
     state = jax.lax.while_loop(unfinished, improve, state)
     converged = buckles & (state.change <= _CONVERGED)
     point = jnp.where(converged, state.point, start)
     outside = system.out_of_range(point)
-    return point, state.stiffness, state.basis, coupled, converged, outside
+    return point, coupled, converged, outside
 
 
 def _is_first(

@@ -336,9 +336,9 @@ def _fit_coefficients(
     poses, wrenches = samples.poses[:SAMPLES], samples.wrenches[:SAMPLES]
     rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))
     deviations = jnp.broadcast_to(rms, wrenches.shape)
-    twists, stresses, to_wrenches = twists_and_stresses(poses, wrenches, deviations)
+    trials = twists_and_stresses(poses, wrenches, deviations)
     equations = mixed_equations(
-        powers, twists, stresses, to_wrenches, stresses[:, 1], length, samples.force
+        powers, trials.twists, trials.stresses[:, 1], length, samples.force
     )
     quadratic = _quadratic_coefficients(length, samples)
     zero = jnp.zeros(())
@@ -347,7 +347,8 @@ def _fit_coefficients(
 
     def solve(coefficients: Float[Array, " terms"] | None) -> Float[Array, " terms"]:
         """Solve with the weights of a previous solution."""
-        rows, targets = map(jnp.asarray, weighted_equations(equations, coefficients))
+        weighted = weighted_equations(trials, equations, coefficients)
+        rows, targets = map(jnp.asarray, weighted)
         rows, targets = rows.reshape(-1, len(powers)), targets.reshape(-1)
         found = least_squares(rows[:, free], targets - rows @ start)
         return start.at[free].set(found)

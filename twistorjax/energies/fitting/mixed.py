@@ -17,7 +17,7 @@ from ..monomials import Powers
 from .least_squares import ConstrainedSolution, solve_constrained
 from .mixed_equations import (
     mixed_equations,
-    MixedEquations,
+    MixedTrials,
     twists_and_stresses,
     weighted_equations,
 )
@@ -64,7 +64,7 @@ def fit_mixed(
         )
     if reference != "free":
         powers = tuple(row for row in powers if sum(row) > 1)
-    data = _MixedData.of(trials)
+    data = _mixed_trials(trials)
     for name, values in (("displacement", data.twists), ("force", data.stresses)):
         if not np.any(values[:, 1]):
             raise ValueError(
@@ -72,8 +72,9 @@ def fit_mixed(
                 "the axial compliance of a mixed energy. Add trials with axial forces, "
                 "or use the coordinates 'twistor' or 'twist'."
             )
-    length = scale or _largest_magnitude(data.twists[:, 2])
-    force = _largest_magnitude(data.stresses[:, 1])
+    measured = np.asarray(data.stresses[:, 1])
+    length = scale or _largest_magnitude(np.asarray(data.twists[:, 2]))
+    force = _largest_magnitude(measured)
     stiffness = None
     if reference == "stable":
         stiffness = _reference_stiffness(powers, length, force)
@@ -83,8 +84,9 @@ def fit_mixed(
     ) -> ConstrainedSolution:
         """Solve with the weights of a previous solution."""
         with np.errstate(all="ignore"):  # implausible trials may overflow
-            equations = data.equations(powers, axial_forces, length, force)
-            rows, targets = map(np.asarray, weighted_equations(equations, coefficients))
+            equations = mixed_equations(powers, data.twists, axial_forces, length, force)
+            weighted = weighted_equations(data, equations, coefficients)
+            rows, targets = map(np.asarray, weighted)
         if trials.energies is not None:
             deviations = np.asarray(trials.energy_deviations)[:, None]
             potentials = np.asarray(trials.energies) - axial_forces * data.twists[:, 1]
@@ -96,7 +98,6 @@ def fit_mixed(
     def predict(coefficients: np.ndarray) -> _Prediction:
         return _predict(data, trials, powers, coefficients, length, force)
 
-    measured = data.stresses[:, 1]
     solution = solve(measured, None)
     for _ in range(3):
         solution = solve(measured, solution.coefficients)
@@ -121,33 +122,14 @@ def mixed_residuals(
     """
     coefficients = np.asarray(energy.coefficients)
     length, force = float(energy.length), float(energy.force)
-    data = _MixedData.of(trials)
+    data = _mixed_trials(trials)
     return _predict(data, trials, energy.powers, coefficients, length, force).residuals
 
 
-class _MixedData(NamedTuple):
-    """Measured trials in the coordinates of a mixed energy; see `twists_and_stresses`.
-
-    Args:
-        twists: Twist of each trial; rad, m, m.
-        stresses: Generalized stress of each trial; N m, N, N.
-        to_wrenches: Matrices from an error of the generalized stress to the error of the
-            wrench in standard deviations.
-    """
-
-    twists: np.ndarray
-    stresses: np.ndarray
-    to_wrenches: np.ndarray
-
-    @classmethod
-    def of(cls, trials: Trials) -> "_MixedData":
-        arrays = trials.poses, trials.wrenches, trials.wrench_deviations
-        return cls(*map(np.asarray, twists_and_stresses(*arrays)))
-
-    def equations(
-        self, powers: Powers, axial_forces: np.ndarray, length: float, force: float
-    ) -> MixedEquations:
-        return mixed_equations(powers, *self, axial_forces, length, force)
+def _mixed_trials(trials: Trials) -> MixedTrials:
+    """Return trials with wrenches in the coordinates of a mixed energy, on the host."""
+    arrays = trials.poses, trials.wrenches, trials.wrench_deviations
+    return MixedTrials(*map(np.asarray, twists_and_stresses(*arrays)))
 
 
 class _Prediction(NamedTuple):
@@ -214,7 +196,7 @@ def _gauss_newton(
 
 
 def _predict(
-    data: _MixedData,
+    data: MixedTrials,
     trials: Trials,
     powers: Powers,
     coefficients: np.ndarray,
@@ -241,7 +223,7 @@ def _predict(
             ratios = inside - residual / polyval(inside, curvature, tensor=False)
         is_maximum = polyval(np.clip(ratios, -1.0, 1.0), curvature, tensor=False) < 0
         forces = np.where(is_maximum, force * ratios, np.nan)
-        at = data.equations(powers, forces, length, force)
+        at = mixed_equations(powers, data.twists, forces, length, force)
         transverse_forces = at.transverse_force @ coefficients
         stresses = np.stack([at.moment @ coefficients, forces, transverse_forces], axis=1)
         residuals = np.einsum("sij,sj->si", data.to_wrenches, stresses - data.stresses)

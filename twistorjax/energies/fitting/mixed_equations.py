@@ -20,16 +20,27 @@ from ..evaluation import AnyArray, power_derivatives
 from ..monomials import Powers
 
 
-class MixedEquations(NamedTuple):
-    """Equations for the coefficients of W; see `mixed_equations`.
-
-    The contributions of a term are those for a coefficient of one joule.
+class MixedTrials(NamedTuple):
+    """Trials in the coordinates of a mixed energy; see `twists_and_stresses`.
 
     Args:
         twists: Twist of each trial; rad, m, m.
         stresses: Generalized stress of each trial; N m, N, N.
         to_wrenches: Matrices from an error of the generalized stress to the error of the
             wrench in standard deviations.
+    """
+
+    twists: Float[AnyArray, "trials 3"]
+    stresses: Float[AnyArray, "trials 3"]
+    to_wrenches: Float[AnyArray, "trials 3 3"]
+
+
+class MixedEquations(NamedTuple):
+    """Equations for the coefficients of W; see `mixed_equations`.
+
+    The contributions of a term are those for a coefficient of one joule.
+
+    Args:
         axial_forces: Axial force at which the terms are evaluated; N.
         moment: Contributions to the derivative with respect to the rotation; N m.
         transverse_force: Contributions to the derivative with respect to the transverse
@@ -43,9 +54,6 @@ class MixedEquations(NamedTuple):
         energy: Contributions to W; J.
     """
 
-    twists: Float[AnyArray, "trials 3"]
-    stresses: Float[AnyArray, "trials 3"]
-    to_wrenches: Float[AnyArray, "trials 3 3"]
     axial_forces: Float[AnyArray, " trials"]
     moment: Float[AnyArray, "trials terms"]
     transverse_force: Float[AnyArray, "trials terms"]
@@ -59,8 +67,6 @@ class MixedEquations(NamedTuple):
 def mixed_equations(
     powers: Powers,
     twists: Float[AnyArray, "trials 3"],
-    stresses: Float[AnyArray, "trials 3"],
-    to_wrenches: Float[AnyArray, "trials 3 3"],
     axial_forces: Float[AnyArray, " trials"],
     length: Scalar | float,
     force: Scalar | float,
@@ -71,8 +77,6 @@ def mixed_equations(
         powers: Powers of rotation, transverse displacement over `length`, and axial force
             over `force`.
         twists: Twist of each trial; rad, m, m.
-        stresses: Generalized stress of each trial; N m, N, N.
-        to_wrenches: As in `MixedEquations`.
         axial_forces: Axial force of each trial, measured or predicted; N.
         length: Reference length; m.
         force: Reference force; N.
@@ -80,8 +84,8 @@ def mixed_equations(
     Returns:
         The contributions of all terms at all trials.
     """
-    xp, arrays = on_host(twists, stresses, to_wrenches, axial_forces, length, force)
-    twists, stresses, to_wrenches, axial_forces, length, force = arrays
+    xp, arrays = on_host(twists, axial_forces, length, force)
+    twists, axial_forces, length, force = arrays
     rotations, _, transverse = twists.T
     exponents = np.array(powers)
     force_ratios = axial_forces / force
@@ -94,9 +98,6 @@ def mixed_equations(
     outside = (force_ratios - inside)[:, None]
     n, dn = n + outside * (dn + outside * ddn / 2), dn + outside * ddn
     return MixedEquations(
-        twists,
-        stresses,
-        to_wrenches,
         axial_forces,
         moment=dt * y * n,
         transverse_force=t * dy * n / length,
@@ -109,7 +110,9 @@ def mixed_equations(
 
 
 def weighted_equations(
-    equations: MixedEquations, coefficients: Float[AnyArray, " terms"] | None
+    trials: MixedTrials,
+    equations: MixedEquations,
+    coefficients: Float[AnyArray, " terms"] | None,
 ) -> tuple[Float[AnyArray, "trials 3 terms"], Float[AnyArray, "trials 3"]]:
     """Weight the equations so that their residuals are errors of the wrench.
 
@@ -121,14 +124,15 @@ def weighted_equations(
     Gauss-Newton step for the errors of the predicted wrenches.
 
     Args:
-        equations: The equations.
+        trials: The trials.
+        equations: The equations at these trials.
         coefficients: Coefficients of the previous solution, or `None` at first; J.
 
     Returns:
         The matrix and the right-hand side of the least-squares problem.
     """
     xp, _ = on_host(equations.moment)
-    axial_displacements, axial_forces = equations.twists[:, 1], equations.axial_forces
+    axial_displacements, axial_forces = trials.twists[:, 1], equations.axial_forces
     if coefficients is None:
         rms = xp.sqrt(xp.mean(axial_forces**2))
         estimate = xp.std(axial_displacements) / xp.where(rms > 0, rms, 1.0)
@@ -148,13 +152,13 @@ def weighted_equations(
         equations.transverse_force + by_transverse_force[:, None] * axial_rows,
     ]
     targets = [
-        equations.stresses[:, 0] + by_moment * axial_targets,
-        equations.stresses[:, 1] - axial_forces + axial_targets,
-        equations.stresses[:, 2] + by_transverse_force * axial_targets,
+        trials.stresses[:, 0] + by_moment * axial_targets,
+        trials.stresses[:, 1] - axial_forces + axial_targets,
+        trials.stresses[:, 2] + by_transverse_force * axial_targets,
     ]
     return (
-        equations.to_wrenches @ xp.stack(rows, axis=1),
-        xp.einsum("sij,sj->si", equations.to_wrenches, xp.stack(targets, axis=1)),
+        trials.to_wrenches @ xp.stack(rows, axis=1),
+        xp.einsum("sij,sj->si", trials.to_wrenches, xp.stack(targets, axis=1)),
     )
 
 
@@ -163,9 +167,7 @@ def twists_and_stresses(
     poses: Float[Array, "trials 3"],
     wrenches: Float[Array, "trials 3"],
     deviations: Float[Array, "trials 3"],
-) -> tuple[
-    Float[Array, "trials 3"], Float[Array, "trials 3"], Float[Array, "trials 3 3"]
-]:
+) -> MixedTrials:
     """Convert poses and wrenches to twists and generalized stresses.
 
     The generalized stress is the derivative of the energy with respect to the twist. Its
@@ -177,9 +179,7 @@ def twists_and_stresses(
         deviations: Standard deviations of the wrenches; N m, N, N.
 
     Returns:
-        The twists (rad, m, m), the generalized stresses (N m, N, N), and the matrices
-        from an error of the generalized stress to the error of the wrench in standard
-        deviations.
+        The twists and the generalized stresses.
     """
 
     def twist_and_matrix(pose: Pose) -> tuple[Twist, Matrix]:
@@ -191,4 +191,5 @@ def twists_and_stresses(
 
     twists, matrices = jax.vmap(twist_and_matrix)(poses)
     stresses = jnp.einsum("sij,sj->si", matrices, wrenches)
-    return twists, stresses, jnp.linalg.inv(matrices) / deviations[:, :, None]
+    errors = jnp.linalg.inv(matrices) / deviations[:, :, None]
+    return MixedTrials(twists, stresses, errors)

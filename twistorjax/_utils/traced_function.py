@@ -43,21 +43,8 @@ class _Program:
             eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
             for leaf in leaves
         ]
-        results = []
-
-        def program(*arrays: Any) -> list[Any]:
-            values = iter(arrays)
-            pairs = zip(leaves, self._is_array, strict=True)
-            filled = [next(values) if is_array else leaf for leaf, is_array in pairs]
-            result = function(*jax.tree.unflatten(self._inputs, filled))
-            outputs, others = eqx.partition(result, eqx.is_array)
-            flat, structure = jax.tree.flatten(outputs)
-            results.append((structure, others))
-            return flat
-
-        closed = jax.make_jaxpr(program)(*self._arrays(leaves))
-        self._jaxpr = closed.jaxpr
-        self._outputs, self._others = results[0]
+        closed, outputs, self._others = eqx.filter_make_jaxpr(function)(*examples)
+        self._jaxpr, self._outputs = closed.jaxpr, jax.tree.structure(outputs)
         self.constants = [
             constant if isinstance(constant, jax.Array) else jnp.array(np.array(constant))
             for constant in closed.consts
@@ -68,14 +55,12 @@ class _Program:
         self._key = program_key(self._jaxpr), *map(_hashable, structures)
 
     def call(self, constants: list[Any], arguments: tuple) -> Any:
-        arrays = self._arrays(self._inputs.flatten_up_to(arguments))
+        leaves = self._inputs.flatten_up_to(arguments)
+        arrays = itertools.compress(leaves, self._is_array)
         values = eval_jaxpr(self._jaxpr, constants, *arrays)
         # A result that is a number in the program is not yet an array.
         outputs = jax.tree.unflatten(self._outputs, map(jnp.asarray, values))
         return eqx.combine(outputs, self._others)
-
-    def _arrays(self, leaves: list[Any]) -> list[Any]:
-        return list(itertools.compress(leaves, self._is_array))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Program) and self._key == other._key

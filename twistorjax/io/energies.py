@@ -1,5 +1,6 @@
 """JSON files of energies, from which a fitted hinge can be read again."""
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -112,80 +113,64 @@ def energy_record(energy: AbstractEnergy) -> dict[str, Any]:
     Raises:
         ValueError: The energy, or an energy in it, is of another class.
     """
-    name = type(energy).__name__
-    if _CLASSES.get(name) is not type(energy):
-        raise ValueError(
-            f"An energy of the class {name} cannot be saved. Classes that can be saved "
-            f"are {', '.join(_CLASSES)}."
-        )
-
-    def content(value: Any) -> Any:
-        if isinstance(value, AbstractEnergy):
-            return energy_record(value)
-        if isinstance(value, AbstractStressModel):
-            return _stress_record(value)
-        if isinstance(value, SubMechanism):
-            return _mechanisms().sub_mechanism_record(value)
-        return [content(part) for part in value] if isinstance(value, tuple) else value
-
-    record: dict[str, Any] = {"kind": name}
     try:
-        for field in fields(energy):
-            record[field.name] = content(getattr(energy, field.name))
+        return _record("An energy", energy, _CLASSES)
     except RecursionError:
         raise ValueError(
             "The energy cannot be saved, because it has too many nested sums."
         ) from None
-    return record
 
 
-def _stress_record(model: AbstractStressModel) -> dict[str, Any]:
-    """Return the content of the record of a stress model, for `write_record`.
+def _record(noun: str, value: Any, classes: Mapping[str, type]) -> dict[str, Any]:
+    """Return the content of the record of an energy or a stress model.
 
     Raises:
-        ValueError: The model is of another class.
+        ValueError: It is of another class.
     """
-    name = type(model).__name__
-    if _STRESS_MODELS.get(name) is not type(model):
+    name = type(value).__name__
+    if classes.get(name) is not type(value):
         raise ValueError(
-            f"A stress model of the class {name} cannot be saved. Classes that can be "
-            f"saved are {', '.join(_STRESS_MODELS)}."
+            f"{noun} of the class {name} cannot be saved. Classes that can be saved are "
+            f"{', '.join(classes)}."
         )
+    content = {
+        field.name: _content(getattr(value, field.name)) for field in fields(value)
+    }
+    return {"kind": name, **content}
 
-    values = {field.name: getattr(model, field.name) for field in fields(model)}
-    if isinstance(model, MechanismStress):
-        values["parts"] = [_stress_record(part) for part in model.parts]
-    return {"kind": name, **values, "strengths": model.strengths._asdict()}
+
+def _content(value: Any) -> Any:
+    """Return the content of a field of a record."""
+    if isinstance(value, AbstractEnergy):
+        return _record("An energy", value, _CLASSES)
+    if isinstance(value, AbstractStressModel):
+        return _record("A stress model", value, _STRESS_MODELS)
+    if isinstance(value, SubMechanism):
+        return _mechanisms().sub_mechanism_record(value)
+    if isinstance(value, Strengths):
+        return value._asdict()
+    return [_content(part) for part in value] if isinstance(value, tuple) else value
 
 
 def _stress_from_record(record: Any) -> AbstractStressModel:
     """Create a stress model from its record."""
 
-    def to_argument(value: Any) -> Any:
+    def to_argument(name: str, value: Any) -> Any:
         if value is None or isinstance(value, str):
             return value
-        if hasattr(value, "__struct_fields__"):
+        if name == "parts":
+            return tuple(map(_stress_from_record, value))
+        if name == "powers":
+            return tuple(map(tuple, value))
+        if name == "strengths":
             return Strengths(**arguments(value))
         return jnp.asarray(value, float)
 
     def arguments(record: Any) -> dict[str, Any]:
         names = record.__struct_fields__
-        return {name: to_argument(getattr(record, name)) for name in names}
+        return {name: to_argument(name, getattr(record, name)) for name in names}
 
-    model = _STRESS_MODELS[type(record).__name__]
-    if model is not MechanismStress:
-        return model(**arguments(record))
-    parts = tuple(map(_stress_from_record, record.parts))
-    powers = tuple(map(tuple, record.powers))
-    return model(
-        parts=parts,
-        coefficients=jnp.asarray(record.coefficients, float),
-        length=jnp.asarray(record.length, float),
-        force=jnp.asarray(record.force, float),
-        strengths=Strengths(**arguments(record.strengths)),
-        powers=powers,
-        freedom=record.freedom,
-    )
+    return _STRESS_MODELS[type(record).__name__](**arguments(record))
 
 
 def _mechanisms():

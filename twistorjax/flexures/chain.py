@@ -241,15 +241,15 @@ def _count(relative_force: Scalar, rotation: Scalar, modes: int) -> int:
             f"number is {_MOST_SEGMENTS}. Use fewer modes."
         )
     shortest = max(math.sqrt(force / _LARGEST_FORCE), angle / _LARGEST_ROTATION)
-    count = 1
-    while np.max(_lengths(count, modes > 0)) * shortest > 1 + 1e-9:
-        count += 1
+    # For modes, the segments at both ends are shorter than the others; see `_lengths`.
+    missing = 2 * (1 - _END_LENGTH) if modes else 0.0
+    count = max(by_modes, math.ceil(shortest * (1 - 1e-9) + missing))
     if count > _MOST_SEGMENTS:
         raise ValueError(
             f"A force of {force:.4g} E I / L^2 needs {count} segments, but the largest "
             f"number is {_MOST_SEGMENTS}. Use a smaller `force`."
         )
-    return max(count, by_modes)
+    return count
 
 
 def _lengths(count: int, corrected: bool) -> np.ndarray:

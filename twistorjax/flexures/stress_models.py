@@ -163,7 +163,8 @@ class BeamColumnStress(AbstractStressModel):
         half = displacement.x2 * axial - arm * transverse
         ratio = axial * self.length**2 / bending
         root = jnp.sqrt(jnp.maximum(jnp.abs(ratio), 1e-8))
-        position = root * jnp.linspace(-0.5, 0.5, 17)
+        # At a larger tension, the hyperbolic functions would overflow.
+        position = jnp.minimum(root, 1000.0) * jnp.linspace(-0.5, 0.5, 17)
         compressed = ratio < 0
         cos = jnp.where(compressed, jnp.cos(position), jnp.cosh(position))
         sin = jnp.where(compressed, jnp.sin(position), jnp.sinh(position))

@@ -157,7 +157,8 @@ class Bistability(eqx.Module):
                 "no second stable state on this symmetric path; after the branch point, "
                 "the mechanism leaves it: add a small constant load that is not symmetric"
             ]
-        lines.append(f"snaps at the load factor {forth}, back at {back}")
+        back = "" if np.isnan(factors[1]) else f", back at {back}"
+        lines.append(f"snaps at the load factor {forth}{back}")
         if bistable:
             first, second = (energies[1] - energies[k] for k in (0, 2))
             lowest = negative[1] == 1 and not at_branch.any()

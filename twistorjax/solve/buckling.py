@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
-from .._utils.host import as_float, concrete
+from .._utils.host import concrete
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, Count, Flag, NumberLike, Poses, Scalar
 from .._utils.validation import require_float64, warn
-from ..mechanism.constraints import AbstractConstraint, gather_constraints
+from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
+from .consistency import require_equilibrium
 from .continuation import Metric
 from .critical_points import (
     LARGEST_MULTIPLICITY,
@@ -37,6 +38,7 @@ from .results import (
 )
 from .static_errors import describe_free_motions
 from .static_results import state_in_range, StateLike, warn_outside_linear_range
+from .system import System
 from .tables import Column, Columns, columns, Tabular
 
 
@@ -159,7 +161,8 @@ def buckling(
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, nothing is multiplied
-            by the load factor, or a load is a follower load.
+            by the load factor, a load is a follower load, or `about` is not an
+            equilibrium under the constant loads.
         RuntimeError: The equilibrium is not stable, a value is not finite, a hinge is
             outside the validity range of its energy at the first load factor, or the
             stiffness is not singular near its estimate.
@@ -196,17 +199,20 @@ def buckling(
             "displacements, or divide a flexure by `flexures.chain`, so that it can "
             "buckle between its ends."
         )
+    dofs = DofPartition.of(mechanism, prescribed)
     state = state_in_range(mechanism, "about", about)
+    equations = System.of(mechanism, dofs, constant_loads, constraints, time)
+    state = require_equilibrium(mechanism, equations, state, about, "constant_loads")
     system = PathSystem(
         mechanism=mechanism,
         loads=LoadSet.of(mechanism, loads),
         constant_loads=LoadSet.of(mechanism, constant_loads),
-        constraints=gather_constraints(mechanism, constraints),
+        constraints=equations.constraints,
         changes=None,
         start=state,
         targets=jnp.array(targets, float),
-        time=as_float(time),
-        dofs=DofPartition.of(mechanism, prescribed),
+        time=equations.time,
+        dofs=dofs,
     )
     solution, displacements = _buckling(system, modes)
 

@@ -187,11 +187,11 @@ def grid_chunk(shape: Sequence[int], size: int) -> tuple[int, ...] | None:
     Returns:
         The shape of the block; None if a chunk of this size is not a block.
     """
-    axis, inner = _chunk_axis(shape, size)
-    count = min(size // inner, shape[axis])
-    if size < math.prod(shape) and (
-        size != count * inner or (axis > 0 and shape[axis] % count)
-    ):
+    inner = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
+    axis = next(axis for axis, count in enumerate(inner) if count <= size)
+    count = min(size // inner[axis], shape[axis])
+    is_block = size == count * inner[axis] and (axis == 0 or shape[axis] % count == 0)
+    if not is_block and size < math.prod(shape):
         return None
     return (*axis * (1,), count, *shape[axis + 1 :])
 
@@ -201,20 +201,8 @@ def grid_chunk_size(shape: Sequence[int], size: int) -> int:
 
     The size stays as it is if it would have to be reduced to less than half.
     """
-    axis, inner = _chunk_axis(shape, size)
-    if size >= math.prod(shape):
-        return size
-    count = size // inner
-    while axis > 0 and shape[axis] % count:
-        count -= 1
-    return count * inner if 2 * count * inner >= size else size
-
-
-def _chunk_axis(shape: Sequence[int], size: int) -> tuple[int, int]:
-    """Find the axis that chunks divide, and the designs in one step along it."""
-    inner = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
-    axis = next(axis for axis, count in enumerate(inner) if count <= size)
-    return axis, inner[axis]
+    sizes = range(size, (size - 1) // 2, -1)
+    return next((smaller for smaller in sizes if grid_chunk(shape, smaller)), size)
 
 
 def _as_array(value: Any) -> Any:

@@ -271,7 +271,7 @@ def _warnings(
     error = min(best.score, quick_error(trials, 4))
     if text := better_conversion(trials, error, quick_error):
         texts.append(text)
-    elif error < best.score / 5:
+    elif error < best.score / 5 and not isinstance(best.energy, MixedEnergy):
         texts.append("the coordinates 'mixed' are much more accurate for these trials.")
     return texts
 

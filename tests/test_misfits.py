@@ -431,3 +431,29 @@ def test_a_leaf_that_nothing_loads_is_displaced_by_its_misfit(misfit):
     assert int(found.steps) <= 15
     displacement = mechanism.displacement_of("h", found)
     np.testing.assert_allclose(displacement, misfit, atol=1e-9)
+
+
+@pytest.mark.parametrize("direction", [0.1, 0.5, 1.2])
+@pytest.mark.parametrize("short", [1e-6, 1e-4])
+def test_a_stage_on_four_short_leaves_does_not_move(direction, short):
+    """Their tensions balance, so all displacements are rounding errors."""
+    length, thickness, width = 0.05, 0.5e-3, 10e-3
+    leaf = tj.flexures.leaf(STEEL, length=length, thickness=thickness, width=width)
+    angles = direction + np.pi / 2 * np.arange(-2, 2)
+    hinges = [
+        tj.Hinge(
+            f"{angle:.2f}",
+            "base",
+            "stage",
+            leaf,
+            (angle, 0.04 * np.cos(angle), 0.04 * np.sin(angle)),
+            misfit=(0.0, -short, 0.0),
+        )
+        for angle in angles
+    ]
+    mechanism = tj.Mechanism([tj.Body("base"), tj.Body("stage")], hinges, fixed=["base"])
+    found = tj.equilibrium(mechanism)
+    assert_close(found.displacements, np.zeros((2, 3)))
+    tension = 210e9 * thickness * width * short / length
+    wrench = mechanism.wrench_of(f"{angles[0]:.2f}", found)
+    np.testing.assert_allclose(wrench[1], tension, rtol=1e-9)

@@ -53,6 +53,8 @@ _ROUNDING = 1e-12
 # Violations of constraints are computed from poses, so smaller corrections of a mechanism
 # with constraints are rounding errors; rad, and lengths of the mechanism.
 _ROUNDING_OF_POSES = 16 * np.finfo(float).eps
+# Energy changes in an increment, as a fraction of the work of the hinges
+_NO_MOTION = 1e-20
 _LARGEST_ROTATION = 1.0  # of a body in one increment; rad
 _LARGEST_VIOLATION = 1e-10  # of a constraint; rad, and lengths of the mechanism
 _STEPS_PER_INCREMENT = 12
@@ -176,6 +178,10 @@ def solve_in_increments(
             # After the first step, a stiff hinge that turns by its misfit is stretched.
             difference = jnp.where(state.tries == 1, 0.0, difference)
         share = jnp.maximum(share, difference / _LARGEST_DIFFERENCE)
+        # If misfits load the hinges and nothing moves, all corrections are rounding
+        # errors.
+        moves = jnp.maximum(energy_scale, energy) > _NO_MOTION * step.work
+        share = jnp.where(first | moves, share, 0.0)
         nonlinearity = jnp.where(first, 0.0, jnp.maximum(share, state.nonlinearity))
 
         contracts = share <= 1

@@ -36,13 +36,15 @@ class BeamColumn(AbstractMixedEnergy):
     exact.
 
     Its coordinates are the angle `tau` and the translation `(t1, t2)` in the mid-frame.
-    It is valid inside the ellipse `(tau / 0.8 rad)^2 + (t2 / (0.25 length))^2 = 1`; in
-    compression up to the buckling load with clamped ends,
-    `4 pi^2 bending_stiffness / length^2`, which shear reduces; and up to an axial strain
-    of 5 %. For given rotation, transverse displacement, and axial force, the error of
-    moment and transverse force in this range is below 1 % for axial forces from -9 to 9
-    `bending_stiffness / length^2`, and below 2 % in tension. In stronger compression it
-    is 6 % at twice the force at which a guide of two leaves buckles.
+    It is valid inside the ellipse `(tau / 0.8 rad)^2 + (t2 / (0.25 length))^2 = 1`, and
+    up to an axial strain of 5 %. A straight leaf is valid in compression up to the
+    buckling load with clamped ends, `4 pi^2 bending_stiffness / length^2`, which shear
+    reduces; a leaf on the ellipse, up to half of it. For given rotation, transverse
+    displacement, and axial force, the error of moment and transverse force is below 1 %
+    for axial forces from -9 to 9 `bending_stiffness / length^2` (2 % near the ellipse in
+    compression), and below 3 % in tension. In stronger compression, the transverse force
+    errs by up to 3 % and the moment by up to 14 %, and by a quarter of
+    `bending_stiffness tau / length` where it changes its sign, at -30.
 
     Args:
         length: Free length; m.
@@ -138,8 +140,9 @@ class BeamColumn(AbstractMixedEnergy):
         bending = (rotation / _ROTATION) ** 2 + (transverse / _TRANSVERSE) ** 2
         # The derivative of the energy by the axial force decreases with it. So the force
         # is above its limit if the derivative at the limit is positive.
+        lowest = (1 + 1e-9) * self._lowest_force_ratio(bending)
         (slope,) = self.potential.derivatives(
-            ((0, 0, 1),), (rotation, transverse), (1 + 1e-9) * self._lowest_force_ratio()
+            ((0, 0, 1),), (rotation, transverse), lowest
         )
         stretch = axial / self.bending_stiffness * self.length
         return (bending > 1 + 1e-9) | (axial + slope < 0) | (stretch > _STRAIN)
@@ -148,30 +151,40 @@ class BeamColumn(AbstractMixedEnergy):
         """Describe the displacement, the axial force, and the validity range."""
         rotation, transverse = displacement.angle, 2 * displacement.x2
         force = self.axial_force(displacement)
-        lowest = self.reference_force * self._lowest_force_ratio()
-        values = all_concrete([rotation, transverse, force, self.length, lowest])
+        limit = _TRANSVERSE * self.length
+        bending = (rotation / _ROTATION) ** 2 + (transverse / limit) ** 2
+        lowest = self.reference_force * self._lowest_force_ratio(bending)
+        values = all_concrete(
+            [rotation, transverse, force, self.length, limit, bending, lowest]
+        )
         advice = (
             "Use `flexures.surrogate` of a `flexures.Beam` for large rotations, and "
             "`flexures.chain` for a leaf that buckles between its ends"
         )
         if values is None:
             return f"it is a leaf outside of its validity range. {advice}"
-        rotation, transverse, force, length, lowest = map(float, values)
-        limit = _TRANSVERSE * length
-        bending = (rotation / _ROTATION) ** 2 + (transverse / limit) ** 2
+        rotation, transverse, force, length, limit, bending, lowest = map(float, values)
         return (
             f"its rotation is {rotation:.4g} rad, its transverse displacement "
             f"{transverse:.4g} m, and its axial force {force:.4g} N. The energy of a "
             f"leaf is valid if (rotation / {_ROTATION} rad)^2 + (transverse displacement "
             f"/ {limit:.4g} m)^2 is at most 1 (it is {bending:.3g}), for axial forces "
-            f"above {lowest:.4g} N, and elongations up to {_STRAIN * length:.4g} m. "
-            f"{advice}"
+            f"above {lowest:.4g} N at this displacement, and elongations up to "
+            f"{_STRAIN * length:.4g} m. {advice}"
         )
 
-    def _lowest_force_ratio(self) -> Scalar:
-        """Return the relative axial force of the largest valid compression."""
+    def _lowest_force_ratio(self, bending: Scalar) -> Scalar:
+        """Return the relative axial force of the largest valid compression.
+
+        `bending` is the sum of squares that is one on the ellipse. A force p increases
+        the deflection in proportion to `1 / x`, where `x = 1 + p / buckling`, and the
+        relative error in proportion to the square of the deflection over x. On the
+        ellipse, half of the buckling load is valid, and inside the force with the same
+        error.
+        """
         potential = self.potential
-        buckling = _NEARLY * potential.buckling_ratio
+        share = 1 - jnp.cbrt(jnp.minimum(bending, 1.0)) / 2
+        buckling = jnp.minimum(_NEARLY, share) * potential.buckling_ratio
         return -jnp.minimum(buckling, _STRAIN / potential.stretch)
 
 

@@ -138,7 +138,8 @@ def test_the_axial_force_is_that_of_its_axial_displacement(slenderness, shear):
     radius, phase = random.uniform(0, 1, 3000), random.uniform(0, 2 * np.pi, 3000)
     size = np.repeat([0.0, 1.0, 1.0], 1000) * 10.0 ** random.uniform(-8, 0, 3000)
     size[2000:] = 1.0
-    bending = 0.8 * size * radius * np.cos(phase), 0.25 * radius * np.sin(phase)
+    rotation, transverse = 0.8 * size * np.cos(phase), 0.25 * np.sin(phase)
+    bending = jnp.asarray(radius * rotation), jnp.asarray(radius * transverse)
     lowest = -0.999 * potential.buckling_ratio
     force = np.where(
         random.uniform(size=3000) < 0.5,

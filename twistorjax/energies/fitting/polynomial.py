@@ -71,8 +71,8 @@ def fit_energy(
         trials: Measured or computed trials.
         order: Order of the polynomial, by default the order from 2 to 12 with the
             smallest expected error. The search ends after two higher orders with a larger
-            error, after one with an error 1.5 times as large, or if the number of terms
-            exceeds 0.8 times the number of measured values.
+            error, or if the number of terms exceeds 0.8 times the number of measured
+            values.
         coordinates: "twistor" or "twist" for a `Polynomial`, or "mixed" for a
             `MixedEnergy`. A mixed energy is by far the most accurate for flexures, which
             are stiff along axis 1.
@@ -303,9 +303,8 @@ def _best_candidate(
     """Fit energies of several orders and return that with the smallest expected error.
 
     The orders ascend. Those with more than 0.8 coefficients for each measured value are
-    left out. The search ends after two orders with a larger error, or one with an error
-    1.5 times as large. The low orders may have no valid energy, so it ends after four of
-    them if none was found.
+    left out. The search ends after two orders with a larger error. The low orders may
+    have no valid energy, so it ends after four of them if none was found.
     """
     from tqdm import tqdm  # only a fit needs it, and `twistorjax` shall load quickly
 
@@ -320,11 +319,10 @@ def _best_candidate(
             continue
         previous = powers
         candidate = _candidate(trials, order, powers, settings)
-        score = np.inf if candidate is None else candidate.score
-        if candidate is not None and (best is None or score < best.score):
-            best, worse = candidate, 0
+        if candidate is None or (best is not None and not candidate.score < best.score):
+            worse += 1
         else:
-            worse += 2 if best and score > 1.5 * best.score else 1
+            best, worse = candidate, 0
     if best is not None:
         return best
     texts = [

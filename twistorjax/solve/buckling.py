@@ -53,7 +53,6 @@ _NEGLIGIBLE = 1e-11  # change after which the iteration ends
 _CONVERGED = 1e-7  # largest last change that is accepted
 _ITERATIONS = 30
 _SAME_FACTOR = 1e-8  # difference of load factors that are equal, as a fraction of them
-
 # The equilibrium is followed in steps to this share of the first load factor, where the
 # stiffness in one direction must be below this share of its initial value.
 _NEARLY_CRITICAL, _SMALL_STIFFNESS = 0.98, 0.5
@@ -193,13 +192,13 @@ def buckling(
     if modes < 1:
         raise ValueError(f"`modes` is {modes!r}, but must be at least 1.")
     prescribed, targets = prescribed_dofs(mechanism, drives)
-    if not DofPartition.of(mechanism, prescribed).free:
+    dofs = DofPartition.of(mechanism, prescribed)
+    if not dofs.free:
         raise ValueError(
             "All bodies are fixed or driven, so none can buckle. Drive fewer "
             "displacements, or divide a flexure by `flexures.chain`, so that it can "
             "buckle between its ends."
         )
-    dofs = DofPartition.of(mechanism, prescribed)
     state = state_in_range(mechanism, "about", about)
     equations = System.of(mechanism, dofs, constant_loads, constraints, time)
     state = require_equilibrium(mechanism, equations, state, about, "constant_loads")
@@ -254,8 +253,7 @@ def _range_limit(system: PathSystem) -> Float[Array, " n"]:
     The load factor of the returned point is infinite if there are none.
     """
     point = first_point(system, system.start, jnp.zeros(()))
-    tangent = system.tangent(point)
-    rate = jnp.append(-jnp.linalg.solve(tangent.jacobian, tangent.by_factor), 1.0)
+    rate = _rate(system.tangent(point))
     exponents, factor = jnp.linspace(*_EXPONENTS, _TRIED_FACTORS), jnp.zeros(())
     for _ in range(3):
         factors = jnp.stack([10.0**exponents, -(10.0**exponents)])
@@ -388,8 +386,7 @@ def _linearized(
 
     The other results are whether the equilibrium is stable, and all values are finite.
     """
-    rate = -jnp.linalg.solve(tangent.jacobian, tangent.by_factor)
-    rate = jnp.append(rate, 1.0)
+    rate = _rate(tangent)
 
     def allowed(point: Float[Array, " n"]) -> tuple[Array, Array]:
         return allowed_stiffness(system, metric, system.tangent(point))
@@ -504,9 +501,6 @@ def _is_first(
     and in one direction the stiffness must have become a fraction of its initial value.
     Otherwise the equilibrium has become unstable before, or the point is on another path.
     """
-    free = len(linear.basis)
-    matrix = metric.units[:free, None] * linear.matrix[:free, :free]
-    matrix = matrix * metric.units[None, :free]
 
     def correct(state: tuple[Array, Scalar, Count]) -> tuple[Array, Scalar, Count]:
         point, _, count = state
@@ -516,28 +510,32 @@ def _is_first(
         return point + change, metric.length(change / metric.units), count + 1
 
     def follow(
-        state: tuple[Array, Flag], share: Scalar
-    ) -> tuple[tuple[Array, Flag], Scalar]:
-        point, stable = state
-        change = share * critical[-1] - point[-1]
-        tangent = system.tangent(point)
-        rate = -jnp.linalg.solve(tangent.jacobian, tangent.by_factor)
-        start = point + change * jnp.append(rate, 1.0)
+        state: tuple[Array, Array, Flag], share: Scalar
+    ) -> tuple[tuple[Array, Array, Flag], Scalar]:
+        point, rate, stable = state
+        start = point + (share * critical[-1] - point[-1]) * rate
         point, size, _ = jax.lax.while_loop(
             lambda state: (state[1] > _FOLLOWED) & (state[2] < _CORRECTIONS),
             correct,
             (start, jnp.ones(()), jnp.zeros((), int)),
         )
-        stiffness, basis = allowed_stiffness(system, metric, system.tangent(point))
-        lower = jnp.linalg.cholesky(basis.T @ matrix @ basis)
-        half = jax.scipy.linalg.solve_triangular(lower, stiffness, lower=True)
-        relative = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
-        lowest = jnp.linalg.eigvalsh((relative + relative.T) / 2)[0]
-        return (point, stable & (lowest > 0) & (size <= _FOLLOWED)), lowest
+        tangent = system.tangent(point)
+        stiffness, basis = allowed_stiffness(system, metric, tangent)
+        # In these modes, the initial stiffness is the unit matrix.
+        modes = basis.T @ (linear.basis @ linear.vectors)
+        lowest = jnp.linalg.eigvalsh(modes.T @ stiffness @ modes)[0]
+        stable &= (lowest > 0) & (size <= _FOLLOWED)
+        return (point, _rate(tangent), stable), lowest
 
     shares = jnp.linspace(0.0, _NEARLY_CRITICAL, _LOAD_STEPS + 1)[1:]
-    (_, stable), lowest = jax.lax.scan(follow, (linear.point, jnp.ones((), bool)), shares)
+    start = linear.point, linear.rate, jnp.ones((), bool)
+    (_, _, stable), lowest = jax.lax.scan(follow, start, shares)
     return stable & (lowest[-1] < _SMALL_STIFFNESS)
+
+
+def _rate(tangent: PathTangent) -> Float[Array, " n"]:
+    """Return the change of a point of the equilibrium with the load factor."""
+    return jnp.append(-jnp.linalg.solve(tangent.jacobian, tangent.by_factor), 1.0)
 
 
 def _cholesky(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Flag]:

@@ -290,9 +290,9 @@ def follow(
         if event is not None:
             product = event(point) * event(last.point)
             occurred, undefined = product < 0, jnp.isnan(product)
-        # The point of the path that is next to the first one
-        along = jnp.sum(metric.weights * start.tangent * from_start)
-        beside = (from_start - along * start.tangent).at[-1].set(0.0)
+        # The displacements beside the tangent at the first point
+        passed = jnp.sum(metric.weights * start.tangent * from_start)
+        beside = (from_start - passed * start.tangent).at[-1].set(0.0)
         same_direction = jnp.sum(metric.weights * step.tangent * start.tangent) > 0.8
         returned = (distance < state.size) & same_direction
         returned &= state.farthest[0] > 4 * largest_step

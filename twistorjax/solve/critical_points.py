@@ -180,14 +180,18 @@ def locate_points(
     """
     rows = jnp.arange(len(trace.points))
 
-    def evaluate(row: Count, arrays: tuple[Array, Array]) -> tuple[Array, Array]:
-        values, between = arrays
-        tangent = system.tangent(trace.points[row])
-        values = values.at[row].set(stability_values(system, metric, tangent))
-        previous = jax.lax.dynamic_slice_in_dim(trace.points, row - 1, 2)
-        place = _place_between(system, metric, previous)
+    def evaluate(
+        row: Count, arrays: tuple[Array, Array, _Stability]
+    ) -> tuple[Array, Array, _Stability]:
+        values, between, last = arrays
+        current = _stability(system, metric, trace.points[row])
         segment = jnp.where(row > 0, row - 1, len(rows))
-        return values, between.at[segment].set(place, mode="drop")
+        place = _place_between(last, current)
+        return (
+            values.at[row].set(current.values),
+            between.at[segment].set(place, mode="drop"),
+            current,
+        )
 
     def improve(search: _Search) -> _Search:
         trace, found = search.trace, search.criticals
@@ -287,14 +291,16 @@ def locate_points(
             )
         ]
         # The two parts of a segment with a new point
-        parts = jax.lax.dynamic_slice_in_dim(arrays[0], row, 3)
-        between = search.between[source[:-1]]
-        places = jax.lax.map(
-            lambda k: _place_between(
-                system, metric, jax.lax.dynamic_slice_in_dim(parts, k, 2)
-            ),
-            jnp.arange(2),
+        ends = jax.lax.map(
+            partial(_stability, system, metric),
+            jax.lax.dynamic_slice_in_dim(arrays[0], row, 3),
         )
+        first_ends, last_ends = (
+            jax.tree.map(lambda array, part=part: array[part], ends)
+            for part in (slice(2), slice(1, 3))
+        )
+        places = jax.vmap(_place_between)(first_ends, last_ends)
+        between = search.between[source[:-1]]
         split = jnp.where(inserts, row, len(rows)) + np.arange(2)
         between = between.at[split].set(places, mode="drop")
         number = trace.number + inserts.astype(int)
@@ -325,32 +331,62 @@ def locate_points(
     located = (trace.status != AT_LIMIT) & (trace.status != AT_EVENT)
     values = jnp.zeros((len(rows), count_of_values(system)))
     between = jnp.zeros(len(rows) - 1)
-    values, between = jax.lax.fori_loop(0, trace.number, evaluate, (values, between))
+    start = jax.tree.map(
+        lambda shape: jnp.zeros(shape.shape),
+        jax.eval_shape(partial(_stability, system, metric), trace.points[0]),
+    )
+    values, between, _ = jax.lax.fori_loop(
+        0, trace.number, evaluate, (values, between, start)
+    )
     search = _Search(trace, values, between, found, zero, zero, located, zero > 0)
     search = jax.lax.while_loop(lambda search: ~search.finished, improve, search)
     return search.trace, search.criticals, search.negative()
 
 
-def _place_between(
-    system: PathSystem, metric: Metric, points: Float[Array, "2 n"]
-) -> Scalar:
+class _Stability(NamedTuple):
+    """Stiffness at a point of a path.
+
+    Args:
+        values: Stability values; see `stability_values`.
+        modes: Eigenvectors of the stiffness as columns, in the units of the metric; none
+            under follower loads.
+        stiffness: Stiffness for displacements that the constraints allow; J.
+        basis: These displacements.
+    """
+
+    values: Float[Array, " values"]
+    modes: Float[Array, "free modes"]
+    stiffness: Float[Array, "allowed allowed"]
+    basis: Float[Array, "free allowed"]
+
+
+def _stability(
+    system: PathSystem, metric: Metric, point: Float[Array, " n"]
+) -> _Stability:
+    """Compute the stiffness at a point of a path, and its stability values."""
+    tangent = system.tangent(point)
+    stiffness, basis = allowed_stiffness(system, metric, tangent)
+    if not (system.symmetric and stiffness.size):
+        values = stability_values(system, metric, tangent)
+        return _Stability(values, basis[:, :0], stiffness, basis)
+    values, vectors = jnp.linalg.eigh(stiffness)
+    return _Stability(values, basis @ vectors, stiffness, basis)
+
+
+def _place_between(first: _Stability, last: _Stability) -> Scalar:
     """Find the place on a segment that separates opposite changes of stability.
 
-    The stiffness at the second point is compared with that at the first one in each of
-    its eigenvectors. If it has become negative in some of them and positive in others,
-    the number of negative eigenvalues changes by less than the number of critical points.
+    The stiffness at its last point is compared with that at its first one in each mode.
+    If it has become negative in some of them and positive in others, the number of
+    negative eigenvalues changes by less than the number of critical points.
 
     Returns:
         The place as a fraction of the length; zero if there are no opposite changes.
     """
-    if not (system.symmetric and len(system.dofs.free) > system.constraints.size):
+    if not first.modes.size:
         return jnp.zeros(())
-    stiffness, basis = jax.lax.map(
-        lambda point: allowed_stiffness(system, metric, system.tangent(point)), points
-    )
-    before, vectors = jnp.linalg.eigh(stiffness[0])
-    vectors = basis[1].T @ (basis[0] @ vectors)
-    after = jnp.sum(vectors * (stiffness[1] @ vectors), axis=0)
+    before, modes = first.values, last.basis.T @ first.modes
+    after = jnp.sum(modes * (last.stiffness @ modes), axis=0)
     changes = before * after < 0
     places = before / jnp.where(changes, before - after, 1.0)
     falls, rises = changes & (before > 0), changes & (before < 0)

@@ -53,7 +53,8 @@ _ROUNDING = 1e-12
 # Violations of constraints are computed from poses, so smaller corrections of a mechanism
 # with constraints are rounding errors; rad, and lengths of the mechanism.
 _ROUNDING_OF_POSES = 16 * np.finfo(float).eps
-# Energy changes in an increment, as a fraction of the work of the hinges
+# Nothing moves in an increment whose energy changes are below this fraction of the work
+# of the hinges.
 _NO_MOTION = 1e-20
 _LARGEST_ROTATION = 1.0  # of a body in one increment; rad
 _LARGEST_VIOLATION = 1e-10  # of a constraint; rad, and lengths of the mechanism

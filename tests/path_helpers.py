@@ -51,6 +51,22 @@ def truss_of(hinges, rise=0.3, apex=("angle",)):
     return tj.Mechanism(bodies, hinges, fixed=fixed)
 
 
+def truss_and_link(stiffness, force=1.0):
+    """Truss of von Mises, a link that buckles at a load of `stiffness`, and their loads.
+
+    `force` is that on the apex; the load on the link is 1 N. They are not connected.
+    """
+    spring = tj.Quadratic(np.diag([stiffness, 1.0, 1.0]))
+    hinge = tj.Hinge("link", "wall", "link", spring, (np.pi / 2, 10.0, 0.0))
+    bodies = [tj.Body("wall"), tj.Body("apex", (0, 0, 0.3)), tj.Body("link", (0, 10, 0))]
+    fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"], "link": ["x", "y"]}
+    loads = [
+        tj.Load("apex", force=(0.0, -force)),
+        tj.Load("link", force=(0.0, -1.0), at=(0.0, 1.0)),
+    ]
+    return tj.Mechanism(bodies, [*bars_of_a_truss(), hinge], fixed=fixed), loads
+
+
 def column(count=6, rotational=1.0, stiff=1e7):
     """Vertical column of unit length: rigid links, clamped at the lower end."""
     length = 1.0 / count

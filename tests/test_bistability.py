@@ -14,6 +14,7 @@ from path_helpers import (
     column,
     column_load,
     parallel_links,
+    truss_and_link,
     truss_of,
     von_mises_force,
     von_mises_limit_force,
@@ -275,19 +276,7 @@ class TestBuckling:
 
     def test_a_branch_point_does_not_hide_a_lower_limit_point(self):
         limit = von_mises_limit_force()
-        spring = tj.Quadratic(np.diag([1.2 * limit, 1.0, 1.0]))
-        hinge = tj.Hinge("link", "wall", "link", spring, (np.pi / 2, 10.0, 0.0))
-        bodies = [
-            tj.Body("wall"),
-            tj.Body("apex", (0, 0, 0.3)),
-            tj.Body("link", (0, 10, 0)),
-        ]
-        fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"], "link": ["x", "y"]}
-        mechanism = tj.Mechanism([*bodies], [*bars_of_a_truss(), hinge], fixed=fixed)
-        loads = [
-            tj.Load("apex", force=(0.0, -1.0)),
-            tj.Load("link", force=(0.0, -1.0), at=(0.0, 1.0)),
-        ]
+        mechanism, loads = truss_and_link(1.2 * limit)
         found = tj.buckling(mechanism, loads=loads, throw=False)
         assert not np.any(np.isclose(found.load_factors[0], 1.2 * limit))
 

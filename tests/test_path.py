@@ -16,6 +16,7 @@ from path_helpers import (
     column,
     column_load,
     parallel_links,
+    truss_and_link,
     truss_of,
     two_trusses,
     von_mises_force,
@@ -521,23 +522,9 @@ class TestLimitPoints:
     @pytest.mark.parametrize("share", [0.9999, 0.999])
     def test_a_link_that_buckles_close_to_the_limit_point_of_a_truss(self, share):
         """It becomes stable again on the way back, and buckles once more at the end."""
-        force, spring = von_mises_limit_force(), np.diag([share / 2, 1.0, 1.0])
-        at = (np.pi / 2, 10.0, 0.0)
-        hinges = [
-            *bars_of_a_truss(),
-            tj.Hinge("link", "wall", "link", tj.Quadratic(spring), at=at),
-        ]
-        bodies = [
-            tj.Body("wall"),
-            tj.Body("apex", (0, 0, 0.3)),
-            tj.Body("link", (0, 10, 0)),
-        ]
-        fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"], "link": ["x", "y"]}
-        loads = [
-            tj.Load("apex", force=(0.0, -2 * force)),
-            tj.Load("link", force=(0.0, -1.0), at=(0.0, 1.0)),
-        ]
-        found = tj.path(tj.Mechanism(bodies, hinges, fixed=fixed), loads=loads)
+        force = float(von_mises_limit_force())
+        mechanism, loads = truss_and_link(share / 2, 2 * force)
+        found = tj.path(mechanism, loads=loads)
         points, link = found.critical_points, share / 2
         kinds = ["branch", "limit", "branch", "limit", "branch"]
         assert [point.kind for point in points] == kinds

@@ -136,14 +136,12 @@ class BeamColumn(AbstractMixedEnergy):
 
     def out_of_range(self, displacement: Displacement) -> Flag:
         """Decide whether bending, buckling, or the axial strain is out of range."""
-        (rotation, transverse), axial = self.potential_variables(displacement)
-        bending = (rotation / _ROTATION) ** 2 + (transverse / _TRANSVERSE) ** 2
+        variables, axial = self.potential_variables(displacement)
+        bending = self._square_in_ellipse(displacement)
         # The derivative of the energy by the axial force decreases with it. So the force
         # is above its limit if the derivative at the limit is positive.
         lowest = (1 + 1e-9) * self._lowest_force_ratio(bending)
-        (slope,) = self.potential.derivatives(
-            ((0, 0, 1),), (rotation, transverse), lowest
-        )
+        (slope,) = self.potential.derivatives(((0, 0, 1),), variables, lowest)
         stretch = axial / self.bending_stiffness * self.length
         return (bending > 1 + 1e-9) | (axial + slope < 0) | (stretch > _STRAIN)
 
@@ -151,33 +149,35 @@ class BeamColumn(AbstractMixedEnergy):
         """Describe the displacement, the axial force, and the validity range."""
         rotation, transverse = displacement.angle, 2 * displacement.x2
         force = self.axial_force(displacement)
-        limit = _TRANSVERSE * self.length
-        bending = (rotation / _ROTATION) ** 2 + (transverse / limit) ** 2
+        bending = self._square_in_ellipse(displacement)
         lowest = self.reference_force * self._lowest_force_ratio(bending)
-        values = all_concrete(
-            [rotation, transverse, force, self.length, limit, bending, lowest]
-        )
+        values = all_concrete([rotation, transverse, force, self.length, bending, lowest])
         advice = (
             "Use `flexures.surrogate` of a `flexures.Beam` for large rotations, and "
             "`flexures.chain` for a leaf that buckles between its ends"
         )
         if values is None:
             return f"it is a leaf outside of its validity range. {advice}"
-        rotation, transverse, force, length, limit, bending, lowest = map(float, values)
+        rotation, transverse, force, length, bending, lowest = map(float, values)
         return (
             f"its rotation is {rotation:.4g} rad, its transverse displacement "
             f"{transverse:.4g} m, and its axial force {force:.4g} N. The energy of a "
             f"leaf is valid if (rotation / {_ROTATION} rad)^2 + (transverse displacement "
-            f"/ {limit:.4g} m)^2 is at most 1 (it is {bending:.3g}), for axial forces "
-            f"above {lowest:.4g} N at this displacement, and elongations up to "
-            f"{_STRAIN * length:.4g} m. {advice}"
+            f"/ {_TRANSVERSE * length:.4g} m)^2 is at most 1 (it is {bending:.3g}), for "
+            f"axial forces above {lowest:.4g} N at this displacement, and elongations up "
+            f"to {_STRAIN * length:.4g} m. {advice}"
         )
+
+    def _square_in_ellipse(self, displacement: Displacement) -> Scalar:
+        """Return the sum of squares that is one on the ellipse of valid displacements."""
+        (rotation, transverse), _ = self.potential_variables(displacement)
+        return (rotation / _ROTATION) ** 2 + (transverse / _TRANSVERSE) ** 2
 
     def _lowest_force_ratio(self, bending: Scalar) -> Scalar:
         """Return the relative axial force of the largest valid compression.
 
-        `bending` is the sum of squares that is one on the ellipse. A force p increases
-        the deflection in proportion to `1 / x`, where `x = 1 + p / buckling`, and the
+        `bending` is the result of `_square_in_ellipse`. A force p increases the
+        deflection in proportion to `1 / x`, where `x = 1 + p / buckling`, and the
         relative error in proportion to the square of the deflection over x. On the
         ellipse, half of the buckling load is valid, and inside the force with the same
         error.
@@ -276,13 +276,14 @@ class BeamColumnPotential(AbstractPotential):
             return jnp.maximum(p - excess / decrease, lowest)
 
         buckling = self.buckling_ratio
+        continued_below = -_NEARLY * buckling
         # Residue of the pole, for any shear stiffness
         residue = (_EULER if self.shear is None else buckling / 2) * a
         drop = a / 8 - b / 2 - axial
         above = jnp.sqrt(residue / jnp.where(drop > 0, drop, jnp.inf))
         lowest = jnp.where(drop > 0, jnp.minimum(above - buckling, 0.0), 0.0)
-        buckled, _ = excess_and_slope(-_NEARLY * buckling)
-        lowest = jnp.maximum(lowest, -_NEARLY * buckling)
+        buckled, _ = excess_and_slope(continued_below)
+        lowest = jnp.maximum(lowest, continued_below)
         lowest = jnp.where(buckled > 0, lowest, -jnp.inf)
         return jax.lax.fori_loop(0, 11, newton_step, jnp.zeros_like(axial))
 

@@ -27,9 +27,8 @@ from .path_points import negative_eigenvalues, on_path, point_values
 from .path_program import (
     path_result,
     PathRun,
-    refine_path,
     refine_uncompiled,
-    run_path,
+    run_refined,
     run_uncompiled,
 )
 from .path_results import CriticalPoint
@@ -257,9 +256,7 @@ def bistability(
     numbers = None, max_points, _MAX_CRITICAL
     if is_traced(arguments):
         return _solve(system, first, by_drives, *arguments[2:], *numbers)
-    run = run_path(*arguments, *numbers)
-    if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
-        run = refine_path(system, run)
+    run = run_refined(*arguments, *numbers)
     found = _evaluate(system, run, first.direction, by_drives)
     if not throw:
         return found

@@ -355,8 +355,7 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     vectors = vectors[:, : len(linear.basis)]
     units = metric.units[: len(linear.basis)]
     vectors = vectors / jnp.linalg.norm(vectors, axis=1, keepdims=True)
-    no_change = jnp.zeros(len(fixed.dofs.prescribed))
-    shapes = jax.vmap(lambda mode: fixed.dofs.expand(units * mode, no_change))(vectors)
+    shapes = jax.vmap(lambda mode: fixed.displacement_change(units * mode, 0.0))(vectors)
 
     factors = jnp.where(valid, at[:, -1], jnp.inf)
     order = jnp.argsort(jnp.abs(factors))[:count]

@@ -5,8 +5,6 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from .._utils.host import (
     all_concrete,
     as_float,
@@ -25,8 +23,7 @@ from .path_program import (
     evaluate_path,
     first_rows,
     PathRun,
-    refine_path,
-    run_path,
+    run_refined,
     solve_path,
     Until,
 )
@@ -153,9 +150,7 @@ def path(
     numbers = until, max_points, max_critical
     if is_traced(arguments):
         return solve_path(*arguments, *numbers)
-    run = run_path(*arguments, *numbers)
-    if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
-        run = refine_path(system, run)
+    run = run_refined(*arguments, *numbers)
     count = int(run.trace.number)
     rows = min(padded_size(count, 16), max_points)
     found = _first_points(evaluate_path(system, first_rows(run, rows)), count)

@@ -140,9 +140,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     null = null_vectors(fixed, metric, at, criticals.is_branch, criticals.multiplicities)
     at = with_derivatives(system, metric, at, criticals.is_branch, null)
     critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
-    free = len(system.dofs.free)
-    no_change = jnp.zeros(len(system.dofs.prescribed))
-    modes = jax.vmap(lambda mode: system.dofs.expand(mode[:free], no_change))(
+    modes = jax.vmap(lambda mode: system.displacement_change(mode, 0.0))(
         null.right[..., 0]
     )
     length = fixed.length()
@@ -228,3 +226,11 @@ solve_path = fast_compile(_solve_uncompiled)
 run_path = fast_compile(run_uncompiled)
 refine_path = fast_compile(refine_uncompiled)
 evaluate_path = fast_compile(_evaluate_uncompiled)
+
+
+def run_refined(system: PathSystem, *arguments: Any) -> PathRun:
+    """Follow the path, and improve its branch points, outside of other programs."""
+    run = run_path(system, *arguments)
+    if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
+        run = refine_path(system, run)
+    return run

@@ -67,8 +67,7 @@ def branch_mode(
     wanted = direction.reshape(-1)[np.array(system.dofs.free, int)] / metric.units[:free]
     mode = vectors @ (vectors.T @ wanted)
     small = jnp.linalg.norm(mode) <= _SMALL_PART * jnp.linalg.norm(wanted)
-    no_change = jnp.zeros(len(system.dofs.prescribed))
-    return system.dofs.expand(jnp.where(small, 0.0, mode), no_change)
+    return system.displacement_change(jnp.where(small, 0.0, mode), 0.0)
 
 
 def first_point(

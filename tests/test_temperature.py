@@ -286,6 +286,39 @@ def test_a_gradient_bends_a_curved_chain_as_one_arc():
     np.testing.assert_allclose(found.displacement("tip"), moved, rtol=1e-5)
 
 
+def test_a_warm_arch_is_a_larger_one_that_is_compressed():
+    """Its ends are not on axis 1: they move apart along their chord, not along axis 1."""
+    ends = np.array([[-0.03, -0.01], [0.02, -0.005]])
+    growth = tj.Expansion(1e-5, ends=ends)
+    assert_close(growth.length, 0.05, digits=15)
+    energy = tj.Quadratic(np.diag([2.0, 9e4, 3e4]), "twist", flexure=True)
+    cos, sin = np.cos(-0.7), np.sin(-0.7)
+    turned = ends @ np.array([[cos, sin], [-sin, cos]])
+    tip = ends[1] - turned[0] + turned[1]
+    second = (-0.7, *(ends[1] - turned[0]))
+    bodies = [
+        tj.Body("wall", (0.0, *ends[0])),
+        tj.Body("middle", (0.0, *ends[1]), expansion=1e-5),
+        tj.Body("tip", (0.0, *tip)),
+    ]
+    hinges = [
+        tj.Hinge("1", "wall", "middle", energy, (0, 0, 0), expansion=growth),
+        tj.Hinge("2", "middle", "tip", energy, second, expansion=growth),
+    ]
+    clamped = tj.Mechanism(bodies, hinges, fixed=["wall", "tip"])
+    warm = tj.equilibrium(clamped.at_temperature(100.0))
+    scale = 1 + 1e-3
+    closing = -1e-3 / scale * (tip - ends[0])
+    released = tj.Mechanism(bodies, hinges, fixed=["wall"])
+    drive = tj.Drive("tip", angle=0.0, x=closing[0], y=closing[1])
+    cold = tj.equilibrium(released, drives=[drive])
+    np.testing.assert_allclose(
+        warm.reaction("tip"),
+        cold.reaction("tip") * np.array([scale**3, scale**2, scale**2]),
+        rtol=1e-9,
+    )
+
+
 def test_only_energies_of_known_dimensions_dilate():
     """A polynomial and the same quadratic energy stay; that of a flexure grows by s^3."""
     stiffness = np.diag([2.0, 100.0, 100.0])
@@ -428,6 +461,9 @@ def test_weights_hang_a_mechanism_from_its_springs():
             "The material has no `expansion`",
         ),
         (lambda: tj.Expansion(1e-6, length=0.0), "`length` is 0, but must be positive"),
+        (lambda: tj.Expansion(1e-6), "either the `length`"),
+        (lambda: tj.Expansion(1e-6, length=1, arc_length=2), "Give the positions of the"),
+        (lambda: tj.Expansion(1e-6, ends=[(0.1, 0.2)]), "the positions .x, y. of both"),
         (
             lambda: tj.io.exudyn_script(guide().at_temperature(1.0)),
             "The mechanism has misfits, but the springs of the script",

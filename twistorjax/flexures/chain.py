@@ -207,13 +207,13 @@ def chain(
             f"The flexure {name!r} in {count} segments has an error of {worst:.2g}, but "
             f"`error` is {error:g}. Divide it into more `segments`."
         )
-    middles, ends, chords = _layout(tuple(parts), beam, pose)
+    middles, ends, clamps = _layout(tuple(parts), beam, pose)
     names = [f"{name} {k + 1}" for k in range(count)]
     sections = [first, *names[:-1], second]
     hinges = tuple(
         Hinge(
             names[k], sections[k], sections[k + 1], energies[k], middles[k],
-            outline=beam_outline(parts[k]), expansion=_expansion(parts[k], chords[k]),
+            outline=beam_outline(parts[k]), expansion=_expansion(parts[k], clamps[k]),
         )
         for k in range(count)
     )  # fmt: skip
@@ -409,7 +409,7 @@ def _errors(
 def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list, list]:
     """Compute the poses of the middles of all segments, and of their second ends.
 
-    The distances of the ends of each segment along its axis 1 are returned as well; m.
+    The positions of both ends of each segment in its frame are returned as well; m.
     """
 
     def in_meters(part: Beam) -> tuple[Pose, Pose]:
@@ -418,15 +418,15 @@ def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list, 
         return scale * ends.first, scale * ends.second
 
     end = se2.compose(at, in_meters(beam)[0])
-    middles, ends, chords = [], [], []
+    middles, ends, clamps = [], [], []
     for part in parts:
         to_first, to_second = in_meters(part)
         middle = se2.compose(end, se2.inverse(to_first))
         end = se2.compose(middle, to_second)
         middles.append(middle)
         ends.append(end)
-        chords.append(to_second[1] - to_first[1])
-    return middles, ends, chords
+        clamps.append(jnp.stack([to_first[1:], to_second[1:]]))
+    return middles, ends, clamps
 
 
 def _body(name: str, pose: Pose, before: Beam, mass: Scalar | None) -> Body:
@@ -539,14 +539,11 @@ def _padded(corners: Int[np.ndarray, " corners"]) -> Int[np.ndarray, " more"]:
     return corners
 
 
-def _expansion(part: Beam, chord: Scalar) -> Expansion | None:
-    """Return the thermal expansion of a segment; None if its material has none.
+def _expansion(part: Beam, clamps: Float[Array, "2 2"]) -> Expansion | None:
+    """Return the thermal expansion of a segment, whose ends are at `clamps` (m, m).
 
-    Its ends have the distance `chord` (m) along axis 1, which is less than its length if
-    it is curved.
+    It is None if the material has none.
     """
     if part.material.expansion is None:
         return None
-    if part.curvature is None:
-        return Expansion(part.material, length=chord)
-    return Expansion(part.material, length=chord, arc_length=part.length)
+    return Expansion(part.material, ends=clamps, arc_length=part.length)

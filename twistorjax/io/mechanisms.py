@@ -213,7 +213,10 @@ def _expansion_from_record(record: Any) -> Expansion | None:
     if record is None:
         return None
     return Expansion(
-        record.coefficient, length=record.length, arc_length=record.arc_length
+        record.coefficient,
+        length=record.length,
+        ends=_to_array(record.ends),
+        arc_length=record.arc_length,
     )
 
 

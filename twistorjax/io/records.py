@@ -243,7 +243,8 @@ class Body(_Record, frozen=True):
 
 class Expansion(_Record, frozen=True):
     coefficient: float
-    length: float
+    length: float | None = None
+    ends: Annotated[list[Pair], Meta(min_length=2, max_length=2)] | None = None
     arc_length: float | None = None
 
 

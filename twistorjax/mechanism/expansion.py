@@ -1,12 +1,15 @@
 """Thermal expansion of a hinge."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+from jaxtyping import Array, ArrayLike, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.types import NumberLike, Scalar
-from .._utils.validation import require_finite, require_positive
+from .._utils.host import as_float, on_host
+from .._utils.types import NumberLike, PointLike, Scalar
+from .._utils.validation import require_array, require_finite, require_positive
 from .material import Material
 
 
@@ -20,14 +23,17 @@ class Expansion(eqx.Module):
     Args:
         material: Material with its coefficient of thermal expansion, or this coefficient;
             1/K.
-        length: Free length of the hinge along axis 1, in the middle of which its frames
-            are; m.
+        length: Free length of a straight hinge along axis 1, in the middle of which its
+            frames are; m. Give either it or `ends`.
+        ends: Positions (x, y) of the two clamped ends of a hinge that is not straight, in
+            its frame; m, m.
         arc_length: Length of the center line of a curved hinge, along which a gradient of
-            the temperature bends it; by default `length`; m.
+            the temperature bends it; by default the distance of the ends along axis 1; m.
 
     Raises:
-        ValueError: The material has no coefficient, the coefficient is not finite, or a
-            length is not positive.
+        ValueError: The material has no coefficient, a value is not finite, a length is
+            not positive, not exactly one of `length` and `ends` is given, or `arc_length`
+            is given without `ends`.
 
     Example:
         >>> Expansion(12e-6, length=0.05).coefficient
@@ -35,14 +41,15 @@ class Expansion(eqx.Module):
     """
 
     coefficient: Scalar
-    length: Scalar
-    arc_length: Scalar | None
+    ends: Float[Array, "2 2"]
+    arc_length: Scalar
 
     def __init__(
         self,
         material: ExpansionLike,
         *,
-        length: NumberLike,
+        length: NumberLike | None = None,
+        ends: Float[ArrayLike, "2 2"] | Sequence[PointLike] | None = None,
         arc_length: NumberLike | None = None,
     ):
         coefficient: Any = material
@@ -54,7 +61,28 @@ class Expansion(eqx.Module):
                 )
             coefficient = material.expansion
         self.coefficient = require_finite("`material`", coefficient)
-        self.length = require_positive("`length`", length)
-        self.arc_length = None
-        if arc_length is not None:
-            self.arc_length = require_positive("`arc_length`", arc_length)
+        if (length is None) == (ends is None):
+            raise ValueError(
+                "Give `Expansion` either the `length` of a straight hinge (m), or the "
+                "positions (m) of both `ends` of another one in its frame."
+            )
+        if ends is None:
+            half = require_positive("`length`", length) / 2
+            xp, (half,) = on_host(half)
+            ends = xp.stack([xp.stack([-half, 0 * half]), xp.stack([half, 0 * half])])
+        rows = "be the positions (x, y) of both ends"
+        self.ends = require_array("`ends`", ends, (2, 2), rows)
+        if length is not None and arc_length is not None:
+            raise ValueError(
+                "A hinge with a `length` is straight and has no `arc_length`. Give the "
+                "positions of the `ends` of a curved hinge instead of the `length`."
+            )
+        self.arc_length = require_positive(
+            "`arc_length`", self.length if arc_length is None else arc_length
+        )
+
+    @property
+    def length(self) -> Scalar:
+        """Distance of the clamped ends along axis 1; m."""
+        _, (ends,) = on_host(self.ends)
+        return as_float(ends[1, 0] - ends[0, 0])

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
-from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
+from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Wrenches
 from .._utils.validation import (
     index_of,
     require_finite,
@@ -21,7 +21,6 @@ from .._utils.validation import (
 )
 from ..energies.base import AbstractEnergy, flexure_length
 from ..energies.dilation import dilated
-from .expansion import Expansion
 from .hinge_groups import dilate_groups
 
 
@@ -99,35 +98,38 @@ def expanded(
     """Expand bodies and hinges; see `Mechanism.at_temperature`."""
     assembly, expansions = mechanism.hinge_assembly, mechanism.hinge_expansions
     _require_expansions(mechanism, {**hinges, **gradients})
+    no_ends = np.zeros((2, 2))
     numbers = (
         _by_name("`bodies`", "body", bodies, mechanism.names, change),
         [0.0 if value is None else value for value in mechanism.expansions],
         _by_name("`hinges`", "hinge", hinges, mechanism.hinge_names, change),
         _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0),
         [0.0 if value is None else value.coefficient for value in expansions],
-        [0.0 if value is None else value.length for value in expansions],
-        [0.0 if value is None else _arc_length(value) for value in expansions],
+        [no_ends if value is None else value.ends for value in expansions],
+        [0.0 if value is None else value.arc_length for value in expansions],
     )
     xp, (at, arms, directions, *arrays) = on_host(
         mechanism.at, assembly.arms, assembly.directions, *map(_stacked, numbers)
     )
-    of_bodies, of_material, of_hinges, slopes, coefficient, length, arc_length = arrays
-    strains = of_bodies * of_material
+    of_bodies, of_material, of_hinges, slopes, coefficient, clamps, arc_length = arrays
+    body_strains, hinge_strains = of_bodies * of_material, coefficient * of_hinges
+    _require_small_strains("body", mechanism.names, body_strains)
+    _require_small_strains("hinge", mechanism.hinge_names, hinge_strains)
+    # The clamped ends of a hinge, not its middle, move with the bodies, and away from the
+    # middle if the hinge expands.
+    cos, sin = directions.T[:, :, None]
+    along, across = clamps[..., 0], clamps[..., 1]
+    to_clamps = xp.stack([cos * along - sin * across, sin * along + cos * across], -1)
     ends = np.array(assembly.ends).reshape(-1, 2)
-    # The clamped ends of a hinge, not its middle, move with the bodies.
-    to_clamp = np.array([-0.5, 0.5])[None, :, None] * length[:, None, None]
-    clamps = arms + to_clamp * directions[:, None]
-    moved = strains[ends][:, :, None] * clamps
-    middle, gap = xp.sum(moved, axis=1) / 2, moved[:, 1] - moved[:, 0]
+    moved = body_strains[ends][:, :, None] * (arms + to_clamps)
+    moved = moved - hinge_strains[:, None, None] * to_clamps
+    middle, (gap_x, gap_y) = xp.sum(moved, axis=1) / 2, (moved[:, 1] - moved[:, 0]).T
     cos, sin = directions.T
-    gap_along = cos * gap[:, 0] + sin * gap[:, 1]
-    gap_across = cos * gap[:, 1] - sin * gap[:, 0]
-    growth, turn = coefficient * length * of_hinges, -coefficient * arc_length * slopes
-    _require_small_strains("body", mechanism.names, strains)
-    _require_small_strains("hinge", mechanism.hinge_names, coefficient * of_hinges)
-    scales = 1 + coefficient * of_hinges
-    zero = 0 * growth
-    columns = [zero, growth, zero, gap_along, gap_across, turn]
+    scales, turn = 1 + hinge_strains, -coefficient * arc_length * slopes
+    zero = 0 * turn
+    columns = [
+        zero, zero, zero, cos * gap_x + sin * gap_y, cos * gap_y - sin * gap_x, turn
+    ]  # fmt: skip
     warm = replace(
         assembly,
         arms=as_float(arms + middle[:, None]),
@@ -138,12 +140,6 @@ def expanded(
     moved_at = as_float(xp.concatenate([at[:, :1], at[:, 1:] + middle], axis=1))
     parts = moved_at, warm
     return eqx.tree_at(lambda new: (new.at, new.hinge_assembly), mechanism, parts)
-
-
-def _arc_length(expansion: Expansion) -> Scalar:
-    """Return the length along which a gradient of the temperature bends a hinge; m."""
-    length = expansion.arc_length
-    return expansion.length if length is None else length
 
 
 def _require_small_strains(noun: str, names: Sequence[str], strains: Any) -> None:

@@ -106,6 +106,29 @@ def test_order_of_a_fit_is_at_least_that_of_a_stiffness(order):
         tj.fit_energy(trials, order, coordinates="mixed", symmetry="leaf")
 
 
+def test_compliance_that_is_negative_without_load_raises_an_error():
+    """It is 0.1 t^2 - 0.02 in a guided translation t, and all trials have t > 0.6."""
+    rng = np.random.default_rng(0)
+    t, n = rng.uniform(0.6, 1.0, 40), rng.uniform(-1.0, 1.0, 40)
+    axial = -0.3 * t**2 + 2 * n * (0.1 * t**2 - 0.02)
+    force = 6 * t + 0.6 * n * t - 0.2 * n**2 * t
+    trials = tj.energies.Trials(
+        np.stack([0 * t, axial, t], axis=1), np.stack([0 * t, n, force], axis=1)
+    )
+    with pytest.raises(ValueError, match="and in the reference configuration"):
+        tj.fit_energy(trials, 4, coordinates="mixed", reference="unstressed")
+
+
+def test_message_names_the_reversed_force_if_there_is_no_mixed_energy():
+    trials = tj.energies.read_trials(REFERENCE / "fe_leaf.csv")[np.arange(0, 122, 2)]
+    assert trials.wrenches is not None
+    reversed_force = tj.energies.Trials(
+        trials.poses, trials.wrenches * np.array([[1.0, -1.0, 1.0]])
+    )
+    with pytest.raises(ValueError, match="forces along axis 1 is reversed"):
+        tj.fit_energy(reversed_force, 4, coordinates="mixed", symmetry="leaf")
+
+
 def test_mixed_energy_of_unsuitable_trials_raises_an_error():
     trials = tj.energies.read_trials(REFERENCE / "random_trials.csv")
     poses, wrenches = np.asarray(trials.poses), np.asarray(trials.wrenches)

@@ -49,8 +49,8 @@ def fit_mixed(
 
     Returns:
         The energy, the solution of the least-squares problem, and whether the iteration
-        converged. `None` if no energy with a positive axial compliance at all trials was
-        found.
+        converged. `None` if no energy with a positive axial compliance at all trials and
+        in the reference configuration was found.
 
     Raises:
         ValueError: The trials have no wrenches, no axial displacements, or no axial
@@ -104,7 +104,12 @@ def fit_mixed(
     best, solution, converged = _gauss_newton(
         solve, predict, solution, measured, max_steps
     )
-    if not np.isfinite(best.cost):
+    compliance = -sum(
+        value
+        for value, row in zip(best.coefficients, powers, strict=True)
+        if row == (0, 0, 2)
+    )
+    if not (np.isfinite(best.cost) and compliance > 0):
         return None
     energy = MixedEnergy(best.coefficients, powers, length=length, force=force)
     solution = solution._replace(coefficients=best.coefficients, residuals=best.residuals)

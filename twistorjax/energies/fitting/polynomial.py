@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Int
 
 from ..._utils.validation import require_choice, require_float64, warn
 from ..evaluation import term_stiffnesses, term_wrenches
@@ -67,6 +68,9 @@ def fit_energy(
     trials with which a fit is at least five times as accurate, if there are any. A factor
     by which all wrenches are wrong cannot be recognized.
 
+    Trials with the same pose count as one trial with their average, so that the expected
+    error of repeated trials is that at other poses.
+
     Args:
         trials: Measured or computed trials.
         order: Order of the polynomial, by default the order from 2 to 12 with the
@@ -88,8 +92,8 @@ def fit_energy(
         scale: Length by which the translations are divided; m. By default it is the
             largest translation of the trials, or with "mixed" the largest transverse
             displacement.
-        hold_out: Fraction of the trials that are held out. A fit to the others is checked
-            with them; the returned energy is fitted to all trials.
+        hold_out: Fraction of the poses whose trials are held out. A fit to the others is
+            checked with them; the returned energy is fitted to all trials.
         seed: Seed of the random choice of the held-out trials.
         progress: Whether to show a progress bar.
 
@@ -138,20 +142,22 @@ def fit_energy(
         raise ValueError(f"`ridge` is {ridge!r}, but must be finite and not negative.")
     settings = _Settings(coordinates, reference, redundant, symmetry, ridge, scale)
     orders = (order,) if order is not None else range(2, 13)
-    best = _best_candidate(trials, orders, settings, progress)
+    averages, rows = trials.averages()
+    best = _best_candidate(averages, orders, settings, progress)
     held_out = None
     if hold_out:
-        count = max(1, round(hold_out * len(trials)))
-        if count >= len(trials):
+        count = max(1, round(hold_out * len(averages)))
+        if count >= len(averages):
             raise ValueError(
-                f"There are only {len(trials)} trials, too few to hold out a fraction of "
-                f"{hold_out:g}. Use a smaller `hold_out` or more trials."
+                f"There are only {len(averages)} trials with different poses, too few to "
+                f"hold out a fraction of {hold_out:g}. Use a smaller `hold_out` or more "
+                "trials."
             )
-        shuffled = np.random.default_rng(seed).permutation(len(trials))
-        others = trials[np.sort(shuffled[count:])]
+        shuffled = np.random.default_rng(seed).permutation(len(averages))
+        others = averages[np.sort(shuffled[count:])]
         energy = _best_candidate(others, (best.order,), settings).energy
-        held_out = _errors(energy, trials[np.sort(shuffled[:count])])
-    fit = best.report(trials, held_out, reference)
+        held_out = _errors(energy, trials[np.isin(rows, shuffled[:count])])
+    fit = best.report(trials, averages, rows, held_out, reference)
     if fit.warning:
         warn(fit.warning)
     return fit
@@ -189,9 +195,22 @@ class _Candidate(NamedTuple):
         return solution.rank >= solution.residuals.size and solution.ridge == 0
 
     def report(
-        self, trials: Trials, held_out: Errors | None, reference: str
+        self,
+        trials: Trials,
+        averages: Trials,
+        rows: Int[np.ndarray, " trials"],
+        held_out: Errors | None,
+        reference: str,
     ) -> EnergyFit:
-        """Return the result of `fit_energy`; `held_out` has the errors of its check."""
+        """Return the result of `fit_energy`.
+
+        Args:
+            trials: The trials.
+            averages: The averages of trials with the same pose, to which this is a fit.
+            rows: Row of the average of each trial.
+            held_out: Errors of the check at held-out trials.
+            reference: Argument of `fit_energy`.
+        """
         solution = self.solution
         value_count = solution.residuals.size
         degrees_of_freedom = max(1, value_count - solution.rank)
@@ -200,9 +219,10 @@ class _Candidate(NamedTuple):
         forces = np.full((1, 2), np.nan)
         if trials.wrenches is not None:
             forces = np.asarray(trials.wrenches[:, 1:])
-        expected = errors_of_residuals(trials, solution.leave_one_out_residuals)
+        left_out = averages.predictions(solution.leave_one_out_residuals)
+        expected = errors_of_predictions(trials, *(values[rows] for values in left_out))
         errors = [expected] if held_out is None else [expected, held_out]
-        texts = _warnings(trials, self, errors, reference)
+        texts = _warnings(averages, self, errors, reference)
         return EnergyFit(
             energy=self.energy,
             training=_errors(self.energy, trials),
@@ -260,38 +280,44 @@ def _warnings(
         return texts
     if reference == "stable" and (text := reversed_wrenches(trials)):
         return [*texts, text]
-    if len(trials) < _FEWEST_TRIALS:
-        return texts
-
-    def quick_error(trials: Trials, order: int) -> float:
-        return min(
-            _quick_error(trials, name, order, reference) for name in ("twistor", "mixed")
-        )
-
-    error = min(best.score, quick_error(trials, 4))
-    if text := better_conversion(trials, error, quick_error):
+    error = best.score
+    if len(trials) >= _FEWEST_TRIALS:
+        error = min(error, _quick_error(trials, 4, reference))
+    if text := _better_conversion(trials, error, reference):
         texts.append(text)
     elif error < best.score / 5 and not isinstance(best.energy, MixedEnergy):
         texts.append("the coordinates 'mixed' are much more accurate for these trials.")
     return texts
 
 
-def _quick_error(
-    trials: Trials, coordinates: FitCoordinates, order: int, reference: str
-) -> float:
+def _better_conversion(trials: Trials, error: float, reference: str) -> str | None:
+    """Find other units and signs of the trials; see `better_conversion`."""
+    if len(trials) < _FEWEST_TRIALS:
+        return None
+    return better_conversion(
+        trials, error, lambda trials, order: _quick_error(trials, order, reference)
+    )
+
+
+def _quick_error(trials: Trials, order: int, reference: str) -> float:
     """Estimate the expected error of an energy of low order; see `_Candidate.score`.
 
     The order is reduced if there are few trials.
     """
-    settings = _Settings(coordinates, reference, False, (), 1e-9, None, max_steps=5)
-    while order > 2 and len(_powers(order, settings)) > 0.8 * 3 * len(trials):
-        order -= 1
-    try:
-        with np.errstate(all="ignore"):
-            candidate = _candidate(trials, order, _powers(order, settings), settings)
-    except ValueError:  # the trials have no axial forces, or the equations overflow
-        return np.inf
-    return np.inf if candidate is None else candidate.score
+    errors = [np.inf]
+    for coordinates in ("twistor", "mixed"):
+        settings = _Settings(coordinates, reference, False, (), 1e-9, None, max_steps=5)
+        few = order
+        while few > 2 and len(_powers(few, settings)) > 0.8 * 3 * len(trials):
+            few -= 1
+        try:
+            with np.errstate(all="ignore"):
+                candidate = _candidate(trials, few, _powers(few, settings), settings)
+        except ValueError:  # the trials have no axial forces, or the equations overflow
+            continue
+        if candidate is not None:
+            errors.append(candidate.score)
+    return min(errors)
 
 
 def _best_candidate(
@@ -326,13 +352,17 @@ def _best_candidate(
     if best is not None:
         return best
     texts = [
-        "No mixed energy was found whose axial compliance is positive at all `trials`. "
-        "Use another order, more trials, or the coordinates 'twistor' or 'twist'.",
+        "No mixed energy was found whose axial compliance is positive at all `trials` "
+        "and in the reference configuration. Use another order, more trials, or the "
+        "coordinates 'twistor' or 'twist'.",
         *implausible_values(trials),
     ]
-    if text := reversed_wrenches(trials):
-        texts.append(text)
-    raise ValueError(as_sentences(texts))
+    size = np.asarray(trials.wrenches) / np.asarray(trials.wrench_deviations)
+    error = float(np.sqrt(np.mean(size**2)))  # of the energy zero
+    text = reversed_wrenches(trials) or _better_conversion(
+        trials, error, settings.reference
+    )
+    raise ValueError(as_sentences([*texts, text] if text else texts))
 
 
 def _powers(order: int, settings: _Settings) -> Powers:

@@ -23,11 +23,12 @@ class EnergyFit(eqx.Module):
         energy: Energy, fitted to all trials.
         training: Errors at the trials.
         expected: Expected errors at new trials of the same distribution: the
-            leave-one-out errors, in which each trial is compared with the fit to all
-            others. Infinite if the fit interpolates the trials.
+            leave-one-out errors, in which each trial is compared with the fit to those
+            with other poses. Infinite if the fit interpolates the trials.
         held_out: Errors at the held-out trials of a fit to the others, or `None` if no
             trials were held out.
-        value_count: Number of measured values.
+        value_count: Number of measured values; those of trials with the same pose count
+            once.
         terms: Number of free coefficients.
         rank: Number of coefficients, or combinations of them, that the trials determine.
         condition: Ratio of the largest singular value to the smallest significant one.

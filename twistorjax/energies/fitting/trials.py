@@ -6,7 +6,7 @@ from pathlib import Path
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..._utils.csv_files import CsvFile, unit_factor
 from ..._utils.types import (
@@ -113,6 +113,63 @@ class Trials(eqx.Module):
             wrench_deviations=select(self.wrench_deviations),
             energy_deviations=select(self.energy_deviations),
         )
+
+    def averages(self) -> tuple["Trials", Int[np.ndarray, " trials"]]:
+        """Average the trials with the same pose.
+
+        A fit to the averages, with their smaller standard deviations, is one to all
+        trials.
+
+        Returns:
+            A trial for each pose, and its row for each of these trials.
+        """
+        poses = np.asarray(self.poses)
+        steps = 1e-9 * np.maximum(np.max(np.abs(poses), axis=0), np.finfo(float).tiny)
+        _, first, rows = np.unique(
+            np.round(poses / steps), axis=0, return_index=True, return_inverse=True
+        )
+        if len(first) == len(self):
+            return self, np.arange(len(self))
+        rows = rows.reshape(-1)
+
+        def average(
+            values: Array | None, deviations: Array | None
+        ) -> tuple[np.ndarray | None, np.ndarray | None]:
+            if values is None or deviations is None:
+                return None, None
+            values, weights = np.asarray(values), 1 / np.asarray(deviations) ** 2
+            total, moment = np.zeros((2, len(first), *values.shape[1:]))
+            np.add.at(total, rows, weights)
+            np.add.at(moment, rows, weights * values)
+            return moment / total, 1 / np.sqrt(total)
+
+        wrenches, wrench_deviations = average(self.wrenches, self.wrench_deviations)
+        energies, energy_deviations = average(self.energies, self.energy_deviations)
+        averages = Trials(
+            poses[first],
+            wrenches,
+            energies,
+            wrench_deviations=wrench_deviations,
+            energy_deviations=energy_deviations,
+        )
+        return averages, rows
+
+    def predictions(
+        self, residuals: Float[np.ndarray, "trials values"]
+    ) -> tuple[Float[np.ndarray, "trials 3"], Float[np.ndarray, " trials"]]:
+        """Return predicted wrenches and energies from their residuals.
+
+        The residuals are those of `errors_of_residuals`. Predictions of quantities that
+        were not measured are NaN.
+        """
+        wrenches, energies = np.full((len(self), 3), np.nan), np.full(len(self), np.nan)
+        if self.wrenches is not None:
+            errors = residuals[:, :3] * np.asarray(self.wrench_deviations)
+            wrenches = np.asarray(self.wrenches) + errors
+        if self.energies is not None:
+            errors = residuals[:, -1] * np.asarray(self.energy_deviations)
+            energies = np.asarray(self.energies) + errors
+        return wrenches, energies
 
 
 class Errors(eqx.Module):

@@ -302,6 +302,12 @@ def test_what_others_may_have_written_is_read_only_if_asked_for(
 
 
 @posix
+def test_a_pipe_in_the_place_of_a_trace_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / KEY)
+    assert TraceFolder(tmp_path).read(KEY) is None
+
+
+@posix
 def test_other_users_may_read_a_shared_folder_and_write_as_into_its_parent(tmp_path):
     for mode, shared, expected in ((0o2775, True, 0o2775), (0o2775, False, 0o755)):
         parent = tmp_path / str(shared)

@@ -5,6 +5,7 @@ import hashlib
 import math
 import os
 import re
+import stat
 import tempfile
 import time
 from dataclasses import dataclass
@@ -18,6 +19,11 @@ _KEY = re.compile("[0-9a-f]{64}")
 _TEMPORARY = re.compile(r"tmp\w{8}")  # of `tempfile.mkstemp`
 _OLD = 3600.0  # age of a temporary file whose process was killed; s
 _warned = False
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file. A pipe in its place does not wait for somebody who writes to it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 @dataclass(frozen=True)
@@ -43,8 +49,10 @@ class TraceFolder:
         """Return the content of a file; None if it is missing, damaged, or unsafe."""
         path = self.path / key
         try:
-            with path.open("rb") as file:
-                if not (self._trusts(os.fstat(file.fileno())) and self._is_trusted()):
+            with open(path, "rb", opener=_open_at_once) as file:
+                status = os.fstat(file.fileno())
+                is_regular = stat.S_ISREG(status.st_mode)
+                if not (is_regular and self._trusts(status) and self._is_trusted()):
                     return None
                 digest, content = file.read(_DIGEST_SIZE), file.read()
         except OSError:

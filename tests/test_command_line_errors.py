@@ -52,6 +52,21 @@ def test_an_input_displacement_without_equilibrium_is_a_failure(run_here):
     assert done.stdout == ""
 
 
+def test_a_bending_factor_that_is_too_large(run_here):
+    message = "The bending stiffness of the beam is inf N m^2"
+    assert_usage_error(run_here("parallelogram", "--bending-factor", "1e308"), message)
+
+
+def test_load_cases_that_all_fail(run_here):
+    """They exceed the range of the leaves; the table shows the reason of each."""
+    table = "transverse_EI_L2,axial_EI_L2,moment_EI_L\n1e6,0,0\n0,-1e5,0\n"
+    (run_here.folder / "cases.csv").write_text(table)
+    done = run_here("parallelogram", "--cases", "cases.csv")
+    assert done.returncode == 1
+    assert "2 load cases: no_equilibrium" in done.stdout
+    assert done.stderr.startswith("twistorjax: All load cases failed. No equilibrium")
+
+
 def test_an_unknown_command(run_here):
     done = run_here("stgae")
     assert done.returncode == 2

@@ -355,6 +355,10 @@ def test_binary_file_raises_an_error(tmp_path):
             "`poses` has [0.0, 0.0, nan] at",
         ),
         (
+            lambda: tj.energies.WithValidityRange(random_energy(), 1, 1, [0, -0.1, 0]),
+            "`error` is [0.0, -0.1, 0.0], but must not be negative",
+        ),
+        (
             lambda: tj.fit_energy(random_trials(random_energy(), 5), 2, hold_out=1.5),
             "`hold_out` is 1.5",
         ),

@@ -342,6 +342,14 @@ LONG = "x" * 10_000
         lambda: tj.equilibrium(mechanism_of(), loads=[tj.Load(LONG, moment=1.0)]),
         lambda: require_choice("`formula`", LONG, ["fitted"]),
         lambda: tj.sweeps.Grid({LONG: [1.0]}),
+        lambda: tj.sweep(lambda design: design[LONG], {LONG: np.array([1.0])}),
+        lambda: tj.optimize(lambda design: design, {"x": 1.0}, minimize=LONG),
+        lambda: tj.optimize(
+            lambda design: design,
+            {"x": 1.0},
+            minimize="x",
+            standard_deviations={LONG: 1.0},
+        ),
         lambda: tj.Mechanism([tj.Body(f"{k}") for k in range(5000)], [], fixed=["none"]),
         lambda: tj.Mechanism(
             [tj.Body(f"{k:050}") for k in range(500)], [hinge("h", "a", "b")]

@@ -12,6 +12,7 @@ from .common import (
     prepare_jax,
     print_result,
     save_figure,
+    SolveError,
     UsageError,
 )
 
@@ -42,6 +43,7 @@ def parallelogram(
     """
     prepare_jax()
     from ..examples import parallelogram as example
+    from ..solve.results import result_message
 
     try:
         loads = example.default_cases() if cases is None else example.read_cases(cases)
@@ -53,3 +55,6 @@ def parallelogram(
     ux, uy, phi = study.displacements.T.tolist()
     record = {"ux_L": ux, "uy_L": uy, "phi_rad": phi, "result": study.names.tolist()}
     print_result(study, record, as_json, plot=plot)
+    failed = [name for name in record["result"] if name != "successful"]
+    if len(failed) == len(ux):
+        raise SolveError(f"All load cases failed. {result_message(failed[0])}")

@@ -3,9 +3,10 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import all_concrete
+from .._utils.host import all_concrete, concrete
 from .._utils.types import Flag, NumberLike, Scalar, WrenchLike
 from .._utils.validation import require_positive, require_row
 from ..geometry.twistors import Displacement
@@ -35,7 +36,7 @@ class WithValidityRange(AbstractWrapper):
 
     Raises:
         ValueError: `energy` is not an energy; `rotation` or `force` is not positive;
-            `error` does not have three entries.
+            `error` does not have three entries, or a negative one.
 
     Example:
         >>> from twistorjax import Quadratic
@@ -77,6 +78,9 @@ class WithValidityRange(AbstractWrapper):
         self.error = require_row(
             "`error`", error, "one number for each of (moment, force 1, force 2)"
         )
+        known = concrete(self.error)
+        if known is not None and np.any(known < 0):
+            raise ValueError(f"`error` is {known.tolist()}, but must not be negative.")
         self.displacement = None
         if displacement is not None:
             self.displacement = require_positive("`displacement`", displacement)

@@ -152,6 +152,12 @@ def _beam_surrogate(
     require_float64(beam.length)
     symmetry = _symmetry(beam)
     middle = beam.profile(jnp.zeros(()))
+    bending = concrete(beam.rotational_stiffness)
+    if bending is not None and not 0 < bending < np.inf:
+        raise ValueError(
+            f"The bending stiffness of the beam is {bending:g} N m^2. Its modulus, its "
+            "dimensions, or its bending factor are too large or too small."
+        )
     samples = sample_beam(beam, rotation, force)
 
     def fit(order: int) -> WithValidityRange:

@@ -10,6 +10,7 @@ from typing import Any, TYPE_CHECKING
 import jax
 import numpy as np
 
+from .._utils.validation import quote
 from ..solve.results import RESULT_NAMES
 from ..solve.tables import Column, Columns
 from .designs import Designs
@@ -137,15 +138,15 @@ class Layout:
         for name, unit in units.items():
             if name in columns and columns[name].unit not in ("", unit):
                 raise ValueError(
-                    f"`units` has the unit {unit!r} for {name!r}, but the study returns "
-                    f"it in {columns[name].unit!r}. Remove it from `units`."
+                    f"`units` has the unit {quote(unit)} for {quote(name)}, but the "
+                    f"study returns it in {columns[name].unit!r}. Remove it from `units`."
                 )
         combined = {**{name: column.unit for name, column in columns.items()}, **units}
         for name in combined:
             if name not in (*columns, *self.designs.names):
                 allowed = ", ".join((*self.designs.names, *self._names))
                 raise ValueError(
-                    f"`units` names {name!r}, but the parameters and outputs are "
+                    f"`units` names {quote(name)}, but the parameters and outputs are "
                     f"{allowed}."
                 )
         for name in self._names:
@@ -174,8 +175,9 @@ class Layout:
             for axis, length in zip(column.axes, column.values.shape, strict=True):
                 if lengths.setdefault(axis, length) != length:
                     raise ValueError(
-                        f"{name!r} has {length} entries along {axis!r}, but another "
-                        f"variable has {lengths[axis]}. Rename the axis of one of them."
+                        f"{quote(name)} has {length} entries along {quote(axis)}, but "
+                        f"another variable has {lengths[axis]}. Rename the axis of one "
+                        "of them."
                     )
 
 

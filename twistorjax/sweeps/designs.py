@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Num
 from typing_extensions import TypeAliasType
 
 from .._utils.pytrees import path_name
+from .._utils.validation import quote
 from .names import check_parameter_names
 
 
@@ -50,8 +51,8 @@ class Grid:
             numeric = np.issubdtype(array.dtype, np.number)
             if array.ndim != 1 or not array.size or not numeric:
                 raise ValueError(
-                    f"`values[{name!r}]` has shape {array.shape} and type {array.dtype}, "
-                    "but must be a one-dimensional array of numbers."
+                    f"`values[{quote(name)}]` has shape {array.shape} and type "
+                    f"{array.dtype}, but must be a one-dimensional array of numbers."
                 )
             # Outputs can be differentiated with respect to floats only.
             if np.issubdtype(array.dtype, np.integer):
@@ -128,10 +129,10 @@ class Designs:
             array = np.asarray(leaf)
             if array.ndim < 1 or not np.issubdtype(array.dtype, np.number):
                 raise ValueError(
-                    f"`designs` has the parameter {name!r} of shape {array.shape} and "
-                    f"type {array.dtype}, but each parameter needs a number, or an array "
-                    "of numbers, for each design along the first axis. Constants belong "
-                    "in the study."
+                    f"`designs` has the parameter {quote(name)} of shape {array.shape} "
+                    f"and type {array.dtype}, but each parameter needs a number, or an "
+                    "array of numbers, for each design along the first axis. Constants "
+                    "belong in the study."
                 )
             names.append(name)
             self.arrays.append(array)

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from .._utils.validation import require_text
+from .._utils.validation import quote, require_text
 from ..solve.tables import Columns
 
 
@@ -24,18 +24,20 @@ def check_parameter_names(names: Sequence[Any]) -> None:
     for name, count in Counter(names).items():
         if not isinstance(name, str) or not name:
             raise ValueError(
-                f"`designs` has a parameter {name!r}, but a name must be a string that "
-                "is not empty."
+                f"`designs` has a parameter {quote(name)}, but a name must be a string "
+                "that is not empty."
             )
         require_text("The name of a parameter", name)
         if count > 1:
             raise ValueError(
-                f"`designs` has {count} parameters {name!r}. Give them different names."
+                f"`designs` has {count} parameters {quote(name)}. Give them different "
+                "names."
             )
         if name in RESERVED:
             raise ValueError(
-                f"`designs` has a parameter {name!r}, but this name is reserved. Use "
-                f"another name; only {' and '.join(map(repr, RESERVED))} are reserved."
+                f"`designs` has a parameter {quote(name)}, but this name is reserved. "
+                f"Use another name; only {' and '.join(map(repr, RESERVED))} are "
+                "reserved."
             )
 
 
@@ -60,37 +62,38 @@ def check_outputs(
         require_text("The name of an output", name)
         if name in used:
             raise ValueError(
-                f"The study returns an output {name!r}, but this name is reserved, or is "
-                "the name of a parameter or an axis. Rename the output."
+                f"The study returns an output {quote(name)}, but this name is reserved, "
+                "or is the name of a parameter or an axis. Rename the output."
             )
         if shared := sorted(design_axes & {*column.axes}):
             raise ValueError(
-                f"The output {name!r} has an axis {shared[0]!r}, but this is an axis of "
-                "the designs. Rename the axis."
+                f"The output {quote(name)} has an axis {quote(shared[0])}, but this is "
+                "an axis of the designs. Rename the axis."
             )
         if len(column.axes) != len(column.values.shape) - 1:
             raise ValueError(
-                f"The output {name!r} has shape {column.values.shape[1:]}, but its axes "
-                f"are {column.axes}. Give one name for each axis."
+                f"The output {quote(name)} has shape {column.values.shape[1:]}, but its "
+                f"axes are {column.axes}. Give one name for each axis."
             )
         lengths = dict(zip(column.axes, column.values.shape[1:], strict=True))
         for axis, axis_labels in column.labels:
             if len(axis_labels) != lengths.get(axis, len(axis_labels)):
                 raise ValueError(
-                    f"The output {name!r} has {lengths[axis]} entries along {axis!r}, "
-                    f"but {len(axis_labels)} labels. Give one label for each entry."
+                    f"The output {quote(name)} has {lengths[axis]} entries along "
+                    f"{quote(axis)}, but {len(axis_labels)} labels. Give one label for "
+                    "each entry."
                 )
             if labels.setdefault(axis, axis_labels) != axis_labels:
                 raise ValueError(
-                    f"The axis {axis!r} of {name!r} has other labels than the same axis "
-                    "of another output. Rename one of the axes."
+                    f"The axis {quote(axis)} of {quote(name)} has other labels than the "
+                    "same axis of another output. Rename one of the axes."
                 )
     own_coordinates = (name for name, column in outputs.items() if column.axes == (name,))
     for axis in (*labels, *own_coordinates):
         if axis in parameters or (axis in labels and axis in outputs):
             raise ValueError(
-                f"{axis!r} is an axis with its own values or labels, but it is also the "
-                "name of a parameter or an output. Rename one of them."
+                f"{quote(axis)} is an axis with its own values or labels, but it is also "
+                "the name of a parameter or an output. Rename one of them."
             )
 
 
@@ -113,10 +116,10 @@ def check_storable(names: Iterable[str]) -> None:
             or name in ("finished", "zarr.json")
         ):
             raise ValueError(
-                f"A `store` cannot hold the name {name!r}. Names in a store must not "
-                "contain spaces, slashes or control characters, must not begin with '__' "
-                "or consist of dots, and must not be 'finished' or 'zarr.json'. Rename "
-                "it, or sweep without a store."
+                f"A `store` cannot hold the name {quote(name)}. Names in a store must "
+                "not contain spaces, slashes or control characters, must not begin with "
+                "'__' or consist of dots, and must not be 'finished' or 'zarr.json'. "
+                "Rename it, or sweep without a store."
             )
 
 
@@ -145,8 +148,8 @@ def coordinate_names(parameters: Iterable[str], outputs: Columns) -> Mapping[str
         variable = f"{axis}_coordinate"
         if variable in {*parameters, *outputs}:
             raise ValueError(
-                f"A parameter or an output has the name {variable!r}, but this name is "
-                f"used for the values along the axis {axis!r}. Rename it."
+                f"A parameter or an output has the name {quote(variable)}, but this name "
+                f"is used for the values along the axis {quote(axis)}. Rename it."
             )
         names[variable] = axis
     return names

@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Int
 
 from .._utils.pytrees import split_last_axis
+from .._utils.validation import quote
 from ..solve.results import is_success, RESULTS
 from ..solve.tables import Column, Columns
 from .designs import DesignStructure
@@ -56,8 +57,8 @@ def study_output(
         columns = dict(_columns(value, ""))
         if not columns:
             raise ValueError(
-                f"The study returns {value!r}, but must return an array or a tree of "
-                "arrays."
+                f"The study returns {quote(value)}, but must return an array or a tree "
+                "of arrays."
             )
         return columns, _results(value)
 
@@ -123,10 +124,10 @@ def _columns(value: Any, name: str) -> Iterator[tuple[str, Column]]:
     else:
         children = _children(value)
         if not (children or value is None or isinstance(value, dict | tuple | list)):
-            where = f" as {name!r}" if name else ""
+            where = f" as {quote(name)}" if name else ""
             raise ValueError(
-                f"The study returns {value!r}{where}, but must return numbers, arrays, "
-                "or trees of them."
+                f"The study returns {quote(value)}{where}, but must return numbers, "
+                "arrays, or trees of them."
             )
         for inner, child in children:
             yield from _columns(child, f"{name}.{inner}" if name else inner)
@@ -180,8 +181,8 @@ def _with_derivatives(
                     if eqx.is_inexact_array(column.values)
                 ]
                 raise ValueError(
-                    f"`derivatives` names {name!r}, but the differentiable outputs of "
-                    f"the study are {', '.join(differentiable) or 'none'}."
+                    f"`derivatives` names {quote(name)}, but the differentiable outputs "
+                    f"of the study are {', '.join(differentiable) or 'none'}."
                 )
         return [columns[name].values for name in derivatives], (columns, results)
 

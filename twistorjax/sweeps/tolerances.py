@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import ArrayOfNumbers
-from .._utils.validation import require_float64
+from .._utils.validation import quote, require_float64
 from .dataset import require_memory
 from .sampling import DistributionSet, Method
 from .sweep import require_packages, sweep, warn_of_failures
@@ -240,12 +240,12 @@ def tolerances(
         raise ValueError(message) from error
     if everything[output].ndim != 1:
         raise ValueError(
-            f"{output!r} has shape {everything[output].shape[1:]} for each design, but "
-            "must be a scalar."
+            f"{quote(output)} has shape {everything[output].shape[1:]} for each design, "
+            "but must be a scalar."
         )
     if np.iscomplexobj(everything[output]):
         raise ValueError(
-            f"{output!r} is complex, but must be real. Return its magnitude, "
+            f"{quote(output)} is complex, but must be real. Return its magnitude, "
             "`jnp.abs(...)`, or its real part."
         )
     nominal, table = everything.isel(design=0), everything.isel(design=slice(1, None))

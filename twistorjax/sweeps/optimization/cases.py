@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..._utils.types import NumbersLike
+from ..._utils.validation import quote
 from .limits import Limit
 from .optimum import Optimum
 from .options import Options
@@ -97,8 +98,8 @@ def _with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
             limit = limits[name]
             if limit.lower is not None and limit.upper is not None:
                 raise ValueError(
-                    f"`cases` has {name!r}, whose limit has two sides. Give `limits` "
-                    "with one side of it."
+                    f"`cases` has {quote(name)}, whose limit has two sides. Give "
+                    "`limits` with one side of it."
                 )
             side = "lower" if limit.upper is None else "upper"
             limits[name] = Limit(**{side: value})
@@ -110,8 +111,8 @@ def _with_values(setup: Setup, values: Mapping[str, Any]) -> Setup:
         ]
         if not rows:
             raise ValueError(
-                f"`cases` has {name!r}, but must name a limited output or a constant "
-                "number among the parameters."
+                f"`cases` has {quote(name)}, but must name a limited output or a "
+                "constant number among the parameters."
             )
         start[rows[0]] = value
     return setup._replace(limits=limits, space=setup.space._replace(start=start))

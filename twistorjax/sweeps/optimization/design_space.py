@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from ..._utils.pytrees import entry_names, path_name, split_last_axis
 from ..._utils.types import NumbersLike
+from ..._utils.validation import quote
 from ...identification.parameters import Parameter
 from ..designs import Designs, DesignStructure
 from ..distributions import Normal
@@ -67,8 +68,8 @@ class DesignSpace(NamedTuple):
             leaves = [(path, _as_parameter(leaf)) for path, leaf in leaves]
         if not any(_is_parameter(leaf) for _, leaf in leaves):
             raise ValueError(
-                f"`parameters` is {parameters!r}, but needs a variable: a `Parameter`, a "
-                "float, or an array of floats."
+                f"`parameters` is {quote(parameters)}, but needs a variable: a "
+                "`Parameter`, a float, or an array of floats."
             )
         real = {path_name(path): leaf for path, leaf in leaves if _is_real(_value(leaf))}
         deviations = _check_deviations(real, standard_deviations)
@@ -155,8 +156,8 @@ class DesignSpace(NamedTuple):
             array = given.arrays[given.names.index(name)]
             if array.shape[1:] != self.arrays[row].shape:
                 raise ValueError(
-                    f"`starts` has {name!r} of shape {array.shape}, but needs one entry "
-                    f"of shape {self.arrays[row].shape} for each start."
+                    f"`starts` has {quote(name)} of shape {array.shape}, but needs one "
+                    f"entry of shape {self.arrays[row].shape} for each start."
                 )
             arrays.append(array.reshape(len(given), -1).astype(float))
         vectors = np.concatenate(arrays, axis=1)
@@ -191,8 +192,8 @@ class DesignSpace(NamedTuple):
         if np.any(unbounded):
             name = str(np.array(self.names)[variables][unbounded][0])
             raise ValueError(
-                f"Random starts need bounds, but {name!r} lacks one. Use a `Parameter` "
-                "with `lower` and `upper`, or give the designs as `starts`."
+                f"Random starts need bounds, but {quote(name)} lacks one. Use a "
+                "`Parameter` with `lower` and `upper`, or give the designs as `starts`."
             )
         sampler = qmc.Sobol(int(variables.sum()), rng=seed)
         points = sampler.random_base2(max(0, count - 1).bit_length())[:count]
@@ -261,20 +262,20 @@ def _check_deviations(
     for name, given in standard_deviations.items():
         if name not in real:
             raise ValueError(
-                f"`standard_deviations` has {name!r}, but the real parameters are "
+                f"`standard_deviations` has {quote(name)}, but the real parameters are "
                 f"{', '.join(map(repr, real))}."
             )
         shape = np.shape(_value(real[name]))
         deviation = np.asarray(given, float)
         if deviation.shape not in ((), shape):
             raise ValueError(
-                f"`standard_deviations[{name!r}]` has shape {deviation.shape}, but must "
-                f"be one number, or have the shape {shape} of the parameter."
+                f"`standard_deviations[{quote(name)}]` has shape {deviation.shape}, but "
+                f"must be one number, or have the shape {shape} of the parameter."
             )
         if not np.all((deviation >= 0) & np.isfinite(deviation)):
             raise ValueError(
-                f"`standard_deviations[{name!r}]` is {deviation.tolist()}, but must be "
-                "finite and not negative."
+                f"`standard_deviations[{quote(name)}]` is {deviation.tolist()}, but must "
+                "be finite and not negative."
             )
         deviations[name] = np.broadcast_to(deviation, shape)
     if standard_deviations and not any(np.any(each) for each in deviations.values()):

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._utils.types import NumbersLike
+from ..._utils.validation import quote
 from ..designs import Designs
 from .design_space import DesignSpace
 from .limits import Limit
@@ -39,19 +40,20 @@ class Options(NamedTuple):
         """
         if (self.minimize is None) == (self.maximize is None):
             raise ValueError(
-                f"`minimize` is {self.minimize!r} and `maximize` is {self.maximize!r}. "
-                "Give one of them: the name of an output."
+                f"`minimize` is {quote(self.minimize)} and `maximize` is "
+                f"{quote(self.maximize)}. Give one of them: the name of an output."
             )
         for name in ("limits", "standard_deviations", "units"):
             given = getattr(self, name)
             if given is not None and not isinstance(given, Mapping):
                 raise ValueError(
-                    f"`{name}` is {given!r}, but must be a mapping from names to values."
+                    f"`{name}` is {quote(given)}, but must be a mapping from names to "
+                    "values."
                 )
         for name, limit in (self.limits or {}).items():
             if not isinstance(limit, Limit):
                 raise ValueError(
-                    f"`limits[{name!r}]` is {limit!r}, but must be a `Limit`: "
+                    f"`limits[{quote(name)}]` is {quote(limit)}, but must be a `Limit`: "
                     "`tj.Limit(upper=...)`."
                 )
         if not self.coverage_factor > 0:
@@ -71,16 +73,16 @@ class Options(NamedTuple):
         is_number = isinstance(self.starts, int | float | np.number)
         if is_number and (int(self.starts) != self.starts or self.starts < 1):
             raise ValueError(
-                f"`starts` is {self.starts!r}, but must be an integer of at least 1, or "
-                "designs."
+                f"`starts` is {quote(self.starts)}, but must be an integer of at least "
+                "1, or designs."
             )
         is_list_of_designs = isinstance(self.starts, list | tuple) and any(
             isinstance(start, Mapping) for start in self.starts
         )
         if isinstance(self.starts, str) or is_list_of_designs:
             raise ValueError(
-                f"`starts` is {self.starts!r}, but must be a number, or a mapping from "
-                "names of parameters to arrays with one value for each start."
+                f"`starts` is {quote(self.starts)}, but must be a number, or a mapping "
+                "from names of parameters to arrays with one value for each start."
             )
 
     @property

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..._utils.pytrees import entry_names
+from ..._utils.validation import quote
 from ...solve.results import RESULT_NAMES
 from ...solve.tables import Column, Columns
 from ..outputs import StudyOutput
@@ -321,7 +322,7 @@ def _broadcast(
         return np.full(int(np.prod(shape, dtype=int)), np.nan)
     if bound.shape not in ((), shape):
         raise ValueError(
-            f"The limit of {name!r} has shape {bound.shape}, but must be one number, or "
-            f"have the shape {shape} of the output."
+            f"The limit of {quote(name)} has shape {bound.shape}, but must be one "
+            f"number, or have the shape {shape} of the output."
         )
     return np.broadcast_to(bound, shape).ravel()

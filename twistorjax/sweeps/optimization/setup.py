@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._utils.types import NumbersLike
-from ..._utils.validation import compilation_error, require_float64
+from ..._utils.validation import compilation_error, quote, require_float64
 from ..executor import find_program, Program
 from ..outputs import StudyOutput
 from .design_space import DesignSpace
@@ -89,7 +89,7 @@ class Setup(NamedTuple):
         for name, limit in limits.items():
             if standard_deviations and np.any(limit.lower == limit.upper):
                 raise ValueError(
-                    f"`limits` prescribes {name!r}, which is uncertain because of "
+                    f"`limits` prescribes {quote(name)}, which is uncertain because of "
                     "`standard_deviations`. Give two different limits."
                 )
         try:
@@ -102,7 +102,7 @@ class Setup(NamedTuple):
         except ValueError as error:
             message = str(error)
             where = "`limits` names"
-            if f"names {objective!r}" in message:
+            if f"names {quote(objective)}" in message:
                 where = f"`{'minimize' if options.maximize is None else 'maximize'}` is"
             message = message.replace("`derivatives` names", where)
             raise ValueError(message) from error
@@ -110,20 +110,21 @@ class Setup(NamedTuple):
             name for name in options.units or {} if name not in program.output.columns
         ]:
             raise ValueError(
-                f"`units` names {unknown[0]!r}, which is not an output of the study."
+                f"`units` names {quote(unknown[0])}, which is not an output of the study."
             )
         outputs = OutputVector.of(program.output, names, space)
         for name in names:
             if np.issubdtype(outputs.columns[name].values.dtype, np.complexfloating):
                 raise ValueError(
-                    f"The output {name!r} is complex, but an objective and a limited "
-                    "output must be real. Return its magnitude, `jnp.abs(...)`, or its "
-                    "real part."
+                    f"The output {quote(name)} is complex, but an objective and a "
+                    "limited output must be real. Return its magnitude, `jnp.abs(...)`, "
+                    "or its real part."
                 )
         shape = outputs.columns[objective].values.shape[1:]
         if shape:
             raise ValueError(
-                f"The objective {objective!r} has shape {shape}, but must be a scalar."
+                f"The objective {quote(objective)} has shape {shape}, but must be a "
+                "scalar."
             )
         return cls(
             study=study,

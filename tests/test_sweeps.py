@@ -6,6 +6,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -289,9 +290,20 @@ def stiffness_of_a_mechanism():
     return study, lambda value: setattr(model, "factor", value)
 
 
+def study_in_jit():
+    study, change = global_number()
+    return jax.jit(study), change
+
+
+def study_in_filter_jit():
+    study, change = global_number()
+    return eqx.filter_jit(study), change
+
+
 CHANGES = [
     global_number, array_in_closure, whole_array_in_closure, nested_function, attribute,
-    argument_of_partial, default_argument, stiffness_of_a_mechanism,
+    argument_of_partial, default_argument, stiffness_of_a_mechanism, study_in_jit,
+    study_in_filter_jit,
 ]  # fmt: skip
 
 

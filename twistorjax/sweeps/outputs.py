@@ -51,6 +51,7 @@ def study_output(
         `structure.names`, and returns its outputs. The outputs of a failed design are
         NaN, except for integers and for values along an axis.
     """
+    study = without_jit(study)
 
     def evaluate(parameters: list[Array]) -> tuple[Columns, list[RESULTS]]:
         value = study(structure.design(parameters))
@@ -94,6 +95,16 @@ def study_output(
         return StudyOutput(masked, jnp.asarray(result._value), succeeded)
 
     return output
+
+
+def without_jit(study: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return the function inside `jax.jit` or `eqx.filter_jit`.
+
+    The compiled function would keep the values that its variables had at its first call.
+    """
+    while hasattr(study, "lower") and hasattr(study, "__wrapped__"):
+        study = study.__wrapped__
+    return study
 
 
 def _results(value: Any) -> list[RESULTS]:

@@ -71,6 +71,8 @@ def sweep(
             traced once in each call for all designs, with the values that its variables
             have at this time, so random numbers from `numpy.random` are the same for all
             designs. It is compiled again only if it computes something else than before.
+            Functions that it calls must not be compiled by `jax.jit` if they use
+            variables that change, because JAX keeps the first values of these.
         designs: Mapping from names to arrays, or another tree of arrays, whose first axis
             has one entry for each design; `sample_designs` returns such a tree. A `Grid`
             contains all combinations of given values.

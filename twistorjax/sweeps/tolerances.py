@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from .._utils.types import ArrayOfNumbers
 from .._utils.validation import quote, require_float64
 from .dataset import require_memory
+from .outputs import without_jit
 from .sampling import DistributionSet, Method
 from .sweep import require_packages, sweep, warn_of_failures
 
@@ -306,7 +307,7 @@ class _SampledStudy:
     """A study as a function of its uncertain parameters."""
 
     def __init__(self, study: Callable[[Any], Any], distributions: DistributionSet):
-        self._study, self._distributions = study, distributions
+        self._study, self._distributions = without_jit(study), distributions
         self.__qualname__ = getattr(study, "__qualname__", type(study).__qualname__)
 
     def __call__(self, parameters: Mapping[str, Array]) -> Any:

@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from path_helpers import parallel_links
 
 import twistorjax as tj
 from twistorjax.examples.truss import von_mises_truss
@@ -62,6 +63,19 @@ def test_a_comparison_does_not_end_a_path():
             loads=[PUSH],
             until=lambda point: point.pose("apex")[2] < 0.0,
         )
+
+
+def test_an_array_does_not_end_a_path():
+    with pytest.raises(TypeError, match=r"returns an array of shape \(3,\)"):
+        tj.path(von_mises_truss(), loads=[PUSH], until=lambda point: point.pose("apex"))
+
+
+def test_critical_points_that_are_not_located_are_reported():
+    links, loads = parallel_links([0.3, 0.5, 0.7])
+    with pytest.warns(UserWarning, match="`max_critical` is 2, but the stability"):
+        found = tj.path(links, loads=loads, max_critical=2)
+    np.testing.assert_allclose(found.critical_points.load_factors, [0.3, 0.5], rtol=1e-8)
+    tj.path(links, loads=loads, max_critical=3)
 
 
 def turn_a_block(stiffness=1.0, largest_step=0.1, **arguments):

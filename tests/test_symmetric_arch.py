@@ -112,7 +112,8 @@ def test_both_sides_of_the_branch_of_a_symmetric_arch_are_followed():
         "constraints": pins,
         "load_factors": (-0.1, 4.0),
     }
-    upright = tj.path(mechanism, **push, max_critical=1)
+    with pytest.warns(UserWarning, match="`max_critical` is 1"):
+        upright = tj.path(mechanism, **push, max_critical=1)
     first = upright.critical_points[0]
     exact = angles.critical()
     assert first.kind == "branch"

@@ -5,6 +5,8 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from .._utils.host import (
     all_concrete,
     as_float,
@@ -15,7 +17,7 @@ from .._utils.host import (
 )
 from .._utils.traced_function import traced
 from .._utils.types import NumberLike, NumbersLike, PoseLike
-from .._utils.validation import require_positive
+from .._utils.validation import require_positive, warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
@@ -95,7 +97,8 @@ def path(
         largest_step: Largest distance of successive points: rotations (rad), translations
             over the characteristic length of the mechanism, and load factors.
         max_points: Largest number of points.
-        max_critical: Largest number of critical points that are located.
+        max_critical: Largest number of critical points that are located. If there are
+            more, a warning says so.
         time: Time at which time-dependent constraints are evaluated; s.
         throw: Whether a failure raises an error. If False, the path up to the failure is
             returned, and `result` is the reason.
@@ -108,7 +111,7 @@ def path(
             is prescribed twice, nothing is multiplied by the load factor, `start` is a
             simple limit point, the stiffness resists `direction`, or a setting is
             invalid.
-        TypeError: `until` returns a truth value.
+        TypeError: `until` returns a truth value or an array.
         RuntimeError: There is no first equilibrium, a hinge leaves the validity range of
             its energy, a critical point is not found, `until` returns NaN, or the path
             cannot be continued.
@@ -157,6 +160,7 @@ def path(
     if not throw:
         return found
     warn_outside_linear_range(mechanism, found.range_shares)
+    _warn_of_more_critical_points(found, max_critical)
     return _checked(found, system, run)
 
 
@@ -240,6 +244,19 @@ def _first_points(found: Path, count: int) -> Path:
     return replace(
         found, critical_points=points, stresses=stresses, **first(found, names, count)
     )
+
+
+def _warn_of_more_critical_points(found: Path, max_critical: int) -> None:
+    """Warn if the stability changes more often than critical points are located."""
+    points = found.critical_points
+    changes = np.sum(np.abs(np.diff(np.asarray(found.negative_eigenvalues))))
+    if len(points) == max_critical and changes > np.sum(
+        np.asarray(points.multiplicities)
+    ):
+        warn(
+            f"`max_critical` is {max_critical}, but the stability changes again behind "
+            "the last critical point that was located. Increase `max_critical`."
+        )
 
 
 def _checked(found: Path, system: PathSystem, run: PathRun) -> Path:

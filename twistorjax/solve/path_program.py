@@ -102,6 +102,11 @@ def _event(system: PathSystem, until: Until) -> continuation.PathEvent:
         mechanism = system.mechanism
         reference, names = mechanism.reference, mechanism.names
         value = until(PathPoint(point[-1], displacements, reference, energy, names))
+        if jnp.shape(value) != ():
+            raise TypeError(
+                f"`until` returns an array of shape {jnp.shape(value)}, but must return "
+                "one number, whose sign changes at the end of the path."
+            )
         if jnp.issubdtype(jnp.asarray(value).dtype, bool):
             raise TypeError(
                 "`until` returns a truth value, but must return a number whose sign "

@@ -53,7 +53,7 @@ def test_an_input_displacement_without_equilibrium_is_a_failure(run_here):
 
 
 def test_a_bending_factor_that_is_too_large(run_here):
-    message = "The bending stiffness of the beam is inf N m^2"
+    message = "E I / L of the beam is inf N m/rad"
     assert_usage_error(run_here("parallelogram", "--bending-factor", "1e308"), message)
 
 

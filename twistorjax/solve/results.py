@@ -31,6 +31,9 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
       `returned_to_start`, `max_points_reached`, `out_of_range`, `path_interrupted`,
       `critical_point_not_found`, `until_not_a_number`, `not_finite`, or `unstable` if a
       body can move without any resistance.
+    * Buckling analyses end as `successful`, `critical_point_not_found`, `out_of_range`,
+      `unstable`, or `not_finite`; searches for a second stable state as `successful`,
+      `no_equilibrium`, or as paths.
     * Ends of a range of motion end as `successful`, `stress_exceeded`,
       `stress_not_reached`, or as paths.
     * Motions end as `successful`, `event_occurred`, `max_steps_reached`, `not_finite`,

@@ -110,17 +110,18 @@ def parallel_links(loads, forces=None):
     return tj.Mechanism(bodies, hinges, fixed=fixed), applied
 
 
-def two_trusses(rise=0.3):
-    """Two equal trusses of von Mises without any connection, and a load on each; m."""
+def unconnected_trusses(*rises):
+    """Trusses of von Mises with the same limit force, and a load on each; m."""
     bodies, hinges, loads = [tj.Body("wall")], [], []
     fixed = {"wall": ["angle", "x", "y"]}
-    for name, x in (("first", 0.0), ("second", 5.0)):
+    for k, rise in enumerate(rises):
+        name, x = f"apex {k}", 5.0 * k
+        stiffness = von_mises_limit_force() / von_mises_limit_force(rise, 1.0)
         apex = np.array([x, rise])
         bodies.append(tj.Body(name, pose=(0.0, x, rise)))
         fixed[name] = ["angle"]
         for side in (-1.0, 1.0):
             foot = np.array([x + side, 0.0])
-            of_side = f"{name} {side}"
-            hinges.append(bar(of_side, "wall", name, foot, apex, BAR_STIFFNESS))
+            hinges.append(bar(f"{name} {side}", "wall", name, foot, apex, stiffness))
         loads.append(tj.Load(name, force=(0.0, -20.0)))
     return tj.Mechanism(bodies, hinges, fixed=fixed), loads

@@ -18,7 +18,7 @@ from path_helpers import (
     parallel_links,
     truss_and_link,
     truss_of,
-    two_trusses,
+    unconnected_trusses,
     von_mises_force,
     von_mises_limit_force,
     von_mises_limit_height,
@@ -511,11 +511,12 @@ def test_both_columns_of_a_table_buckle():
 
 
 class TestLimitPoints:
-    def test_two_equal_trusses_snap_at_a_double_limit_point(self):
-        trusses, loads = two_trusses()
+    @pytest.mark.parametrize("rises", [(0.3, 0.3), (0.3, 0.2), (0.3, 0.44, 0.17)])
+    def test_trusses_snap_at_a_multiple_limit_point(self, rises):
+        trusses, loads = unconnected_trusses(*rises)
         points = tj.path(trusses, loads=loads).critical_points
         assert [point.kind for point in points] == ["limit", "limit"]
-        np.testing.assert_array_equal(points.multiplicities, [2, 2])
+        np.testing.assert_array_equal(points.multiplicities, 2 * [len(rises)])
         force = von_mises_limit_force() / 20
         assert_close(points.load_factors, np.array([force, -force]), digits=9)
 

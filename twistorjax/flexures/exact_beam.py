@@ -36,8 +36,8 @@ class ExactBeam(AbstractEnergy):
     The load that belongs to a displacement is found by Newton's method. The displacement
     is approached in increments along a constant twist. If no load is found, the energy is
     NaN, as for a bent beam in tension above about 25 E I / L^2, for which `leaf` and
-    `chain` are made. An evaluation takes some milliseconds. A mechanism with such a hinge takes about
-    ten seconds to compile; `surrogate` makes a fast hinge of a beam.
+    `chain` are made. An evaluation takes some milliseconds. A mechanism with such a hinge
+    takes about ten seconds to compile; `surrogate` makes a fast hinge of a beam.
 
     Args:
         beam: The beam.

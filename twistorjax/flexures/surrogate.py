@@ -155,8 +155,8 @@ def _beam_surrogate(
     bending = concrete(beam.rotational_stiffness)
     if bending is not None and not 0 < bending < np.inf:
         raise ValueError(
-            f"E I / L of the beam is {bending:g} N m/rad. Its modulus, its dimensions, or "
-            "its bending factor are too large or too small."
+            f"E I / L of the beam is {bending:g} N m/rad. Its modulus, its dimensions, "
+            "or its bending factor are too large or too small."
         )
     samples = sample_beam(beam, rotation, force)
 

@@ -250,7 +250,7 @@ def follow(
         angle = jnp.where(leaves_branch, _LARGEST_BRANCH_ANGLE, _LARGEST_ANGLE)
         valid &= ~small | (step.angle <= angle)
         # Limit points and branch points are located one by one.
-        valid &= ~(small & turns & branches) | (state.size <= 4 * smallest)
+        valid &= ~(small & turns & branches) | (state.size <= 4000 * smallest)
         converged = valid & small
         rejected = ~valid | (~converged & (state.tries + 1 >= _CORRECTIONS))
 

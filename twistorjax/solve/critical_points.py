@@ -249,7 +249,10 @@ def locate_points(
         resolved |= ~search.ended | finished | inserts | (change == 0)
 
         # The critical point, or one more eigenvalue that vanishes at the last one
-        flat = _LIMIT_RATE * jnp.max(jnp.abs(rates))
+        flat = jnp.maximum(
+            _LIMIT_RATE * jnp.max(jnp.abs(rates)),
+            _SAME_BRANCH_POINT * jnp.abs(rates[1] - rates[0]) / reach,
+        )
         is_limit = (rates[0] * rates[1] < 0) | (jnp.min(jnp.abs(rates)) <= flat)
         is_limit &= turns | (jnp.abs(rate) <= flat)
         branch = (change == 0) | ~is_limit
@@ -257,7 +260,11 @@ def locate_points(
         distance = metric.length((point - found.points[last]) / metric.units)
         noise = 4 * np.finfo(float).eps * values.shape[1] * jnp.max(jnp.abs(values))
         slope = jnp.abs(values[1, index] - values[0, index]) / reach
-        tolerance = jnp.maximum(_SAME_POINT, noise / jnp.where(slope > 0, slope, 1.0))
+        # Near a limit point, the distance is about the root of the rounding errors.
+        same_distance = jnp.where(
+            rates[0] * rates[1] < 0, _SAME_BRANCH_POINT, _SAME_POINT
+        )
+        tolerance = jnp.maximum(same_distance, noise / jnp.where(slope > 0, slope, 1.0))
         multiple = (found.number > 0) & (distance < tolerance) & (change != 0)
         returns = search.negative()[found.rows[last]] == negative[1]
         returns &= (distance < _SAME_BRANCH_POINT) & (branch != found.is_branch[last])

@@ -115,8 +115,8 @@ class CriticalPoints(eqx.Module):
         modes: Displacements without stiffness; see `CriticalPoint`.
         is_branch: Whether each of them is a branch point.
         multiplicities: Number of eigenvalues of the stiffness that vanish at each of
-            them. Points whose distance is below 1e-8 are one multiple point, and limit points
-            whose distance is below 1e-5.
+            them. Points whose distance is below 1e-8 are one multiple point, and so are
+            limit points whose distance is below 1e-5.
         rows: Index of the point of the path that precedes each of them.
         count: Number of critical points that were found.
         length: Characteristic length of the mechanism; m.

@@ -98,7 +98,7 @@ FAST_COMPILATION = "xla_cpu_use_fusion_emitters=false"
 # well, its gradient would compile in up to twice the time.
 FAST_LOOPS = "xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000"
 # Versions of jaxlib that have an option.
-_JAXLIB_WITH = {FAST_COMPILATION: {(0, 10)}, FAST_LOOPS: {(0, 10), (0, 11)}}
+_JAXLIB_WITH = {FAST_COMPILATION: {(0, 10)}, FAST_LOOPS: {(0, 10), (0, 11), (0, 12)}}
 
 
 def add_xla_option(option: str) -> None:

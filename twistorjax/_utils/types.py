@@ -23,6 +23,8 @@ KeyLike = TypeAliasType("KeyLike", Array | int)  # a key or a seed of `jax.rando
 
 # (x, y); m
 PointLike = TypeAliasType("PointLike", Float[ArrayLike, "2"] | Sequence[ArrayLike])
+# The two ends of a hinge; m
+EndsLike = TypeAliasType("EndsLike", Float[ArrayLike, "2 2"] | Sequence[PointLike])
 # (fx, fy); N
 ForceLike = TypeAliasType("ForceLike", Float[ArrayLike, "2"] | Sequence[ArrayLike])
 # (angle, x, y); rad, m, m

@@ -1,14 +1,13 @@
 """Thermal expansion of a hinge."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, on_host
-from .._utils.types import NumberLike, PointLike, Scalar
+from .._utils.types import EndsLike, NumberLike, Scalar
 from .._utils.validation import require_array, require_finite, require_positive
 from .material import Material
 
@@ -49,7 +48,7 @@ class Expansion(eqx.Module):
         material: ExpansionLike,
         *,
         length: NumberLike | None = None,
-        ends: Float[ArrayLike, "2 2"] | Sequence[PointLike] | None = None,
+        ends: EndsLike | None = None,
         arc_length: NumberLike | None = None,
     ):
         coefficient: Any = material
@@ -67,9 +66,9 @@ class Expansion(eqx.Module):
                 "positions (m) of both `ends` of another one in its frame."
             )
         if ends is None:
-            half = require_positive("`length`", length) / 2
-            xp, (half,) = on_host(half)
-            ends = xp.stack([xp.stack([-half, 0 * half]), xp.stack([half, 0 * half])])
+            xp, (length,) = on_host(require_positive("`length`", length))
+            ends = xp.stack([length, 0 * length]) / 2
+            ends = xp.stack([-ends, ends])
         rows = "be the positions (x, y) of both ends"
         self.ends = require_array("`ends`", ends, (2, 2), rows)
         if length is not None and arc_length is not None:

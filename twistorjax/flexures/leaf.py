@@ -73,17 +73,19 @@ def leaf(
         material, length, thickness, width, theory
     )
     bending, axial, shear = _section_stiffnesses(material, thickness, width)
+    has_shear = theory == "timoshenko"
     return BeamColumn(
         length,
         bending,
         axial,
-        shear if theory == "timoshenko" else None,
+        shear if has_shear else None,
         stress_model=BeamColumnStress(
             length=as_float(length),
             thickness=as_float(thickness),
             width=as_float(width),
             modulus=material.modulus,
             strengths=material.strengths,
+            shear_ratio=as_float(shear / axial) if has_shear else None,
         ),
     )
 

@@ -139,6 +139,8 @@ class BeamColumnStress(AbstractStressModel):
         width: Out-of-plane width; m.
         modulus: Young's modulus; Pa.
         strengths: Strengths of the material.
+        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
+            None to neglect shear deformation.
 
     Source:
         Timoshenko and Gere, Theory of Elastic Stability, 1961, section 1.11.
@@ -149,6 +151,7 @@ class BeamColumnStress(AbstractStressModel):
     width: Scalar
     modulus: Scalar
     strengths: Strengths
+    shear_ratio: Scalar | None
 
     def surface_stresses(
         self, displacement: Displacement, wrench: MidWrench
@@ -162,6 +165,10 @@ class BeamColumnStress(AbstractStressModel):
         mean = moment + self.length / 2 * displacement.xi * axial
         half = displacement.x2 * axial - arm * transverse
         ratio = axial * self.length**2 / bending
+        if self.shear_ratio is not None:  # Shear and stretch change the bending.
+            ratio = ratio * (
+                1 + (1 - 1 / self.shear_ratio) * axial / (self.modulus * area)
+            )
         root = jnp.sqrt(jnp.maximum(jnp.abs(ratio), 1e-8))
         # At a larger tension, the hyperbolic functions would overflow.
         position = jnp.minimum(root, 1000.0) * jnp.linspace(-0.5, 0.5, 17)

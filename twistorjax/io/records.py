@@ -72,6 +72,7 @@ class BeamColumnStress(_StressRecord, frozen=True):
     width: Positive
     modulus: Positive
     strengths: Strengths
+    shear_ratio: Positive | None = None
 
 
 class BeamStress(_StressRecord, frozen=True):

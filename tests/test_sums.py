@@ -55,6 +55,15 @@ def test_sum_takes_as_many_newton_steps_as_its_terms(add):
     assert added.steps <= single.steps + 1
 
 
+def test_table_on_sums_is_one_on_single_leaves():
+    load = tj.Load("table", force=(20.0, -5.0))
+    single, added = (
+        tj.equilibrium(table(energy), loads=[load])
+        for energy in (leaf(), SUMS["three parts"](leaf()))
+    )
+    assert_close(added.displacements, single.displacements, digits=9)
+
+
 def release(energy, damping):
     """Simulate a table that is released from an equilibrium under a force."""
     load = tj.Load("table", force=(20.0, 0.0))

@@ -462,7 +462,7 @@ def test_weights_hang_a_mechanism_from_its_springs():
         ),
         (lambda: tj.Expansion(1e-6, length=0.0), "`length` is 0, but must be positive"),
         (lambda: tj.Expansion(1e-6), "either the `length`"),
-        (lambda: tj.Expansion(1e-6, length=1, arc_length=2), "Give the positions of the"),
+        (lambda: tj.Expansion(1e-6, length=1, arc_length=2), "is straight. Give the"),
         (lambda: tj.Expansion(1e-6, ends=[(0.1, 0.2)]), "the positions .x, y. of both"),
         (
             lambda: tj.io.exudyn_script(guide().at_temperature(1.0)),

@@ -11,7 +11,7 @@ from .solver_protocols import newton_model, Stress
 
 
 class NaturallyCurved(AbstractWrapper):
-    """The energy of a straight flexure, to which a constant natural curvature is given.
+    """The energy of a flexure, to which a constant natural curvature is given.
 
     The energy of bending of a leaf is the integral of `E I (k - k0)^2 / 2` with the
     natural curvature k0, and the integral of its curvature k is the rotation of its ends.
@@ -20,17 +20,16 @@ class NaturallyCurved(AbstractWrapper):
     Args:
         energy: The energy without natural curvature.
         turn: Rotation of the ends of the free flexure, k0 times its length; rad.
-        loads: Moment and transverse force by which the turn is prevented, divided by it;
-            see `curvature_loads`; N m/rad, N/rad.
+        loads: Loads by which the turn is prevented, divided by it; see `curvature_loads`.
     """
 
     energy: AbstractEnergy
     turn: Scalar
-    loads: Float[Array, "2"]
+    loads: Float[Array, "4"]
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         energy = self.energy.stored_energy(displacement)
-        constant = self.turn**2 * self.loads[0] / 2  # The free flexure stores no energy.
+        constant = self.turn**2 * self.loads[3] / 2  # The free flexure stores no energy.
         return energy - self.turn * self._work(displacement) + constant
 
     def newton_model(self, stress: Stress) -> AbstractEnergy:
@@ -40,39 +39,42 @@ class NaturallyCurved(AbstractWrapper):
     def without_curvature(self, stress: Stress) -> Stress:
         """Return the stress of the energy without natural curvature; N m, N, N."""
         moment, axial, transverse = stress
-        by_moment, by_force = self.turn * self.loads
-        return moment + by_moment, axial, transverse + by_force
+        by_moment, by_axial, by_transverse, _ = self.turn * self.loads
+        return moment + by_moment, axial + by_axial, transverse + by_transverse
 
     def slope_by_turn(self, displacement: Displacement) -> Scalar:
         """Differentiate the energy with respect to the turn; J/rad."""
-        return self.turn * self.loads[0] - self._work(displacement)
+        return self.turn * self.loads[3] - self._work(displacement)
 
     def _work(self, displacement: Displacement) -> Scalar:
         """Compute the work of the loads in a displacement, divided by the turn; J/rad."""
-        by_moment, by_force = self.loads
-        return by_moment * displacement.angle + by_force * 2 * displacement.x2
+        by_moment, by_axial, by_transverse, _ = self.loads
+        chord = by_axial * displacement.x1 + by_transverse * displacement.x2
+        return by_moment * displacement.angle + 2 * chord
 
 
-def curvature_loads(energy: AbstractEnergy) -> Float[Array, "2"]:
-    """Compute moment and transverse force that prevent a unit of natural turn.
+def curvature_loads(energy: AbstractEnergy, free: Float[Array, "3"]) -> Float[Array, "4"]:
+    """Compute moment and forces that prevent a unit of natural turn, and their work.
 
     They follow from the stiffness in the reference configuration, without axial force.
-    The moment is E I / L for a prismatic leaf, also if it is curved. For other flexures
-    the loads are exact to first order.
+    For a prismatic leaf, also if it is curved, they are the moment E I / L and no force.
+    For other flexures they are exact to first order.
+
+    Args:
+        energy: The energy without natural curvature.
+        free: Displacement of the free flexure, divided by its turn: 1, and the position
+            of the centroid of its center line, turned by -90 degrees; -, m, m.
 
     Returns:
-        The moment and the force, divided by the turn; N m/rad, N/rad.
+        Moment, axial force, and transverse force, divided by the turn, and their work in
+        the displacement of the free flexure; N m/rad, N/rad, N/rad, J/rad^2.
     """
 
     def stored_energy(pose: Pose) -> Scalar:
         return energy.stored_energy(Displacement.from_pose(pose))
 
-    # Only two rows of the stiffness are needed. With `tangent_stiffness`, JAX confuses
-    # the axes of nested batches in derivatives (0.10).
-    _, row_times = jax.linearize(jax.grad(stored_energy), jnp.zeros(3))
-    by_turn = row_times(jnp.array([1.0, 0.0, 0.0]))
-    by_stretch = row_times(jnp.array([0.0, 1.0, 0.0]))
-    resists = by_stretch[1] > 0
-    ratio = jnp.where(resists, by_turn[1] / jnp.where(resists, by_stretch[1], 1.0), 0.0)
-    loads = by_turn - ratio * by_stretch
-    return jnp.stack([loads[0], loads[2]])
+    # With `tangent_stiffness`, JAX confuses the axes of nested batches in derivatives
+    # (0.10).
+    _, stiffness_times = jax.linearize(jax.grad(stored_energy), jnp.zeros(3))
+    loads = stiffness_times(free)
+    return jnp.append(loads, jnp.sum(loads * free))

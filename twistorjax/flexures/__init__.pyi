@@ -5,7 +5,11 @@ from .beam_solution import (
     BeamSolution as BeamSolution,
     largest_rotation as largest_rotation,
 )
-from .chain import Chain as Chain, chain as chain
+from .chain import (
+    beam_expansion as beam_expansion,
+    Chain as Chain,
+    chain as chain,
+)
 from .condensed import Condensed as Condensed
 from .contour_stiffness import (
     elliptical_notch as elliptical_notch,

@@ -31,6 +31,10 @@ SectionPoses = TypeAliasType("SectionPoses", Float[Array, "sections 3"])
 SectionStresses = TypeAliasType("SectionStresses", Float[Array, "sections 2"])
 
 
+_INTERVALS = 32  # for the mean position of the center line, by the rule of Simpson
+_SIMPSON = np.array([1.0, *_INTERVALS // 2 * (4.0, 2.0)])
+_SIMPSON[-1] = 1.0
+
 # The method of Dormand and Prince of order 8. Its last stage serves an error estimate.
 _TABLEAU = dfx.Dopri8.tableau
 _NODES = np.array([0.0, *_TABLEAU.c])[:-1]
@@ -200,6 +204,24 @@ def reference_ends(beam: Beam) -> ReferenceEnds:
     # The second end has the same discretization error as that of the loaded beam.
     end = _last(_integrate(beam, no_load, first, 1, beam.steps))
     return ReferenceEnds(first, jnp.stack([end.angle, end.x, end.y]))
+
+
+def ends_and_centroid(beam: Beam) -> tuple[Float[Array, "2 2"], Float[Array, "2"]]:
+    """Compute the positions of the ends of the undeformed beam, and their mean; m.
+
+    The mean is that of all positions of the center line, in the frame of the beam.
+    """
+    ends = reference_ends(beam)
+    positions = beam.length * jnp.stack([ends.first[1:], ends.second[1:]])
+    if beam.curvature is None:
+        return positions, jnp.zeros(2)
+    steps = -(-beam.steps // _INTERVALS)
+    states = _integrate(beam, jnp.zeros(3), ends.first, _INTERVALS, steps)
+    parameters = jnp.asarray(np.linspace(-1.0, 1.0, _INTERVALS + 1))
+    _, rates = jax.vmap(position_of)(parameters)
+    weights = jnp.asarray(_SIMPSON) * rates
+    line = jnp.stack([states.x, states.y])
+    return positions, beam.length * (line @ weights) / jnp.sum(weights)
 
 
 def end_section(

@@ -39,6 +39,7 @@ from .beam import arc_rotation, Beam, is_constant, is_uniform, load_units
 from .beam_solution import (
     beam_under_load,
     end_section,
+    ends_and_centroid,
     pose_and_wrench,
     position_of,
     reference_ends,
@@ -207,13 +208,13 @@ def chain(
             f"The flexure {name!r} in {count} segments has an error of {worst:.2g}, but "
             f"`error` is {error:g}. Divide it into more `segments`."
         )
-    middles, ends, clamps = _layout(tuple(parts), beam, pose)
+    middles, ends = _layout(tuple(parts), beam, pose)
     names = [f"{name} {k + 1}" for k in range(count)]
     sections = [first, *names[:-1], second]
     hinges = tuple(
         Hinge(
             names[k], sections[k], sections[k + 1], energies[k], middles[k],
-            outline=beam_outline(parts[k]), expansion=_expansion(parts[k], clamps[k]),
+            outline=beam_outline(parts[k]), expansion=beam_expansion(parts[k]),
         )
         for k in range(count)
     )  # fmt: skip
@@ -406,11 +407,8 @@ def _errors(
 
 
 @jax.jit
-def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list, list]:
-    """Compute the poses of the middles of all segments, and of their second ends.
-
-    The positions of both ends of each segment in its frame are returned as well; m.
-    """
+def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list]:
+    """Compute the poses of the middles of all segments, and of their second ends."""
 
     def in_meters(part: Beam) -> tuple[Pose, Pose]:
         scale = jnp.stack([jnp.ones(()), part.length, part.length])
@@ -418,15 +416,14 @@ def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list, 
         return scale * ends.first, scale * ends.second
 
     end = se2.compose(at, in_meters(beam)[0])
-    middles, ends, clamps = [], [], []
+    middles, ends = [], []
     for part in parts:
         to_first, to_second = in_meters(part)
         middle = se2.compose(end, se2.inverse(to_first))
         end = se2.compose(middle, to_second)
         middles.append(middle)
         ends.append(end)
-        clamps.append(jnp.stack([to_first[1:], to_second[1:]]))
-    return middles, ends, clamps
+    return middles, ends
 
 
 def _body(name: str, pose: Pose, before: Beam, mass: Scalar | None) -> Body:
@@ -539,11 +536,29 @@ def _padded(corners: Int[np.ndarray, " corners"]) -> Int[np.ndarray, " more"]:
     return corners
 
 
-def _expansion(part: Beam, clamps: Float[Array, "2 2"]) -> Expansion | None:
-    """Return the thermal expansion of a segment, whose ends are at `clamps` (m, m).
+def beam_expansion(beam: Beam) -> Expansion | None:
+    """Compute the thermal expansion of a hinge that is a beam.
 
-    It is None if the material has none.
+    Args:
+        beam: The beam, straight or curved.
+
+    Returns:
+        The expansion; None if the material has no coefficient of expansion.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> steel = tj.Material(210e9, poisson=0.3, expansion=12e-6)
+        >>> arc = Beam(steel, length=0.1, thickness=1e-3, width=0.01, curvature=10.0)
+        >>> beam_expansion(arc).ends
+        Array([[-0.0479...,  0.0122...],
+               [ 0.0479...,  0.0122...]], dtype=float64)
     """
-    if part.material.expansion is None:
+    if beam.material.expansion is None:
         return None
-    return Expansion(part.material, ends=clamps, arc_length=part.length)
+    if beam.curvature is None:
+        return Expansion(beam.material, length=beam.length)
+    ends, centroid = _ends_and_centroid(beam)
+    return Expansion(beam.material, ends=ends, arc_length=beam.length, centroid=centroid)
+
+
+_ends_and_centroid = jax.jit(ends_and_centroid)

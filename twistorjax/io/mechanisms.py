@@ -217,6 +217,7 @@ def _expansion_from_record(record: Any) -> Expansion | None:
         length=record.length,
         ends=_to_array(record.ends),
         arc_length=record.arc_length,
+        centroid=record.centroid,
     )
 
 

@@ -247,6 +247,7 @@ class Expansion(_Record, frozen=True):
     length: float | None = None
     ends: Annotated[list[Pair], Meta(min_length=2, max_length=2)] | None = None
     arc_length: float | None = None
+    centroid: Pair | None = None
 
 
 class Hinge(_Record, frozen=True):

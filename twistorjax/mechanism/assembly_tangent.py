@@ -81,7 +81,7 @@ class AssemblyTangent(eqx.Module):
         """Decide whether the stiffness of all hinges is finite."""
         return jnp.all(jnp.isfinite(self.stiffness))
 
-    def predicted_stress(self, change: Poses) -> Float[Array, "3 hinges"]:
+    def predicted_stress(self, change: Poses) -> Float[Array, "3 members"]:
         """Predict the stress after small displacements of the bodies; rad, m, m."""
         first, second = np.array(self.ends).reshape(-1, 2)[list(self.order)].T
         of_bodies = tuple(change[first].T), tuple(change[second].T)

@@ -7,8 +7,13 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, on_host
-from .._utils.types import EndsLike, NumberLike, Scalar
-from .._utils.validation import require_array, require_finite, require_positive
+from .._utils.types import EndsLike, NumberLike, PointLike, Scalar
+from .._utils.validation import (
+    require_array,
+    require_finite,
+    require_positive,
+    require_row,
+)
 from .material import Material
 
 
@@ -28,11 +33,14 @@ class Expansion(eqx.Module):
             its frame; m, m.
         arc_length: Length of the center line of a curved hinge, along which a gradient of
             the temperature bends it; by default the distance of the ends along axis 1; m.
+        centroid: Mean position (x, y) of this center line, about which a gradient turns
+            the ends; by default that of a parabola through both ends and the origin; m,
+            m.
 
     Raises:
         ValueError: The material has no coefficient, a value is not finite, a length is
             not positive, not exactly one of `length` and `ends` is given, or `arc_length`
-            is given without `ends`.
+            or `centroid` are given without `ends`.
 
     Example:
         >>> Expansion(12e-6, length=0.05).coefficient
@@ -42,6 +50,7 @@ class Expansion(eqx.Module):
     coefficient: Scalar
     ends: Float[Array, "2 2"]
     arc_length: Scalar
+    centroid: Float[Array, "2"]
 
     def __init__(
         self,
@@ -50,6 +59,7 @@ class Expansion(eqx.Module):
         length: NumberLike | None = None,
         ends: EndsLike | None = None,
         arc_length: NumberLike | None = None,
+        centroid: PointLike | None = None,
     ):
         coefficient: Any = material
         if isinstance(material, Material):
@@ -71,14 +81,19 @@ class Expansion(eqx.Module):
             ends = xp.stack([-ends, ends])
         rows = "be the positions (x, y) of both ends"
         self.ends = require_array("`ends`", ends, (2, 2), rows)
-        if length is not None and arc_length is not None:
+        if length is not None and not (arc_length is None and centroid is None):
             raise ValueError(
-                "A hinge with a `length` is straight and has no `arc_length`. Give the "
-                "positions of the `ends` of a curved hinge instead of the `length`."
+                "A hinge with a `length` is straight. Give the positions of both `ends` "
+                "of a curved hinge with its `arc_length` and its `centroid`."
             )
         self.arc_length = require_positive(
             "`arc_length`", self.length if arc_length is None else arc_length
         )
+
+        if centroid is None:
+            _, (known,) = on_host(self.ends)
+            centroid = as_float((known[0] + known[1]) / 6)
+        self.centroid = require_row("`centroid`", centroid, "a position (x, y)", 2)
 
     @property
     def length(self) -> Scalar:

@@ -103,7 +103,7 @@ class HingeAssembly(eqx.Module):
         ]
         if not loads or self.misfits is None:
             return energy
-        total = sum(loads, start=jnp.zeros(2))
+        total = sum(loads, start=jnp.zeros(4))
         return NaturallyCurved(energy, Misfit.of(self.misfits[row]).turn, total)
 
     def with_strokes(
@@ -116,6 +116,11 @@ class HingeAssembly(eqx.Module):
             return self.with_more_misfit(misfit_numbers(strokes))
         numbers = jax.jvp(misfit_numbers, (strokes,), (rates,))
         return self.with_more_misfit(*numbers)
+
+    @property
+    def member_count(self) -> int:
+        """Number of hinges, of which one with a sum of energies counts for each term."""
+        return len(self._order())
 
     def with_more_misfit(
         self, numbers: Float[Array, "hinges 6"], rates: Array | None = None
@@ -172,7 +177,7 @@ class HingeAssembly(eqx.Module):
 
     def forces_and_stress(
         self, displacements: Poses
-    ) -> tuple[Wrenches, Float[Array, "3 hinges"]]:
+    ) -> tuple[Wrenches, Float[Array, "3 members"]]:
         """Compute the `forces`, and the generalized stress of each hinge; N m, N, N."""
         function = _elastic(hinge_forces.forces_and_stress)
         local, stress = self._evaluate(function, displacements)
@@ -210,7 +215,7 @@ class HingeAssembly(eqx.Module):
         return values
 
     def tangent(
-        self, displacements: Poses, predicted: Float[Array, "3 hinges"] | None = None
+        self, displacements: Poses, predicted: Float[Array, "3 members"] | None = None
     ) -> AssemblyTangent:
         """Compute the forces, their derivatives, and the generalized stress.
 

@@ -35,16 +35,15 @@ class HingeGroup(eqx.Module):
         damping: Their damping, stacked in the same way; None without damping.
         batch_axes: For each array of energy and damping: 0 if it is stacked, None if it
             is shared.
-        curvature_loads: Moment and transverse force of each member for its natural turn;
-            see `NaturallyCurved`. None if there was no gradient of the temperature; N
-            m/rad, N/rad.
+        curvature_loads: Loads of each member for its natural turn; see the function of
+            this name. None if there was no gradient of the temperature.
     """
 
     members: tuple[int, ...] = eqx.field(static=True)
     energy: AbstractEnergy
     damping: ViscousDamping | None
     batch_axes: tuple[int | None, ...] = eqx.field(static=True)
-    curvature_loads: Float[Array, "members 2"] | None = None
+    curvature_loads: Float[Array, "members 4"] | None = None
 
 
 def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
@@ -80,6 +79,7 @@ def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
 def dilate_groups(
     groups: Sequence[HingeGroup],
     scales: Float[Array | np.ndarray, " hinges"],
+    free_turns: Float[Array | np.ndarray, "hinges 3"],
     has_gradients: bool,
 ) -> tuple[HingeGroup, ...]:
     """Multiply the dimensions of all hinges by factors, as thermal expansion does.
@@ -102,8 +102,8 @@ def dilate_groups(
         axes += group.batch_axes[len(changed) :]
         loads = None
         if has_gradients or group.curvature_loads is not None:
-            loads = _curvature_loads(energy, tuple(axes[: len(changed)]))
-            loads = jnp.broadcast_to(loads, (len(group.members), 2))
+            free = as_float(free_turns[np.array(group.members)])
+            loads = _curvature_loads(energy, free, tuple(axes[: len(changed)]))
         group = HingeGroup(group.members, energy, group.damping, tuple(axes), loads)
         new.append(group)
     return tuple(new)
@@ -152,17 +152,17 @@ def _proportional(
 
 @partial(jax.jit, static_argnames="batch_axes")
 def _curvature_loads(
-    energy: AbstractEnergy, batch_axes: tuple[int | None, ...]
-) -> Float[Array, "*members 2"]:
-    """Compute the loads of natural curvature of stacked energies; N m/rad, N/rad."""
+    energy: AbstractEnergy,
+    free: Float[Array, "members 3"],
+    batch_axes: tuple[int | None, ...],
+) -> Float[Array, "members 4"]:
+    """Compute the loads of natural curvature of stacked energies."""
     leaves, tree = jax.tree.flatten(energy)
 
-    def loads(leaves):
-        return curvature_loads(jax.tree.unflatten(tree, leaves))
+    def loads(leaves, free):
+        return curvature_loads(jax.tree.unflatten(tree, leaves), free)
 
-    if any(axis == 0 for axis in batch_axes):
-        return jax.vmap(loads, in_axes=(list(batch_axes),))(leaves)
-    return loads(leaves)
+    return jax.vmap(loads, in_axes=(list(batch_axes), 0))(leaves, free)
 
 
 def _stack(row: Sequence[Array]) -> Array:

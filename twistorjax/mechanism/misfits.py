@@ -106,12 +106,14 @@ def expanded(
         _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0),
         [0.0 if value is None else value.coefficient for value in expansions],
         [no_ends if value is None else value.ends for value in expansions],
+        [no_ends[0] if value is None else value.centroid for value in expansions],
         [0.0 if value is None else value.arc_length for value in expansions],
     )
     xp, (at, arms, directions, *arrays) = on_host(
         mechanism.at, assembly.arms, assembly.directions, *map(_stacked, numbers)
     )
-    of_bodies, of_material, of_hinges, slopes, coefficient, clamps, arc_length = arrays
+    of_bodies, of_material, of_hinges, slopes, coefficient, *shapes = arrays
+    clamps, (mean_along, mean_across), arc_length = shapes[0], shapes[1].T, shapes[2]
     body_strains, hinge_strains = of_bodies * of_material, coefficient * of_hinges
     _require_small_strains("body", mechanism.names, body_strains)
     _require_small_strains("hinge", mechanism.hinge_names, hinge_strains)
@@ -127,13 +129,14 @@ def expanded(
     cos, sin = directions.T
     scales, turn = 1 + hinge_strains, -coefficient * arc_length * slopes
     zero = 0 * turn
+    free_turns = xp.stack([1 + zero, mean_across, -mean_along], axis=1)
     columns = [
         zero, zero, zero, cos * gap_x + sin * gap_y, cos * gap_y - sin * gap_x, turn
     ]  # fmt: skip
     warm = replace(
         assembly,
         arms=as_float(arms + middle[:, None]),
-        groups=dilate_groups(assembly.groups, scales, bool(gradients)),
+        groups=dilate_groups(assembly.groups, scales, free_turns, bool(gradients)),
         sums=tuple(map(_dilated_sum, assembly.sums, scales)),
     )
     warm = warm.with_more_misfit(as_float(xp.stack(columns, axis=1)))

@@ -141,7 +141,7 @@ class _State(NamedTuple):
     last: Node
     reached: Float[Array, " n"]
     iterate: Float[Array, " n"]
-    predicted: Float[Array, "2 3 hinges"]
+    predicted: Float[Array, "2 3 members"]
     curvature: Float[Array, " n"]
     size: Scalar
     tries: Count

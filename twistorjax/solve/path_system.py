@@ -110,7 +110,7 @@ class PathSystem(eqx.Module):
     def tangent(
         self,
         point: Float[Array, " n"],
-        predicted: Float[Array, "3 hinges"] | None = None,
+        predicted: Float[Array, "3 members"] | None = None,
     ) -> PathTangent:
         """Compute the residual at a point, and its derivatives.
 
@@ -168,7 +168,7 @@ class PathSystem(eqx.Module):
         reactions, _ = system.reactions_and_energy(displacements, multipliers)
         return reactions.reshape(-1)[system.prescribed] @ self.targets
 
-    def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 hinges"]:
+    def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 members"]:
         """Compute the generalized stress of the hinges at a point; N m, N, N."""
         system, displacements, _ = self.split(point)
         return system.hinges.forces_and_stress(displacements)[1]

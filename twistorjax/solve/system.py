@@ -132,7 +132,7 @@ class System(eqx.Module):
 
     def misfit_response(
         self, displacements: Poses, fraction: Scalar, increment: Scalar
-    ) -> tuple[Float[Array, " unknowns"], Float[Array, "3 hinges"]]:
+    ) -> tuple[Float[Array, " unknowns"], Float[Array, "3 members"]]:
         """Compute the change of forces and stress with an increment of the misfits.
 
         Both are of first order, in N m and N. They are zero if the misfits are constant,
@@ -140,7 +140,7 @@ class System(eqx.Module):
         """
         if not self.changes_misfits:
             unknowns = len(self.free) + self.constraints.size
-            return jnp.zeros(unknowns), jnp.zeros((3, len(self.hinges.ends)))
+            return jnp.zeros(unknowns), jnp.zeros((3, self.hinges.member_count))
 
         def forces_and_stress(fraction: Scalar) -> tuple[Array, Array]:
             forces, stress = self.hinges_at(fraction).forces_and_stress(displacements)
@@ -232,7 +232,7 @@ class System(eqx.Module):
         self,
         displacements: Poses,
         fraction: Scalar | float = 1.0,
-        predicted: Float[Array, "3 hinges"] | None = None,
+        predicted: Float[Array, "3 members"] | None = None,
         multipliers: Entries | None = None,
         misfit_fraction: Scalar | None = None,
     ) -> tuple[Float[Array, " dofs"], Tangent, AssemblyTangent]:

@@ -275,8 +275,9 @@ def test_a_gradient_bends_a_curved_chain_as_one_arc():
     warm, found = equilibrium(["wall", "tip"])
     for name in gradients:
         wrench = warm.wrench_of(name, found)
-        assert_close(wrench[0] / (BENDING * CURVATURE), 1.0, digits=9)
-        assert np.all(np.abs(wrench[1:]) < 1e-12 * 210e9 * AREA)
+        # The stiffness of the surrogates has these errors.
+        assert_close(wrench[0] / (BENDING * CURVATURE), 1.0, digits=5)
+        assert np.all(np.abs(wrench[1:]) < 1e-4 * BENDING * CURVATURE / LENGTH)
     _, found = equilibrium(["wall"])
     new = curvature - CURVATURE
     turn = new * LENGTH
@@ -284,6 +285,24 @@ def test_a_gradient_bends_a_curved_chain_as_one_arc():
     exact = se2.compose(jnp.array(ends[0]), arc)
     moved = exact - np.array(ends[1])
     np.testing.assert_allclose(found.displacement("tip"), moved, rtol=1e-5)
+
+
+def test_a_gradient_loads_a_clamped_beam_of_any_curvature_by_a_moment_only():
+    """Free ends turn about the centroid of the center line, which is not on axis 2."""
+    beam = tj.flexures.Beam(
+        STEEL, length=LENGTH, thickness=THICKNESS, width=WIDTH,
+        curvature=lambda position: 12.0 + 800.0 * position,
+    )  # fmt: skip
+    range_ = {"rotation": 0.2, "force": 2.0}
+    energy, growth = tj.surrogate(beam, **range_), tj.flexures.beam_expansion(beam)
+    assert growth is not None and abs(growth.centroid[0]) > 1e-3 * LENGTH
+    hinge = tj.Hinge("leaf", "wall", "tip", energy, (0.1, 0.0, 0.0), expansion=growth)
+    bodies = [tj.Body("wall"), tj.Body("tip")]
+    clamped = tj.Mechanism(bodies, [hinge], fixed=["wall", "tip"])
+    warm = clamped.at_temperature(0.0, gradients={"leaf": 20.0 / THICKNESS})
+    wrench = warm.wrench_of("leaf", warm.reference)
+    assert_close(wrench[0] / (BENDING * CURVATURE), 1.0, digits=4)
+    assert np.all(np.abs(wrench[1:]) < 1e-3 * BENDING * CURVATURE / LENGTH)
 
 
 def test_a_warm_arch_is_a_larger_one_that_is_compressed():

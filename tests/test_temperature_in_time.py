@@ -120,8 +120,8 @@ def test_hinges_of_a_motion_have_its_temperatures():
 @pytest.mark.release
 def test_a_constant_temperature_is_that_of_the_mechanism():
     mechanism, times = table_on_leaves(), [0.0, 0.002]
-    found = tj.simulate(mechanism, times, temperature=lambda time: 0.5 + 0 * time)
-    expected = tj.simulate(mechanism.at_temperature(0.5), times)
+    found = tj.simulate(mechanism, times, temperature=lambda time: 5e-3 + 0 * time)
+    expected = tj.simulate(mechanism.at_temperature(5e-3), times)
     assert_close(found.displacements, expected.displacements, digits=10)
 
 

@@ -201,8 +201,8 @@ class Mechanism(HingeQueries):
 
         Source:
             A hinge of length L becomes longer by `expansion * change * L`. Its natural
-            curvature is `-expansion * gradient`. A prismatic leaf, straight or curved, then
-            has the additional energy `E I expansion gradient angle`, for any
+            curvature is `-expansion * gradient`. A prismatic leaf, straight or curved,
+            then has the additional energy `E I expansion gradient angle`, for any
             displacement: clamped at both ends it has the moment `E I expansion gradient`
             and no force, and if it is free it bends to an arc. For a notch or another
             flexure of variable section, moment and force are exact to first order.

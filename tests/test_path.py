@@ -510,6 +510,14 @@ def test_both_columns_of_a_table_buckle():
     np.testing.assert_allclose(point.load_factor, 1.0, rtol=1e-6)
 
 
+def test_a_truss_whose_apex_is_driven_has_a_path_without_free_coordinates():
+    truss = truss_of(bars_of_a_truss(), apex=("angle", "x"))
+    driven = [tj.Drive("apex", y=-0.65)]
+    found = tj.path(truss, drives=driven, load_factors=(0.0, 1.0))
+    heights = 0.3 - 0.65 * found.load_factors
+    assert_close(-found.reaction("apex")[:, 2], von_mises_force(heights), digits=9)
+
+
 class TestLimitPoints:
     @pytest.mark.parametrize("rises", [(0.3, 0.3), (0.3, 0.2), (0.3, 0.44, 0.17)])
     def test_trusses_snap_at_a_multiple_limit_point(self, rises):

@@ -145,12 +145,12 @@ class Bistability(eqx.Module):
         if not self.succeeded:
             return f"no second stable state was found: {names}"
         if np.isnan(factors[0]):
-            return "monostable up to the full loads: no limit point or branch point"
+            return "monostable up to the full loads and drives: no limit or branch point"
         forth, back = (
             f"{factor:.6g}{' (branch point)' if branch else ''}"
             for factor, branch in zip(factors, at_branch, strict=True)
         )
-        lines = ["bistable" if bistable else "not bistable, but it snaps"]
+        lines = ["bistable" if bistable else "not bistable up to the full loads and drives, but it snaps"]
         if at_branch[0] and not bistable:
             lines = [
                 "no second stable state on this symmetric path; after the branch point, "

@@ -109,12 +109,16 @@ class Buckling(Tabular):
             return count_results("buckling analyses", names)
         if not np.any(np.isfinite(self.load_factors)) and names == "successful":
             return f"{names}: no mode buckles within the validity ranges of the energies"
-        lines = [f"{names}: {self.load_factors.size} modes", "load factor  largest part"]
-        for factor, shape in zip(self.load_factors, self.shapes, strict=True):
-            size = np.abs(np.asarray(shape))
-            if np.isfinite(factor):
-                body = self.names[int(np.argmax(np.linalg.norm(size[:, 1:], axis=1)))]
-                lines.append(f"{float(factor):>11.6g}  {body}")
+        finite = np.isfinite(self.load_factors)
+        lines = [
+            f"{names}: {np.sum(finite)} modes within the validity ranges",
+            "load factor  largest translation",
+        ]
+        for row in np.flatnonzero(finite):
+            travel = np.linalg.norm(np.asarray(self.shapes[row])[:, 1:], axis=1)
+            largest = int(np.argmax(travel))
+            body = self.names[largest] if travel[largest] > 0 else "rotations only"
+            lines.append(f"{float(self.load_factors[row]):>11.6g}  {body}")
         return "\n".join(lines)
 
 
@@ -355,7 +359,7 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     vectors = vectors[:, : len(linear.basis)]
     units = metric.units[: len(linear.basis)]
     vectors = vectors / jnp.linalg.norm(vectors, axis=1, keepdims=True)
-    shapes = jax.vmap(lambda mode: fixed.displacement_change(units * mode, 0.0))(vectors)
+    shapes = jax.vmap(lambda mode: fixed.mode_displacements(units * mode))(vectors)
 
     factors = jnp.where(valid, at[:, -1], jnp.inf)
     order = jnp.argsort(jnp.abs(factors))[:count]

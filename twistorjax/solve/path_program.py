@@ -145,9 +145,7 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     null = null_vectors(fixed, metric, at, criticals.is_branch, criticals.multiplicities)
     at = with_derivatives(system, metric, at, criticals.is_branch, null)
     critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
-    modes = jax.vmap(lambda mode: system.displacement_change(mode, 0.0))(
-        null.right[..., 0]
-    )
+    modes = jax.vmap(system.mode_displacements)(null.right[..., 0])
     length = fixed.length()
     stresses = None
     if masked.stresses is not None:

@@ -67,7 +67,7 @@ def branch_mode(
     wanted = direction.reshape(-1)[np.array(system.dofs.free, int)] / metric.units[:free]
     mode = vectors @ (vectors.T @ wanted)
     small = jnp.linalg.norm(mode) <= _SMALL_PART * jnp.linalg.norm(wanted)
-    return system.displacement_change(jnp.where(small, 0.0, mode), 0.0)
+    return system.mode_displacements(jnp.where(small, 0.0, mode))
 
 
 def first_point(

@@ -186,9 +186,12 @@ class PathSystem(eqx.Module):
         )
         return mechanism.range_messages(mechanism.reference + displacements)
 
-    def displacement_change(
-        self, change: Float[Array, " n"], rate: Scalar | float = 1.0
-    ) -> Poses:
+    def displacement_change(self, change: Float[Array, " n"]) -> Poses:
         """Arrange a change of a point by bodies; rad, m, m."""
-        prescribed = rate * change[-1] * self.targets
+        prescribed = change[-1] * self.targets
         return self.dofs.expand(change[: len(self.dofs.free)], prescribed)
+
+    def mode_displacements(self, mode: Float[Array, " unknowns"]) -> Poses:
+        """Arrange a change of the free displacements by bodies; rad, m, m."""
+        free = mode[: len(self.dofs.free)]
+        return self.dofs.expand(free, jnp.zeros_like(self.targets))

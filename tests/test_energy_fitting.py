@@ -210,6 +210,21 @@ def test_wrong_units_and_signs_of_trials_are_recognized(
     assert message in str(caught[0].message) and message in repr(fit)
 
 
+@pytest.mark.parametrize("factor", [-1.0, 1e3])
+def test_wrong_moments_of_noisy_trials_are_recognized(factor):
+    """The fits with other units have the symmetry of the hinge, as trials are few."""
+    trials = leaf_trials()[np.arange(0, 122, 2)]
+    wrenches = np.asarray(trials.wrenches)
+    noise = np.random.default_rng(3).normal(size=wrenches.shape)
+    noise *= 5e-3 * np.sqrt(np.mean(wrenches**2, axis=0))
+    wrong = tj.energies.Trials(
+        trials.poses, (wrenches + noise) * np.array([factor, 1.0, 1.0])
+    )
+    message = "sign of the moments" if factor < 0 else "moments are in N mm"
+    with pytest.warns(UserWarning, match=message):
+        tj.fit_energy(wrong, order=4, coordinates="mixed", symmetry="leaf")
+
+
 def test_negative_definite_stiffness_raises_a_warning():
     """A free reference does not exclude the energy of reversed wrenches."""
     trials = random_trials(-1.0 * tj.Quadratic(some_stiffness(3)), 20)

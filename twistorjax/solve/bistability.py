@@ -150,7 +150,11 @@ class Bistability(eqx.Module):
             f"{factor:.6g}{' (branch point)' if branch else ''}"
             for factor, branch in zip(factors, at_branch, strict=True)
         )
-        lines = ["bistable" if bistable else "not bistable up to the full loads and drives, but it snaps"]
+        lines = [
+            "bistable"
+            if bistable
+            else "not bistable up to the full loads and drives, but it snaps"
+        ]
         if at_branch[0] and not bistable:
             lines = [
                 "no second stable state on this symmetric path; after the branch point, "

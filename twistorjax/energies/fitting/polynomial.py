@@ -157,7 +157,7 @@ def fit_energy(
         others = averages[np.sort(shuffled[count:])]
         energy = _best_candidate(others, (best.order,), settings).energy
         held_out = _errors(energy, trials[np.isin(rows, shuffled[:count])])
-    fit = best.report(trials, averages, rows, held_out, reference)
+    fit = best.report(trials, averages, rows, held_out, settings)
     if fit.warning:
         warn(fit.warning)
     return fit
@@ -200,7 +200,7 @@ class _Candidate(NamedTuple):
         averages: Trials,
         rows: Int[np.ndarray, " trials"],
         held_out: Errors | None,
-        reference: str,
+        settings: _Settings,
     ) -> EnergyFit:
         """Return the result of `fit_energy`.
 
@@ -209,7 +209,7 @@ class _Candidate(NamedTuple):
             averages: The averages of trials with the same pose, to which this is a fit.
             rows: Row of the average of each trial.
             held_out: Errors of the check at held-out trials.
-            reference: Argument of `fit_energy`.
+            settings: Arguments of `fit_energy`.
         """
         solution = self.solution
         value_count = solution.residuals.size
@@ -222,7 +222,7 @@ class _Candidate(NamedTuple):
         left_out = averages.predictions(solution.leave_one_out_residuals)
         expected = errors_of_predictions(trials, *(values[rows] for values in left_out))
         errors = [expected] if held_out is None else [expected, held_out]
-        texts = _warnings(averages, self, errors, reference)
+        texts = _warnings(averages, self, errors, settings)
         return EnergyFit(
             energy=self.energy,
             training=_errors(self.energy, trials),
@@ -245,13 +245,13 @@ class _Candidate(NamedTuple):
 
 
 def _warnings(
-    trials: Trials, best: _Candidate, errors: Sequence[Errors], reference: str
+    trials: Trials, best: _Candidate, errors: Sequence[Errors], settings: _Settings
 ) -> list[str]:
     """Describe the reasons for which an energy may be worthless, in sentences.
 
     The errors are the expected ones, and those at the held-out trials.
     """
-    solution, texts = best.solution, []
+    solution, reference, texts = best.solution, settings.reference, []
     largest = max(largest_error(trials, each) for each in errors)
     if best.interpolates:
         texts.append(interpolation_warning(solution.free, solution.residuals.size))
@@ -282,38 +282,42 @@ def _warnings(
         return [*texts, text]
     error = best.score
     if len(trials) >= _FEWEST_TRIALS:
-        error = min(error, _quick_error(trials, 4, reference))
-    if text := _better_conversion(trials, error, reference):
+        error = min(error, _quick_error(trials, 4, settings))
+    if text := _better_conversion(trials, error, settings):
         texts.append(text)
     elif error < best.score / 5 and not isinstance(best.energy, MixedEnergy):
         texts.append("the coordinates 'mixed' are much more accurate for these trials.")
     return texts
 
 
-def _better_conversion(trials: Trials, error: float, reference: str) -> str | None:
+def _better_conversion(trials: Trials, error: float, settings: _Settings) -> str | None:
     """Find other units and signs of the trials; see `better_conversion`."""
     if len(trials) < _FEWEST_TRIALS:
         return None
     return better_conversion(
-        trials, error, lambda trials, order: _quick_error(trials, order, reference)
+        trials, error, lambda trials, order: _quick_error(trials, order, settings)
     )
 
 
-def _quick_error(trials: Trials, order: int, reference: str) -> float:
+def _quick_error(trials: Trials, order: int, settings: _Settings) -> float:
     """Estimate the expected error of an energy of low order; see `_Candidate.score`.
 
     The order is reduced if there are few trials.
     """
     errors = [np.inf]
     for coordinates in ("twistor", "mixed"):
-        settings = _Settings(coordinates, reference, False, (), 1e-9, None, max_steps=5)
+        quick = settings._replace(
+            coordinates=coordinates, redundant=False, ridge=None, scale=None, max_steps=5
+        )
         few = order
-        while few > 2 and len(_powers(few, settings)) > 0.8 * 3 * len(trials):
-            few -= 1
         try:
+            while few > 2 and len(_powers(few, quick)) > 0.8 * 3 * len(trials):
+                few -= 1
             with np.errstate(all="ignore"):
-                candidate = _candidate(trials, few, _powers(few, settings), settings)
-        except ValueError:  # the trials have no axial forces, or the equations overflow
+                candidate = _candidate(trials, few, _powers(few, quick), quick)
+        except ValueError:
+            # The trials have no axial forces, the equations overflow, or the symmetry is
+            # not one of these coordinates.
             continue
         if candidate is not None:
             errors.append(candidate.score)
@@ -359,9 +363,7 @@ def _best_candidate(
     ]
     size = np.asarray(trials.wrenches) / np.asarray(trials.wrench_deviations)
     error = float(np.sqrt(np.mean(size**2)))  # of the energy zero
-    text = reversed_wrenches(trials) or _better_conversion(
-        trials, error, settings.reference
-    )
+    text = reversed_wrenches(trials) or _better_conversion(trials, error, settings)
     raise ValueError(as_sentences([*texts, text] if text else texts))
 
 

@@ -24,7 +24,8 @@ class EnergyFit(eqx.Module):
         training: Errors at the trials.
         expected: Expected errors at new trials of the same distribution: the
             leave-one-out errors, in which each trial is compared with the fit to those
-            with other poses. Infinite if the fit interpolates the trials.
+            with other poses, to first order for a `MixedEnergy`. Infinite if the fit
+            interpolates the trials.
         held_out: Errors at the held-out trials of a fit to the others, or `None` if no
             trials were held out.
         value_count: Number of measured values; those of trials with the same pose count

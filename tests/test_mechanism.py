@@ -470,10 +470,20 @@ def test_angles_in_degrees_are_noticed(build, name):
         build()
 
 
-@pytest.mark.parametrize("modulus", [210.0, 210e18])
-def test_moduli_of_no_solid_are_noticed(modulus):
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"modulus": 210.0},
+        {"modulus": 210e18},
+        {"density": 7.8},
+        {"expansion": 12.0},
+        {"strength": 500.0},
+        {"ultimate_strength": 700.0},
+    ],
+)
+def test_properties_of_no_solid_are_noticed(values):
     with pytest.warns(UserWarning, match="a thousand times off every solid"):
-        tj.Material(modulus, poisson=0.3)
+        tj.Material(**{"modulus": 210e9, "poisson": 0.3, **values})
 
 
 def flexures_of(scale, material=STEEL):

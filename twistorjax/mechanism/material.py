@@ -52,13 +52,9 @@ class Material(eqx.Module):
         endurance_limit: NumberLike | None = None,
     ):
         self.modulus = require_positive("`modulus`", modulus)
-        known = concrete(self.modulus)
         # A modulus of exactly 1 makes a study dimensionless.
-        if known is not None and known != 1 and not 1e3 <= known <= 1e15:
-            warn(
-                f"`modulus` is {float(known):g} Pa, which is a thousand times off every "
-                "solid. Moduli are in pascals: 210 GPa is 210e9."
-            )
+        if concrete(self.modulus) != 1:
+            _warn_of_units(modulus, density, expansion, strength, ultimate_strength)
         requirement = "must be above -1 and at most 0.5"
         self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, requirement)
         self.density = None if density is None else require_positive("`density`", density)
@@ -81,3 +77,33 @@ class Material(eqx.Module):
     def shear_modulus(self) -> Scalar:
         """Shear modulus; Pa."""
         return self.modulus / (2 * (1 + self.poisson))
+
+
+def _warn_of_units(
+    modulus: NumberLike,
+    density: NumberLike | None,
+    expansion: NumberLike | None,
+    *strengths: NumberLike | None,
+) -> None:
+    """Warn of values that no solid has, so that they seem to be in other units."""
+    for name, value, (low, high), unit, text in (
+        (
+            "modulus",
+            modulus,
+            (1e3, 1e15),
+            "Pa",
+            "Moduli are in pascals: 210 GPa is 210e9.",
+        ),
+        ("density", density, (10, 1e5), "kg/m3", "7.8 g/cm3 is 7800 kg/m3."),
+        ("expansion", expansion, (-0.01, 0.01), "1/K", "12 um/(m K) is 12e-6 1/K."),
+        *(
+            ("strength", strength, (1e4, 1e12), "Pa", "500 MPa is 500e6 Pa.")
+            for strength in strengths
+        ),
+    ):
+        known = None if value is None else concrete(value)
+        if known is not None and known.shape == () and not low <= float(known) <= high:
+            warn(
+                f"`{name}` is {float(known):g} {unit}, which is a thousand times off "
+                f"every solid. {text}"
+            )

@@ -53,7 +53,7 @@ class Material(eqx.Module):
     ):
         self.modulus = require_positive("`modulus`", modulus)
         # A modulus of exactly 1 makes a study dimensionless.
-        if concrete(self.modulus) != 1:
+        if concrete(modulus) != 1:
             _warn_of_units(modulus, density, expansion, strength, ultimate_strength)
         requirement = "must be above -1 and at most 0.5"
         self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, requirement)

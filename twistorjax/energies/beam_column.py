@@ -40,11 +40,13 @@ class BeamColumn(AbstractMixedEnergy):
     up to an axial strain of 5 %. A straight leaf is valid in compression up to the
     buckling load with clamped ends, `4 pi^2 bending_stiffness / length^2`, which shear
     reduces; a leaf on the ellipse, up to half of it. For given rotation, transverse
-    displacement, and axial force, the error of moment and transverse force is below 1 %
+    displacement, and axial force, the error of moment and transverse force is about 1 %
     for axial forces from -9 to 9 `bending_stiffness / length^2` (2 % near the ellipse in
     compression), and below 3 % in tension. In stronger compression, the transverse force
     errs by up to 3 % and the moment by up to 14 %, and by a quarter of
-    `bending_stiffness tau / length` where it changes its sign, at -30.
+    `bending_stiffness tau / length` where it changes its sign, at -30. Without
+    `shear_stiffness`, bending is that of a leaf of constant length, so that the error
+    includes the axial strain.
 
     Args:
         length: Free length; m.

@@ -87,13 +87,7 @@ def _warn_of_units(
 ) -> None:
     """Warn of values that no solid has, so that they seem to be in other units."""
     for name, value, (low, high), unit, text in (
-        (
-            "modulus",
-            modulus,
-            (1e3, 1e15),
-            "Pa",
-            "Moduli are in pascals: 210 GPa is 210e9.",
-        ),
+        ("modulus", modulus, (1e3, 1e15), "Pa", "210 GPa is 210e9 Pa."),
         ("density", density, (10, 1e5), "kg/m3", "7.8 g/cm3 is 7800 kg/m3."),
         ("expansion", expansion, (-0.01, 0.01), "1/K", "12 um/(m K) is 12e-6 1/K."),
         *(

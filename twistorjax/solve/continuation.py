@@ -28,6 +28,8 @@ _LARGEST_CONTRACTION = 0.25  # of the following corrections
 _SMALL_CORRECTION = 1e-3  # of a step; smaller ones need not contract
 _CORRECTIONS = 8  # at most, in one step
 _SMALLEST_STEP = 1e-7  # as a fraction of the largest one
+# Steps of this fraction may pass a limit point and branch points at the same time.
+_MULTIPLE_POINT_STEP = 4e-4
 _TOLERANCE = 1e-9  # on the predicted error of a point, relative to the largest step
 _ROUNDING = 1e-8  # Corrections below this fraction of a step may be rounding errors.
 _LARGEST_ANGLE = 0.35  # between the tangents of successive points; rad
@@ -221,6 +223,7 @@ def follow(
     at_branch = start.orientation == 0
     size = jnp.where(at_branch, _FIRST_BRANCH_STEP, _FIRST_STEP) * largest_step
     smallest = _SMALLEST_STEP * largest_step
+    multiple = _MULTIPLE_POINT_STEP * largest_step
 
     def advance(state: _State, _) -> tuple[_State, tuple[Flag, Node]]:
         """Correct the iterate, and accept, reject, or continue the step."""
@@ -249,8 +252,8 @@ def follow(
         valid &= jnp.all(jnp.isfinite(step.correction))
         angle = jnp.where(leaves_branch, _LARGEST_BRANCH_ANGLE, _LARGEST_ANGLE)
         valid &= ~small | (step.angle <= angle)
-        # Limit points and branch points are located one by one.
-        valid &= ~(small & turns & branches) | (state.size <= 4000 * smallest)
+        # Limit points and branch points are located one by one, if they are different.
+        valid &= ~(small & turns & branches) | (state.size <= multiple)
         converged = valid & small
         rejected = ~valid | (~converged & (state.tries + 1 >= _CORRECTIONS))
 

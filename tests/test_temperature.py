@@ -293,8 +293,8 @@ def test_a_gradient_loads_a_clamped_beam_of_any_curvature_by_a_moment_only():
         STEEL, length=LENGTH, thickness=THICKNESS, width=WIDTH,
         curvature=lambda position: 12.0 + 800.0 * position,
     )  # fmt: skip
-    range_ = {"rotation": 0.2, "force": 2.0}
-    energy, growth = tj.surrogate(beam, **range_), tj.flexures.beam_expansion(beam)
+    energy = tj.surrogate(beam, rotation=0.2, force=2.0)
+    growth = tj.flexures.beam_expansion(beam)
     assert growth is not None and abs(growth.centroid[0]) > 1e-3 * LENGTH
     hinge = tj.Hinge("leaf", "wall", "tip", energy, (0.1, 0.0, 0.0), expansion=growth)
     bodies = [tj.Body("wall"), tj.Body("tip")]

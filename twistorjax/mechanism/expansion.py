@@ -70,15 +70,15 @@ class Expansion(eqx.Module):
                 )
             coefficient = material.expansion
         self.coefficient = require_finite("`material`", coefficient)
-        if (length is None) == (ends is None):
+        if length is not None and ends is None:
+            xp, (span,) = on_host(require_positive("`length`", length))
+            half = xp.stack([span, 0 * span]) / 2
+            ends = as_float(xp.stack([-half, half]))
+        elif length is not None or ends is None:
             raise ValueError(
                 "Give `Expansion` either the `length` of a straight hinge (m), or the "
                 "positions (m) of both `ends` of another one in its frame."
             )
-        if ends is None:
-            xp, (length,) = on_host(require_positive("`length`", length))
-            ends = xp.stack([length, 0 * length]) / 2
-            ends = xp.stack([-ends, ends])
         rows = "be the positions (x, y) of both ends"
         self.ends = require_array("`ends`", ends, (2, 2), rows)
         if length is not None and not (arc_length is None and centroid is None):

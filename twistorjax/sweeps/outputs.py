@@ -102,9 +102,10 @@ def without_jit(study: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
     The compiled function would keep the values that its variables had at its first call.
     """
-    while hasattr(study, "lower") and hasattr(study, "__wrapped__"):
-        study = study.__wrapped__
-    return study
+    inner = getattr(study, "__wrapped__", None)
+    if inner is None or not hasattr(study, "lower"):
+        return study
+    return without_jit(inner)
 
 
 def _results(value: Any) -> list[RESULTS]:

@@ -133,11 +133,11 @@ class Trials(eqx.Module):
         rows = rows.reshape(-1)
 
         def average(
-            values: Array | None, deviations: Array | None
+            given: Array | None, deviations: Array | None
         ) -> tuple[np.ndarray | None, np.ndarray | None]:
-            if values is None or deviations is None:
+            if given is None or deviations is None:
                 return None, None
-            values, weights = np.asarray(values), 1 / np.asarray(deviations) ** 2
+            values, weights = np.asarray(given), 1 / np.asarray(deviations) ** 2
             total, moment = np.zeros((2, len(first), *values.shape[1:]))
             np.add.at(total, rows, weights)
             np.add.at(moment, rows, weights * values)

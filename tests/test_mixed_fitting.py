@@ -129,6 +129,16 @@ def test_message_names_the_reversed_force_if_there_is_no_mixed_energy():
         tj.fit_energy(reversed_force, 4, coordinates="mixed", symmetry="leaf")
 
 
+@pytest.mark.parametrize("forces", [[0.1, 0.0], [1e100, 1e-100]])
+def test_huge_trials_are_reported(forces):
+    poses = np.zeros((4, 3))
+    poses[1:, 1:], poses[3, 0] = [[0.0, 0.1], [1e90, 0.0], [0.0, 1e100]], 1e100
+    wrenches = np.zeros((4, 3))
+    wrenches[1:3, 1] = forces
+    with pytest.raises(ValueError, match="values of the `trials` are too large"):
+        tj.fit_energy(tj.energies.Trials(poses, wrenches), coordinates="mixed")
+
+
 def test_mixed_energy_of_unsuitable_trials_raises_an_error():
     trials = tj.energies.read_trials(REFERENCE / "random_trials.csv")
     poses, wrenches = np.asarray(trials.poses), np.asarray(trials.wrenches)

@@ -66,6 +66,9 @@ def solve_constrained(
 
     Returns:
         The solution.
+
+    Raises:
+        ValueError: A row or a target is not finite.
     """
     if constraints is None:
         constraints = np.zeros((0, rows.shape[2]))
@@ -99,6 +102,11 @@ def _solve(
     """Solve a least-squares problem so that `constraints @ coefficients` is `values`."""
     trials, block_size, terms = rows.shape
     matrix, target = rows.reshape(-1, terms), targets.reshape(-1)
+    if not np.all(np.isfinite(np.column_stack([matrix, target]))):
+        raise ValueError(
+            "The equations of the fit are not finite, because values of the `trials` are "
+            "too large. Check their units."
+        )
     norms = _column_norms(matrix)
     matrix, constraints = matrix / norms, constraints / norms
     particular, null_space = np.zeros(terms), np.eye(terms)

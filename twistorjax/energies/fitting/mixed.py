@@ -258,8 +258,8 @@ def _reference_stiffness(powers: Powers, length: float, force: float) -> np.ndar
     for row, entries, value in (
         ((2, 0, 0), [(0, 0)], 2.0),
         ((1, 1, 0), [(0, 2), (2, 0)], 1 / length),
-        ((0, 2, 0), [(2, 2)], 2 / length**2),
-        ((0, 0, 2), [(1, 1)], -2 / force**2),
+        ((0, 2, 0), [(2, 2)], 2 / length / length),  # `length**2` may overflow.
+        ((0, 0, 2), [(1, 1)], -2 / force / force),
     ):
         if row in powers:
             for entry in entries:

@@ -94,8 +94,10 @@ def test_all_ends_fulfill_the_limits_and_are_local_optima():
 
 def test_robust_webs_hold_each_limit_at_three_standard_deviations():
     tolerance = {"webs": 2e-6}
-    nominal = optimize(1.4e-3)
     robust = optimize(1.4e-3, standard_deviations=tolerance)
+    # Few searches end at the best of the local optima, so this one begins near it.
+    start = np.asarray(robust.parameters["webs"])[None] / stage.WEB
+    nominal = optimize(1.4e-3, starts=start)
     assert robust.objective < nominal.objective
     shares = robust.violations(count=10_000).by_limit
     assert 0.0005 < max(shares.values()) <= 0.003

@@ -12,6 +12,7 @@ import jax
 import jaxlib.version
 
 from .host import is_traced
+from .progress import compiling
 from .stored_traces import stored
 
 
@@ -140,6 +141,7 @@ def _in_explicit_mesh(function: Callable) -> Callable:
 
     @wraps(function)
     def traced(*arguments: Any, **static: Any) -> Any:
+        compiling()
         with (
             _no_garbage_collection(),
             jax.sharding.use_abstract_mesh(jax.sharding.get_abstract_mesh()),

@@ -8,6 +8,7 @@ from pathlib import Path
 import jax
 
 from .compilation import add_xla_option, FAST_COMPILATION, FAST_LOOPS
+from .progress import set_enabled
 from .stored_traces import store_traces_in
 from .validation import warn
 
@@ -19,6 +20,7 @@ def configure(
     shared_cache: bool = False,
     fast_compilation: bool = True,
     fast_loops: bool = True,
+    progress: bool | None = None,
 ) -> None:
     """Enable double precision, options of XLA, and a cache of programs on disk.
 
@@ -55,6 +57,9 @@ def configure(
             instead of many. A motion then takes 25 % less time, its gradient less than
             half the time, and an equilibrium 20 % less time. The gradient of a motion
             compiles in 10 % more time.
+        progress: Whether work that takes longer than two seconds is named in a line on
+            the terminal or in the notebook, which disappears at its end. By default only
+            if stderr is a terminal, or in a notebook.
 
     Raises:
         ValueError: The size is not positive.
@@ -67,6 +72,7 @@ def configure(
     if cache_size <= 0:
         raise ValueError(f"`cache_size` is {cache_size!r}, but must be positive; bytes.")
     jax.config.update("jax_enable_x64", True)
+    set_enabled(progress)
     if fast_compilation:
         add_xla_option(FAST_COMPILATION)
     if fast_loops:

@@ -12,6 +12,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, as_float, concrete, is_traced
+from .._utils.progress import announced
 from .._utils.types import (
     Corners,
     NumberLike,
@@ -90,6 +91,7 @@ class Chain(NamedTuple):
     end_masses: tuple[Scalar, Scalar] | None = None
 
 
+@announced("chain")
 def chain(
     name: str,
     beam: Beam,

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, concrete
+from .._utils.progress import announced
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import (
     require_float64,
@@ -43,6 +44,7 @@ from .stress_models import BeamStress
 _ORDERS = (4, 6, 8, 10)
 
 
+@announced("surrogate")
 def surrogate(
     flexure: Beam | SubMechanism,
     *,

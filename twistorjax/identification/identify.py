@@ -10,6 +10,7 @@ import numpy as np
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, as_float, on_host
+from .._utils.progress import announced
 from .._utils.pytrees import split_last_axis
 from .._utils.traced_function import traced
 from .._utils.types import KeyLike
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 _MOST_IN_FORWARD_MODE = 32
 
 
+@announced("identification")
 def identify(
     design: Callable[[Any], Mechanism],
     start: Any,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._utils.compilation import fast_compile
+from .._utils.progress import announced
 from .._utils.types import KeyLike
 from .._utils.validation import require_package
 from .measurement import random_key
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     import arviz
 
 
+@announced("posterior")
 def posterior(
     identification: Identification,
     *,

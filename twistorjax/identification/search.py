@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.compilation import fast_compile
+from .._utils.progress import progress_bar
 from .objective import IdentificationProblem
 from .optimizer import AbstractOptimizer, Evaluation, from_numpy
 
@@ -56,11 +57,8 @@ def search_with_progress(
     Returns:
         The state after the last step.
     """
-    from tqdm import tqdm
-
     state, point = None, start
-    bar = tqdm(total=max_steps, unit="evaluation", leave=False, disable=not progress)
-    with bar:
+    with progress_bar(max_steps, "evaluation", progress, leave=False) as bar:
         for _ in range(max_steps):
             evaluation = _compiled_evaluate(problem, point, forward)
             state = _init(optimizer, point, evaluation) if state is None else state

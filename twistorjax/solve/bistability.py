@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, is_traced
+from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, Count, Flag, NumberLike, Pose, Scalar
 from .._utils.validation import index_of, require_positive
@@ -173,6 +174,7 @@ class Bistability(eqx.Module):
         return "\n".join(lines)
 
 
+@announced("bistability")
 def bistability(
     mechanism: Mechanism,
     *,

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import concrete
+from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, Count, Flag, NumberLike, Poses, Scalar
 from .._utils.validation import require_float64, warn
@@ -122,6 +123,7 @@ class Buckling(Tabular):
         return "\n".join(lines)
 
 
+@announced("buckling")
 def buckling(
     mechanism: Mechanism,
     *,

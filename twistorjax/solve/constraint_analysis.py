@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from .._utils.progress import announced
 from .._utils.types import NumberLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
@@ -82,6 +83,7 @@ class ConstraintAnalysis(NamedTuple):
         return "\n".join(lines)
 
 
+@announced("constraint analysis")
 def constraint_analysis(
     mechanism: Mechanism,
     *,

@@ -14,6 +14,7 @@ from typing_extensions import TypeAliasType
 from .._utils.compilation import fast_compile
 from .._utils.compiled_gradient import fast_compile_with_gradient
 from .._utils.host import as_float, is_traced, on_host, program_input
+from .._utils.progress import announced
 from .._utils.traced_function import traced
 from .._utils.types import (
     Count,
@@ -64,6 +65,7 @@ Strokes = TypeAliasType(
 )
 
 
+@announced("motion")
 def simulate(
     mechanism: Mechanism,
     times: TimesLike,

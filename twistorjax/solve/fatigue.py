@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import all_concrete
+from .._utils.progress import announced
 from .._utils.types import BatchScalar, Poses, PosesOrResult
 from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.hinge_stress import (
@@ -76,6 +77,7 @@ class Fatigue(Tabular):
         return "\n".join(lines)
 
 
+@announced("fatigue")
 def fatigue(mechanism: Mechanism, cycle: CycleLike) -> Fatigue:
     """Check whether the hinges of a mechanism have an infinite life under a cycle.
 

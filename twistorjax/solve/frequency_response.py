@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
 from .._utils.compilation import fast_compile
+from .._utils.progress import announced
 from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
@@ -61,6 +62,7 @@ class FrequencyResponse(BodySolution):
         return {"frequency": frequency, **self._body_columns("frequency")}
 
 
+@announced("frequency response")
 def frequency_response(
     mechanism: Mechanism,
     frequencies: FrequenciesLike,

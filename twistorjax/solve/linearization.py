@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import concrete
+from .._utils.progress import announced
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
 from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
@@ -159,6 +160,7 @@ def _respond(
     )
 
 
+@announced("linearization")
 def linearize(
     mechanism: Mechanism,
     prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),

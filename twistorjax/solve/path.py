@@ -15,6 +15,7 @@ from .._utils.host import (
     padded_size,
     take_rows,
 )
+from .._utils.progress import announced
 from .._utils.traced_function import traced
 from .._utils.types import NumberLike, NumbersLike, PoseLike
 from .._utils.validation import require_positive, warn
@@ -43,6 +44,7 @@ from .static_errors import describe_free_motions
 from .static_results import warn_outside_linear_range
 
 
+@announced("path")
 def path(
     mechanism: Mechanism,
     *,

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete
+from .._utils.progress import announced
 from .._utils.types import BatchScalar, Matrix, NumberLike, Pose, PoseLike
 from .._utils.validation import index_of, require_pose
 from ..geometry import se2
@@ -122,6 +123,7 @@ class PortCompliance(eqx.Module):
         return "\n".join(lines)
 
 
+@announced("port compliance")
 def port_compliance(
     mechanism: Mechanism,
     body: str,

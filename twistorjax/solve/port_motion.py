@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, program_input
+from .._utils.progress import announced
 from .._utils.types import (
     BatchFlag,
     BatchScalar,
@@ -171,6 +172,7 @@ class PortMotion(Tabular):
         return "\n".join(lines)
 
 
+@announced("port motion")
 def port_motion(
     mechanism: Mechanism,
     body: str,

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import all_concrete, as_float
+from .._utils.progress import announced
 from .._utils.types import BatchFlag, NumberLike, PoseLike
 from .._utils.validation import index_of, require_float64, require_positive
 from ..mechanism.constraints import (
@@ -111,6 +112,7 @@ class RangeOfMotion(PoseSolution):
         return "\n".join(lines)
 
 
+@announced("range of motion")
 def range_of_motion(
     mechanism: Mechanism,
     *,

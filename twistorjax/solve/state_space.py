@@ -11,6 +11,7 @@ from jaxtyping import Array, Complex, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.compilation import fast_compile
+from .._utils.progress import announced
 from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import index_of, require_float64, require_package
 from ..mechanism.constraints import AbstractConstraint
@@ -133,6 +134,7 @@ class StateSpace(eqx.Module):
         )
 
 
+@announced("state space")
 def state_space(
     mechanism: Mechanism,
     inputs: Mapping[str, InputLike],

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._utils.compilation import fast_compile
 from .._utils.host import program_input
+from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import Count, NumberLike, Poses, Scalar
 from .._utils.validation import require_float64
@@ -29,6 +30,7 @@ from .stresses import report_stresses, reported_hinges
 from .system import System
 
 
+@announced("equilibrium")
 def equilibrium(
     mechanism: Mechanism,
     *,

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import all_concrete
+from .._utils.progress import announced
 from .._utils.types import BatchScalar, Flag, Poses, PosesOrResult
 from .._utils.validation import index_of
 from ..mechanism.hinge_assembly import HingeAssembly
@@ -93,6 +94,7 @@ class Stresses(Tabular):
         return "\n".join(lines)
 
 
+@announced("stresses")
 def stresses(mechanism: Mechanism, at: PosesOrResult) -> Stresses:
     """Compute the largest stress in each hinge of a mechanism.
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._utils.compilation import fast_compile
+from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, NumberLike, Poses
 from .._utils.validation import require_float64
@@ -79,6 +80,7 @@ class Vibrations(Tabular):
         return "\n".join(lines)
 
 
+@announced("vibrations")
 def vibrations(
     mechanism: Mechanism,
     prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),

@@ -8,6 +8,7 @@ from typing import Any, TYPE_CHECKING
 import jax
 import numpy as np
 
+from .._utils.progress import announced, progress_bar
 from .._utils.validation import compilation_error, require_package, warn
 from ..solve.results import result_message, RESULT_NAMES
 from ..solve.tables import Column, dataset
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     import xarray
 
 
+@announced("sweep")
 def sweep(
     study: Callable[[Any], Any],
     designs: Any,
@@ -303,11 +305,9 @@ def _run(
     program: Program, designs: Designs, chunks: Sequence[int], progress: bool
 ) -> Iterator[tuple[int, StudyOutput]]:
     """Evaluate chunks of designs, with a progress bar that counts designs."""
-    from tqdm import tqdm
-
     count, size = len(designs), program.chunk_size
     total = sum(min(size, count - chunk * size) for chunk in chunks)
-    with tqdm(total=total, unit="design", unit_scale=True, disable=not progress) as bar:
+    with progress_bar(total, "design", progress, unit_scale=True) as bar:
         for chunk, output in program.run(designs, chunks):
             yield chunk, output
             bar.update(min(size, count - chunk * size))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.progress import announced
 from .._utils.types import ArrayOfNumbers
 from .._utils.validation import quote, require_float64
 from .dataset import require_memory
@@ -142,6 +143,7 @@ class Tolerances(NamedTuple):
         return "\n".join(lines)
 
 
+@announced("tolerances")
 def tolerances(
     study: Callable[[Any], Any],
     design: Any,

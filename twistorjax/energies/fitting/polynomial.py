@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
+from ..._utils.progress import announced, progress_bar
 from ..._utils.validation import require_choice, require_float64, warn
 from ..evaluation import term_stiffnesses, term_wrenches
 from ..mixed import MixedEnergy
@@ -45,6 +46,7 @@ from .trials import Errors, errors_of_predictions, errors_of_residuals, Trials
 _FEWEST_TRIALS = 12  # with which energies of order 2 are compared
 
 
+@announced("fit of an energy")
 def fit_energy(
     trials: Trials,
     order: int | None = None,
@@ -336,23 +338,25 @@ def _best_candidate(
     left out. The search ends after two orders with a larger error. The low orders may
     have no valid energy, so it ends after four of them if none was found.
     """
-    from tqdm import tqdm  # only a fit needs it, and `twistorjax` shall load quickly
-
     values_per_trial = 3 * (trials.wrenches is not None) + (trials.energies is not None)
     best, previous, worse = None, None, 0
-    for order in tqdm(orders, unit="order", delay=1.0, leave=False, disable=not progress):
-        powers = _powers(order, settings)
-        too_many = len(powers) > 0.8 * values_per_trial * len(trials)
-        if previous is not None and (too_many or worse >= (2 if best else 4)):
-            break
-        if powers == previous:  # a symmetry may exclude all new terms of an odd order
-            continue
-        previous = powers
-        candidate = _candidate(trials, order, powers, settings)
-        if candidate is None or (best is not None and not candidate.score < best.score):
-            worse += 1
-        else:
-            best, worse = candidate, 0
+    with progress_bar(len(orders), "order", progress) as bar:
+        for order in orders:
+            powers = _powers(order, settings)
+            too_many = len(powers) > 0.8 * values_per_trial * len(trials)
+            if previous is not None and (too_many or worse >= (2 if best else 4)):
+                break
+            bar.update()
+            if powers == previous:  # a symmetry may exclude all new terms of an odd order
+                continue
+            previous = powers
+            candidate = _candidate(trials, order, powers, settings)
+            if candidate is None or (
+                best is not None and not candidate.score < best.score
+            ):
+                worse += 1
+            else:
+                best, worse = candidate, 0
     if best is not None:
         return best
     texts = [

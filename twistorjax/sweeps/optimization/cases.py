@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..._utils.progress import announced
 from ..._utils.types import NumbersLike
 from ..._utils.validation import quote
 from .limits import Limit
@@ -15,6 +16,7 @@ from .setup import Setup
 from .summary import summarize
 
 
+@announced("optimization")
 def optimize_cases(
     study: Callable[[Any], Any],
     parameters: Any,

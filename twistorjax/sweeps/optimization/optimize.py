@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..._utils.progress import announced
 from ..._utils.types import NumbersLike
 from .limits import Limit
 from .optimum import Optimum
@@ -13,6 +14,7 @@ from .setup import Setup
 from .summary import summarize
 
 
+@announced("optimization")
 def optimize(
     study: Callable[[Any], Any],
     parameters: Any,

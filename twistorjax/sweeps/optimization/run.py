@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..._utils.progress import progress_bar
 from .local_search import search, SearchEnd
 from .options import Options
 from .problem import Problem
@@ -34,8 +35,6 @@ def run_searches(
     Returns:
         The scaled problem and the ends of the searches of each optimization.
     """
-    from tqdm import tqdm
-
     setup = setups[0]
     tasks: list[Callable[[Evaluate], SearchEnd]] = []
     problems = []
@@ -61,9 +60,7 @@ def run_searches(
         ends = store.finished()
     open_tasks = [row for row in range(len(tasks)) if row not in ends]
 
-    with tqdm(
-        total=len(tasks), initial=len(ends), unit="search", disable=not options.progress
-    ) as bar:
+    with progress_bar(len(tasks), "search", options.progress, initial=len(ends)) as bar:
 
         def finished(index: int, end: SearchEnd) -> None:
             row = open_tasks[index]

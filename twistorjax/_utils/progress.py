@@ -93,8 +93,10 @@ class _Line:
             if self.text is not text:  # The work has ended in the meantime.
                 self.show("")
 
-    def _after_compilation(self, event: str, duration: float, **more: Any) -> None:
-        del duration, more
+    def _after_compilation(
+        self, event: str, duration_secs: float, **more: str | int
+    ) -> None:
+        del duration_secs, more
         if event == _COMPILED:
             self.compiling = False
 

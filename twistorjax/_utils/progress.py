@@ -127,13 +127,11 @@ def compiling() -> None:
     _line.compiling = True
 
 
-def progress_bar(
-    total: int, unit: str, wanted: bool, leave: bool | None = None, **settings: Any
-) -> Any:
-    """Create a progress bar of tqdm.
+def progress_bar(total: int, unit: str, wanted: bool, **settings: Any) -> Any:
+    """Create a progress bar of tqdm, which replaces the line of an `activity`.
 
-    It appears at once if it is `wanted`, and otherwise after two seconds where the line
-    of an `activity` may appear, which it replaces.
+    It appears at once and stays if it is `wanted`, and otherwise after two seconds where
+    such a line may appear. `settings` are those of tqdm.
     """
     from tqdm import tqdm
 
@@ -142,14 +140,9 @@ def progress_bar(
             _line.hide()
             return super().display(*arguments, **more)
 
-    return Bar(
-        total=total,
-        unit=unit,
-        disable=not (wanted or _line.is_enabled()),
-        delay=0.0 if wanted else _DELAY,
-        leave=wanted if leave is None else leave,
-        **settings,
-    )
+    settings = {"delay": 0.0 if wanted else _DELAY, "leave": wanted, **settings}
+    disable = not (wanted or _line.is_enabled())
+    return Bar(total=total, unit=unit, disable=disable, **settings)
 
 
 def announced(

@@ -207,21 +207,19 @@ def reference_ends(beam: Beam) -> ReferenceEnds:
 
 
 def ends_and_centroid(beam: Beam) -> tuple[Float[Array, "2 2"], Float[Array, "2"]]:
-    """Compute the positions of the ends of the undeformed beam, and their mean; m.
+    """Compute the ends of an undeformed curved beam, and the mean of its center line; m.
 
-    The mean is that of all positions of the center line, in the frame of the beam.
+    The positions are in the frame of the beam.
     """
     ends = reference_ends(beam)
-    positions = beam.length * jnp.stack([ends.first[1:], ends.second[1:]])
-    if beam.curvature is None:
-        return positions, jnp.zeros(2)
     steps = -(-beam.steps // _INTERVALS)
     states = _integrate(beam, jnp.zeros(3), ends.first, _INTERVALS, steps)
     parameters = jnp.asarray(np.linspace(-1.0, 1.0, _INTERVALS + 1))
     _, rates = jax.vmap(position_of)(parameters)
     weights = jnp.asarray(_SIMPSON) * rates
-    line = jnp.stack([states.x, states.y])
-    return positions, beam.length * (line @ weights) / jnp.sum(weights)
+    centroid = jnp.stack([states.x, states.y]) @ weights / jnp.sum(weights)
+    positions = jnp.stack([ends.first[1:], ends.second[1:]])
+    return beam.length * positions, beam.length * centroid
 
 
 def end_section(

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, on_host
-from .._utils.types import EndsLike, NumberLike, PointLike, Scalar
+from .._utils.types import EndsLike, NumberLike, PointLike, Pose, Scalar
 from .._utils.validation import (
     require_array,
     require_finite,
@@ -70,26 +70,25 @@ class Expansion(eqx.Module):
                 )
             coefficient = material.expansion
         self.coefficient = require_finite("`material`", coefficient)
-        if length is not None and ends is None:
+        if length is not None:
+            if any(value is not None for value in (ends, arc_length, centroid)):
+                raise ValueError(
+                    "A hinge with a `length` is straight. Give the positions of both "
+                    "`ends` of a curved hinge with its `arc_length` and its `centroid`."
+                )
             xp, (span,) = on_host(require_positive("`length`", length))
             half = xp.stack([span, 0 * span]) / 2
             ends = as_float(xp.stack([-half, half]))
-        elif length is not None or ends is None:
+        elif ends is None:
             raise ValueError(
                 "Give `Expansion` either the `length` of a straight hinge (m), or the "
                 "positions (m) of both `ends` of another one in its frame."
             )
         rows = "be the positions (x, y) of both ends"
         self.ends = require_array("`ends`", ends, (2, 2), rows)
-        if length is not None and not (arc_length is None and centroid is None):
-            raise ValueError(
-                "A hinge with a `length` is straight. Give the positions of both `ends` "
-                "of a curved hinge with its `arc_length` and its `centroid`."
-            )
         self.arc_length = require_positive(
             "`arc_length`", self.length if arc_length is None else arc_length
         )
-
         if centroid is None:
             _, (known,) = on_host(self.ends)
             centroid = as_float((known[0] + known[1]) / 6)
@@ -100,3 +99,13 @@ class Expansion(eqx.Module):
         """Distance of the clamped ends along axis 1; m."""
         _, (ends,) = on_host(self.ends)
         return as_float(ends[1, 0] - ends[0, 0])
+
+    @property
+    def free_turn(self) -> Pose:
+        """Displacement of the free hinge by a gradient, over its rotation; -, m, m.
+
+        The ends turn about the centroid of the center line.
+        """
+        xp, (known,) = on_host(self.centroid)
+        x, y = known
+        return as_float(xp.stack([1 + 0 * x, y, -x]))

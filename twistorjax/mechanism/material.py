@@ -52,9 +52,6 @@ class Material(eqx.Module):
         endurance_limit: NumberLike | None = None,
     ):
         self.modulus = require_positive("`modulus`", modulus)
-        # A modulus of exactly 1 makes a study dimensionless.
-        if concrete(modulus) != 1:
-            _warn_of_units(modulus, density, expansion, strength, ultimate_strength)
         requirement = "must be above -1 and at most 0.5"
         self.poisson = require_interval("`poisson`", poisson, -1.0, 0.5, requirement)
         self.density = None if density is None else require_positive("`density`", density)
@@ -66,6 +63,9 @@ class Material(eqx.Module):
             "ultimate_strength": ultimate_strength,
             "endurance_limit": endurance_limit,
         }
+        # A modulus of exactly 1 makes a study dimensionless.
+        if concrete(modulus) != 1:
+            _warn_of_units(modulus=modulus, density=density, expansion=expansion, **given)
         self.strengths = Strengths(
             *(
                 None if value is None else require_positive(f"`{name}`", value)
@@ -79,25 +79,25 @@ class Material(eqx.Module):
         return self.modulus / (2 * (1 + self.poisson))
 
 
-def _warn_of_units(
-    modulus: NumberLike,
-    density: NumberLike | None,
-    expansion: NumberLike | None,
-    *strengths: NumberLike | None,
-) -> None:
+# Least and largest values of solids, their unit, and the usual mistake
+_STRENGTHS = 1e4, 1e12, "Pa", "500 MPa is 500e6 Pa"
+_SOLIDS = {
+    "modulus": (1e3, 1e15, "Pa", "210 GPa is 210e9 Pa"),
+    "density": (10.0, 1e5, "kg/m3", "7.8 g/cm3 is 7800 kg/m3"),
+    "expansion": (-0.01, 0.01, "1/K", "12 um/(m K) is 12e-6 1/K"),
+    "strength": _STRENGTHS,
+    "ultimate_strength": _STRENGTHS,
+    "endurance_limit": _STRENGTHS,
+}
+
+
+def _warn_of_units(**values: NumberLike | None) -> None:
     """Warn of values that no solid has, so that they seem to be in other units."""
-    for name, value, (low, high), unit, text in (
-        ("modulus", modulus, (1e3, 1e15), "Pa", "210 GPa is 210e9 Pa."),
-        ("density", density, (10, 1e5), "kg/m3", "7.8 g/cm3 is 7800 kg/m3."),
-        ("expansion", expansion, (-0.01, 0.01), "1/K", "12 um/(m K) is 12e-6 1/K."),
-        *(
-            ("strength", strength, (1e4, 1e12), "Pa", "500 MPa is 500e6 Pa.")
-            for strength in strengths
-        ),
-    ):
+    for name, value in values.items():
+        low, high, unit, conversion = _SOLIDS[name]
         known = None if value is None else concrete(value)
         if known is not None and known.shape == () and not low <= float(known) <= high:
             warn(
                 f"`{name}` is {float(known):g} {unit}, which is a thousand times off "
-                f"every solid. {text}"
+                f"every solid. {conversion}."
             )

@@ -98,22 +98,21 @@ def expanded(
     """Expand bodies and hinges; see `Mechanism.at_temperature`."""
     assembly, expansions = mechanism.hinge_assembly, mechanism.hinge_expansions
     _require_expansions(mechanism, {**hinges, **gradients})
-    no_ends = np.zeros((2, 2))
     numbers = (
         _by_name("`bodies`", "body", bodies, mechanism.names, change),
         [0.0 if value is None else value for value in mechanism.expansions],
         _by_name("`hinges`", "hinge", hinges, mechanism.hinge_names, change),
         _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0),
         [0.0 if value is None else value.coefficient for value in expansions],
-        [no_ends if value is None else value.ends for value in expansions],
-        [no_ends[0] if value is None else value.centroid for value in expansions],
+        [np.zeros((2, 2)) if value is None else value.ends for value in expansions],
+        [np.zeros(3) if value is None else value.free_turn for value in expansions],
         [0.0 if value is None else value.arc_length for value in expansions],
     )
     xp, (at, arms, directions, *arrays) = on_host(
         mechanism.at, assembly.arms, assembly.directions, *map(_stacked, numbers)
     )
     of_bodies, of_material, of_hinges, slopes, coefficient, *shapes = arrays
-    clamps, (mean_along, mean_across), arc_length = shapes[0], shapes[1].T, shapes[2]
+    clamps, free_turns, arc_length = shapes
     body_strains, hinge_strains = of_bodies * of_material, coefficient * of_hinges
     _require_small_strains("body", mechanism.names, body_strains)
     _require_small_strains("hinge", mechanism.hinge_names, hinge_strains)
@@ -129,7 +128,6 @@ def expanded(
     cos, sin = directions.T
     scales, turn = 1 + hinge_strains, -coefficient * arc_length * slopes
     zero = 0 * turn
-    free_turns = xp.stack([1 + zero, mean_across, -mean_along], axis=1)
     columns = [
         zero, zero, zero, cos * gap_x + sin * gap_y, cos * gap_y - sin * gap_x, turn
     ]  # fmt: skip

@@ -3,6 +3,8 @@
 import diffrax as dfx
 from tqdm import tqdm
 
+from .._utils.progress import progress_bar
+
 
 class ProgressBar(dfx.TqdmProgressMeter):
     """Progress bar for `simulate(progress_meter=...)`, which appears after one second.
@@ -17,9 +19,10 @@ class ProgressBar(dfx.TqdmProgressMeter):
 
     @staticmethod
     def _init_bar() -> tqdm:
-        return tqdm(
-            total=100,
-            unit="%",
+        return progress_bar(
+            100,
+            "%",
+            True,
             delay=1.0,
             leave=False,
             bar_format="{percentage:.0f}% of the motion |{bar}| {elapsed}<{remaining}",

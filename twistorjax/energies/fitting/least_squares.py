@@ -102,7 +102,7 @@ def _solve(
     """Solve a least-squares problem so that `constraints @ coefficients` is `values`."""
     trials, block_size, terms = rows.shape
     matrix, target = rows.reshape(-1, terms), targets.reshape(-1)
-    if not np.all(np.isfinite(np.column_stack([matrix, target]))):
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(target))):
         raise ValueError(
             "The equations of the fit are not finite, because values of the `trials` are "
             "too large. Check their units."

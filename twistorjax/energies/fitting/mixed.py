@@ -104,12 +104,8 @@ def fit_mixed(
     best, solution, converged = _gauss_newton(
         solve, predict, solution, measured, max_steps
     )
-    compliance = -sum(
-        value
-        for value, row in zip(best.coefficients, powers, strict=True)
-        if row == (0, 0, 2)
-    )
-    if not (np.isfinite(best.cost) and compliance > 0):
+    coefficients = dict(zip(powers, best.coefficients, strict=True))
+    if not (np.isfinite(best.cost) and coefficients.get((0, 0, 2), 0.0) < 0):
         return None
     energy = MixedEnergy(best.coefficients, powers, length=length, force=force)
     solution = solution._replace(coefficients=best.coefficients, residuals=best.residuals)

@@ -351,12 +351,10 @@ def _best_candidate(
                 continue
             previous = powers
             candidate = _candidate(trials, order, powers, settings)
-            if candidate is None or (
-                best is not None and not candidate.score < best.score
-            ):
-                worse += 1
-            else:
+            if candidate is not None and (best is None or candidate.score < best.score):
                 best, worse = candidate, 0
+            else:
+                worse += 1
     if best is not None:
         return best
     texts = [

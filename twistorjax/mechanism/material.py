@@ -65,7 +65,13 @@ class Material(eqx.Module):
         }
         # A modulus of exactly 1 makes a study dimensionless.
         if concrete(modulus) != 1:
-            _warn_of_units(modulus=modulus, density=density, expansion=expansion, **given)
+            _warn_of_units(
+                modulus=modulus,
+                density=density,
+                expansion=expansion,
+                strength=strength,
+                ultimate_strength=ultimate_strength,
+            )
         self.strengths = Strengths(
             *(
                 None if value is None else require_positive(f"`{name}`", value)
@@ -87,7 +93,6 @@ _SOLIDS = {
     "expansion": (-0.01, 0.01, "1/K", "12 um/(m K) is 12e-6 1/K"),
     "strength": _STRENGTHS,
     "ultimate_strength": _STRENGTHS,
-    "endurance_limit": _STRENGTHS,
 }
 
 

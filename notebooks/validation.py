@@ -1,6 +1,7 @@
-"""Write the manual's page on validation from the report of the tests.
+"""Write the manual's page on validation from the reports of the tests.
 
-pytest --junitxml=report.xml && python notebooks/validation.py report.xml
+pytest --junitxml=fast.xml && pytest -m slow --junitxml=slow.xml
+python notebooks/validation.py fast.xml slow.xml
 """
 
 import json
@@ -48,23 +49,23 @@ comparison. The mesh error of the 3-D elements is about 1.0, 0.6, and 1.7 %.
 
 
 def main(
-    report: Annotated[
-        Path, typer.Argument(help="Report of pytest --junitxml.")
+    reports: Annotated[
+        list[Path], typer.Argument(help="Reports of pytest --junitxml.")
     ],
     check: Annotated[
         bool, typer.Option("--check", help="Compare the rows; write nothing.")
     ] = False,
 ) -> None:
     """Write `manual/validation.md`, or check its rows."""
-    root = ElementTree.parse(report).getroot()
     rows = [
         json.loads(entry.attrib["value"])
-        for entry in root.iter("property")
+        for report in reports
+        for entry in ElementTree.parse(report).getroot().iter("property")
         if entry.attrib["name"] == "validated"
     ]
     if not rows:
         raise typer.BadParameter(
-            f"{report} has no property `validated`: run all tests with "
+            f"{reports[0]} has no property `validated`: run the tests with "
             "--junitxml."
         )
     sections: dict[str, list[str]] = {}

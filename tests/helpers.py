@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
+import pytest
 
 
 def assert_close(actual, expected, *, digits=12):
@@ -49,3 +50,11 @@ def some_stiffness(seed):
     """Return a random symmetric, positive definite matrix without zeros."""
     root = jr.normal(jr.key(seed), (3, 3))
     return root @ root.T + jnp.eye(3)
+
+
+def mostly_slow(cases, fast=1):
+    """Mark all cases of a parametrized test as slow, except for the first ones."""
+    return [
+        case if k < fast else pytest.param(case, marks=pytest.mark.slow)
+        for k, case in enumerate(cases)
+    ]

@@ -1,7 +1,7 @@
 """Random damage to the contents of files, as strategies of hypothesis.
 
-The usual tests check the same few examples each time. `pytest -m release` checks about
-ten thousand.
+The fast tests check the same few examples each time, `pytest -m slow` more, and
+`pytest -m release` about ten thousand.
 """
 
 import json
@@ -14,10 +14,15 @@ from hypothesis import given, HealthCheck, settings, strategies as st
 import twistorjax as tj
 
 
-def random_examples(usual, release):
-    """Parametrize a test with its number of examples in the usual and release tests."""
+def random_examples(slow, release):
+    """Parametrize a test with its number of examples in each kind of tests."""
     return pytest.mark.parametrize(
-        "examples", [usual, pytest.param(release, marks=pytest.mark.release)]
+        "examples",
+        [
+            pytest.param(max(slow // 20, 2), id="fast"),
+            pytest.param(slow, id="slow", marks=pytest.mark.slow),
+            pytest.param(release, id="release", marks=pytest.mark.release),
+        ],
     )
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close
+from helpers import assert_close, mostly_slow
 from scipy.optimize import brentq
 
 import twistorjax as tj
@@ -95,7 +95,7 @@ def test_a_leaf_that_is_displaced_without_rotation_shortens(row):
     np.testing.assert_allclose([y, -x], [across, along], rtol=3e-8)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", mostly_slow(LAWS))
 def test_the_wrench_of_an_exact_beam_is_the_derivative_of_its_energy(law):
     """Castigliano's theorem: the energy at the pose of a load gives this load again."""
     beam = leaf(law)
@@ -145,7 +145,7 @@ def test_a_leaf_has_the_wrenches_of_finite_elements_with_the_same_law(validated)
     validated("Exact beams", what, 1 + errors[0].max(), 1.0, oracle)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", mostly_slow(LAWS))
 def test_the_stiffness_of_an_exact_beam_is_that_of_timoshenko(law):
     energy = tj.flexures.ExactBeam(leaf(law))
     stiffness = jnp.diag(eqx.filter_jit(energy.tangent_stiffness)(jnp.zeros(3)))
@@ -242,6 +242,7 @@ def test_an_exact_beam_is_a_hinge_of_a_mechanism():
         assert int(solution.steps) < 60
 
 
+@pytest.mark.slow
 def test_a_guide_of_exact_beams_needs_few_steps():
     """Without the rotation of the table, the force is twice that of one beam."""
     thin = leaf(thickness=0.1e-3)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close, value_and_slopes, with_value
+from helpers import assert_close, mostly_slow, value_and_slopes, with_value
 from path_helpers import (
     bar,
     BAR_STIFFNESS,
@@ -155,6 +155,7 @@ class Softened(tj.energies.AbstractEnergy):
         return (stiffness * x**2 + softened * angle**2 + 1e6 * displacement.x2**2) / 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rise", [0.02, 0.003])
 def test_a_shallow_truss_is_bistable(rise):
     """Its second state is closer to the first one than a step of the path.
@@ -171,7 +172,9 @@ def test_a_shallow_truss_is_bistable(rise):
 class TestPrescribedDisplacements:
     """The states of the truss of von Mises do not depend on what moves it."""
 
-    @pytest.mark.parametrize("drive", [{"y": -0.65}, {"y": -0.6}, {"x": 0.0, "y": -0.65}])
+    @pytest.mark.parametrize(
+        "drive", mostly_slow([{"y": -0.65}, {"y": -0.6}, {"x": 0.0, "y": -0.65}])
+    )
     def test_states_are_those_without_drive_force(self, drive):
         found = tj.bistability(von_mises_truss(), drives=[tj.Drive("apex", **drive)])
         assert bool(found.is_bistable)
@@ -186,11 +189,13 @@ class TestPrescribedDisplacements:
         assert not bool(found.is_bistable) and np.isnan(found.energies[2])
         assert_close(found.snap_factors, np.full(2, 0.6), digits=9)
 
+    @pytest.mark.slow
     def test_a_monostable_truss(self):
         push = [tj.Drive("apex", y=-0.9)]
         found = tj.bistability(supported_truss(spring=200.0), drives=push)
         assert not bool(found.is_bistable) and "monostable" in repr(found)
 
+    @pytest.mark.slow
     def test_a_lift_that_almost_makes_the_truss_monostable(self):
         lift = [tj.Load("apex", force=(0.0, von_mises_limit_force() * (1 - 1e-3)))]
         truss, drive = von_mises_truss(), tj.Drive("apex", y=-1.2)
@@ -200,6 +205,7 @@ class TestPrescribedDisplacements:
         assert_close(found.displacements, by_load.displacements, digits=8)
         assert_close(found.energies, by_load.energies, digits=9)
 
+    @pytest.mark.slow
     def test_a_prescribed_angle(self):
         """A spring pulls a rotor over its dead center, at the angle 0."""
         begin, foot = 0.5, np.array([2.0, 0.0])
@@ -225,6 +231,7 @@ class TestPrescribedDisplacements:
         energies = np.array([energy(turn) for turn in turns])
         np.testing.assert_allclose(found.energies[1:], energies, rtol=1e-4)
 
+    @pytest.mark.slow
     def test_barrier_and_switching_point_have_derivatives(self):
         def quantities(rise):
             drive = tj.Drive("apex", y=-0.8)
@@ -252,6 +259,7 @@ class TestBuckling:
         assert abs(top) > abs(bottom) > 0 and top * bottom > 0
         assert repr(found).splitlines()[2].split() == ["0.348698", "link", "5"]
 
+    @pytest.mark.slow
     def test_derivatives_by_the_stiffness(self):
         """The factors are proportional to the stiffness, so the second ones are zero."""
 
@@ -274,6 +282,7 @@ class TestBuckling:
         with pytest.raises(RuntimeError, match="use `path`"):
             tj.buckling(steep, loads=push)
 
+    @pytest.mark.slow
     def test_a_branch_point_does_not_hide_a_lower_limit_point(self):
         limit = von_mises_limit_force()
         mechanism, loads = truss_and_link(1.2 * limit)
@@ -320,6 +329,7 @@ class TestBuckling:
         shapes = np.asarray(found.shapes).reshape(4, -1)
         assert_close(shapes @ shapes.T, np.eye(4), digits=9)
 
+    @pytest.mark.slow
     def test_derivatives_of_equal_load_factors(self):
         def factors(stiffness):
             links, forces = parallel_links([stiffness, stiffness, 1.5 * stiffness, 9.0])
@@ -346,6 +356,7 @@ class TestBuckling:
         # The stiffness against rotation, 2 - P^2, is P times the length 1.
         np.testing.assert_allclose(found.load_factors, [1.0], rtol=1e-5)
 
+    @pytest.mark.slow
     def test_a_hinge_outside_its_validity_range(self):
         """The column buckles at 0.35 N, and the energies are valid up to 0.2 N."""
 

@@ -162,6 +162,7 @@ def bending_frequencies(fixed, **settings):
     return [unit * np.asarray(each) for each in found]
 
 
+@pytest.mark.slow
 def test_frequencies_of_a_leaf_in_segments(validated):
     """Errors decrease with the fourth power of the number of segments."""
     pinned = {"wall": ("x", "y"), "tip": ("y",)}
@@ -203,6 +204,7 @@ def bow():
     )
 
 
+@pytest.mark.slow
 def test_segments_of_a_tapered_curved_beam_are_the_undivided_beam(bow):
     """At the poses of its sections, the segments have its forces, up to 19 E I / L^2."""
     assert len(bow.hinges) == 2 and np.all(bow.error < 5e-3)
@@ -331,6 +333,7 @@ def lee_frame():
     return tj.Mechanism(bodies, hinges, fixed=pinned)
 
 
+@pytest.mark.slow
 def test_the_first_limit_load_of_lees_frame_from_four_hinges(validated):
     """It is 1855.67 N at a displacement of 0.48735 m; the load falls behind it."""
     frame = lee_frame()
@@ -427,6 +430,7 @@ def deep_arch(force):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:`length` is 187")  # as published
 def test_a_deep_arch_close_to_its_critical_load(validated):
     """The published critical load is 897; displacements are compared at 98 % of it."""

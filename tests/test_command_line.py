@@ -66,6 +66,7 @@ def test_stage_prints_json(run_here):
     assert result["result"] == "successful"
 
 
+@pytest.mark.slow
 def test_a_second_run_uses_the_cached_program(run_with_own_cache):
     run_with_own_cache("stage")
     cache = run_with_own_cache.folder / "cache" / "twistorjax" / "programs"
@@ -82,6 +83,7 @@ def test_stage_draws_the_mechanism(run_here, name):
     assert (run_here.folder / name).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_transient_response_of_the_stage_ends_at_its_static_gain(run_here):
     done = run_here("stage", "--transient", "--step", "--json", "--plot", "transient.png")
     assert done.returncode == 0, done.stderr
@@ -90,6 +92,7 @@ def test_the_transient_response_of_the_stage_ends_at_its_static_gain(run_here):
     assert abs(result["elongation_a_m"] - 192.2e-9) < 0.1e-9
 
 
+@pytest.mark.slow
 def test_four_bar_prints_json_and_draws_the_motion(run):
     done = run(
         "four-bar", "--hinges", "leaves-and-notches", "--times", "0.09,0.405", "--json",
@@ -138,6 +141,7 @@ def test_fit_energy_saves_no_worthless_energy(run_here, tmp_path):
     assert isinstance(tj.io.load_energy(out), tj.energies.Polynomial)
 
 
+@pytest.mark.slow
 def test_fit_energy_accepts_several_symmetries(run_here):
     """The symmetries of a leaf include the mirror symmetry."""
     arguments = (str(REFERENCE / "fe_notch.csv"), "--order", "2", "--json")
@@ -162,6 +166,7 @@ def test_fit_energy_reports_trials_that_determine_no_coefficient(run_here, tmp_p
     assert done.returncode == 2 and "The axial force of all" in done.stderr
 
 
+@pytest.mark.slow
 def test_random_data_warns_that_the_fit_interpolates(run_here):
     done = run_here("random-data", "--json", "--plot", "random.png")
     assert done.returncode == 0, done.stderr
@@ -173,6 +178,7 @@ def test_random_data_warns_that_the_fit_interpolates(run_here):
     assert (run_here.folder / "random.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_water_compares_its_fits(run_here):
     done = run_here("water", "--order", "4", "--json", "--plot", "water.png")
     assert done.returncode == 0, done.stderr
@@ -188,6 +194,7 @@ def test_water_compares_its_fits(run_here):
     assert (run_here.folder / "water.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_identify_finds_the_true_stiffnesses(run_here):
     done = run_here("identify", "--json", "--seed", "2")
     result = json.loads(done.stdout)
@@ -198,6 +205,7 @@ def test_identify_finds_the_true_stiffnesses(run_here):
     assert result["result"] == "successful"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["json", "dxf", "svg", "py"])
 def test_an_exported_model_can_be_exported_again(run_here, tmp_path, suffix):
     model, out = tmp_path / "linkage.json", tmp_path / f"again.{suffix}"
@@ -211,6 +219,7 @@ def test_an_exported_model_can_be_exported_again(run_here, tmp_path, suffix):
         assert out.read_bytes() == model.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_sweep_can_be_resumed(run_here):
     command = ("sweep", "stage", "--web", "0.1e-3:0.4e-3:31", "--chunk", "8", "--json")
     done = run_here(*command, "--out", "stage.zarr", "--plot", "gains.png")
@@ -230,6 +239,7 @@ def test_a_sweep_can_be_resumed(run_here):
     assert repeated.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_resuming_a_sweep_repairs_damaged_files(run_here):
     command = ("sweep", "stage", "--web", "0.3e-3:0.4e-3:6", "--chunk", "3", "--json")
     first = run_here(*command, "--out", "damaged.zarr")
@@ -249,6 +259,7 @@ def test_a_sweep_in_which_all_designs_fail_prints_the_reason(run_here):
     assert done.stderr.startswith("twistorjax: All designs failed.")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "platform", "devices"),
     [

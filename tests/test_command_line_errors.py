@@ -57,6 +57,7 @@ def test_a_bending_factor_that_is_too_large(run_here):
     assert_usage_error(run_here("parallelogram", "--bending-factor", "1e308"), message)
 
 
+@pytest.mark.slow
 def test_load_cases_that_all_fail(run_here):
     """They exceed the range of the leaves; the table shows the reason of each."""
     table = "transverse_EI_L2,axial_EI_L2,moment_EI_L\n1e6,0,0\n0,-1e5,0\n"
@@ -170,6 +171,7 @@ def test_a_folder_that_is_no_store(run_here):
     assert_usage_error(done, "'empty' is not a store of a sweep")
 
 
+@pytest.mark.slow
 def test_a_store_that_cannot_be_used(run_here):
     """One store is damaged, and one is in a folder that is not writable."""
     sums = run_here.folder / "damaged" / "finished" / "sums"
@@ -203,6 +205,7 @@ def test_invalid_input_of_export(run_here, arguments, message):
 SHELL = f"{sys.executable} -m twistorjax"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "codes", "out", "err"),
     [
@@ -260,6 +263,7 @@ def test_an_error_in_the_program_is_not_hidden(run_here, monkeypatch):
         run_here("random-data")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

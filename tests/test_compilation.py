@@ -93,6 +93,7 @@ def test_each_public_map_is_one_program():
     assert counts == [[0, 0], *len(calls) * [[1, 0]], [0, 0]]
 
 
+@pytest.mark.slow
 def test_a_second_process_loads_the_program_from_the_cache(tmp_path):
     """Only the equilibrium is compiled, and the order of the imports does not matter."""
     settings = {"cache": str(tmp_path), "test_flags": False}
@@ -101,6 +102,7 @@ def test_a_second_process_loads_the_program_from_the_cache(tmp_path):
     assert count_programs(BUILD, SOLVE, first=early, **settings) == [[0, 0], [1, 1]]
 
 
+@pytest.mark.slow
 def test_another_number_of_times_does_not_compile_again():
     setup = """
 hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(np.eye(3)), at=(0, 0, 0))
@@ -129,6 +131,7 @@ def test_other_loads_and_an_equilibrium_as_start_do_not_compile_again():
     assert counts == [[0, 0], [1, 0], [0, 0], [0, 0]]
 
 
+@pytest.mark.slow
 def test_another_number_of_readings_does_not_compile_again():
     setup = """
 from twistorjax.identification import BodySensor, HingeTest, Parameter, StaticTest
@@ -157,6 +160,7 @@ def identify(*forces):
     assert counts[2][0] == 0
 
 
+@pytest.mark.slow
 def test_another_number_of_designs_does_not_compile_again():
     sweep = "tj.sweep(study, {{'x': np.linspace(0.0, 1.0, {})}})"
     counts = count_programs(
@@ -201,6 +205,7 @@ def test_programs_contain_no_callbacks(name):
     assert "callback" not in text
 
 
+@pytest.mark.slow
 def test_a_cache_folder_that_is_already_set_is_kept(tmp_path):
     code = (
         "import jax, twistorjax as tj; tj.configure(); print(jax.numpy.zeros(1).dtype, "
@@ -229,6 +234,7 @@ if_emitters_are_an_option = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "arguments", "expected"),
     [

@@ -70,6 +70,7 @@ class TestExact:
         expected = jnp.concatenate([reaction[:1], se2.rotate(-angle, reaction[1:])])
         assert_close(Condensed(part).wrench(GUIDE_POSE), expected, rtol=1e-9)
 
+    @pytest.mark.slow
     def test_third_derivatives_agree_with_differences_of_the_second_ones(self):
         hessian = jax.hessian(Condensed(guide_of_quadratic_leaves()))
         direction = jnp.array([0.0, 0.0, 1.0])
@@ -94,6 +95,7 @@ class TestExact:
         (below, _), (_, slope), (above, _) = map(wrench_and_slope, (0.999, 1.0, 1.001))
         assert_close(slope, (above - below) / 0.002, rtol=1e-6)
 
+    @pytest.mark.slow
     def test_a_hinge_with_it_moves_as_the_whole_mechanism(self):
         part = guide_of_quadratic_leaves()
         hinge = tj.Hinge("guide", "A", "B", Condensed(part), at=(0.5, 0.01, 0.02))
@@ -169,7 +171,7 @@ def linkage_of(energy):
 @pytest.mark.parametrize(
     "name",
     [
-        "cross-spring",
+        pytest.param("cross-spring", marks=pytest.mark.slow),
         pytest.param("cartwheel", marks=pytest.mark.release),
         pytest.param("double parallelogram", marks=pytest.mark.release),
     ],
@@ -228,6 +230,7 @@ def test_the_derivative_of_a_surrogate_by_the_geometry_agrees_with_differences()
 
 
 class TestRange:
+    @pytest.mark.slow
     def test_a_displacement_outside_the_range_is_reported(self):
         guide = FLEXURES["parallelogram"][0](RANGED_LEAF)
         fast = tj.surrogate(guide, displacement=1e-3, force=20.0)

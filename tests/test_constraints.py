@@ -51,6 +51,7 @@ def test_a_pinned_arm_balances_its_moments(force):
     assert_close(arm.reaction("wall"), [moment, 0.0, -force], digits=10)
 
 
+@pytest.mark.slow
 def test_equilibria_with_constraints_have_derivatives():
     def rotation(force):
         arm = tj.equilibrium(pendulum(), loads=[push(force)], constraints=[PIN])
@@ -114,6 +115,7 @@ def test_a_pinned_arm_vibrates_and_responds_as_a_physical_pendulum():
     assert_close(reaction, [-STIFFNESS * amplitude, along, force], digits=9)
 
 
+@pytest.mark.slow
 def test_frequencies_with_constraints_have_derivatives():
     def frequency(stiffness):
         return tj.vibrations(pendulum(stiffness), constraints=[PIN]).frequencies[0]
@@ -147,6 +149,7 @@ def test_a_general_constraint_depends_on_the_time():
     assert_close(found.displacement("arm"), [0.0, 0.02, 0.0])
 
 
+@pytest.mark.slow
 def test_a_stage_of_rigid_levers_on_pins_has_the_gain_of_the_levers():
     """The gain is 328 / 9 for any stiffness of the pivots.
 
@@ -228,6 +231,7 @@ def rotating_guide():
     return mechanism, tj.Constraint("guide", ["block"], distance)
 
 
+@pytest.mark.slow
 def test_linear_models_evaluate_constraints_at_the_given_time():
     """Along the guide the stiffness is 100 sin(t)^2 + 400 cos(t)^2."""
     time = 0.7

@@ -317,6 +317,7 @@ def test_profiles_out_of_range_raise_an_error(profile, sizes, message):
         profile(**sizes)
 
 
+@pytest.mark.slow
 def test_a_contour_is_built_without_a_compiled_program():
     setup = "from test_contours import CONTOURS, STEEL, WIDTH"
     energies = "[c[0](STEEL, width=WIDTH, **c[3]) for c in CONTOURS.values()]"

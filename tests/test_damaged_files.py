@@ -29,7 +29,7 @@ def assert_clear(error, path):
 
 @pytest.mark.filterwarnings("ignore:.*more than a full turn")
 @pytest.mark.parametrize("damaged", [damaged_trees, damaged_bytes])
-@random_examples(usual=100, release=3000)
+@random_examples(slow=100, release=3000)
 def test_a_damaged_file_of_a_mechanism_or_energy(tmp_path, damaged, examples):
     """It is rejected, or its content does not change when it is written and read."""
     path, again = tmp_path / "damaged.json", tmp_path / "again.json"
@@ -59,7 +59,7 @@ def test_a_damaged_file_of_a_mechanism_or_energy(tmp_path, damaged, examples):
 
 @pytest.mark.filterwarnings("ignore:.*more than a full turn")
 @pytest.mark.parametrize("damaged", [damaged_columns, damaged_bytes])
-@random_examples(usual=120, release=1200)
+@random_examples(slow=120, release=1200)
 def test_a_damaged_csv_file(tmp_path, damaged, examples):
     """It is read, or raises an error with a short message."""
     path = tmp_path / "damaged.csv"

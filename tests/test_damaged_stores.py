@@ -193,6 +193,7 @@ def check_random_damage(template, count):
     check_example()
 
 
+@pytest.mark.slow
 def test_random_damage_never_gives_wrong_numbers(template):
     check_random_damage(template, 50)
 
@@ -213,6 +214,7 @@ def static_files(template):
     ]
 
 
+@pytest.mark.slow
 def test_damaged_coordinates_labels_and_metadata_are_reported_and_repaired(
     template, tmp_path
 ):

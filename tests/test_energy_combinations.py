@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close
+from helpers import assert_close, mostly_slow
 
 import twistorjax as tj
 from twistorjax.energies import solver_protocols
@@ -173,7 +173,7 @@ def test_an_invalid_value_is_found_at_any_depth():
         assert validation_error(combined) is None
 
 
-@pytest.mark.parametrize("name", ["range of a sum", "range of a wrapper"])
+@pytest.mark.parametrize("name", mostly_slow(["range of a wrapper", "range of a sum"]))
 def test_a_combination_takes_as_many_newton_steps_as_the_energy(name):
     """The flexure is thin, so this requires its model for Newton's method.
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close, some_stiffness
+from helpers import assert_close, mostly_slow, some_stiffness
 
 import twistorjax as tj
 from twistorjax.energies.strains import Coordinates
@@ -77,6 +77,7 @@ def test_expected_errors_equal_those_of_fits_that_leave_one_pose_out(copies):
     np.testing.assert_allclose(fit.expected.rms_wrench, expected, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_repeated_fits():
     energy = tj.Quadratic(some_stiffness(4))
     rng = np.random.default_rng(9)
@@ -211,7 +212,7 @@ def test_wrong_units_and_signs_of_trials_are_recognized(
     assert message in str(caught[0].message) and message in repr(fit)
 
 
-@pytest.mark.parametrize("factor", [-1.0, 1e3])
+@pytest.mark.parametrize("factor", mostly_slow([1e3, -1.0]))
 def test_wrong_moments_of_noisy_trials_are_recognized(factor):
     """The fits with other units have the symmetry of the hinge, as trials are few."""
     trials = leaf_trials()[np.arange(0, 122, 2)]

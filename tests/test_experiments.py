@@ -170,6 +170,7 @@ def test_more_frequencies_than_the_mechanism_has_are_rejected(linkage):
         VibrationTest(10, 1.0).predict(linkage)
 
 
+@pytest.mark.slow
 def test_load_cases_of_different_kinds_are_read_in_their_order(linkage):
     """Each row is compared with a separate equilibrium."""
     load_cases = [
@@ -198,6 +199,7 @@ def test_measured_frequencies_must_be_positive_and_ascending():
         test.measurement([[-1.0], [2.0], [3.0]])
 
 
+@pytest.mark.slow
 def test_the_errors_of_synthetic_data_have_the_given_standard_deviation():
     test = push_series(400 * [0.1], standard_deviation=1e-5)
     noisy = test.synthetic_data(spring(TRUE), jax.random.key(0))

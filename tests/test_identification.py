@@ -39,6 +39,7 @@ def test_one_stiffness_and_its_standard_error_follow_from_hookes_law():
     assert_close(result.values, jnp.array([125.0]), digits=7)
 
 
+@pytest.mark.slow
 def test_readings_are_weighted_by_their_variances():
     """The compliance is the weighted mean of the single compliances."""
     forces = np.array([1.0, 2.0, 5.0])
@@ -169,6 +170,7 @@ def test_the_jacobian_of_a_motion_agrees_with_finite_differences(vibration_resul
         )
 
 
+@pytest.mark.slow
 def test_gradients_in_reverse_and_forward_mode_are_equal(vibration_data):
     start = tj.identify(spring, VIBRATION_START, vibration_data, max_steps=1, throw=False)
     forward = start.jacobian.T @ start.residuals[0].reshape(-1)
@@ -240,6 +242,7 @@ def test_an_estimate_at_its_bound_is_reported():
     assert any("along is at its bound" in text for text in result.warnings)
 
 
+@pytest.mark.slow
 def test_a_start_without_a_solution_raises_the_error_of_the_solve():
     data = [push(5.0).measurement([[0.04]])]
     too_large = StaticTest(
@@ -251,6 +254,7 @@ def test_a_start_without_a_solution_raises_the_error_of_the_solve():
         tj.identify(spring, start, [too_large.measurement([[1.0]]), *data])
 
 
+@pytest.mark.slow
 def test_the_search_rejects_steps_to_points_where_a_solve_fails():
     """The moment of the twistor's spring is at most 2 k, so a softer one buckles."""
     test = StaticTest(
@@ -263,6 +267,7 @@ def test_the_search_rejects_steps_to_points_where_a_solve_fails():
     assert_close(result.estimates["rotation"], stiffness, digits=5)
 
 
+@pytest.mark.slow
 def test_a_search_that_does_not_converge_is_reported():
     data = [push(5.0).measurement([[0.04]])]
     start = {"along": positive(1.0)}
@@ -340,6 +345,7 @@ def test_a_search_that_ends_at_a_failing_solve_has_not_converged():
     assert tj.result_names(result.result) == "not_converged"
 
 
+@pytest.mark.slow
 def test_a_weak_parameter_does_not_stop_the_search_for_another():
     """The readings hardly depend on the rotational stiffness."""
     sensors = [BodySensor("block", "x", 3e-3), BodySensor("block", "angle", 3.0)]
@@ -353,6 +359,7 @@ def test_a_weak_parameter_does_not_stop_the_search_for_another():
     assert "rotation" in direction and "along" not in direction
 
 
+@pytest.mark.slow
 def test_the_gain_of_the_stage_determines_the_web_and_not_the_modulus():
     result = identification.identify_stage_web(elongation=False)
     gain = stage.amplification(stage.microstage(result.estimates["web"])).gain

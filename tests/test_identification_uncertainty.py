@@ -136,6 +136,7 @@ def test_standard_errors_of_hubers_loss_are_at_least_those_of_least_squares():
         assert robust.standard_errors[name] > 0.999 * plain.standard_errors[name] > 0.04
 
 
+@pytest.mark.slow
 def test_confidence_intervals_contain_the_true_value_as_often_as_their_level():
     """The share in 400 repetitions lies within three of its standard deviations."""
     forces = jnp.linspace(1.0, 5.0, 5)
@@ -175,6 +176,7 @@ def test_intervals_of_hubers_loss_have_their_level_with_few_readings():
     assert abs(share - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
 
 
+@pytest.mark.slow
 def test_uncertainties_of_a_batch_are_those_of_a_straight_line():
     """The covariance of the coefficients of `a + b x` is `s^2 inv(X^T X)`."""
     x, deviation = np.array([0.0, 0.3, 0.5, 1.0]), 0.1
@@ -303,6 +305,7 @@ def guide_tests(laser_deviation):
     )
 
 
+@pytest.mark.slow
 def test_the_fit_stays_near_the_start_where_noise_would_determine_it():
     """The press shows a change of E t by 100 % as one third of a standard deviation."""
     pull, press = guide_tests(laser_deviation=3.5e-6)
@@ -318,6 +321,7 @@ def test_the_fit_stays_near_the_start_where_noise_would_determine_it():
         assert repr(result).count("  not determined") == 2
 
 
+@pytest.mark.slow
 def test_the_ranking_reports_that_its_prediction_depends_on_unknown_parameters():
     pull, press = guide_tests(laser_deviation=10e-9)
     truth = {"modulus": 203e9, "thickness": 0.52e-3}

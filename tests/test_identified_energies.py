@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import twistorjax as tj
 from twistorjax.identification import BodySensor, identify, MotionTest, Parameter
@@ -39,6 +40,7 @@ def block_on_a_bush(coefficients):
     return tj.Mechanism([tj.Body("frame"), block], [bush], ["frame"])
 
 
+@pytest.mark.slow
 def test_a_motion_determines_all_coefficients_that_are_not_redundant():
     """The terms with sigma^2 are redundant, because sigma^2 = 1 - xi^2."""
     truth = jnp.array([TRUE_VALUES.get(power, 0.0) for power in POWERS])

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import mostly_slow
 from scipy.integrate import solve_bvp
 
 import twistorjax as tj
@@ -87,6 +88,7 @@ def test_large_displacements_of_linear_leaves_are_reported():
     tj.equilibrium(cantilever(spring), drives=drive)
 
 
+@pytest.mark.slow
 def test_a_batch_reports_its_shares():
     """Nothing is printed inside a compiled program."""
 
@@ -148,7 +150,7 @@ def test_the_transverse_stiffness_errs_by_five_percent_at_the_limit_of_the_force
         np.testing.assert_allclose(share, 1.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", ENERGIES)
+@pytest.mark.parametrize("name", mostly_slow(ENERGIES))
 def test_every_analysis_about_a_state_warns_of_its_axial_force(name):
     energy, (_, limit) = ENERGIES[name]
     mechanism, push = guide(energy), [tj.Load("table", force=(1.0, 0.0))]

@@ -77,6 +77,7 @@ def test_the_prefix_micro_is_accepted_in_three_spellings(tmp_path, micro):
     assert_close(data.values, np.array([[2e-6, 4e-6]]))
 
 
+@pytest.mark.slow
 def test_a_simulated_motion_is_read_from_its_dataset(linkage):
     """The dataset contains poses in the world frame, and the sensors read poses."""
     times = jnp.linspace(0.0, 0.02, 5)

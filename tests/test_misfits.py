@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers import assert_close, some_poses, some_stiffness
+from helpers import assert_close, mostly_slow, some_poses, some_stiffness
 
 import twistorjax as tj
 from twistorjax.geometry import se2
@@ -69,7 +69,7 @@ def test_forces_and_stiffness_are_derivatives_of_the_energy():
         assert_close(mechanism.stiffness(poses), hessian, digits=11)
 
 
-@pytest.mark.parametrize("coordinates", ["twist", "twistor"])
+@pytest.mark.parametrize("coordinates", mostly_slow(["twistor", "twist"]))
 def test_tangent_in_motion_is_the_derivative_of_the_forces(coordinates):
     damping = tj.energies.ViscousDamping(some_stiffness(5), coordinates)
     assembly = pair(damping=damping).hinge_assembly
@@ -244,7 +244,7 @@ def residuals_by_matrices(displacements, pairs, poses, at, matrices, misfits):
     return np.concatenate(residuals)
 
 
-@pytest.mark.parametrize("topology", list(TOPOLOGIES))
+@pytest.mark.parametrize("topology", mostly_slow(TOPOLOGIES))
 def test_assembled_mechanisms_have_the_smallest_energy(topology):
     """SciPy minimizes the energy of frames that are composed as matrices."""
     solve = jax.jit(
@@ -315,6 +315,7 @@ def test_vibrations_of_a_preloaded_mechanism_need_its_equilibrium():
     assert_close(found.frequencies, np.sqrt(np.sort(squares)) / (2 * np.pi))
 
 
+@pytest.mark.slow
 def test_a_motion_that_starts_in_the_reference_configuration_oscillates():
     """The block swings about the position in which its spring is not loaded."""
     bodies = [tj.Body("wall"), tj.Body("mass", mass=2.0, inertia=0.5)]

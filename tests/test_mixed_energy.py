@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close
+from helpers import assert_close, mostly_slow
 from numpy.polynomial import Polynomial
 from scipy.optimize import minimize_scalar, OptimizeResult
 
@@ -154,7 +154,7 @@ def under_load(load):
     return tj.flexures.beam_under_load(beam(), load, sections=2)
 
 
-@pytest.mark.parametrize("degrees", [20, 46, 90])
+@pytest.mark.parametrize("degrees", mostly_slow([20, 46, 90]))
 def test_surrogate_of_a_leaf_equals_the_beam_under_new_loads(degrees, validated):
     """The error is below 0.1 %, and about the reported error."""
     rotation = np.radians(degrees)
@@ -174,6 +174,7 @@ def test_surrogate_of_a_leaf_equals_the_beam_under_new_loads(degrees, validated)
     validated("Surrogates of leaves", what, 1 + error.max(), 1.0, "the exact beam")
 
 
+@pytest.mark.slow
 def test_reference_stiffness_of_a_surrogate_is_that_of_a_timoshenko_beam(leaf):
     expected = tj.flexures.linear_leaf(
         UNIT, length=1.0, thickness=0.1, width=12e3, theory="timoshenko"
@@ -181,6 +182,7 @@ def test_reference_stiffness_of_a_surrogate_is_that_of_a_timoshenko_beam(leaf):
     np.testing.assert_allclose(leaf.tangent_stiffness(), expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_surrogate_of_a_cantilever_is_the_elastica():
     """Rotation, axial and transverse displacement of the tip under P L^2 / E I = 1."""
     hinge = tj.flexures.surrogate(beam(1e-3, shear_factor=RIGID), rotation=0.8, order=6)
@@ -199,6 +201,7 @@ def stage_on_leaves(energy, positions):
     return tj.Mechanism([tj.Body("ground"), tj.Body("stage")], hinges, fixed=["ground"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crossing", [0.5, 0.12732200375])
 def test_center_shift_of_a_cross_spring_pivot_is_that_of_exact_beams(crossing, validated):
     """If the leaves cross in the middle, the center shift is of second order."""
@@ -250,6 +253,7 @@ def test_derivatives_of_a_surrogate_by_the_dimensions_are_difference_quotients()
     np.testing.assert_allclose(slopes[3], values[2], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_surrogate_of_a_notch_equals_the_beam():
     plate = tj.Material(modulus=69e9, poisson=0.33)
     neck = tj.flexures.Beam(

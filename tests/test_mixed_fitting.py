@@ -61,6 +61,7 @@ def test_fit_recovers_a_mixed_energy():
     )
 
 
+@pytest.mark.slow
 def test_mixed_fit_to_noisy_trials_has_the_smallest_possible_error():
     """SciPy minimizes the errors of the predicted wrenches over all coefficients."""
     monomials = tj.energies.monomials(2, "mixed", symmetry="leaf")
@@ -119,6 +120,7 @@ def test_compliance_that_is_negative_without_load_raises_an_error():
         tj.fit_energy(trials, 4, coordinates="mixed", reference="unstressed")
 
 
+@pytest.mark.slow
 def test_message_names_the_reversed_force_if_there_is_no_mixed_energy():
     trials = tj.energies.read_trials(REFERENCE / "fe_leaf.csv")[np.arange(0, 122, 2)]
     assert trials.wrenches is not None

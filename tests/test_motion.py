@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
-from helpers import assert_close, some_stiffness
+from helpers import assert_close, mostly_slow, some_stiffness
 from motion_helpers import oscillator
 from scipy.integrate import solve_ivp
 
@@ -45,7 +45,7 @@ FOUR_BAR = {
 }
 
 
-@pytest.mark.parametrize("hinges", ["identical", "leaves-and-notches"])
+@pytest.mark.parametrize("hinges", mostly_slow(["identical", "leaves-and-notches"]))
 def test_driven_linkages_move_as_in_the_dissertation(hinges, validated):
     """Without `energies`, the dissipated energy and the work of the drives are zero."""
     expected = FOUR_BAR[hinges]
@@ -147,6 +147,7 @@ def test_reaction_of_a_driven_block_is_that_of_spring_damper_and_inertia():
     assert_close(motion.reaction("wall")[:, 1], -50 * x - 2.5 * rate, digits=10)
 
 
+@pytest.mark.slow
 def test_resonant_load_gives_an_oscillation_that_grows_linearly():
     """x = t sin(w t) / (2 w) for a load cos(w t) on a unit mass."""
 
@@ -179,6 +180,7 @@ def test_energy_balance_of_a_driven_and_loaded_linkage():
     assert_close(balance.by_loads, -y + 1e-3 * angle, digits=9)
 
 
+@pytest.mark.slow
 def test_gauss_conserves_energy_over_a_hundred_thousand_steps(validated):
     """The error of the energy neither grows nor drifts while an arm swings by 0.5 rad."""
     hinge = tj.Hinge(
@@ -204,6 +206,7 @@ def test_gauss_conserves_energy_over_a_hundred_thousand_steps(validated):
     validated("Motion", what, total, total[0] * np.ones(101), "energy at the start")
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_stiff_motion_agree_with_differences():
     """Hinges vibrate at 10 kHz, links at 36 Hz; reverse and forward derivatives."""
     times = np.array([0.0, 0.01])
@@ -240,6 +243,7 @@ def test_derivatives_of_a_stiff_motion_agree_with_differences():
         assert_close(forward / difference, jnp.ones(()), digits=5)
 
 
+@pytest.mark.slow
 def test_solvers_output_and_events_of_diffrax_can_be_used():
     """The oracle is the damped oscillation of a block that is released with 1 m/s."""
     mechanism = oscillator(0.02)
@@ -375,6 +379,7 @@ def test_gradients_of_batches_and_second_derivatives_of_motions():
         assert_close(derivatives(forces)[order] / exact, jnp.ones(3), digits=8)
 
 
+@pytest.mark.slow
 def test_motions_of_a_large_batch_are_those_of_single_mechanisms():
     """XLA arranges the operations of a batch differently."""
 

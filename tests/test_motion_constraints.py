@@ -109,6 +109,7 @@ def test_pin_does_not_drift_with_solvers_of_diffrax(solver):
     assert np.max(np.abs(energy)) < 1e-3 * GRAVITY * length
 
 
+@pytest.mark.slow
 def test_slider_allows_one_translation():
     spring = tj.Quadratic(jnp.diag(jnp.array([0.0, 30.0, 0.0])))
     block = tj.Body("block", mass=2.0, inertia=0.1)
@@ -136,6 +137,7 @@ def test_slider_allows_one_translation():
     assert_close(moment, -0.2 - spring_moment, digits=10)
 
 
+@pytest.mark.slow
 def test_constraint_that_depends_on_time_is_the_same_as_a_drive(validated):
     times = np.linspace(0, 0.1, 4)
     linkage = four_bar.four_bar()
@@ -156,6 +158,7 @@ def test_constraint_that_depends_on_time_is_the_same_as_a_drive(validated):
     validated("Motion", what, *both, "prescribed by a drive")
 
 
+@pytest.mark.slow
 def test_pseudo_rigid_body_model_approximates_the_elastic_linkage():
     """Pins with torsion springs replace the leaves; section 5.4 of the dissertation.
 

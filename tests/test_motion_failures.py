@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close
+from helpers import assert_close, mostly_slow
 from motion_helpers import oscillator
 
 import twistorjax as tj
@@ -70,6 +70,7 @@ def batch():
     return motions([change for change, _ in CASES])
 
 
+@pytest.mark.slow
 def test_motions_that_cannot_start_take_no_step(batch):
     names = tj.result_names(batch.result)
     assert names is not None and names.tolist() == [result for _, result in CASES]
@@ -89,6 +90,7 @@ def test_failed_motion_does_not_affect_the_rest_of_a_batch(batch):
     assert np.all(np.isnan(batch.displacements[9]))
 
 
+@pytest.mark.slow
 def test_invalid_drives_do_not_delay_the_rest_of_a_batch():
     """The second drive jumps at the start; the third becomes NaN."""
     spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 100.0])))
@@ -114,7 +116,7 @@ def test_invalid_drives_do_not_delay_the_rest_of_a_batch():
 
 
 @pytest.mark.parametrize(
-    "solver", [dfx.Tsit5(), tj.solve.Radau()], ids=["tsit5", "radau"]
+    "solver", mostly_slow([dfx.Tsit5(), tj.solve.Radau()]), ids=["tsit5", "radau"]
 )
 def test_every_solver_stops_where_a_load_is_not_finite(solver):
     def loads(time):

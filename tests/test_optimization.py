@@ -57,6 +57,7 @@ def test_leaf_spring_is_as_short_and_thick_as_its_limits_allow(validated):
     assert "stress <= 2.5e+08" in text and "modulus" in text
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:delta_grad == 0.0")
 def test_searches_end_where_scipy_alone_ends():
     """A problem with several local optima, more starts than run side by side."""

@@ -39,6 +39,7 @@ def test_limits_that_exclude_each_other_are_reported():
     assert found.result == tj.RESULTS.no_feasible_design
 
 
+@pytest.mark.slow
 def test_error_of_a_study_ends_all_searches():
     def study(design):
         load = tj.Load("block", force=(3.0, 0.0))

@@ -32,6 +32,7 @@ def test_every_package_has_a_docstring_about_its_purpose(path):
     assert len(docstring.split()) >= 15
 
 
+@pytest.mark.slow
 def test_importing_does_not_change_settings_of_jax():
     """Packages that take long to load are imported when they are used."""
     code = (

@@ -18,6 +18,7 @@ def study():
     return example.study(example.read_cases(FILE))
 
 
+@pytest.mark.slow
 def test_every_load_case_of_the_finite_elements_is_computed(study):
     assert len(study.names) == 101 and np.all(study.succeeded)
     assert "101 of 101 load cases computed, bending factor 1.04" in str(study)
@@ -44,6 +45,7 @@ def test_the_median_errors_at_loads_up_to_20_are_below_those_of_beam_elements(st
     assert np.all(100 * median < [4.1, 1.3, 44.0])
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_cases_in_their_order(study, run_here):
     """Above twice the buckling load pi^2 E I / L^2 of a leaf there is no equilibrium."""
     rows = [100, 3, 57]

@@ -44,6 +44,7 @@ def test_wrong_parameters_are_rejected(arguments, message):
         Parameter(*arguments[0], **arguments[1])
 
 
+@pytest.mark.slow
 def test_the_parameters_may_be_leaves_of_any_tree():
     """An energy with unknown coefficients is a tree, too."""
     powers = [(2, 0, 0), (0, 2, 0), (0, 0, 2)]

@@ -183,6 +183,7 @@ class TestVonMisesTruss:
             constant_loads=[tj.Load("apex", force=(0.0, -weight))],
         )
 
+    @pytest.mark.slow
     def test_a_path_from_an_equilibrium_under_constant_loads(self):
         found = self.with_weight(4.0, push=20.0)
         height = 0.3 + found.displacement("apex")[:, 2]
@@ -232,6 +233,7 @@ class TestDerivatives:
         differentiate = partial(value_and_slopes, cls.limit_and_last_point)
         return jax.jit(jax.vmap(differentiate))(jnp.asarray(cls.RISES))
 
+    @pytest.mark.slow
     def test_derivatives_of_a_limit_point(self, batch, validated):
         _, _, reverse = batch
         found = reverse[:, :2]
@@ -249,9 +251,11 @@ class TestDerivatives:
         second = jax.jit(jax.jacfwd(jax.jacrev(self.first_limit)))
         assert_close(second(0.3), jax.jacfwd(exact)(0.3), digits=9)
 
+    @pytest.mark.slow
     def test_a_batch_of_trusses(self, batch):
         assert_close(batch[0][:, :2], jax.vmap(self.closed_form)(self.RISES), digits=9)
 
+    @pytest.mark.slow
     def test_the_last_point_stays_at_its_load_factor(self, batch):
         def residual(height, rise):
             return von_mises_force(height, rise) - 20.0
@@ -390,6 +394,7 @@ class TestEqualBucklingLoads:
         below = np.array([np.sum(np.array(loads) < f) for f in found.load_factors])
         np.testing.assert_array_equal(found.negative_eigenvalues, below)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "loads", [(1.0, 1.0, 9.0), (1.1, 1.102, 1.101), (1.1, 1.12, 1.11)]
     )
@@ -401,6 +406,7 @@ class TestEqualBucklingLoads:
         expected = sorted(load for load in loads if load < 2)
         np.testing.assert_allclose(factors, expected, rtol=1e-8)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("regained", [1.01, 0.98])
     def test_a_link_that_becomes_stable_while_another_buckles(self, regained):
         """The number of unstable links is the same before and behind both points.
@@ -439,6 +445,7 @@ class TestEqualBucklingLoads:
         expected = sorted([0.3, 1.0, regained])
         assert_close(found.critical_points.load_factors, expected, digits=6)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("loads", [(1.0, 1.03, 5.0), (1.0, 5.0, 5.0)])
     def test_follower_loads_on_a_link_that_does_not_buckle(self, loads):
         links, forces = parallel_links(loads)
@@ -489,6 +496,7 @@ class TestEqualBucklingLoads:
         assert_close(slopes[:2], np.array([1.0, 1.5]), digits=9)
 
 
+@pytest.mark.slow
 def test_both_columns_of_a_table_buckle():
     """Two links of length a with a spring k between them buckle at 2 k / a."""
     stiff, side = tj.Quadratic(np.diag([0.0, 1e7, 1e7])), np.pi / 2
@@ -518,6 +526,7 @@ def test_a_truss_whose_apex_is_driven_has_a_path_without_free_coordinates():
     assert_close(-found.reaction("apex")[:, 2], von_mises_force(heights), digits=9)
 
 
+@pytest.mark.slow
 class TestLimitPoints:
     @pytest.mark.parametrize("rises", [(0.3, 0.3), (0.3, 0.2), (0.3, 0.44, 0.17)])
     def test_trusses_snap_at_a_multiple_limit_point(self, rises):
@@ -562,6 +571,7 @@ class TestLimitPoints:
         assert int(np.sum(~np.asarray(found.stable))) > 0
 
 
+@pytest.mark.slow
 def test_follower_load_on_a_single_link_has_no_limit_point():
     """The moment of a follower force about the spring does not depend on the rotation."""
     load = tj.Load("link 0", force=(0.1, 0.0), at=(0.0, 0.5), follower=True)
@@ -573,6 +583,7 @@ def test_follower_load_on_a_single_link_has_no_limit_point():
     assert set(np.asarray(found.negative_eigenvalues)) == {0}
 
 
+@pytest.mark.slow
 def test_pins_instead_of_stiff_hinges():
     """A link on a pin with a rotational spring, pulled by a force on its end."""
     spring = tj.Quadratic(np.diag([1.0, 0.0, 0.0]), coordinates="twist")

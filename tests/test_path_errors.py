@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import mostly_slow
 from path_helpers import parallel_links
 
 import twistorjax as tj
@@ -70,6 +71,7 @@ def test_an_array_does_not_end_a_path():
         tj.path(von_mises_truss(), loads=[PUSH], until=lambda point: point.pose("apex"))
 
 
+@pytest.mark.slow
 def test_critical_points_that_are_not_located_are_reported():
     links, loads = parallel_links([0.3, 0.5, 0.7])
     with pytest.warns(UserWarning, match="`max_critical` is 2, but the stability"):
@@ -92,6 +94,7 @@ def turn_a_block(stiffness=1.0, largest_step=0.1, **arguments):
     )
 
 
+@pytest.mark.slow
 def test_a_body_that_nothing_supports():
     with pytest.raises(RuntimeError, match=r"Nothing resists .* angle of 'block'"):
         turn_a_block(stiffness=0.0)
@@ -112,7 +115,7 @@ def test_a_hinge_leaves_its_validity_range():
     assert 0.3 < float(found.displacement("block")[-1, 0]) <= 0.5
 
 
-@pytest.mark.parametrize("limit", [-1.0, 0.3])
+@pytest.mark.parametrize("limit", mostly_slow([0.3, -1.0]))
 def test_a_condition_that_is_not_a_number(limit):
     """At the first point, or behind a point of the path."""
 
@@ -134,6 +137,7 @@ class JumpingStiffness(tj.energies.AbstractEnergy):
         return (angle**2 + x**2 + jnp.sign(0.3 - angle) * y**2) / 2
 
 
+@pytest.mark.slow
 def test_a_change_of_stability_without_a_critical_point_ends_a_path():
     hinge = tj.Hinge("spring", "wall", "block", JumpingStiffness(), at=(0.0, 0.0, 0.0))
     block = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [hinge], fixed=["wall"])

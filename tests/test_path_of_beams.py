@@ -32,6 +32,7 @@ class TestColumn:
         column = tj.Mechanism([*bodies, *chain.bodies], chain.hinges, fixed=["wall"])
         return load, column
 
+    @pytest.mark.slow
     def test_both_buckled_sides_are_the_elastica(self, euler, validated):
         load, column = euler
         press = [tj.Load("end", force=(0.0, -load))]

@@ -73,6 +73,7 @@ def test_a_force_through_the_center_does_not_rotate_the_port():
     assert_close(change[0], 1e-3 / found.rotational_stiffness)
 
 
+@pytest.mark.slow
 def test_the_compliance_is_differentiable_and_batched():
     def stiffness(thickness):
         found = tj.port_compliance(guide(thickness), "table")

@@ -67,6 +67,7 @@ def test_force_and_parasitic_motion_of_a_parallelogram_are_those_of_exact_beams(
     validated("Surrogates of leaves", what, ratios, exact, "exact beams, by SciPy")
 
 
+@pytest.mark.slow
 def test_stiffness_of_a_displaced_parallelogram_along_its_leaves(
     parallelogram, displaced, validated
 ):
@@ -83,6 +84,7 @@ def test_stiffness_of_a_displaced_parallelogram_along_its_leaves(
     validated("Ports", what, along, stiffness, "exact beams, by SciPy")
 
 
+@pytest.mark.slow
 def test_parasitic_motion_of_a_parallelogram_is_that_of_exact_beams(parallelogram):
     """The forces, rotations, and axial displacements of the reference."""
     rows = REFERENCE["parallelogram_w0.3_k33_30000"]["rows"]
@@ -99,6 +101,7 @@ def test_parasitic_motion_of_a_parallelogram_is_that_of_exact_beams(parallelogra
     np.testing.assert_allclose(motion.lost_motion, 0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_center_of_a_cross_spring_pivot_is_that_of_exact_beams(validated):
     """The center of rotation of a pivot whose leaves cross in their middle.
 
@@ -136,6 +139,7 @@ def test_center_of_a_cross_spring_pivot_is_that_of_exact_beams(validated):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_lost_motion_of_the_stage_is_the_loss_of_its_gain():
     """Rigid levers on pins would have the gain 328 / 9; the notches have 27.63."""
     drive = tj.Drive("6", x=stage.TRAVEL)
@@ -191,6 +195,7 @@ def test_displacements_and_centers_are_those_of_the_poses(turned):
     np.testing.assert_allclose(motion.center[201], in_port, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_stroke_is_an_input():
     """A stage between an actuator and a spring; the travel is the stroke."""
     actuator = tj.Quadratic(np.diag([1.0, 300.0, 1.0]))

@@ -135,7 +135,7 @@ def command_lines(draw):
     return [*arguments, *draw(st.sampled_from(final))]
 
 
-@random_examples(usual=60, release=1550)
+@random_examples(slow=60, release=1550)
 def test_a_random_command_line(tmp_path, examples, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with contextlib.suppress(FileExistsError):
@@ -143,6 +143,7 @@ def test_a_random_command_line(tmp_path, examples, monkeypatch):
     check_examples(examples, command_lines(), assert_clear_end)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -175,7 +176,7 @@ def test_a_warning_is_one_line():
     assert text.count("\n") == text.count("twistorjax: warning")
 
 
-@random_examples(usual=5, release=300)
+@random_examples(slow=5, release=300)
 def test_a_damaged_file_on_the_command_line(tmp_path, examples, monkeypatch):
     """A mechanism is exported, and an energy is fitted, if the file can be read."""
     monkeypatch.chdir(tmp_path)

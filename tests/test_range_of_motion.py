@@ -31,6 +31,7 @@ def leaf(thickness=SIZES["thickness"]):
     return flexures.linear_leaf(STEEL, **{**SIZES, "thickness": thickness})
 
 
+@pytest.mark.slow
 def test_the_range_in_pure_bending(validated):
     """A leaf is bent to an arc, up to the rotation 2 stress length / (E thickness).
 
@@ -139,6 +140,7 @@ def test_a_column_ends_where_it_buckles():
     assert backward.endswith("stability") and forward.endswith("stress in 'flexure'")
 
 
+@pytest.mark.slow
 def test_the_stroke_of_an_actuator_against_a_leaf():
     """The actuator is much stiffer than the leaf, so the block moves by its stroke."""
     stiff = tj.Quadratic(np.diag([1e6, 1e9, 1e9]))
@@ -176,6 +178,7 @@ def test_the_origin_of_a_body_has_no_effect():
         np.testing.assert_allclose(at_the_hinge, at_the_tip, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_unit_of_a_stroke_has_no_effect():
     """Stretching one of two leaves rotates the table, without any instability."""
     energy, up = flexures.quartic_leaf(STEEL, **SIZES), np.pi / 2
@@ -195,6 +198,7 @@ def test_the_unit_of_a_stroke_has_no_effect():
     np.testing.assert_allclose(strokes[1:], strokes[:-1], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_hinges_without_an_allowable_stress_keep_their_strength():
     strong = tj.Material(modulus=210e9, poisson=0.3, strength=200e6)
     energy = flexures.linear_leaf(strong, **SIZES)
@@ -216,6 +220,7 @@ def test_a_range_outside_that_of_a_linear_leaf_causes_a_warning():
         tj.range_of_motion(cantilever(leaf()), loads=[moment], stress=3e9)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_range():
     def far(at):
         thickness, stress = at
@@ -236,6 +241,7 @@ def test_derivatives_of_the_range():
         np.testing.assert_allclose(reverse[:, k], forward[:, k], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_batch_of_ranges():
     def factor(thickness):
         sizes = {**SIZES, "thickness": thickness}

@@ -68,6 +68,7 @@ def test_the_example_of_the_readme_is_a_parallel_guide(capsys):
     assert f"```\n{printed}\n```" in README
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page",
     [page for page in PAGES if page not in ("large-displacements", "statics", "sweeps")],
@@ -76,6 +77,7 @@ def test_the_code_of_the_manual_runs(page, run_page):
     run_page(page)
 
 
+@pytest.mark.slow
 def test_the_page_on_statics_computes_a_parallel_guide(run_page, capsys):
     variables = run_page("statics")
     solution, travels = variables["solution"], variables["travels"]
@@ -85,6 +87,7 @@ def test_the_page_on_statics_computes_a_parallel_guide(run_page, capsys):
     assert "[ True False] ['successful' 'not_finite']" in printed
 
 
+@pytest.mark.slow
 def test_the_table_of_the_page_on_large_displacements_moves_down(run_page):
     variables = run_page("large-displacements")
     _, x, y = variables["solution"].displacement("table")
@@ -92,6 +95,7 @@ def test_the_table_of_the_page_on_large_displacements_moves_down(run_page):
     np.testing.assert_allclose(y, -3 / 5 * x**2 / 50e-3, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_page_on_sweeps_computes_all_designs_with_units(run_page, capsys):
     run_page("sweeps")
     assert "m/m 10000" in capsys.readouterr().out.splitlines()

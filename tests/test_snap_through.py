@@ -288,6 +288,7 @@ class TestStiffBarOnSoftSprings:
         node = self.SPAN - along
         return node, node + (force + self.BACK * node) / self.PULL
 
+    @pytest.mark.slow
     def test_an_equilibrium_just_before_the_fold_and_none_behind_it(self):
         fold = scipy.optimize.minimize_scalar(
             lambda up: -self.node_and_load(up)[1], bounds=(100.0, 2500.0),

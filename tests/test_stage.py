@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close
+from helpers import assert_close, mostly_slow
 
 import twistorjax as tj
 from twistorjax.examples import stage
@@ -60,7 +60,9 @@ def test_the_hinges_store_the_work_of_the_input_force():
     np.testing.assert_allclose(small.equilibrium.energy, work, rtol=1e-6)
 
 
-@pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd], ids=["reverse", "forward"])
+@pytest.mark.parametrize(
+    "derivative", mostly_slow([jax.grad, jax.jacfwd]), ids=["reverse", "forward"]
+)
 def test_derivative_of_the_gain_by_the_web(derivative):
     slope = derivative(lambda web: stage.amplification(stage.microstage(web)).gain)(
         jnp.array(stage.WEB)
@@ -138,6 +140,7 @@ def test_hinges_are_those_of_the_listing():
         np.testing.assert_allclose(mechanism.at[row], [0.0, x, y])
 
 
+@pytest.mark.slow
 def test_a_batch_of_webs_equals_a_loop_over_them():
     webs = jnp.linspace(0.2e-3, 0.4e-3, 5)
 

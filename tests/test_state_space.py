@@ -74,6 +74,7 @@ def test_all_modes_have_the_frequency_response(mechanism, validated):
     validated("Vibrations", what, np.abs(found), np.abs(expected[:, 0, 0]), reference)
 
 
+@pytest.mark.slow
 def test_three_modes_have_the_exact_static_gain(mechanism):
     inputs = {"drive": DRIVE, "push": PUSH}
     model = tj.state_space(mechanism, inputs, OUTPUTS, modes=3)
@@ -99,6 +100,7 @@ def test_three_modes_have_the_exact_static_gain(mechanism):
     assert float(frequencies[3]) > 3 * low[-1] and np.max(error) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_pin_transmits_the_inertia_of_a_prescribed_displacement():
     """The end of a lever is driven; a body on the lever follows with its mass."""
     leaf = tj.Quadratic(np.diag([2.0, 5e3, 4e3]))
@@ -132,6 +134,7 @@ def loaded_block():
     return mechanism, weight, tj.equilibrium(mechanism, loads=weight)
 
 
+@pytest.mark.slow
 def test_the_step_response_about_a_loaded_equilibrium_is_the_motion():
     """The oracle is the difference of two motions under opposite additional loads."""
     mechanism, weight, about = loaded_block()
@@ -201,6 +204,7 @@ def test_python_control_has_the_same_step_response():
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
 
 
+@pytest.mark.slow
 def test_derivatives_and_batches():
     """The input is a displacement, and one of three modes is left out."""
 

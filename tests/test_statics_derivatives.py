@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import pytest
-from helpers import assert_close, some_stiffness, with_value
+from helpers import assert_close, mostly_slow, some_stiffness, with_value
 from statics_helpers import block_on_spring, cantilever
 
 import twistorjax as tj
@@ -23,7 +23,7 @@ def test_derivatives_by_a_stiffness_are_those_of_the_closed_form():
     assert_close(jax.jit(jax.grad(jax.grad(displacement)))(k), 4.0 / k**3)
 
 
-@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("derivative", mostly_slow([jax.jacrev, jax.jacfwd]))
 def test_derivatives_with_a_slider_are_those_of_the_closed_form(derivative):
     """The slider along y leaves one spring."""
 
@@ -100,6 +100,7 @@ def test_second_derivatives_agree_with_differences_of_first_ones():
     assert_close(hessian, central_differences(1), digits=5)
 
 
+@pytest.mark.slow
 def test_start_determines_where_fixed_bodies_are():
     """The solution depends on the start by the poses of fixed bodies."""
     mechanism = cantilever(2)
@@ -125,6 +126,7 @@ def solve_block(k, force: float | jax.Array = 2.0):
     return tj.equilibrium(block_on_spring(stiffness), loads=[load], throw=False)
 
 
+@pytest.mark.slow
 def test_gradient_of_a_batch_is_zero_for_a_failed_design():
     def displacement(k):
         return solve_block(k).displacement("block")[1]
@@ -133,6 +135,7 @@ def test_gradient_of_a_batch_is_zero_for_a_failed_design():
     assert_close(gradients, jnp.array([-2 / 16, 0.0]))
 
 
+@pytest.mark.slow
 def test_failed_design_is_nan_and_can_be_masked_in_a_gradient():
     """A derivative of NaN instead of zero would make the gradient of the sum NaN."""
 

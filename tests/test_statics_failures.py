@@ -53,6 +53,7 @@ def test_largest_moment_of_a_twistor_spring_is_its_stiffness():
     assert_close(solution.reached[1, 0], np.pi / 2, digits=1)
 
 
+@pytest.mark.slow
 def test_too_small_number_of_steps_is_an_error():
     load = tj.Load("10", force=(0.0, 5.0))
     with pytest.raises(RuntimeError, match="number of Newton steps was reached"):

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import mostly_slow
 from jax.core import Tracer
 
 import twistorjax as tj
@@ -112,24 +113,23 @@ SOLVERS = {
 }
 
 
-@pytest.fixture(scope="module")
-def unstored():
-    """Results of all solvers, and of motions under other forces, without traces."""
+@functools.cache
+def unstored(solve, *arguments):
+    """Return the result of a solver for the oscillator without stored traces."""
     before = stored_traces._folder
     stored_traces.store_traces_in(None)
-    results = {name: solve(oscillator()) for name, solve in SOLVERS.items()}
-    for force in (0.99, 1.01):
-        results[f"{force} N"] = shake(oscillator(), force)
-    yield results
+    result = solve(oscillator(), *arguments)
     stored_traces._folder = before
+    return result
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-def test_a_stored_trace_gives_the_same_result(name, unstored, folder, traced):
+@pytest.mark.parametrize("name", mostly_slow(SOLVERS))
+def test_a_stored_trace_gives_the_same_result(name, folder, traced):
+    expected = unstored(SOLVERS[name])
     for _ in range(2):
         jax.clear_caches()  # as in a new process
         result = SOLVERS[name](oscillator())
-        assert_same(result, unstored[name])
+        assert_same(result, expected)
         # JAX compiles a function again for arguments that are committed to a device.
         leaves = jax.tree.leaves(result)
         assert not any(leaf.committed for leaf in leaves if isinstance(leaf, jax.Array))
@@ -149,6 +149,7 @@ def test_the_energy_of_a_user_is_traced(folder, traced):
     assert len(traced) == 1
 
 
+@pytest.mark.slow
 def test_another_option_of_jax_or_another_version_is_another_trace(
     folder, traced, monkeypatch
 ):
@@ -181,7 +182,7 @@ DAMAGES = {
 }
 
 
-@pytest.mark.parametrize("name", DAMAGES)
+@pytest.mark.parametrize("name", mostly_slow(DAMAGES))
 def test_a_damaged_trace_is_replaced(name, folder, traced):
     expected = push(oscillator())
     (file,) = folder.iterdir()
@@ -216,6 +217,7 @@ def test_no_flipped_bit_and_no_part_of_a_file_is_read(tmp_path):
     assert folder.read(KEY) == content
 
 
+@pytest.mark.slow
 def test_a_file_of_others_is_never_executed_even_with_a_right_digest(folder, tmp_path):
     expected = push(oscillator())
     (file,) = folder.iterdir()
@@ -272,6 +274,7 @@ def test_a_result_is_recovered_from_its_text():
 posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions of POSIX")
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("unsafe", ["owner", "file", "folder"])
 def test_what_others_may_have_written_is_read_only_if_asked_for(
@@ -418,6 +421,7 @@ print(solution.displacement("block"))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "remove",
     [
@@ -501,12 +505,14 @@ def test_a_gradient_is_exact_if_the_residuals_are_of_another_trace(monkeypatch):
     np.testing.assert_allclose(found, exact, rtol=1e-12)
 
 
-def test_the_gradient_of_a_motion_is_the_difference_quotient(unstored):
-    less, more = (sum_of_squares(unstored[name]) for name in ("0.99 N", "1.01 N"))
-    _, by_force = unstored["gradient"]
+@pytest.mark.slow
+def test_the_gradient_of_a_motion_is_the_difference_quotient():
+    less, more = (sum_of_squares(unstored(shake, force)) for force in (0.99, 1.01))
+    _, by_force = unstored(gradient)
     assert float(by_force) == pytest.approx(float(more - less) / 0.02, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_functions_of_time_may_contain_what_is_differentiated():
     """An undamped oscillator under a constant force, and a linear rise of temperature.
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import value_and_slopes
+from helpers import mostly_slow, value_and_slopes
 
 import twistorjax as tj
 from twistorjax import flexures
@@ -66,7 +66,9 @@ def test_the_stress_of_a_notch_is_notch_stress():
     np.testing.assert_allclose(reported(pushed).of("flexure"), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("curvature", [None, 8.0], ids=["straight", "curved"])
+@pytest.mark.parametrize(
+    "curvature", mostly_slow([None, 8.0]), ids=["straight", "curved"]
+)
 def test_the_stress_of_a_surrogate_is_that_of_the_deformed_beam(curvature):
     """The oracle finds the load of the exact beam at the displacement of the hinge."""
     beam = flexures.Beam(STEEL, **SIZES, curvature=curvature)
@@ -141,6 +143,7 @@ def test_stresses_are_reported_if_a_strength_is_given():
     assert str(found).splitlines()[1].split() == ["flexure", "145.5", "-"]
 
 
+@pytest.mark.slow
 def test_stresses_along_a_path_and_in_a_motion():
     mechanism = cantilever(flexures.linear_leaf(STRONG, **SIZES))
     path = tj.path(mechanism, loads=[PUSH], load_factors=(0.0, 1.0))
@@ -155,6 +158,7 @@ def test_stresses_along_a_path_and_in_a_motion():
     assert np.all(np.diff(in_motion.largest[:, 0]) > 0)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_safety_factor(surrogate):
     mechanism = cantilever(surrogate)
 
@@ -197,6 +201,7 @@ def arc_stress(angle):
     return 210e9 * SIZES["thickness"] * angle / (2 * SIZES["length"])
 
 
+@pytest.mark.slow
 def test_a_surrogate_of_a_pivot_has_a_range_of_motion_and_a_fatigue_life(pivot):
     """A pure rotation bends both leaves to arcs, whose stress is proportional to it."""
     mechanism = cantilever(pivot)

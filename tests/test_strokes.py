@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close, some_stiffness
+from helpers import assert_close, mostly_slow, some_stiffness
 from scipy.integrate import solve_ivp
 
 import twistorjax as tj
@@ -115,7 +115,7 @@ def whirl(mechanism, times, strokes, *, velocities=None, **settings):
     return tj.simulate(mechanism, times, strokes=strokes, velocities=given, **settings)
 
 
-@pytest.mark.parametrize("misfit", [None, MISFIT])
+@pytest.mark.parametrize("misfit", mostly_slow([MISFIT, None]))
 def test_energy_is_balanced_while_hinges_are_displaced_and_turned(misfit):
     """The balance contains the work of the strokes and of the damping."""
     mechanism = whirling_mechanism(misfit)
@@ -127,6 +127,7 @@ def test_energy_is_balanced_while_hinges_are_displaced_and_turned(misfit):
     )
 
 
+@pytest.mark.slow
 def test_constant_strokes_are_misfits_in_a_motion():
     mechanism, strokes, times = whirling_mechanism(), WHIRLING(0.7), [0.0, 0.2]
     rates = jnp.zeros((2, 3))
@@ -169,6 +170,7 @@ def test_the_response_to_a_harmonic_stroke_is_that_of_the_motion():
     np.testing.assert_allclose(response.displacement("block")[:, 1], expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_harmonic_stroke_about_a_preloaded_equilibrium():
     """A motion that starts in the harmonic response stays in it."""
     mechanism = whirling_mechanism(MISFIT, damping_time=0.3)

@@ -136,6 +136,7 @@ def test_solutions_and_columns_have_names_and_units():
     assert table["stiffness"].attrs["units"] == "N/m"
 
 
+@pytest.mark.slow
 def test_the_times_of_a_motion_are_a_coordinate():
     """The block oscillates with v / omega sin(omega t) after an initial velocity v."""
 
@@ -199,6 +200,7 @@ def test_a_study_is_compiled_once_for_several_sweeps(compiled):
     assert len(compiled) == 1
 
 
+@pytest.mark.slow
 def test_a_new_study_that_solves_the_same_mechanism_is_not_compiled_again(compiled):
     """Neither with derivatives, which have rules of their own, nor with callbacks."""
     designs = {"k": np.linspace(50.0, 150.0, 3), "force": np.ones(3)}
@@ -422,6 +424,7 @@ def test_a_missing_package_is_reported_before_everything_else(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_gain_of_the_stage_is_swept_with_its_exact_derivative():
     webs = np.array([0.2e-3, 0.25e-3, 0.4e-3])
     table = tj.sweep(stage_gain, {"web": webs}, derivatives=("gain",))

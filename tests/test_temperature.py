@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers import assert_close, with_value
+from helpers import assert_close, mostly_slow, with_value
 
 import twistorjax as tj
 from twistorjax.examples import stage
@@ -211,7 +211,9 @@ QUARTIC = tj.flexures.quartic_leaf(STEEL, length=LENGTH, thickness=THICKNESS, wi
 
 
 @pytest.mark.parametrize(
-    "energy", [LEAF, QUARTIC, 0.3 * LEAF + 0.7 * QUARTIC], ids=["leaf", "quartic", "sum"]
+    "energy",
+    mostly_slow([LEAF, QUARTIC, 0.3 * LEAF + 0.7 * QUARTIC]),
+    ids=["leaf", "quartic", "sum"],
 )
 def test_a_gradient_loads_a_clamped_leaf_by_a_moment_only(energy):
     """M = E I alpha g, without a force, and the stress is E alpha g t / 2."""
@@ -287,6 +289,7 @@ def test_a_gradient_bends_a_curved_chain_as_one_arc():
     np.testing.assert_allclose(found.displacement("tip"), moved, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_gradient_loads_a_clamped_beam_of_any_curvature_by_a_moment_only():
     """Free ends turn about the centroid of the center line, which is not on axis 2."""
     beam = tj.flexures.Beam(
@@ -305,6 +308,7 @@ def test_a_gradient_loads_a_clamped_beam_of_any_curvature_by_a_moment_only():
     assert np.all(np.abs(wrench[1:]) < 1e-3 * BENDING * CURVATURE / LENGTH)
 
 
+@pytest.mark.slow
 def test_a_warm_arch_is_a_larger_one_that_is_compressed():
     """Its ends are not on axis 1: they move apart along their chord, not along axis 1."""
     ends = np.array([[-0.03, -0.01], [0.02, -0.005]])
@@ -370,6 +374,7 @@ def test_only_energies_of_known_dimensions_dilate():
             assert_close(found.force, 100.0 * factor ** (2 / 3), digits=12)
 
 
+@pytest.mark.slow
 def test_drift_per_kelvin_is_a_derivative():
     def height(change):
         mechanism = guide(expansion=None)

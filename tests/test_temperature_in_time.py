@@ -93,6 +93,7 @@ def uneven(time):
     )
 
 
+@pytest.mark.slow
 def test_energy_is_balanced_while_hinges_expand():
     """Expansion changes misfits, arms, and stiffness, and each of them does work."""
     motion = tj.simulate(

@@ -300,6 +300,7 @@ def test_the_output_must_be_a_scalar():
         )
 
 
+@pytest.mark.slow
 def test_tolerances_of_the_webs_propagate_to_the_gain_of_the_stage():
     """The derivatives for each web sum to that for all; their squares to the variance."""
     webs = {"web": tj.sweeps.Normal(np.full(7, 0.25e-3), 10e-6)}
@@ -311,6 +312,7 @@ def test_tolerances_of_the_webs_propagate_to_the_gain_of_the_stage():
     assert abs(result.first_order_error) < 0.005
 
 
+@pytest.mark.slow
 def test_errors_of_assembly_load_an_over_constrained_guide():
     """Three leaves hold a table that needs two: their ends are not on one line.
 

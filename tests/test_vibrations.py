@@ -116,6 +116,7 @@ def test_a_mechanism_that_floats_freely_is_not_unstable():
     assert np.all(found.frequencies[:3] < 1e-3) and found.frequencies[3] > 1
 
 
+@pytest.mark.slow
 def test_a_state_that_is_not_an_equilibrium_is_refused():
     """The loads of the state must be given, and its prescribed coordinates."""
     mechanism, loads = column(1.2)

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._utils.progress import announced
 from .._utils.types import NumberLike, Pose, Scalar
 from .._utils.validation import require_choice
 from ..energies.base import AbstractEnergy
@@ -217,6 +218,7 @@ class Comparison(eqx.Module):
         return np.stack([motion[..., 0], distance, torque, energy], axis=-1)
 
 
+@announced("equilibria of the models")
 def compare(
     models: Mapping[str, LinkageModel], rotations: Sequence[float] = ROTATIONS
 ) -> Comparison:

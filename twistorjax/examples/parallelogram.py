@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._utils.csv_files import CsvFile
 from .._utils.host import as_float, padded_size
+from .._utils.progress import announced
 from .._utils.types import NumberLike
 from ..flexures import Beam, chain
 from ..mechanism.body import Body
@@ -219,6 +220,7 @@ class Study(eqx.Module):
         return "\n".join(lines)
 
 
+@announced("equilibria of the load cases")
 def study(cases: LoadCases, bending_factor: float = BENDING_FACTOR) -> Study:
     """Compute the displacements of the platform in all load cases.
 

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from .._utils.progress import announced
 from ..energies.fitting.polynomial import EnergyFit, fit_energy
 from ..energies.fitting.trials import Errors, errors_of_predictions, Trials
 from ..plotting.figure_style import subplots
@@ -133,6 +134,7 @@ def trials(seed: int | None = None) -> Trials:
     return Trials(poses=poses, wrenches=1 - 2 * random[:, 3:])
 
 
+@announced("fits to random wrenches")
 def study(data: Trials | None = None, order: int = 4) -> Study:
     """Fit a polynomial to random trials, and predict each trial from the others.
 

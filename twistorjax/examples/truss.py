@@ -10,6 +10,7 @@ from typing import NamedTuple, TYPE_CHECKING
 import jax.numpy as jnp
 
 from .._utils.host import on_host
+from .._utils.progress import announced
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_interval, require_positive
 from ..energies.axial_spring import AxialSpring
@@ -144,6 +145,7 @@ class TrussStudy(NamedTuple):
         )
 
 
+@announced("paths of the truss")
 def study(
     rise: NumberLike = 0.3, half_span: NumberLike = 1.0, stiffness: NumberLike = 1000.0
 ) -> TrussStudy:

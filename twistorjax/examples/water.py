@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.progress import announced
 from ..energies.fitting.rational import fit_rational, RationalFit
 from ..energies.fitting.trials import Errors, Trials
 from ..energies.point_charges import PointCharges
@@ -292,6 +293,7 @@ class Study(eqx.Module):
         return "\n".join(lines)
 
 
+@announced("fits to the energy of water")
 def study(
     order: int = 6,
     angle_range: float = math.pi / 2,

@@ -52,6 +52,30 @@ _PROCESS = pathlib.Path("/proc/self")
 _tests = itertools.count(1)
 
 
+# Examples of docstrings that are slow tests.
+_SLOW_EXAMPLES = (
+    "examples.identification.identify_hinge_a",
+    "examples.parallelogram.study",
+    "examples.stage_motion.transient_response",
+    "examples.truss.plot",
+    "flexures.condensed.Condensed",
+    "flexures.guides.double_parallelogram",
+    "flexures.guides.folded_beam",
+    "flexures.pivots.cartwheel_pivot",
+    "identification.experiment_design.rank_experiments",
+    "plotting.port_plots.draw_port_motion",
+)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the slow examples of docstrings."""
+    slow = {f"twistorjax.{name}" for name in _SLOW_EXAMPLES}
+    for item in items:
+        if item.name in slow:
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(autouse=True)
 def _programs_are_dropped():
     """Drop all compiled programs before they take too much memory or too many maps."""

@@ -243,6 +243,7 @@ def outline_in_world(hinge):
     return np.asarray(hinge.outline) @ turn + np.array([[x, y]])
 
 
+@pytest.mark.slow
 def test_outlines_of_segments_join_and_have_the_area_of_the_beam(leaf, bow):
     """The area between axis and edge of a curved beam does not depend on the side."""
     for flexure, area in ((leaf, 1e-3), (bow, 0.05e-3)):

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import mostly_slow
 
 import twistorjax as tj
 from twistorjax._utils import compilation
@@ -197,6 +198,7 @@ def solvers():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(solvers()))
 def test_programs_contain_no_callbacks(name):
     """JAX does not store a program with callbacks to Python on disk."""
@@ -371,12 +373,12 @@ def thickness_of_a_beam():
 
 
 USES = [
-    position_after_half_a_period, load_factor_at_the_end_of_a_path,
-    position_by_a_constraint, identified_stiffness, thickness_of_a_beam,
+    position_by_a_constraint, thickness_of_a_beam, position_after_half_a_period,
+    load_factor_at_the_end_of_a_path, identified_stiffness,
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("use", USES)
+@pytest.mark.parametrize("use", mostly_slow(USES, fast=3))
 def test_a_function_of_the_user_has_the_values_at_the_time_of_the_call(use):
     for number in (0.1, 0.2, 0.1):
         VALUE[0] = number

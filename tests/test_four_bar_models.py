@@ -104,6 +104,7 @@ def pinned(crank, hinges, long_leaf):
     return state(found.x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hinges", "name", "long_leaf"),
     [
@@ -128,6 +129,7 @@ def test_a_linkage_on_pins_follows_from_loop_closure(
         np.testing.assert_allclose(comparison.torques[row, k], torque, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_identical_leaves_on_pins_are_a_parallelogram(comparisons):
     comparison = comparisons["identical"]
     row = comparison.models.index("pseudo-rigid-body")
@@ -138,6 +140,7 @@ def test_identical_leaves_on_pins_are_a_parallelogram(comparisons):
     assert_close(comparison.torques[row], 4 * BENDING / 10e-3 * comparison.rotations)
 
 
+@pytest.mark.slow
 def test_matched_pins_have_the_compliance_of_the_leaf(models):
     """Deflection and rotation of a cantilever under a force and a moment at its end."""
     distance, factor = MATCHED
@@ -202,7 +205,11 @@ def linear_torque(hinges, shear=True):
 @pytest.mark.parametrize(
     ("hinges", "expected"),
     [
-        ("identical", {"pseudo-rigid-body": 0.0138, "quadratic": 0.0004}),
+        pytest.param(
+            "identical",
+            {"pseudo-rigid-body": 0.0138, "quadratic": 0.0004},
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             "leaves-and-notches",
             {
@@ -226,6 +233,7 @@ def test_the_torques_of_small_rotations(models, hinges, expected):
         assert abs(found[name] - difference) < 2e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hinges", PLACES)
 def test_the_torque_is_the_derivative_of_the_energy(comparisons, hinges):
     """A polynomial through all energies, of degree 5, is differentiated."""
@@ -237,6 +245,7 @@ def test_the_torque_is_the_derivative_of_the_energy(comparisons, hinges):
         np.testing.assert_allclose(slope, torques, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_surrogates_are_as_accurate_as_they_report(models, comparisons):
     comparison = comparisons["leaves-and-notches"]
     linkage, _ = models["leaves-and-notches"]["surrogate"]
@@ -250,6 +259,7 @@ def test_surrogates_are_as_accurate_as_they_report(models, comparisons):
     assert np.max(rotation) < error * comparison.rotations[-1]
 
 
+@pytest.mark.slow
 def test_the_measured_differences_are_those_of_the_manual(comparisons):
     """Largest differences from the exact beams: deg, mm, %, %."""
     expected = {
@@ -272,6 +282,7 @@ def test_the_measured_differences_are_those_of_the_manual(comparisons):
             np.testing.assert_allclose(found, row, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_model_outside_its_range_is_nan_from_there_on(models):
     only = {"surrogate": models["leaves-and-notches"]["surrogate"]}
     comparison = example.compare(only, [0.3, 0.45, 0.5])
@@ -281,6 +292,7 @@ def test_a_model_outside_its_range_is_nan_from_there_on(models):
     assert np.isfinite(comparison.torques[0, 0])
 
 
+@pytest.mark.slow
 def test_all_models_are_built_by_default(models, monkeypatch):
     """The surrogates are replaced, because they take long to compute."""
     monkeypatch.setattr(example, "surrogate", lambda beam, **_: example.ExactBeam(beam))
@@ -310,6 +322,7 @@ def run_computed(run_here, monkeypatch, comparisons):
     return run_here
 
 
+@pytest.mark.slow
 def test_the_command_prints_json_and_draws_a_figure(run_computed, comparisons):
     done = run_computed("four-bar-models", "--json", "--plot", "models.png")
     assert done.returncode == 0, done.stderr
@@ -333,6 +346,7 @@ def test_the_command_prints_json_and_draws_a_figure(run_computed, comparisons):
         assert set(exact.values()) == {0.0}
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_of_both_linkages(run_computed):
     done = run_computed("four-bar-models")
     assert (done.returncode, done.stderr) == (0, "")
@@ -345,6 +359,7 @@ def test_the_command_prints_a_table_of_both_linkages(run_computed):
     np.testing.assert_allclose(numbers, expected, rtol=1e-3, atol=6e-4)
 
 
+@pytest.mark.slow
 def test_the_command_reports_a_failure(run_computed, comparisons, monkeypatch):
     comparison = comparisons["identical"]
     results = comparison.results.copy()

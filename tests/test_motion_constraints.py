@@ -198,6 +198,7 @@ def test_pseudo_rigid_body_model_approximates_the_elastic_linkage():
     assert abs(omega / (2 * np.pi) - elastic) < 0.01 * elastic
 
 
+@pytest.mark.slow
 def test_tolerance_of_constraints_at_the_start_scales_with_the_mechanism():
     for size in (1e-7, 1.0, 1e3):
         _check_start_on_a_rail(size)

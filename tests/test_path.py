@@ -196,6 +196,7 @@ class TestVonMisesTruss:
         given = path_setup._changes({"left": (0.0, -0.05, 0.0)}, None)
         assert len(list(filter(eqx.is_array, jax.tree.leaves(given)))) == 3
 
+    @pytest.mark.slow
     def test_strokes_that_move_the_ends_of_the_bars_apart(self):
         """A stroke of -d moves the ends of a bar on both bodies along it, by d / 2."""
         found = self.with_weight(2.0, stroke=0.05)

@@ -292,6 +292,7 @@ def test_a_batch_and_a_failed_solution_are_rejected():
         tj.draw(linkage, linkage.reference * jnp.nan)
 
 
+@pytest.mark.slow
 def test_a_batch_of_equilibria_is_animated_in_sequence():
     linkage = four_bar.four_bar()
     solutions = jax.vmap(lambda x: tj.equilibrium(linkage, drives=[tj.Drive("3", x=x)]))(

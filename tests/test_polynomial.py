@@ -60,6 +60,7 @@ def all_powers(order):
     return jnp.array(tj.energies.monomials(order, redundant=True), float)
 
 
+@pytest.mark.slow
 def test_monomials_without_redundant_ones_are_linearly_independent():
     """Their number is the rank of all monomials of the twistor at many points."""
     poses = some_poses(3, 90)

@@ -109,6 +109,7 @@ def test_the_stress_of_a_contour_is_that_of_a_beam(create, profile, sizes):
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_flexures_in_parallel_share_the_wrench():
     """Under twice the load, two equal leaves have the stress of one of them."""
     one = reported(tj.equilibrium(cantilever(LEAF), loads=[PUSH]))
@@ -217,6 +218,7 @@ def test_a_surrogate_of_a_pivot_has_a_range_of_motion_and_a_fatigue_life(pivot):
     np.testing.assert_allclose(life.utilization, [200 / 300], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_stress_of_a_pivot_is_that_of_its_leaves(pivot, tmp_path):
     """Under forces, in a pivot of other dimensions, and after it was saved."""
 

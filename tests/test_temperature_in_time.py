@@ -104,6 +104,7 @@ def test_energy_is_balanced_while_hinges_expand():
     assert np.max(np.abs(motion.energies.imbalance)) < 1e-4 * work
 
 
+@pytest.mark.slow
 def test_hinges_of_a_motion_have_its_temperatures():
     mechanism, times = table_on_leaves(), [0.0, 0.005]
     motion = tj.simulate(mechanism, times, temperature=uneven)

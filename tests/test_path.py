@@ -183,6 +183,13 @@ class TestVonMisesTruss:
             constant_loads=[tj.Load("apex", force=(0.0, -weight))],
         )
 
+    @pytest.mark.parametrize("height", [0.3, -0.3])
+    def test_a_path_begins_at_the_given_poses(self, height):
+        """Both states are without forces; the poses of a start are those in the world."""
+        start = truss().reference.at[-1].set(jnp.array([0.0, 0.0, height]))
+        found = tj.path(truss(), loads=[PUSH], start=start)
+        assert_close(found.poses[0, -1], jnp.array([0.0, 0.0, height]), digits=9)
+
     @pytest.mark.slow
     def test_a_path_from_an_equilibrium_under_constant_loads(self):
         found = self.with_weight(4.0, push=20.0)

@@ -22,7 +22,7 @@ from ..mechanism.hinge_changes import (
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.support import require_support
-from .dofs import displacements_at_start, DofPartition
+from .dofs import DofPartition
 from .path_results import CriticalPoint
 from .path_start import branch_mode
 from .path_system import PathSystem
@@ -203,8 +203,6 @@ def first_displacements(
     time: NumberLike,
 ) -> Poses:
     """Compute the equilibrium at the load factor zero; rad, m, m."""
-    if start is not None:
-        start = displacements_at_start(mechanism, start)
     if changes is not None:
         hinges = changes.state(mechanism, jnp.zeros(())).hinges(mechanism)
         mechanism = eqx.tree_at(lambda new: new.hinge_assembly, mechanism, hinges)

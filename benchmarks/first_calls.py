@@ -2,9 +2,10 @@
 
 The start of Python, imports, and compilation are what a user waits for. All processes of
 one kind use a cache folder that is empty at first, so the second process finds the
-programs of the first one.
+programs of the first one. The module `analyses` measures all analyses of mechanisms.
 """
 
+import contextlib
 import os
 import statistics
 import subprocess
@@ -28,8 +29,6 @@ PROCESSES = {
 }
 
 # Preparation and call, with the largest times of a first and a second one; s.
-STAGE = "stage = tj.examples.stage.microstage()"
-PUSH = "drives = [tj.Drive('6', x=1e-6)]"
 LINKAGE = (
     "from twistorjax.examples import four_bar; "
     "linkage = four_bar.four_bar(damping=four_bar.RELEASED_DAMPING); "
@@ -58,18 +57,6 @@ GUIDE = (
     "push = lambda guide: tj.equilibrium(guide, loads=[tj.Load('block', moment=0.1)])"
 )
 CALLS = {
-    "equilibrium": (f"{STAGE}; {PUSH}", "tj.equilibrium(stage, drives=drives)", None),
-    "linearize": (
-        f"{STAGE}; {PUSH}",
-        "tj.linearize(stage, {'6': ['x']})(drives=drives)",
-        None,
-    ),
-    "vibrations": (STAGE, "tj.vibrations(stage)", None),
-    "frequency_response": (
-        f"{STAGE}; {PUSH}",
-        "tj.frequency_response(stage, [100.0, 200.0], drives=drives)",
-        None,
-    ),
     "simulate": (LINKAGE, "four_bar.released_motion(linkage, times)", (3.0, 1.5)),
     "reverse-mode gradient of simulate": (
         GRADIENT,
@@ -90,7 +77,7 @@ SCRIPT = """
 import time
 import equinox as eqx, jax, jax.numpy as jnp, numpy as np
 import twistorjax as tj
-tj.configure()
+tj.configure(progress=False)
 {setup}
 start = time.perf_counter()
 jax.block_until_ready(eqx.filter({call}, eqx.is_array))
@@ -104,16 +91,40 @@ def run() -> Iterator[Row]:
     yield from _calls()
 
 
-def _first_and_later(elapsed: Callable[[dict[str, str]], float]) -> tuple[float, float]:
-    """Measure the first call with an empty cache, and the median of later ones; s.
-
-    `elapsed` measures a call in a process with the given environment.
-    """
+@contextlib.contextmanager
+def empty_cache() -> Iterator[dict[str, str]]:
+    """Create the environment of processes whose common cache folder is empty at first."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "XDG_CACHE_HOME": cache}
         # An installation by pip contains compiled Python files, so let Python write them.
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+        yield environment
+
+
+def printed_times(arguments: list[str], environment: dict[str, str]) -> list[float]:
+    """Run Python, and return the times that it prints, one in each line; s.
+
+    Args:
+        arguments: Arguments of Python.
+        environment: Variables of the environment.
+    """
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        env=environment,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    return [float(line) for line in done.stdout.splitlines()]
+
+
+def _first_and_later(elapsed: Callable[[dict[str, str]], float]) -> tuple[float, float]:
+    """Measure the first call with an empty cache, and the median of later ones; s.
+
+    `elapsed` measures a call in a process with the given environment.
+    """
+    with empty_cache() as environment:
         first, *later = (elapsed(environment) for _ in range(1 + REPEATS))
     return first, statistics.median(later)
 
@@ -145,19 +156,12 @@ def _processes() -> Iterator[Row]:
 
 
 def _calls() -> Iterator[Row]:
-    """Measure the first call of each solver in a new process, after all imports."""
+    """Measure first calls in a new process, after the imports."""
     for name, (setup, call, bounds) in CALLS.items():
         code = SCRIPT.format(setup=setup, call=call)
 
         def elapsed(environment: dict[str, str], code=code) -> float:
-            done = subprocess.run(
-                [sys.executable, "-c", code],
-                env=environment,
-                check=True,
-                capture_output=True,
-                text=True,
-            )
-            return float(done.stdout.split()[-1])
+            return printed_times(["-c", code], environment)[0]
 
         first, second = _first_and_later(elapsed)
         for when, value, bound in zip(

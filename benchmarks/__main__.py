@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from . import (
+    analyses,
     chains,
     condensed,
     first_calls,
@@ -36,7 +37,7 @@ MODULES = {
     module.__name__.rpartition(".")[2]: module
     for module in (
         statics, peers, chains, peers_chains, leaves, condensed, motion, peers_motion,
-        paths, identification, peers_identification, sweeps, first_calls,
+        paths, identification, peers_identification, sweeps, first_calls, analyses,
     )
 }  # fmt: skip
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")
@@ -59,6 +60,13 @@ def main(
             "other machines in these files are kept."
         ),
     ] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            "--table",
+            help="Also write the page of the manual with the times of `analyses`.",
+        ),
+    ] = None,
 ) -> None:
     """Measure the times and errors of twistorjax and of other programs, in one run."""
     # The sweeps run in a process of their own, which needs memory of the accelerator.
@@ -73,6 +81,8 @@ def main(
     if unknown := sorted(set(names or ()) - set(MODULES)):
         raise typer.BadParameter(f"There is no module {', '.join(unknown)}.")
     modules = [MODULES[name] for name in names or MODULES]
+    if page is not None and analyses not in modules:
+        raise typer.BadParameter("`--table` needs the module `analyses`.")
     for module in modules:
         for row in module.run():
             add(row)
@@ -94,6 +104,8 @@ def main(
         f"{', '.join(f'{name} {version}' for name, version in versions.items())}"
     )
     Console(width=110).print(table)
+    if page is not None:
+        page.write_text(analyses.to_markdown(rows, str(table.caption)), "utf-8")
     if out is not None:
         record = {
             "caption": str(table.caption),

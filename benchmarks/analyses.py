@@ -27,7 +27,7 @@ from .first_calls import empty_cache, printed_times
 from .measure import Row
 
 
-REPEATS = 5  # of next calls
+REPEATS = 3  # of next calls
 CHANGE = 1e-4  # of the thickness from one call to the next, relative
 WHEN = ("first call", "first call in a later process", "next call")
 RESULT, GRADIENT = "result", "gradient"
@@ -395,7 +395,7 @@ def run() -> Iterator[Row]:
         if call is not None
     ]
     for cell in tqdm(cells, desc="analyses", leave=False, disable=None):
-        arguments = ["-m", __name__, *cell]
+        arguments = ["-W", "ignore::FutureWarning", "-m", __name__, *cell]  # of arviz
         with empty_cache() as environment:
             (first,) = printed_times([*arguments, "1"], environment)
             later, *following = printed_times([*arguments, str(1 + REPEATS)], environment)
@@ -459,7 +459,7 @@ values of a constant. `posterior` draws 100 samples in each of two chains, after
 of adaptation. An empty cell is an analysis that makes no sense for the mechanism: the
 stage and the bridge have one stable state.
 
-{caption}.
+The times were {caption}.
 """
 TITLES = {
     RESULT: "## Results\n",

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from unittest import mock
 
 import equinox as eqx
 import jax
@@ -116,11 +117,8 @@ SOLVERS = {
 @functools.cache
 def unstored(solve, *arguments):
     """Return the result of a solver for the oscillator without stored traces."""
-    before = stored_traces._folder
-    stored_traces.store_traces_in(None)
-    result = solve(oscillator(), *arguments)
-    stored_traces._folder = before
-    return result
+    with mock.patch.object(stored_traces, "_folder", None):
+        return solve(oscillator(), *arguments)
 
 
 @pytest.mark.parametrize("name", mostly_slow(SOLVERS))

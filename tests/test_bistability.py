@@ -23,6 +23,7 @@ from path_helpers import (
 from scipy.optimize import brentq
 
 import twistorjax as tj
+from twistorjax.examples.stage import microstage
 from twistorjax.examples.truss import von_mises_truss
 
 
@@ -337,6 +338,20 @@ class TestBuckling:
 
         slopes = jax.jit(jax.jacrev(factors))(1.0)
         assert_close(slopes, np.array([1.0, 1.0, 1.5]), digits=9)
+
+    def test_estimates_without_an_equilibrium_are_not_listed(self):
+        """Those after the first one follow from displacements of meters, of a small stage.
+
+        The load at the factor is constant, except for the displacements before buckling.
+        """
+
+        def first(force):
+            loads = [tj.Load("4", force=jnp.stack([0.0, force]))]
+            return tj.buckling(microstage(), loads=loads, modes=2).load_factors
+
+        (factor, other), (change, _) = jax.jvp(first, (-100.0,), (1.0,))
+        assert other == np.inf
+        assert_close(change, factor / 100, digits=4)
 
     @pytest.mark.parametrize("rise", [0.05, 0.3, 1.0])
     def test_a_truss_buckles_at_its_limit_point(self, rise):

@@ -302,7 +302,8 @@ class _Iteration(NamedTuple):
         point: Current point.
         amplitude: Load factor at which the linearized equations have the same modes.
         last: Amplitude and eigenvalue at the last iterate.
-        change: Last change of the amplitude, as a fraction of it.
+        change: Last change of the amplitude or of the point, whichever is larger, as a
+            fraction of it.
         iterations: Number of iterations.
     """
 
@@ -476,11 +477,13 @@ def _corrected(
         correction = jnp.append(correction, 0.0)
         correction -= of_held(correction)
         correction += by_factor * linear.rate + (change - by_factor) * held_rate
+        moved = metric.length((point - linear.point) / metric.units)
+        share = metric.length(correction / metric.units) / moved
         return _Iteration(
             point + correction,
             amplitude + change,
             jnp.stack([amplitude, value]),
-            jnp.abs(change / amplitude),
+            jnp.maximum(jnp.abs(change / amplitude), share),
             state.iterations + 1,
         )
 

@@ -58,11 +58,14 @@ _SLOW_EXAMPLES = (
     "examples.parallelogram.study",
     "examples.stage_motion.transient_response",
     "examples.truss.plot",
+    "examples.truss.study",
+    "flexures.chain.chain",
     "flexures.condensed.Condensed",
     "flexures.guides.double_parallelogram",
     "flexures.guides.folded_beam",
     "flexures.pivots.cartwheel_pivot",
     "identification.experiment_design.rank_experiments",
+    "plotting.path_plots.draw_path",
     "plotting.port_plots.draw_port_motion",
 )
 

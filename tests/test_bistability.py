@@ -340,7 +340,7 @@ class TestBuckling:
         assert_close(slopes, np.array([1.0, 1.0, 1.5]), digits=9)
 
     def test_estimates_without_an_equilibrium_are_not_listed(self):
-        """Those after the first one follow from displacements of meters, of a small stage.
+        """Those after the first one follow from displacements that are far too large.
 
         The load at the factor is constant, except for the displacements before buckling.
         """

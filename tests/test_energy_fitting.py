@@ -190,11 +190,20 @@ DEGREE = np.pi / 180
 @pytest.mark.parametrize(
     ("pose_units", "wrench_units", "message"),
     [
-        ([DEGREE, 1e-3, 1e-3], [1e-3, 1, 1], "rad, more than one turn: are the angles"),
-        ([1, 1e-3, 1e-3], [1, 1, 1], "smaller if the translations are in millimeters"),
-        ([1, 1, 1], [1e-3, 1, 1], "times smaller if the moments are in N mm"),
         ([1, 1, 1], [-1, -1, -1], "In 61 of 61 trials the wrench points back"),
         ([1, 1, 1], [1, -1, 1], "if the sign of the forces along axis 1 is reversed"),
+        pytest.param(
+            *([DEGREE, 1e-3, 1e-3], [1e-3, 1, 1], "more than one turn: are the angles"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            *([1, 1e-3, 1e-3], [1, 1, 1], "smaller if the translations are in millim"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            *([1, 1, 1], [1e-3, 1, 1], "times smaller if the moments are in N mm"),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_wrong_units_and_signs_of_trials_are_recognized(

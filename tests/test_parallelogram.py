@@ -24,6 +24,7 @@ def test_every_load_case_of_the_finite_elements_is_computed(study):
     assert "101 of 101 load cases computed, bending factor 1.04" in str(study)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("transverse", "largest"),
     [("0 to 5", (1.0, 0.3, 3.5)), ("5 to 10", (0.8, 0.6, 2.0))],
@@ -38,6 +39,7 @@ def test_the_median_errors_are_those_of_the_mesh(study, transverse, largest, val
     validated("Surrogates", what, 1 + median[2], 1.0, oracle)
 
 
+@pytest.mark.slow
 def test_the_median_errors_at_loads_up_to_20_are_below_those_of_beam_elements(study):
     """Beam elements have 4.1 %, 1.3 % and 44 %; see the source of the load cases."""
     count, computed, median = study.medians()["10 to 20"]

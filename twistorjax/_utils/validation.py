@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .host import as_float, concrete
+from .host import as_float, concrete, on_host
 from .polygons import crossing_edges
 from .types import ArrayOfNumbers, NumberLike, Numbers, NumbersLike
 
@@ -397,8 +397,9 @@ def require_deviations(
         ValueError: The shape is wrong, or a known entry is not positive and finite.
     """
     given = as_float(value)
+    numbers, (values,) = on_host(given)
     try:
-        array = jnp.broadcast_to(given, shape)
+        array = as_float(numbers.broadcast_to(values, shape))
     except ValueError:
         raise ValueError(
             f"{name} has shape {given.shape}, but must have shape {shape} or one that "

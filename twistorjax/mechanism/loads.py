@@ -1,12 +1,14 @@
 """Loads on the bodies of a mechanism, and prescribed displacements."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.host import as_float, concrete, on_host
 from .._utils.types import (
@@ -217,20 +219,8 @@ class LoadSet(eqx.Module):
         followers = np.array([load.follower for load in loads])
         actions = [value for load in loads for value in (load.wrench, load.at)]
         xp, (poses, *actions) = on_host(mechanism.reference, *actions)
-        moment, fx, fy = xp.stack(actions[::2], axis=1)
-        x, y = xp.stack(actions[1::2], axis=1)
-        cos, sin = xp.cos(poses[bodies, 0]), xp.sin(poses[bodies, 0])
-        zero, turned_x, turned_y = 0 * fx, cos * fx - sin * fy, sin * fx + cos * fy
-        of_followers = [moment + x * fy - y * fx, *4 * (zero,), turned_x, turned_y]
-        x, y = cos * x - sin * y, sin * x + cos * y
-        others = [moment, fx, fy, x * fy - y * fx, x * fx + y * fy, zero, zero]
-        of_loads = xp.where(
-            followers[:, None],
-            xp.stack(of_followers, axis=1),
-            xp.stack(others, axis=1),
-        )
-        chosen = np.arange(count)[:, None, None] == bodies[:, None]
-        sums = xp.sum(xp.where(chosen, of_loads[None], 0.0), axis=1)
+        add = partial(_load_sums, np) if xp is np else _traced_load_sums
+        sums = add(poses, actions, bodies, followers)
         return cls(sums, present=True, conservative=not followers.any())
 
     def zero(self) -> "LoadSet":
@@ -279,6 +269,40 @@ class LoadSet(eqx.Module):
         moment, fx, fy, cross, dot = jnp.asarray(self.sums).T[:5]
         turned = jnp.sin(angle) * cross + (jnp.cos(angle) - 1) * dot
         return jnp.sum(moment * angle + fx * x + fy * y + turned)
+
+
+def _load_sums(
+    xp: Any,
+    poses: Any,
+    actions: Sequence[Any],
+    bodies: Int[Array | np.ndarray, " loads"],
+    followers: Bool[Array | np.ndarray, " loads"],
+) -> Any:
+    """Compute the sums of a `LoadSet` by `numpy` or `jax.numpy`.
+
+    Args:
+        xp: The module.
+        poses: Reference poses of all bodies; rad, m, m.
+        actions: Wrench and point of application of each load; N m, N, N, m, m.
+        bodies: Row of the body of each load.
+        followers: Whether each load rotates with its body.
+    """
+    moment, fx, fy = xp.stack(actions[::2], axis=1)
+    x, y = xp.stack(actions[1::2], axis=1)
+    cos, sin = xp.cos(poses[bodies, 0]), xp.sin(poses[bodies, 0])
+    zero, turned_x, turned_y = 0 * fx, cos * fx - sin * fy, sin * fx + cos * fy
+    of_followers = [moment + x * fy - y * fx, *4 * (zero,), turned_x, turned_y]
+    x, y = cos * x - sin * y, sin * x + cos * y
+    others = [moment, fx, fy, x * fy - y * fx, x * fx + y * fy, zero, zero]
+    of_loads = xp.where(
+        followers[:, None], xp.stack(of_followers, axis=1), xp.stack(others, axis=1)
+    )
+    chosen = np.arange(len(poses))[:, None, None] == bodies[None, :, None]
+    return xp.sum(xp.where(chosen, of_loads[None], 0.0), axis=1)
+
+
+# In a gradient outside of `jax.jit`, each operation would be a program.
+_traced_load_sums = jax.jit(partial(_load_sums, jnp))
 
 
 @lru_cache

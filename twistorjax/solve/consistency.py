@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete
 from .._utils.pytrees import stop_gradient
-from .._utils.types import Flag, NumberLike, Poses
+from .._utils.types import Entries, Flag, NumberLike, Poses, Scalar
 from ..mechanism.constraints import ConstraintSet
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from .dofs import DofPartition
@@ -190,6 +190,15 @@ def characteristic_length(mechanism: Mechanism) -> float:
     return float(mechanism.hinge_assembly.characteristic_length(free)) or 1.0
 
 
+@fast_compile
+def _linearized(
+    constraints: ConstraintSet, displacements: Poses, time: Scalar
+) -> tuple[Entries, Float[Array, "entries dofs"]]:
+    """Compute the violations of constraints, and their derivatives."""
+    jacobian = constraints.jacobian(displacements, time)
+    return constraints.violation(displacements, time), jacobian
+
+
 def constraint_error(
     constraints: ConstraintSet,
     dofs: DofPartition,
@@ -203,9 +212,8 @@ def constraint_error(
     one sentence for each such constraint, and is empty if there is none.
     """
     now = jnp.asarray(time, float)
-    violation = np.asarray(constraints.violation(displacements, now))
+    violation, jacobian = map(np.asarray, _linearized(constraints, displacements, now))
     units = np.where(np.array(dofs.free) % 3 == 0, 1.0, characteristic_length(mechanism))
-    jacobian = np.asarray(constraints.jacobian(displacements, now))
     jacobian = jacobian[:, list(dofs.free)] * units[None]
     size = np.linalg.norm(jacobian, axis=1)
     size = np.where(size > 0, size, 1.0)

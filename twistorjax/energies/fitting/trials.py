@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -97,17 +96,17 @@ class Trials(eqx.Module):
     @property
     def largest_translation(self) -> float:
         """Largest magnitude of a translation, or one if all translations are zero; m."""
-        distances = np.linalg.norm(np.asarray(self.poses[:, 1:]), axis=1)
+        distances = np.linalg.norm(np.asarray(self.poses)[:, 1:], axis=1)
         return float(distances.max()) or 1.0
 
     def __getitem__(self, rows: np.ndarray) -> "Trials":
         """Select some of the trials."""
 
-        def select(values: Array | None) -> Array | None:
-            return None if values is None else values[rows]
+        def select(values: Array | None) -> np.ndarray | None:
+            return None if values is None else np.asarray(values)[rows]
 
         return Trials(
-            self.poses[rows],
+            np.asarray(self.poses)[rows],
             select(self.wrenches),
             select(self.energies),
             wrench_deviations=select(self.wrench_deviations),
@@ -333,7 +332,7 @@ def _with_units(names: Iterable[str]) -> str:
     return ", ".join(f"{name}_{units[name].replace(' ', '')}" for name in names)
 
 
-def _root_mean_square(values: Array) -> Array:
+def _root_mean_square(values: Array) -> np.ndarray:
     """Compute the rms value of each column, or one for a column of zeros."""
-    rms = jnp.sqrt(jnp.mean(values**2, axis=0))
-    return jnp.where(rms > 0, rms, 1.0)
+    rms = np.sqrt(np.mean(np.asarray(values) ** 2, axis=0))
+    return np.where(rms > 0, rms, 1.0)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
+from .._utils.progress import announced
 from .._utils.validation import require_kind
 from .diagnostics import undetermined_changes
 from .measurement import AbstractTest, map_in_groups
@@ -94,6 +95,7 @@ class ExperimentRanking(eqx.Module):
         return "\n".join(lines)
 
 
+@announced("ranking of experiments")
 def rank_experiments(
     identification: Identification,
     candidates: Mapping[str, AbstractTest] | Sequence[AbstractTest],

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .._utils.compilation import fast_compile
 from .._utils.host import all_concrete, as_float, concrete, on_host
+from .._utils.progress import announced
 from .._utils.pytrees import group_by_structure
 from .._utils.types import KeyLike, Table, TableDeviationsLike, TableLike
 from .._utils.validation import require_deviations, require_kind, require_shape
@@ -111,6 +112,7 @@ class AbstractTest(eqx.Module):
             raise ValueError("`values` has no reading: all entries are NaN.")
         return Measurement(self, array, deviations)
 
+    @announced("synthetic data")
     def synthetic_data(
         self, mechanism: Mechanism, key: KeyLike | None = None
     ) -> "Measurement":

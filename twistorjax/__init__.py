@@ -2,7 +2,7 @@
 
 A `Mechanism` consists of rigid bodies that are connected by elastic hinges.
 `equilibrium`, `linearize`, `vibrations`, `frequency_response`, and `simulate` compute its
-response to loads and prescribed displacements. All results are differentiable. A solver
+response to loads and prescribed displacements. Their results are differentiable. A solver
 that fails raises an error, or with `throw=False` returns NaN and a `result`.
 
 The namespaces contain the rest: `energies` and `flexures` for hinges, `solve` for results

@@ -2,10 +2,10 @@
 
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 
 import twistorjax as tj
+from twistorjax._utils.host import on_host
 
 
 BAR_STIFFNESS = 1000.0
@@ -13,13 +13,15 @@ BAR_STIFFNESS = 1000.0
 
 def von_mises_force(height, rise=0.3, stiffness=BAR_STIFFNESS):
     """Force on the apex of the truss, downward, at a height of the apex."""
-    length, deformed = jnp.hypot(1.0, rise), jnp.hypot(1.0, height)
+    xp, (height, rise) = on_host(height, rise)
+    length, deformed = xp.hypot(1.0, rise), xp.hypot(1.0, height)
     return 2 * stiffness * height * (length / deformed - 1)
 
 
 def von_mises_limit_height(rise=0.3):
     """Height of the apex at the first limit point."""
-    return jnp.sqrt(jnp.hypot(1.0, rise) ** (2 / 3) - 1)
+    xp, (rise,) = on_host(rise)
+    return xp.sqrt(xp.hypot(1.0, rise) ** (2 / 3) - 1)
 
 
 def von_mises_limit_force(rise=0.3, stiffness=BAR_STIFFNESS):
@@ -29,9 +31,10 @@ def von_mises_limit_force(rise=0.3, stiffness=BAR_STIFFNESS):
 
 def bar(name, first, second, start, end, stiffness):
     """Bar of a stiffness (N/m) between two points, which may be traced."""
+    xp, (start, end) = on_host(start, end)
     side = end - start
-    spring = tj.energies.AxialSpring(stiffness, length=jnp.hypot(*side))
-    at = jnp.append(jnp.arctan2(side[1], side[0]), (start + end) / 2)
+    spring = tj.energies.AxialSpring(stiffness, length=xp.hypot(*side))
+    at = xp.append(xp.arctan2(side[1], side[0]), (start + end) / 2)
     return tj.Hinge(name, first, second, spring, at=at)
 
 
@@ -70,7 +73,8 @@ def truss_and_link(stiffness, force=1.0):
 def column(count=6, rotational=1.0, stiff=1e7):
     """Vertical column of unit length: rigid links, clamped at the lower end."""
     length = 1.0 / count
-    spring = tj.Quadratic(jnp.diag(jnp.array([rotational, stiff, stiff])))
+    rotation = np.diag([1.0, 0.0, 0.0])
+    spring = tj.Quadratic(rotation * rotational + np.diag([0.0, stiff, stiff]))
     names = ["base", *(f"link {k}" for k in range(count))]
     bodies = [tj.Body("base")]
     bodies += [
@@ -96,13 +100,13 @@ def parallel_links(loads, forces=None):
     The load factor times a force acts downward on the upper end of each link, which is
     1 m long; by default 1 N.
     """
-    sizes = jnp.ones(len(loads)) if forces is None else jnp.asarray(forces, float)
+    sizes = np.ones(len(loads)) if forces is None else np.asarray(forces, float)
     names = [f"link {k}" for k in range(len(loads))]
     fixed = {"base": ["angle", "x", "y"], **{name: ["x", "y"] for name in names}}
     bodies, hinges, applied = [tj.Body("base")], [], []
     for x, (name, load) in enumerate(zip(names, loads, strict=True)):
-        stiffness = load * jnp.abs(sizes[x])
-        spring = tj.Quadratic(jnp.diag(jnp.stack([stiffness, 1.0, 1.0])), "twist")
+        rotation = np.diag([abs(sizes[x]), 0.0, 0.0])
+        spring = tj.Quadratic(rotation * load + np.diag([0.0, 1.0, 1.0]), "twist")
         bodies.append(tj.Body(name, pose=(0.0, float(x), 0.0)))
         at = (np.pi / 2, float(x), 0.0)
         hinges.append(tj.Hinge(name, "base", name, spring, at=at))

@@ -351,7 +351,7 @@ class TestBuckling:
         assert_close(slopes, np.array([1.0, 1.0, 1.5]), digits=9)
 
     @staticmethod
-    def factors_of_a_small_stage(force):
+    def factors_of_a_stage(force):
         loads = [tj.Load("4", force=jnp.stack([0.0, force]))]
         found = tj.buckling(microstage(), loads=loads, modes=2, throw=False)
         return found.load_factors
@@ -361,15 +361,15 @@ class TestBuckling:
 
         The load at the factor is constant, except for the displacements before buckling.
         """
-        factor, other = np.asarray(self.factors_of_a_small_stage(-100.0))
+        factor, other = np.asarray(self.factors_of_a_stage(-100.0))
         assert other == np.inf
-        double, other = np.asarray(self.factors_of_a_small_stage(-200.0))
+        double, other = np.asarray(self.factors_of_a_stage(-200.0))
         assert other == np.inf
         assert_close(double, factor / 2, digits=4)
 
     @pytest.mark.slow
     def test_derivatives_beside_estimates_without_an_equilibrium(self):
-        slopes = jax.jacfwd(with_value(self.factors_of_a_small_stage), has_aux=True)
+        slopes = jax.jacfwd(with_value(self.factors_of_a_stage), has_aux=True)
         (change, _), (factor, other) = map(np.asarray, jax.jit(slopes)(-100.0))
         assert other == np.inf
         assert_close(change, factor / 100, digits=4)

@@ -32,17 +32,25 @@ def pair(
 
 
 def random_poses(seed, count=8):
-    return jnp.stack([some_poses(seed, count), some_poses(seed + 1, count) / 2], axis=1)
+    return np.stack([some_poses(seed, count), some_poses(seed + 1, count) / 2], axis=1)
+
+
+def at_each(poses, compute):
+    """Compute arrays at each of several poses, in one program."""
+    return map(np.asarray, jax.jit(jax.vmap(compute))(poses))
 
 
 def test_energy_is_that_between_frames_displaced_by_half_the_misfit():
     """The displaced frames are composed by exponential maps."""
-    half = se2.exp(se2.twist(MISFIT) / 2)
+    half = jax.jit(lambda misfit: se2.exp(se2.twist(misfit) / 2))(MISFIT)
     without, mechanism = pair(None), pair()
-    for poses in random_poses(0):
+
+    def energies(poses):
         a, b = without.ports("h", poses)
         a, b = se2.compose(a, half), se2.compose(b, se2.inverse(half))
-        assert_close(mechanism.energy(poses), SPRING(se2.between(a, b)), digits=12)
+        return mechanism.energy(poses), SPRING(se2.between(a, b))
+
+    assert_close(*at_each(random_poses(0), energies), digits=12)
 
 
 def test_exchange_of_the_bodies_changes_nothing():
@@ -53,20 +61,29 @@ def test_exchange_of_the_bodies_changes_nothing():
             angle, along, across = displacement.twist()
             return angle**2 + 3 * along**2 + 2 * across**2 + angle * across**3
 
-    inverse = se2.inverse(MISFIT)
+    inverse = jax.jit(se2.inverse)(MISFIT)
     forward, backward = pair(energy=Even()), pair(inverse, Even(), first="b")
-    for poses in random_poses(2):
-        assert_close(forward.energy(poses), backward.energy(poses), digits=12)
-        assert_close(forward.wrenches(poses), backward.wrenches(poses), digits=12)
+
+    def both(poses):
+        energies = forward.energy(poses), backward.energy(poses)
+        return *energies, forward.wrenches(poses), backward.wrenches(poses)
+
+    before, after, *wrenches = at_each(random_poses(2), both)
+    assert_close(before, after, digits=12)
+    assert_close(*wrenches, digits=12)
 
 
 def test_forces_and_stiffness_are_derivatives_of_the_energy():
     mechanism = pair()
-    for poses in random_poses(4):
-        forces = -jax.grad(mechanism.energy)(poses)
-        assert_close(mechanism.wrenches(poses), forces, digits=11)
-        hessian = jax.hessian(mechanism.energy)(poses)
-        assert_close(mechanism.stiffness(poses), hessian, digits=11)
+
+    def both(poses):
+        gradient = jax.grad(mechanism.energy)
+        derivatives = -gradient(poses), jax.jacfwd(gradient)(poses)
+        return mechanism.wrenches(poses), mechanism.stiffness(poses), *derivatives
+
+    forces, stiffness, gradient, hessian = at_each(random_poses(4), both)
+    assert_close(forces, gradient, digits=11)
+    assert_close(stiffness, hessian, digits=11)
 
 
 @pytest.mark.parametrize("coordinates", mostly_slow(["twistor", "twist"]))
@@ -78,15 +95,19 @@ def test_tangent_in_motion_is_the_derivative_of_the_forces(coordinates):
     def forces(displacements, rates):
         return assembly.forces_in_motion(displacements, rates)[0]
 
-    for poses, rates in zip(random_poses(0), random_poses(5), strict=True):
-        displacements = 0.4 * (poses - REFERENCE)
+    @jax.jit
+    @jax.vmap
+    def both(displacements, rates):
         tangent = assembly.tangent_in_motion(displacements, rates, dofs)
-        expected = jax.jacfwd(forces, argnums=(0, 1))(displacements, rates)
-        for matrix, derivative in zip(
-            (tangent.stiffness, tangent.damping), expected, strict=True
-        ):
+        derivatives = jax.jacfwd(forces, argnums=(0, 1))(displacements, rates)
+        return (tangent.stiffness, tangent.damping), derivatives
+
+    computed = both(0.4 * (random_poses(0) - REFERENCE), random_poses(5))
+    tangents, derivatives = jax.tree.map(np.asarray, computed)
+    for matrices, expected in zip(tangents, derivatives, strict=True):
+        for matrix, derivative in zip(matrices, expected.reshape(-1, 6, 6), strict=True):
             scale = np.max(np.abs(derivative))
-            assert_close(matrix / scale, derivative.reshape(6, 6) / scale, digits=11)
+            assert_close(matrix / scale, derivative / scale, digits=11)
 
 
 def test_viscous_forces_are_those_of_the_rate_of_the_strain():
@@ -94,31 +115,40 @@ def test_viscous_forces_are_those_of_the_rate_of_the_strain():
     mechanism = pair(
         damping=tj.energies.ViscousDamping(np.diag([2.0, 0.0, 0.0]), "twistor")
     )
-    rates = jnp.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]])
-    zero = jnp.zeros((2, 3))
-    _, _, (power, _) = mechanism.hinge_assembly.forces_in_motion(zero, rates)
+    rates = np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]])
+    forces_in_motion = mechanism.hinge_assembly.forces_in_motion
+    _, _, (power, _) = jax.jit(lambda *state: forces_in_motion(*state))(0 * rates, rates)
     cos = np.cos(0.3 / 2)  # rate of 2 sin((angle - misfit) / 2)
     assert_close(power, 2.0 * (0.7 * cos) ** 2)
+
+
+@jax.jit
+def displacement_and_wrench(mechanism, found):
+    return mechanism.displacement_of("h", found), mechanism.wrench_of("h", found)
 
 
 def test_a_free_body_moves_until_its_hinge_is_not_loaded():
     mechanism = pair()
     found = tj.equilibrium(mechanism)
-    assert_close(mechanism.displacement_of("h", found), MISFIT, digits=10)
+    displacement, wrench = displacement_and_wrench(mechanism, found)
+    assert_close(displacement, MISFIT, digits=10)
     assert_close(mechanism.misfit_of("h"), MISFIT, digits=14)
-    np.testing.assert_allclose(mechanism.wrench_of("h", found), 0.0, atol=1e-12)
+    np.testing.assert_allclose(wrench, 0.0, atol=1e-12)
     np.testing.assert_allclose(found.reactions, 0.0, atol=1e-12)
 
 
 def test_wrench_is_about_frame_b():
     """It balances the wrench of the hinge on body B."""
     mechanism = pair()
-    for poses in random_poses(6):
+
+    def both(poses):
         _, frame = mechanism.ports("h", poses)
         on_body = -se2.transform_wrench(frame, mechanism.wrench_of("h", poses))
         moment, x, y = mechanism.wrenches(poses)[1]
         moment = moment + poses[1, 1] * y - poses[1, 2] * x
-        assert_close(on_body, jnp.stack([moment, x, y]), digits=11)
+        return on_body, jnp.stack([moment, x, y])
+
+    assert_close(*at_each(random_poses(6), both), digits=11)
 
 
 def preloaded_column(gap):
@@ -141,16 +171,19 @@ def preloaded_column(gap):
 
 def test_preload_of_two_springs():
     """Two springs in series share the misfit in proportion to their compliances."""
+
+    def solve(gap):
+        mechanism = preloaded_column(gap)
+        found = tj.equilibrium(mechanism, throw=False)
+        wrenches = [mechanism.wrench_of(name, found)[1] for name in ("one", "two")]
+        return found.displacement("block")[1], jnp.stack(wrenches)
+
     gap = 1e-3
-    mechanism = preloaded_column(gap)
-    found = tj.equilibrium(mechanism)
+    differentiate = jax.jit(jax.value_and_grad(solve, has_aux=True))
+    (displacement, forces), slope = differentiate(gap)
     force = gap / (1 / 300.0 + 1 / 100.0)
-    assert_close(found.displacement("block")[1], force / 100.0, digits=12)
-    for name in ("one", "two"):
-        assert_close(mechanism.wrench_of(name, found)[1], -force, digits=12)
-    slope = jax.grad(
-        lambda gap: tj.equilibrium(preloaded_column(gap)).displacement("block")[1]
-    )(gap)
+    assert_close(displacement, force / 100.0, digits=12)
+    assert_close(forces, np.full(2, -force), digits=12)
     assert_close(slope, 1 / 100.0 / (1 / 300.0 + 1 / 100.0), digits=12)
 
 
@@ -163,16 +196,16 @@ def test_ports_that_do_not_coincide_are_bent_together():
     hinge = tj.Hinge("h", "a", "b", SPRING, ports=ports, misfit="ports")
     mechanism = tj.Mechanism(bodies, [hinge], fixed=["a"])
     poses = tj.equilibrium(mechanism).poses
-    a, b = (
-        se2.compose(pose, np.array(port)) for pose, port in zip(poses, ports, strict=True)
-    )
+
+    @jax.jit
+    def both(poses):
+        a, b = jax.vmap(se2.compose)(poses, np.array(ports))
+        return a, b, mechanism.energy(poses), SPRING(se2.between(a, b))
+
+    a, b, *_ = both(poses)
     assert_close(a, b, digits=10)
-    displaced = random_poses(8)[0]
-    a, b = (
-        se2.compose(pose, np.array(port))
-        for pose, port in zip(displaced, ports, strict=True)
-    )
-    assert_close(mechanism.energy(displaced), SPRING(se2.between(a, b)), digits=12)
+    _, _, *energies = both(random_poses(8)[0])
+    assert_close(*energies, digits=12)
 
 
 TOPOLOGIES = {
@@ -283,14 +316,19 @@ def test_derivatives_by_the_misfits_agree_with_differences(topology):
 
     def displacements(misfits):
         mechanism = assemble(pairs, poses, at, matrices, misfits)
-        return tj.equilibrium(mechanism).displacements
+        return tj.equilibrium(mechanism, throw=False).displacements
 
-    displacements = jax.jit(displacements)
-    direction = np.random.default_rng(1).normal(size=misfits.shape)
-    _, rate = jax.jvp(displacements, (misfits,), (direction,))
-    step = 1e-5
-    difference = displacements(misfits + step * direction)
-    difference = (difference - displacements(misfits - step * direction)) / (2 * step)
+    direction, step = np.random.default_rng(1).normal(size=misfits.shape), 1e-5
+
+    @jax.jit
+    def with_rate(misfits):
+        return jax.jvp(displacements, (misfits,), (direction,))
+
+    rate = np.asarray(with_rate(misfits)[1])
+    after, before = (
+        np.asarray(with_rate(misfits + side * step * direction)[0]) for side in (1, -1)
+    )
+    difference = (after - before) / (2 * step)
     scale = np.max(np.abs(rate))
     assert_close(rate / scale, difference / scale, digits=7)
 
@@ -338,7 +376,8 @@ def test_misfits_are_saved_and_files_without_them_are_read(tmp_path):
     loaded = tj.io.load_mechanism(file)
     assert_close(loaded.misfit_of("h"), MISFIT, digits=15)
     poses = random_poses(9)[0]
-    assert_close(loaded.energy(poses), mechanism.energy(poses), digits=14)
+    energy = jax.jit(lambda mechanism: mechanism.energy(jnp.asarray(poses)))
+    assert_close(energy(loaded), energy(mechanism), digits=14)
     tj.io.save_mechanism(pair(None), file)
     text = file.read_text()
     older = text.replace('"twistorjax": 6', '"twistorjax": 2')
@@ -382,40 +421,39 @@ def test_a_hinge_without_misfit_has_no_arrays_of_misfits():
     assert pair(None).hinge_assembly.misfits is None
 
 
-@pytest.mark.parametrize("make", [tj.flexures.linear_leaf, tj.flexures.leaf])
+def guide(misfit, make=tj.flexures.leaf):
+    """A table on two leaves along y, of which the left one has a misfit."""
+    leaf = make(STEEL, length=0.05, thickness=0.5e-3, width=10e-3)
+    hinges = [
+        tj.Hinge(name, "base", "table", leaf, (np.pi / 2, x, 0.025), misfit=given)
+        for name, x, given in (("left", -0.02, misfit), ("right", 0.02, np.zeros(3)))
+    ]
+    bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, 0.05))]
+    return tj.Mechanism(bodies, hinges, fixed=["base"])
+
+
+LEAVES = [tj.flexures.leaf, tj.flexures.linear_leaf]
+
+
+@pytest.mark.parametrize("make", mostly_slow(LEAVES))
 @pytest.mark.parametrize("misfit", [1e-4, 2e-3])
 def test_a_leaf_that_is_too_long_needs_few_steps(make, misfit):
     """It tilts the table of a guide; the force of a stiff leaf is large at first."""
-    leaf = make(STEEL, length=0.05, thickness=0.5e-3, width=10e-3)
-    hinges = [
-        tj.Hinge(
-            name, "base", "table", leaf, (np.pi / 2, x, 0.025), misfit=(0.0, extra, 0.0)
-        )
-        for name, x, extra in (("left", -0.02, misfit), ("right", 0.02, 0.0))
-    ]
-    bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, 0.05))]
-    found = tj.equilibrium(tj.Mechanism(bodies, hinges, fixed=["base"]))
+    found = tj.equilibrium(guide((0.0, misfit, 0.0), make))
     assert int(found.steps) <= 5
     # The axial strain is negligible, so the table rises and tilts without strain.
-    np.testing.assert_allclose(found.displacement("table")[0], -misfit / 0.04, rtol=2e-3)
+    angle = np.asarray(found.displacement("table"))[0]
+    np.testing.assert_allclose(angle, -misfit / 0.04, rtol=2e-3)
 
 
 @pytest.mark.parametrize("share", [0.01, 0.1])
 def test_leaves_of_different_shapes_share_their_misfit(share):
     """Both bend by half of a transverse misfit, and are shortened alike."""
     length = 0.05
-    leaf = tj.flexures.leaf(STEEL, length=length, thickness=0.5e-3, width=10e-3)
     misfit = share * length
-    hinges = [
-        tj.Hinge("straight", "base", "table", leaf, (0.0, 0.025, 0.02)),
-        tj.Hinge(
-            "bent", "base", "table", leaf, (0.0, 0.025, 0.0), misfit=(0.0, 0.0, misfit)
-        ),
-    ]
-    bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.05, 0.0))]
-    found = tj.equilibrium(tj.Mechanism(bodies, hinges, fixed=["base"]))
+    found = tj.equilibrium(guide((0.0, 0.0, misfit)))
     shortening = 0.6 * (misfit / 2) ** 2 / length
-    expected = [0.0, -shortening, misfit / 2]
+    expected = [0.0, -misfit / 2, -shortening]
     np.testing.assert_allclose(
         found.displacement("table"), expected, rtol=1e-3, atol=1e-12
     )
@@ -430,7 +468,7 @@ def test_a_leaf_that_nothing_loads_is_displaced_by_its_misfit(misfit):
     mechanism = tj.Mechanism(bodies, [hinge], fixed=["a"])
     found = tj.equilibrium(mechanism)
     assert int(found.steps) <= 15
-    displacement = mechanism.displacement_of("h", found)
+    displacement, _ = displacement_and_wrench(mechanism, found)
     np.testing.assert_allclose(displacement, misfit, atol=1e-9)
 
 
@@ -443,18 +481,18 @@ def test_a_stage_on_four_short_leaves_does_not_move(direction, short):
     angles = direction + np.pi / 2 * np.arange(-2, 2)
     hinges = [
         tj.Hinge(
-            f"{angle:.2f}",
+            str(k),
             "base",
             "stage",
             leaf,
             (angle, 0.04 * np.cos(angle), 0.04 * np.sin(angle)),
             misfit=(0.0, -short, 0.0),
         )
-        for angle in angles
+        for k, angle in enumerate(angles)
     ]
     mechanism = tj.Mechanism([tj.Body("base"), tj.Body("stage")], hinges, fixed=["base"])
     found = tj.equilibrium(mechanism)
     assert_close(found.displacements, np.zeros((2, 3)))
     tension = 210e9 * thickness * width * short / length
-    wrench = mechanism.wrench_of(f"{angles[0]:.2f}", found)
+    wrench = np.asarray(mechanism.wrench_of("0", found))
     np.testing.assert_allclose(wrench[1], tension, rtol=1e-9)

@@ -10,7 +10,6 @@ from statics_helpers import BLOCK, block_on_spring, cantilever, WALL
 
 import twistorjax as tj
 from twistorjax.examples import stage
-from twistorjax.geometry import se2
 
 
 # Mattiasson, Int. J. Num. Meth. Eng. 17 (1981): PL^2/EI, w/L, u/L, tip angle
@@ -26,11 +25,20 @@ def test_twist_energy_is_undefined_above_a_full_rotation():
     """The twistor energy is defined there."""
     spring = np.diag([1.0, 100.0, 10.0])
     drives = [tj.Drive("block", angle=6.5)]
-    with pytest.raises(RuntimeError, match=r"'spring': it is rotated by 6\.5 rad"):
-        tj.equilibrium(block_on_spring(spring, "twist"), drives=drives)
+    above = tj.equilibrium(block_on_spring(spring, "twist"), drives=drives, throw=False)
+    assert tj.result_names(above.result) == "out_of_range"
     assert tj.equilibrium(block_on_spring(spring, "twistor"), drives=drives).succeeded
     below = [tj.Drive("block", angle=6.2)]
     assert tj.equilibrium(block_on_spring(spring, "twist"), drives=below).succeeded
+
+
+@pytest.mark.slow
+def test_a_rotation_at_which_a_twist_energy_is_undefined_is_reported():
+    drives = [tj.Drive("block", angle=6.5)]
+    with pytest.raises(RuntimeError, match=r"'spring': it is rotated by 6\.5 rad"):
+        tj.equilibrium(
+            block_on_spring(np.diag([1.0, 100.0, 10.0]), "twist"), drives=drives
+        )
 
 
 def test_force_displaces_a_block_by_its_compliance():
@@ -86,7 +94,8 @@ def test_moment_rotates_a_block_by_the_closed_form(coordinates):
     mechanism = block_on_spring(np.diag([2.0, 8.0, 5.0]), coordinates)
     solution = tj.equilibrium(mechanism, loads=[tj.Load("block", moment=1.9)])
     expected = 0.95 if coordinates == "twist" else np.arcsin(0.95)
-    assert_close(solution.displacement("block")[0], expected, digits=10)
+    angle = np.asarray(solution.displacement("block"))[0]
+    assert_close(angle, expected, digits=10)
 
 
 @pytest.mark.parametrize(("force", "down", "back", "angle"), MATTIASSON)
@@ -110,7 +119,7 @@ def test_cantilever_with_an_end_rotation_of_two_pi_is_a_circle(validated):
     mechanism = cantilever(12, axial=1e8)
     solution = tj.equilibrium(mechanism, drives=[tj.Drive("12", angle=2 * np.pi)])
     assert_close(solution.pose("12"), [2 * np.pi, 0.0, 0.0], digits=10)
-    moment = solution.reaction("12")[0]
+    moment = np.asarray(solution.reaction("12"))[0]
     assert_close(moment, 2 * np.pi, digits=9)
     what = "moment that bends 12 leaves to a circle"
     validated("Statics", what, moment, 2 * np.pi, "2 π E I/L")
@@ -122,11 +131,11 @@ def test_straight_column_is_stable_up_to_the_load_of_euler(validated):
     load = tj.Load("20", force=(-4.0, 0.0))
     solution = tj.equilibrium(cantilever(20), loads=[load], throw=False)
     assert tj.result_names(solution.result) == "no_equilibrium"
-    critical = 4.0 * solution.fraction
+    critical = 4.0 * np.asarray(solution.fraction)
     assert_close(critical, np.pi**2 / 4, digits=3)
     what = "buckling load of 20 leaves in a row"
     validated("Statics", what, critical, np.pi**2 / 4, "Euler's load, π²/4")
-    assert_close(solution.reached[20, 2], 0.0)
+    assert_close(np.asarray(solution.reached)[20, 2], 0.0)
     assert not solution.succeeded
 
 
@@ -134,19 +143,22 @@ def test_straight_column_is_stable_up_to_the_load_of_euler(validated):
 def test_follower_load_of_zero_does_not_change_the_buckling_load(force):
     loads = [
         tj.Load("10", force=(-force, 0.0)),
-        tj.Load("5", force=(0.0, 0.0), follower=True),
+        tj.Load("10", force=(0.0, 0.0), follower=True),
     ]
     solution = tj.equilibrium(cantilever(10), loads=loads, throw=False)
     assert tj.result_names(solution.result) == "no_equilibrium"
-    assert_close(force * solution.fraction, np.pi**2 / 4, digits=1)
+    assert_close(force * np.asarray(solution.fraction), np.pi**2 / 4, digits=1)
 
 
 def test_follower_load_rotates_with_its_body():
     mechanism = cantilever(10)
-    load = tj.Load("10", force=(0.0, 2.0), follower=True)
-    solution = tj.equilibrium(mechanism, loads=[load])
-    angle, x, y = solution.pose("10")
-    reaction = solution.reaction("0")
+    loads = [
+        tj.Load("10", force=(0.0, 0.0)),
+        tj.Load("10", force=(0.0, 2.0), follower=True),
+    ]
+    solution = tj.equilibrium(mechanism, loads=loads)
+    angle, x, y = np.asarray(solution.pose("10"))
+    reaction = np.asarray(solution.reaction("0"))
     force = -2.0 * np.array([-np.sin(angle), np.cos(angle)])
     assert_close(reaction[1:], force, digits=9)
     assert_close(reaction[0], x * force[1] - y * force[0], digits=9)
@@ -159,7 +171,8 @@ def test_weight_hangs_below_a_hinge_without_torsional_stiffness():
     mechanism = tj.Mechanism([WALL, BLOCK], [hinge], fixed=["wall"])
     weight = tj.Load("block", force=(0.0, -5.0), at=(0.1, -1.0))
     solution = tj.equilibrium(mechanism, loads=[weight])
-    assert_close(solution.displacement("block")[0], -np.arctan(0.1), digits=8)
+    angle = np.asarray(solution.displacement("block"))[0]
+    assert_close(angle, -np.arctan(0.1), digits=8)
 
 
 @pytest.mark.parametrize("unit", [1e-20, 1e-9, 1e9])
@@ -185,7 +198,8 @@ def test_force_that_acts_at_a_distance_from_the_origin_has_a_moment(follower):
     if follower:
         force = rotation @ force
     applied = np.array([arm[0] * force[1] - arm[1] * force[0], *force])
-    residual = mechanism.wrenches(solution.poses)[1] + applied
+    wrenches = jax.jit(lambda poses: mechanism.wrenches(poses))(solution.poses)
+    residual = np.asarray(wrenches)[1] + applied
     assert_close(residual, np.zeros(3), digits=9)
 
 
@@ -205,6 +219,7 @@ def test_stage_under_loads_and_a_drive_agrees_with_a_minimization():
     # In these units, the stage is well conditioned.
     unit = np.tile([1e-4, 1e-6, 1e-6], 6)[free]
 
+    @jax.jit
     def expand(values):
         displacements = jnp.zeros(18).at[16].set(travel)
         return displacements.at[np.array(free)].set(values * unit).reshape(6, 3)
@@ -219,9 +234,9 @@ def test_stage_under_loads_and_a_drive_agrees_with_a_minimization():
         return 1e6 * (mechanism.hinge_assembly.energy(displacements) - work)
 
     minimum = scipy.optimize.minimize(
-        jax.jit(potential),
+        jax.jit(jax.value_and_grad(potential)),
         np.zeros(len(free)),
-        jac=jax.jit(jax.grad(potential)),
+        jac=True,
         hess=jax.jit(jax.hessian(potential)),
         method="trust-exact",
         options={"gtol": 1e-9},
@@ -234,9 +249,9 @@ def test_stage_under_loads_and_a_drive_agrees_with_a_minimization():
 def test_reaction_of_a_drive_is_the_load_that_causes_the_same_displacement():
     mechanism = stage.microstage()
     loaded = tj.equilibrium(mechanism, loads=[tj.Load("6", force=(20.0, 0.0))])
-    x = loaded.displacement("6")[1]
+    x = np.asarray(loaded.displacement("6"))[1]
     displaced = tj.equilibrium(mechanism, drives=[tj.Drive("6", x=x)])
-    assert_close(displaced.reaction("6")[1], 20.0, digits=8)
+    assert_close(np.asarray(displaced.reaction("6"))[1], 20.0, digits=8)
     np.testing.assert_allclose(
         displaced.displacements, loaded.displacements, rtol=1e-8, atol=1e-17
     )
@@ -248,14 +263,12 @@ def test_reactions_balance_the_loads():
         loads=[tj.Load("4", (0.01, 3.0, -2.0))],
         drives=[tj.Drive("6", x=1e-6)],
     )
-    about_origin = [
-        se2.transform_wrench(pose.at[0].set(0.0), wrench)
-        for pose, wrench in zip(solution.poses, solution.reactions, strict=True)
-    ]
-    load = se2.transform_wrench(
-        solution.pose("4").at[0].set(0.0), jnp.array([0.01, 3.0, -2.0])
-    )
-    assert_close(sum(about_origin) + load, np.zeros(3), digits=8)
+    poses, wrenches = np.asarray(solution.poses), np.array(solution.reactions)
+    wrenches[solution.names.index("4")] += [0.01, 3.0, -2.0]
+    moments, forces = wrenches[:, 0], wrenches[:, 1:]
+    about_origin = moments + poses[:, 1] * forces[:, 1] - poses[:, 2] * forces[:, 0]
+    assert_close(np.sum(about_origin), 0.0, digits=8)
+    assert_close(np.sum(forces, axis=0), np.zeros(2), digits=8)
 
 
 def test_start_near_the_solution_saves_steps():
@@ -268,8 +281,8 @@ def test_start_near_the_solution_saves_steps():
 
 
 def test_soft_hinge_converges_next_to_one_that_stores_much_more_energy():
-    leaf = tj.Quadratic(jnp.diag(jnp.array([1.0, 1e4, 12.0])), "twist")
-    stiff = tj.Quadratic(1e12 * jnp.eye(3))
+    leaf = tj.Quadratic(np.diag([1.0, 1e4, 12.0]), "twist")
+    stiff = tj.Quadratic(1e12 * np.eye(3))
     mechanism = tj.Mechanism(
         [tj.Body("wall"), tj.Body("tip", (0, 1, 0)), tj.Body("block", (0, 0, 5))],
         [
@@ -280,8 +293,8 @@ def test_soft_hinge_converges_next_to_one_that_stores_much_more_energy():
     )
     loads = [tj.Load("tip", force=(0, 0.7)), tj.Load("block", force=(1e12, 0))]
     solution = tj.equilibrium(mechanism, loads=loads)
-    resisting = mechanism.wrenches(solution.poses)[1]
-    np.testing.assert_allclose(resisting, [0.0, 0.0, -0.7], atol=1e-3)
+    wrenches = jax.jit(lambda poses: mechanism.wrenches(poses))(solution.poses)
+    np.testing.assert_allclose(np.asarray(wrenches)[1], [0.0, 0.0, -0.7], atol=1e-3)
 
 
 def test_equilibrium_is_printed_in_a_few_lines():
@@ -298,7 +311,7 @@ def test_equilibrium_is_printed_in_a_few_lines():
     def solve(k):
         return tj.equilibrium(block_on_spring(k * jnp.eye(3)), throw=False)
 
-    batch = jax.vmap(solve)(jnp.array([1.0, -2.0, 3.0]))
+    batch = jax.jit(jax.vmap(solve))(np.array([1.0, -2.0, 3.0]))
     assert repr(batch) == "3 equilibria, of shape (3,): 2 successful, 1 unstable"
 
 
@@ -307,10 +320,12 @@ def test_a_batch_without_free_degrees_of_freedom_has_its_reactions():
 
     def reaction(x):
         drive = tj.Drive("block", angle=0.0, x=x, y=0.0)
-        block = block_on_spring(jnp.diag(jnp.array([1.0, 100.0, 10.0])))
-        return tj.equilibrium(block, drives=[drive]).reaction("block")[1]
+        block = block_on_spring(np.diag([1.0, 100.0, 10.0]))
+        found = tj.equilibrium(block, drives=[drive], throw=False)
+        return jnp.asarray(found.reaction("block"))
 
-    strokes = jnp.array([0.0, 0.01, -0.02])
-    expected = [float(reaction(x)) for x in strokes]
+    strokes = np.array([0.0, 0.01, -0.02])
+    expected = [np.asarray(reaction(x))[1] for x in strokes]
     assert expected[1] != 0
-    np.testing.assert_allclose(jax.vmap(reaction)(strokes), expected, rtol=1e-12)
+    reactions = np.asarray(jax.jit(jax.vmap(reaction))(strokes))[:, 1]
+    np.testing.assert_allclose(reactions, expected, rtol=1e-12)

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from helpers import assert_close, mostly_slow, some_stiffness, with_value
 from statics_helpers import block_on_spring, cantilever
@@ -32,15 +33,16 @@ def test_derivatives_with_a_slider_are_those_of_the_closed_form(derivative):
         slider = tj.Slider("slider", "wall", "block", at=(jnp.pi / 2, 0.0, 0.0))
         load = tj.Load("block", force=(3.0, 2.0))
         return tj.equilibrium(
-            block_on_spring(stiffness), loads=[load], constraints=[slider]
+            block_on_spring(stiffness), loads=[load], constraints=[slider], throw=False
         ).displacement("block")
 
-    k = jnp.array(8.0)
-    assert_close(displacements(k), [0.0, 0.0, 2.0 / k])
-    assert_close(derivative(displacements)(k), [0.0, 0.0, -2.0 / k**2])
+    k = 8.0
+    slopes, found = jax.jit(derivative(with_value(displacements), has_aux=True))(k)
+    assert_close(found, [0.0, 0.0, 2.0 / k])
+    assert_close(slopes, [0.0, 0.0, -2.0 / k**2])
 
 
-PARAMETERS = jnp.array([2.0, 0.4, 0.7, 0.3])
+PARAMETERS = np.array([2.0, 0.4, 0.7, 0.3])
 
 
 def chain(parameters):
@@ -61,8 +63,9 @@ def chain(parameters):
             tj.Load("1", force=(0.0, force), at=(0.1, 0.2), follower=True),
         ],
         drives=[tj.Drive("2", angle=angle)],
+        throw=False,
     )
-    weights = jax.random.normal(jax.random.key(1), (3, 3))
+    weights = np.random.default_rng(1).normal(size=(3, 3))
     return (
         jnp.vdot(weights, solution.poses)
         + jnp.vdot(weights, solution.reactions)
@@ -73,7 +76,6 @@ def chain(parameters):
 @jax.jit
 def derivatives(parameters):
     """Return the result, its gradient in reverse and forward mode, and its Hessian."""
-
     differentiate = jax.jacfwd(with_value(jax.value_and_grad(chain)), has_aux=True)
     (forward, hessian), (value, reverse) = differentiate(parameters)
     return value, reverse, forward, hessian
@@ -81,12 +83,11 @@ def derivatives(parameters):
 
 def central_differences(order, step=1e-5):
     """Differentiate the result (order 0) or its gradient in reverse mode (order 1)."""
-    rows = [
-        derivatives(PARAMETERS + step * e)[order]
-        - derivatives(PARAMETERS - step * e)[order]
-        for e in jnp.eye(4)
-    ]
-    return jnp.stack(rows) / (2 * step)
+    after, before = (
+        np.array([derivatives(PARAMETERS + side * e)[order] for e in np.eye(4)])
+        for side in (step, -step)
+    )
+    return (after - before) / (2 * step)
 
 
 def test_derivatives_by_all_arguments_agree_with_differences():
@@ -160,21 +161,21 @@ def test_batch_has_the_same_solutions_as_single_solves():
 
     def tip(force):
         load = tj.Load("6", force=(0.0, force))
-        return tj.equilibrium(mechanism, loads=[load]).displacement("6")
+        return tj.equilibrium(mechanism, loads=[load], throw=False).displacement("6")
 
-    forces = jnp.array([1e-3, 1.0, 20.0])
-    single = jnp.stack([tip(force) for force in forces])
-    assert_close(jax.vmap(tip)(forces), single, digits=10)
+    forces = np.array([1e-3, 1.0, 20.0])
+    single = np.array([tip(force) for force in forces])
+    assert_close(jax.jit(jax.vmap(tip))(forces), single, digits=10)
 
 
 def test_failed_designs_do_not_affect_the_rest_of_a_batch():
-    stiffnesses = jnp.array([4.0, 0.0, jnp.nan, 4.0])
-    forces = jnp.array([2.0, 2.0, 2.0, jnp.nan])
-    batch = jax.vmap(solve_block)(stiffnesses, forces)
+    stiffnesses = np.array([4.0, 0.0, np.nan, 4.0])
+    forces = np.array([2.0, 2.0, 2.0, np.nan])
+    batch = jax.jit(jax.vmap(solve_block))(stiffnesses, forces)
     names = tj.result_names(batch.result)
     assert names is not None
     assert list(names) == ["successful", "unstable", "not_finite", "not_finite"]
-    assert_close(batch.displacements[0, 1], [0.0, 0.5, 0.0])
+    assert_close(np.asarray(batch.displacements)[0, 1], [0.0, 0.5, 0.0])
 
 
 def test_the_derivative_by_a_load_does_not_differentiate_the_hinges():

@@ -36,6 +36,12 @@ def guide(offset=0.0, expansion=STEEL.expansion):
     return tj.Mechanism(bodies, hinges, fixed=["base"])
 
 
+wrench_of = {
+    name: jax.jit(lambda mechanism, found, name=name: mechanism.wrench_of(name, found))
+    for name in ("left", "right", "leaf", "piezo")
+}
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.02])
 def test_one_material_at_one_temperature_only_scales(offset):
     change = 40.0
@@ -43,11 +49,11 @@ def test_one_material_at_one_temperature_only_scales(offset):
     warm = mechanism.at_temperature(change)
     found = tj.equilibrium(warm)
     strain = 12e-6 * change
-    origins = mechanism.reference[:, 1:]
+    origins = np.asarray(mechanism.reference)[:, 1:]
     expected = strain * (origins[1] - origins[0])
     np.testing.assert_allclose(found.displacement("table"), [0.0, *expected], atol=1e-17)
     for name in ("left", "right"):
-        wrench = warm.wrench_of(name, found)
+        wrench = np.asarray(wrench_of[name](warm, found))
         largest = 1e-12 * 210e9 * strain * AREA
         assert np.all(np.abs(wrench[1:]) < largest)
         assert abs(wrench[0]) < largest * LENGTH
@@ -60,9 +66,9 @@ def test_gain_does_not_depend_on_a_uniform_temperature():
     warm = thermal_drift(50.0, travel=scale * stage.TRAVEL)
     assert_close(cold.gain, stage.amplification(stage.microstage()).gain, digits=10)
     assert_close(warm.gain / cold.gain, 1.0, digits=12)
-    output = stage.microstage().reference[3, 1:]
-    np.testing.assert_allclose(warm.output[1:], (scale - 1) * output, atol=1e-17)
-    assert abs(float(warm.output[0])) < 1e-15
+    place, moved = np.asarray(stage.microstage().reference)[3], np.asarray(warm.output)
+    np.testing.assert_allclose(moved[1:], (scale - 1) * place[1:], atol=1e-17)
+    assert abs(moved[0]) < 1e-15
 
 
 def surrogate_guide(scale):
@@ -141,19 +147,31 @@ def test_one_warm_leaf_tilts_the_table():
     warm = mechanism.at_temperature(0.0, hinges={"left": change})
     found = tj.equilibrium(warm)
     first_order = -12e-6 * change * LENGTH / SPACING
-    assert_close(found.displacement("table")[0], first_order, digits=2)
+    displacement = np.asarray(found.displacement("table"))
+    assert_close(displacement[0], first_order, digits=2)
     scale = np.array([1e-3, 1e-5, 1e-5])
-    value = jax.jit(lambda free: warm_leaf_energy(scale * free, change))
+
+    @jax.jit
+    def derivatives(free):
+        def value(free):
+            return warm_leaf_energy(scale * free, change)
+
+        return *jax.value_and_grad(value)(free), jax.hessian(value)(free)
+
     best = scipy.optimize.minimize(
-        value, np.asarray(mechanism.displacements(found)[1]) / scale * 1.05,
-        jac=jax.jit(jax.grad(value)), hess=jax.jit(jax.hessian(value)),
+        lambda free: derivatives(free)[:2], displacement / scale * 1.05, jac=True,
+        hess=lambda free: derivatives(free)[2],
         method="trust-exact", options={"gtol": 1e-14},
     )  # fmt: skip
+
     # The origin of the table of the test is the middle of its leaves.
-    table = se2.between(mechanism.reference[1], jnp.array([0.0, 0.0, LENGTH]))
-    moved = se2.compose(found.pose("table"), table)
+    @jax.jit
+    def middle(pose):
+        place = jnp.array([0.0, 0.0, LENGTH])
+        return se2.compose(pose, se2.between(mechanism.reference[1], place)) - place
+
     np.testing.assert_allclose(
-        moved - jnp.array([0.0, 0.0, LENGTH]), scale * best.x, rtol=1e-8, atol=1e-15
+        middle(found.pose("table")), scale * best.x, rtol=1e-8, atol=1e-15
     )
 
 
@@ -181,12 +199,13 @@ def test_a_gradient_of_the_temperature_bends_a_cantilever(share, deflection):
 
     The beam bends away from its warmer side.
     """
-    elements = 100
+    elements = 20
     gradients = {
         str(k): share((k + 0.5) / elements) * 20.0 / 0.4 for k in range(elements)
     }
     found = tj.equilibrium(cantilever(elements).at_temperature(0.0, gradients=gradients))
-    assert_close(found.displacement("100")[2], -deflection, digits=4)
+    end = np.asarray(found.displacement(str(elements)))
+    assert_close(end[2], -deflection, digits=4)
 
 
 # A difference of 20 K over the thickness of a leaf: natural curvature, and turn of the
@@ -219,14 +238,16 @@ def test_a_gradient_loads_a_clamped_leaf_by_a_moment_only(energy):
     """M = E I alpha g, without a force, and the stress is E alpha g t / 2."""
     warm = bent_leaf(energy, ["wall", "tip"])
     found = tj.equilibrium(warm)
-    wrench = warm.wrench_of("leaf", found)
+    wrench = np.asarray(wrench_of["leaf"](warm, found))
     assert_close(wrench[0] / (BENDING * CURVATURE), 1.0, digits=12)
     assert np.all(np.abs(wrench[1:]) < 1e-12 * 210e9 * AREA)
     stored = BENDING * CURVATURE**2 * LENGTH / 2
-    assert_close(warm.energy_of("leaf", found) / stored, 1.0, digits=12)
-    assert_close(found.energy / stored, 1.0, digits=12)
+    energy_of = jax.jit(lambda mechanism, found: mechanism.energy_of("leaf", found))
+    assert_close(np.asarray(energy_of(warm, found)) / stored, 1.0, digits=12)
+    assert_close(np.asarray(found.energy) / stored, 1.0, digits=12)
     stress = 210e9 * CURVATURE * THICKNESS / 2
-    assert_close(tj.stresses(warm, found).of("leaf") / stress, 1.0, digits=9)
+    found_stress = np.asarray(tj.stresses(warm, found).largest)
+    assert_close(found_stress / stress, [1.0], digits=9)
 
 
 def test_a_gradient_bends_a_free_leaf_to_an_arc():
@@ -234,11 +255,12 @@ def test_a_gradient_bends_a_free_leaf_to_an_arc():
     warm = bent_leaf(QUARTIC, ["wall"])
     found = tj.equilibrium(warm)
     x, y = np.sin(TURN) / CURVATURE - LENGTH, -(1 - np.cos(TURN)) / CURVATURE
-    ratios = found.displacement("tip") / np.array([-TURN, x, y])
+    ratios = np.asarray(found.displacement("tip")) / np.array([-TURN, x, y])
     np.testing.assert_allclose(ratios, 1.0, rtol=3e-4)
     stored = BENDING * CURVATURE**2 * LENGTH / 2
     assert abs(found.energy) < 1e-4 * stored
-    assert tj.stresses(warm, found).of("leaf") < 1e-6 * 210e9 * CURVATURE * THICKNESS
+    (stress,) = np.asarray(tj.stresses(warm, found).largest)
+    assert stress < 1e-6 * 210e9 * CURVATURE * THICKNESS
 
 
 def test_tension_of_a_clamped_leaf_does_not_act_on_its_natural_curvature():
@@ -248,9 +270,11 @@ def test_tension_of_a_clamped_leaf_does_not_act_on_its_natural_curvature():
         QUARTIC, 1.0, 1e4, 3 * [1e-3], stress_model=model
     )
     warm = bent_leaf(energy, ["wall", "tip"])
-    stretched = warm.reference.at[1, 1].add(1e-4 * LENGTH)  # N = 12 E I / L^2
+    stretched = np.array(warm.reference)
+    stretched[1, 1] += 1e-4 * LENGTH  # N = 12 E I / L^2
     stress = 210e9 * (1e-4 + CURVATURE * THICKNESS / 2)
-    assert_close(tj.stresses(warm, stretched).of("leaf") / stress, 1.0, digits=9)
+    found_stress = np.asarray(tj.stresses(warm, stretched).largest)
+    assert_close(found_stress / stress, [1.0], digits=9)
 
 
 @pytest.mark.release
@@ -369,7 +393,8 @@ def test_only_energies_of_known_dimensions_dilate():
         bodies = [tj.Body("wall"), tj.Body("block")]
         warm = tj.Mechanism(bodies, [hinge], ["wall"]).at_temperature(100.0)
         found = warm.hinge_assembly.energy_of(0)
-        assert_close(found.tangent_stiffness()[0, 0] / 2.0, factor, digits=12)
+        stiffness = np.asarray(jax.jit(lambda energy: energy.tangent_stiffness())(found))
+        assert_close(stiffness[0, 0] / 2.0, factor, digits=12)
         if isinstance(found, tj.energies.WithValidityRange):
             assert_close(found.force, 100.0 * factor ** (2 / 3), digits=12)
 
@@ -408,7 +433,7 @@ def stage_on_piezo(stiffness=1e6):
     stack = tj.flexures.piezo_stack(
         free_stroke=15e-6, blocking_force=800.0, length=18e-3, width=5e-3
     )
-    spring = tj.Quadratic(jnp.diag(jnp.array([1e3, stiffness, 1e6])))
+    spring = tj.Quadratic(np.diag([1e3, stiffness, 1e6]))
     hinges = [
         tj.Hinge("piezo", "base", "block", stack, (0.0, -0.01, 0.0)),
         tj.Hinge("spring", "block", "base", spring, (0.0, 0.01, 0.0)),
@@ -420,20 +445,20 @@ def test_stroke_of_a_piezo_stack_against_a_spring():
     """The stroke is x0 kp / (kp + k), on the load line of the stack."""
     stiff, spring = 800.0 / 15e-6, 1e6
     mechanism = stage_on_piezo(spring)
-    driven = mechanism.with_strokes({"piezo": (0.0, 15e-6, 0.0)})
 
     def displaced(stroke):
         moved = mechanism.with_strokes({"piezo": (0.0, stroke, 0.0)})
-        found = tj.equilibrium(moved)
-        return found.displacement("block")[1], found
+        found = tj.equilibrium(moved, throw=False)
+        displacement = found.displacement("block")[1]
+        return displacement, (displacement, moved.wrench_of("piezo", found)[1])
 
-    gain, found = jax.grad(displaced, has_aux=True)(15e-6)
+    differentiate = jax.jit(jax.grad(displaced, has_aux=True))
+    gain, (moved, force) = map(np.asarray, differentiate(15e-6))
     stroke = 15e-6 * stiff / (stiff + spring)
-    assert_close(found.displacement("block")[1] / stroke, 1.0, digits=10)
-    force = -driven.wrench_of("piezo", found)[1]
-    assert_close(force, 800.0 * (1 - stroke / 15e-6), digits=10)
+    assert_close(moved / stroke, 1.0, digits=10)
+    assert_close(-force, 800.0 * (1 - stroke / 15e-6), digits=10)
     linear = tj.linearize(mechanism)(strokes={"piezo": (0.0, 15e-6, 0.0)})
-    assert_close(linear.displacement("block")[1] / stroke, 1.0, digits=10)
+    assert_close(np.asarray(linear.displacement("block"))[1] / stroke, 1.0, digits=10)
     assert_close(gain, stiff / (stiff + spring), digits=10)
 
 
@@ -446,13 +471,11 @@ def test_linear_response_to_strokes_is_the_derivative_at_a_loaded_equilibrium():
     def displaced(share):
         strokes = {name: share * np.array(stroke) for name, stroke in change.items()}
         moved = mechanism.with_strokes(strokes)
-        return tj.equilibrium(moved, start=state).displacements
+        return np.asarray(tj.equilibrium(moved, start=state).displacements)
 
     difference = (displaced(0.1) - displaced(-0.1)) / 0.1
-    scale = 1e-6
-    np.testing.assert_allclose(
-        linear.displacements / scale, difference / 2 / scale, atol=1e-6
-    )
+    found, scale = np.asarray(linear.displacements), 1e-6
+    np.testing.assert_allclose(found / scale, difference / 2 / scale, atol=1e-6)
 
 
 def test_weights_hang_a_mechanism_from_its_springs():
@@ -463,7 +486,7 @@ def test_weights_hang_a_mechanism_from_its_springs():
     found = tj.equilibrium(mechanism, loads=tj.weights(mechanism, gravity=(0.0, -9.81)))
     assert_close(found.displacement("mass"), [0.0, 0.0, -2.0 * 9.81 / 80.0])
     assert len(tj.weights(mechanism)) == 1
-    assert_close(found.reaction("wall")[2], 2.0 * 9.81)
+    assert_close(np.asarray(found.reaction("wall"))[2], 2.0 * 9.81)
     with pytest.raises(ValueError, match="'table' can move, but has no `mass`"):
         tj.weights(guide())
 

@@ -225,7 +225,7 @@ def test_quartic_leaves_converge_to_the_elastica_with_the_fourth_order():
         tip = f"{count}"
         load = [tj.Load(tip, (0.0, 0.0, 1.0))]
         solution = tj.equilibrium(cantilever(count, energy), loads=load)
-        errors.append(np.abs(solution.displacement(tip) / exact - 1))
+        errors.append(np.abs(np.asarray(solution.displacement(tip)) / exact - 1))
     np.testing.assert_array_less(errors[0], 3e-3)
     assert np.log2(errors[0][0] / errors[1][0]) > 3.9
     assert np.all(errors[1] < 3e-4)
@@ -237,9 +237,8 @@ def test_a_quartic_leaf_has_the_stiffness_of_a_leaf():
     for theory in ("euler-bernoulli", "timoshenko"):
         quartic = tj.flexures.quartic_leaf(polymer, theory=theory, **sizes)
         expected = tj.flexures.linear_leaf(polymer, theory=theory, **sizes).stiffness
-        np.testing.assert_allclose(
-            jnp.diag(quartic.tangent_stiffness()), jnp.diag(expected), rtol=1e-12
-        )
+        stiffness = jax.jit(lambda energy=quartic: energy.tangent_stiffness())()
+        np.testing.assert_allclose(np.diag(stiffness), np.diag(expected), rtol=1e-12)
 
 
 def test_the_largest_stress_of_a_cantilever_is_at_its_clamp():
@@ -249,13 +248,17 @@ def test_the_largest_stress_of_a_cantilever_is_at_its_clamp():
     bodies = [tj.Body("wall"), tj.Body("tip", (0.0, 0.05, 0.0))]
     hinge = tj.Hinge("leaf", "wall", "tip", energy, at=(0.0, 0.025, 0.0))
     beam = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+
+    @jax.jit
+    def stress(poses):
+        return tj.flexures.leaf_stress(beam.wrench_of("leaf", poses), **size)
+
     for force, exact in (
         ((0.0, 0.0, 1e-3), 6 * 1e-3 * 0.05 / (0.01 * 1e-6)),
         ((0.0, 2.0, 0.0), 2.0 / (0.01 * 1e-3)),
     ):
         solution = tj.equilibrium(beam, loads=[tj.Load("tip", force)])
-        stress = tj.flexures.leaf_stress(beam.wrench_of("leaf", solution.poses), **size)
-        np.testing.assert_allclose(stress, exact, rtol=1e-5)
+        np.testing.assert_allclose(stress(solution.poses), exact, rtol=1e-5)
 
 
 @pytest.mark.parametrize("web", [1e-9, 1e-5, 2.9e-6, 3.1e-6, 0.25e-3, 1.5e-3])

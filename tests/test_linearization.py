@@ -1,7 +1,6 @@
 """Linearization against equilibria and their derivatives."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
@@ -22,7 +21,8 @@ def test_linearization_is_the_limit_of_small_loads():
         actual = np.asarray(getattr(linear, quantity))
         scale = np.abs(expected).max(axis=0)
         assert_close(actual / scale, expected / scale, digits=5)
-    assert_close(linear.energy / exact.energy, 1.0, digits=5)
+    ratio = np.asarray(linear.energy) / np.asarray(exact.energy)
+    assert_close(ratio, 1.0, digits=5)
 
 
 def test_linearization_about_a_loaded_equilibrium_is_its_derivative():
@@ -32,10 +32,11 @@ def test_linearization_about_a_loaded_equilibrium_is_its_derivative():
 
     def solve(force):
         additional = tj.Load("5", force=(0.0, force))
-        solution = tj.equilibrium(mechanism, loads=[*loads, additional])
+        solution = tj.equilibrium(mechanism, loads=[*loads, additional], throw=False)
         return (solution.displacements, solution.reactions), solution.poses
 
-    (displacements, reactions), poses = jax.jacfwd(solve, has_aux=True)(jnp.array(0.0))
+    differentiate = jax.jit(jax.jacfwd(solve, has_aux=True))
+    (displacements, reactions), poses = differentiate(0.0)
     linearization = tj.linearize(mechanism, about=poses, loads=loads)
     change = linearization(loads=[tj.Load("5", force=(0.0, 1.0))])
     assert_close(change.displacements, displacements, digits=8)

@@ -19,17 +19,18 @@ def released_bar(angle, times, step):
     """Simulate a bar that only a pin supports, beside a block on a spring."""
     bar = tj.Body("bar", pose=(0.0, 0.0, -ARM), mass=MASS, inertia=INERTIA)
     block = tj.Body("block", mass=1.0, inertia=1.0)
-    hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(jnp.eye(3)), at=(0, 0, 0))
+    hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(np.eye(3)), at=(0, 0, 0))
     mechanism = tj.Mechanism([tj.Body("wall"), block, bar], [hinge], fixed=["wall"])
     with pytest.raises(ValueError, match="The body 'bar' is not connected"):
         tj.equilibrium(mechanism)
-    released = jnp.array([angle, ARM * np.sin(angle), -ARM * np.cos(angle)])
+    start = np.array(mechanism.reference)
+    start[2] = angle, ARM * np.sin(angle), -ARM * np.cos(angle)
     return tj.simulate(
         mechanism,
         times,
         loads=[tj.Load("bar", force=(0, -MASS * GRAVITY))],
         constraints=[tj.Pin("pin", "wall", "bar", at=(0, 0))],
-        start=mechanism.reference.at[2].set(released),
+        start=start,
         step=step,
         energies=False,
     )
@@ -45,8 +46,8 @@ def test_pendulum_conserves_energy_and_its_pin_carries_weight_and_inertia(
     pendulum_motion,
 ):
     motion = pendulum_motion
-    angle, x, y = motion.displacement("bar").T
-    omega = motion.velocity("bar")[:, 0]
+    angle, x, y = np.asarray(motion.displacement("bar")).T
+    omega = np.asarray(motion.velocity("bar"))[:, 0]
     inertia_about_pin = INERTIA + MASS * ARM**2
     released_energy = MASS * GRAVITY * ARM * (np.cos(angle) - np.cos(1.0))
     assert_close(inertia_about_pin * omega**2 / 2, released_energy, digits=6)
@@ -63,7 +64,7 @@ def test_pendulum_conserves_energy_and_its_pin_carries_weight_and_inertia(
 
 def test_pin_does_not_drift_in_ten_thousand_steps(pendulum_motion):
     assert int(pendulum_motion.steps) == 10_000
-    angle, x, y = pendulum_motion.displacement("bar")[-1]
+    angle, x, y = np.asarray(pendulum_motion.displacement("bar"))[-1]
     distance = np.hypot(x - ARM * np.sin(angle), y - ARM + ARM * np.cos(angle))
     assert distance < 1e-10
 
@@ -71,8 +72,9 @@ def test_pin_does_not_drift_in_ten_thousand_steps(pendulum_motion):
 def test_rod_that_only_a_pin_supports_is_a_physical_pendulum():
     inertia_about_pin = INERTIA + MASS * ARM**2
     period = 2 * np.pi * np.sqrt(inertia_about_pin / (MASS * GRAVITY * ARM))
-    times, small = [0.0, period / 2, period], 1e-3
-    angle = released_bar(small, times, period / 1000).displacement("bar")[:, 0]
+    times, small = np.linspace(0.0, period, 51), 1e-3
+    motion = released_bar(small, times, period / 1000)
+    angle = np.asarray(motion.displacement("bar"))[::25, 0]
     np.testing.assert_allclose(angle, small * np.array([1, -1, 1]), atol=1e-8)
 
 
@@ -86,7 +88,7 @@ def test_rod_that_only_a_pin_supports_is_a_physical_pendulum():
 def test_pin_does_not_drift_with_solvers_of_diffrax(solver):
     """In twenty oscillations the bob stays on its circle and conserves its energy."""
     length, inertia = 0.5, 0.01
-    spring = tj.Quadratic(1e-9 * jnp.eye(3))
+    spring = tj.Quadratic(1e-9 * np.eye(3))
     hinge = tj.Hinge("spring", "wall", "bob", spring, at=(0.0, 0.0, 0.0))
     bob = tj.Body("bob", (0.0, length, 0.0), mass=1.0, inertia=inertia)
     mechanism = tj.Mechanism([tj.Body("wall"), bob], [hinge], fixed=["wall"])
@@ -100,11 +102,11 @@ def test_pin_does_not_drift_with_solvers_of_diffrax(solver):
     )
     # These are the integrated states. The reported ones are projected once more.
     assert motion.solution.ys is not None
-    angle, x, y = motion.solution.ys[0].position.T
+    angle, x, y = np.asarray(motion.solution.ys[0].position).T
     distance = np.hypot(length + x - length * np.cos(angle), y - length * np.sin(angle))
     assert np.max(distance) < 1e-5
     potential = GRAVITY * length * np.sin(angle)
-    rate = motion.velocity("bob")[:, 0]
+    rate = np.asarray(motion.velocity("bob"))[:, 0]
     energy = (inertia + length**2) * rate**2 / 2 + potential
     assert np.max(np.abs(energy)) < 1e-3 * GRAVITY * length
 

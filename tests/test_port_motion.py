@@ -52,6 +52,7 @@ def displaced(parallelogram):
     }
 
 
+@pytest.mark.slow
 def test_force_and_parasitic_motion_of_a_parallelogram_are_those_of_exact_beams(
     displaced, validated
 ):
@@ -59,7 +60,10 @@ def test_force_and_parasitic_motion_of_a_parallelogram_are_those_of_exact_beams(
     for row in REFERENCE["parallelogram_w0.3_k33_30000"]["rows"]:
         travel, *expected, _ = row  # force, axial motion, rotation
         state = displaced[travel]
-        actual = [state.reaction("stage")[2], *state.displacement("stage")[1::-1]]
+        reaction, moved = map(
+            np.asarray, (state.reaction("stage"), state.displacement("stage"))
+        )
+        actual = [reaction[2], *moved[1::-1]]
         np.testing.assert_allclose(actual, expected, rtol=2e-3)
         ratios = np.array(actual) / expected
     what = f"parallel guide displaced by {travel:g} L: force, change of height, rotation"
@@ -159,7 +163,8 @@ def test_lost_motion_of_the_stage_is_the_loss_of_its_gain():
 
 def tilted_lever(stiffness=50.0):
     """Return a lever with a tilted frame on a hinge that couples all coordinates."""
-    matrix = jnp.array([[2.0, 3.0, 1.0], [3.0, stiffness, 5.0], [1.0, 5.0, 80.0]])
+    matrix = np.array([[2.0, 3.0, 1.0], [3.0, 0.0, 5.0], [1.0, 5.0, 80.0]])
+    matrix = matrix + np.diag([0.0, 1.0, 0.0]) * stiffness
     hinge = tj.Hinge("hinge", "base", "lever", tj.Quadratic(matrix), at=(0.3, 0.1, 0.2))
     bodies = [tj.Body("base"), tj.Body("lever", (0.7, 0.4, -0.1))]
     return tj.Mechanism(bodies, [hinge], fixed=["base"])
@@ -184,15 +189,19 @@ def test_displacements_and_centers_are_those_of_the_poses(turned):
         tj.equilibrium(mechanism, drives=[tj.Drive("lever", angle=angle)])
         for angle in (0.0, 0.2, 0.202)
     ]
-    start, middle, after = (
-        se2.compose(state.pose("lever"), jnp.array(PORT)) for state in states
-    )
-    assert_close(motion.displacement[200], se2.between(start, middle), digits=11)
-    quotient = (motion.displacement[201] - motion.displacement[199]) / 0.002
-    assert_close(motion.rate[200], quotient, digits=5)
-    pole = se2.pole(se2.compose(after, se2.inverse(middle)))  # in the world
-    in_port = se2.rotate(-start[0], pole - start[1:])
-    np.testing.assert_allclose(motion.center[201], in_port, atol=2e-3)
+
+    @jax.jit
+    def expected(*poses):
+        start, middle, after = (se2.compose(pose, jnp.array(PORT)) for pose in poses)
+        pole = se2.pole(se2.compose(after, se2.inverse(middle)))  # in the world
+        return se2.between(start, middle), se2.rotate(-start[0], pole - start[1:])
+
+    displacement, center = expected(*(state.pose("lever") for state in states))
+    found = np.asarray(motion.displacement)
+    assert_close(found[200], displacement, digits=11)
+    quotient = (found[201] - found[199]) / 0.002
+    assert_close(np.asarray(motion.rate)[200], quotient, digits=5)
+    np.testing.assert_allclose(np.asarray(motion.center)[201], center, atol=2e-3)
 
 
 @pytest.mark.slow
@@ -219,13 +228,13 @@ def test_gains_are_differentiable_and_batched(turned):
     def gain(stiffness):
         motion = tj.port_motion(
             tilted_lever(stiffness), "lever", PORT, direction="y", drive=TURN,
-            positions=3,
+            positions=3, throw=False,
         )  # fmt: skip
         return motion.gain[-1]
 
-    stiffnesses = jnp.array([50.0, 49.99, 50.01])
-    values, slopes = jax.vmap(jax.value_and_grad(gain))(stiffnesses)
-    assert_close(values[0], turned.gain[-1], digits=12)
+    differentiate = jax.jit(jax.vmap(jax.value_and_grad(gain)))
+    values, slopes = map(np.asarray, differentiate(np.array([50.0, 49.99, 50.01])))
+    assert_close(values[0], np.asarray(turned.gain)[-1], digits=12)
     assert_close(slopes[0] / ((values[2] - values[1]) / 0.02), 1.0, digits=6)
 
 

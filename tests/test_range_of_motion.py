@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers import value_and_slopes
+from helpers import mostly_slow, value_and_slopes, with_value
 
 import twistorjax as tj
 from twistorjax import flexures
@@ -74,12 +74,13 @@ def test_the_stresses_of_the_stage_are_those_of_its_notches():
     moved = tj.equilibrium(mechanism, drives=[tj.Drive("6", x=1.35e-6)])
     found = tj.stresses(mechanism, moved)
     assert found.names == tuple("abcdefg")
-    web = {name: 0.25e-3 for name in found.names}
-    for name in found.names:
-        expected = flexures.notch_stress(
-            mechanism.wrench_of(name, moved), hole=3e-3, web=web[name], width=20e-3
-        )
-        np.testing.assert_allclose(found.of(name), expected, rtol=2e-3)
+    wrenches = jax.jit(
+        lambda poses: [mechanism.wrench_of(name, poses) for name in found.names]
+    )(moved.poses)
+    stresses = dict(zip(found.names, np.asarray(found.largest), strict=True))
+    for name, wrench in zip(found.names, wrenches, strict=True):
+        expected = flexures.notch_stress(wrench, hole=3e-3, web=0.25e-3, width=20e-3)
+        np.testing.assert_allclose(stresses[name], expected, rtol=2e-3)
 
 
 def test_a_constant_moment_shifts_the_range_of_a_leaf():
@@ -93,7 +94,8 @@ def test_a_constant_moment_shifts_the_range_of_a_leaf():
     )
     expected = np.array([-1.3, 0.7]) * largest / 0.01
     np.testing.assert_allclose(found.factors, expected, rtol=1e-9)
-    np.testing.assert_allclose(found.stresses.largest[:, 0], ALLOWABLE, rtol=1e-9)
+    stresses = np.asarray(found.stresses.largest)
+    np.testing.assert_allclose(stresses[:, 0], ALLOWABLE, rtol=1e-9)
     halved = tj.range_of_motion(
         cantilever(leaf()),
         loads=[tj.Load("block", moment=0.01)],
@@ -133,9 +135,10 @@ def test_a_column_ends_where_it_buckles():
     found = tj.range_of_motion(mechanism, loads=[pull], stress=ALLOWABLE)
     critical = buckling_force(mechanism)
     np.testing.assert_array_equal(found.by_stress, [False, True])
-    np.testing.assert_allclose(-found.factors[0], critical, rtol=2e-6)
+    backward, forward = np.asarray(found.factors)
+    np.testing.assert_allclose(-backward, critical, rtol=2e-6)
     area = SIZES["width"] * SIZES["thickness"]
-    np.testing.assert_allclose(found.factors[1], ALLOWABLE * area, rtol=1e-9)
+    np.testing.assert_allclose(forward, ALLOWABLE * area, rtol=1e-9)
     backward, forward = str(found).splitlines()[1:]
     assert backward.endswith("stability") and forward.endswith("stress in 'flexure'")
 
@@ -218,6 +221,27 @@ def test_a_range_outside_that_of_a_linear_leaf_causes_a_warning():
     moment = tj.Load("block", moment=0.01)
     with pytest.warns(UserWarning, match="times the one at which its force"):
         tj.range_of_motion(cantilever(leaf()), loads=[moment], stress=3e9)
+
+
+@pytest.mark.parametrize("derivative", mostly_slow([jax.jacfwd, jax.jacrev]))
+def test_derivatives_of_the_range_in_pure_bending(derivative):
+    """The moment at the ends is stress times width times thickness squared over 6."""
+
+    def ends(at):
+        thickness, stress = at
+        moment = tj.Load("block", moment=0.01)
+        found = tj.range_of_motion(
+            cantilever(leaf(thickness)), loads=[moment], stress=stress, throw=False
+        )
+        return found.factors
+
+    at = np.array([SIZES["thickness"], 1e-3 * ALLOWABLE])
+    differentiate = jax.jit(derivative(with_value(ends), has_aux=True))
+    slopes, factors = differentiate(at)
+    expected = np.array([-1.0, 1.0]) * at[1] * SIZES["width"] * at[0] ** 2 / 6 / 0.01
+    np.testing.assert_allclose(factors, expected, rtol=1e-9)
+    shares = np.asarray(slopes) * at / expected[:, None]
+    np.testing.assert_allclose(shares, [[2.0, 1.0]] * 2, rtol=1e-8)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from twistorjax.geometry import se2
 
 def shallow_arch():
     """Return two stiff bars on soft hinges, with a rise of a tenth of their length."""
-    soft = tj.Quadratic(jnp.diag(jnp.array([0.05, 8e3, 8e3])), "twist")
+    soft = tj.Quadratic(np.diag([0.05, 8e3, 8e3]), "twist")
     bodies = [
         tj.Body("wall"),
         tj.Body("left", (0, -0.5, 0.05)),
@@ -33,9 +33,10 @@ def test_loads_above_the_limit_load_of_an_arch_have_no_equilibrium():
     def reaction(apex):
         # The middle of a bar moves by half the displacement of the apex.
         drive = tj.Drive("right", y=-apex / 2)
-        return -tj.equilibrium(arch, drives=[drive]).reaction("right")[2]
+        found = tj.equilibrium(arch, drives=[drive], throw=False)
+        return -found.reaction("right")[2]
 
-    reactions = np.asarray(jax.vmap(reaction)(jnp.linspace(0.001, 0.1, 100)))
+    reactions = np.asarray(jax.jit(jax.vmap(reaction))(np.linspace(0.001, 0.1, 100)))
     largest = reactions[: np.argmax(np.diff(reactions) < 0) + 1].max()
     limit = largest / 2  # of a load at the apex
 
@@ -43,12 +44,13 @@ def test_loads_above_the_limit_load_of_an_arch_have_no_equilibrium():
         load = tj.Load("right", force=(0, -force), at=(-0.5, 0.05))
         return tj.equilibrium(arch, loads=[load], throw=False)
 
-    forces = jnp.array([0.5 * limit, 0.99 * limit, 1.01 * limit, 3.0, 20.0, 40.0, 100.0])
-    solutions = jax.vmap(solve)(forces)
+    forces = np.array([0.5 * limit, 0.99 * limit, 1.01 * limit, 3.0, 20.0, 40.0, 100.0])
+    solutions = jax.jit(jax.vmap(solve))(forces)
     assert solutions.succeeded.tolist() == [True, True, *5 * [False]]
     names = tj.result_names(solutions.result)
     assert names is not None and set(names[2:]) == {"no_equilibrium"}
-    np.testing.assert_allclose(solutions.fraction[2:] * forces[2:], limit, rtol=2e-3)
+    reached = np.asarray(solutions.fraction) * forces
+    np.testing.assert_allclose(reached[2:], limit, rtol=2e-3)
 
 
 @pytest.mark.release

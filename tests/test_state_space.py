@@ -35,7 +35,9 @@ def responses(mechanism, frequencies, inputs, outputs, **settings):
     columns = []
     for given in inputs:
         now = [
-            each if each is given else jax.tree.map(lambda value: 0.0 * value, each)
+            each
+            if each is given
+            else jax.tree.map(lambda value: 0.0 * np.asarray(value), each)
             for each in inputs
         ]
         (strokes,) = [each for each in now if isinstance(each, dict)] or [{}]
@@ -48,7 +50,7 @@ def responses(mechanism, frequencies, inputs, outputs, **settings):
             **settings,
         )
         rows = [
-            found.displacement(body)[:, ("angle", "x", "y").index(name)]
+            np.asarray(found.displacement(body))[:, ("angle", "x", "y").index(name)]
             for body, name in outputs.values()
         ]
         columns.append(np.stack(rows, axis=1))
@@ -69,7 +71,7 @@ def test_all_modes_have_the_frequency_response(mechanism, validated):
     expected = responses(mechanism, FREQUENCIES, inputs.values(), OUTPUTS)
     assert_same_response(model, expected)
     what = "state-space model of the stage, 8 frequencies"
-    found = model.frequency_response(FREQUENCIES)[:, 0, 0]
+    found = np.asarray(model.frequency_response(FREQUENCIES))[:, 0, 0]
     reference = "harmonic equations, solved at each frequency"
     validated("Vibrations", what, np.abs(found), np.abs(expected[:, 0, 0]), reference)
 

@@ -14,10 +14,10 @@ from twistorjax.solve.static_errors import check_equilibrium
 
 def test_error_of_a_batch_names_the_failed_design():
     def solve(k):
-        stiffness = jnp.diag(jnp.stack([jnp.ones(()), k, jnp.ones(())]))
+        stiffness = np.diag([1.0, 0.0, 1.0]) + k * np.diag([0.0, 1.0, 0.0])
         return tj.equilibrium(block_on_spring(stiffness), throw=False)
 
-    batch = jax.vmap(solve)(jnp.array([4.0, 0.0]))
+    batch = jax.jit(jax.vmap(solve))(np.array([4.0, 0.0]))
     with pytest.raises(RuntimeError, match="index 1 of the batch"):
         check_equilibrium(batch)
     assert repr(batch.result) == "RESULTS<['successful' 'unstable']>"
@@ -50,7 +50,7 @@ def test_largest_moment_of_a_twistor_spring_is_its_stiffness():
         tj.equilibrium(mechanism, loads=[load])
     solution = tj.equilibrium(mechanism, loads=[load], throw=False)
     assert_close(solution.fraction, 0.8, digits=3)
-    assert_close(solution.reached[1, 0], np.pi / 2, digits=1)
+    assert_close(np.asarray(solution.reached)[1, 0], np.pi / 2, digits=1)
 
 
 @pytest.mark.slow

@@ -16,12 +16,12 @@ EXPANSION, LENGTH = 20e-6, 0.1  # 1/K, m
 
 def heated_block():
     """Return a block on a heated actuator and a spring, which only moves along x."""
-    actuator = tj.Quadratic(jnp.diag(jnp.array([1.0, STIFFNESS, 1.0])))
-    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 100.0, 1.0])))
+    actuator = tj.Quadratic(np.diag([1.0, STIFFNESS, 1.0]))
+    spring = tj.Quadratic(np.diag([1.0, 100.0, 1.0]))
     hinges = [
         tj.Hinge(
             "actuator", "wall", "block", actuator, (0, 0, 0),
-            damping=tj.energies.ViscousDamping(jnp.diag(jnp.array([0.0, DAMPING, 0.0]))),
+            damping=tj.energies.ViscousDamping(np.diag([0.0, DAMPING, 0.0])),
             expansion=tj.Expansion(EXPANSION, length=LENGTH),
         ),
         tj.Hinge("spring", "block", "wall", spring, (0, 0, 0)),
@@ -51,18 +51,19 @@ def exact_position(times, amplitude=1.0):
     return solution.y[0]
 
 
-@pytest.mark.release
 def test_a_heated_actuator_moves_a_block_as_its_base_would():
-    times = np.linspace(0.0, 1.0, 6)
+    times = np.linspace(0.0, 0.2, 3)
     motion = tj.simulate(
         heated_block(),
         times,
         temperature=lambda time: tj.Temperature(hinges={"actuator": heating(time)}),
         tolerance=1e-10,
+        energies=False,
     )
     expected = exact_position(times)
     assert np.max(np.abs(expected)) > 5e-4
-    np.testing.assert_allclose(motion.displacement("block")[:, 1], expected, atol=1e-9)
+    found = np.asarray(motion.displacement("block"))[:, 1]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def table_on_leaves(expansion=1e-2):

@@ -24,7 +24,7 @@ FOUR_BAR = [
 
 def test_frequencies_of_stage_and_linkage_agree_with_the_reference(validated):
     fixed_input = tj.vibrations(stage.microstage(), {"6": ["x"]})
-    frequencies = fixed_input.frequencies[:6]
+    frequencies = np.asarray(fixed_input.frequencies)[:6]
     np.testing.assert_allclose(frequencies, STAGE, rtol=1e-7)
     linkage = tj.vibrations(four_bar.four_bar())
     np.testing.assert_allclose(linkage.frequencies, FOUR_BAR, rtol=1e-7)
@@ -37,16 +37,16 @@ def test_frequencies_of_stage_and_linkage_agree_with_the_reference(validated):
 
 def test_mode_shapes_are_orthonormal_with_respect_to_inertia():
     linkage = four_bar.four_bar()
-    shapes = tj.vibrations(linkage).shapes
-    inertia = linkage.inertia()
-    weighted = jnp.where(jnp.isinf(inertia), 0.0, inertia)[None] * shapes
-    assert_close(jnp.einsum("ibk,jbk->ij", weighted, shapes), jnp.eye(9), digits=9)
+    shapes = np.asarray(tj.vibrations(linkage).shapes)
+    inertia = np.asarray(linkage.inertia())
+    weighted = np.where(np.isinf(inertia), 0.0, inertia)[None] * shapes
+    assert_close(np.einsum("ibk,jbk->ij", weighted, shapes), np.eye(9), digits=9)
 
 
 def column(force, stiffness=2.0):
     """Return a rigid rod on a torsion hinge and a load that presses on its upper end."""
-    diagonal = jnp.stack([jnp.asarray(stiffness), *jnp.full(2, 1e7)])
-    hinge = tj.Hinge("h", "base", "rod", tj.Quadratic(jnp.diag(diagonal)), (0, 0, 0))
+    spring = tj.Quadratic(np.diag([stiffness, 1e7, 1e7]))
+    hinge = tj.Hinge("h", "base", "rod", spring, (0, 0, 0))
     rod = tj.Body("rod", pose=(0, 0, 0.5), mass=1e-4, inertia=0.3)
     mechanism = tj.Mechanism([tj.Body("base"), rod], [hinge], ["base"])
     return mechanism, [tj.Load("rod", force=(0, -force), at=(0, 0.5))]
@@ -57,23 +57,24 @@ def test_compression_lowers_the_frequency_of_a_column():
 
     def frequency(force):
         mechanism, loads = column(force)
-        solution = tj.equilibrium(mechanism, loads=loads)
-        return tj.vibrations(mechanism, about=solution, loads=loads).frequencies[0]
+        about = tj.equilibrium(mechanism, loads=loads, throw=False)
+        found = tj.vibrations(mechanism, about=about, loads=loads, throw=False)
+        return found.frequencies[0]
 
     inertia = 0.3 + 1e-4 * 0.5**2
     expected = np.sqrt((2.0 - 1.2) / inertia) / (2 * np.pi)
-    value, derivative = jax.value_and_grad(frequency)(1.2)
+    value, derivative = jax.jit(jax.value_and_grad(frequency))(1.2)
     np.testing.assert_allclose(value, expected, rtol=1e-5)
     np.testing.assert_allclose(derivative, -expected / (2 * (2.0 - 1.2)), rtol=1e-5)
 
 
 def test_unstable_equilibrium_has_no_vibrations():
     mechanism, loads = column(2.1)
-    compressed = mechanism.reference.at[1, 2].add(-2.1 / 1e7)
+    compressed = np.asarray(mechanism.reference) - [[0, 0, 0], [0, 0, 2.1 / 1e7]]
     with pytest.raises(RuntimeError, match="without an increase of the energy"):
         tj.vibrations(mechanism, about=compressed, loads=loads)
     result = tj.vibrations(mechanism, about=compressed, loads=loads, throw=False)
-    assert not result.succeeded and np.isnan(result.frequencies[0])
+    assert not result.succeeded and np.isnan(np.asarray(result.frequencies)[0])
 
 
 @pytest.mark.parametrize("pinned", [False, True], ids=["springs", "pin"])
@@ -95,14 +96,15 @@ def test_an_instability_is_found_however_slow_it_is(pinned, force):
     found = tj.vibrations(
         mechanism, about=about, loads=loads, constraints=pins, throw=False
     )
+    frequencies = np.asarray(found.frequencies)
     if force > 1:
         assert tj.result_names(found.result) == "unstable"
-        assert np.isnan(found.frequencies[0])
-        assert np.all(found.frequencies[1:] > 1e6)
+        assert np.isnan(frequencies[0])
+        assert np.all(frequencies[1:] > 1e6)
     else:
         assert found.succeeded
         exact = np.sqrt((1.0 - force) / (1.0 + 0.4**2)) / (2 * np.pi)
-        assert_close(found.frequencies[0] / exact, 1.0, digits=9)
+        assert_close(frequencies[0] / exact, 1.0, digits=9)
 
 
 def test_a_mechanism_that_floats_freely_is_not_unstable():
@@ -113,7 +115,8 @@ def test_a_mechanism_that_floats_freely_is_not_unstable():
     ]
     hinge = tj.Hinge("h", "a", "b", spring, (0.1, 0.6, -0.3))
     found = tj.vibrations(tj.Mechanism(bodies, [hinge]))
-    assert np.all(found.frequencies[:3] < 1e-3) and found.frequencies[3] > 1
+    frequencies = np.asarray(found.frequencies)
+    assert np.all(frequencies[:3] < 1e-3) and frequencies[3] > 1
 
 
 @pytest.mark.slow
@@ -179,9 +182,10 @@ def test_response_to_a_load_is_that_of_a_damped_oscillator():
     response = tj.frequency_response(oscillator(time), frequencies, loads=[load])
     omega = 2 * np.pi * frequencies
     expected = 1 / (50 - 2 * omega**2 + 1j * omega * time * 50)
-    assert_close(response.displacement("block")[:, 1], expected, digits=12)
+    displacement = np.asarray(response.displacement("block"))[:, 1]
+    assert_close(displacement, expected, digits=12)
     reaction = -expected * 50 * (1 + 1j * omega * time)
-    assert_close(response.reaction("wall")[:, 1], reaction)
+    assert_close(np.asarray(response.reaction("wall"))[:, 1], reaction)
 
 
 def test_reaction_of_a_harmonic_drive_is_the_dynamic_stiffness():
@@ -189,11 +193,11 @@ def test_reaction_of_a_harmonic_drive_is_the_dynamic_stiffness():
     drives = [tj.Drive("block", y=1e-3)]
     response = tj.frequency_response(oscillator(0.02), [0.5], drives=drives)
     expected = 1e-3 * (80 - 2 * omega**2 + 1j * omega * 0.02 * 80)
-    assert_close(response.reaction("block")[0, 2], expected)
+    assert_close(np.asarray(response.reaction("block"))[0, 2], expected)
 
 
 def test_response_at_an_undamped_resonance_is_an_error():
-    resonance = float(tj.vibrations(oscillator()).frequencies[1])
+    resonance = float(np.asarray(tj.vibrations(oscillator()).frequencies)[1])
     load = tj.Load("block", force=(1.0, 1.0))
     with pytest.raises(RuntimeError, match="a resonance without damping"):
         tj.frequency_response(oscillator(), [1.0, resonance], loads=[load])

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import assert_close, some_poses, some_stiffness
+from helpers import assert_close, for_each, some_poses, some_stiffness
 
 import twistorjax as tj
 from twistorjax.energies.base import validation_error
@@ -24,9 +24,9 @@ every_energy = pytest.mark.parametrize(
 every_coordinates = pytest.mark.parametrize("coordinates", ["twist", "twistor"])
 
 
-def lambda_matrix(pose, sign=-1):
-    """Matrix of equation 4.27; with the other sign, that of equation 4.42."""
-    sigma, xi, x1, x2 = np.asarray(twistors.twistor(pose))
+def lambda_matrix(vector, sign=-1):
+    """Matrix of equation 4.27 of a twistor; with the other sign, that of 4.42."""
+    sigma, xi, x1, x2 = vector
     return np.array(
         [
             [sigma, -sign * x2, sign * x1],
@@ -36,9 +36,9 @@ def lambda_matrix(pose, sign=-1):
     )
 
 
-def gamma_matrix(pose):
+def gamma_matrix(twist):
     """Matrix of equation 3.47, with 1 - rho = angle (1 + cos angle) / (2 sin angle)."""
-    angle, t1, t2 = np.asarray(se2.twist(pose))
+    angle, t1, t2 = twist
     if angle == 0:
         rho_by_angle, half_cot = 0.0, 1.0
     else:
@@ -52,99 +52,116 @@ def gamma_matrix(pose):
 
 def ordinary_poses(seed):
     """Poses at which the formulas of the dissertation are accurate."""
-    angles = jnp.linspace(-2.9, 2.9, 16)
-    return some_poses(seed, 16).at[:, 0].set(angles)
+    poses = some_poses(seed, 16)
+    poses[:, 0] = np.linspace(-2.9, 2.9, 16)
+    return poses
 
 
 def test_energy_of_the_twist_is_that_of_equation_3_4():
-    for pose in some_poses(0):
-        twist_of_pose = np.asarray(se2.twist(pose))
-        assert_close(twist(pose), twist_of_pose @ STIFFNESS @ twist_of_pose / 2)
+    poses = some_poses(0)
+    expected = [t @ STIFFNESS @ t / 2 for t in for_each(se2.twist, poses)]
+    assert_close(for_each(twist, poses), expected)
 
 
 def test_energy_of_the_twistor_is_that_of_equation_4_7():
-    for pose in some_poses(0):
-        vector = np.asarray(twistors.twistor(pose))[1:]
-        assert_close(twistor(pose), 2 * vector @ STIFFNESS @ vector)
+    poses = some_poses(0)
+    vectors = for_each(twistors.twistor, poses)[:, 1:]
+    expected = [2 * vector @ STIFFNESS @ vector for vector in vectors]
+    assert_close(for_each(twistor, poses), expected)
 
 
 def test_wrench_of_the_twistor_is_that_of_equation_4_35():
-    for pose in some_poses(0):
-        vector = np.asarray(twistors.twistor(pose))[1:]
-        expected = 2 * lambda_matrix(pose) @ STIFFNESS @ vector
-        assert_close(twistor.wrench(pose), expected)
+    poses = some_poses(0)
+    expected = [
+        2 * lambda_matrix(vector) @ STIFFNESS @ vector[1:]
+        for vector in for_each(twistors.twistor, poses)
+    ]
+    assert_close(for_each(twistor.wrench, poses), expected)
 
 
 def test_wrench_of_the_twist_is_that_of_equation_3_53():
-    for pose in ordinary_poses(0):
-        expected = gamma_matrix(pose).T @ STIFFNESS @ np.asarray(se2.twist(pose))
-        assert_close(twist.wrench(pose), expected, digits=10)
+    poses = ordinary_poses(0)
+    twists = for_each(se2.twist, poses)
+    expected = [gamma_matrix(t).T @ STIFFNESS @ t for t in twists]
+    assert_close(for_each(twist.wrench, poses), expected, digits=10)
 
 
 def test_gamma_is_the_inverse_right_jacobian_of_the_group():
-    for pose in ordinary_poses(0):
-        angle, t1, t2 = np.asarray(se2.twist(pose))
+    for angle, t1, t2 in ordinary_poses(0):
         ad = np.array([[0, 0, 0], [t2, 0, -angle], [-t1, angle, 0]])
         # (1 - exp(-ad)) / ad, from the matrix exponential of SciPy
         block = scipy.linalg.expm(np.block([[-ad, np.eye(3)], [np.zeros((3, 6))]]))
         right = block[:3, 3:]
-        assert_close(gamma_matrix(pose), np.linalg.inv(right), digits=10)
+        assert_close(gamma_matrix((angle, t1, t2)), np.linalg.inv(right), digits=10)
 
 
 def test_damping_wrench_is_that_of_equation_4_40():
-    velocity_a, velocity_b = jnp.array([0.3, -0.2, 0.9]), jnp.array([-0.5, 0.1, 0.4])
+    velocity_a, velocity_b = np.array([0.3, -0.2, 0.9]), np.array([-0.5, 0.1, 0.4])
     damping = tj.energies.ViscousDamping(DAMPING)
-    for pose in some_poses(1):
-        forward, backward = lambda_matrix(pose), lambda_matrix(pose, sign=1)
+    poses, expected = some_poses(1), []
+    for vector in for_each(twistors.twistor, poses):
+        forward, backward = lambda_matrix(vector), lambda_matrix(vector, sign=1)
         rate = forward.T @ velocity_b / 2 - backward.T @ velocity_a / 2  # equation 4.41
-        expected = 2 * forward @ DAMPING @ rate
-        assert_close(damping.wrench(pose, velocity_a, velocity_b), expected)
+        expected.append(2 * forward @ DAMPING @ rate)
+
+    velocities = np.broadcast_to([velocity_a, velocity_b], (64, 2, 3))
+    wrenches = for_each(damping.wrench, poses, velocities[:, 0], velocities[:, 1])
+    assert_close(wrenches, expected)
 
 
 def test_damping_of_the_twist_rate_is_transformed_by_gamma():
-    velocity_a, velocity_b = jnp.zeros(3), jnp.array([-0.5, 0.1, 0.4])
+    velocity_b = np.array([-0.5, 0.1, 0.4])
     damping = tj.energies.ViscousDamping(DAMPING, "twist")
-    for pose in ordinary_poses(1):
-        gamma = gamma_matrix(pose)
-        expected = gamma.T @ DAMPING @ gamma @ np.asarray(velocity_b)
-        actual = damping.wrench(pose, velocity_a, velocity_b)
-        assert_close(actual, expected, digits=10)
+    poses = ordinary_poses(1)
+    gammas = [gamma_matrix(t) for t in for_each(se2.twist, poses)]
+    expected = [gamma.T @ DAMPING @ gamma @ velocity_b for gamma in gammas]
+    velocities = np.broadcast_to([np.zeros(3), velocity_b], (16, 2, 3))
+    wrenches = for_each(damping.wrench, poses, velocities[:, 0], velocities[:, 1])
+    assert_close(wrenches, expected, digits=10)
 
 
 @every_coordinates
 def test_damping_wrench_vanishes_in_a_rigid_body_motion_of_both_bodies(coordinates):
     damping = tj.energies.ViscousDamping(DAMPING, coordinates)
-    for pose, velocity_a in zip(some_poses(1), some_poses(2), strict=True):
+
+    def wrench(pose, velocity_a):
         velocity_b = se2.adjoint(se2.inverse(pose)) @ velocity_a
-        wrench = damping.wrench(pose, velocity_a, velocity_b)
-        assert_close(wrench, np.zeros(3), digits=10)
+        return damping.wrench(pose, velocity_a, velocity_b)
+
+    wrenches = for_each(wrench, some_poses(1), some_poses(2))
+    assert_close(wrenches, np.zeros((64, 3)), digits=10)
 
 
 @every_coordinates
 def test_dissipated_power_is_positive(coordinates):
     damping = tj.energies.ViscousDamping(DAMPING, coordinates)
-    velocity_a = jnp.zeros(3)
-    for pose, velocity_b in zip(some_poses(1)[1:], some_poses(2)[1:], strict=True):
-        assert damping.wrench(pose, velocity_a, velocity_b) @ velocity_b > 0
+
+    def power(pose, velocity_b):
+        return damping.wrench(pose, jnp.zeros(3), velocity_b) @ velocity_b
+
+    assert np.all(for_each(power, some_poses(1)[1:], some_poses(2)[1:]) > 0)
 
 
 @every_energy
 def test_energy_does_not_change_if_its_frames_are_exchanged(energy):
     poses = some_poses(0)
-    exchanged = jax.vmap(energy)(jax.vmap(se2.inverse)(poses))
-    assert_close(exchanged, jax.vmap(energy)(poses))
+    exchanged = for_each(lambda pose: energy(se2.inverse(pose)), poses)
+    assert_close(exchanged, for_each(energy, poses))
 
 
 @every_coordinates
 def test_energy_does_not_depend_on_the_choice_of_frames(coordinates):
     """New frames on the same bodies, with the stiffness transformed to them."""
-    for pose, frame in zip(some_poses(0), some_poses(1), strict=True):
+
+    def transformed(pose, frame):
         # the new frames have the same pose in frame a and in frame b
         new_pose = se2.compose(se2.compose(se2.inverse(frame), pose), frame)
         stiffness = se2.adjoint(frame).T @ STIFFNESS @ se2.adjoint(frame)
-        transformed = tj.Quadratic((stiffness + stiffness.T) / 2, coordinates)
-        expected = tj.Quadratic(STIFFNESS, coordinates)(pose)
-        assert_close(transformed(new_pose), expected, digits=10)
+        return tj.Quadratic((stiffness + stiffness.T) / 2, coordinates)(new_pose)
+
+    poses = some_poses(0)
+    expected = for_each(tj.Quadratic(STIFFNESS, coordinates), poses)
+    assert_close(for_each(transformed, poses, some_poses(1)), expected, digits=10)
 
 
 @every_energy
@@ -156,13 +173,16 @@ def test_reference_stiffness_is_the_given_stiffness(energy):
 @every_energy
 def test_wrench_is_the_derivative_along_displacements_fixed_to_b(energy):
     step = 1e-5
-    for pose in some_poses(0)[4:20]:
-        for k, direction in enumerate(np.eye(3)):
-            ahead, behind = (
-                energy(se2.compose(pose, se2.exp(jnp.array(sign * step * direction))))
-                for sign in (1, -1)
-            )
-            assert_close(energy.wrench(pose)[k], (ahead - behind) / (2 * step), digits=6)
+    steps = step * np.concatenate([np.eye(3), -np.eye(3)])
+
+    def energies(pose):
+        moved = jax.vmap(lambda twist: se2.compose(pose, se2.exp(twist)))(steps)
+        return jax.vmap(energy)(moved)
+
+    poses = some_poses(0)[4:20]
+    ahead, behind = np.split(for_each(energies, poses), 2, axis=1)
+    differences = (ahead - behind) / (2 * step)
+    assert_close(for_each(energy.wrench, poses), differences, digits=6)
 
 
 @every_energy
@@ -183,37 +203,37 @@ def test_work_on_a_closed_path_of_displacements_is_zero(energy, angle):
         velocity_b = jnp.concatenate([rate[:1], se2.rotate(-pose[0], rate[1:])])
         return energy.wrench(pose) @ velocity_b
 
-    power = jax.jit(jax.vmap(power_at))
-    work, exchanged = 0.0, 0.0
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        poses = start + (nodes[:, None] + 1) / 2 * (end - start)
-        rates = power(jnp.array(poses), jnp.array(np.broadcast_to(end - start, (40, 3))))
-        work += weights @ np.asarray(rates) / 2
-        exchanged += weights @ np.abs(np.asarray(rates)) / 2
-    stored = max(float(energy(jnp.array(corner))) for corner in corners)
+    rates = np.repeat(np.roll(corners, -1, axis=0) - corners, 40, axis=0)
+    poses = np.repeat(corners, 40, axis=0) + np.tile(nodes + 1, 4)[:, None] / 2 * rates
+    power = for_each(power_at, poses, rates).reshape(4, 40)
+    work = np.sum(power @ weights) / 2
+    exchanged = np.sum(np.abs(power) @ weights) / 2
+    stored = np.max(for_each(energy, corners))
     assert abs(work) < 1e-12 * stored
     assert exchanged > stored  # the path is not one of zero power
 
 
 def test_energies_of_twist_and_twistor_differ_in_fourth_order():
-    pose = jnp.array([1.0, 0.3, -0.2])
-    differences = [abs(twist(s * pose) - twistor(s * pose)) for s in (1e-2, 1e-3)]
+    poses = np.array([[1e-2], [1e-3]]) * [1.0, 0.3, -0.2]
+    differences = abs(for_each(twist, poses) - for_each(twistor, poses))
     assert 3.9 < np.log10(differences[0] / differences[1]) < 4.1
 
 
 def test_moment_of_a_twistor_energy_vanishes_after_half_a_turn():
     half_turn = jnp.array([np.pi, 0.0, 0.0])
-    spring = tj.Quadratic(jnp.eye(3))
-    assert abs(spring.wrench(half_turn)[0]) < 1e-15
-    spring_of_twist = tj.Quadratic(jnp.eye(3), "twist")
-    assert_close(spring_of_twist.wrench(half_turn)[0], np.pi)
+    spring = tj.Quadratic(np.eye(3))
+    assert abs(np.asarray(spring.wrench(half_turn))[0]) < 1e-15
+    spring_of_twist = tj.Quadratic(np.eye(3), "twist")
+    assert_close(np.asarray(spring_of_twist.wrench(half_turn))[0], np.pi)
 
 
 def test_energies_and_wrenches_of_sums_and_multiples_add_up():
     pose = jnp.array([0.3, 0.1, -0.2])
-    total = twist + twistor + 2.0 * twist
-    assert_close(total(pose), 3 * twist(pose) + twistor(pose))
-    assert_close(total.wrench(pose), 3 * twist.wrench(pose) + twistor.wrench(pose))
+    energies = [twist + twistor + 2.0 * twist, twist, twistor]
+    total, first, second = (np.asarray(energy(pose)) for energy in energies)
+    assert_close(total, 3 * first + second)
+    total, first, second = (np.asarray(energy.wrench(pose)) for energy in energies)
+    assert_close(total, 3 * first + second)
 
 
 @pytest.mark.untyped
@@ -240,7 +260,7 @@ def test_singular_stiffness_and_rounding_errors_are_accepted():
 @pytest.mark.untyped
 def test_unknown_coordinates_raise_an_error():
     with pytest.raises(ValueError, match="`coordinates` is 'screw', but must be one of"):
-        tj.Quadratic(jnp.eye(3), "screw")  # pyright: ignore[reportArgumentType]
+        tj.Quadratic(np.eye(3), "screw")  # pyright: ignore[reportArgumentType]
 
 
 def test_negative_factor_is_a_validation_error():

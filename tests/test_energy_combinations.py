@@ -64,7 +64,6 @@ ENERGIES = {
     "axial spring": tj.energies.AxialSpring(500.0, length=0.8),
     "user-defined": Quartic(jnp.array(3.0)),
 }
-EACH = pytest.mark.parametrize("energy", ENERGIES.values(), ids=ENERGIES)
 
 
 def value(energy, pose=POSE):
@@ -92,11 +91,26 @@ def combinations(energy):
     }
 
 
-COMBINATIONS = pytest.mark.parametrize("name", combinations(tj.Quadratic(STIFFNESS)))
+NAMES = list(combinations(tj.Quadratic(STIFFNESS)))
+# Both contain all others: sums, zeros, multiples, ranges, and wrappers.
+LARGEST = ["range of a wrapper", "range of a sum"]
+COMBINATIONS = pytest.mark.parametrize("name", NAMES)
+EACH_COMBINATION = pytest.mark.parametrize(
+    ("energy", "name"),
+    [
+        pytest.param(
+            energy,
+            name,
+            id=f"{name}-{label}",
+            marks=[] if name in LARGEST or label == "mixed" else [pytest.mark.slow],
+        )
+        for label, energy in ENERGIES.items()
+        for name in NAMES
+    ],
+)
 
 
-@EACH
-@COMBINATIONS
+@EACH_COMBINATION
 def test_a_combination_has_the_same_energy_and_gradient(energy, name):
     combined = combinations(energy)[name]
     assert_close(value(combined), value(energy))
@@ -112,8 +126,7 @@ def test_a_combination_has_the_same_wrench(name):
     assert_close(combined.wrench(POSE), energy.wrench(POSE))
 
 
-@EACH
-@COMBINATIONS
+@EACH_COMBINATION
 def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, name):
     """Scale of translations, model for Newton's method, damping, and resisted rates."""
     terms = solver_protocols.parallel_terms(combinations(energy)[name])
@@ -149,8 +162,7 @@ def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, na
         assert_close(rates, expected)
 
 
-@EACH
-@COMBINATIONS
+@EACH_COMBINATION
 def test_the_validity_range_is_that_of_the_energy_and_of_the_combination(energy, name):
     """A twist is undefined at a full rotation; a range of 1 rad is exceeded earlier."""
     combined = combinations(energy)[name]
@@ -173,12 +185,9 @@ def test_an_invalid_value_is_found_at_any_depth():
         assert validation_error(combined) is None
 
 
-@pytest.mark.parametrize("name", mostly_slow(["range of a wrapper", "range of a sum"]))
+@pytest.mark.parametrize("name", mostly_slow(LARGEST))
 def test_a_combination_takes_as_many_newton_steps_as_the_energy(name):
-    """The flexure is thin, so this requires its model for Newton's method.
-
-    Both combinations contain all others: sums, zeros, multiples, ranges, and wrappers.
-    """
+    """The flexure is thin, so this requires its model for Newton's method."""
 
     def steps(energy):
         hinge = tj.Hinge("flexure", "wall", "tip", energy, at=(0.0, 0.0, 0.0))

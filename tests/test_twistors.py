@@ -1,14 +1,19 @@
 """Twistors against the geometric algebra of the library `clifford`."""
 
-import clifford
 import jax
 import jax.numpy as jnp
+import numba
 import numpy as np
 import pytest
-from helpers import assert_close, some_poses
+from helpers import assert_close, for_each, some_poses
 
 from twistorjax.geometry import se2, twistors as tc
 
+
+# Numba would take two seconds to compile a few products of short arrays.
+with pytest.MonkeyPatch.context() as monkeypatch:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    import clifford
 
 LAYOUT, BLADES = clifford.Cl(3, 1)
 E1, E2, PLUS, MINUS = (BLADES[f"e{k}"] for k in (1, 2, 3, 4))
@@ -29,6 +34,10 @@ def homogeneous(point):
     return x * E1 + y * E2 + (x**2 + y**2) / 2 * INFINITY + ORIGIN
 
 
+def twistors_of(poses):
+    return for_each(tc.twistor, poses)
+
+
 def assert_same(actual, expected):
     np.testing.assert_allclose(actual.value, expected.value, atol=1e-12)
 
@@ -47,53 +56,60 @@ def test_the_printed_sign_of_the_basis_reverses_translations():
 
 
 def test_the_twistor_is_the_exponential_of_half_the_twist():
-    for pose in some_poses(0):
-        rotation, along, across = map(float, se2.twist(pose))
+    poses = some_poses(0, 16)
+    twists = for_each(se2.twist, poses)
+    for (rotation, along, across), twistor in zip(
+        twists, twistors_of(poses), strict=True
+    ):
         bivector = rotation * E1 * E2 + along * E1 * INFINITY + across * E2 * INFINITY
         power, series = 1 + 0 * E1, 1 + 0 * E1
         for k in range(1, 40):
             power = power * bivector / (2 * k)
             series = series + power
-        assert_same(multivector(tc.twistor(pose)), series)
+        assert_same(multivector(twistor), series)
 
 
 def test_product_is_the_geometric_product():
-    for first, second in zip(some_poses(0), some_poses(1), strict=True):
-        first, second = tc.twistor(first), tc.twistor(second)
-        expected = multivector(first) * multivector(second)
-        assert_same(multivector(tc.product(first, second)), expected)
+    first, second = twistors_of(some_poses(0)), twistors_of(some_poses(1))
+    products = for_each(tc.product, first, second)
+    for a, b, product in zip(first, second, products, strict=True):
+        assert_same(multivector(product), multivector(a) * multivector(b))
 
 
 def test_conjugate_is_the_reverse_of_the_multivector():
-    for pose in some_poses(0):
-        twistor = tc.twistor(pose)
-        assert_same(multivector(tc.conjugate(twistor)), ~multivector(twistor))
+    twistors = twistors_of(some_poses(0))
+    for twistor, conjugate in zip(
+        twistors, for_each(tc.conjugate, twistors), strict=True
+    ):
+        assert_same(multivector(conjugate), ~multivector(twistor))
 
 
 def test_move_is_the_product_with_a_point_of_the_homogeneous_model():
-    point = jnp.array([0.3, -0.7])
-    for pose in some_poses(0):
-        q = multivector(tc.twistor(pose))
-        moved = tc.move(tc.twistor(pose), point)
-        assert_same(homogeneous(moved), ~q * homogeneous(point) * q)
-        assert_close(moved, se2.act(pose, point))
+    point = np.array([0.3, -0.7])
+    poses = some_poses(0)
+    points, twistors = np.broadcast_to(point, (64, 2)), twistors_of(poses)
+    moved = for_each(tc.move, twistors, points)
+    for twistor, moved_point in zip(twistors, moved, strict=True):
+        q = multivector(twistor)
+        assert_same(homogeneous(moved_point), ~q * homogeneous(point) * q)
+    assert_close(moved, for_each(se2.act, poses, points))
 
 
 def test_composition_is_the_product_with_the_first_displacement_on_the_left():
-    for outer, inner in zip(some_poses(0), some_poses(1), strict=True):
-        total = tc.twistor(se2.compose(outer, inner))
-        assert_close(tc.product(tc.twistor(inner), tc.twistor(outer)), total)
+    outer, inner = some_poses(0), some_poses(1)
+    products = for_each(tc.product, twistors_of(inner), twistors_of(outer))
+    assert_close(products, twistors_of(for_each(se2.compose, outer, inner)))
 
 
 def test_pose_inverts_twistor_within_a_full_turn():
     poses = some_poses(0)
-    assert_close(jax.vmap(lambda pose: tc.pose(tc.twistor(pose)))(poses), poses)
+    assert_close(for_each(tc.pose, twistors_of(poses)), poses)
 
 
 def test_the_twistor_of_the_inverse_pose_is_the_conjugate():
-    for pose in some_poses(0):
-        inverse = tc.twistor(se2.inverse(pose))
-        assert_close(inverse, tc.conjugate(tc.twistor(pose)))
+    poses = some_poses(0)
+    inverses = twistors_of(for_each(se2.inverse, poses))
+    assert_close(inverses, for_each(tc.conjugate, twistors_of(poses)))
 
 
 def test_the_three_ways_of_section_2_7_4_agree():
@@ -127,11 +143,16 @@ def test_half_angle_cos_sin_has_the_derivatives_of_cosine_and_sine(order):
 
     for _ in range(order):
         reused, computed = jax.jacfwd(reused), jax.jacfwd(computed)
-    assert_close(reused(angle), computed(angle), digits=15)
+    derivatives = jax.jit(lambda angle: (reused(angle), computed(angle)))(angle)
+    assert_close(*derivatives, digits=15)
 
 
 def test_a_displacement_has_the_twist_and_the_twistor_of_its_pose():
-    for pose in some_poses(0):
+    def strain(pose):
         displacement = tc.Displacement.from_pose(pose)
-        assert_close(displacement.twist(), se2.twist(pose))
-        assert_close(displacement.strain()[1:] / 2, tc.twistor(pose)[2:])
+        return jnp.stack([displacement.twist(), displacement.strain()])
+
+    poses = some_poses(0)
+    strains = for_each(strain, poses)
+    assert_close(strains[:, 0], for_each(se2.twist, poses))
+    assert_close(strains[:, 1, 1:] / 2, twistors_of(poses)[:, 2:])

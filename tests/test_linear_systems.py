@@ -1,5 +1,7 @@
 """Sums of entries, inverses, and solutions of linear systems, single and in batches."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,11 +25,14 @@ def test_sums_of_entries_and_their_derivatives_agree_with_numpy(batch_last):
     def sums(entries):
         return sum_entries(entries, source, target, 20, signs, batch_last)
 
-    single = sums(jnp.asarray(entries[0, 0]))
+    @jax.jit
+    def sums_and_gradient(entries, weights):
+        batch, pull_back = jax.vjp(jax.vmap(jax.vmap(sums)), entries)
+        return sums(entries[0, 0]), batch, *pull_back(weights)
+
+    single, batch, gradient = sums_and_gradient(entries, weights)
     np.testing.assert_allclose(single, matrix @ entries[0, 0], atol=1e-14)
-    batch, pull_back = jax.vjp(jax.vmap(jax.vmap(sums)), jnp.asarray(entries))
     np.testing.assert_allclose(batch, entries @ matrix.T, atol=1e-14)
-    (gradient,) = pull_back(jnp.asarray(weights))
     np.testing.assert_allclose(gradient, weights @ matrix, atol=1e-14)
 
 
@@ -44,7 +49,7 @@ def test_a_batch_of_stiffnesses_is_solved_as_each_of_them(batched):
         rights = np.broadcast_to(rights[0], rights.shape)
     stable = np.linalg.eigvalsh(matrices)[:, 0] > 0
     arguments = [
-        jnp.asarray(values if axis else values[0])
+        values if axis else values[0]
         for values, axis in zip((matrices, rights), batched, strict=True)
     ]
     in_axes = [0 if axis else None for axis in batched]
@@ -52,7 +57,7 @@ def test_a_batch_of_stiffnesses_is_solved_as_each_of_them(batched):
     def solve(matrix, rights):
         return solve_once(matrix, rights, symmetric=True)
 
-    found, found_stable = jax.vmap(solve, in_axes)(*arguments)
+    found, found_stable = map(np.asarray, jax.jit(jax.vmap(solve, in_axes))(*arguments))
     assert np.array_equal(found_stable, stable)
     expected = np.linalg.solve(matrices[:, None], rights[..., None])[..., 0]
     np.testing.assert_allclose(found[stable], expected[stable], rtol=1e-9)
@@ -67,19 +72,18 @@ def test_derivatives_of_solutions_agree_with_numpy():
     rights, right_changes = other[:, :2], other[:, 2:4]
 
     def solve(change, matrix, matrix_change, right, right_change):
-        matrix = jnp.asarray(matrix) + change * matrix_change
-        right = jnp.asarray(right) + change * right_change
+        matrix = matrix + change * matrix_change
+        right = right + change * right_change
         return solve_once(matrix, right, symmetric=True)[0]
 
     systems = matrices, changes, rights, right_changes
     solutions = np.linalg.solve(matrices[:, None], rights[..., None])[..., 0]
     differences = right_changes - np.einsum("brj,bji->bri", solutions, changes)
     expected = np.linalg.solve(matrices[:, None], differences[..., None])[..., 0]
-    zeros = jnp.zeros(6)
     for derivative in (jax.jacfwd(solve), jax.jacrev(solve)):
-        single = derivative(0.0, *(values[0] for values in systems))
+        single = jax.jit(derivative)(0.0, *(values[0] for values in systems))
         np.testing.assert_allclose(single, expected[0], rtol=1e-8)
-        batch = jax.vmap(derivative)(zeros, *systems)
+        batch = jax.jit(jax.vmap(derivative))(np.zeros(6), *systems)
         np.testing.assert_allclose(batch, expected, rtol=1e-8)
 
 
@@ -91,21 +95,28 @@ def test_inverses_in_batches_and_their_derivatives_agree_with_numpy(imaginary):
     roots, skew, other, changes = random
     matrices = roots @ roots.transpose(0, 2, 1) + np.eye(5)
     matrices = matrices + skew - skew.transpose(0, 2, 1) + imaginary * other
-    matrices = jnp.asarray(matrices)
-    changes = jnp.asarray(changes, matrices.dtype)
+    changes = changes.astype(matrices.dtype)
     inverses = np.linalg.inv(matrices)
-    for function in (inverse, jax.vmap(inverse)):
-        found, rates = jax.jvp(function, (matrices,), (changes,))
+
+    @jax.jit
+    def inverses_rates_and_gradient(matrices, changes):
+        _, pull_back = jax.vjp(jax.vmap(inverse), matrices)
+        rates = [
+            jax.jvp(function, (matrices,), (changes,))
+            for function in (inverse, jax.vmap(inverse))
+        ]
+        return inverse(matrices[0]), rates, pull_back(changes)
+
+    single, results, (gradient,) = inverses_rates_and_gradient(matrices, changes)
+    for found, rates in results:
         np.testing.assert_allclose(found, inverses, rtol=1e-9, atol=1e-12)
         expected = -inverses @ changes @ inverses
         np.testing.assert_allclose(rates, expected, rtol=1e-8, atol=1e-11)
-    np.testing.assert_allclose(inverse(matrices[0]), inverses[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(single, inverses[0], rtol=1e-9, atol=1e-12)
     if not imaginary:
-        _, pull_back = jax.vjp(jax.vmap(inverse), matrices)
         transposed = inverses.transpose(0, 2, 1)
-        gradient = -transposed @ changes @ transposed
-        (found,) = pull_back(changes)
-        np.testing.assert_allclose(found, gradient, rtol=1e-8, atol=1e-11)
+        expected = -transposed @ changes @ transposed
+        np.testing.assert_allclose(gradient, expected, rtol=1e-8, atol=1e-11)
 
 
 @pytest.mark.parametrize("size", [1, 5, 30])
@@ -121,7 +132,9 @@ def test_solutions_by_factors_and_their_derivatives_agree_with_numpy(size):
     def solve(stiffness):
         return factorize(stiffness, symmetric=True).solve(jnp.asarray(force))
 
-    found, rate = jax.jvp(jax.jit(solve), (stiffness,), (change,))
+    found, rate = jax.jit(lambda *arguments: jax.jvp(solve, *arguments))(
+        (stiffness,), (change,)
+    )
     expected = np.linalg.solve(stiffness, force)
     expected_rate = -np.linalg.solve(stiffness, change @ expected)
     for value, exact in ((found, expected), (rate, expected_rate)):
@@ -131,26 +144,34 @@ def test_solutions_by_factors_and_their_derivatives_agree_with_numpy(size):
 
 @pytest.mark.parametrize("size", [1, 5, 30])
 def test_solutions_of_a_stiffness_that_is_not_positive_definite_are_nan(size):
-    def solve(stiffness):
-        factors = factorize(jnp.asarray(stiffness), symmetric=True)
-        return factors.solve_and_check(jnp.ones(size))
+    @jax.jit
+    @partial(jax.jacrev, has_aux=True)
+    def derivatives_and_solution(factor, stiffness):
+        factors = factorize(factor * stiffness, symmetric=True)
+        solution, stable = factors.solve_and_check(jnp.ones(size))
+        return solution, (solution, stable)
 
     stiffness = np.diag(np.logspace(-3, 3, size))
-    assert solve(stiffness)[1]
+    _, (_, stable) = derivatives_and_solution(1.0, stiffness)
+    assert stable
     stiffness[-1, -1] *= -1
-    solution, stable = solve(stiffness)
+    derivatives, (solution, stable) = derivatives_and_solution(1.0, stiffness)
     assert not stable
     assert np.all(np.isnan(solution))
-    derivatives = jax.jacrev(lambda factor: solve(factor * stiffness)[0])(1.0)
     assert np.all(np.isnan(derivatives))
 
 
 @pytest.mark.parametrize("size", [5, 30])
 def test_stability_does_not_depend_on_the_forces(size):
     """JAX raises an error if it finds one value for each member of a batch of forces."""
-    factors = factorize(jnp.eye(size), symmetric=True)
 
-    def is_stable(force):
-        return factors.solve_and_check(force)[1]
+    @jax.jit
+    def are_stable(forces):
+        factors = factorize(jnp.eye(size), symmetric=True)
 
-    assert jax.vmap(is_stable, out_axes=None)(jnp.ones((3, size)))
+        def is_stable(force):
+            return factors.solve_and_check(force)[1]
+
+        return jax.vmap(is_stable, out_axes=None)(forces)
+
+    assert are_stable(np.ones((3, size)))

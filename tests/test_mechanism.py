@@ -49,7 +49,7 @@ def mechanism_of(names=("a", "b"), hinges=None, fixed=("a",)):
 
 
 def block_on_spring(at, pose=(0.0, 0.0, 0.0), **inertia):
-    energy = tj.Quadratic(jnp.diag(jnp.array([1.0, 300.0, 200.0])))
+    energy = tj.Quadratic(np.diag([1.0, 300.0, 200.0]))
     block = tj.Body("block", pose, **inertia)
     return tj.Mechanism(
         [BASE, block], [hinge("h", "base", "block", energy, at)], ["base"]
@@ -67,10 +67,17 @@ def test_energy_forces_and_stiffness_are_sums_over_hinges():
     names = "a", "b", "c"
     single = [mechanism_of(names, [one], fixed=names) for one in hinges]
     mechanism = mechanism_of(names, hinges)
-    poses = jax.random.normal(jax.random.key(0), (3, 3))
-    for quantity in ("energy", "wrenches", "stiffness"):
-        parts = [getattr(each, quantity)(poses) for each in single]
-        assert_close(getattr(mechanism, quantity)(poses), sum(parts))
+    poses = np.random.default_rng(0).normal(size=(3, 3))
+
+    @jax.jit
+    def quantities(poses):
+        return [
+            [each.energy(poses), each.wrenches(poses), each.stiffness(poses)]
+            for each in (mechanism, *single)
+        ]
+
+    for total, *parts in zip(*quantities(poses), strict=True):
+        assert_close(total, sum(map(np.asarray, parts)))
 
 
 def test_ports_and_pose_of_a_hinge_are_equivalent():
@@ -80,7 +87,7 @@ def test_ports_and_pose_of_a_hinge_are_equivalent():
     both = [tj.Body("a", reference[0]), tj.Body("b", reference[1])]
     by_at = tj.Mechanism(both, [tj.Hinge("h", "a", "b", SPRING, at)], ["a"])
     by_ports = tj.Mechanism(both, [tj.Hinge("h", "a", "b", SPRING, ports=ports)], ["a"])
-    poses = jax.random.normal(jax.random.key(0), (2, 3))
+    poses = jnp.asarray(np.random.default_rng(0).normal(size=(2, 3)))
     assert_close(by_ports.energy(poses), by_at.energy(poses))
 
 
@@ -141,23 +148,25 @@ def test_inertia_of_a_triangular_plate_is_the_closed_form():
 def test_wrenches_of_tiny_displacements_are_accurate(size):
     """The block moves by less than the rounding error of its position, which is 40 mm."""
     mechanism = block_on_spring((0.3, 40e-3, 30e-3), pose=(0.0, 40e-3, 30e-3))
-    force = size * jnp.array([250.0, -170.0])
+    force = size * np.array([250.0, -170.0])
     solution = tj.equilibrium(mechanism, loads=[tj.Load("block", force=force)])
-    wrench = mechanism.wrench_of("h", solution)
-    angle = jnp.array(-0.3)
-    expected = [0.0, *(se2.rotate(angle, force) / size)]
-    assert_close(wrench / size, expected, digits=11)
-    translation = solution.displacement("block")[1:]
-    of_hinge = mechanism.displacement_of("h", solution)[1:]
-    assert_close(of_hinge / size, se2.rotate(angle, translation) / size, digits=11)
+    wrench = np.asarray(mechanism.wrench_of("h", solution))
+    into_hinge = np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+    assert_close(wrench / size, [0.0, *(into_hinge @ force / size)], digits=11)
+    translation = np.asarray(solution.displacement("block"))[1:]
+    of_hinge = np.asarray(mechanism.displacement_of("h", solution))[1:]
+    assert_close(of_hinge / size, into_hinge @ translation / size, digits=11)
 
 
 def test_wrench_of_a_hinge_has_a_row_for_each_time_of_a_motion():
-    mechanism = block_on_spring((0.0, 0.0, 0.0), mass=1.0, inertia=1.0)
-    velocities = {"block": (0, 1.0, 0)}
-    motion = tj.simulate(mechanism, [0.0, 0.1, 0.2], velocities=velocities)
+    mechanism = block_on_spring((0.0, 0.0, 0.0))
+    displacements = np.zeros((3, 2, 3))
+    displacements[:, 1, 1:] = [[0.0, 1e-3], [2e-3, 0.0], [-1e-3, 3e-3]]
+    motion = SimpleNamespace(
+        displacements=jnp.asarray(displacements), reference=mechanism.reference
+    )
     wrenches = mechanism.wrench_of("h", motion)
-    assert_close(wrenches[:, 1], 300.0 * motion.displacement("block")[:, 1])
+    assert_close(wrenches, displacements[:, 1] * [1.0, 300.0, 200.0])
 
 
 @pytest.mark.untyped
@@ -289,7 +298,7 @@ def test_invalid_arguments_are_reported_by_name(create, message):
 
 
 def test_invalid_stiffness_is_reported_with_the_name_of_its_hinge():
-    indefinite = jnp.diag(jnp.array([1.0, -1, 1]))
+    indefinite = jnp.asarray(np.diag([1.0, -1, 1]))
     broken = eqx.tree_at(lambda energy: energy.stiffness, SPRING, indefinite)
     message = "hinge 'h' cannot be used: `stiffness` has a neg"
     with pytest.raises(ValueError, match=message):
@@ -350,9 +359,9 @@ LONG = "x" * 10_000
             minimize="x",
             standard_deviations={LONG: 1.0},
         ),
-        lambda: tj.Mechanism([tj.Body(f"{k}") for k in range(5000)], [], fixed=["none"]),
+        lambda: tj.Mechanism([tj.Body(f"{k}") for k in range(500)], [], fixed=["none"]),
         lambda: tj.Mechanism(
-            [tj.Body(f"{k:050}") for k in range(500)], [hinge("h", "a", "b")]
+            [tj.Body(f"{k:050}") for k in range(50)], [hinge("h", "a", "b")]
         ),
     ],
 )

@@ -34,18 +34,6 @@ def spring(k):
     return tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
 
 
-def springs_in_series(k):
-    """Two springs in series along x, with the stiffnesses a and b."""
-    matrices = [jnp.diag(jnp.stack([1.0 + 0 * k[n], k[n], k[n]])) for n in ("a", "b")]
-    first, second = (tj.Quadratic(matrix) for matrix in matrices)
-    bodies = [tj.Body("wall"), tj.Body("middle"), tj.Body("end")]
-    hinges = [
-        tj.Hinge("a", "wall", "middle", first, at=(0, 0, 0)),
-        tj.Hinge("b", "middle", "end", second, at=(0, 0, 0)),
-    ]
-    return tj.Mechanism(bodies, hinges, fixed=["wall"])
-
-
 def positive(value, unit=""):
     return Parameter(value, unit, lower=0)
 

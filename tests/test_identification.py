@@ -7,7 +7,7 @@ import optax
 import optimistix as optx
 import pytest
 import scipy.optimize
-from helpers import assert_close
+from helpers import assert_close, mostly_slow
 from identification_helpers import (
     body_at,
     FormulaTest,
@@ -24,7 +24,6 @@ from twistorjax.examples import identification, stage
 from twistorjax.identification import (
     BodySensor,
     HingeTest,
-    Parameter,
     StaticTest,
     VibrationTest,
 )
@@ -36,7 +35,7 @@ def test_one_stiffness_and_its_standard_error_follow_from_hookes_law():
     result = tj.identify(spring, {"along": positive(30.0, "N/m")}, [data])
     assert_close(result.estimates["along"], 125.0, digits=7)
     assert_close(result.standard_errors["along"], 125.0**2 * 1e-4 / 5.0, digits=6)
-    assert_close(result.values, jnp.array([125.0]), digits=7)
+    assert_close(result.values, [125.0], digits=7)
 
 
 @pytest.mark.slow
@@ -64,17 +63,18 @@ def test_two_parameters_of_a_nonlinear_model_agree_with_scipy():
         BodySensor("block", "y", 1e-3),
     ]
     test = StaticTest([[tj.Load("block", wrench)] for wrench in wrenches], sensors)
-    data = test.synthetic_data(spring(TRUE), jax.random.key(0))
-    start = {"rotation": positive(1.5), "along": positive(60.0)}
-    result = tj.identify(spring, start, [data])
 
     @jax.jit
     def predict(k):
         return test.predict(spring({"rotation": k[0], "along": k[1]}), throw=False)
 
+    exact = np.asarray(predict(np.array([TRUE["rotation"], TRUE["along"]])))
+    readings = exact + 1e-3 * np.random.default_rng(0).normal(size=exact.shape)
+    start = {"rotation": positive(1.5), "along": positive(60.0)}
+    result = tj.identify(spring, start, [test.measurement(readings)])
+
     def residuals(k):
-        differences = predict(jnp.asarray(k)) - data.values
-        return np.ravel(differences / data.standard_deviations)
+        return np.ravel(np.asarray(predict(k)) - readings) / 1e-3
 
     peer = scipy.optimize.least_squares(
         residuals, [1.5, 60.0], x_scale=[1, 60], xtol=1e-15
@@ -158,16 +158,15 @@ def test_a_motion_determines_all_three_stiffnesses(vibration_result):
 
 
 def test_the_jacobian_of_a_motion_agrees_with_finite_differences(vibration_result):
-    problem, point = vibration_result.problem, vibration_result.normalized
-    step = 1e-4
-    for k in range(3):
-        change = jnp.zeros(3).at[k].set(step)
-        forward, backward = (problem.residuals(point + side * change) for side in (1, -1))
-        column = (forward - backward) / (2 * step)
-        tolerance = 1e-4 * np.max(np.abs(column))
-        np.testing.assert_allclose(
-            vibration_result.jacobian[:, k], column, atol=tolerance
-        )
+    problem = vibration_result.problem
+    residuals = jax.jit(lambda point: problem.residuals(point))
+    point, step = np.asarray(vibration_result.normalized), 1e-4
+    jacobian = np.asarray(vibration_result.jacobian)
+    for change, column in zip(step * np.eye(3), jacobian.T, strict=True):
+        forward, backward = (np.asarray(residuals(point + d)) for d in (change, -change))
+        difference = (forward - backward) / (2 * step)
+        tolerance = 1e-4 * np.max(np.abs(difference))
+        np.testing.assert_allclose(column, difference, atol=tolerance)
 
 
 @pytest.mark.slow
@@ -180,9 +179,12 @@ def test_gradients_in_reverse_and_forward_mode_are_equal(vibration_data):
 
 @pytest.mark.parametrize(
     "method",
-    [optax.sgd(0.5), optax.adam(0.05), optx.LevenbergMarquardt(1e-9, 1e-9),
-     optx.Dogleg(1e-9, 1e-9)],
-    ids=["sgd", "adam", "marquardt", "dogleg"],
+    mostly_slow(
+        [optx.LevenbergMarquardt(1e-9, 1e-9), optx.Dogleg(1e-9, 1e-9), optax.sgd(0.5),
+         optax.adam(0.05)],
+        fast=2,
+    ),
+    ids=["marquardt", "dogleg", "sgd", "adam"],
 )  # fmt: skip
 def test_all_optimizers_find_the_same_minimum(method):
     data = [push(force).measurement([[force / 125.0]]) for force in (1.0, 5.0)]
@@ -212,8 +214,9 @@ def test_restarts_find_the_smallest_of_several_minima():
 
     The residuals are those of the free vibration of a mass, in closed form.
     """
-    times = jnp.linspace(0.0, 3.0, 25)
+    times = np.linspace(0.0, 3.0, 25)
 
+    @jax.jit
     def vibration(stiffness):
         frequency = jnp.sqrt(stiffness / 2.0)
         return jnp.sin(frequency * times) / frequency
@@ -222,7 +225,7 @@ def test_restarts_find_the_smallest_of_several_minima():
         return body_at({"a": parameters["along"], "b": 0.0})
 
     test = FormulaTest(lambda u: vibration(u[0]), jnp.full(25, 1e-3))
-    data = [test.measurement(vibration(100.0)[:, None])]
+    data = [test.measurement(np.asarray(vibration(100.0))[:, None])]
     start = {"along": positive(190.0)}
     single = tj.identify(design, start, data, throw=False)
     several = tj.identify(
@@ -232,14 +235,6 @@ def test_restarts_find_the_smallest_of_several_minima():
     assert_close(several.estimates["along"], 100.0, digits=3)
     assert several.losses.shape == (9,)
     assert any("starts ended with a larger loss" in text for text in several.warnings)
-
-
-def test_an_estimate_at_its_bound_is_reported():
-    data = [push(5.0).measurement([[0.04]])]
-    start = {"along": Parameter(60.0, lower=0, upper=100.0)}
-    result = tj.identify(spring, start, data, throw=False)
-    assert 99.9 < result.estimates["along"] <= 100.0
-    assert any("along is at its bound" in text for text in result.warnings)
 
 
 @pytest.mark.slow

@@ -14,7 +14,6 @@ from identification_helpers import (
     push,
     push_series,
     spring,
-    springs_in_series,
 )
 
 import twistorjax as tj
@@ -29,29 +28,25 @@ from twistorjax.identification import (
 
 def test_a_stiffness_that_is_never_loaded_is_not_determined():
     """It stays at its initial value, and its standard error is infinite."""
-    test = StaticTest(
-        [[tj.Load("block", moment=0.2)]], [BodySensor("block", "angle", 1e-3)]
-    )
-    start = {"rotation": positive(0.5, "N m/rad"), "along": positive(77.0, "N/m")}
-    result = tj.identify(spring, start, [test.measurement([[0.2]])])
-    assert_close(result.estimates["along"], 77.0)
-    assert result.standard_errors["along"] == jnp.inf
-    assert np.isfinite(result.standard_errors["rotation"])
+    test = FormulaTest(lambda k: jnp.stack([0.2 / k[0]]), jnp.array([1e-3]))
+    start = {"a": positive(0.5, "N m/rad"), "b": positive(77.0, "N/m")}
+    result = tj.identify(body_at, start, [test.measurement([[0.2]])])
+    assert_close(result.estimates["b"], 77.0)
+    assert result.standard_errors["b"] == np.inf
+    assert np.isfinite(result.standard_errors["a"])
     (direction,) = result.undetermined_directions
-    assert "along" in direction and "rotation" not in direction
-    assert "along" in repr(result) and "N/m  not determined" in repr(result)
+    assert "b by" in direction and "a by" not in direction
+    assert "N/m  not determined" in repr(result)
     low, high = result.confidence_interval()
-    assert low["along"] == 0.0 and high["along"] == jnp.inf
+    assert low["b"] == 0.0 and high["b"] == np.inf
 
 
 def test_of_two_springs_in_series_only_the_compliance_is_determined():
     """Stiffening one spring and softening the other does not change the readings."""
-    test = StaticTest(
-        [[tj.Load("end", force=(1.0, 0.0))]], [BodySensor("end", "x", 1e-5)]
-    )
+    test = FormulaTest(lambda k: jnp.stack([1 / k[0] + 1 / k[1]]), jnp.array([1e-5]))
     start = {"a": positive(100.0), "b": positive(300.0)}
-    result = tj.identify(springs_in_series, start, [test.measurement([[0.02]])])
-    a, b = result.estimates["a"], result.estimates["b"]
+    result = tj.identify(body_at, start, [test.measurement([[0.02]])])
+    a, b = (float(result.estimates[name]) for name in "ab")
     assert_close(1 / a + 1 / b, 0.02, digits=7)
     (description,) = result.undetermined_directions
     # The compliance 1/a + 1/b is constant if d ln a / a = - d ln b / b.
@@ -63,24 +58,12 @@ def test_of_two_springs_in_series_only_the_compliance_is_determined():
 
 def test_changes_are_relative_to_the_estimates():
     """Of springs in series between driven ends, only the ratio is determined."""
-
-    def chain(design):
-        def along(stiffness):
-            return tj.Quadratic(jnp.diag(jnp.stack([1.0, stiffness, 100.0])))
-
-        names = ("wall", "middle", "end")
-        hinges = [
-            tj.Hinge("first", "wall", "middle", along(design["first"]), at=(0, 0, 0)),
-            tj.Hinge("last", "middle", "end", along(design["last"]), at=(0, 0, 0)),
-        ]
-        return tj.Mechanism([tj.Body(n) for n in names], hinges, fixed=["wall"])
-
-    drives = [[tj.Drive("end", x=travel)] for travel in (1e-3, 2e-3)]
-    test = StaticTest(drives, [BodySensor("middle", "x", 1e-6)])
-    start = {"first": Parameter(100.0), "last": Parameter(100.0)}
-    data = [test.measurement([[0.25e-3], [0.5e-3]])]
-    result = tj.identify(chain, start, data)
-    assert_close(result.estimates["first"] / result.estimates["last"], 3.0, digits=7)
+    travels = np.array([1e-3, 2e-3])
+    test = FormulaTest(lambda k: travels * (k[1] / (k[0] + k[1])), jnp.full(2, 1e-6))
+    start = {"a": Parameter(100.0), "b": Parameter(100.0)}
+    result = tj.identify(body_at, start, [test.measurement([[0.25e-3], [0.5e-3]])])
+    first, last = (float(result.estimates[name]) for name in "ab")
+    assert_close(first / last, 3.0, digits=7)
     (direction,) = result.undetermined_directions
     assert "by +1 % and" in direction and direction.count("by +1 %") == 2
 
@@ -97,12 +80,12 @@ def test_a_parameter_with_a_small_effect_on_the_readings_is_not_determined():
 def test_hubers_loss_reduces_the_effect_of_an_outlier():
     forces = np.linspace(1.0, 5.0, 9)
     readings = forces / 100 + 1e-4 * np.array([0, 1, -1, 0.5, 300, -0.5, 1, -1, 0])
-    data = [push_series(forces, 1e-4).measurement(readings[:, None])]
-    start = {"along": positive(80.0)}
-    plain = tj.identify(spring, start, data)
-    robust = tj.identify(spring, start, data, huber_threshold=1.345)
-    assert abs(plain.estimates["along"] - 100) > 5
-    assert abs(robust.estimates["along"] - 100) < 0.3
+    test = FormulaTest(lambda k: forces / k[0], jnp.full(9, 1e-4))
+    data, start = [test.measurement(readings[:, None])], {"a": positive(80.0), "b": 0.0}
+    plain = tj.identify(body_at, start, data)
+    robust = tj.identify(body_at, start, data, huber_threshold=1.345)
+    assert abs(plain.estimates["a"] - 100) > 5
+    assert abs(robust.estimates["a"] - 100) < 0.3
     too_large = "times as large as the standard deviations"
     assert any(too_large in text for text in plain.warnings)
 
@@ -113,18 +96,18 @@ def test_hubers_loss_reduces_the_effect_of_an_outlier():
 
     peer = scipy.optimize.minimize_scalar(huber_loss, (90, 100, 110), tol=1e-12)
     assert isinstance(peer, scipy.optimize.OptimizeResult)
-    assert_close(robust.estimates["along"], peer.x, digits=5)
+    assert_close(robust.estimates["a"], peer.x, digits=5)
     assert_close(robust.loss, peer.fun, digits=8)
-    outlier = "outliers, in standard deviations: block.x in row 4 (-3"
+    outlier = "outliers, in standard deviations: value in row 4 (-3"
     assert any(outlier in text for text in robust.warnings)
     assert not any("times as large" in text for text in robust.warnings)
     residual = (forces[4] / peer.x - readings[4]) / 1e-4
-    assert_close(robust.residuals[0][4, 0], residual, digits=5)
+    assert_close(np.asarray(robust.residuals[0])[4, 0], residual, digits=5)
 
 
 def test_standard_errors_of_hubers_loss_are_at_least_those_of_least_squares():
     """This holds even if all residuals are large, or all are zero."""
-    readings = jnp.array([1.0, 1.01, 2.0, 2.01])
+    readings = np.array([1.0, 1.01, 2.0, 2.01])
 
     def function(u):
         return jnp.concatenate([readings - u[0], jnp.stack([u[1] - 1.0, u[1] - 1.0])])
@@ -158,7 +141,7 @@ def test_confidence_intervals_contain_the_true_value_as_often_as_their_level():
 
 def test_intervals_of_hubers_loss_have_their_level_with_few_readings():
     """One of ten readings of a line has a sixfold error: 300 repetitions."""
-    x = jnp.linspace(0.0, 1.0, 12)
+    x = np.linspace(0.0, 1.0, 12)
 
     def contains_true_value(key):
         noise_key, outlier_key = jax.random.split(key)
@@ -240,7 +223,7 @@ def test_a_confidence_interval_depends_on_its_level():
     data = [push(5.0).measurement([[0.05]])]
     result = tj.identify(spring, {"along": positive(80.0)}, data)
     low, high = result.confidence_interval(0.6826894921)
-    relative_error = result.standard_errors["along"] / 100.0
+    relative_error = float(result.standard_errors["along"]) / 100.0
     assert_close(low["along"], 100 * np.exp(-relative_error), digits=6)
     assert_close(high["along"], 100 * np.exp(relative_error), digits=6)
     with pytest.raises(ValueError, match=r"`level` is 95.0, but must be between 0 and 1"):
@@ -251,7 +234,7 @@ def test_large_residuals_of_held_out_readings_are_reported():
     data = [push(5.0).measurement([[0.04]])]
     held_out = [push(10.0).measurement([[0.09]])]  # the model predicts 10 / 125 = 0.08
     result = tj.identify(spring, {"along": positive(60.0)}, data, held_out=held_out)
-    assert_close(result.held_out_residuals[0][0, 0], -0.01 / 1e-4, digits=6)
+    assert_close(result.held_out_residuals[0], [[-0.01 / 1e-4]], digits=6)
     text = "RMS residual of the held-out readings is 100 standard deviations"
     assert any(text in warning for warning in result.warnings)
 

@@ -67,8 +67,12 @@ ENERGIES = {
 
 
 def value(energy, pose=POSE):
-    """Return the energy at a pose; its operations are not compiled as one program."""
     return energy.stored_energy(Displacement.from_pose(pose))
+
+
+@eqx.filter_jit
+def value_and_gradient(energy):
+    return jax.value_and_grad(value, argnums=1)(energy, POSE)
 
 
 def limited(energy, rotation=1.0):
@@ -113,9 +117,8 @@ EACH_COMBINATION = pytest.mark.parametrize(
 @EACH_COMBINATION
 def test_a_combination_has_the_same_energy_and_gradient(energy, name):
     combined = combinations(energy)[name]
-    assert_close(value(combined), value(energy))
-    gradient = jax.grad(value, argnums=1)
-    assert_close(gradient(combined, POSE), gradient(energy, POSE))
+    for found, expected in zip(value_and_gradient(combined), value_and_gradient(energy)):
+        assert_close(found, expected)
 
 
 @COMBINATIONS
@@ -126,54 +129,62 @@ def test_a_combination_has_the_same_wrench(name):
     assert_close(combined.wrench(POSE), energy.wrench(POSE))
 
 
+@eqx.filter_jit
+def properties(energy, term, share, stress):
+    """Return the properties of a term of an energy, with a share of the stress.
+
+    They are its scale of translations, model for Newton's method, damping, and resisted
+    rates.
+    """
+    at = Displacement.from_pose(POSE)
+    found = {
+        "scale": solver_protocols.translation_scale(term, at),
+        "model": value(solver_protocols.newton_model(term, tuple(share * stress))),
+        "rates": jnp.stack(solver_protocols.resisted_rates(term, at, RATES)),
+    }
+    if not isinstance(energy, tj.energies.PointCharges):  # which are not in equilibrium
+        damping = solver_protocols.proportional_damping(term, jnp.array(0.1)).damping
+        found["damping"] = damping
+    return found
+
+
 @EACH_COMBINATION
 def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, name):
-    """Scale of translations, model for Newton's method, damping, and resisted rates."""
+    """The stress, the model for Newton's method, and the damping are sums."""
     terms = solver_protocols.parallel_terms(combinations(energy)[name])
-    at = Displacement.from_pose(POSE)
-    stress = jnp.array([0.3, 2.5, -0.7])
-    forces, damping, model, resisted = [], [], [], []
-    for term in terms:
-        if value(term) == 0:
+    stress, (whole, _) = np.array([0.3, 2.5, -0.7]), value_and_gradient(energy)
+    shares = [float(value_and_gradient(term)[0]) / float(whole) for term in terms]
+    expected = properties(energy, energy, 1.0, stress)
+    sums = dict.fromkeys(expected.keys() - {"scale", "rates"}, 0.0)
+    for term, share in zip(terms, shares, strict=True):
+        if share == 0:
             continue  # the zero of the sum, or a validity range
-        share = value(term) / value(energy)
-        forces.append(share)
-        scale = solver_protocols.translation_scale(term, at)
-        assert_close(scale, solver_protocols.translation_scale(energy, at))
-        model.append(value(solver_protocols.newton_model(term, tuple(share * stress))))
-        if not isinstance(
-            energy, tj.energies.PointCharges
-        ):  # which are not in equilibrium
-            time = jnp.array(0.1)
-            damping.append(solver_protocols.proportional_damping(term, time).damping)
-        rates = jnp.stack(solver_protocols.resisted_rates(term, at, RATES))
-        resisted.append(rates)
+        found = properties(energy, term, share, stress)
+        assert_close(found["scale"], expected["scale"])
+        assert_close(found["rates"], expected["rates"])
+        sums = {key: total + np.asarray(found[key]) for key, total in sums.items()}
         assert solver_protocols.has_resisted_rates(
             term
         ) == solver_protocols.has_resisted_rates(energy)
-    assert_close(sum(forces), 1.0)
-    whole = solver_protocols.newton_model(energy, tuple(stress))
-    assert_close(sum(model), value(whole))
-    if damping:
-        whole = solver_protocols.proportional_damping(energy, jnp.array(0.1)).damping
-        assert_close(sum(damping), whole)
-    expected = jnp.stack(solver_protocols.resisted_rates(energy, at, RATES))
-    for rates in resisted:
-        assert_close(rates, expected)
+    assert_close(sum(shares), 1.0)
+    for key, total in sums.items():
+        assert_close(total, expected[key])
 
 
 @EACH_COMBINATION
 def test_the_validity_range_is_that_of_the_energy_and_of_the_combination(energy, name):
     """A twist is undefined at a full rotation; a range of 1 rad is exceeded earlier."""
     combined = combinations(energy)[name]
-    for rotation in (0.5, 1.5, 7.0):
+
+    @jax.jit
+    def outside(rotation):
         at = Displacement.from_pose(jnp.array([rotation, 0.0, 0.0]))
-        exceeded = out_of_range(energy, at)
-        expected = bool(exceeded) if exceeded is not None else False
-        if "range" in name:
-            expected |= rotation > 1.0
-        found = out_of_range(combined, at)
-        assert (bool(found) if found is not None else False) == expected
+        exceeded = out_of_range(combined, at), out_of_range(energy, at)
+        return [False if flag is None else flag for flag in exceeded]
+
+    for rotation in (0.5, 1.5, 7.0):
+        found, expected = outside(rotation)
+        assert found == (expected | ("range" in name and rotation > 1.0))
 
 
 def test_an_invalid_value_is_found_at_any_depth():

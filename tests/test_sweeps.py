@@ -25,7 +25,7 @@ pytest.importorskip("zarr")
 
 def test_each_design_has_the_result_of_a_single_evaluation():
     designs = {"k": np.linspace(50.0, 150.0, 7), "force": np.linspace(-0.2, 0.3, 7)}
-    table = tj.sweep(pulled_block, designs, chunk_size=3)
+    table = tj.sweep(pulled_block, designs, chunk_size=4)
     np.testing.assert_allclose(table.travel, designs["force"] / designs["k"], rtol=1e-9)
     assert table.travel.dims == ("design",)
     np.testing.assert_array_equal(table.k, designs["k"])
@@ -43,12 +43,12 @@ def test_a_grid_contains_all_combinations_of_its_values():
 
 
 def test_derivatives_are_exact_and_have_units():
-    designs = {"k": np.array([50.0, 100.0]), "force": np.array([0.1, 0.3])}
+    k, force = np.array([50.0, 100.0, 150.0, 200.0]), np.array([0.1, 0.3, 0.5, 0.7])
+    designs = {"k": k, "force": force}
     units = {"k": "N/m", "force": "N", "travel": "m"}
     table = tj.sweep(pulled_block, designs, derivatives=("travel",), units=units)
-    np.testing.assert_allclose(table.travel_by_force, 1 / designs["k"], rtol=1e-9)
-    derivative = -designs["force"] / designs["k"] ** 2
-    np.testing.assert_allclose(table.travel_by_k, derivative, rtol=1e-9)
+    np.testing.assert_allclose(table.travel_by_force, 1 / k, rtol=1e-9)
+    np.testing.assert_allclose(table.travel_by_k, -force / k**2, rtol=1e-9)
     assert table.travel_by_k.attrs["units"] == "m/(N/m)"
     assert table.travel_by_force.attrs["units"] == "m/N"
 
@@ -304,8 +304,8 @@ def study_in_filter_jit():
 
 CHANGES = [
     global_number, array_in_closure, whole_array_in_closure, nested_function, attribute,
-    argument_of_partial, default_argument, stiffness_of_a_mechanism, study_in_jit,
-    study_in_filter_jit,
+    argument_of_partial, default_argument, study_in_jit, study_in_filter_jit,
+    pytest.param(stiffness_of_a_mechanism, marks=pytest.mark.slow),
 ]  # fmt: skip
 
 
@@ -389,10 +389,8 @@ def test_invalid_values_of_a_grid_are_rejected(values, message):
 
 def test_a_solve_that_raises_in_a_study_is_reported_with_a_remedy():
     def study(design):
-        spring = tj.Quadratic(jnp.diag(jnp.stack([1.0, design["k"], 1.0])))
-        hinge = tj.Hinge("h", "a", "b", spring, at=(0.0, 0.0, 0.0))
-        pair = tj.Mechanism([tj.Body("a"), tj.Body("b")], [hinge], fixed=["a"])
-        return tj.equilibrium(pair, loads=[tj.Load("b", (0.0, 1.0, 0.0))]).energy
+        loads = [tj.Load("block", (0.0, 1.0, 0.0))]
+        return tj.equilibrium(spring(design), loads=loads).energy
 
     with pytest.raises(RuntimeError, match="Call the solver with `throw=False`"):
         tj.sweep(study, {"k": np.array([1.0, -1.0])})
@@ -437,7 +435,7 @@ def test_the_gain_of_the_stage_is_swept_with_its_exact_derivative():
 
 def test_the_webs_of_the_stage_may_differ():
     """Seven equal webs give the gain of one thickness."""
-    equal = jax.jit(stage.microstage)(jnp.full(7, 0.25e-3))
-    np.testing.assert_allclose(stage.amplification(equal).gain, 27.628043685, rtol=1e-10)
+    gain = jax.jit(lambda webs: stage.amplification(stage.microstage(webs)).gain)
+    np.testing.assert_allclose(gain(np.full(7, 0.25e-3)), 27.628043685, rtol=1e-10)
     with pytest.raises(ValueError, match="one for each of the hinges a, b"):
         stage.microstage(np.full(3, 0.25e-3))

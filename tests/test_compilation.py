@@ -74,24 +74,39 @@ BUILD = "stage = tj.examples.stage.microstage()"
 SOLVE = "tj.equilibrium(stage, drives=[tj.Drive('6', x=5e-6)])"
 
 
-def test_each_public_map_is_one_program():
+MAPS = (
+    "se2.compose(pose, pose)",
+    "se2.twist(pose)",
+    "se2.exp(pose)",
+    "se2.transform_wrench(pose, pose)",
+    "twistors.twistor(pose)",
+    "leaf(pose)",
+    "leaf.wrench(pose)",
+    "leaf.tangent_stiffness(pose)",
+)
+
+
+@pytest.fixture(scope="module")
+def counts():
+    """Count the programs of public maps and of equilibria, in one process."""
     setup = (
         "import numpy as np; from twistorjax.geometry import se2, twistors; "
         "pose = jax.device_put(np.array([0.3, 1e-3, 2e-3])); "
         "leaf = tj.Quadratic(np.eye(3))"
     )
-    calls = (
-        "se2.compose(pose, pose)",
-        "se2.twist(pose)",
-        "se2.exp(pose)",
-        "se2.transform_wrench(pose, pose)",
-        "twistors.twistor(pose)",
-        "leaf(pose)",
-        "leaf.wrench(pose)",
-        "leaf.tangent_stiffness(pose)",
+    equilibria = (
+        BUILD,
+        "first = tj.equilibrium(stage, loads=[tj.Load('6', force=(1.0, 0.0))])",
+        "tj.equilibrium(stage, loads=[tj.Load('6', force=(1.0, 0.0)), "
+        "tj.Load('4', moment=1e-3), tj.Load('2', (0, 0, 1), at=(1e-3, 0))])",
+        "tj.equilibrium(stage, loads=[tj.Load('6', force=(2.0, 0.0))], start=first)",
     )
-    counts = count_programs(setup, *calls, "; ".join(calls))
-    assert counts == [[0, 0], *len(calls) * [[1, 0]], [0, 0]]
+    counts = count_programs(setup, *MAPS, "; ".join(MAPS), *equilibria)
+    return {"maps": counts[:-4], "equilibria": counts[-4:]}
+
+
+def test_each_public_map_is_one_program(counts):
+    assert counts["maps"] == [[0, 0], *len(MAPS) * [[1, 0]], [0, 0]]
 
 
 @pytest.mark.slow
@@ -121,15 +136,8 @@ def drive(time):
     assert counts[2][0] == 0
 
 
-def test_other_loads_and_an_equilibrium_as_start_do_not_compile_again():
-    counts = count_programs(
-        BUILD,
-        "first = tj.equilibrium(stage, loads=[tj.Load('6', force=(1.0, 0.0))])",
-        "tj.equilibrium(stage, loads=[tj.Load('6', force=(1.0, 0.0)), "
-        "tj.Load('4', moment=1e-3), tj.Load('2', (0, 0, 1), at=(1e-3, 0))])",
-        "tj.equilibrium(stage, loads=[tj.Load('6', force=(2.0, 0.0))], start=first)",
-    )
-    assert counts == [[0, 0], [1, 0], [0, 0], [0, 0]]
+def test_other_loads_and_an_equilibrium_as_start_do_not_compile_again(counts):
+    assert counts["equilibria"] == [[0, 0], [1, 0], [0, 0], [0, 0]]
 
 
 @pytest.mark.slow
@@ -378,7 +386,7 @@ USES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("use", mostly_slow(USES, fast=3))
+@pytest.mark.parametrize("use", mostly_slow(USES, fast=2))
 def test_a_function_of_the_user_has_the_values_at_the_time_of_the_call(use):
     for number in (0.1, 0.2, 0.1):
         VALUE[0] = number

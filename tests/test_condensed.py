@@ -42,6 +42,17 @@ def guide_of_quadratic_leaves(scale=1.0):
 GUIDE_POSE = jnp.array([2e-4, -4e-6, 2e-3])
 
 
+@jax.jit
+def exact_guide(scale):
+    """Return the energy of a guide, its wrench, and the derivative of that by a scale."""
+
+    def wrench(scale):
+        return Condensed(guide_of_quadratic_leaves(scale)).wrench(GUIDE_POSE)
+
+    energy = Condensed(guide_of_quadratic_leaves(scale))(GUIDE_POSE)
+    return energy, *jax.jvp(wrench, (scale,), (1.0,))
+
+
 class TestExact:
     def test_it_is_the_smallest_energy_over_the_poses_of_the_inner_body(self):
         part = guide_of_quadratic_leaves()
@@ -60,15 +71,19 @@ class TestExact:
             return float(energy), np.asarray(gradient[inner]) * units
 
         found = minimize(at, np.zeros(3), jac=True, tol=1e-14)
-        assert_close(Condensed(part)(GUIDE_POSE), found.fun, rtol=1e-9)
+        energy, _, _ = exact_guide(1.0)
+        assert_close(energy, found.fun, rtol=1e-9)
 
     def test_its_wrench_is_the_reaction_of_body_b(self):
         part = guide_of_quadratic_leaves()
-        angle, x, y = GUIDE_POSE
+        angle, x, y = np.asarray(GUIDE_POSE)
         moved = tj.Drive("B", angle=angle, x=x, y=y)
         reaction = tj.equilibrium(part.mechanism, drives=[moved]).reaction("B")
-        expected = jnp.concatenate([reaction[:1], se2.rotate(-angle, reaction[1:])])
-        assert_close(Condensed(part).wrench(GUIDE_POSE), expected, rtol=1e-9)
+        moment, force_x, force_y = np.asarray(reaction)
+        cos, sin = np.cos(angle), np.sin(angle)
+        expected = [moment, cos * force_x + sin * force_y, cos * force_y - sin * force_x]
+        _, wrench, _ = exact_guide(1.0)
+        assert_close(wrench, expected, rtol=1e-9)
 
     @pytest.mark.slow
     def test_third_derivatives_agree_with_differences_of_the_second_ones(self):
@@ -88,12 +103,11 @@ class TestExact:
         assert_close(derivative / size, slope / size, atol=1e-6)
 
     def test_a_derivative_by_the_stiffness_agrees_with_differences(self):
-        def wrench(scale):
-            return Condensed(guide_of_quadratic_leaves(scale)).wrench(GUIDE_POSE)
-
-        wrench_and_slope = jax.jit(lambda scale: jax.jvp(wrench, (scale,), (1.0,)))
-        (below, _), (_, slope), (above, _) = map(wrench_and_slope, (0.999, 1.0, 1.001))
-        assert_close(slope, (above - below) / 0.002, rtol=1e-6)
+        (_, below, _), (_, _, slope), (_, above, _) = map(
+            exact_guide, (0.999, 1.0, 1.001)
+        )
+        difference = np.asarray(above) - np.asarray(below)
+        assert_close(slope, difference / 0.002, rtol=1e-6)
 
     @pytest.mark.slow
     def test_a_hinge_with_it_moves_as_the_whole_mechanism(self):
@@ -282,7 +296,12 @@ class TestRange:
         ("name", "arguments", "message"),
         [
             ("parallelogram", {"rotation": 0.1}, "along axis 2: give `displacement`"),
-            ("cross-spring", {"displacement": 1e-3}, "along axis 2: give `rotation`"),
+            pytest.param(
+                "cross-spring",
+                {"displacement": 1e-3},
+                "along axis 2: give `rotation`",
+                marks=pytest.mark.slow,
+            ),
         ],
     )
     def test_the_other_direction_is_the_compliant_one(self, name, arguments, message):

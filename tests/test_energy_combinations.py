@@ -116,9 +116,10 @@ EACH_COMBINATION = pytest.mark.parametrize(
 
 @EACH_COMBINATION
 def test_a_combination_has_the_same_energy_and_gradient(energy, name):
-    combined = combinations(energy)[name]
-    for found, expected in zip(value_and_gradient(combined), value_and_gradient(energy)):
-        assert_close(found, expected)
+    found, gradient = value_and_gradient(combinations(energy)[name])
+    expected, expected_gradient = value_and_gradient(energy)
+    assert_close(found, expected)
+    assert_close(gradient, expected_gradient)
 
 
 @COMBINATIONS

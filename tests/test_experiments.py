@@ -1,5 +1,6 @@
 """Sensors, tests on mechanisms, synthetic data, and the ranking of further tests."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,8 +30,18 @@ def linkage():
 
 @pytest.fixture(scope="module")
 def motion(linkage):
-    times = jnp.linspace(0.0, 0.05, 201)
+    times = np.linspace(0.0, 0.05, 201)
     return four_bar.driven_motion(linkage, times, tolerance=1e-8)
+
+
+def read(sensors, linkage, motion):
+    """Return the readings of several sensors, as one program."""
+
+    @eqx.filter_jit
+    def readings(linkage, motion):
+        return [sensor.read(linkage, motion) for sensor in sensors]
+
+    return map(np.asarray, readings(linkage, motion))
 
 
 def test_a_sensor_at_a_point_follows_the_frame_of_the_body(linkage, motion):
@@ -48,13 +59,14 @@ def test_a_sensor_at_a_point_follows_the_frame_of_the_body(linkage, motion):
         ("y", "velocity_y"),
     ]
     for k, (name, rate) in enumerate(quantities):
-        sensor = BodySensor("3", name, 1.0, at=point)
-        displacement = position[k] - reference[k]
-        assert_close(sensor.read(linkage, motion), displacement, digits=12)
-        sensor = BodySensor("3", name, 1.0, at=point, absolute=True)
-        assert_close(sensor.read(linkage, motion), position[k], digits=12)
-        sensor = BodySensor("3", rate, 1.0, at=point)
-        velocity = sensor.read(linkage, motion)
+        sensors = [
+            BodySensor("3", name, 1.0, at=point),
+            BodySensor("3", name, 1.0, at=point, absolute=True),
+            BodySensor("3", rate, 1.0, at=point),
+        ]
+        displacement, absolute, velocity = read(sensors, linkage, motion)
+        assert_close(displacement, position[k] - reference[k], digits=12)
+        assert_close(absolute, position[k], digits=12)
         difference = (position[k][2:] - position[k][:-2]) / (2 * step)
         # The vibration of the stiff hinges decays in the first steps.
         error = np.abs(velocity[1:-1] - difference)[20:]
@@ -62,33 +74,39 @@ def test_a_sensor_at_a_point_follows_the_frame_of_the_body(linkage, motion):
 
 
 def test_sensors_read_the_quantities_of_the_motion(linkage, motion):
-    of_body: dict[BodyQuantity, jax.Array] = {
-        "angle": motion.displacement("3")[:, 0],
-        "x": motion.displacement("3")[:, 1],
-        "angular_velocity": motion.velocity("3")[:, 0],
-        "velocity_y": motion.velocity("3")[:, 2],
+    displacement, velocity = (
+        np.asarray(rows) for rows in (motion.displacement("3"), motion.velocity("3"))
+    )
+    of_body: dict[BodyQuantity, np.ndarray] = {
+        "angle": displacement[:, 0],
+        "x": displacement[:, 1],
+        "angular_velocity": velocity[:, 0],
+        "velocity_y": velocity[:, 2],
     }
-    for quantity, expected in of_body.items():
-        reading = BodySensor("3", quantity, 1.0).read(linkage, motion)
+    sensors = [BodySensor("3", quantity, 1.0) for quantity in of_body]
+    readings = read(sensors, linkage, motion)
+    for reading, expected in zip(readings, of_body.values(), strict=True):
         assert_close(reading, expected)
-    moment = BodySensor("2", "moment", 1.0)
-    assert_close(moment.read(linkage, motion), motion.reaction("2")[:, 0])
     pose = motion.poses[100]
-    displacement = linkage.displacement_of("A", pose)
-    wrench = linkage.wrench_of("A", pose)
-    of_hinge: dict[HingeQuantity, jax.Array] = {
+    displacement = np.asarray(linkage.displacement_of("A", pose))
+    wrench = np.asarray(linkage.wrench_of("A", pose))
+    of_hinge: dict[HingeQuantity, np.ndarray] = {
         "angle": displacement[0],
         "y": displacement[2],
         "moment": wrench[0],
         "force_2": wrench[2],
     }
-    for quantity, expected in of_hinge.items():
-        reading = HingeSensor("A", quantity, 1.0).read(linkage, motion)
+    sensors = [HingeSensor("A", quantity, 1.0) for quantity in of_hinge]
+    readings = read(sensors, linkage, motion)
+    for reading, expected in zip(readings, of_hinge.values(), strict=True):
         assert_close(reading[100], expected, digits=9)
+    moment = BodySensor("2", "moment", 1.0)
     energy = FunctionSensor(
         lambda _, solution: solution.energies.elastic, "energy", "J", 1.0
     )
-    assert_close(energy.read(linkage, motion), motion.energies.elastic)
+    moments, energies = read([moment, energy], linkage, motion)
+    assert_close(moments, np.asarray(motion.reaction("2"))[:, 0])
+    assert_close(energies, motion.energies.elastic)
 
 
 @pytest.mark.untyped
@@ -157,12 +175,12 @@ def test_wrong_sensors_and_tests_are_rejected(make, message):
     [
         (BodySensor("5", "x", 1.0), "`body` is '5', but the bodies are"),
         (HingeSensor("E", "x", 1.0), "names the hinge 'E'"),
-        (BodySensor("3", "velocity_x", 1.0), "only a motion has velocities"),
+        (BodySensor("block", "velocity_x", 1.0), "only a motion has velocities"),
     ],
 )
-def test_a_sensor_that_does_not_fit_the_mechanism_is_rejected(linkage, sensor, message):
+def test_a_sensor_that_does_not_fit_the_mechanism_is_rejected(sensor, message):
     with pytest.raises(ValueError, match=message):
-        StaticTest([[]], [sensor]).predict(linkage)
+        StaticTest([[]], [sensor]).predict(spring(TRUE))
 
 
 def test_more_frequencies_than_the_mechanism_has_are_rejected(linkage):
@@ -230,12 +248,11 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
 
     along = push(1e-3, standard_deviation=1e-6)
     start = {name: positive(value) for name, value in true.items()}
-    data = [along.synthetic_data(spring(true))]
+    data = [along.measurement([[1e-3 / 100.0]])]
     result = tj.identify(spring, start, data, throw=False)
     tests = {
         "again": along,
         "better": push(5e-3, standard_deviation=1e-6),
-        "rotated": static_test((1.0, 0, 0), {"angle": 1e-4}),
         "all": static_test((1.0, 5.0, 3.0), {"angle": 1e-4, "x": 1e-6, "y": 1e-6}),
     }
     ranking = rank_experiments(result, tests, count=2)
@@ -250,7 +267,6 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
     added = {
         "again": [0, weak, 0],
         "better": [0, strong, 0],
-        "rotated": [rotation, 0, 0],
         "all": [rotation, strong, across],
         "all, block.y alone": [0, 0, across],
     }
@@ -261,15 +277,15 @@ def test_the_ranking_follows_from_the_determinant_of_the_information():
         candidate = candidates[name]
         gain = np.log(total / before).sum() / 2
         np.testing.assert_allclose(candidate.information_gain, gain, rtol=1e-3)
-        errors = candidate.standard_errors[entries]
+        errors = np.asarray(candidate.standard_errors)[entries]
         np.testing.assert_allclose(errors, total**-0.5, rtol=1e-3)
     assert ranking.candidates[0].name == "all"
     assert ranking.selected[0] == "all"
     assert "selected: all, " in repr(ranking)
     after = before + np.array(added["all"]) + np.array(added[ranking.selected[1]])
-    errors = ranking.standard_errors_after[entries]
+    errors = np.asarray(ranking.standard_errors_after)[entries]
     np.testing.assert_allclose(errors, after**-0.5, rtol=1e-3)
     with pytest.raises(ValueError, match="`candidates` is empty"):
         rank_experiments(result, {})
-    with pytest.raises(ValueError, match="`count` is 5, but must be between 1 and"):
-        rank_experiments(result, tests, count=5)
+    with pytest.raises(ValueError, match="`count` is 4, but must be between 1 and"):
+        rank_experiments(result, tests, count=4)

@@ -1,10 +1,10 @@
 """The bending factor of wide leaves against plates and an elastic solid."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+from helpers import for_each
 from numpy.polynomial import legendre
 
 from twistorjax import flexures
@@ -157,6 +157,7 @@ def test_the_bending_factor_is_the_minimum_of_the_energy_of_a_plate(width, shape
 
 @pytest.mark.parametrize("shape", ["s-shaped", "circular"])
 def test_the_bending_factor_is_one_for_narrow_leaves_and_that_of_a_plate_for_wide(shape):
+    @jax.jit
     def factor(width, poisson=0.3):
         return flexures.bending_factor(
             width=width, length=1.0, thickness=0.01, poisson=poisson, shape=shape
@@ -169,10 +170,10 @@ def test_the_bending_factor_is_one_for_narrow_leaves_and_that_of_a_plate_for_wid
     limit = np.sqrt(1.5 * 1.3) / 0.03
     below, above = factor(limit * (1 - 1e-9)), factor(limit * (1 + 1e-9))
     np.testing.assert_allclose(below, above, rtol=1e-12)
-    widths = jnp.array([1e-3, 0.2, 1.0, 100.0])
-    slopes = jax.vmap(jax.grad(factor))(widths)
-    step = 1e-5
-    change = jax.vmap(factor)(widths * (1 + step)) - jax.vmap(factor)(widths * (1 - step))
+    widths, step = np.array([1e-3, 0.2, 1.0, 100.0]), 1e-5
+    slopes = for_each(jax.grad(factor), widths)
+    ends = [for_each(factor, widths * (1 + side * step)) for side in (1, -1)]
+    change = ends[0] - ends[1]
     np.testing.assert_allclose(slopes * widths, change / (2 * step), atol=1e-8)
 
 

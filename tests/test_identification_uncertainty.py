@@ -11,7 +11,6 @@ from identification_helpers import (
     FormulaTest,
     minimize_formula,
     positive,
-    push,
     push_series,
     spring,
 )
@@ -68,12 +67,16 @@ def test_changes_are_relative_to_the_estimates():
     assert "by +1 % and" in direction and direction.count("by +1 %") == 2
 
 
+def displacement(k):
+    """Displacement of a spring of the stiffness `a` under a force of 5 N."""
+    return jnp.stack([5.0 / k[0]])
+
+
 def test_a_parameter_with_a_small_effect_on_the_readings_is_not_determined():
-    weak = push(1e-3, standard_deviation=1e-3)
-    data = [weak.measurement([[1e-5]])]
-    result = tj.identify(spring, {"along": positive(100.0)}, data)
+    data = [FormulaTest(displacement, jnp.array([5.0])).measurement([[0.05]])]
+    result = tj.identify(body_at, {"a": positive(100.0), "b": 0.0}, data)
     (direction,) = result.undetermined_directions
-    assert "along by +1 % changes the readings by 0.0001 standard" in direction
+    assert "a by +1 % changes the readings by 0.0001 standard" in direction
     assert "not determined" in repr(result)
 
 
@@ -220,20 +223,21 @@ def test_estimates_at_a_bound_and_their_uncertainties(value, bounds, at_bound):
 
 
 def test_a_confidence_interval_depends_on_its_level():
-    data = [push(5.0).measurement([[0.05]])]
-    result = tj.identify(spring, {"along": positive(80.0)}, data)
+    data = [FormulaTest(displacement, jnp.array([1e-4])).measurement([[0.05]])]
+    result = tj.identify(body_at, {"a": positive(80.0), "b": 0.0}, data)
     low, high = result.confidence_interval(0.6826894921)
-    relative_error = float(result.standard_errors["along"]) / 100.0
-    assert_close(low["along"], 100 * np.exp(-relative_error), digits=6)
-    assert_close(high["along"], 100 * np.exp(relative_error), digits=6)
+    relative_error = float(result.standard_errors["a"]) / 100.0
+    assert_close(low["a"], 100 * np.exp(-relative_error), digits=6)
+    assert_close(high["a"], 100 * np.exp(relative_error), digits=6)
     with pytest.raises(ValueError, match=r"`level` is 95.0, but must be between 0 and 1"):
         result.confidence_interval(95.0)
 
 
 def test_large_residuals_of_held_out_readings_are_reported():
-    data = [push(5.0).measurement([[0.04]])]
-    held_out = [push(10.0).measurement([[0.09]])]  # the model predicts 10 / 125 = 0.08
-    result = tj.identify(spring, {"along": positive(60.0)}, data, held_out=held_out)
+    test = FormulaTest(displacement, jnp.array([1e-4]))
+    data, held_out = [test.measurement([[0.04]])], [test.measurement([[0.05]])]
+    start = {"a": positive(60.0), "b": 0.0}
+    result = tj.identify(body_at, start, data, held_out=held_out)
     assert_close(result.held_out_residuals[0], [[-0.01 / 1e-4]], digits=6)
     text = "RMS residual of the held-out readings is 100 standard deviations"
     assert any(text in warning for warning in result.warnings)

@@ -66,6 +66,14 @@ def test_masses_and_outlines_are_optional(tmp_path):
     assert loaded.masses == (None, None)
 
 
+@pytest.fixture(scope="module")
+def file_of_stage(tmp_path_factory):
+    """Write the stage to a file."""
+    path = tmp_path_factory.mktemp("stage") / "stage.json"
+    tj.io.save_mechanism(stage.microstage(), path)
+    return path
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -103,10 +111,11 @@ def test_masses_and_outlines_are_optional(tmp_path):
         (lambda m: m["bodies"][1].update(mass=-1), "`mass` of the body '2' is -1"),
     ],
 )
-def test_a_file_with_invalid_entries_is_rejected(tmp_path, change, message):
+def test_a_file_with_invalid_entries_is_rejected(
+    tmp_path, file_of_stage, change, message
+):
     path = tmp_path / "stage.json"
-    tj.io.save_mechanism(stage.microstage(), path)
-    record = json.loads(path.read_text())
+    record = json.loads(file_of_stage.read_text())
     change(record["mechanism"])
     path.write_text(json.dumps(record))
     with pytest.raises(ValueError) as error:

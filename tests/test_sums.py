@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close, mostly_slow
+from helpers import assert_close
 
 import twistorjax as tj
 
@@ -38,7 +38,8 @@ SUMS = {
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(SUMS))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SUMS)
 def test_sum_takes_as_many_newton_steps_as_its_terms(name):
     """The leaf is thin, thickness / length = 1e-3, and its end rotates by 16 degrees."""
     thin, length = leaf(0.05e-3), 50e-3

@@ -1,5 +1,7 @@
 """A hinge between two bodies: balance, invariance, and exact derivatives."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -28,9 +30,11 @@ class Quartic(tj.AbstractEnergy):
 
 
 QUADRATIC = [tj.Quadratic(some_stiffness(7), "twist"), tj.Quadratic(some_stiffness(7))]
-every_energy = pytest.mark.parametrize(
-    "energy", [*QUADRATIC, Quartic()], ids=["twist", "twistor", "quartic"]
+ENERGIES = dict(
+    zip(["twist", "twistor", "quartic"], [*QUADRATIC, Quartic()], strict=True)
 )
+every_energy = pytest.mark.parametrize("energy", ENERGIES.values(), ids=ENERGIES)
+every_name = pytest.mark.parametrize("name", ENERGIES)
 
 REFERENCE = np.array([[0.4, 0.1, -0.2], [-0.7, 0.5, 0.3]])
 AT = np.array([0.9, 0.3, 0.2])
@@ -46,6 +50,24 @@ def two_bodies(energy, at=AT, first="a", second="b", damping=None):
 def random_states(seed, count=24):
     """Return random poses of both bodies, some with angles where formulas may fail."""
     return np.stack([some_poses(seed, count), some_poses(seed + 1, count) / 2], axis=1)
+
+
+@functools.cache
+def forces_and_derivatives(name):
+    """Return quantities of a mechanism in random states, by one program."""
+    mechanism = two_bodies(ENERGIES[name])
+
+    @jax.jit
+    @jax.vmap
+    def quantities(poses):
+        return {
+            "wrenches": mechanism.wrenches(poses),
+            "stiffness": mechanism.stiffness(poses),
+            "gradient": jax.grad(mechanism.energy)(poses),
+            "hessian": jax.hessian(mechanism.energy)(poses),
+        }
+
+    return {key: np.asarray(value) for key, value in quantities(random_states(0)).items()}
 
 
 @eqx.filter_jit
@@ -70,20 +92,17 @@ def test_energy_is_that_of_the_relative_pose_of_both_frames(energy):
     assert_close(energies(two_bodies(energy), states), expected, digits=10)
 
 
-@every_energy
-def test_forces_are_the_gradient_of_the_energy(energy):
-    mechanism, states = two_bodies(energy), random_states(0)
-    gradient = for_each(jax.grad(mechanism.energy), states)
-    assert_close(-for_each(mechanism.wrenches, states), gradient, digits=10)
+@every_name
+def test_forces_are_the_gradient_of_the_energy(name):
+    found = forces_and_derivatives(name)
+    assert_close(-found["wrenches"], found["gradient"], digits=10)
 
 
-@every_energy
-def test_stiffness_is_the_hessian_of_the_energy(energy):
-    mechanism, states = two_bodies(energy), random_states(0)
-    hessian = for_each(jax.hessian(mechanism.energy), states)
-    stiffness = for_each(mechanism.stiffness, states)
-    scale = np.max(np.abs(hessian))
-    assert_close(stiffness / scale, hessian / scale, digits=12)
+@every_name
+def test_stiffness_is_the_hessian_of_the_energy(name):
+    found = forces_and_derivatives(name)
+    scale = np.max(np.abs(found["hessian"]))
+    assert_close(found["stiffness"] / scale, found["hessian"] / scale, digits=12)
 
 
 @every_energy
@@ -101,30 +120,25 @@ def test_even_energy_does_not_depend_on_the_order_of_the_bodies(energy):
     assert_close(energies(exchanged, states), expected, digits=11)
 
 
-@every_energy
-def test_wrenches_on_both_bodies_balance(energy):
-    mechanism = two_bodies(energy)
-    states = random_states(0)
-    wrenches = for_each(mechanism.wrenches, states)
+@every_name
+def test_wrenches_on_both_bodies_balance(name):
+    states, wrenches = random_states(0), forces_and_derivatives(name)["wrenches"]
     (_, x, y), (moment, force_x, force_y) = np.moveaxis([states, wrenches], -1, 1)
     about_origin = np.stack([moment + x * force_y - y * force_x, force_x, force_y], -1)
     scale = 1 + np.abs(wrenches[:, 1]).max(axis=1, keepdims=True)
     assert_close(about_origin.sum(axis=1) / scale, np.zeros((24, 3)), digits=13)
 
 
-@every_energy
-def test_wrench_on_body_b_is_the_transformed_wrench_of_the_energy(energy):
-    mechanism = two_bodies(energy)
-
+@every_name
+def test_wrench_on_body_b_is_the_transformed_wrench_of_the_energy(name):
     def on_body_b(poses):
         a, b = frames(poses)
-        by_body_b = se2.transform_wrench(b, energy.wrench(se2.between(a, b)))
+        by_body_b = se2.transform_wrench(b, ENERGIES[name].wrench(se2.between(a, b)))
         origin = poses[1].at[0].set(0.0)
         return se2.transform_wrench(se2.inverse(origin), -by_body_b)
 
-    states = random_states(0)
-    wrenches = for_each(mechanism.wrenches, states)[:, 1]
-    assert_close(wrenches, for_each(on_body_b, states), digits=9)
+    expected = for_each(on_body_b, random_states(0))
+    assert_close(forces_and_derivatives(name)["wrenches"][:, 1], expected, digits=9)
 
 
 def test_energy_of_tiny_displacements_is_accurate():

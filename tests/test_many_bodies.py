@@ -109,12 +109,11 @@ def test_block_factorization_agrees_with_a_dense_one(follower):
 def test_chain_above_the_load_of_euler_is_unstable():
     euler = np.pi**2 / 4
 
-    def solve(force):
+    def is_stable(force):
         load = tj.Load(str(COUNT), force=(-force, 0.0))
-        return tj.equilibrium(chain(SLENDER), loads=[load], throw=False)
+        return tj.equilibrium(chain(SLENDER), loads=[load], throw=False).succeeded
 
-    solutions = jax.jit(jax.vmap(solve))(np.array([0.95 * euler, 1.05 * euler]))
-    assert solutions.succeeded.tolist() == [True, False]
+    assert is_stable(0.95 * euler) and not is_stable(1.05 * euler)
 
 
 @pytest.mark.release

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import jax.random as jr
 import numpy as np
 import pytest
 
@@ -53,7 +54,7 @@ def some_poses(seed, count=64):
 
 def some_stiffness(seed):
     """Return a random symmetric, positive definite matrix without zeros."""
-    root = np.random.default_rng(seed).normal(size=(3, 3))
+    root = np.asarray(jr.normal(jr.key(seed), (3, 3)))
     return root @ root.T + np.eye(3)
 
 

@@ -123,7 +123,9 @@ def test_even_energy_does_not_depend_on_the_order_of_the_bodies(energy):
 @every_name
 def test_wrenches_on_both_bodies_balance(name):
     states, wrenches = random_states(0), forces_and_derivatives(name)["wrenches"]
-    (_, x, y), (moment, force_x, force_y) = np.moveaxis([states, wrenches], -1, 1)
+    (_, x, y), (moment, force_x, force_y) = np.moveaxis(
+        np.stack([states, wrenches]), -1, 1
+    )
     about_origin = np.stack([moment + x * force_y - y * force_x, force_x, force_y], -1)
     scale = 1 + np.abs(wrenches[:, 1]).max(axis=1, keepdims=True)
     assert_close(about_origin.sum(axis=1) / scale, np.zeros((24, 3)), digits=13)
@@ -145,7 +147,7 @@ def test_energy_of_tiny_displacements_is_accurate():
     """A pose of meters cannot represent a displacement of a picometer."""
     far = np.array([0.0, 5.0, 7.0])
     mechanism = two_bodies(tj.Quadratic(np.eye(3)), at=far)
-    displacements = np.array([[0.0, 0.0, 0.0], [1e-13, 1e-12, -2e-12]])
+    displacements = jnp.array([[0.0, 0.0, 0.0], [1e-13, 1e-12, -2e-12]])
     arm = far[1:] - REFERENCE[1, 1:]
     x, y = 1e-12 - 1e-13 * arm[1], -2e-12 + 1e-13 * arm[0]
     energy = eqx.filter_jit(mechanism.hinge_assembly.energy)(displacements)

@@ -3,6 +3,7 @@
 import pathlib
 import warnings
 from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -162,7 +163,7 @@ def test_wrench_of_a_hinge_has_a_row_for_each_time_of_a_motion():
     mechanism = block_on_spring((0.0, 0.0, 0.0))
     displacements = np.zeros((3, 2, 3))
     displacements[:, 1, 1:] = [[0.0, 1e-3], [2e-3, 0.0], [-1e-3, 0.0]]
-    motion = SimpleNamespace(
+    motion: Any = SimpleNamespace(
         displacements=jnp.asarray(displacements), reference=mechanism.reference
     )
     wrenches = mechanism.wrench_of("h", motion)

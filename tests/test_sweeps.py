@@ -439,7 +439,7 @@ def test_the_webs_of_the_stage_may_differ():
     equal = {web: stage.microstage(web) for web in (0.2e-3, 0.3e-3)}
     for k, web in enumerate(webs):
         found, expected = (
-            mechanism.hinge_assembly.energy_of(k).stiffness
+            mechanism.hinge_assembly.energy_of(k).tangent_stiffness()
             for mechanism in (mixed, equal[web])
         )
         np.testing.assert_allclose(found, expected, rtol=1e-12)

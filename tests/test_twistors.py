@@ -2,17 +2,17 @@
 
 import jax
 import jax.numpy as jnp
-import numba
 import numpy as np
 import pytest
 from helpers import assert_close, for_each, some_poses
+from numba.core import config
 
 from twistorjax.geometry import se2, twistors as tc
 
 
 # Numba would take two seconds to compile a few products of short arrays.
 with pytest.MonkeyPatch.context() as monkeypatch:
-    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    monkeypatch.setattr(config, "DISABLE_JIT", 1)
     import clifford
 
 LAYOUT, BLADES = clifford.Cl(3, 1)

@@ -24,7 +24,8 @@ POWERS = [
 
 
 class TestOneFreedomEnergy:
-    def energy(self, freedom):
+    @staticmethod
+    def energy(freedom):
         values = 0.02 * np.random.default_rng(3).normal(size=len(POWERS))
         for row, value in {(2, 0, 0): 1.0, (0, 2, 0): -0.5, (0, 0, 2): -0.4}.items():
             values[POWERS.index(row)] = value
@@ -48,29 +49,41 @@ class TestOneFreedomEnergy:
         value = jax.jit(lambda twist: energy(se2.exp(twist)))(twist)
         assert_close(value, -found.fun, rtol=1e-10)
 
+    @pytest.fixture(scope="class")
+    @classmethod
+    def derivatives(cls):
+        """Compute Hessian and gradient of the energy by the twist."""
+        energy = cls.energy("rotation")
+        gradient = jax.grad(lambda twist: energy(se2.exp(twist)))
+        return jax.jit(jax.jacfwd(with_value(gradient), has_aux=True))
+
     @pytest.mark.parametrize("factor", [1.0, 10.0])
-    def test_it_is_smooth_inside_and_outside_of_the_reference_forces(self, factor):
-        energy = self.energy("rotation")
-        pose = factor * np.array([0.1, 0.3, -0.2])
-        gradient = jax.grad(lambda pose: energy(pose))
-        derivatives = jax.jit(jax.jacfwd(with_value(gradient), has_aux=True))
-        hessian, _ = derivatives(pose)
+    def test_it_is_smooth_inside_and_outside_of_the_reference_forces(
+        self, factor, derivatives
+    ):
+        twist = factor * np.array([0.1, 0.3, -0.2])
+        hessian, _ = derivatives(twist)
         after, before = (
-            np.array([derivatives(pose + side * row)[1] for row in np.eye(3)])
+            np.array([derivatives(twist + side * row)[1] for row in np.eye(3)])
             for side in (1e-6, -1e-6)
         )
         assert_close(hessian, (after - before) / 2e-6, rtol=1e-6, atol=1e-7)
 
-    def test_its_damping_is_proportional_to_the_stiffness_at_any_displacement(self):
+    def test_its_damping_is_proportional_to_the_stiffness_at_any_displacement(
+        self, derivatives
+    ):
         """A stretch is damped with one time, also where the hinge is softer."""
         energy, time = self.energy("rotation"), 0.1
-        pose = jnp.array([0.6, -0.05, 0.02])
-        rates = np.array([0.0, 0.02, -0.01])
-        at = Displacement.from_pose(pose)
-        given = tuple(map(jnp.asarray, rates))
-        resisted = solver_protocols.resisted_rates(energy, at, given)
-        matrix = solver_protocols.proportional_damping(energy, jnp.array(time)).damping
-        power = np.array(resisted) @ np.asarray(matrix) @ np.array(resisted)
-        hessian = jax.hessian(lambda twist: energy(se2.exp(twist)))
-        stiffness = np.asarray(hessian(se2.twist(pose)))
+        twist, rates = np.array([0.6, -0.05, 0.02]), np.array([0.0, 0.02, -0.01])
+
+        @jax.jit
+        def damping(twist, rates, time):
+            at = Displacement.from_pose(se2.exp(twist))
+            resisted = solver_protocols.resisted_rates(energy, at, tuple(rates))
+            matrix = solver_protocols.proportional_damping(energy, time).damping
+            return jnp.stack(resisted), matrix
+
+        resisted, matrix = map(np.asarray, damping(twist, rates, time))
+        power = resisted @ matrix @ resisted
+        stiffness = np.asarray(derivatives(twist)[0])
         assert_close(power, time * rates @ stiffness @ rates, rtol=1e-9)

@@ -83,27 +83,29 @@ def test_the_stresses_of_the_stage_are_those_of_its_notches():
         np.testing.assert_allclose(stresses[name], expected, rtol=2e-3)
 
 
-def test_a_constant_moment_shifts_the_range_of_a_leaf():
-    """Under moments only, stress and rotation are proportional to the moment."""
-    largest = ALLOWABLE * SIZES["width"] * SIZES["thickness"] ** 2 / 6
-    found = tj.range_of_motion(
+# Moment at which a leaf has the allowable stress; N m
+LARGEST = ALLOWABLE * SIZES["width"] * SIZES["thickness"] ** 2 / 6
+
+
+def range_under_moments(constant, **settings):
+    """Range of motion of a leaf under a moment of 0.01 N m, and a constant one; N m."""
+    return tj.range_of_motion(
         cantilever(leaf()),
         loads=[tj.Load("block", moment=0.01)],
-        constant_loads=[tj.Load("block", moment=0.3 * largest)],
-        stress={"flexure": ALLOWABLE},
+        constant_loads=[tj.Load("block", moment=constant)],
+        **settings,
     )
-    expected = np.array([-1.3, 0.7]) * largest / 0.01
+
+
+def test_a_constant_moment_shifts_the_range_of_a_leaf():
+    """Under moments only, stress and rotation are proportional to the moment."""
+    found = range_under_moments(0.3 * LARGEST, stress={"flexure": ALLOWABLE})
+    expected = np.array([-1.3, 0.7]) * LARGEST / 0.01
     np.testing.assert_allclose(found.factors, expected, rtol=1e-9)
     stresses = np.asarray(found.stresses.largest)
     np.testing.assert_allclose(stresses[:, 0], ALLOWABLE, rtol=1e-9)
-    halved = tj.range_of_motion(
-        cantilever(leaf()),
-        loads=[tj.Load("block", moment=0.01)],
-        constant_loads=[tj.Load("block", moment=0.0)],
-        stress=ALLOWABLE,
-        safety_factor=2.0,
-    )
-    expected = np.array([-0.5, 0.5]) * largest / 0.01
+    halved = range_under_moments(0.0, stress=ALLOWABLE, safety_factor=2.0)
+    expected = np.array([-0.5, 0.5]) * LARGEST / 0.01
     np.testing.assert_allclose(halved.factors, expected, rtol=1e-9)
 
 
@@ -218,9 +220,8 @@ def test_hinges_without_an_allowable_stress_keep_their_strength():
 
 
 def test_a_range_outside_that_of_a_linear_leaf_causes_a_warning():
-    moment = tj.Load("block", moment=0.01)
     with pytest.warns(UserWarning, match="times the one at which its force"):
-        tj.range_of_motion(cantilever(leaf()), loads=[moment], stress=3e9)
+        range_under_moments(0.0, stress=3e9)
 
 
 @pytest.mark.parametrize("derivative", mostly_slow([jax.jacfwd, jax.jacrev]))

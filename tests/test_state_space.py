@@ -35,9 +35,7 @@ def responses(mechanism, frequencies, inputs, outputs, **settings):
     columns = []
     for given in inputs:
         now = [
-            each
-            if each is given
-            else jax.tree.map(lambda value: 0.0 * np.asarray(value), each)
+            each if each is given else jax.tree.map(lambda value: 0.0 * value, each)
             for each in inputs
         ]
         (strokes,) = [each for each in now if isinstance(each, dict)] or [{}]

@@ -297,6 +297,7 @@ def test_derivatives_of_the_energy():
     np.testing.assert_allclose(energy(0.03)[1], difference / (2 * step), rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_stress_is_largest_between_the_ends_of_a_compressed_leaf():
     steel = tj.Material(modulus=210e9, poisson=0.3, strength=500e6)
     size: Size = {"length": 50e-3, "thickness": 0.5e-3, "width": 10e-3}
@@ -323,14 +324,16 @@ def test_stress_of_a_thick_leaf_in_compression():
     leaf = tj.flexures.leaf(steel, **size, theory="timoshenko")
     exact = tj.flexures.Beam(steel, **size, shear_factor=5 / 6)
     unit = 210e9 * 0.3 * 0.1**3 / 12
-    pose = jnp.array([0.02, -0.0155, 0.0])
+    pose = np.array([0.02, -0.0155, 0.0])
     solution = tj.flexures.beam_at_pose(exact, pose)
-    assert -19 < solution.wrench[1] / unit < -18
+    assert -19 < np.asarray(solution.wrench)[1] / unit < -18
     bodies = [tj.Body("a"), tj.Body("b")]
     hinge = tj.Hinge("leaf", "a", "b", leaf, (0.0, 0.0, 0.0))
     mechanism = tj.Mechanism(bodies, [hinge], fixed=["a"])
-    found = tj.stresses(mechanism, jnp.stack([0 * pose, pose])).of("leaf")
-    np.testing.assert_allclose(found, jnp.abs(solution.stress).max(), rtol=2e-3)
+    (found,) = np.asarray(tj.stresses(mechanism, np.stack([0 * pose, pose])).largest)
+    stress = np.abs(np.asarray(solution.stress)).max(axis=1)
+    assert 0 < stress.argmax() < len(stress) - 1
+    np.testing.assert_allclose(found, stress.max(), rtol=2e-3)
 
 
 def test_a_thick_leaf_shears():

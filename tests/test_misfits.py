@@ -307,7 +307,9 @@ def test_assembled_mechanisms_have_the_smallest_energy(topology):
 @pytest.mark.parametrize(
     "topology",
     [
-        pytest.param(name, marks=[] if name == "chain" else pytest.mark.release)
+        pytest.param(
+            name, marks=pytest.mark.slow if name == "chain" else pytest.mark.release
+        )
         for name in TOPOLOGIES
     ],
 )
@@ -468,6 +470,7 @@ def test_leaves_of_different_shapes_share_their_misfit(share):
     assert int(found.steps) <= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("misfit", [(0.1, 0.0, 0.0), (0.7, 0.0, 0.0), (0.3, 1e-3, 5e-3)])
 def test_a_leaf_that_nothing_loads_is_displaced_by_its_misfit(misfit):
     leaf = tj.flexures.leaf(STEEL, length=0.05, thickness=0.5e-3, width=10e-3)

@@ -81,7 +81,7 @@ def test_rod_that_only_a_pin_supports_is_a_physical_pendulum():
 @pytest.mark.parametrize(
     "solver",
     [
-        pytest.param(dfx.Tsit5(), id="tsit5"),
+        pytest.param(dfx.Tsit5(), id="tsit5", marks=pytest.mark.slow),
         pytest.param(dfx.Kvaerno5(), id="kvaerno5", marks=pytest.mark.release),
     ],
 )

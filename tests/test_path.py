@@ -535,6 +535,7 @@ def test_both_columns_of_a_table_buckle():
     np.testing.assert_allclose(point.load_factor, 1.0, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_truss_whose_apex_is_driven_has_a_path_without_free_coordinates():
     truss = truss_of(bars_of_a_truss(), apex=("angle", "x"))
     driven = [tj.Drive("apex", y=-0.65)]

@@ -188,6 +188,7 @@ def test_a_base_that_moves_acts_as_an_inertial_force():
     assert_same_response(moved, expected)
 
 
+@pytest.mark.slow
 def test_python_control_has_the_same_step_response():
     import control
 

@@ -17,10 +17,11 @@ def test_error_of_a_batch_names_the_failed_design():
         stiffness = np.diag([1.0, 0.0, 1.0]) + k * np.diag([0.0, 1.0, 0.0])
         return tj.equilibrium(block_on_spring(stiffness), throw=False)
 
-    batch = jax.jit(jax.vmap(solve))(np.array([4.0, 0.0]))
+    batch = jax.jit(jax.vmap(solve))(np.array([4.0, 0.0, 3.0]))
     with pytest.raises(RuntimeError, match="index 1 of the batch"):
         check_equilibrium(batch)
-    assert repr(batch.result) == "RESULTS<['successful' 'unstable']>"
+    assert repr(batch.result) == "RESULTS<['successful' 'unstable' 'successful']>"
+    assert repr(batch) == "3 equilibria, of shape (3,): 2 successful, 1 unstable"
 
 
 def test_a_result_prints_its_name():

@@ -382,6 +382,7 @@ class TestBuckling:
         force = von_mises_limit_force(rise)
         assert_close(found.load_factors, np.array([float(force)]), digits=9)
 
+    @pytest.mark.slow
     def test_a_stiffness_that_depends_on_the_force(self):
         """A column that is softened by its load; see `Softened`."""
         hinge = tj.Hinge("hinge", "base", "link", Softened(), at=(np.pi / 2, 0.0, 0.0))

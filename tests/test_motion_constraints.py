@@ -21,8 +21,6 @@ def released_bar(angle, times, step):
     block = tj.Body("block", mass=1.0, inertia=1.0)
     hinge = tj.Hinge("spring", "wall", "block", tj.Quadratic(np.eye(3)), at=(0, 0, 0))
     mechanism = tj.Mechanism([tj.Body("wall"), block, bar], [hinge], fixed=["wall"])
-    with pytest.raises(ValueError, match="The body 'bar' is not connected"):
-        tj.equilibrium(mechanism)
     start = np.array(mechanism.reference)
     start[2] = angle, ARM * np.sin(angle), -ARM * np.cos(angle)
     return tj.simulate(

@@ -116,10 +116,15 @@ def test_too_few_points():
     assert len(found.load_factors) == 16 and not bool(found.succeeded)
 
 
-def test_a_hinge_leaves_its_validity_range():
+@pytest.mark.slow
+def test_a_hinge_that_leaves_its_validity_range_is_named():
     with pytest.raises(RuntimeError, match=r"The hinge 'spring': its rotation is 0\.5"):
         turn_a_block()
+
+
+def test_a_path_ends_before_a_hinge_leaves_its_validity_range():
     found = turn_a_block(throw=False)
+    assert str(tj.result_names(found.result)) == "out_of_range"
     assert 0.3 < np.asarray(found.displacement("block"))[-1, 0] <= 0.5
 
 

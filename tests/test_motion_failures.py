@@ -183,7 +183,19 @@ INVALID_ARGUMENTS = {
 }
 
 
-@pytest.mark.parametrize("message", INVALID_ARGUMENTS)
+# Those of constraints compile a program of each operation.
+OF_CONSTRAINTS = "'q' is redundant: 2 of its 2 equations", "'q' contradicts"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        pytest.param(
+            message, marks=[pytest.mark.slow] if message in OF_CONSTRAINTS else []
+        )
+        for message in INVALID_ARGUMENTS
+    ],
+)
 @pytest.mark.untyped
 def test_invalid_arguments_are_reported(message):
     settings = {"times": [0.0, 0.1], **INVALID_ARGUMENTS[message]}

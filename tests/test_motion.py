@@ -154,7 +154,7 @@ def test_reaction_of_a_driven_block_is_that_of_spring_damper_and_inertia(driven_
 def check_energy_balance(balance, by_loads):
     """Check the energies of a motion, in which loads that keep their direction work."""
     assert np.max(np.abs(balance.imbalance)) < 1e-5 * np.max(np.asarray(balance.elastic))
-    assert np.all(np.diff(np.asarray(balance.dissipated)) > 0)
+    assert np.all(np.diff(np.asarray(balance.dissipated, float)) > 0)
     assert np.asarray(balance.by_drives).any()
     assert_close(balance.by_loads, by_loads, digits=9)
 

@@ -41,14 +41,14 @@ def test_settings(arguments, message):
 def test_a_limit_point_is_no_start():
     truss = von_mises_truss()
     limit: Any = CriticalPoint(
-        load_factor=np.array(0.4975),
-        displacements=np.zeros((2, 3)),
+        load_factor=jnp.array(0.4975),
+        displacements=jnp.zeros((2, 3)),
         reference=truss.reference,
-        energy=np.array(1.0),
+        energy=jnp.array(1.0),
         names=truss.names,
-        mode=np.zeros((2, 3)),
-        is_branch=np.array(False),
-        length=np.array(1.0),
+        mode=jnp.zeros((2, 3)),
+        is_branch=jnp.array(False),
+        length=jnp.array(1.0),
     )
     with pytest.raises(ValueError, match="no other path leaves at a limit point"):
         tj.path(truss, loads=[PUSH], start=limit)

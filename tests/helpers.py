@@ -54,7 +54,8 @@ def some_poses(seed, count=64):
 
 def some_stiffness(seed):
     """Return a random symmetric, positive definite matrix without zeros."""
-    root = np.asarray(jr.normal(jr.key(seed), (3, 3)))
+    with jax.ensure_compile_time_eval():  # also inside of `jax.jit`
+        root = np.asarray(jr.normal(jr.key(seed), (3, 3)))
     return root @ root.T + np.eye(3)
 
 

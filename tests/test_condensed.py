@@ -277,8 +277,14 @@ class TestRange:
             Condensed(FLEXURES[name][0](leaf))(jnp.array([1.01 * limit, 0.0, 0.0]))
 
     def test_the_force_follows_from_the_ranges_in_it(self):
+        """Within it, the moment of the pivot is that of its leaves in equilibrium."""
         pivot = FLEXURES["cross-spring"][0](RANGED_LEAF)
-        assert_close(tj.surrogate(pivot, rotation=0.2).force, RANGED_LEAF.force / 2)
+        fast = tj.surrogate(pivot, rotation=0.2)
+        assert_close(fast.force, RANGED_LEAF.force / 2)
+        load, drive = tj.Load("B", force=(20.0, 10.0)), tj.Drive("B", angle=0.15)
+        whole = tj.equilibrium(pivot.mechanism, loads=[load], drives=[drive])
+        wrench = fast.wrench(whole.displacement("B"))
+        assert_close(wrench[0], whole.reaction("B")[0], rtol=1e-3)
 
     @pytest.mark.parametrize(
         ("arguments", "message"),

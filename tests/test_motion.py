@@ -112,18 +112,35 @@ def test_motion_of_a_body_agrees_with_scipy(coordinates, validated):
     validated("Motion", what, found, exact[:, :3], "DOP853 of SciPy, tolerance 1e-11")
 
 
-def test_step_response_of_a_damped_oscillator_is_the_closed_form():
-    """m x'' + c x' + k x = f with c = time * k."""
-    time, force = 0.05, 3.0
-    times = np.linspace(0, 2, 9)
+def pushed_oscillator(damping_time, force, times):
+    """Return the displacement of a damped oscillator under a force from the time 0 on."""
     push = tj.Load("block", force=(force, 0.0))
-    motion = tj.simulate(oscillator(time), times, loads=[push], tolerance=1e-9)
-    decay = time * 50 / 4
-    omega = np.sqrt(25 - decay**2)
-    oscillation = np.cos(omega * times) + decay / omega * np.sin(omega * times)
-    expected = force / 50 * (1 - np.exp(-decay * times) * oscillation)
-    found = np.asarray(motion.displacement("block"))[:, 1]
-    np.testing.assert_allclose(found, expected, atol=1e-8)
+    motion = tj.simulate(oscillator(damping_time), times, loads=[push], tolerance=1e-9)
+    return motion.displacement("block")[:, 1]
+
+
+def step_response(damping_time, force, times):
+    """Return the solution of m x'' + c x' + k x = f with c = damping_time * k."""
+    decay = damping_time * 50 / 4
+    omega = jnp.sqrt(25 - decay**2)
+    oscillation = jnp.cos(omega * times) + decay / omega * jnp.sin(omega * times)
+    return force / 50 * (1 - jnp.exp(-decay * times) * oscillation)
+
+
+def test_step_response_of_a_damped_oscillator_is_the_closed_form():
+    at = 0.05, 3.0, np.linspace(0, 2, 9)
+    np.testing.assert_allclose(pushed_oscillator(*at), step_response(*at), atol=1e-8)
+
+
+def test_the_gradient_of_a_motion_is_that_of_the_closed_form():
+    @partial(jax.jit, static_argnums=0)
+    def gradient(motion, *at):
+        return jax.grad(lambda *at: motion(*at)[-1], argnums=(0, 1, 2))(*at)
+
+    at = 0.05, 3.0, jnp.array([0.0, 0.7])
+    found, exact = gradient(pushed_oscillator, *at), gradient(step_response, *at)
+    assert_close(found[:2], exact[:2], digits=6)
+    assert_close(found[2][1], exact[2][1], digits=6)
 
 
 @pytest.fixture(scope="module")
@@ -219,6 +236,21 @@ def test_gauss_conserves_energy_over_a_hundred_thousand_steps(validated):
     assert abs(np.mean(error[51:]) - np.mean(error[1:51])) < 1e-9
     what = "energy after 1e5 undamped steps (`Gauss`)"
     validated("Motion", what, total, total[0] * np.ones(101), "energy at the start")
+
+
+def test_constant_steps_may_be_longer_than_the_axial_period_of_a_leaf():
+    """A block swings on a leaf at 3 Hz and 18 Hz, and its energy is conserved."""
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.2e-3, width=10e-3)
+    block = tj.Body("block", pose=(0.0, 25e-3, 0.0), mass=0.1, inertia=1e-5)
+    hinge = tj.Hinge("leaf", "wall", "block", leaf, at=(0.0, 0.0, 0.0))
+    mechanism = tj.Mechanism([tj.Body("wall"), block], [hinge], fixed=["wall"])
+    step = 1e-3
+    assert float(tj.vibrations(mechanism).frequencies[-1]) > 1.4 / step
+    start = {"block": (0.0, 0.0, 0.5)}
+    motion = tj.simulate(mechanism, [0.0, 0.01, 0.02], velocities=start, step=step)
+    energy = np.asarray(motion.energies.kinetic + motion.energies.elastic)
+    np.testing.assert_allclose(energy[1:], energy[0], rtol=2e-4)
 
 
 @pytest.mark.slow

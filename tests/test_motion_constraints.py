@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
+from motion_helpers import oscillator
 
 import twistorjax as tj
 from twistorjax.examples import four_bar
@@ -135,6 +136,21 @@ def test_slider_allows_one_translation():
     spring_moment = jax.vmap(mechanism.wrenches)(motion.poses)[:, 1, 0]
     moment = motion.constraint_force("rail")[:, 0]
     assert_close(moment, -0.2 - spring_moment, digits=10)
+
+
+def test_a_constraint_that_moves_a_block_does_the_work_of_its_inertia_and_spring():
+    """The block is moved to 0.02 m and back, as `0.01 (1 - cos 3 t)`."""
+    move = tj.Constraint(
+        "move", ["block"], lambda pose, time: pose[1] - 0.01 * (1 - jnp.cos(3 * time))
+    )
+    times = np.array([0.0, 0.4, 0.9])
+    motion = tj.simulate(oscillator(), times, constraints=[move], tolerance=1e-9)
+    x, rate = 0.01 * (1 - np.cos(3 * times)), 0.03 * np.sin(3 * times)
+    assert_close(motion.displacement("block")[:, 1], x, digits=9)
+    force = 2.0 * 0.09 * np.cos(3 * times) + 50 * x
+    assert_close(motion.constraint_force("move")[:, 0], force, digits=7)
+    work = 2.0 * rate**2 / 2 + 50 * x**2 / 2
+    assert_close(motion.energies.by_drives, work, digits=7)
 
 
 @pytest.mark.slow

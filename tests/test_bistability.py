@@ -82,7 +82,7 @@ class TestBistability:
         assert_close(found.travel("apex")[2], heights[2] - heights[0], digits=9)
 
     def test_a_weight_that_turns_with_a_lever_does_work(self):
-        """A spring is too weak to hold a lever upright that carries a weight at its end."""
+        """A spring is too weak to hold a lever with a weight upright."""
         weight, length = 1.2, 0.5
         moment = weight * length
         spring = tj.Quadratic(0.5 * np.eye(3), "twist")  # 0.5 N m/rad

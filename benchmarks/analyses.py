@@ -490,7 +490,7 @@ def to_markdown(rows: Sequence[Row], caption: str) -> str:
             value *= 1e3  # ms
         return f"{value:,.0f}" if value >= 99.5 else f"{value:.2g}"
 
-    heading = " | ".join(f"{name}: first | later | next" for name in CASES)
+    heading = " | ".join(f"{name}: first, s | later, s | next, ms" for name in CASES)
     parts = [HEAD.format(repeats=REPEATS, caption=caption)]
     for kind, title in TITLES.items():
         parts += [title, f"| analysis | {heading} |", "|---|" + "---:|" * 3 * len(CASES)]

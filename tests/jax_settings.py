@@ -54,6 +54,8 @@ _tests = itertools.count(1)
 
 # Examples of docstrings that are slow tests.
 _SLOW_EXAMPLES = (
+    "examples.four_bar.driven_motion",
+    "examples.four_bar_models.compare",
     "examples.identification.identify_hinge_a",
     "examples.parallelogram.study",
     "examples.stage_motion.transient_response",
@@ -66,9 +68,11 @@ _SLOW_EXAMPLES = (
     "flexures.pivots.cartwheel_pivot",
     "flexures.surrogate.surrogate",
     "identification.experiment_design.rank_experiments",
+    "plotting.animation.animate",
     "plotting.path_plots.draw_path",
     "plotting.port_plots.draw_port_motion",
     "solve.bistability.bistability",
+    "solve.fatigue.fatigue",
     "solve.port_motion.port_motion",
     "solve.range_of_motion.range_of_motion",
 )
@@ -81,6 +85,11 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if item.name in slow:
             item.add_marker(pytest.mark.slow)
+
+
+def pytest_collection_finish():
+    """Spare the collections of garbage all that was imported."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

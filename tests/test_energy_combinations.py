@@ -199,8 +199,9 @@ def test_an_invalid_value_is_found_at_any_depth():
         assert validation_error(combined) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", mostly_slow(["range of all of these", "range of a wrapper", "range of a sum"])
+    "name", ["range of all of these", "range of a wrapper", "range of a sum"]
 )
 def test_a_combination_takes_as_many_newton_steps_as_the_energy(name):
     """The flexure is thin, so this requires its model for Newton's method."""

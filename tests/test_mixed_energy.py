@@ -273,10 +273,15 @@ def test_surrogate_of_a_notch_equals_the_beam():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"rotation": 0.8, "force": 60.0}, r"force of 60 N: from \d.* N on"),
-        (
+        pytest.param(
+            {"rotation": 0.8, "force": 60.0},
+            r"force of 60 N: from \d.* N on",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
             {"rotation": 0.8, "error": 1e-12, "order": 6},
             "1e-12 is not reached.*0.0001.* with order 6",
+            marks=pytest.mark.slow,
         ),
         ({"rotation": 0.8, "order": 5}, "must be one of"),
         ({"rotation": 7.0}, "`rotation` is 7"),

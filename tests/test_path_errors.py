@@ -108,6 +108,7 @@ def test_a_body_that_nothing_supports():
         turn_a_block(stiffness=0.0)
 
 
+@pytest.mark.slow
 def test_too_few_points():
     with pytest.raises(RuntimeError, match="largest number of points") as error:
         turn_a_block(largest_step=0.01)

@@ -81,17 +81,20 @@ class TestBistability:
         assert_close(found.energies, energies, digits=9)
         assert_close(found.travel("apex")[2], heights[2] - heights[0], digits=9)
 
-    def test_a_weight_that_turns_with_a_lever_does_work(self):
+    def test_a_weight_on_a_lever_does_work_as_the_lever_turns(self):
         """A spring is too weak to hold a lever with a weight upright."""
-        weight, length = 1.2, 0.5
-        moment = weight * length
-        spring = tj.Quadratic(0.5 * np.eye(3), "twist")  # 0.5 N m/rad
+        weight, length, stiffness = 1.2, 0.5, 0.5  # N, m, N m/rad
+        spring = tj.Quadratic(np.diag([stiffness, 1.0, 1.0]), "twist")
         lever = tj.Mechanism(
             [tj.Body("wall"), tj.Body("lever")],
             [tj.Hinge("spring", "wall", "lever", spring, at=(0, 0, 0))],
             fixed=["wall"],
         )
-        angle = brentq(lambda angle: 0.5 * angle - moment * np.sin(angle), 0.5, 2.0)
+
+        def moment(angle):
+            return stiffness * angle - weight * length * np.sin(angle)
+
+        angle = brentq(moment, 0.5, 2.0)
         found = tj.bistability(
             lever,
             loads=[tj.Load("lever", moment=0.2)],
@@ -99,7 +102,7 @@ class TestBistability:
             constraints=[tj.Pin("pivot", "wall", "lever", at=(0.0, 0.0))],
             start=np.array([[0.0, 0.0, 0.0], [-angle, 0.0, 0.0]]),
         )
-        exact = moment * (1 - np.cos(angle)) - 0.5 * angle**2 / 2
+        exact = weight * length * (1 - np.cos(angle)) - stiffness * angle**2 / 2
         assert_close(found.barriers, np.full(2, exact), digits=9)
         assert_close(found.travel("lever"), np.array([2 * angle, 0.0, 0.0]), digits=9)
 

@@ -133,6 +133,8 @@ def test_step_response_of_a_damped_oscillator_is_the_closed_form():
 
 
 def test_the_gradient_of_a_motion_is_that_of_the_closed_form():
+    """By the damping time, the force, and the time at which the motion ends."""
+
     @partial(jax.jit, static_argnums=0)
     def gradient(motion, *at):
         return jax.grad(lambda *at: motion(*at)[-1], argnums=(0, 1, 2))(*at)
@@ -140,7 +142,7 @@ def test_the_gradient_of_a_motion_is_that_of_the_closed_form():
     at = 0.05, 3.0, jnp.array([0.0, 0.7])
     found, exact = gradient(pushed_oscillator, *at), gradient(step_response, *at)
     assert_close(found[:2], exact[:2], digits=6)
-    assert_close(found[2][1], exact[2][1], digits=6)
+    assert_close(found[2][1], exact[2][1], digits=6)  # the end; the start is fixed
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +241,10 @@ def test_gauss_conserves_energy_over_a_hundred_thousand_steps(validated):
 
 
 def test_constant_steps_may_be_longer_than_the_axial_period_of_a_leaf():
-    """A block swings on a leaf at 3 Hz and 18 Hz, and its energy is conserved."""
+    """The steps are 1 ms, a period is 0.7 ms; the energy is conserved.
+
+    If the Newton iteration of a step did not converge, the motion would end.
+    """
     steel = tj.Material(modulus=210e9, poisson=0.3)
     leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.2e-3, width=10e-3)
     block = tj.Body("block", pose=(0.0, 25e-3, 0.0), mass=0.1, inertia=1e-5)

@@ -139,11 +139,11 @@ def test_slider_allows_one_translation():
 
 
 def test_a_constraint_that_moves_a_block_does_the_work_of_its_inertia_and_spring():
-    """The block is moved to 0.02 m and back, as `0.01 (1 - cos 3 t)`."""
+    """The block is moved to 0.02 m and most of the way back: `0.01 (1 - cos 3 t)`."""
     move = tj.Constraint(
         "move", ["block"], lambda pose, time: pose[1] - 0.01 * (1 - jnp.cos(3 * time))
     )
-    times = np.array([0.0, 0.4, 0.9])
+    times = np.array([0.0, 0.4, 1.1, 1.9])
     motion = tj.simulate(oscillator(), times, constraints=[move], tolerance=1e-9)
     x, rate = 0.01 * (1 - np.cos(3 * times)), 0.03 * np.sin(3 * times)
     assert_close(motion.displacement("block")[:, 1], x, digits=9)

@@ -85,6 +85,8 @@ def main() -> None:
         sys.stdout.flush()
     except OSError as error:
         code = _report_os_error(error)
+    if code == _INTERRUPTED:
+        os._exit(code)  # Python would end while XLA still compiles, and crash.
     sys.exit(code)
 
 

@@ -297,6 +297,41 @@ class TestBuckling:
         assert abs(top) > abs(bottom) > 0 and top * bottom > 0
         assert repr(found).splitlines()[2].split() == ["0.348698", "link", "5"]
 
+    @pytest.mark.parametrize("tilt", mostly_slow([0.3, 1e-3, np.pi]))
+    def test_a_column_on_pins_in_any_direction(self, tilt):
+        """Two links of 0.5 m on two springs of 2 N m/rad.
+
+        Displacements before buckling are rounding errors, also those of the state.
+        """
+        up = np.array([-np.sin(tilt), np.cos(tilt)])
+
+        def at(height):
+            return (tilt, *(height * up))
+
+        spring = tj.Quadratic(np.diag([2.0, 0.0, 0.0]), "twist")
+        links = tj.Mechanism(
+            [tj.Body("base"), tj.Body("a", at(0.25)), tj.Body("b", at(0.75))],
+            [
+                tj.Hinge("lower", "base", "a", spring, at=at(0.0)),
+                tj.Hinge("upper", "a", "b", spring, at=at(0.5)),
+            ],
+            fixed=["base"],
+        )
+        pins = [
+            tj.Pin("foot", "base", "a", at=at(0.0)[1:]),
+            tj.Pin("knee", "a", "b", at=at(0.5)[1:]),
+        ]
+        state = links.reference + np.array([[0.0] * 3, [1e-48, 0, 0], [-1e-48, 0, 0]])
+        found = tj.buckling(
+            links,
+            loads=[tj.Load("b", force=tuple(-up), at=(0.0, 0.25))],
+            constraints=pins,
+            modes=3,
+            about=state,
+        )
+        exact = np.array([3 - np.sqrt(5), 3 + np.sqrt(5)]) / 2 * 2.0 / 0.5
+        np.testing.assert_allclose(found.load_factors, exact, rtol=1e-9)
+
     @pytest.mark.slow
     def test_derivatives_by_the_stiffness(self):
         """The factors are proportional to the stiffness, so the second ones are zero."""

@@ -182,12 +182,13 @@ def linkage_of(energy):
     return tj.Mechanism([tj.Body("A"), tj.Body("B")], [hinge], fixed=["A"])
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param("cross-spring", marks=pytest.mark.slow),
-        pytest.param("cartwheel", marks=pytest.mark.release),
-        pytest.param("double parallelogram", marks=pytest.mark.release),
+        "cross-spring",
+        "cartwheel",
+        "double parallelogram",
     ],
 )
 def test_a_surrogate_agrees_with_the_whole_mechanism(name):

@@ -104,13 +104,19 @@ def pinned(crank, hinges, long_leaf):
     return state(found.x)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hinges", "name", "long_leaf"),
     [
-        ("identical", "pseudo-rigid-body", None),
-        ("leaves-and-notches", "pseudo-rigid-body", HOWELL),
-        ("leaves-and-notches", "pseudo-rigid-body, matched", MATCHED),
+        pytest.param("identical", "pseudo-rigid-body", None, marks=pytest.mark.release),
+        pytest.param(
+            "leaves-and-notches", "pseudo-rigid-body", HOWELL, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "leaves-and-notches",
+            "pseudo-rigid-body, matched",
+            MATCHED,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_linkage_on_pins_follows_from_loop_closure(

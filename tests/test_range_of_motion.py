@@ -245,7 +245,7 @@ def test_derivatives_of_the_range_in_pure_bending():
     np.testing.assert_allclose(shares, [[2.0, 1.0]] * 2, rtol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_derivatives_of_the_range():
     def far(at):
         thickness, stress = at

@@ -183,7 +183,7 @@ def test_the_derivative_of_the_safety_factor_of_a_leaf():
     np.testing.assert_allclose(slope, -value / 2, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_derivatives_of_the_safety_factor(surrogate):
     mechanism = cantilever(surrogate)
 

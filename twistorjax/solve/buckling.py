@@ -50,6 +50,7 @@ _NO_GEOMETRIC_STIFFNESS = 1e-9
 _COUPLED = 0.1  # share of a mode in the first displacements that leads to a limit point
 _FIRST_CHANGE = 1e-3  # of the amplitude of a mode, as a fraction of it
 _LARGEST_CHANGE = 0.5
+_NO_DISPLACEMENT = 1e-6  # in a mode at the estimated load; rad, or of the length
 _NEGLIGIBLE = 1e-11  # change after which the iteration ends
 _CONVERGED = 1e-7  # largest last change that is accepted
 _ITERATIONS = 30
@@ -457,6 +458,9 @@ def _corrected(
 
     shares, held_rate = in_modes(linear.rate), of_held(linear.rate)
     coupled = jnp.abs(shares[row]) > _COUPLED * jnp.linalg.norm(shares)
+    # In these units, all displacements of a rigid column are rounding errors.
+    size = jnp.linalg.norm(linear.vectors[:, row])
+    coupled &= jnp.abs(estimate * shares[row]) * size > _NO_DISPLACEMENT
     mode = units * (linear.basis @ linear.vectors[:, row])
 
     def improve(state: _Iteration) -> _Iteration:

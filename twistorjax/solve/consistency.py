@@ -100,11 +100,14 @@ def _imbalance(
     largest = jnp.maximum(jnp.max(of_hinges), jnp.max(jnp.abs(applied) * units))
     magnitudes = jnp.abs(tangent.hinge_stiffness())
     stiffness = hinges.multiply_stiffness(magnitudes, units)
+    # Also a displacement that ought to be zero has a rounding error, of these units.
     poses = jnp.abs(reference) + jnp.abs(displacements)
-    rounding = hinges.multiply_stiffness(magnitudes, poses.reshape(-1))
+    rounding = hinges.multiply_stiffness(magnitudes, poses.reshape(-1) + units)
     allowed = jnp.maximum(_LARGEST_IMBALANCE * largest, _ROUNDING * rounding * units)
     by_energy = _LARGEST_DECREMENT * jnp.sqrt(tangent.work * stiffness * units)
     allowed = jnp.maximum(allowed, by_energy)
+    # Constraints pass rounding errors on to bodies that no hinge holds.
+    allowed = jnp.maximum(allowed, _ROUNDING**2 * jnp.max(stiffness * units))
     excess = jnp.abs(residual) * units / jnp.where(allowed > 0, allowed, 1.0)
     return excess[system.free], residual[system.free]
 

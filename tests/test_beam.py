@@ -11,7 +11,7 @@ from helpers import assert_close, mostly_slow
 from scipy.optimize import brentq
 
 import twistorjax as tj
-from twistorjax.flexures.beam import Law
+from twistorjax.flexures.beams.beam import Law
 
 
 REFERENCE = json.loads(

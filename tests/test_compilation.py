@@ -14,9 +14,9 @@ import pytest
 from helpers import mostly_slow
 
 import twistorjax as tj
-from twistorjax._utils import compilation
-from twistorjax._utils.compilation import fast_compile
-from twistorjax._utils.traced_function import traced, TracedFunction
+from twistorjax._compile import compilation
+from twistorjax._compile.compilation import fast_compile
+from twistorjax._compile.traced_function import traced, TracedFunction
 from twistorjax.examples import four_bar, stage
 
 

@@ -20,7 +20,7 @@ from twistorjax.identification import (
     StaticTest,
     VibrationTest,
 )
-from twistorjax.identification.sensors import BodyQuantity, HingeQuantity
+from twistorjax.identification.experiments.sensors import BodyQuantity, HingeQuantity
 
 
 @pytest.fixture(scope="module")

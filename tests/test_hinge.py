@@ -17,8 +17,8 @@ from helpers import (
 )
 
 import twistorjax as tj
+from twistorjax.assembly import kinematics
 from twistorjax.geometry import se2, twistors
-from twistorjax.mechanism import hinge_kinematics
 
 
 class Quartic(tj.AbstractEnergy):
@@ -199,11 +199,11 @@ def test_displacement_in_the_mid_frame_is_the_twistor():
     def end(pose):
         angle, x, y = pose
         cos, sin, zero = jnp.cos(angle / 2), jnp.sin(angle / 2), jnp.zeros(())
-        return hinge_kinematics.End(angle, x, y, cos, sin, zero, zero)
+        return kinematics.End(angle, x, y, cos, sin, zero, zero)
 
     def displacement(first, second):
-        axis = hinge_kinematics.Axis(jnp.ones(()), jnp.zeros(()))
-        at = hinge_kinematics.mid_frame(end(first), end(second), axis).displacement
+        axis = kinematics.Axis(jnp.ones(()), jnp.zeros(()))
+        at = kinematics.mid_frame(end(first), end(second), axis).displacement
         return jnp.stack([at.sigma, at.xi, at.x1, at.x2])
 
     def twistor(first, second):

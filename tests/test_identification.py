@@ -21,12 +21,7 @@ from identification_helpers import (
 
 import twistorjax as tj
 from twistorjax.examples import identification, stage
-from twistorjax.identification import (
-    BodySensor,
-    HingeTest,
-    StaticTest,
-    VibrationTest,
-)
+from twistorjax.identification import BodySensor, HingeTest, StaticTest, VibrationTest
 
 
 def test_one_stiffness_and_its_standard_error_follow_from_hookes_law():

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistorjax.mechanism.scatter import sum_entries
-from twistorjax.solve.factorization import factorize, solve_once
-from twistorjax.solve.small_matrices import inverse
+from twistorjax.assembly.scatter import sum_entries
+from twistorjax.linalg.elimination import inverse
+from twistorjax.linalg.factors import factorize, solve_once
 
 
 @pytest.mark.parametrize("batch_last", [False, True])

@@ -7,9 +7,9 @@ import pytest
 from helpers import some_stiffness
 
 import twistorjax as tj
-from twistorjax.solve.block_factorization import block_layout
-from twistorjax.solve.dofs import DofPartition
-from twistorjax.solve.system import System
+from twistorjax.linalg.block_factors import block_layout
+from twistorjax.solve.equations.dofs import DofPartition
+from twistorjax.solve.equations.system import System
 
 
 COUNT = 60

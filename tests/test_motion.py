@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 import twistorjax as tj
 from twistorjax.examples import four_bar
 from twistorjax.geometry import se2
-from twistorjax.solve import motion_adjoint
+from twistorjax.solve.integration import adjoint as motion_adjoint
 
 
 def table(text):

@@ -275,12 +275,12 @@ def test_study_uses_the_values_at_the_time_of_the_call():
 
 def test_finished_searches_are_not_repeated(tmp_path, monkeypatch):
     pytest.importorskip("zarr")
-    from twistorjax.sweeps.optimization import run
+    from twistorjax.sweeps.optimization import searches
 
     store = tmp_path / "searches.zarr"
     options = {**LEAF, "starts": 6, "store": store}
     complete = tj.optimize(leaf_spring, leaf_parameters(), **LEAF, starts=6)
-    write, written = run.SearchStore.write, []
+    write, written = searches.SearchStore.write, []
 
     def interrupted_write(self, row, end):
         if len(written) == 3:
@@ -288,18 +288,18 @@ def test_finished_searches_are_not_repeated(tmp_path, monkeypatch):
         write(self, row, end)
         written.append(row)
 
-    monkeypatch.setattr(run.SearchStore, "write", interrupted_write)
+    monkeypatch.setattr(searches.SearchStore, "write", interrupted_write)
     with pytest.raises(KeyboardInterrupt):
         tj.optimize(leaf_spring, leaf_parameters(), **options)
-    monkeypatch.setattr(run.SearchStore, "write", write)
+    monkeypatch.setattr(searches.SearchStore, "write", write)
     with pytest.raises(ValueError, match="already exists"):
         tj.optimize(leaf_spring, leaf_parameters(), **options)
     table = tj.sweeps.open_sweep(store)
     assert int(table.succeeded.sum()) == 3
     repeated = []
-    search = run.search
+    search = searches.search
     monkeypatch.setattr(
-        run, "search", lambda *a, **k: repeated.append(a) or search(*a, **k)
+        searches, "search", lambda *a, **k: repeated.append(a) or search(*a, **k)
     )
     resumed = tj.optimize(leaf_spring, leaf_parameters(), **options, resume=True)
     assert len(repeated) == 3

@@ -9,6 +9,7 @@ from helpers import assert_close
 from identification_helpers import body_at, FormulaTest, positive
 
 import twistorjax as tj
+from twistorjax.designs.parameters import ParameterSet
 from twistorjax.identification import (
     BodySensor,
     identify,
@@ -16,7 +17,6 @@ from twistorjax.identification import (
     Parameter,
     StaticTest,
 )
-from twistorjax.identification.parameters import ParameterSet
 
 
 def test_values_stay_within_their_bounds_and_start_at_the_initial_value():

@@ -27,7 +27,7 @@ from path_helpers import (
 import twistorjax as tj
 from twistorjax.examples.truss import von_mises_truss
 from twistorjax.plotting.shapes import shapes
-from twistorjax.solve import path_setup
+from twistorjax.solve.continuation import setup as path_setup
 
 
 PUSH = tj.Load("apex", force=(0.0, -20.0))

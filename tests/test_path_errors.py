@@ -10,7 +10,7 @@ from path_helpers import parallel_links
 
 import twistorjax as tj
 from twistorjax.examples.truss import von_mises_truss
-from twistorjax.solve.path_results import CriticalPoint
+from twistorjax.solve.continuation.solution import CriticalPoint
 
 
 PUSH = tj.Load("apex", force=(0.0, -20.0))

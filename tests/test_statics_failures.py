@@ -8,8 +8,8 @@ from helpers import assert_close
 from statics_helpers import block_on_spring, cantilever
 
 import twistorjax as tj
-from twistorjax.solve.results import RESULTS
-from twistorjax.solve.static_errors import check_equilibrium
+from twistorjax.results.codes import RESULTS
+from twistorjax.solve.statics.errors import check_equilibrium
 
 
 def test_error_of_a_batch_names_the_failed_design():

@@ -21,12 +21,12 @@ from helpers import mostly_slow
 from jax.core import Tracer
 
 import twistorjax as tj
-from twistorjax._utils import compiled_gradient, stored_traces, trace_folder
-from twistorjax._utils.canonical_text import canonical_text, NoCanonicalTextError
-from twistorjax._utils.result_structure import from_text, to_text
-from twistorjax._utils.trace_folder import TraceFolder
-from twistorjax.flexures.beam import uniform
-from twistorjax.mechanism.hinge_changes import Temperature
+from twistorjax._compile import stored_gradients, stored_traces, trace_folder
+from twistorjax._compile.result_structure import from_text, to_text
+from twistorjax._compile.trace_folder import TraceFolder
+from twistorjax._compile.trace_keys import canonical_text, NoCanonicalTextError
+from twistorjax.flexures.beams.beam import uniform
+from twistorjax.mechanism.changes import Temperature
 
 
 TIMES = [0.0, 0.02, 0.05]
@@ -493,7 +493,7 @@ def test_an_error_of_a_function_that_is_traced_is_raised_once(folder):
 def test_a_gradient_is_exact_if_the_residuals_are_of_another_trace(monkeypatch):
     """The gradient of another trace is computed with a new forward pass."""
     names = iter("ab")
-    monkeypatch.setattr(compiled_gradient, "_identity", lambda structure: next(names))
+    monkeypatch.setattr(stored_gradients, "_identity", lambda structure: next(names))
 
     def iterate(factor, start):
         def step(value, _):
@@ -506,7 +506,7 @@ def test_a_gradient_is_exact_if_the_residuals_are_of_another_trace(monkeypatch):
         return count * (jnp.sum(values**2) + last)
 
     inputs = jnp.asarray(1.3), jnp.asarray(0.4)
-    compiled = compiled_gradient.fast_compile_with_gradient(iterate)
+    compiled = stored_gradients.fast_compile_with_gradient(iterate)
     found = jax.grad(functools.partial(sum_of_results, compiled))(inputs)
     assert next(names, None) is None
     exact = jax.grad(functools.partial(sum_of_results, iterate))(inputs)
@@ -550,8 +550,8 @@ def test_functions_of_time_may_contain_what_is_differentiated():
 def test_a_function_that_contains_a_traced_value_has_no_text():
     def check(value):
         for function in (lambda _: value, functools.partial(jnp.interp, fp=value)):
-            assert not compiled_gradient._has_text((value, function))
-        assert compiled_gradient._has_text((value, jnp.interp))
+            assert not stored_gradients._has_text((value, function))
+        assert stored_gradients._has_text((value, jnp.interp))
         return value
 
     jax.eval_shape(check, 1.0)

@@ -11,7 +11,7 @@ from helpers import assert_close, some_stiffness
 from scipy.integrate import solve_ivp
 
 import twistorjax as tj
-from twistorjax.mechanism.hinge_changes import HingeChanges
+from twistorjax.mechanism.changes import HingeChanges
 
 
 STIFFNESS, DAMPING, MASS = 400.0, 0.3, 2.0  # N/m, N s/m, kg

@@ -10,7 +10,7 @@ from helpers import assert_close, mostly_slow, with_value
 import twistorjax as tj
 from twistorjax.examples import stage
 from twistorjax.examples.warm_stage import thermal_drift
-from twistorjax.flexures.stress_models import BeamStress
+from twistorjax.flexures.beams.stress_models import BeamStress
 from twistorjax.geometry import se2
 
 

@@ -9,7 +9,7 @@ from . import (
     solve as solve,
     sweeps as sweeps,
 )
-from ._utils.configuration import configure as configure
+from ._compile.configuration import configure as configure
 from .energies import (
     AbstractEnergy as AbstractEnergy,
     fit_energy as fit_energy,

@@ -1,4 +1,4 @@
-"""Array types, validation of arguments, pytree functions, and JSON and CSV files.
+"""Array types, checks of arguments, pytree functions, progress lines, JSON and CSV files.
 
 Internal. Every other package may import these modules. They import no other package.
 """

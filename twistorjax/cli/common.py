@@ -46,7 +46,7 @@ def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
     """
     import jax
 
-    from .._utils.configuration import configure
+    from .._compile.configuration import configure
 
     # With the default thresholds, imports and loaded programs take a tenth more time.
     gc.set_threshold(200_000, 20, 20)
@@ -203,7 +203,7 @@ def progress_bar() -> Any:
 
 def require_success(motion: Any) -> None:
     """Raise a `SolveError` if a simulation stopped before its last time."""
-    from ..solve.results import result_names, RESULTS
+    from ..results.codes import result_names, RESULTS
 
     if str(result_names(motion.result)) != "successful":
         raise SolveError(

@@ -43,7 +43,7 @@ def parallelogram(
     """
     prepare_jax()
     from ..examples import parallelogram as example
-    from ..solve.results import result_message
+    from ..results.codes import result_message
 
     try:
         loads = example.default_cases() if cases is None else example.read_cases(cases)

@@ -95,7 +95,7 @@ def _static(
     import numpy as np
 
     from ..examples import stage as example
-    from ..solve.results import result_names, RESULTS
+    from ..results.codes import result_names, RESULTS
 
     result, slope = example.amplification_and_slope(web, travel, coordinates=coordinates)
     deformed = result.equilibrium

@@ -204,7 +204,7 @@ def _report(
     Raises:
         SolveError: All designs failed.
     """
-    from ..solve.results import result_message
+    from ..results.codes import result_message
     from ..sweeps.sweep import failures
 
     if plot is not None:
@@ -246,7 +246,7 @@ def _text(
     count: int, failed: Mapping[str, int], summary: Mapping[str, Mapping[str, Any]]
 ) -> str:
     """Format the number of designs, the failures by result name, and all summaries."""
-    from ..solve.results import result_message
+    from ..results.codes import result_message
 
     lines = [f"{count:,} designs"]
     for name, number in failed.items():

@@ -3,7 +3,7 @@
 Start reading in `base`. A new energy is a subclass of `AbstractEnergy` with one method,
 `stored_energy(displacement)`, and may be defined in any file. The energy is written with
 `jax.numpy`, is twice differentiable, and its gradient is zero in the reference
-configuration. `base` and `solver_protocols` contain the optional methods.
+configuration. `base` and `protocols` contain the optional methods.
 
 `quadratic`, `polynomial` (also rational energies), `mixed` (flexures), and
 `point_charges` contain the energies of this library. `damping` contains viscous damping,

@@ -11,7 +11,7 @@ from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .dilation import multiply_fields
-from .solver_protocols import Stress
+from .protocols import Stress
 
 
 class AxialSpring(AbstractEnergy):

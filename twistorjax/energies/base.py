@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.types import Flag, Matrix, NumberLike, Pose, Scalar, Twist, Wrench
 from ..geometry import se2
@@ -29,7 +29,7 @@ class AbstractEnergy(eqx.Module):
     A subclass implements one method, `stored_energy`. Wrench, stiffness, sums, and
     multiples follow from it. Further methods are optional; they are those of the
     protocols `HasValidityRange` and `HasValidationError`, and of the protocols in
-    `solver_protocols`. The solvers also use the optional methods of an energy if it is a
+    `protocols`. The solvers also use the optional methods of an energy if it is a
     term of a sum, is multiplied by a factor, or has a validity range.
 
     Example:
@@ -207,7 +207,7 @@ class Sum(AbstractEnergy):
 class AbstractWrapper(AbstractEnergy):
     """A multiple of another energy, or the same energy with additional methods.
 
-    `nested` and `solver_protocols` find the optional methods of the wrapped energy
+    `nested` and `protocols` find the optional methods of the wrapped energy
     through `energy` and `multiple`, so a subclass does not implement them again.
     """
 

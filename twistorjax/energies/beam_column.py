@@ -13,7 +13,7 @@ from ..geometry.twistors import Displacement
 from .dilation import multiply_fields
 from .evaluation import Orders
 from .mixed import AbstractMixedEnergy
-from .mixed_potential import AbstractPotential, Bending
+from .potentials import AbstractPotential, Bending
 from .strains import strain
 from .stress_model import AbstractStressModel
 

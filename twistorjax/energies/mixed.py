@@ -21,7 +21,9 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy
 from .damping import ViscousDamping
 from .dilation import multiply_fields
-from .mixed_potential import (
+from .monomials import Powers, VARIABLES
+from .polynomial import coefficients_error, require_coefficients, require_powers
+from .potentials import (
     AbstractPotential,
     AXIAL_COMPLIANCE,
     axial_force_ratio,
@@ -29,8 +31,6 @@ from .mixed_potential import (
     maximum_over_force,
     PolynomialPotential,
 )
-from .monomials import Powers, VARIABLES
-from .polynomial import coefficients_error, require_coefficients, require_powers
 from .quadratic import CoordinateEnergy
 from .strains import Coordinates, strain
 from .stress_model import AbstractStressModel

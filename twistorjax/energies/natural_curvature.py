@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from .._utils.types import Pose, Scalar
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
-from .solver_protocols import newton_model, Stress
+from .protocols import newton_model, Stress
 
 
 class NaturallyCurved(AbstractWrapper):

@@ -23,15 +23,9 @@ from ..geometry import se2, twistors
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, validation_error
 from .evaluation import evaluate_polynomial, polynomial_variables
-from .monomials import (
-    monomials,
-    Powers,
-    sigma_reduction,
-    substitution_matrix,
-    VARIABLES,
-)
+from .monomials import monomials, Powers, sigma_reduction, substitution_matrix, VARIABLES
+from .protocols import translation_scale
 from .quadratic import CoordinateEnergy
-from .solver_protocols import translation_scale
 from .strains import Coordinates
 
 

@@ -34,8 +34,8 @@ from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.drawing import draw
 from ..plotting.figure_style import subplots
-from ..solve.dynamics import simulate
-from ..solve.motion import Motion
+from ..solve.integration.solution import Motion
+from ..solve.simulate import simulate
 
 
 if TYPE_CHECKING:

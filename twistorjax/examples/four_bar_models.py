@@ -32,8 +32,8 @@ from ..mechanism.loads import Drive
 from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import BLACK, BLUE, GRAY, GREEN, RED, subplots
-from ..solve.results import result_names
-from ..solve.statics import equilibrium
+from ..results.codes import result_names
+from ..solve.equilibrium import equilibrium
 from .four_bar import four_bar, Hinges
 
 

@@ -25,8 +25,8 @@ from ..mechanism.loads import Load
 from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import DARK_BLUE, ORANGE, subplots
-from ..solve.results import is_success, result_names, RESULTS
-from ..solve.statics import equilibrium
+from ..results.codes import is_success, result_names, RESULTS
+from ..solve.equilibrium import equilibrium
 
 
 if TYPE_CHECKING:

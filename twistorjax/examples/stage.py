@@ -23,8 +23,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import plotting  # loads diffrax and Matplotlib only if something is drawn
-from .._utils.compilation import fast_compile
+from .. import plotting
+from .._compile.compilation import fast_compile
 from .._utils.host import on_host
 from .._utils.types import Corners, NumberLike, Scalar
 from ..energies.damping import DampingLike
@@ -39,10 +39,10 @@ from ..mechanism.loads import Drive
 from ..mechanism.material import Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import DARK_BLUE
-from ..solve.results import RESULTS
-from ..solve.static_results import Equilibrium
-from ..solve.statics import equilibrium
-from ..solve.tables import Column, Columns, Tabular
+from ..results.codes import RESULTS
+from ..results.tables import Column, Columns, Tabular
+from ..solve.equilibrium import equilibrium
+from ..solve.statics.solution import Equilibrium
 
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from ..geometry import se2
 from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import DARK_BLUE, ORANGE, subplots
-from ..solve.dynamics import simulate
-from ..solve.motion import Motion
+from ..solve.integration.solution import Motion
+from ..solve.simulate import simulate
 from .stage import amplification, TRAVEL
 
 

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 
 from .._utils.types import NamedNumbers
-from ..solve.results import RESULTS
-from ..solve.tables import Column
+from ..results.codes import RESULTS
+from ..results.tables import Column
 from ..solve.vibrations import vibrations
 from .four_bar import driven_motion, four_bar
 from .stage import Amplification, amplification, microstage, TRAVEL, WEB

@@ -20,8 +20,8 @@ from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..plotting.path_plots import draw_path
 from ..solve.bistability import Bistability, bistability
+from ..solve.continuation.solution import Path
 from ..solve.path import path
-from ..solve.path_results import Path
 
 
 if TYPE_CHECKING:

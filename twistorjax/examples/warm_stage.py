@@ -10,8 +10,8 @@ from typing import NamedTuple
 from .._utils.types import NumberLike, Pose, Scalar
 from .._utils.validation import require_finite
 from ..mechanism.loads import Drive
-from ..solve.static_results import Equilibrium
-from ..solve.statics import equilibrium
+from ..solve.equilibrium import equilibrium
+from ..solve.statics.solution import Equilibrium
 from .stage import microstage, TRAVEL, WEB
 
 

@@ -1,12 +1,10 @@
 """Energies and stresses of flexures that are cut from a plate.
 
 Start reading in `leaf` and `notch`, which return the energy of a hinge for small
-rotations, from its dimensions and its material. `beam` and `beam_solution` model a
-geometrically exact beam of any thickness profile. `exact_beam` makes an energy of it, and
-`surrogate` approximates this energy by a polynomial, which is as fast as any other hinge.
-`chain` divides a beam into several surrogates, and `condensed` makes one energy of a
-sub-mechanism such as those of `pivots` and `guides`. `contours` are thickness profiles.
-`stress` computes the largest stress in a flexure.
+rotations, from its dimensions and its material. `contours` has notches and leaves of
+other shapes, and `actuator` a piezo stack. `beams` are geometrically exact, and
+`surrogates` approximate them by polynomials, which are as fast as any other hinge.
+`compound` has chains of beams, pivots, and guides.
 """
 
 import lazy_loader

@@ -1,35 +1,46 @@
 from .actuator import piezo_stack as piezo_stack
-from .beam import Beam as Beam
-from .beam_solution import (
+from .beams.at_pose import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
+from .beams.beam import Beam as Beam
+from .beams.plates import bending_factor as bending_factor
+from .beams.stress import (
+    largest_stress as largest_stress,
+    leaf_stress as leaf_stress,
+    notch_stress as notch_stress,
+)
+from .beams.under_load import (
     beam_under_load as beam_under_load,
     BeamSolution as BeamSolution,
     largest_rotation as largest_rotation,
 )
-from .chain import (
+from .compound.chain import (
     beam_expansion as beam_expansion,
     Chain as Chain,
     chain as chain,
 )
-from .condensed import Condensed as Condensed
-from .contour_stiffness import (
+from .compound.condensed import Condensed as Condensed
+from .compound.guides import (
+    double_parallelogram as double_parallelogram,
+    folded_beam as folded_beam,
+    parallelogram as parallelogram,
+)
+from .compound.pivots import (
+    butterfly_pivot as butterfly_pivot,
+    cartwheel_pivot as cartwheel_pivot,
+    cross_spring_pivot as cross_spring_pivot,
+)
+from .contours.energies import (
     elliptical_notch as elliptical_notch,
     filleted_leaf as filleted_leaf,
     parabolic_notch as parabolic_notch,
     reinforced_leaf as reinforced_leaf,
     v_notch as v_notch,
 )
-from .contours import (
+from .contours.profiles import (
     elliptical_notch_profile as elliptical_notch_profile,
     filleted_leaf_profile as filleted_leaf_profile,
     power_law_notch_profile as power_law_notch_profile,
     reinforced_leaf_profile as reinforced_leaf_profile,
     v_notch_profile as v_notch_profile,
-)
-from .exact_beam import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
-from .guides import (
-    double_parallelogram as double_parallelogram,
-    folded_beam as folded_beam,
-    parallelogram as parallelogram,
 )
 from .leaf import (
     leaf as leaf,
@@ -42,15 +53,4 @@ from .notch import (
     notch_outline as notch_outline,
     notch_profile as notch_profile,
 )
-from .pivots import (
-    butterfly_pivot as butterfly_pivot,
-    cartwheel_pivot as cartwheel_pivot,
-    cross_spring_pivot as cross_spring_pivot,
-)
-from .plates import bending_factor as bending_factor
-from .stress import (
-    largest_stress as largest_stress,
-    leaf_stress as leaf_stress,
-    notch_stress as notch_stress,
-)
-from .surrogate import surrogate as surrogate
+from .surrogates.surrogate import surrogate as surrogate

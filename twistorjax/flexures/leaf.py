@@ -17,7 +17,7 @@ from ..energies.mixed import MixedEnergy
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
-from .stress_models import BeamColumnStress, SectionStress
+from .beams.stress_models import BeamColumnStress, SectionStress
 
 
 Theory = Literal["euler-bernoulli", "timoshenko"]

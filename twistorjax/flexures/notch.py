@@ -17,8 +17,8 @@ from .._utils.validation import (
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
-from .beam import elementwise
-from .stress_models import SectionStress
+from .beams.beam import elementwise
+from .beams.stress_models import SectionStress
 
 
 Stiffnesses = tuple[Any, Any, Any]  # arrays of NumPy or JAX

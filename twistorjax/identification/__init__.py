@@ -1,12 +1,11 @@
 """Identification of the parameters of a mechanism from measurements.
 
-Start reading in `identify`. A test defines what is done to the mechanism and which
-sensors are read: `static_test`, `motion_test`, `vibration_test` and `hinge_test` contain
-one kind of test each. The main path is: `parameters` maps the parameters of a design
-function to normalized parameters, `objective` computes the residuals and their
-derivatives, `search` runs an optimizer, and `report` holds the estimates and their
-uncertainties. `experiment_design` ranks further experiments, and `posterior` draws
-samples of the posterior distribution.
+Start reading in `identify`. `experiments` contains the tests, which define what is done
+to the mechanism and which sensors are read, and `estimation` the search for the
+parameters that fit the readings best. `report` holds the estimates and their
+uncertainties, and `diagnostics` says in words what is wrong with them.
+`experiment_design` ranks further experiments, and `posterior` draws samples of the
+posterior distribution.
 """
 
 import lazy_loader

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..solve.results import result_message, result_names
-from .measurement import Measurement
-from .optimizer import exceeds_rounding
+from ..results.codes import result_message, result_names
+from .estimation.optimizer import exceeds_rounding
+from .experiments.measurement import Measurement
 
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.validation import require_kind
 from .diagnostics import undetermined_changes
-from .measurement import AbstractTest, map_in_groups
+from .experiments.measurement import AbstractTest, map_in_groups
 from .report import Identification
 
 

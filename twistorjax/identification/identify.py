@@ -8,23 +8,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
+from .._compile.traced_function import traced
 from .._utils.host import all_concrete, as_float, on_host
 from .._utils.progress import announced
 from .._utils.pytrees import split_last_axis
-from .._utils.traced_function import traced
 from .._utils.types import KeyLike
 from .._utils.validation import compilation_error, require_float64, require_kind
+from ..designs.parameters import Parameter as Parameter, ParameterSet
 from ..mechanism.mechanism import Mechanism
-from ..solve.results import result_message, RESULTS, succeeded_or_raise
-from .levenberg_marquardt import LevenbergMarquardt
-from .measurement import as_pytree, Measurement, random_key
-from .objective import IdentificationProblem
-from .optimizer import AbstractOptimizer, from_numpy
+from ..results.codes import result_message, RESULTS, succeeded_or_raise
+from .estimation.levenberg_marquardt import LevenbergMarquardt
+from .estimation.objective import IdentificationProblem
+from .estimation.optimizer import AbstractOptimizer, from_numpy
+from .estimation.search import search_compiled, search_with_progress, SearchState
+from .experiments.measurement import as_pytree, Measurement, random_key
 from .padding import cut, pad
-from .parameters import ParameterSet
 from .report import Identification
-from .search import search_compiled, search_with_progress, SearchState
 
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def _choose_optimizer(
     import optax
     import optimistix as optx
 
-    from .wrapped_optimizers import GradientDescent, OptimistixSolver
+    from .estimation.wrapped_optimizers import GradientDescent, OptimistixSolver
 
     if isinstance(method, optax.GradientTransformation):
         return GradientDescent(method, tolerance), 3000

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Int
 
 from .._utils.host import all_concrete, padded_size, take_rows
-from .measurement import Measurement
-from .objective import IdentificationProblem
+from .estimation.objective import IdentificationProblem
+from .experiments.measurement import Measurement
 
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import KeyLike
 from .._utils.validation import require_package
-from .measurement import random_key
+from .experiments.measurement import random_key
 from .report import Identification
 
 

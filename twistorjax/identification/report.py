@@ -12,10 +12,10 @@ from jaxtyping import Array, Float, Int
 
 from .._utils.host import all_concrete, as_float, on_host
 from .._utils.types import BatchFlag, BatchScalar, NumberLike, Parameters
-from ..solve.results import result_names, RESULTS
+from ..results.codes import result_names, RESULTS
 from . import diagnostics
-from .objective import IdentificationProblem
-from .optimizer import exceeds_rounding
+from .estimation.objective import IdentificationProblem
+from .estimation.optimizer import exceeds_rounding
 
 
 # A parameter is at its bound if its distance to the bound is exp(-12) of the initial one;

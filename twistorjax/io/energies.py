@@ -18,13 +18,13 @@ from ..energies.polynomial import Polynomial, Rational, SumOfSquares
 from ..energies.quadratic import Quadratic
 from ..energies.stress_model import AbstractStressModel, Strengths
 from ..energies.validity import WithValidityRange
-from ..flexures.condensed import Condensed
-from ..flexures.stress_models import (
+from ..flexures.beams.stress_models import (
     BeamColumnStress,
     BeamStress,
     MechanismStress,
     SectionStress,
 )
+from ..flexures.compound.condensed import Condensed
 from ..mechanism.sub_mechanism import SubMechanism
 
 

@@ -1,9 +1,9 @@
-"""Rigid bodies, hinges, loads, and constraints, assembled into one mechanism.
+"""Rigid bodies, hinges, loads, and constraints, which form a mechanism.
 
-Start reading in `mechanism`. `body`, `hinge`, `loads`, and `constraints` contain the
-classes that a user creates. `hinge_assembly` computes the energy, forces, and stiffness
-of all hinges together, from those of one hinge: `hinge_kinematics`, `hinge_forces`, and,
-in motion, `hinge_motion`. `hinge_groups` stacks hinges of the same kind.
+Start reading in `mechanism`. `body`, `hinge`, `loads`, `constraints`, and `material`
+contain the classes that a user creates, and `sub_mechanism` a mechanism that acts as one
+hinge. `queries` evaluates displaced hinges, `misfits` are parts that do not fit together,
+and `changes` are strokes and temperatures in time.
 """
 
 import lazy_loader

@@ -1,8 +1,8 @@
 from .body import Body as Body, plate as plate
+from .changes import Temperature as Temperature
 from .constraints import Constraint as Constraint, Pin as Pin, Slider as Slider
 from .expansion import Expansion as Expansion
 from .hinge import Hinge as Hinge
-from .hinge_changes import Temperature as Temperature
 from .loads import Drive as Drive, Load as Load, weights as weights
 from .material import Material as Material
 from .mechanism import Mechanism as Mechanism

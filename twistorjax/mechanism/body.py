@@ -4,14 +4,7 @@ import equinox as eqx
 import numpy as np
 
 from .._utils.host import as_float, concrete, on_host
-from .._utils.types import (
-    Corners,
-    CornersLike,
-    NumberLike,
-    Pose,
-    PoseLike,
-    Scalar,
-)
+from .._utils.types import Corners, CornersLike, NumberLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
     require_corners,
     require_finite,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.traced_function import traced
+from .._compile.traced_function import traced
 from .._utils.types import (
     Entries,
     Numbers,

@@ -17,11 +17,11 @@ from .._utils.validation import (
     require_pose,
     require_text,
 )
+from ..assembly.kinematics import misfit_numbers
 from ..energies.base import AbstractEnergy, validation_error
 from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
 from .expansion import Expansion
-from .hinge_kinematics import misfit_numbers
 from .outline import AbstractOutline
 
 

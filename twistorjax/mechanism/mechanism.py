@@ -30,15 +30,15 @@ from .._utils.validation import (
     require_same_precision,
     shorten,
 )
+from ..assembly.assembly import HingeAssembly
+from ..assembly.groups import group_hinges, sums_of
 from .body import Body
 from .expansion import Expansion
 from .hinge import check_energy, frame_and_misfit, Hinge
-from .hinge_assembly import HingeAssembly
-from .hinge_groups import group_hinges, sums_of
-from .hinge_queries import HingeQueries
 from .misfits import expanded, with_strokes
 from .outline import AbstractOutline
 from .placement import warn_if_misplaced
+from .queries import HingeQueries
 
 
 COORDINATES = ("angle", "x", "y")

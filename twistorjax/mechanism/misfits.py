@@ -12,20 +12,14 @@ from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Wrenches
-from .._utils.validation import (
-    index_of,
-    require_finite,
-    require_pose,
-    shorten,
-    warn,
-)
+from .._utils.validation import index_of, require_finite, require_pose, shorten, warn
+from ..assembly.groups import dilate_groups
 from ..energies.base import AbstractEnergy, flexure_length
 from ..energies.dilation import dilated
-from .hinge_groups import dilate_groups
 
 
 if TYPE_CHECKING:
-    from .hinge_assembly import HingeAssembly
+    from ..assembly.assembly import HingeAssembly
     from .mechanism import Mechanism
 
 

@@ -8,9 +8,9 @@ from jaxtyping import ArrayLike, Float
 from typing_extensions import TypeAliasType
 
 from ..mechanism.mechanism import Mechanism
-from ..solve.motion import Motion
-from ..solve.path_results import Path
-from ..solve.static_results import Equilibrium
+from ..solve.continuation.solution import Path
+from ..solve.integration.solution import Motion
+from ..solve.statics.solution import Equilibrium
 from ..solve.vibrations import Vibrations
 from .drawing import draw, draw_reference, figure_size
 from .figure_style import length_unit, new_axes

@@ -12,8 +12,8 @@ from .._utils.validation import index_of
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from ..solve.motion import Motion
-from ..solve.static_results import Equilibrium
+from ..solve.integration.solution import Motion
+from ..solve.statics.solution import Equilibrium
 from .figure_style import (
     FILLS,
     GRAY,

@@ -5,7 +5,7 @@ from typing import Literal, TYPE_CHECKING
 import numpy as np
 
 from .._utils.validation import require_choice
-from ..solve.path_results import Path
+from ..solve.continuation.solution import Path
 from .figure_style import DARK_BLUE, GRAY, ORANGE, prefixed_unit, subplots
 
 

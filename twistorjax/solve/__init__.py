@@ -1,22 +1,18 @@
 """Statics, linearization, vibrations, frequency response, and motion of a mechanism.
 
-Start reading in `statics`. `equilibrium` assembles the equations of a `Mechanism`, its
-loads, prescribed displacements, and constraints (`system`), and solves them by Newton's
-method in load increments (`newton`). If an increment does not converge, or may contain a
-fold, the solver returns to the last equilibrium and tries a shorter one, until the
-increment is too short or `max_steps` is reached. Then `equilibrium` raises an error, or
-with `throw=False` returns NaN with derivatives of zero, the reason (`results`), and the
-last equilibrium (`fraction`, `reached`). A gain or another quantity is computed from the
-displacements; see `amplification` in `examples.stage`. `static_results` has the
-equilibrium, `static_errors` its messages, and `load_state` the loads from which load
-increments begin.
+A file of this folder is a question that a user asks, named as its public function; a
+folder is machinery. Start reading in `equilibrium`. It assembles the equations of a
+`Mechanism`, its loads, prescribed displacements, and constraints (`equations`), and
+solves them by Newton's method in load increments (`statics`). If an increment does not
+converge, or may contain a fold, the solver returns to the last equilibrium and tries a
+shorter one, until the increment is too short or `max_steps` is reached. Then
+`equilibrium` raises an error, or with `throw=False` returns NaN with derivatives of zero,
+the reason (`result`), and the last equilibrium (`fraction`, `reached`). A gain or another
+quantity is computed from the displacements; see `amplification` in `examples.stage`.
 
-`implicit_derivatives` differentiates an equilibrium by the implicit function theorem,
-with one linear solve and not through the Newton steps.
-`linearization`, `vibrations`, and `frequency_response` use the same `system` about an
-equilibrium. `tangent_stiffness`, `factorization`, and `block_factorization` contain its
-matrices. `dynamics` integrates the equations of motion (`motion_system`) by the solvers
-in `collocation` or those of diffrax. `tables` converts solutions to xarray datasets.
+`linearization`, `vibrations`, `frequency_response`, and others use the same equations
+about an equilibrium. `path` and what is built on it follow equilibria beyond buckling
+loads (`continuation`), and `simulate` integrates the equations of motion (`integration`).
 """
 
 import lazy_loader

@@ -1,25 +1,30 @@
 from .bistability import Bistability as Bistability, bistability as bistability
 from .buckling import Buckling as Buckling, buckling as buckling
-from .collocation import Gauss as Gauss, Radau as Radau
 from .constraint_analysis import (
     constraint_analysis as constraint_analysis,
     ConstraintAnalysis as ConstraintAnalysis,
 )
-from .dynamics import simulate as simulate
-from .fatigue import Fatigue as Fatigue, fatigue as fatigue
-from .frequency_response import (
-    frequency_response as frequency_response,
-    FrequencyResponse as FrequencyResponse,
-)
-from .linearization import Linearization as Linearization, linearize as linearize
-from .motion import Energies as Energies, Motion as Motion
-from .path import path as path
-from .path_results import (
+from .continuation.solution import (
     CriticalPoint as CriticalPoint,
     CriticalPoints as CriticalPoints,
     Path as Path,
     PathPoint as PathPoint,
 )
+from .equilibrium import (
+    Column as Column,
+    equilibrium as equilibrium,
+    result_names as result_names,
+    RESULTS as RESULTS,
+)
+from .fatigue import Fatigue as Fatigue, fatigue as fatigue
+from .frequency_response import (
+    frequency_response as frequency_response,
+    FrequencyResponse as FrequencyResponse,
+)
+from .integration.collocation import Gauss as Gauss, Radau as Radau
+from .integration.solution import Energies as Energies, Motion as Motion
+from .linearization import Linearization as Linearization, linearize as linearize
+from .path import path as path
 from .port_compliance import (
     port_compliance as port_compliance,
     PortCompliance as PortCompliance,
@@ -30,10 +35,8 @@ from .range_of_motion import (
     range_of_motion as range_of_motion,
     RangeOfMotion as RangeOfMotion,
 )
-from .results import result_names as result_names, RESULTS as RESULTS
+from .simulate import simulate as simulate
 from .state_space import state_space as state_space, StateSpace as StateSpace
-from .static_results import Equilibrium as Equilibrium
-from .statics import equilibrium as equilibrium
+from .statics.solution import Equilibrium as Equilibrium
 from .stresses import Stresses as Stresses, stresses as stresses
-from .tables import Column as Column
 from .vibrations import Vibrations as Vibrations, vibrations as vibrations

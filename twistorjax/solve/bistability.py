@@ -10,41 +10,41 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.host import all_concrete, is_traced
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, Count, Flag, NumberLike, Pose, Scalar
 from .._utils.validation import index_of, require_positive
+from ..linalg.elimination import solve
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from .continuation import Metric, NOT_FINITE, Step
-from .critical_points import null_vectors, with_derivatives
-from .dofs import DofPartition
-from .path import check_settings, path_message
-from .path_location import locate, Segment
-from .path_points import negative_eigenvalues, on_path, point_values
-from .path_program import (
-    path_result,
-    PathRun,
-    refine_uncompiled,
-    run_refined,
-    run_uncompiled,
-)
-from .path_results import CriticalPoint
-from .path_setup import assemble_path, first_displacements, FirstPoint
-from .path_start import metric_of
-from .path_system import PathSystem, PathTangent
-from .results import (
+from ..results.codes import (
     count_results,
     is_success,
     result_names,
     RESULTS,
     succeeded_or_raise,
 )
-from .small_matrices import solve
-from .static_results import StateLike, warn_outside_linear_range
+from .continuation.arc_length import Metric, NOT_FINITE, Step
+from .continuation.critical_points import null_vectors, with_derivatives
+from .continuation.location import locate, Segment
+from .continuation.points import negative_eigenvalues, on_path, point_values
+from .continuation.program import (
+    path_result,
+    PathRun,
+    refine_uncompiled,
+    run_refined,
+    run_uncompiled,
+)
+from .continuation.setup import assemble_path, first_displacements, FirstPoint
+from .continuation.solution import CriticalPoint
+from .continuation.system import PathSystem, PathTangent
+from .equations.dofs import DofPartition
+from .path import check_settings, path_message
+from .path_start import metric_of
+from .statics.solution import StateLike, warn_outside_linear_range
 
 
 _MAX_CRITICAL = 10  # critical points of a path that are located

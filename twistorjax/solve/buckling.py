@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
@@ -18,29 +18,29 @@ from .._utils.validation import require_float64, warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from .consistency import require_equilibrium
-from .continuation import Metric
-from .critical_points import (
-    LARGEST_MULTIPLICITY,
-    null_vectors,
-    null_vectors_with_derivatives,
-    with_derivatives,
-)
-from .dofs import DofPartition
-from .path_points import allowed_stiffness
-from .path_start import first_point, metric_of
-from .path_system import PathSystem, PathTangent
-from .results import (
+from ..results.codes import (
     count_results,
     result_message,
     result_names,
     RESULTS,
     succeeded_or_raise,
 )
-from .static_errors import describe_free_motions
-from .static_results import state_in_range, StateLike, warn_outside_linear_range
-from .system import System
-from .tables import Column, Columns, columns, Tabular
+from ..results.tables import Column, Columns, columns, Tabular
+from .continuation.arc_length import Metric
+from .continuation.critical_points import (
+    LARGEST_MULTIPLICITY,
+    null_vectors,
+    null_vectors_with_derivatives,
+    with_derivatives,
+)
+from .continuation.points import allowed_stiffness
+from .continuation.system import PathSystem, PathTangent
+from .equations.consistency import require_equilibrium
+from .equations.dofs import DofPartition
+from .equations.system import System
+from .path_start import first_point, metric_of
+from .statics.errors import describe_free_motions
+from .statics.solution import state_in_range, StateLike, warn_outside_linear_range
 
 
 # Of the largest diagonal entry of a matrix; a smaller pivot may be a rounding error.

@@ -10,12 +10,12 @@ from jaxtyping import Float
 from .._utils.progress import announced
 from .._utils.types import NumberLike, Poses
 from .._utils.validation import require_float64
+from ..assembly.assembly import HingeAssembly
 from ..mechanism.constraints import AbstractConstraint
-from ..mechanism.hinge_assembly import HingeAssembly
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from .dofs import DofPartition
-from .static_results import state_in_range, StateLike
-from .system import System
+from .equations.dofs import DofPartition
+from .equations.system import System
+from .statics.solution import state_in_range, StateLike
 
 
 _DIRECTIONS = ("moment", "axial force", "transverse force")

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._utils.types import Scalar
-from .motion_system import State
+from .integration.system import State
 
 
 class DenseOutput(dfx.AbstractLocalInterpolation):

@@ -13,15 +13,10 @@ from typing_extensions import TypeAliasType
 from .._utils.host import all_concrete
 from .._utils.progress import announced
 from .._utils.types import BatchScalar, Poses, PosesOrResult
-from ..mechanism.hinge_assembly import HingeAssembly
-from ..mechanism.hinge_stress import (
-    member_stresses,
-    rows_of_points,
-    rows_with_stress,
-    strengths,
-)
+from ..assembly.assembly import HingeAssembly
+from ..assembly.stress import member_stresses, rows_of_points, rows_with_stress, strengths
 from ..mechanism.mechanism import Mechanism
-from .tables import Column, Columns, Tabular
+from ..results.tables import Column, Columns, Tabular
 
 
 # A path, motion, batch or range of motion; or a list of equilibria

@@ -8,21 +8,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import require_float64
+from ..linalg.factors import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from .consistency import consistent, inconsistency, require_equilibrium
-from .dofs import DofPartition
-from .factorization import null_space
-from .results import BodySolution, result_message, RESULTS, succeeded_or_raise
-from .static_results import state_in_range, StateLike
-from .system import System
-from .tables import Column, Columns
+from ..results.codes import BodySolution, result_message, RESULTS, succeeded_or_raise
+from ..results.tables import Column, Columns
+from .equations.consistency import consistent, inconsistency, require_equilibrium
+from .equations.dofs import DofPartition
+from .equations.system import System
+from .statics.solution import state_in_range, StateLike
 
 
 # A frequency is a resonance if the condition number of the dynamic stiffness is larger.

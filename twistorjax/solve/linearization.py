@@ -8,23 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
 from .._utils.validation import require_float64
+from ..linalg.factors import ConstrainedFactors, Elimination, Factors
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
-from .consistency import consistent, inconsistency, require_equilibrium
-from .dofs import DofPartition
-from .factorization import ConstrainedFactors, Elimination, Factors
-from .results import RESULTS
-from .static_errors import check_equilibrium
-from .static_results import Equilibrium, state_in_range, StateLike
-from .system import System
+from ..results.codes import RESULTS
+from .equations.consistency import consistent, inconsistency, require_equilibrium
+from .equations.dofs import DofPartition
+from .equations.system import System
+from .statics.errors import check_equilibrium
+from .statics.solution import Equilibrium, state_in_range, StateLike
 
 
 class Linearization(eqx.Module):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .._compile.traced_function import traced
 from .._utils.host import (
     all_concrete,
     as_float,
@@ -16,13 +17,13 @@ from .._utils.host import (
     take_rows,
 )
 from .._utils.progress import announced
-from .._utils.traced_function import traced
 from .._utils.types import NumberLike, NumbersLike, PoseLike
 from .._utils.validation import require_positive, warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from .path_program import (
+from ..results.codes import result_message, succeeded_or_raise
+from .continuation.program import (
     evaluate_path,
     first_rows,
     PathRun,
@@ -30,18 +31,17 @@ from .path_program import (
     solve_path,
     Until,
 )
-from .path_results import Path, PathPoint
-from .path_setup import (
+from .continuation.setup import (
     assemble_path,
     FirstPoint,
     PathStrokes,
     PathTemperature,
     StartLike,
 )
-from .path_system import PathSystem
-from .results import result_message, succeeded_or_raise
-from .static_errors import describe_free_motions
-from .static_results import warn_outside_linear_range
+from .continuation.solution import Path, PathPoint
+from .continuation.system import PathSystem
+from .statics.errors import describe_free_motions
+from .statics.solution import warn_outside_linear_range
 
 
 @announced("path")

@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.types import Count, Flag, Poses, Scalar
-from .continuation import Metric, Node, select, solve_step
-from .critical_points import null_vectors
-from .path_system import PathSystem, PathTangent
+from .continuation.arc_length import Metric, Node, select, solve_step
+from .continuation.critical_points import null_vectors
+from .continuation.system import PathSystem, PathTangent
 
 
 _SMALL_PART = 1e-6  # of a direction, which may consist of rounding errors

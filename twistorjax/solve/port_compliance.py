@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.host import all_concrete
 from .._utils.progress import announced
 from .._utils.types import BatchScalar, Matrix, NumberLike, Pose, PoseLike
@@ -18,7 +18,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from .linearization import Linearization, linearize_held
-from .static_results import StateLike
+from .statics.solution import StateLike
 
 
 class PortCompliance(eqx.Module):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.host import all_concrete, program_input
 from .._utils.progress import announced
 from .._utils.types import (
@@ -28,13 +28,13 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_rows, with_stroke_rows
+from ..results.codes import is_success, RESULTS
+from ..results.tables import Column, Columns, Tabular
 from .constraint_analysis import constraint_analysis
+from .equilibrium import equilibrium
 from .port_kinematics import displacement_and_rate
-from .results import is_success, RESULTS
-from .static_errors import check_equilibrium
-from .static_results import Equilibrium
-from .statics import equilibrium
-from .tables import Column, Columns, Tabular
+from .statics.errors import check_equilibrium
+from .statics.solution import Equilibrium
 
 
 _UNITS = {"angle": "rad", "x": "m", "y": "m"}

@@ -6,7 +6,7 @@ import diffrax as dfx
 import equinox as eqx
 import jax.numpy as jnp
 
-from .motion_system import MotionSystem, State
+from .integration.system import MotionSystem, State
 
 
 class Projected(dfx.AbstractWrappedSolver):

@@ -14,19 +14,13 @@ from .._utils.host import all_concrete, as_float
 from .._utils.progress import announced
 from .._utils.types import BatchFlag, NumberLike, PoseLike
 from .._utils.validation import index_of, require_float64, require_positive
-from ..mechanism.constraints import (
-    AbstractConstraint,
-    gather_constraints,
-)
-from ..mechanism.hinge_stress import rows_with_stress, strengths
+from ..assembly.stress import rows_with_stress, strengths
+from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_rows
 from ..mechanism.support import require_support
-from .dofs import DofPartition
-from .path_setup import first_displacements
-from .range_search import find_ends, RangeInput
-from .results import (
+from ..results.codes import (
     count_results,
     PoseSolution,
     result_message,
@@ -34,9 +28,12 @@ from .results import (
     RESULTS,
     succeeded_or_raise,
 )
-from .static_results import StateLike, warn_outside_linear_range
+from ..results.tables import Column, Columns
+from .continuation.setup import first_displacements
+from .equations.dofs import DofPartition
+from .statics.range_search import find_ends, RangeInput
+from .statics.solution import StateLike, warn_outside_linear_range
 from .stresses import select_stresses, Stresses
-from .tables import Column, Columns
 
 
 _SIDES = ("backward", "forward")

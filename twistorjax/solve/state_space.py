@@ -10,22 +10,22 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import index_of, require_float64, require_package
+from ..linalg.elimination import inverse
+from ..linalg.factors import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..mechanism.support import require_support
-from .consistency import consistent, inconsistency, require_equilibrium
-from .dofs import DofPartition
-from .factorization import null_space
-from .results import result_message, RESULTS, succeeded_or_raise
-from .small_matrices import inverse
-from .static_results import state_in_range, StateLike
-from .system import System
+from ..results.codes import result_message, RESULTS, succeeded_or_raise
+from .equations.consistency import consistent, inconsistency, require_equilibrium
+from .equations.dofs import DofPartition
+from .equations.system import System
+from .statics.solution import state_in_range, StateLike
 from .vibrations import natural_modes
 
 

@@ -10,15 +10,10 @@ from .._utils.host import all_concrete
 from .._utils.progress import announced
 from .._utils.types import BatchScalar, Flag, Poses, PosesOrResult
 from .._utils.validation import index_of
-from ..mechanism.hinge_assembly import HingeAssembly
-from ..mechanism.hinge_stress import (
-    has_strength,
-    largest_stresses,
-    rows_with_stress,
-    strengths,
-)
+from ..assembly.assembly import HingeAssembly
+from ..assembly.stress import has_strength, largest_stresses, rows_with_stress, strengths
 from ..mechanism.mechanism import Mechanism
-from .tables import Column, Columns, Tabular
+from ..results.tables import Column, Columns, Tabular
 
 
 class Stresses(Tabular):

@@ -8,28 +8,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._utils.compilation import fast_compile
+from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, NumberLike, Poses
 from .._utils.validation import require_float64
+from ..linalg.eigenvalues import modes, rounding_errors, Stiffness
+from ..linalg.factors import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from .consistency import consistent, inconsistency, require_equilibrium
-from .dofs import DofPartition
-from .eigenmodes import modes, rounding_errors, Stiffness
-from .factorization import null_space
-from .results import (
+from ..results.codes import (
     count_results,
     result_message,
     result_names,
     RESULTS,
     succeeded_or_raise,
 )
-from .static_results import state_in_range, StateLike
-from .system import System
-from .tables import Column, Columns, columns, Tabular
+from ..results.tables import Column, Columns, columns, Tabular
+from .equations.consistency import consistent, inconsistency, require_equilibrium
+from .equations.dofs import DofPartition
+from .equations.system import System
+from .statics.solution import state_in_range, StateLike
 
 
 class Vibrations(Tabular):

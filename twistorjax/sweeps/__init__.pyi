@@ -1,9 +1,3 @@
-from .designs import Grid as Grid
-from .distributions import (
-    AbstractDistribution as AbstractDistribution,
-    Normal as Normal,
-    Uniform as Uniform,
-)
 from .optimization import (
     ActiveLimit as ActiveLimit,
     Limit as Limit,
@@ -15,10 +9,17 @@ from .optimization import (
     Sensitivity as Sensitivity,
     Violations as Violations,
 )
-from .sampling import sample_designs as sample_designs
-from .sweep import open_sweep as open_sweep, sweep as sweep
+from .sweep import (
+    Grid as Grid,
+    open_sweep as open_sweep,
+    sample_designs as sample_designs,
+    sweep as sweep,
+)
 from .tolerances import (
+    AbstractDistribution as AbstractDistribution,
+    Normal as Normal,
     Tolerances as Tolerances,
     tolerances as tolerances,
+    Uniform as Uniform,
     VarianceShare as VarianceShare,
 )

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 
 from .._utils.validation import quote
-from ..solve.results import RESULT_NAMES
-from ..solve.tables import Column, Columns
-from .designs import Designs
+from ..designs.designs import Designs
+from ..results.codes import RESULT_NAMES
+from ..results.tables import Column, Columns
 from .names import check_outputs, check_storable, coordinate_names
 from .outputs import StudyOutput
 

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from .._compile.program_key import program_key
 from .._utils.host import padded_size
-from .._utils.program_key import program_key
-from .designs import Designs, DesignStructure
+from ..designs.designs import Designs, DesignStructure
 from .outputs import study_output, StudyOutput
 
 

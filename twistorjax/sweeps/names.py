@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from .._utils.validation import quote, require_text
-from ..solve.tables import Columns
+from ..results.tables import Columns
 
 
 # variables that every dataset has besides the parameters and outputs

@@ -12,9 +12,9 @@ from jaxtyping import Array, Bool, Int
 
 from .._utils.pytrees import split_last_axis
 from .._utils.validation import quote
-from ..solve.results import is_success, RESULTS
-from ..solve.tables import Column, Columns
-from .designs import DesignStructure
+from ..designs.designs import DesignStructure
+from ..results.codes import is_success, RESULTS
+from ..results.tables import Column, Columns
 
 
 # Designs with more numbers than this are differentiated in reverse mode.

@@ -10,8 +10,10 @@ import numpy as np
 
 from .._utils.progress import announced, progress_bar
 from .._utils.validation import compilation_error, require_package, warn
-from ..solve.results import result_message, RESULT_NAMES
-from ..solve.tables import Column, dataset
+from ..designs.designs import Designs, Grid as Grid, grid_chunk_size
+from ..designs.sampling import sample_designs as sample_designs
+from ..results.codes import result_message, RESULT_NAMES
+from ..results.tables import Column, dataset
 from .dataset import (
     finish_dataset,
     Layout,
@@ -21,7 +23,6 @@ from .dataset import (
     require_memory,
     RESULT_FLAGS,
 )
-from .designs import Designs, grid_chunk_size
 from .executor import (
     default_chunk_size,
     default_memory,
@@ -32,10 +33,10 @@ from .executor import (
 )
 from .names import check_storable
 from .outputs import StudyOutput
-from .store import Store
-from .store_creation import require_writable
-from .store_files import clear_errors, damage_error
-from .store_identity import open_store, sweep_identity
+from .stores.creation import require_writable
+from .stores.files import clear_errors, damage_error
+from .stores.identity import open_store, sweep_identity
+from .stores.store import Store
 
 
 if TYPE_CHECKING:

@@ -11,9 +11,14 @@ from jaxtyping import Array, Float
 from .._utils.progress import announced
 from .._utils.types import ArrayOfNumbers
 from .._utils.validation import quote, require_float64
+from ..designs.distributions import (
+    AbstractDistribution as AbstractDistribution,
+    Normal as Normal,
+    Uniform as Uniform,
+)
+from ..designs.sampling import DistributionSet, Method
 from .dataset import require_memory
 from .outputs import without_jit
-from .sampling import DistributionSet, Method
 from .sweep import require_packages, sweep, warn_of_failures
 
 

@@ -1,9 +1,9 @@
 """Optimization of designs within bounds and limits, by exact derivatives.
 
-Start reading in `optimize`. `design_space` collects the variables and constants of a
-design, `setup` creates the compiled program that evaluates it, `problem` holds the
+Start reading in `optimize`. `designs.design_space` collects the variables and constants
+of a design, `setup` creates the compiled program that evaluates it, `problem` holds the
 objective and the limits in normalized form, and `deviations` differentiates standard
-deviations. `run` runs the searches of `local_search` side by side, and
+deviations. `searches` runs the searches of `local_search` side by side, and
 `search_store` saves them. `summary` collects their ends in an `Optimum`.
 """
 

@@ -11,7 +11,7 @@ from ..._utils.validation import quote
 from .limits import Limit
 from .optimum import Optimum
 from .options import Options
-from .run import run_searches
+from .searches import run_searches
 from .setup import Setup
 from .summary import summarize
 

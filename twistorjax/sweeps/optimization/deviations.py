@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from .design_space import DesignSpace
+from ...designs.design_space import DesignSpace
 from .problem import Evaluation
 
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...solve.results import RESULT_NAMES
+from ...results.codes import RESULT_NAMES
+from .conditions import find_multipliers
 from .deviations import neighbors, with_deviation_jacobian
-from .multipliers import find_multipliers
 from .problem import Evaluation, Problem
 from .side_by_side import Evaluate
 

@@ -9,7 +9,7 @@ from ..._utils.types import NumbersLike
 from .limits import Limit
 from .optimum import Optimum
 from .options import Options
-from .run import run_searches
+from .searches import run_searches
 from .setup import Setup
 from .summary import summarize
 

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._utils.types import NumbersLike
-from ...solve.results import result_message, RESULT_NAMES, result_names, RESULTS
-from ...solve.tables import Column, dataset
-from .design_space import DesignSpace
+from ...designs.design_space import DesignSpace
+from ...results.codes import result_message, RESULT_NAMES, result_names, RESULTS
+from ...results.tables import Column, dataset
 from .limits import Limit
 from .violations import Violations, violations
 

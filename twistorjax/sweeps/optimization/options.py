@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from ..._utils.types import NumbersLike
 from ..._utils.validation import quote
-from ..designs import Designs
-from .design_space import DesignSpace
+from ...designs.design_space import DesignSpace
+from ...designs.designs import Designs
 from .limits import Limit
 
 

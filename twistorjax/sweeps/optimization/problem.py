@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float, Int
 
 from ..._utils.pytrees import entry_names
 from ..._utils.validation import quote
-from ...solve.results import RESULT_NAMES
-from ...solve.tables import Column, Columns
+from ...designs.design_space import DesignSpace
+from ...results.codes import RESULT_NAMES
+from ...results.tables import Column, Columns
 from ..outputs import StudyOutput
-from .design_space import DesignSpace
 from .limits import Limit
 
 

@@ -8,11 +8,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ...solve.tables import Column
+from ...designs.designs import Designs
+from ...results.tables import Column
 from ..dataset import Layout
-from ..designs import Designs
 from ..outputs import StudyOutput
-from ..store_identity import open_store, sweep_identity
+from ..stores.identity import open_store, sweep_identity
 from ..sweep import require_packages
 from .local_search import SearchEnd
 from .setup import Setup

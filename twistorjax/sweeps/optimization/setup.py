@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from ..._utils.types import NumbersLike
 from ..._utils.validation import compilation_error, quote, require_float64
+from ...designs.design_space import DesignSpace
 from ..executor import find_program, Program
 from ..outputs import StudyOutput
-from .design_space import DesignSpace
 from .limits import Limit
 from .options import Options
 from .problem import Evaluation, Margins, OutputVector, Problem

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ...solve.results import RESULTS
+from ...results.codes import RESULTS
+from .conditions import find_multipliers, Multipliers
 from .deviations import neighbors, with_deviation_jacobian
 from .local_search import FEASIBILITY_TOLERANCE, SearchEnd
-from .multipliers import find_multipliers, Multipliers
 from .optimum import ActiveLimit, LocalOptimum, Optimum, Searches, Sensitivity
 from .problem import Evaluation, Problem
 from .setup import Setup

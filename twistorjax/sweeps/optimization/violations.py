@@ -7,9 +7,9 @@ import numpy as np
 
 from ..._utils.pytrees import entry_names
 from ..._utils.types import NumbersLike
-from ..sampling import sample_designs
+from ...designs.design_space import DesignSpace
+from ...designs.sampling import sample_designs
 from ..sweep import sweep
-from .design_space import DesignSpace
 from .limits import Limit
 
 

@@ -1,0 +1,404 @@
+"""All hinges of a mechanism: their energy, forces, and stiffness."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._compile.batching import computed_once
+from .._utils.host import as_float, on_host
+from .._utils.types import Poses, Scalar, Wrenches
+from ..energies.base import AbstractEnergy, out_of_range, range_share
+from ..energies.damping import ViscousDamping
+from ..energies.natural_curvature import NaturallyCurved
+from ..geometry.twistors import Displacement
+from . import forces as hinge_forces, motion_forces
+from .groups import HingeGroup
+from .kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
+from .scatter import gather_entries, hinge_dofs, matrix_entries, row_entries, sum_entries
+from .tangent import AssemblyMotionTangent, AssemblyTangent
+
+
+class HingeAssembly(eqx.Module):
+    """The hinges of a mechanism, as functions of the displacements of its bodies.
+
+    Displacements are those from the reference poses; rad, m, m. Hinges are evaluated in
+    the order of the members of the groups. Degrees of freedom are numbered by bodies,
+    three for each: angle, x, y.
+
+    Args:
+        bodies: Number of bodies.
+        ends: Indices of the two bodies of each hinge.
+        arms: Vector from the origin of each of the two bodies to the hinge, in the
+            reference configuration and world axes; m.
+        directions: Cosine and sine of the angle of each hinge in the reference
+            configuration.
+        misfits: The six numbers of each hinge from which its `Misfit` is created; None
+            if there are none; rad, m, m, m, m, rad.
+        groups: Groups of hinges with the same kind of energy.
+        sums: Energy and damping of each hinge whose energy is a sum; None for others.
+        misfit_rates: Time derivatives of the misfits; None if they are constant.
+    """
+
+    bodies: int = eqx.field(static=True)
+    ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    arms: Float[Array, "hinges 2 2"]
+    directions: Float[Array, "hinges 2"]
+    misfits: Float[Array, "hinges 6"] | None
+    groups: tuple[HingeGroup, ...]
+    sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
+    misfit_rates: Float[Array, "hinges 6"] | None = None
+
+    def characteristic_length(self, free: tuple[int, ...]) -> Scalar | np.float64:
+        """Compute the root mean square distance from origins of bodies to hinges; m.
+
+        Bodies without `free` degrees of freedom do not count, because their origins are
+        arbitrary.
+        """
+        moving = np.isin(np.array(self.ends), np.array(free, int) // 3)
+        numbers, (arms,) = on_host(jax.lax.stop_gradient(self.arms))
+        arms = arms[moving]
+        return numbers.sqrt(numbers.sum(arms**2) / max(1, len(arms)))
+
+    def energy_of(self, row: int) -> AbstractEnergy:
+        """Return the energy of one hinge, by its index."""
+        return self.energy_and_damping_of(row)[0]
+
+    def energy_and_damping_of(
+        self, row: int
+    ) -> tuple[AbstractEnergy, ViscousDamping | Scalar | None]:
+        """Return the energy of one hinge and its damping, by its index.
+
+        The damping of a sum is returned as it was given, perhaps as a time; s.
+        """
+        if (given := self.sums[row]) is not None:
+            return given
+        group = next(group for group in self.groups if row in group.members)
+        member = group.members.index(row)
+        leaves, tree = jax.tree.flatten((group.energy, group.damping))
+        member_leaves = [
+            leaf if axis is None else leaf[member]
+            for leaf, axis in zip(leaves, group.batch_axes, strict=True)
+        ]
+        return jax.tree.unflatten(tree, member_leaves)
+
+    def bent_energy_of(self, row: int) -> AbstractEnergy:
+        """Return the energy of one hinge with its natural curvature, by its index."""
+        energy = self.energy_of(row)
+        loads = [
+            group.curvature_loads[member]
+            for group in self.groups
+            if group.curvature_loads is not None
+            for member, hinge in enumerate(group.members)
+            if hinge == row
+        ]
+        if not loads or self.misfits is None:
+            return energy
+        total = sum(loads, start=jnp.zeros(4))
+        return NaturallyCurved(energy, Misfit.of(self.misfits[row]).turn, total)
+
+    def with_strokes(
+        self,
+        strokes: Float[Array, "hinges 3"],
+        rates: Float[Array, "hinges 3"] | None = None,
+    ) -> "HingeAssembly":
+        """Add strokes to the misfits, and their time derivatives; rad, m, m, 1/s."""
+        if rates is None:
+            return self.with_more_misfit(misfit_numbers(strokes))
+        numbers = jax.jvp(misfit_numbers, (strokes,), (rates,))
+        return self.with_more_misfit(*numbers)
+
+    @property
+    def member_count(self) -> int:
+        """Number of hinges, of which one with a sum of energies counts for each term."""
+        return len(self._order())
+
+    def with_more_misfit(
+        self, numbers: Float[Array, "hinges 6"], rates: Array | None = None
+    ) -> "HingeAssembly":
+        """Add to the six numbers of the misfits, and set their time derivatives."""
+        if self.misfits is not None:
+            _, (old, more) = on_host(self.misfits, numbers)
+            numbers = as_float(old + more)
+        return replace(self, misfits=numbers, misfit_rates=rates)
+
+    def displacement_of(
+        self, row: int, displacements: Poses, of_frames: bool = False
+    ) -> Displacement:
+        """Compute the displacement of one hinge, by its index.
+
+        It is measured from the state in which the hinge is not loaded, or that of frame b
+        relative to frame a (`of_frames`), which is the same without a misfit.
+        """
+        angle, x, y = displacements.T
+        cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
+        first, second = (
+            End(*(values[body] for values in (angle, x, y, cos, sin)), *arm)
+            for body, arm in zip(self.ends[row], self.arms[row], strict=True)
+        )
+        misfit = None
+        if self.misfits is not None and not of_frames:
+            misfit = Misfit.of(self.misfits[row])
+        axis = Axis(self.directions[row, 0], self.directions[row, 1], misfit)
+        return mid_frame(first, second, axis).displacement
+
+    def energy(self, displacements: Poses) -> Scalar:
+        """Compute the energy that is stored in all hinges; J."""
+
+        def stored_energy(energy, damping, first, second, axis):
+            del damping
+            return energy.stored_energy(mid_frame(first, second, axis).displacement)
+
+        parts = [
+            jnp.sum(self.map_members(stored_energy, group, displacements))
+            for group in self.groups
+        ]
+        return sum(parts, start=jnp.zeros(()))
+
+    def forces(self, displacements: Poses) -> Wrenches:
+        """Differentiate the energy with respect to the displacements; N m, N, N."""
+        return self.energy_and_forces(displacements)[1]
+
+    def energy_and_forces(self, displacements: Poses) -> tuple[Scalar, Wrenches]:
+        """Compute the energy of all hinges (J), and the `forces`; N m, N, N."""
+        function = _elastic(hinge_forces.energy_and_forces)
+        energies, local = self._evaluate(function, displacements)
+        forces = self._gather(local).reshape(displacements.shape)
+        return jnp.sum(energies), forces
+
+    def forces_and_stress(
+        self, displacements: Poses
+    ) -> tuple[Wrenches, Float[Array, "3 members"]]:
+        """Compute the `forces`, and the generalized stress of each hinge; N m, N, N."""
+        function = _elastic(hinge_forces.forces_and_stress)
+        local, stress = self._evaluate(function, displacements)
+        return self._gather(local).reshape(displacements.shape), jnp.stack(stress)
+
+    def out_of_range(self, displacements: Poses) -> Bool[Array, " hinges"]:
+        """Decide whether each hinge is outside the validity range of its energy."""
+        outside = self._of_energies(out_of_range, displacements, bool)
+        return jnp.zeros(len(self.ends), bool) if outside is None else outside
+
+    def range_shares(self, displacements: Poses) -> Float[Array, " hinges"] | None:
+        """Compute the share of each displacement in the range of a simple flexure.
+
+        It is zero for hinges without such a share; None if there is no other hinge.
+        """
+        displacements = jax.lax.stop_gradient(displacements)
+        return self._of_energies(range_share, displacements, float)
+
+    def _of_energies(self, function, displacements: Poses, dtype: type) -> Array | None:
+        """Evaluate a function of an energy and its displacement for all hinges.
+
+        It may return None, for which the result is zero, or None for all hinges.
+        """
+
+        def of_hinge(energy, damping, first, second, axis):
+            del damping
+            return function(energy, mid_frame(first, second, axis).displacement)
+
+        values = None
+        for group in self.groups:
+            of_members = self.map_members(of_hinge, group, displacements)
+            if of_members is not None:
+                values = jnp.zeros(len(self.ends), dtype) if values is None else values
+                values = values.at[np.array(group.members)].max(of_members)
+        return values
+
+    def tangent(
+        self, displacements: Poses, predicted: Float[Array, "3 members"] | None = None
+    ) -> AssemblyTangent:
+        """Compute the forces, their derivatives, and the generalized stress.
+
+        A `predicted` stress determines the geometric stiffness, by default the stress at
+        these displacements; N m, N, N.
+        """
+        more = () if predicted is None else (tuple(predicted),)
+        function = _elastic(hinge_forces.tangent)
+        local = self._evaluate(function, displacements, *more)
+        return AssemblyTangent(local, self.bodies, self.ends, self._order())
+
+    def multiply_stiffness(
+        self, stiffness: Float[Array, "6 6 hinges"], vector: Float[Array, " dofs"]
+    ) -> Float[Array, " dofs"]:
+        """Multiply an assembled stiffness and a vector of displacements; rad, m, m."""
+        of_hinges = vector[self._dofs()]
+        return self._gather(jnp.sum(stiffness * of_hinges[None], axis=1))
+
+    def stiffness_dofs(self) -> Int[np.ndarray, "2 entries"]:
+        """Return the row and the column of each entry of a flat 6 by 6 stiffness."""
+        dofs = self._dofs()
+        shape = (6, *dofs.shape)
+        rows = np.broadcast_to(dofs[:, None], shape).reshape(-1)
+        return np.stack([rows, np.broadcast_to(dofs[None], shape).reshape(-1)])
+
+    def factored(
+        self, displacements: Poses, free: tuple[int, ...]
+    ) -> tuple[
+        Float[Array, "rows free"], Float[Array, " rows"], Float[Array, "free free"]
+    ]:
+        """Compute the stiffness among some degrees of freedom in factors.
+
+        Returns:
+            Three rows for each term of each hinge; the stiffness against each row; and
+            the remainder. The matrix of the `tangent` is
+            `rows.T diag(stiffness) rows + remainder`.
+        """
+        local = self._evaluate(_elastic(hinge_forces.factored), displacements)
+        source, target = row_entries(self.ends, self._order(), free, 3)
+        size = (len(free), 3 * len(self._order()))
+        entries = jnp.moveaxis(local.rows, 0, -1).reshape(-1)
+        rows = sum_entries(entries, source, target, size[0] * size[1])
+        remainder = self._assemble(jnp.moveaxis(local.remainder, 0, -1), free, free)
+        return rows.reshape(size).T, local.weights.reshape(-1), remainder
+
+    def rows_and_stiffness(
+        self, displacements: Poses
+    ) -> tuple[Float[Array, "hinges 3 dofs"], Float[Array, "hinges 3 3"]]:
+        """Compute the derivatives of the coordinates of each hinge, and its stiffness.
+
+        The coordinates are the rotation and the mid-frame translation; rad, m, m.
+        """
+        function = _elastic(hinge_forces.rows_and_stiffness)
+        local, stiffness = self._evaluate(function, displacements)
+        order, hinges = np.array(self._order()), len(self.ends)
+        rows = jnp.zeros((hinges, 3, 3 * self.bodies))
+        # The terms of a sum have the same coordinates.
+        index = order[:, None, None], np.arange(3)[:, None], self._dofs().T[:, None]
+        rows = rows.at[index].set(local)
+        return rows, jnp.zeros((hinges, 3, 3)).at[order].add(stiffness)
+
+    def forces_in_motion(
+        self,
+        displacements: Poses,
+        rates: Poses,
+        stretches: Float[Array, "hinges 2"] | None = None,
+    ) -> tuple[Wrenches, Float[Array, "hinges 2"], tuple[Scalar, Scalar]]:
+        """Compute elastic and viscous forces on each body, and two powers.
+
+        Args:
+            displacements: Displacement of each body from its reference pose; rad, m, m.
+            rates: Rates of the displacements; rad/s, m/s, m/s.
+            stretches: Mid-frame translations for which the forces are computed, in the
+                order of the members; by default those of the displacements; m.
+
+        Returns:
+            The forces; N m, N, N. The mid-frame translations of the displacements minus
+            the stretches; m. The power that is dissipated, and that of strokes; W.
+        """
+        more = self._motion_arguments(rates, stretches)
+        local, excess, (dissipated, by_strokes) = self._evaluate(
+            motion_forces.forces_in_motion, displacements, *more
+        )
+        forces = self._gather(local).reshape(displacements.shape)
+        powers = jnp.sum(dissipated), jnp.sum(by_strokes)
+        return forces, jnp.stack(excess, axis=1), powers
+
+    def tangent_in_motion(
+        self,
+        displacements: Poses,
+        rates: Poses,
+        free: tuple[int, ...],
+        stretches: Float[Array, "hinges 2"] | None = None,
+    ) -> AssemblyMotionTangent:
+        """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
+        more = self._motion_arguments(rates, stretches)
+        local = self._evaluate(motion_forces.tangent_in_motion, displacements, *more)
+        return AssemblyMotionTangent.of(local, self.ends, self._order(), free)
+
+    def stretches(self, displacements: Poses) -> Float[Array, "hinges 2"]:
+        """Compute the mid-frame translation of each member; m."""
+
+        def stretch(energy, damping, *hinge):
+            del energy, damping
+            at = mid_frame(*hinge).displacement
+            return 2 * at.x1, 2 * at.x2
+
+        return jnp.stack(self._evaluate(stretch, displacements), axis=1)
+
+    def _motion_arguments(self, rates: Poses, stretches: Array | None):
+        """Arrange the rates of both bodies of each member, and the stretches."""
+        ends = np.array(self.ends).reshape(-1, 2)[list(self._order())]
+        both = tuple(tuple(rates[body].T) for body in ends.T)
+        return (both,) if stretches is None else (both, tuple(stretches.T))
+
+    def _gather(self, forces) -> Float[Array, " dofs"]:
+        """Sum the forces of all members on each degree of freedom; N m, N."""
+        target = self._dofs().reshape(-1)
+        entries = jnp.stack([*forces]).reshape(-1)
+        return sum_entries(entries, np.arange(target.size), target, 3 * self.bodies)
+
+    def _assemble(
+        self, matrices: Array, rows: tuple[int, ...], columns: tuple[int, ...]
+    ) -> Float[Array, "rows columns"]:
+        """Sum the 6 by 6 matrices of all members among some degrees of freedom."""
+        source, target = matrix_entries(self.ends, self._order(), rows, columns)
+        size = (len(rows), len(columns))
+        summed = sum_entries(matrices.reshape(-1), source, target, size[0] * size[1])
+        return summed.reshape(size)
+
+    def _order(self) -> tuple[int, ...]:
+        """Return the index of the hinge of each member."""
+        return tuple(member for group in self.groups for member in group.members)
+
+    def _dofs(self) -> Int[np.ndarray, "6 members"]:
+        """Return the six degrees of freedom of each member."""
+        return hinge_dofs(self.ends, self._order())
+
+    def _evaluate(self, function, displacements: Poses, *more):
+        """Evaluate a function of one hinge for all members.
+
+        The arguments of the function are energy, damping, both ends, axis, and `more`,
+        which has a row for each member.
+        """
+        parts, start = [], 0
+        for group in self.groups:
+            rows = slice(start, start + len(group.members))
+            of_group = jax.tree.map(lambda values, rows=rows: values[rows], more)
+            parts.append(self.map_members(function, group, displacements, *of_group))
+            start = rows.stop
+        if len(parts) == 1:
+            return parts[0]
+        return jax.tree.map(lambda *values: jnp.concatenate(values), *parts)
+
+    def map_members(self, function, group: HingeGroup, displacements: Poses, *more):
+        """Evaluate a function of one hinge for all members of a group."""
+        members = np.array(group.members)
+        first, second = np.array(self.ends)[members].T
+        angle, x, y = displacements.T
+        # XLA would compute both for each end of a hinge, instead of each body.
+        cos, sin = computed_once((jnp.cos(angle / 2), jnp.sin(angle / 2)), angle)
+        arms, directions = self.arms[members], self.directions[members]
+        numbers, rates = self.misfits, self.misfit_rates
+        numbers = None if numbers is None else numbers[members]
+        rates = None if rates is None else rates[members]
+
+        def end(body: np.ndarray, arm: Array) -> End:
+            of_body = (gather_entries(values, body) for values in (angle, x, y, cos, sin))
+            return End(*of_body, arm_x=arm[:, 0], arm_y=arm[:, 1])
+
+        leaves, tree = jax.tree.flatten((group.energy, group.damping))
+
+        def one_hinge(leaves, loads, first, second, axis, *more):
+            energy, damping = jax.tree.unflatten(tree, leaves)
+            if loads is not None:
+                energy = NaturallyCurved(energy, axis.misfit.turn, loads)
+            return function(energy, damping, first, second, axis, *more)
+
+        in_axes = (list(group.batch_axes), *(4 + len(more)) * (0,))
+        return jax.vmap(one_hinge, in_axes=in_axes)(
+            leaves,
+            group.curvature_loads,
+            end(first, arms[:, 0]),
+            end(second, arms[:, 1]),
+            Axis(directions[:, 0], directions[:, 1], *Misfit.with_rate(numbers, rates)),
+            *more,
+        )
+
+
+def _elastic(function):
+    """Convert a function of an energy to one that also receives a damping."""
+    return lambda energy, _, *hinge: function(energy, *hinge)

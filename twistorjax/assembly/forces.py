@@ -1,0 +1,364 @@
+"""Elastic forces of one hinge on its two bodies, and their derivatives.
+
+JAX differentiates the energy and the dissipation with respect to the three coordinates of
+the hinge. The derivatives of these coordinates with respect to the six displacements of
+the bodies are written out here, because with JAX a sweep of stages would take twice the
+time to compile and 1.5 to 2 times the time to run.
+
+In all functions, `first` and `second` are the ends of the hinge on bodies A and B, and
+`axis` is its axis in the reference configuration, with its misfit.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Inexact
+
+from .._compile.batching import computed_once
+from .._utils.types import Flag, Scalar
+from ..energies import protocols
+from ..energies.base import AbstractEnergy
+from ..geometry.twistors import Displacement, half_angle_cos_sin
+from .kinematics import Axis, combine, End, Four, HingeKinematics, Six, Three
+
+
+@jax.jit
+def energy_and_forces(
+    energy: AbstractEnergy, first: End, second: End, axis: Axis
+) -> tuple[Scalar, Six]:
+    """Compute the energy (J), and its derivatives by the six displacements; N m, N."""
+    kinematics = HingeKinematics.of(first, second, axis)
+    value, slopes = energy_and_gradient(energy, kinematics.middle.displacement)
+    return value, on_bodies(kinematics, slopes)
+
+
+@jax.jit
+def forces_and_stress(
+    energy: AbstractEnergy, first: End, second: End, axis: Axis
+) -> tuple[Six, Three]:
+    """Differentiate the energy with respect to displacements, and to its coordinates.
+
+    The second result is the generalized stress, the derivative with respect to the
+    coordinates in which the energy is nearly quadratic; see `HasTranslationScale`. Both
+    are in N m, N, N.
+    """
+    kinematics = HingeKinematics.of(first, second, axis)
+    at = kinematics.middle.displacement
+    slopes = energy_gradient(energy, at)
+    scale, growth, _ = _translation_scale(energy, at)
+    g0, g1, g2 = slopes
+    s1, s2 = g1 / scale, g2 / scale
+    stress = g0 - growth * (2 * at.x1 * s1 + 2 * at.x2 * s2), s1, s2
+    return on_bodies(kinematics, slopes), stress
+
+
+class HingeTangent(NamedTuple):
+    """Forces of a hinge, and their derivatives with respect to its four motions.
+
+    The motions are those of `HingeKinematics`: rotation of A, rotation of B, and
+    translation of B relative to A along x and along y. A translation of A is the opposite
+    one of B, so the ten entries determine the stiffness of the six displacements; see
+    `FOUR_OF_SIX`.
+
+    Args:
+        forces: Derivatives of the energy with respect to the motions; N m, N m, N, N.
+        stiffness: Upper triangle of the second derivatives, row by row; N m/rad, N/rad,
+            N/m.
+        stress: Generalized stress; N m, N, N.
+        stress_rates: Derivatives of the stress with respect to each coordinate of the
+            hinge.
+        kinematics: Derivatives of these coordinates with respect to the motions.
+        work: Sum of the absolute values of force times coordinate; J.
+    """
+
+    forces: Four
+    stiffness: tuple[Scalar, ...]
+    stress: Three
+    stress_rates: tuple[Three, Three, Three]
+    kinematics: HingeKinematics
+    work: Scalar
+
+
+@jax.jit
+def tangent(
+    energy: AbstractEnergy,
+    first: End,
+    second: End,
+    axis: Axis,
+    predicted: Three | None = None,
+) -> HingeTangent:
+    """Compute the forces on the motions, their derivatives, and the generalized stress.
+
+    If a generalized stress (N m, N, N) is `predicted`, it determines the geometric
+    stiffness. Newton's method then takes as few steps for stiff hinges as for compliant
+    ones (mixed integration point Newton; Magisano, Leonetti and Garcea, Int. J. Num.
+    Meth. Eng. 109, 2017).
+    """
+    kinematics = HingeKinematics.of(first, second, axis)
+    angle = kinematics.middle.displacement.angle
+    kinematics = computed_once(kinematics, angle)
+    at = kinematics.middle.displacement
+    gradient, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
+    one, zero = jnp.ones_like(gradient[0]), jnp.zeros_like(gradient[0])
+    (h00, h01, h02), (_, h11, h12), (_, _, h22) = (
+        curvature_times(one, zero, zero),
+        curvature_times(zero, one, zero),
+        curvature_times(zero, zero, one),
+    )
+    gradient, (h00, h01, h02, h11, h12, h22) = computed_once(
+        (gradient, (h00, h01, h02, h11, h12, h22)), angle
+    )
+    y1, y2 = 2 * at.x1, 2 * at.x2
+    work = jnp.abs(gradient[0] * at.angle)
+    work = work + jnp.abs(gradient[1] * y1) + jnp.abs(gradient[2] * y2)
+    # The coordinates of the stress are nonlinear functions of those of the hinge; see
+    # `forces_and_stress`.
+    scale, growth, curvature = _translation_scale(energy, at)
+    s1, s2 = gradient[1] / scale, gradient[2] / scale
+    stress = gradient[0] - growth * (y1 * s1 + y2 * s2), s1, s2
+    of_s1 = (h01 - growth * s1) / scale, h11 / scale, h12 / scale
+    of_s2 = (h02 - growth * s2) / scale, h12 / scale, h22 / scale
+    of_s0 = (
+        h00 - curvature * (y1 * s1 + y2 * s2) - growth * (y1 * of_s1[0] + y2 * of_s2[0]),
+        h01 - growth * (s1 + y1 * of_s1[1] + y2 * of_s2[1]),
+        h02 - growth * (s2 + y1 * of_s1[2] + y2 * of_s2[2]),
+    )
+    slopes = gradient
+    if predicted is not None:
+        # Their second derivatives are multiplied by the predicted stress.
+        b0, b1, b2 = predicted
+        h00 = h00 + curvature * (y1 * (b1 - s1) + y2 * (b2 - s2))
+        h01, h02 = h01 + growth * (b1 - s1), h02 + growth * (b2 - s2)
+        slopes = b0 + growth * (y1 * b1 + y2 * b2), scale * b1, scale * b2
+    hessian = (h00, h01, h02), (h01, h11, h12), (h02, h12, h22)
+    columns = kinematics.columns()
+    products = [combine(hessian, column) for column in columns]
+    products = computed_once(products, angle)
+    geometric = kinematics.geometric_stiffness(slopes)
+    return HingeTangent(
+        forces=of_motions(columns, gradient),
+        stiffness=tuple(
+            dot(columns[row], products[column]) + geometric[row][column]
+            for row, column in zip(*UPPER_TRIANGLE, strict=True)
+        ),
+        stress=stress,
+        stress_rates=(
+            (of_s0[0], of_s1[0], of_s2[0]),
+            (of_s0[1], of_s1[1], of_s2[1]),
+            (of_s0[2], of_s1[2], of_s2[2]),
+        ),
+        kinematics=kinematics,
+        work=work,
+    )
+
+
+def predicted_stress(hinge: HingeTangent, first: Three, second: Three) -> Three:
+    """Predict the stress after small displacements of both bodies; rad, m, m."""
+    s0, s1, s2 = combine(hinge.stress_rates, hinge.kinematics.rates(first, second))
+    return hinge.stress[0] + s0, hinge.stress[1] + s1, hinge.stress[2] + s2
+
+
+# Rows and columns of the entries of a symmetric matrix of four motions.
+UPPER_TRIANGLE = np.triu_indices(4)
+# The motion that each of the six displacements (angle, x, y of A and of B) causes, and
+# its sign.
+FOUR_OF_SIX = np.array([0, 2, 3, 1, 2, 3]), np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+
+
+class Factored(NamedTuple):
+    """Stiffness of a hinge in factors, `rows.T diag(weights) rows + remainder`.
+
+    Args:
+        rows: Three linear combinations of the six displacements.
+        weights: Stiffness against each of them; N m/rad, N/m.
+        remainder: Geometric stiffness, and the part of the stiffness that is not positive
+            semidefinite.
+    """
+
+    rows: Float[Array, "3 6"]
+    weights: Float[Array, "3"]
+    remainder: Float[Array, "6 6"]
+
+
+@jax.jit
+def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Factored:
+    """Compute the stiffness of the `tangent` in factors with accurate small entries."""
+    kinematics = HingeKinematics.of(first, second, axis)
+    slopes, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
+    hessian = as_matrix(curvature_times)
+    (a, b, c), (_, d, e), (_, _, f) = hessian
+    # Gaussian elimination, as long as the stiffness is positive. The remaining matrix is
+    # not eliminated, because it could lose digits.
+    one = (a >= 0) & (b * b <= a * d) & (c * c <= a * f)
+    ba, ca = _ratio(b, a, one), _ratio(c, a, one)
+    d, e, f = d - b * ba, e - c * ba, f - c * ca
+    two = one & (d >= 0) & (e * e <= d * f)
+    eb = _ratio(e, d, two)
+    weights = [(one, a), (two, d), (two, f - e * eb)]
+    weights = jnp.stack([jnp.where(done, value, 0.0) for done, value in weights])
+    left = [(one, a), (one, b), (one, c), (two, d), (two, e), (two, f)]
+    a, b, c, d, e, f = (jnp.where(done, 0.0, value) for done, value in left)
+    left = as_array(((a, b, c), (b, d, e), (c, e, f)))
+    row1, row2, row3 = as_array(kinematics.columns()).T
+    rows = jnp.stack([row1 + ba * row2 + ca * row3, row2 + eb * row3, row3])
+    geometric = as_array(kinematics.geometric_stiffness(slopes))
+    remainder = product(product(rows.T, left), rows) + geometric
+    motions = jnp.asarray(MOTIONS)
+    remainder = product(product(motions, remainder), motions.T)
+    return Factored(product(rows, motions.T), weights, remainder)
+
+
+@jax.jit
+def rows_and_stiffness(
+    energy: AbstractEnergy, first: End, second: End, axis: Axis
+) -> tuple[Float[Array, "3 6"], Float[Array, "3 3"]]:
+    """Compute the derivatives of the coordinates, and the stiffness against them.
+
+    The derivatives are those with respect to the six displacements; the stiffness is in
+    N m/rad, N/rad, N/m.
+    """
+    kinematics = HingeKinematics.of(first, second, axis)
+    _, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
+    rows = product(jnp.asarray(MOTIONS), as_array(kinematics.columns())).T
+    return rows, as_matrix(curvature_times)
+
+
+def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
+    """Divide; zero if the ratio is not valid or the denominator is zero."""
+    valid = valid & (denominator != 0)
+    return jnp.where(valid, numerator / jnp.where(valid, denominator, 1.0), 0.0)
+
+
+# The motions for a unit of each of the six displacements, in rows.
+MOTIONS = np.eye(4)[FOUR_OF_SIX[0]] * FOUR_OF_SIX[1][:, None]
+
+
+_MOST_TERMS = 24  # of sums that are written out
+
+
+def product(
+    first: Inexact[Array, "rows inner"], second: Inexact[Array, "inner columns"]
+) -> Inexact[Array, "rows columns"]:
+    """Multiply two small matrices as a sum, which XLA fuses with other operations.
+
+    For a few rows, the call of a matrix product takes longer than its operations, and so
+    does that of a reduction. The time of compilation grows with the number of terms, so
+    that many terms are reduced.
+    """
+    if len(second) > _MOST_TERMS:
+        return jnp.sum(first[:, :, None] * second[None], axis=1)
+    sizes = (1,) * len(second)  # `jnp.split` would not accept an empty one
+    columns, rows = lax.split(first, sizes, axis=1), lax.split(second, sizes)
+    zero = jnp.zeros((len(first), second.shape[1]), first.dtype)
+    return sum(map(jnp.multiply, columns, rows), start=zero)
+
+
+def as_array(rows: Sequence[Sequence[Scalar]]) -> Float[Array, "rows columns"]:
+    """Convert rows of scalars to an array."""
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def as_matrix(times: Callable[..., Three]) -> Float[Array, "3 3"]:
+    """Convert a function that multiplies a 3 by 3 matrix by a vector to the matrix."""
+    return jnp.stack(jax.vmap(times)(*jnp.eye(3)), axis=1)
+
+
+def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEnergy:
+    """Return the model of an energy for a Newton step, if a stress is predicted."""
+    if predicted is None:
+        return energy
+    return protocols.newton_model(energy, predicted)
+
+
+def energy_and_gradient(energy: AbstractEnergy, at: Displacement) -> tuple[Scalar, Three]:
+    """Compute an energy, and its derivatives by the coordinates of the hinge.
+
+    The units are J, and N m, N, N. Their operations are shared.
+    """
+    value_and_gradient = jax.value_and_grad(_energy_function(energy, at), (0, 1, 2))
+    return value_and_gradient(*hinge_coordinates(at))
+
+
+def energy_gradient(energy: AbstractEnergy, at: Displacement) -> Three:
+    """Differentiate an energy with respect to the coordinates of the hinge; N m, N, N."""
+    return energy_and_gradient(energy, at)[1]
+
+
+def gradient_and_hessian(
+    energy: AbstractEnergy, at: Displacement
+) -> tuple[Three, Callable[..., Three]]:
+    """Differentiate an energy twice with respect to the coordinates of the hinge.
+
+    Returns:
+        The derivatives; N m, N, N. A function that multiplies the second derivatives by a
+        vector.
+    """
+    gradient = jax.grad(_energy_function(energy, at), (0, 1, 2))
+    return jax.linearize(gradient, *hinge_coordinates(at))
+
+
+def _energy_function(energy: AbstractEnergy, at: Displacement) -> Callable[..., Scalar]:
+    """Return the energy as a function of the three coordinates of the hinge."""
+
+    def stored_energy(angle: Scalar, y1: Scalar, y2: Scalar) -> Scalar:
+        return energy.stored_energy(displacement_at(at, (angle, y1, y2)))
+
+    return stored_energy
+
+
+def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:
+    """Compute the translation scale, and its first and second derivative.
+
+    The derivatives are those with respect to the rotation of the hinge; rad.
+    """
+
+    def scale(angle: Scalar) -> Scalar:
+        displacement = displacement_at(at, (angle, 2 * at.x1, 2 * at.x2))
+        return protocols.translation_scale(energy, displacement)
+
+    def slope(angle: Scalar) -> tuple[Scalar, Scalar]:
+        return jax.jvp(scale, (angle,), (jnp.ones_like(angle),))
+
+    (value, growth), (_, curvature) = jax.jvp(
+        slope, (at.angle,), (jnp.ones_like(at.angle),)
+    )
+    return value, growth, curvature
+
+
+def hinge_coordinates(at: Displacement) -> Three:
+    """Return the angle and the mid-frame translation of a displacement; rad, m, m."""
+    return at.angle, 2 * at.x1, 2 * at.x2
+
+
+def displacement_at(at: Displacement, coordinates: Three) -> Displacement:
+    """Return the displacement `at` as a function of its coordinates; rad, m, m.
+
+    Its sine and cosine are not computed again.
+    """
+    angle, y1, y2 = coordinates
+    cos, sin = half_angle_cos_sin(angle, at.sigma, at.xi)
+    return Displacement(angle, cos, sin, y1 / 2, y2 / 2)
+
+
+def on_bodies(kinematics: HingeKinematics, slopes: Three) -> Six:
+    """Convert forces on the coordinates to forces on the displacements; N m, N, N."""
+    on_a, on_b, x, y = of_motions(kinematics.columns(), slopes)
+    return on_a, -x, -y, on_b, x, y
+
+
+def of_motions(columns: tuple[Three, Three, Three, Three], slopes: Three) -> Four:
+    """Convert derivatives with respect to coordinates to those of the four motions.
+
+    `columns` are the derivatives of the coordinates with respect to the motions.
+    """
+    a, b, x, y = (dot(column, slopes) for column in columns)
+    return a, b, x, y
+
+
+def dot(first: Three, second: Three) -> Scalar:
+    """Compute the scalar product of two vectors."""
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]

@@ -1,0 +1,167 @@
+"""Groups of hinges with the same kind of energy, stacked for array operations."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.host import all_concrete, as_float
+from .._utils.pytrees import group_by_structure
+from .._utils.types import Scalar
+from ..energies.base import AbstractEnergy
+from ..energies.damping import ViscousDamping
+from ..energies.dilation import dilated
+from ..energies.natural_curvature import curvature_loads
+from ..energies.protocols import has_resisted_rates, parallel_terms, proportional_damping
+from ..mechanism.hinge import Hinge
+
+
+class HingeGroup(eqx.Module):
+    """Hinges with the same kind of energy and damping.
+
+    A hinge whose energy is a sum has a member for each term.
+
+    Args:
+        members: Index of the hinge of each member.
+        energy: Their energies, stacked. An array that all of them share is not stacked.
+        damping: Their damping, stacked in the same way; None without damping.
+        batch_axes: For each array of energy and damping: 0 if it is stacked, None if it
+            is shared.
+        curvature_loads: Loads of each member for its natural turn; see the function of
+            this name. None if there was no gradient of the temperature.
+    """
+
+    members: tuple[int, ...] = eqx.field(static=True)
+    energy: AbstractEnergy
+    damping: ViscousDamping | None
+    batch_axes: tuple[int | None, ...] = eqx.field(static=True)
+    curvature_loads: Float[Array, "members 4"] | None = None
+
+
+def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
+    """Stack the energies of hinges of the same kind.
+
+    The terms of a sum act in parallel. Each of them has its own damping, coordinates, and
+    model for Newton's method.
+    """
+    rows, pairs = [], []
+    for row, hinge in enumerate(hinges):
+        terms = parallel_terms(hinge.energy)
+        for term, damping in zip(terms, _distribute(hinge.damping, terms), strict=True):
+            rows.append(row)
+            pairs.append((term, damping))
+    groups = []
+    for indices in group_by_structure(pairs):
+        tree = jax.tree.structure(pairs[indices[0]])
+        columns = zip(*(jax.tree.leaves(pairs[k]) for k in indices), strict=True)
+        leaves, batch_axes = [], []
+        for column in columns:
+            shared = all(leaf is column[0] for leaf in column)
+            batch_axes.append(None if shared else 0)
+            leaves.append(column[0] if shared else _stack(column))
+        energy, damping = jax.tree.unflatten(tree, leaves)
+        if eqx.is_array(damping):  # a time
+            damping = _proportional(energy, damping, tuple(batch_axes))
+            batch_axes[-1] = None if damping.damping.ndim == 2 else 0
+        members = tuple(rows[k] for k in indices)
+        groups.append(HingeGroup(members, energy, damping, tuple(batch_axes)))
+    return tuple(groups)
+
+
+def dilate_groups(
+    groups: Sequence[HingeGroup],
+    scales: Float[Array | np.ndarray, " hinges"],
+    free_turns: Float[Array | np.ndarray, "hinges 3"],
+    has_gradients: bool,
+) -> tuple[HingeGroup, ...]:
+    """Multiply the dimensions of all hinges by factors, as thermal expansion does.
+
+    The loads of natural curvature are computed if there are gradients of the temperature.
+    """
+    new = []
+    for group in groups:
+        energy = dilated(group.energy, as_float(scales[np.array(group.members)]))
+        old_leaves = jax.tree.leaves(group.energy)
+        changed = [
+            leaf is not old
+            for leaf, old in zip(jax.tree.leaves(energy), old_leaves, strict=True)
+        ]
+        # Arrays that the hinges shared were stacked, because their factors may differ.
+        axes = [
+            0 if stacked else axis
+            for stacked, axis in zip(changed, group.batch_axes, strict=False)
+        ]
+        axes += group.batch_axes[len(changed) :]
+        loads = None
+        if has_gradients or group.curvature_loads is not None:
+            free = as_float(free_turns[np.array(group.members)])
+            loads = _curvature_loads(energy, free, tuple(axes[: len(changed)]))
+        group = HingeGroup(group.members, energy, group.damping, tuple(axes), loads)
+        new.append(group)
+    return tuple(new)
+
+
+def sums_of(
+    hinges: Sequence[Hinge],
+) -> tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]:
+    """Return energy and damping of each hinge whose energy is a sum; None for others."""
+    return tuple(
+        (hinge.energy, hinge.damping) if len(parallel_terms(hinge.energy)) > 1 else None
+        for hinge in hinges
+    )
+
+
+def _distribute(
+    damping: ViscousDamping | Scalar | None, terms: Sequence[AbstractEnergy]
+) -> list[ViscousDamping | Scalar | None]:
+    """Distribute the damping of a hinge among the terms of its energy.
+
+    A time (s) multiplies the stiffness of each term. A `ViscousDamping` acts only once:
+    together with the first term that resists only a part of the rates, if there is one,
+    or else with the first term.
+    """
+    if not isinstance(damping, ViscousDamping):
+        return [damping] * len(terms)
+    chosen = next((k for k, term in enumerate(terms) if has_resisted_rates(term)), 0)
+    return [damping if k == chosen else None for k in range(len(terms))]
+
+
+@partial(jax.jit, static_argnames="batch_axes")
+def _proportional(
+    energy: AbstractEnergy, time: Array, batch_axes: tuple[int | None, ...]
+) -> ViscousDamping:
+    """Compute the damping of stacked energies: their stiffness times a time; s."""
+    leaves, tree = jax.tree.flatten(energy)
+
+    def damping(leaves, time):
+        return proportional_damping(jax.tree.unflatten(tree, leaves), time)
+
+    *of_energy, of_time = batch_axes
+    if any(axis == 0 for axis in batch_axes):
+        damping = jax.vmap(damping, in_axes=(of_energy, of_time))
+    return damping(leaves, time)
+
+
+@partial(jax.jit, static_argnames="batch_axes")
+def _curvature_loads(
+    energy: AbstractEnergy,
+    free: Float[Array, "members 3"],
+    batch_axes: tuple[int | None, ...],
+) -> Float[Array, "members 4"]:
+    """Compute the loads of natural curvature of stacked energies."""
+    leaves, tree = jax.tree.flatten(energy)
+
+    def loads(leaves, free):
+        return curvature_loads(jax.tree.unflatten(tree, leaves), free)
+
+    return jax.vmap(loads, in_axes=(list(batch_axes), 0))(leaves, free)
+
+
+def _stack(row: Sequence[Array]) -> Array:
+    """Stack arrays, without a compilation if they are not traced."""
+    values = all_concrete(row)
+    return jnp.stack(row) if values is None else jnp.asarray(np.stack(values))

@@ -1,0 +1,176 @@
+"""Derivatives of the forces of all hinges, for Newton's method and for motions."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.types import Flag, Poses, Scalar
+from .forces import FOUR_OF_SIX, HingeTangent, predicted_stress, UPPER_TRIANGLE
+from .motion_forces import HingeMotionTangent
+from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
+
+
+# Position of each entry of a 4 by 4 matrix of motions in the upper triangle.
+_SYMMETRIC = np.zeros((4, 4), int)
+_SYMMETRIC[UPPER_TRIANGLE] = _SYMMETRIC.T[UPPER_TRIANGLE] = np.arange(10)
+# Its position in the whole matrix.
+_WHOLE = np.arange(16).reshape(4, 4)
+
+
+class AssemblyTangent(eqx.Module):
+    """Forces and stiffness of all hinges with respect to their four motions.
+
+    Args:
+        hinges: The tangent of each hinge; its leaves have an axis of hinges.
+        bodies: Number of bodies.
+        ends: Indices of the two bodies of each hinge.
+        order: Index of the hinge to which each column of the arrays belongs.
+    """
+
+    hinges: HingeTangent
+    bodies: int = eqx.field(static=True)
+    ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    order: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def stiffness(self) -> Float[Array, "10 hinges"]:
+        """Upper triangle of the stiffness of each hinge; N m/rad, N/rad, N/m."""
+        return jnp.stack(self.hinges.stiffness)
+
+    @property
+    def work(self) -> Scalar:
+        """Sum of the absolute values of force times coordinate; J."""
+        return jnp.sum(self.hinges.work)
+
+    def forces(self) -> Float[Array, " dofs"]:
+        """Sum the forces of all hinges on each degree of freedom; N m, N."""
+        motion, sign = FOUR_OF_SIX
+        dofs = hinge_dofs(self.ends, self.order).reshape(-1)
+        places = np.arange(dofs.size), dofs
+        forces = jnp.stack(self.hinges.forces)
+        return _sum_entries(forces, places, motion, sign, (3 * self.bodies,))
+
+    def matrix(
+        self, rows: tuple[int, ...], columns: tuple[int, ...], batch_last: bool = False
+    ) -> Float[Array, "rows columns"]:
+        """Sum the stiffness of all hinges among some degrees of freedom.
+
+        See `sum_entries` for `batch_last`.
+        """
+        places = matrix_entries(self.ends, self.order, rows, columns)
+        shape, of_pairs = (len(rows), len(columns)), _of_pairs(_SYMMETRIC)
+        return _sum_entries(self.stiffness, places, *of_pairs, shape, batch_last)
+
+    def hinge_stiffness(self) -> Float[Array, "6 6 hinges"]:
+        """Return the stiffness of each hinge with respect to its six displacements."""
+        entry, signs = _of_pairs(_SYMMETRIC)
+        entries = self.stiffness[entry] * jnp.asarray(signs)[:, None]
+        return entries.reshape(6, 6, -1)
+
+    def finite(self) -> Flag:
+        """Decide whether the stiffness of all hinges is finite."""
+        return jnp.all(jnp.isfinite(self.stiffness))
+
+    def predicted_stress(self, change: Poses) -> Float[Array, "3 members"]:
+        """Predict the stress after small displacements of the bodies; rad, m, m."""
+        first, second = np.array(self.ends).reshape(-1, 2)[list(self.order)].T
+        of_bodies = tuple(change[first].T), tuple(change[second].T)
+        return jnp.stack(jax.vmap(predicted_stress)(self.hinges, *of_bodies))
+
+
+def _of_pairs(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the entry of two motions for each entry of a flat 6 by 6 matrix.
+
+    `position` is that of each entry of the 4 by 4 matrix of motions. The second result is
+    the sign with which it enters.
+    """
+    motion, sign = FOUR_OF_SIX
+    return position[motion][:, motion].reshape(-1), np.outer(sign, sign).reshape(-1)
+
+
+def _of_rows(rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Find the entry of a motion for each entry of flat rows of six displacements.
+
+    The second result is the sign with which it enters.
+    """
+    motion, sign = FOUR_OF_SIX
+    position = 4 * np.arange(rows)[:, None] + motion
+    return position.reshape(-1), np.tile(sign, rows)
+
+
+def _sum_entries(
+    entries: Float[Array, "*motions hinges"],
+    places: tuple[np.ndarray, np.ndarray],
+    position: np.ndarray,
+    signs: np.ndarray,
+    shape: tuple[int, ...],
+    batch_last: bool = False,
+) -> Array:
+    """Sum the entries of all hinges, which are given for the four motions.
+
+    Args:
+        entries: The entries of each hinge.
+        places: Index of each entry for the six displacements, and its index in the sum;
+            see `matrix_entries` and `row_entries`.
+        position: Index among the motions, for each index among the displacements.
+        signs: The sign with which this entry enters.
+        shape: Shape of the sum.
+        batch_last: See `sum_entries`.
+    """
+    entry, hinge = np.divmod(places[0], entries.shape[-1])
+    source = position[entry] * entries.shape[-1] + hinge
+    flat, size, signs = entries.reshape(-1), math.prod(shape), signs[entry]
+    return sum_entries(flat, source, places[1], size, signs, batch_last).reshape(shape)
+
+
+class AssemblyMotionTangent(NamedTuple):
+    """Derivatives of the forces of all hinges with respect to free degrees of freedom.
+
+    Args:
+        stiffness: Derivatives with respect to displacements; N m/rad, N/rad, N/m.
+        damping: Derivatives with respect to rates; N m s/rad, N s/rad, N s/m.
+        stretch_by_displacement: Derivatives of the mid-frame translations; m/rad, -.
+        force_by_stretch: Derivatives of the forces with respect to the mid-frame
+            translations; N, N/m.
+    """
+
+    stiffness: Float[Array, "free free"]
+    damping: Float[Array, "free free"]
+    stretch_by_displacement: Float[Array, "free stretches"]
+    force_by_stretch: Float[Array, "free stretches"]
+
+    @classmethod
+    def of(
+        cls,
+        tangent: HingeMotionTangent,
+        ends: tuple[tuple[int, int], ...],
+        order: tuple[int, ...],
+        free: tuple[int, ...],
+    ) -> "AssemblyMotionTangent":
+        """Sum the derivatives of all hinges among the free degrees of freedom.
+
+        The arguments are as in `AssemblyTangent`.
+        """
+        pairs = matrix_entries(ends, order, free, free)
+        lines = row_entries(ends, order, free)
+        count, stretches = len(free), 2 * len(order)
+
+        def by_dofs(entries: Array) -> Float[Array, "free free"]:
+            entries = jnp.moveaxis(entries, 0, -1)
+            return _sum_entries(entries, pairs, *_of_pairs(_WHOLE), (count, count))
+
+        def by_stretches(entries: Array) -> Float[Array, "free stretches"]:
+            entries = jnp.moveaxis(entries, 0, -1)
+            return _sum_entries(entries, lines, *_of_rows(2), (count, stretches))
+
+        return cls(
+            stiffness=by_dofs(tangent.stiffness),
+            damping=by_dofs(tangent.damping),
+            stretch_by_displacement=by_stretches(tangent.stretch_by_displacement),
+            force_by_stretch=by_stretches(tangent.force_by_stretch),
+        )

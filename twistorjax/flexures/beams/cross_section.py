@@ -1,0 +1,141 @@
+"""Strains and stored energy of a cross-section of a beam under its forces.
+
+All quantities are dimensionless: lengths over the length `L` of the beam, moments over
+`E I / L` and forces over `E I / L^2`, where `E I` is the bending stiffness of the middle
+section, with its factor.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..._utils.host import as_float, on_host
+from ..._utils.types import Scalar
+from .beam import Beam, Law
+
+
+Strains = tuple[Scalar, Scalar, Scalar]  # stretch, shear, curvature
+
+
+class CrossSection(NamedTuple):
+    """A cross-section of a beam.
+
+    Args:
+        height: Thickness over that of the middle section.
+        slenderness: Thickness of the middle section over the length of the beam.
+        bending_factor: Factor of the bending stiffness.
+        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
+            None to neglect shear deformation.
+    """
+
+    height: Scalar
+    slenderness: Scalar
+    bending_factor: Scalar
+    shear_ratio: Scalar | None
+
+
+def section_of(beam: Beam, position: Scalar) -> CrossSection:
+    """Return the cross-section at a position along the axis over the length."""
+    middle = beam.profile(jnp.zeros(()))
+    height = beam.profile(position * beam.length) / middle
+    slenderness = middle / beam.length
+    return CrossSection(height, slenderness, beam.bending_factor, shear_ratio(beam))
+
+
+def shear_ratio(beam: Beam) -> Scalar | None:
+    """Return the shear correction factor times shear modulus over Young's modulus."""
+    if beam.shear_factor is None:
+        return None
+    _, (factor, poisson) = on_host(beam.shear_factor, beam.material.poisson)
+    return as_float(factor / (2 * (1 + poisson)))
+
+
+def section_strains(
+    section: CrossSection, law: Law, forces: tuple[Scalar, Scalar, Scalar]
+) -> tuple[Strains, Scalar]:
+    """Compute the strains and the energy density of a cross-section.
+
+    Args:
+        section: The cross-section.
+        law: Constitutive law; see `Beam`.
+        forces: Axial force, shear force and bending moment, dimensionless.
+
+    Returns:
+        Stretch, shear and curvature, and the energy density, dimensionless.
+    """
+    axial_force, shear_force, moment = forces
+    height, slenderness, bending_factor, _ = section
+    axial_stiffness = 12 / (bending_factor * slenderness**2) * height
+    bending_stiffness = height**3
+    shear_stiffness = jnp.full_like(axial_stiffness, jnp.inf)
+    if section.shear_ratio is not None:
+        shear_stiffness = axial_stiffness * section.shear_ratio
+    stretch, shear = axial_force / axial_stiffness, shear_force / shear_stiffness
+    linear = stretch, shear, moment / bending_stiffness
+    if law == "linear":
+        work = axial_force * stretch + shear_force * shear + moment * linear[2]
+        return linear, work / 2
+
+    # The energy density is the square of the Green strain, integrated over the section.
+    # Its derivatives are written out, because those of JAX take a minute to compile.
+    quartic_stiffness = 0.0375 * slenderness**2 * height**5
+
+    def green(stretch: Scalar, shear: Scalar) -> tuple[Scalar, Scalar]:
+        """Return the Green strain of the axis, and the factor of the curvature."""
+        strain = stretch + (stretch**2 + shear**2) / 2
+        return strain, (1 + stretch) ** 2 + strain
+
+    def newton_step(_, strains: Strains) -> Strains:
+        stretch, shear, curvature = strains
+        strain, factor = green(stretch, shear)
+        bending, stretched = bending_stiffness * curvature**2, 1 + stretch
+        rotational = bending_stiffness * factor + 2 * quartic_stiffness * curvature**2
+        residuals = (
+            axial_force - (axial_stiffness * strain + 1.5 * bending) * stretched,
+            shear_force
+            - (axial_stiffness * strain + shear_stiffness + bending / 2) * shear,
+            moment - rotational * curvature,
+        )
+        a = axial_stiffness * factor + 1.5 * bending
+        b = axial_stiffness * (shear**2 + strain) + shear_stiffness + bending / 2
+        c = bending_stiffness * factor + 6 * quartic_stiffness * curvature**2
+        d = axial_stiffness * shear * stretched
+        e = 3 * bending_stiffness * curvature * stretched
+        f = bending_stiffness * curvature * shear
+        steps = _solve_symmetric((a, b, c, d, e, f), residuals)
+        return stretch + steps[0], shear + steps[1], curvature + steps[2]
+
+    previous = jax.lax.fori_loop(0, 6, newton_step, linear)
+    stretch, shear, curvature = strains = newton_step(6, previous)
+    # Above its largest moment a section has no equilibrium, and the iteration diverges.
+    steps = [jnp.abs(new - old) for new, old in zip(strains, previous, strict=True)]
+    converged = steps[0] + steps[1] + slenderness * steps[2] < 1e-8
+    strain, factor = green(stretch, shear)
+    density = (
+        axial_stiffness * strain**2
+        + shear_stiffness * shear**2
+        + bending_stiffness * factor * curvature**2
+        + quartic_stiffness * curvature**4
+    ) / 2
+    density = jnp.where(converged, density, jnp.nan)
+    return (stretch, shear, jnp.where(converged, curvature, jnp.nan)), density
+
+
+def _solve_symmetric(
+    matrix: tuple[Scalar, ...], right: tuple[Scalar, Scalar, Scalar]
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Solve three linear equations by cofactors.
+
+    The entries of the symmetric matrix are 11, 22, 33, 12, 13 and 23.
+    """
+    a, b, c, d, e, f = matrix
+    x, y, z = right
+    aa, bb, cc = b * c - f * f, a * c - e * e, a * b - d * d
+    dd, ee, ff = e * f - c * d, d * f - b * e, d * e - a * f
+    determinant = a * aa + d * dd + e * ee
+    return (
+        (aa * x + dd * y + ee * z) / determinant,
+        (dd * x + bb * y + ff * z) / determinant,
+        (ee * x + ff * y + cc * z) / determinant,
+    )

@@ -1,0 +1,427 @@
+"""Stress models of leaves, notches, exact beams, and sub-mechanisms of flexures."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._utils.host import as_float, on_host
+from ..._utils.pytrees import group_by_structure
+from ..._utils.types import NumberLike, Pose, Scalar, Wrench
+from ...energies.dilation import multiply_fields
+from ...energies.monomials import Powers
+from ...energies.one_freedom import Freedom
+from ...energies.strains import strain
+from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
+from ...geometry import se2
+from ...geometry.twistors import Displacement
+from .beam import Beam, Law, values_along
+from .cross_section import CrossSection, section_strains, shear_ratio, Strains
+
+
+# Positions along the axis over the length, at equal steps of a parameter. They are denser
+# at the ends, where the outline of a notch is steep.
+_PARAMETERS = np.linspace(-np.pi / 2, np.pi / 2, 201)
+_POSITIONS = np.sin(_PARAMETERS) / 2
+_RATES = np.cos(_PARAMETERS) / 2
+# Axes of the fields of cross-sections that differ in their heights only
+_ALONG = CrossSection._make((0, None, None, None))
+
+
+class SectionStress(AbstractStressModel):
+    """Stress in a straight leaf at its ends, or in a notch at its thinnest section.
+
+    The stress is that of linear bending and tension under the wrench of the hinge, times
+    the stress concentration factors of the curved surface of a notch.
+
+    Args:
+        arm: Distance from the middle to the section; zero for a notch; m.
+        thickness: In-plane thickness of the section; m.
+        width: Out-of-plane width; m.
+        ratio: Half the thickness over the radius of the surface; zero for a leaf.
+        strengths: Strengths of the material.
+
+    Source:
+        Stress concentration factors of deep hyperbolic notches: Neuber,
+        Kerbspannungslehre (1937).
+    """
+
+    arm: Scalar
+    thickness: Scalar
+    width: Scalar
+    ratio: Scalar
+    strengths: Strengths
+
+    @classmethod
+    def of_leaf(
+        cls,
+        strengths: Strengths,
+        length: NumberLike,
+        thickness: NumberLike,
+        width: NumberLike,
+    ) -> "SectionStress":
+        """Create the model of a leaf; m."""
+        _, (length, thickness, width) = on_host(length, thickness, width)
+        return cls(
+            arm=as_float(length / 2),
+            thickness=as_float(thickness),
+            width=as_float(width),
+            ratio=as_float(np.zeros(np.shape(length))),
+            strengths=strengths,
+        )
+
+    @classmethod
+    def of_notch(
+        cls, strengths: Strengths, hole: NumberLike, web: NumberLike, width: NumberLike
+    ) -> "SectionStress":
+        """Create the model of a notch; m."""
+        _, (hole, web, width) = on_host(hole, web, width)
+        return cls(
+            arm=as_float(np.zeros(np.shape(web))),
+            thickness=as_float(web),
+            width=as_float(width),
+            ratio=as_float(web / hole),
+            strengths=strengths,
+        )
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, "4"]:
+        """Compute the stress on both sides of the sections at both ends; Pa."""
+        del displacement  # The equations are those of the undeformed flexure.
+        moment, axial, transverse = wrench
+        bending_factor, tension_factor = _concentration_factors(self.ratio)
+        area = self.width * self.thickness
+        tension = tension_factor * axial / area
+        modulus = area * self.thickness / 6
+        stresses = []
+        for arm in (-self.arm, self.arm):
+            bending = bending_factor * (moment - arm * transverse) / modulus
+            stresses += [tension - bending, tension + bending]
+        return jnp.stack(stresses)
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        return multiply_fields(self, scale, arm=1, thickness=1, width=1)
+
+
+def _concentration_factors(ratio: Scalar) -> tuple[Scalar, Scalar]:
+    """Compute the stress concentration factors of a neck in bending and in tension.
+
+    The ratio is half the thickness of the neck over the radius of its surface. A factor
+    is the largest stress over that of a beam.
+    """
+    # The factors are quotients of small differences for a thin neck, where their series
+    # are used instead.
+    thin = ratio < 1e-3
+    safe = jnp.where(thin, 1.0, ratio)
+    root = jnp.sqrt(safe)
+    angle = jnp.arctan(root)
+    bending = 4 * safe * root / (3 * (root + (safe - 1) * angle))
+    bending = jnp.where(thin, 1 + 2 / 5 * ratio - 17 / 175 * ratio**2, bending)
+    tension = 2 * (safe + 1) * root / ((safe + 1) * angle + root)
+    tension = jnp.where(thin, 1 + 2 / 3 * ratio - 7 / 45 * ratio**2, tension)
+    return bending, tension
+
+
+class BeamColumnStress(AbstractStressModel):
+    """Stress in a leaf as a beam-column, on both sides of 17 cross-sections.
+
+    It includes the moment of the axial force in the bent leaf, which is largest between
+    the ends under compression. Stress concentrations at the ends are not included.
+
+    Args:
+        length: Free length; m.
+        thickness: In-plane thickness; m.
+        width: Out-of-plane width; m.
+        modulus: Young's modulus; Pa.
+        strengths: Strengths of the material.
+        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
+            None to neglect shear deformation.
+
+    Source:
+        Timoshenko and Gere, Theory of Elastic Stability, 1961, section 1.11.
+    """
+
+    length: Scalar
+    thickness: Scalar
+    width: Scalar
+    modulus: Scalar
+    strengths: Strengths
+    shear_ratio: Scalar | None
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, "34"]:
+        """Compute the stress on both sides of each cross-section; Pa."""
+        moment, axial, transverse = wrench
+        area = self.width * self.thickness
+        bending = self.modulus * area * self.thickness**2 / 12
+        # Mean and half the difference of the moments at the ends, from the equilibrium
+        arm = displacement.x1 + self.length / 2 * displacement.sigma
+        mean = moment + self.length / 2 * displacement.xi * axial
+        half = displacement.x2 * axial - arm * transverse
+        ratio = axial * self.length**2 / bending
+        if self.shear_ratio is not None:  # Shear and stretch change the bending.
+            ratio = ratio * (
+                1 + (1 - 1 / self.shear_ratio) * axial / (self.modulus * area)
+            )
+        root = jnp.sqrt(jnp.maximum(jnp.abs(ratio), 1e-8))
+        # At a larger tension, the hyperbolic functions would overflow.
+        position = jnp.minimum(root, 1000.0) * jnp.linspace(-0.5, 0.5, 17)
+        compressed = ratio < 0
+        cos = jnp.where(compressed, jnp.cos(position), jnp.cosh(position))
+        sin = jnp.where(compressed, jnp.sin(position), jnp.sinh(position))
+        bowing = bending / self.length * displacement.angle * root / 2
+        moments = mean + (bowing * (cos - cos[-1]) + half * sin) / sin[-1]
+        stress = 6 * moments / (area * self.thickness)
+        return axial / area + jnp.concatenate([-stress, stress])
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        return multiply_fields(self, scale, length=1, thickness=1, width=1)
+
+
+class BeamStress(AbstractStressModel):
+    """Stress in the outermost fibers of the cross-sections of a beam.
+
+    The moments are those in the deformed beam, for any displacement. The wrench is that
+    of the energy, so the stress of a surrogate has about the error of its wrench. Stress
+    concentrations at notches, fillets, and sharp corners are not included.
+
+    Args:
+        thickness: Thickness at positions that are denser at the ends; m.
+        curvature: Curvature of the undeformed beam at these positions; None if it is
+            straight; 1/m.
+        length: Length; m.
+        width: Out-of-plane width; m.
+        modulus: Young's modulus; Pa.
+        bending_factor: Factor of the bending stiffness.
+        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
+            None to neglect shear deformation.
+        strengths: Strengths of the material.
+        law: Constitutive law; see `Beam`.
+
+    Source:
+        Reissner, On one-dimensional finite-strain beam theory: the plane problem, ZAMP
+        23, 1972.
+    """
+
+    thickness: Float[Array, " sections"]
+    curvature: Float[Array, " sections"] | None
+    length: Scalar
+    width: Scalar
+    modulus: Scalar
+    bending_factor: Scalar
+    shear_ratio: Scalar | None
+    strengths: Strengths
+    law: Law = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, beam: Beam) -> "BeamStress":
+        """Create the model of a beam."""
+        _, (length,) = on_host(beam.length)
+        positions, curvature = length * _POSITIONS, None
+        if beam.curvature is not None:
+            curvature = values_along(beam.curvature, positions)
+        material = beam.material
+        return cls(
+            thickness=values_along(beam.profile, positions),
+            curvature=curvature,
+            length=beam.length,
+            width=beam.width,
+            modulus=material.modulus,
+            bending_factor=beam.bending_factor,
+            shear_ratio=shear_ratio(beam),
+            strengths=material.strengths,
+            law=beam.law,
+        )
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, "402"]:
+        """Compute the stress on both sides of each cross-section; Pa."""
+        height = self.thickness / self.length
+        middle = height[len(height) // 2]
+        area = self.modulus * self.width * self.length * middle
+        unit = self.bending_factor * area * middle**2 / 12  # of the forces; N
+        moment, axial, transverse = wrench
+        # The load about frame a, from that about the point halfway between the frames
+        cos, sin = displacement.sigma, displacement.xi
+        x, y = displacement.x1 / self.length, displacement.x2 / self.length
+        force_1, force_2 = axial / unit, transverse / unit
+        load = jnp.stack(
+            [
+                moment / (unit * self.length) + x * force_2 - y * force_1,
+                cos * force_1 - sin * force_2,
+                sin * force_1 + cos * force_2,
+            ]
+        )
+        sections = CrossSection(
+            height / middle, middle, self.bending_factor, self.shear_ratio
+        )
+        start = self._first_end(sections)
+        states = self._integrate(sections, load, start)
+        stretch, shear, curvature = jax.vmap(
+            lambda section, state: self._strains(section, load, state)[1],
+            in_axes=(_ALONG, 0),
+        )(sections, states)
+        bending = height / 2 * curvature
+        strain = jnp.stack([stretch - bending, stretch + bending])
+        if self.law == "saint-venant-kirchhoff":
+            strain = strain + (strain**2 + shear[None] ** 2) / 2
+        return self.modulus * strain.reshape(-1)
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        return multiply_fields(
+            self, scale, thickness=[1], curvature=[-1], length=1, width=1
+        )
+
+    def _strains(
+        self, section: CrossSection, load: Wrench, pose: Pose
+    ) -> tuple[tuple[Scalar, Scalar], Strains]:
+        """Compute cosine and sine of the angle, and the strains of a cross-section.
+
+        All arguments are dimensionless.
+        """
+        moment = load[0] - (pose[1] * load[2] - pose[2] * load[1])
+        cos, sin = jnp.cos(pose[0]), jnp.sin(pose[0])
+        axial, shear = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
+        strains, _ = section_strains(section, self.law, (axial, shear, moment))
+        return (cos, sin), strains
+
+    def _integrate(
+        self, sections: CrossSection, load: Wrench, start: Pose
+    ) -> Float[Array, "sections 3"]:
+        """Compute the poses of all cross-sections, dimensionless.
+
+        A step of the method of Runge and Kutta goes from one section to the next but one.
+        The pose of the section between them is the mean of both.
+        """
+        initial = jnp.zeros_like(self.thickness)
+        if self.curvature is not None:
+            initial = self.length * self.curvature
+        step = 2 * (_PARAMETERS[1] - _PARAMETERS[0])
+        values = sections.height, initial, jnp.asarray(_RATES)
+
+        def derivative(pose: Pose, at: tuple[Scalar, Scalar, Scalar]) -> Pose:
+            height, initial, rate = at
+            section = sections._replace(height=height)
+            (cos, sin), (stretch, shear, curvature) = self._strains(section, load, pose)
+            x_rate = cos * (1 + stretch) - sin * shear
+            y_rate = sin * (1 + stretch) + cos * shear
+            return rate * jnp.stack([curvature + initial, x_rate, y_rate])
+
+        def advance(pose: Pose, at: tuple[Any, Any, Any]) -> tuple[Pose, Pose]:
+            first, middle, last = at
+            k1 = derivative(pose, first)
+            k2 = derivative(pose + step / 2 * k1, middle)
+            k3 = derivative(pose + step / 2 * k2, middle)
+            k4 = derivative(pose + step * k3, last)
+            pose = pose + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            return pose, pose
+
+        first, middle, last = (
+            tuple(value[part] for value in values)
+            for part in (slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2))
+        )
+        _, even = jax.lax.scan(advance, start, (first, middle, last))
+        even = jnp.concatenate([start[None], even])
+        poses = jnp.zeros((len(_PARAMETERS), 3)).at[::2].set(even)
+        return poses.at[1::2].set((even[:-1] + even[1:]) / 2)
+
+    def _first_end(self, sections: CrossSection) -> Pose:
+        """Compute the pose of the first end, seen from the middle; dimensionless."""
+        if self.curvature is None:
+            return jnp.array([0.0, -0.5, 0.0])
+        poses = self._integrate(sections, jnp.zeros(3), jnp.zeros(3))
+        return se2.inverse(poses[len(poses) // 2])
+
+
+class MechanismStress(AbstractStressModel):
+    """Stress in the flexures of a sub-mechanism that is replaced by one energy.
+
+    The displacement and the wrench of each flexure are polynomials of the compliant
+    coordinate and of the forces in the stiff directions, in the units of a
+    `OneFreedomEnergy`. The stress follows from them by the stress model of the flexure.
+
+    Args:
+        parts: Stress models of the flexures.
+        coefficients: Coefficients of the polynomials of each flexure: displacement
+            (angle, x, y), moment, axial force, and transverse force in its mid-frame;
+            rad, m, m, N m, N, N.
+        length: Reference length, by which the transverse displacement is divided; m.
+        force: Reference force, by which forces are divided; moments are divided by the
+            force times the length; N.
+        strengths: Strengths of the material; the smallest ones, if the flexures have
+            several materials.
+        powers: Powers of the compliant coordinate and of both forces in each term.
+        freedom: The compliant direction; see `OneFreedomEnergy`.
+    """
+
+    parts: tuple[AbstractStressModel, ...]
+    coefficients: Float[Array, "parts 6 terms"]
+    length: Scalar
+    force: Scalar
+    strengths: Strengths
+    powers: Powers = eqx.field(static=True)
+    freedom: Freedom = eqx.field(static=True)
+
+    def surface_stresses(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> Float[Array, " points"]:
+        """Compute the stress at the points of all flexures; Pa."""
+        twist = strain(displacement, "twist")
+        terms = terms_of_state(
+            self.powers, self.freedom, (self.length, self.force), twist, wrench
+        )
+        states = self.coefficients @ terms
+        stresses = {}
+        # Flexures of the same kind are evaluated together.
+        for rows in group_by_structure(self.parts):
+            same = [self.parts[row] for row in rows]
+            parts = jax.tree.map(lambda *leaves: jnp.stack(leaves), *same)
+            values = jax.vmap(_stresses_at)(parts, states[np.array(rows)])
+            stresses.update(zip(rows, values, strict=True))
+        return jnp.concatenate([stresses[row] for row in sorted(stresses)])
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "MechanismStress":
+        """Return the model if all dimensions of the flexure are multiplied."""
+        exponents = np.array([0, 1, 1, 3, 2, 2])[None, :, None]
+        new = multiply_fields(self, scale, coefficients=exponents, length=1, force=2)
+        parts = tuple(part.dilated(scale) for part in self.parts)
+        return eqx.tree_at(lambda model: model.parts, new, parts)
+
+
+def terms_of_state(
+    powers: Powers,
+    freedom: Freedom,
+    units: tuple[Scalar, Scalar],
+    twist: tuple[Scalar, Scalar, Scalar],
+    wrench: MidWrench,
+) -> Float[Array, " terms"]:
+    """Evaluate the terms of the polynomials of a `MechanismStress`.
+
+    The units are the reference length and force (m, N). The twist (rad, m, m) and the
+    wrench in the mid-frame (N m, N, N) are those of the sub-mechanism.
+    """
+    length, force = units
+    moment, axial, transverse = wrench
+    variables = twist[0], axial / force, transverse / force
+    if freedom == "transverse":
+        variables = twist[2] / length, moment / (force * length), axial / force
+    factors = [
+        jnp.stack([variable**k for k in range(max(column) + 1)])[np.array(column)]
+        for variable, column in zip(variables, zip(*powers, strict=True), strict=True)
+    ]
+    return factors[0] * factors[1] * factors[2]
+
+
+def _stresses_at(part: AbstractStressModel, state: Float[Array, "6"]) -> Array:
+    """Compute the stress at the points of a flexure at a state; Pa."""
+    displacement = Displacement.from_pose(state[:3])
+    return part.surface_stresses(displacement, (state[3], state[4], state[5]))

@@ -1,0 +1,335 @@
+"""Samples of a sub-mechanism, and the fit of a `OneFreedomEnergy` to them."""
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import product
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..._compile.compilation import fast_compile
+from ..._utils.host import concrete
+from ..._utils.types import Matrix, Pose, Scalar, Twist, Wrench
+from ...assembly.stress import member_models, member_states
+from ...energies.evaluation import power_derivatives
+from ...energies.fitting.mixed_equations import twists_and_stresses
+from ...energies.monomials import Powers
+from ...energies.one_freedom import Freedom, FREEDOM_VARIABLES, OneFreedomEnergy
+from ...energies.strains import strain
+from ...energies.stress_model import Strengths
+from ...energies.validity import WithValidityRange
+from ...geometry import se2
+from ...geometry.twistors import Displacement
+from ...mechanism.loads import Drive, Load
+from ...mechanism.sub_mechanism import SubMechanism
+from ...results.codes import RESULTS
+from ...solve.equilibrium import equilibrium
+from ..beams.stress_models import MechanismStress, terms_of_state
+from ..compound.condensed import Condensed, reference_stiffness
+from .samples import least_squares, low_discrepancy_points, relative_errors, SAMPLES
+
+
+_FORCE_ORDER = 4  # largest sum of the powers of both forces
+_STRESS_ORDER = 6  # largest power of the compliant coordinate in a `MechanismStress`
+# The variables whose sign changes under a symmetry operation; see `monomials`
+_ODD_VARIABLES = {
+    "mirror": {"tau", "t2", "m", "n2"},
+    "ends": {"tau", "m"},
+    "arch": {"t2", "n2"},
+}
+_SIGNS = {"mirror": (-1, 1, -1), "ends": (-1, 1, 1), "arch": (1, 1, -1)}
+
+
+class MechanismSamples(NamedTuple):
+    """Displacements of a sub-mechanism and their wrenches.
+
+    Args:
+        poses: Poses of frame b relative to frame a; rad, m, m.
+        wrenches: Wrenches that act on body B, in frame b; N m, N, N.
+        succeeded: Whether an equilibrium was found, and all hinges are in their ranges.
+        outside: Whether a hinge is outside its validity range.
+        stiffness: Stiffness in the reference configuration; N m/rad, N/rad, N/m.
+        length: Reference length; m.
+        force: Reference force; N.
+        states: States of the flexures with a known stress; see `member_states`.
+    """
+
+    poses: Float[Array, "samples 3"]
+    wrenches: Float[Array, "samples 3"]
+    succeeded: Bool[Array, " samples"]
+    outside: Bool[Array, " samples"]
+    stiffness: Matrix
+    length: Scalar
+    force: Scalar
+    states: Float[Array, "samples members 6"]
+
+
+@partial(fast_compile, jit=partial(jax.jit, static_argnames="freedom"))
+def sample_mechanism(
+    part: SubMechanism, size: Scalar, force: Scalar, *, freedom: Freedom
+) -> MechanismSamples:
+    """Compute a sub-mechanism at displacements and forces that are uniformly distributed.
+
+    The compliant coordinate (rad or m) is prescribed up to `size`. For the freedom
+    "rotation", the forces are in a circle of the radius `force` (N). For the freedom
+    "transverse", the axial force is up to `force`, and the moment up to the force times
+    the reference length. The samples for the fit are followed by those for the error
+    estimate.
+    """
+    stiffness = reference_stiffness(part)
+    length = jnp.sqrt(stiffness[0, 0] / stiffness[1, 1])
+
+    def sample(point: Float[Array, "3"]) -> tuple[Pose, Wrench, Array, RESULTS]:
+        moved = size * (2 * point[0] - 1)
+        zero = jnp.zeros(())
+        if freedom == "rotation":
+            direction = 2 * np.pi * point[2]
+            magnitude = force * jnp.sqrt(point[1])
+            axes = jnp.stack([jnp.cos(direction), jnp.sin(direction)])
+            drive = Drive(part.second, angle=moved)
+            load = jnp.concatenate([zero[None], magnitude * axes])
+        else:
+            drive = Drive(part.second, y=moved)
+            moment = force * length * (2 * point[2] - 1)
+            load = jnp.stack([moment, force * (2 * point[1] - 1), zero])
+        loads = [Load(part.second, load)]
+        found = equilibrium(part.mechanism, drives=[drive], loads=loads, throw=False)
+        pose = found.displacement(part.second)
+        total = load + found.reaction(part.second)
+        in_b = jnp.concatenate([total[:1], se2.rotate(-pose[0], total[1:])])
+        states = member_states(part.mechanism.hinge_assembly, found.displacements)
+        return pose, in_b, states, found.result
+
+    for_fit = low_discrepancy_points(SAMPLES)
+    for_error = low_discrepancy_points(SAMPLES // 2, start=0.5)
+    points = jnp.asarray(np.concatenate([for_fit, for_error]))
+    poses, wrenches, states, results = jax.vmap(sample)(points)
+    return MechanismSamples(
+        poses,
+        wrenches,
+        results == RESULTS.successful,
+        results == RESULTS.out_of_range,
+        stiffness,
+        length,
+        force,
+        states,
+    )
+
+
+def mechanism_symmetries(part: SubMechanism, samples: MechanismSamples) -> list[str]:
+    """List the symmetries that the energies of a few samples have; none if traced."""
+    changes = concrete(_symmetry_errors(part, samples.poses[:4]))
+    if changes is None:
+        return []
+    return [name for name, change in zip(_SIGNS, changes, strict=True) if change < 1e-8]
+
+
+def mechanism_powers(symmetries: list[str], order: int, freedom: Freedom) -> Powers:
+    """List the powers of the terms of a sub-mechanism with some symmetries."""
+    names = FREEDOM_VARIABLES[freedom]
+    odd = [
+        [name in _ODD_VARIABLES[symmetry] for name in names] for symmetry in symmetries
+    ]
+    rows = product(range(order + 1), *2 * (range(_FORCE_ORDER + 1),))
+    return tuple(
+        row
+        for row in rows
+        if sum(row) > 1
+        and row[1] + row[2] <= _FORCE_ORDER
+        and all(np.dot(row, parity) % 2 == 0 for parity in odd)
+    )
+
+
+@jax.jit
+def _symmetry_errors(
+    part: SubMechanism, poses: Float[Array, "samples 3"]
+) -> Float[Array, " symmetries"]:
+    """Compute the relative change of the energy under each symmetry operation."""
+    energy = Condensed(part)
+    twists = jax.vmap(se2.twist)(poses)
+    signs = jnp.asarray([(1, 1, 1), *_SIGNS.values()], float)
+    images = signs[:, None] * twists[None]
+
+    def stored_energy(twist: Twist) -> Scalar:
+        return energy.stored_energy(Displacement.from_pose(se2.exp(twist)))
+
+    values = jax.vmap(jax.vmap(stored_energy))(images)
+    return jnp.max(jnp.abs(values[1:] / values[:1] - 1), axis=1)
+
+
+@partial(fast_compile, jit=partial(jax.jit, static_argnums=(0, 1)))
+def fit_mechanism(
+    powers: Powers, freedom: Freedom, size: Scalar, samples: MechanismSamples
+) -> WithValidityRange:
+    """Fit an energy, and estimate its error on the samples that are not fitted."""
+    coefficients = _coefficients(powers, freedom, samples)
+    energy = OneFreedomEnergy(
+        coefficients,
+        powers,
+        freedom=freedom,
+        length=samples.length,
+        force=samples.force,
+    )
+    error = relative_errors(energy, samples.poses[SAMPLES:], samples.wrenches[SAMPLES:])
+    if freedom == "rotation":
+        return WithValidityRange(energy, size, samples.force, error)
+    largest = jnp.max(jnp.abs(jax.lax.stop_gradient(samples.poses[:, 0])))
+    return WithValidityRange(energy, largest, samples.force, error, displacement=size)
+
+
+def mechanism_stress(
+    part: SubMechanism, freedom: Freedom, samples: MechanismSamples
+) -> MechanismStress | None:
+    """Create the stress model of a surrogate; None if no stress in it is known."""
+    models = member_models(part.mechanism.hinge_assembly)
+    if not models:
+        return None
+    rows = product(range(_STRESS_ORDER + 1), *2 * (range(_FORCE_ORDER + 1),))
+    powers = tuple(
+        row for row in rows if sum(row) > 0 and row[1] + row[2] <= _FORCE_ORDER
+    )
+    strengths = Strengths(
+        *map(_smallest, zip(*(m.strengths for m in models), strict=True))
+    )
+    return MechanismStress(
+        parts=models,
+        coefficients=_fit_states(powers, freedom, samples),
+        length=samples.length,
+        force=samples.force,
+        strengths=strengths,
+        powers=powers,
+        freedom=freedom,
+    )
+
+
+def _smallest(strengths: Sequence[Scalar | None]) -> Scalar | None:
+    """Return the smallest strength that is known; Pa."""
+    known = [strength for strength in strengths if strength is not None]
+    return jnp.min(jnp.stack(known)) if known else None
+
+
+@partial(fast_compile, jit=partial(jax.jit, static_argnums=(0, 1)))
+def _fit_states(
+    powers: Powers, freedom: Freedom, samples: MechanismSamples
+) -> Float[Array, "members 6 terms"]:
+    """Fit the polynomials of a `MechanismStress` to the states of the flexures."""
+
+    def terms(pose: Pose, wrench: Wrench) -> Float[Array, " terms"]:
+        at = Displacement.from_pose(pose)
+        force = se2.rotate(pose[0] / 2, wrench[1:])
+        moment = wrench[0] + at.x1 * force[1] - at.x2 * force[0]
+        units = samples.length, samples.force
+        twist = strain(at, "twist")
+        return terms_of_state(powers, freedom, units, twist, (moment, force[0], force[1]))
+
+    rows = jax.vmap(terms)(samples.poses[:SAMPLES], samples.wrenches[:SAMPLES])
+    states = samples.states[:SAMPLES]
+    columns = states.reshape(SAMPLES, -1).T
+    found = jax.vmap(lambda column: least_squares(rows, column))(columns)
+    return found.reshape(*states.shape[1:], len(powers))
+
+
+def _coefficients(
+    powers: Powers, freedom: Freedom, samples: MechanismSamples
+) -> Float[Array, " terms"]:
+    """Fit the coefficients (J) that do not follow from the stiffness.
+
+    The moment and the displacements in the stiff directions are derivatives of W at given
+    forces, so the equations are linear. An error of the displacements is equivalent to
+    errors of the forces, by the stiffness, and through them to one of the compliant
+    component. Both are weighted by the coefficients of the previous solution. All
+    components of the wrench have the same relative weight.
+    """
+    poses, wrenches = samples.poses[:SAMPLES], samples.wrenches[:SAMPLES]
+    rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))
+    deviations = jnp.broadcast_to(rms, wrenches.shape)
+    twists, stresses, to_wrenches = twists_and_stresses(poses, wrenches, deviations)
+    order = (0, 1, 2) if freedom == "rotation" else (2, 0, 1)  # compliant, stiff, stiff
+    moment = samples.force * samples.length
+    force = samples.force
+    units = jnp.stack([jnp.ones(()), force, force])
+    if freedom == "transverse":
+        units = jnp.stack([samples.length, moment, force])
+    columns = np.array(order)
+    variables = [
+        twists[:, columns[0]] / units[0],
+        stresses[:, columns[1]] / units[1],
+        stresses[:, columns[2]] / units[2],
+    ]
+    exponents = np.array(powers)
+    (c, dc, _), (p, dp, ddp), (r, dr, ddr) = (
+        power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
+    )
+    # Contributions of the terms to the compliant component and to both displacements
+    parts = jnp.stack(
+        [dc * p * r / units[0], -c * dp * r / units[1], -c * p * dr / units[2]], axis=1
+    )
+    targets = jnp.stack(
+        [stresses[:, columns[0]], twists[:, columns[1]], twists[:, columns[2]]], axis=1
+    )
+    coupling = jnp.stack(
+        [dc * dp * r / (units[0] * units[1]), dc * p * dr / (units[0] * units[2])], axis=1
+    )
+    compliance = -jnp.stack(
+        [
+            c * ddp * r / units[1] ** 2,
+            c * dp * dr / (units[1] * units[2]),
+            c * p * ddr / units[2] ** 2,
+        ],
+        axis=1,
+    )
+    # The rows of errors of the generalized stress, in the order of the twist
+    back = np.argsort(columns)
+
+    quadratic = _quadratic_coefficients(samples.stiffness[columns][:, columns], units)
+    zero = jnp.zeros(())
+    start = jnp.stack([quadratic.get(row, zero) for row in powers])
+    free = np.array([k for k, row in enumerate(powers) if row not in quadratic])
+
+    def solve(previous: Float[Array, " terms"]) -> Float[Array, " terms"]:
+        """Solve with the weights of a previous solution."""
+        f11, f12, f22 = jnp.moveaxis(compliance @ previous, -1, 0)
+        matrix = jnp.stack([jnp.stack([f11, f12], -1), jnp.stack([f12, f22], -1)], -1)
+        stiffness = jnp.linalg.inv(matrix)
+        mixed = coupling @ previous
+        # A displacement that is too large corresponds to a force that is too small.
+        to_force = -stiffness
+        to_compliant = jnp.einsum("sk,skl->sl", mixed, to_force)
+        one = jnp.ones((len(mixed), 1, 1))
+        upper = jnp.concatenate([one, to_compliant[:, None]], axis=2)
+        lower = jnp.concatenate([jnp.zeros((len(mixed), 2, 1)), to_force], axis=2)
+        to_stress = jnp.concatenate([upper, lower], axis=1)[:, back]
+        weights = to_wrenches @ to_stress
+        rows = (weights @ parts).reshape(-1, len(powers))
+        right = jnp.einsum("sij,sj->si", weights, targets).reshape(-1)
+        found = least_squares(rows[:, free], right - rows @ start)
+        return start.at[free].set(found)
+
+    coefficients = solve(start)
+    for _ in range(3):
+        coefficients = solve(coefficients)
+    return coefficients
+
+
+def _quadratic_coefficients(
+    stiffness: Matrix, units: Float[Array, "3"]
+) -> dict[tuple[int, ...], Scalar]:
+    """Return the coefficients that follow from the stiffness, and are not fitted; J.
+
+    The first row and column of the stiffness belong to the compliant coordinate.
+    """
+    compliance = jnp.linalg.inv(stiffness[1:, 1:])
+    transfer = compliance @ stiffness[1:, 0]
+    alone = stiffness[0, 0] - stiffness[0, 1:] @ transfer
+    c, p, r = units
+    return {
+        (2, 0, 0): alone * c**2 / 2,
+        (1, 1, 0): transfer[0] * c * p,
+        (1, 0, 1): transfer[1] * c * r,
+        (0, 2, 0): -compliance[0, 0] * p**2 / 2,
+        (0, 1, 1): -compliance[0, 1] * p * r,
+        (0, 0, 2): -compliance[1, 1] * r**2 / 2,
+    }

@@ -1,0 +1,137 @@
+"""Displacements and wrenches of flexures, to which surrogates are fitted."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Array, Float
+
+from ..._compile.compilation import fast_compile
+from ..._utils.types import Matrix, Pose, Scalar, Wrench
+from ...energies.base import AbstractEnergy
+from ..beams.beam import Beam, load_units
+from ..beams.under_load import end_section, pose_and_wrench, reference_ends
+
+
+SAMPLES = 800  # for the fit; half as many more are for the error estimate
+
+
+class Samples(NamedTuple):
+    """Displacements of a beam and their wrenches.
+
+    Args:
+        poses: Poses of frame b relative to frame a; rad, m, m.
+        wrenches: Wrenches that body B exerts on the beam, in frame b; N m, N, N.
+        rotation_error: Magnitude of computed minus prescribed rotation; rad.
+        least_failed_force: Smallest force at which the prescribed rotation was not
+            reached, infinite if there is none; N.
+        force: Largest force; N.
+        stiffness: Stiffness of the beam in the reference configuration; N m/rad, N/rad,
+            N/m.
+    """
+
+    poses: Float[Array, "samples 3"]
+    wrenches: Float[Array, "samples 3"]
+    rotation_error: Float[Array, " samples"]
+    least_failed_force: Scalar
+    force: Scalar
+    stiffness: Matrix
+
+
+@fast_compile
+def sample_beam(beam: Beam, rotation: Scalar, force: Scalar | None) -> Samples:
+    """Compute a beam at rotations and forces that are uniformly distributed.
+
+    Rotation (rad) and force (N) are the largest ones. The samples for the fit are
+    followed by those for the error estimate.
+    """
+    units, ends = load_units(beam), reference_ends(beam)
+
+    def displace(load: Wrench) -> tuple[Pose, Wrench]:
+        end = end_section(beam, load, ends)
+        return pose_and_wrench(beam, load * units, end, ends)
+
+    stiffness = jnp.linalg.inv(
+        jax.jacfwd(lambda load: displace(load)[0])(jnp.zeros(3)) / units[None]
+    )
+    limit = 5 * stiffness[0, 0] / beam.length if force is None else force
+    # The samples are constants for differentiation; only their poses and wrenches at
+    # given loads depend on the beam.
+    constant_beam, constant_ends, largest_rotation, largest_force, compliance = (
+        lax.stop_gradient(
+            (beam, ends, rotation, limit / units[1], units[0] / stiffness[0, 0])
+        )
+    )
+
+    def angle(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
+        load = jnp.concatenate([moment[None], force])
+        end = end_section(constant_beam, load, constant_ends)
+        return end.angle - constant_ends.second[0]
+
+    def find_load(point: Float[Array, "3"]) -> tuple[Wrench, Scalar]:
+        """Find the load of a point in the unit cube, and the error of its rotation."""
+        target = largest_rotation * (2 * point[0] - 1)
+        direction_angle = 2 * np.pi * point[2]
+        direction = jnp.stack([jnp.cos(direction_angle), jnp.sin(direction_angle)])
+        force = largest_force * jnp.sqrt(point[1]) * direction
+
+        def newton_step(_, moment: Scalar) -> Scalar:
+            one = jnp.ones_like(moment)
+            value, slope = jax.jvp(lambda m: angle(m, force), (moment,), (one,))
+            # A larger step could lead to a solution with another number of windings.
+            residual = jnp.clip(target - value, -1.0, 1.0)
+            return moment + residual / jnp.maximum(slope, 0.03 * compliance)
+
+        moment = lax.fori_loop(0, 10, newton_step, target / compliance)
+        rotation_error = jnp.abs(angle(moment, force) - target)
+        return jnp.concatenate([moment[None], force]), rotation_error
+
+    for_fit = low_discrepancy_points(SAMPLES)
+    for_error = low_discrepancy_points(SAMPLES // 2, start=0.5)
+    points = jnp.asarray(np.concatenate([for_fit, for_error]))
+    loads, errors = jax.vmap(find_load)(points)
+    poses, wrenches = jax.vmap(displace)(lax.stop_gradient(loads))
+    errors = jnp.where(jnp.isfinite(errors), errors, jnp.inf)
+    forces = units[1] * jnp.linalg.norm(loads[:, 1:], axis=1)
+    least_failed_force = jnp.min(jnp.where(errors < 1e-6, jnp.inf, forces))
+    return Samples(poses, wrenches, errors, least_failed_force, limit, stiffness)
+
+
+def low_discrepancy_points(count: int, start: float = 0.0) -> np.ndarray:
+    """Return uniformly distributed points of the unit cube, one in each row.
+
+    The points are multiples of powers of the generalized golden ratio, modulo 1. Another
+    `start` shifts all points.
+    """
+    golden = 1.2207440846057596  # the root of x^4 = x + 1
+    steps = golden ** -np.arange(1.0, 4.0)
+    return (start + np.arange(1, count + 1)[:, None] * steps) % 1
+
+
+def least_squares(
+    rows: Float[Array, "equations terms"], targets: Float[Array, " equations"]
+) -> Float[Array, " terms"]:
+    """Solve linear least squares by normal equations of columns of unit norm.
+
+    Normal equations are easy to differentiate.
+    """
+    norms = jnp.sqrt(jnp.sum(rows**2, axis=0))
+    scaled = rows / norms[None]
+    factor = cho_factor(scaled.T @ scaled)
+    return cho_solve(factor, scaled.T @ targets) / norms
+
+
+def relative_errors(
+    energy: AbstractEnergy,
+    poses: Float[Array, "samples 3"],
+    wrenches: Float[Array, "samples 3"],
+) -> Wrench:
+    """Compute the rms error of each component of the wrench over its rms value.
+
+    The wrenches are in frame b (N m, N, N), at the poses of frame b (rad, m, m).
+    """
+    change = jax.vmap(energy.wrench)(poses) - wrenches
+    return jnp.sqrt(jnp.mean(change**2, axis=0) / jnp.mean(wrenches**2, axis=0))

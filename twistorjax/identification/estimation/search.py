@@ -1,0 +1,158 @@
+"""Search for the best parameters: one run of an optimizer, or several side by side."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._compile.compilation import fast_compile
+from ..._utils.progress import progress_bar
+from .objective import IdentificationProblem
+from .optimizer import AbstractOptimizer, Evaluation, from_numpy
+
+
+class SearchState(eqx.Module):
+    """State of a search after some steps.
+
+    Args:
+        point: Normalized parameters of the next evaluation.
+        best_point: Normalized parameters with the smallest loss so far.
+        best: Residuals and derivatives at the best point.
+        residual_norm: Norm of the residuals at the best point, in standard deviations.
+        optimizer_state: State of the optimizer.
+        done: Whether the optimizer has converged, or a solve has failed at the start.
+        steps: Number of evaluations.
+    """
+
+    point: Float[Array, "*restarts parameters"]
+    best_point: Float[Array, "*restarts parameters"]
+    best: Evaluation
+    residual_norm: Float[Array, "*restarts"]
+    optimizer_state: Any
+    done: Bool[Array, "*restarts"]
+    steps: Int[Array, "*restarts"]
+
+
+def search_with_progress(
+    problem: IdentificationProblem,
+    optimizer: AbstractOptimizer,
+    start: Float[Array, " parameters"],
+    max_steps: int,
+    forward: bool,
+    progress: bool,
+) -> SearchState:
+    """Run one search in a Python loop, so that it can be watched and interrupted.
+
+    Args:
+        problem: Problem to solve.
+        optimizer: Optimizer.
+        start: Normalized parameters at the start.
+        max_steps: Largest number of evaluations.
+        forward: Whether derivatives are computed in forward mode.
+        progress: Whether to show a progress bar.
+
+    Returns:
+        The state after the last step.
+    """
+    state, point = None, start
+    with progress_bar(max_steps, "evaluation", progress, leave=False) as bar:
+        for _ in range(max_steps):
+            evaluation = _compiled_evaluate(problem, point, forward)
+            state = _init(optimizer, point, evaluation) if state is None else state
+            state = _compiled_step(optimizer, state, evaluation)
+            point = state.point
+            bar.update()
+            bar.set_postfix_str(f"residual {float(state.residual_norm):.4g}")
+            if bool(state.done):
+                break
+    assert state is not None
+    return state
+
+
+@fast_compile
+def search_compiled(
+    problem: IdentificationProblem,
+    optimizer: AbstractOptimizer,
+    starts: Float[Array, "*restarts parameters"],
+    max_steps: int,
+    forward: bool,
+) -> SearchState:
+    """Run searches from one or several starts in one compiled program.
+
+    Args:
+        problem: Problem to solve.
+        optimizer: Optimizer.
+        starts: Normalized parameters at each start.
+        max_steps: Largest number of evaluations of each search.
+        forward: Whether derivatives are computed in forward mode.
+
+    Returns:
+        The states after the last steps.
+    """
+
+    def search(start: Array) -> SearchState:
+        shapes = jax.eval_shape(lambda: problem.evaluate(start, forward=forward))
+        arrays, static = eqx.partition(_init(optimizer, start, shapes), eqx.is_array)
+
+        def step(arrays: Any) -> Any:
+            state = eqx.combine(arrays, static)
+            evaluation = problem.evaluate(state.point, forward=forward)
+            return eqx.filter(_step(optimizer, state, evaluation), eqx.is_array)
+
+        def is_running(arrays: Any) -> Array:
+            return ~arrays.done & (arrays.steps < max_steps)
+
+        return eqx.combine(jax.lax.while_loop(is_running, step, arrays), static)
+
+    return search(starts) if starts.ndim == 1 else eqx.filter_vmap(search)(starts)
+
+
+def _init(
+    optimizer: AbstractOptimizer, point: Array, evaluation: Evaluation
+) -> SearchState:
+    """Create the state before the first step, with the shapes of an evaluation."""
+    zeros = jax.tree.map(lambda leaf: from_numpy(np.zeros(leaf.shape)), evaluation)
+    return SearchState(
+        point=point,
+        best_point=point,
+        best=zeros,
+        residual_norm=from_numpy(0.0),
+        optimizer_state=optimizer.init(point, zeros),
+        done=from_numpy(False),
+        steps=from_numpy(0),
+    )
+
+
+def _step(
+    optimizer: AbstractOptimizer, state: SearchState, evaluation: Evaluation
+) -> SearchState:
+    """Advance a search by one step, after the evaluation of its current point."""
+    is_first = state.steps == 0
+    point, optimizer_state, converged = optimizer.step(
+        state.point, evaluation, state.optimizer_state
+    )
+    is_better = is_first | (evaluation.loss < state.best.loss)
+    best_point, best = jax.tree.map(
+        lambda new, old: jnp.where(is_better, new, old),
+        (state.point, evaluation),
+        (state.best_point, state.best),
+    )
+    failed_at_start = is_first & ~jnp.isfinite(evaluation.loss)
+    return SearchState(
+        point=point,
+        best_point=best_point,
+        best=best,
+        residual_norm=jnp.sqrt(2 * best.loss),
+        optimizer_state=optimizer_state,
+        done=converged | failed_at_start,
+        steps=state.steps + 1,
+    )
+
+
+_compiled_step = fast_compile(_step, optimize=False)
+_compiled_evaluate = fast_compile(
+    lambda problem, point, forward: problem.evaluate(point, forward=forward)
+)

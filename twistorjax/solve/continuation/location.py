@@ -1,0 +1,217 @@
+"""Location of a point on a segment of a path: an end, a limit point, a branch point."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._utils.types import Count, Flag, Scalar
+from .arc_length import Metric, select, solve_step, Step
+from .system import PathSystem, PathTangent
+
+
+_ITERATIONS = 60
+_CORRECTED = 1e-7  # largest correction of an accurate point, as a fraction of the segment
+_ROUNDING = 1e-12  # of the position on the segment, as a fraction of its length
+# At this distance from an accurate point, as a fraction of the segment, an extrapolation
+# is as accurate as a correction.
+_CLOSE = 1e-5
+
+
+class Segment(NamedTuple):
+    """Part of a path between two successive points.
+
+    Args:
+        points: Both points.
+        tangents: Unit tangents at both of them, divided by the units.
+    """
+
+    points: Float[Array, "2 n"]
+    tangents: Float[Array, "2 n"]
+
+
+# A function of a point of the path, of the derivatives, and of the step there. The second
+# result is returned with the root.
+SegmentFunction = Callable[
+    [Float[Array, " n"], PathTangent, Step], tuple[Scalar, Float[Array, " m"]]
+]
+
+
+class Root(NamedTuple):
+    """Point of a segment at which a function is zero.
+
+    Args:
+        point: The point.
+        step: The step there or nearby.
+        more: The second result of the function, there or nearby.
+        values: Values of the function on both sides of the root.
+    """
+
+    point: Float[Array, " n"]
+    step: Step
+    more: Float[Array, " m"]
+    values: Float[Array, "2"]
+
+
+class _Search(NamedTuple):
+    """State of the search for a root on a segment.
+
+    Args:
+        ends: Both ends of the interval that contains the root.
+        values: Values of the function at both ends.
+        position: Position of the current point.
+        scaled: Current point, divided by the units.
+        step: Step at the last accurate point.
+        more: Second result of the function at the last accurate point.
+        last_position: Position of the last evaluation of the function.
+        base: Last corrected point, divided by the units.
+        base_position: Its position.
+        slope: Rate of the path with the position, there.
+        finished: Whether the root has been found.
+        iterations: Number of evaluations.
+    """
+
+    ends: Float[Array, "2"]
+    values: Float[Array, "2"]
+    position: Scalar
+    scaled: Float[Array, " n"]
+    step: Step
+    more: Float[Array, " m"]
+    last_position: Scalar
+    base: Float[Array, " n"]
+    base_position: Scalar
+    slope: Float[Array, " n"]
+    finished: Flag
+    iterations: Count
+
+
+def locate(
+    system: PathSystem,
+    metric: Metric,
+    segment: Segment,
+    function: SegmentFunction,
+    values: Float[Array, "2"],
+    more: Float[Array, " m"],
+    regular: Flag,
+    skip: Flag | bool = False,
+) -> Root:
+    """Find the point of a segment at which a function is zero.
+
+    The position on the segment is that along its first tangent. The root stays in an
+    interval, at the ends of which the function has different signs (Illinois method).
+
+    Args:
+        system: The equations.
+        metric: Units of the unknowns.
+        segment: The segment.
+        function: The function.
+        values: Values of the function at both ends, with different signs.
+        more: Second result of the function at one of the ends.
+        regular: Whether the equations of a correction are regular at the root. Otherwise
+            the root is extrapolated from a point nearby.
+        skip: Whether there is nothing to be found, so that the result has no meaning.
+
+    Returns:
+        The root.
+    """
+    border = metric.weights * segment.tangents[0]
+    first, last = segment.points / metric.units[None]
+    length = jnp.sum(border * (last - first))
+    slopes = segment.tangents / (segment.tangents @ border)[:, None]
+
+    def interpolate(position: Scalar) -> Float[Array, " n"]:
+        """Evaluate the cubic polynomial with the points and tangents of both ends."""
+        u = position / length
+        return (
+            (1 + 2 * u) * (1 - u) ** 2 * first
+            + u**2 * (3 - 2 * u) * last
+            + length * u * (1 - u) * ((1 - u) * slopes[0] - u * slopes[1])
+        )
+
+    def improve(search: _Search) -> _Search:
+        """Correct the point, or move it if it is accurate already."""
+        tangent = system.tangent(metric.units * search.scaled)
+        excess = jnp.sum(border * (search.scaled - first)) - search.position
+        step = solve_step(tangent, metric, segment.tangents[0], excess)
+        size = metric.length(step.correction)
+        # Near a branch point, only rounding errors would be corrected: the point is
+        # extrapolated from the last corrected one.
+        from_base = search.position - search.base_position
+        singular = ~regular & (jnp.abs(from_base) <= _CLOSE * length)
+        singular |= ~(size <= jnp.where(regular, jnp.inf, 0.1 * length))
+        scaled = search.scaled + jnp.where(singular, 0.0, step.correction)
+        # Rounding errors need not become smaller.
+        accurate = singular | (size <= _CORRECTED * length)
+        accurate |= search.iterations % 6 == 5
+
+        value, more = function(metric.units * scaled, tangent, step)
+        at_left = value * search.values[0] > 0
+        last_end = jnp.where(at_left, search.ends[0], search.ends[1])
+        # The value at an end that stays twice is halved.
+        kept = jnp.where(search.last_position == last_end, 0.5, 1.0)
+        ends = jnp.stack(
+            [
+                jnp.where(at_left, search.position, search.ends[0]),
+                jnp.where(at_left, search.ends[1], search.position),
+            ]
+        )
+        at_ends = jnp.stack(
+            [
+                jnp.where(at_left, value, kept * search.values[0]),
+                jnp.where(at_left, kept * search.values[1], value),
+            ]
+        )
+        root = jnp.where(value == 0, search.position, _secant(ends, at_ends))
+        change = root - search.position
+        slope = step.tangent / jnp.sum(border * step.tangent)
+        base, base_position, slope = select(
+            singular,
+            (search.base, search.base_position, search.slope),
+            (scaled, search.position, slope),
+        )
+        ahead = root - base_position
+        near = jnp.abs(ahead) < 0.05 * length
+        ahead = jnp.where(near, base + ahead * slope, interpolate(root))
+        ahead = jnp.where(value == 0, scaled, ahead)
+        finished = (jnp.abs(change) <= _ROUNDING * length) | (value == 0)
+        finished |= ends[1] - ends[0] <= _ROUNDING * length
+        moved = _Search(
+            ends, at_ends, root, ahead, step, more, search.position, base, base_position,
+            slope, finished, search.iterations + 1,
+        )  # fmt: skip
+        corrected = search._replace(scaled=scaled, iterations=search.iterations + 1)
+        return select(accurate, moved, corrected)
+
+    zero, ends = jnp.zeros(()), jnp.stack([jnp.zeros(()), length])
+    position = _secant(ends, values)
+    nothing = Step(0 * first, segment.tangents[0], zero, zero)
+    search = _Search(
+        ends=ends,
+        values=values,
+        position=position,
+        scaled=interpolate(position),
+        step=nothing,
+        more=more,
+        last_position=-jnp.ones(()),
+        base=first,
+        base_position=zero,
+        slope=slopes[0],
+        finished=jnp.asarray(skip),
+        iterations=jnp.zeros((), int),
+    )
+    search = jax.lax.while_loop(
+        lambda search: ~search.finished & (search.iterations < _ITERATIONS),
+        improve,
+        search,
+    )
+    return Root(metric.units * search.scaled, search.step, search.more, search.values)
+
+
+def _secant(ends: Float[Array, "2"], values: Float[Array, "2"]) -> Scalar:
+    """Return the root of the secant, or the middle if this is not in the interval."""
+    left, right = ends
+    root = right - values[1] * (right - left) / (values[1] - values[0])
+    inside = jnp.isfinite(root) & (root > left) & (root < right)
+    return jnp.where(inside, root, (left + right) / 2)

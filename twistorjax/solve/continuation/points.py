@@ -1,0 +1,150 @@
+"""Points of a path as displacements, reactions, energies, and stability."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..._utils.pytrees import jvp_of_varied
+from ..._utils.types import Count
+from ...linalg.elimination import solve
+from ...linalg.factors import null_space
+from ..stresses import reported_stresses
+from .arc_length import determinant_sign, Metric
+from .system import PathSystem, PathTangent
+
+
+class PointValues(NamedTuple):
+    """Quantities at one point of a path, or with one more axis at many points.
+
+    Args:
+        load_factor: Load factor.
+        displacements: Displacement of each body from its reference pose; rad, m, m.
+        reactions: Reactions on fixed and prescribed degrees of freedom; N m, N, N.
+        constraint_forces: Constraint forces; N m, N.
+        energy: Energy stored in the hinges; J.
+        stresses: Largest stress in each hinge, if a strength is known; Pa.
+        range_shares: As those of an `Equilibrium`.
+    """
+
+    load_factor: Float[Array, "..."]
+    displacements: Float[Array, "... bodies 3"]
+    reactions: Float[Array, "... bodies 3"]
+    constraint_forces: Float[Array, "... entries"]
+    energy: Float[Array, "..."]
+    stresses: Float[Array, "... hinges"] | None
+    range_shares: Float[Array, "... hinges"] | None
+
+
+def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointValues:
+    """Compute the quantities at points of a path."""
+
+    def one(point: Float[Array, " n"]) -> PointValues:
+        equations, displacements, multipliers = system.split(point)
+        reactions, energy = equations.reactions_and_energy(displacements, multipliers)
+        return PointValues(
+            point[-1],
+            displacements,
+            reactions,
+            multipliers,
+            energy,
+            reported_stresses(equations.hinges, displacements),
+            equations.hinges.range_shares(displacements),
+        )
+
+    return jax.vmap(one)(points)
+
+
+def negative_eigenvalues(
+    system: PathSystem, metric: Metric, points: Float[Array, "points n"]
+) -> Int[Array, " points"]:
+    """Count the negative eigenvalues of the stiffness at points of a path.
+
+    With follower loads, the stiffness is not symmetric, and the number is that of the
+    factor -1 in the sign of its determinant: 0 or 1.
+    """
+
+    def one(point: Float[Array, " n"]) -> Count:
+        return jnp.sum(stability_values(system, metric, system.tangent(point)) < 0)
+
+    # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
+    return jax.lax.map(one, points)
+
+
+def allowed_stiffness(
+    system: PathSystem, metric: Metric, tangent: PathTangent
+) -> tuple[Float[Array, "allowed allowed"], Float[Array, "free allowed"]]:
+    """Return the stiffness for displacements that the constraints allow; J.
+
+    The second result is an orthonormal basis of these displacements, in the units of the
+    metric.
+    """
+    free = len(system.dofs.free)
+    units, jacobian = metric.units[:free], tangent.jacobian
+    matrix = units[:, None] * jacobian[:free, :free] * units[None]
+    if not system.constraints.size:
+        return matrix, jnp.eye(free)
+    _, basis = null_space(jacobian[free:, :free] * units[None])
+    return basis.T @ matrix @ basis, basis
+
+
+def stability_values(
+    system: PathSystem, metric: Metric, tangent: PathTangent
+) -> Float[Array, " values"]:
+    """Compute functions of a point that change their signs where the stability changes.
+
+    They are the eigenvalues of the stiffness for displacements that the constraints
+    allow, in increasing order, which are continuous along a path. With follower loads, it
+    is the smallest singular value of this stiffness with the sign of its determinant.
+    """
+    matrix, _ = allowed_stiffness(system, metric, tangent)
+    if not matrix.size:
+        return jnp.ones(1)
+    if system.symmetric:
+        return jnp.linalg.eigvalsh(matrix)
+    sign = determinant_sign(*jax.scipy.linalg.lu_factor(matrix))
+    return sign * jnp.linalg.svd(matrix, compute_uv=False)[-1:]
+
+
+def count_of_values(system: PathSystem) -> int:
+    """Return the number of stability values."""
+    allowed = len(system.dofs.free) - system.constraints.size
+    return max(allowed, 1) if system.symmetric else 1
+
+
+def on_path(
+    system: PathSystem,
+    points: Float[Array, "points n"],
+    normals: Float[Array, "points n"],
+) -> Float[Array, "points n"]:
+    """Return points of a path with derivatives with respect to the system.
+
+    If the system changes, a point moves in the plane that is perpendicular to its normal.
+    """
+    return jax.vmap(partial(_on_path, system))(points, normals)
+
+
+@eqx.filter_custom_jvp
+def _on_path(system: PathSystem, point: Array, normal: Array) -> Array:
+    """Return the point; see `on_path`."""
+    del system, normal
+    return point
+
+
+@_on_path.def_jvp
+def _(primals, tangents):
+    system, point, normal = primals
+    point = _on_path(*primals)
+    normal = jax.lax.stop_gradient(normal)
+    found = jnp.all(jnp.isfinite(point))
+    at = jnp.where(found, point, 0.0)
+    _, rate = jvp_of_varied(lambda system: system.residual(at), (system,), tangents[:1])
+    tangent = system.tangent(at)
+    rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
+    matrix = jnp.concatenate([rows, normal[None]])
+    matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
+    change = -solve(matrix, jnp.concatenate([rate, jnp.zeros(1)]))
+    return point, jnp.where(found, change, 0.0)

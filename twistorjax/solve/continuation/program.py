@@ -1,0 +1,232 @@
+"""Programs that follow a path, and compute the quantities at its points.
+
+The points of a path are computed in one program, and their quantities in another one,
+because the number of points is known only after the first. Inside `jax.jit` and under
+`jax.grad` there is one program.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import TypeAliasType
+
+from ..._compile.compilation import fast_compile
+from ..._utils.host import take_rows
+from ..._utils.pytrees import stop_gradient
+from ..._utils.types import Scalar
+from ...results.codes import result_of_status, RESULTS
+from ..path_start import first_point, start_at, start_on_branch
+from ..stresses import select_stresses
+from . import arc_length
+from .arc_length import follow, Metric, Trace
+from .branch_points import refine_branch_points
+from .critical_points import Criticals, locate_points, null_vectors, with_derivatives
+from .points import on_path, point_values
+from .setup import FirstPoint
+from .solution import CriticalPoints, Path, PathPoint
+from .system import PathSystem
+
+
+# Condition for the end of a path: a function whose change of sign ends it
+Until = TypeAliasType("Until", Callable[[PathPoint], Scalar])
+
+
+class PathRun(NamedTuple):
+    """Result of the continuation.
+
+    Args:
+        metric: Units of the unknowns.
+        trace: The points.
+        negative: Number of negative eigenvalues of the stiffness at each point.
+        criticals: The critical points.
+        end_normal: Normal of the plane in which the last point is for other parameters.
+    """
+
+    metric: Metric
+    trace: Trace
+    negative: Int[Array, " points"]
+    criticals: Criticals
+    end_normal: Float[Array, " n"]
+
+
+def run_uncompiled(
+    system: PathSystem,
+    first: FirstPoint,
+    limits: Float[Array, "2"],
+    largest_step: Scalar,
+    until: Until | None,
+    max_points: int,
+    max_critical: int,
+) -> PathRun:
+    """Follow the path, and locate its end and its critical points."""
+    system, first = stop_gradient((system, first))
+    event = None if until is None else _event(system, until)
+    point = first_point(system, first.displacements, first.factor)
+    mode = first.mode.reshape(-1)[np.array(system.dofs.free, int)]
+    mode = jnp.concatenate([mode, jnp.zeros(len(point) - len(mode))])
+    metric, start, singular = start_at(system, point, first.direction)
+    singular &= ~first.at_branch
+    start = start_on_branch(metric, start, first.direction * mode, first.at_branch)
+    trace = follow(system, metric, start, limits, largest_step, event, max_points)
+    status = jnp.where(singular, arc_length.SINGULAR, trace.status)
+    if event is not None:
+        undefined = jnp.isnan(event(point)) & (status != arc_length.NOT_FINITE)
+        status = jnp.where(undefined & ~singular, arc_length.UNDEFINED, status)
+    trace = trace._replace(status=status)
+    trace, criticals, negative = locate_points(
+        system, metric, trace, limits, event, max_critical
+    )
+    normal = jnp.zeros_like(point).at[-1].set(1.0)
+    if event is not None:
+        by_event = trace.status == arc_length.AT_EVENT
+        slope = jax.grad(event)(trace.points[trace.number - 1])
+        normal = jnp.where(by_event, slope, normal)
+    return PathRun(metric, trace, negative, criticals, normal)
+
+
+def _event(system: PathSystem, until: Until) -> arc_length.PathEvent:
+    """Convert a function of a `PathPoint` to one of a vector."""
+
+    def event(point: Float[Array, " n"]) -> Scalar:
+        equations, displacements, _ = system.split(point)
+        energy = equations.hinges.energy(displacements)
+        mechanism = system.mechanism
+        reference, names = mechanism.reference, mechanism.names
+        value = until(PathPoint(point[-1], displacements, reference, energy, names))
+        if jnp.shape(value) != ():
+            raise TypeError(
+                f"`until` returns an array of shape {jnp.shape(value)}, but must return "
+                "one number, whose sign changes at the end of the path."
+            )
+        if jnp.issubdtype(jnp.asarray(value).dtype, bool):
+            raise TypeError(
+                "`until` returns a truth value, but must return a number whose sign "
+                "changes at the end of the path. Return a difference instead of a "
+                "comparison, such as `a - b` instead of `a < b`."
+            )
+        return value
+
+    return event
+
+
+def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
+    """Compute the quantities at the points, and give them derivatives."""
+    metric, trace, negative, criticals, end_normal = run
+    fixed, mechanism = stop_gradient(system), system.mechanism
+    rows = jnp.asarray(np.arange(len(trace.points)))
+    used = rows < trace.number
+    # In rows that are not used, the equations must have a solution, too: otherwise their
+    # derivatives are NaN, also multiplied by zero.
+    known = jnp.where(used[:, None], trace.points, trace.points[:1])
+    tangents = jnp.where(used[:, None], trace.tangents, trace.tangents[:1])
+    normals = tangents * (metric.weights / metric.units)[None]
+    ended = (trace.status == arc_length.AT_LIMIT) | (trace.status == arc_length.AT_EVENT)
+    is_end = ended & (rows == trace.number - 1)
+    normals = jnp.where(is_end[:, None], end_normal[None], normals)
+    # The first point stays at its load factor.
+    normals = normals.at[0].set(jnp.zeros(len(end_normal)).at[-1].set(1.0))
+    values = point_values(system, on_path(system, known, normals))
+    masked = jax.tree.map(lambda array: _masked(used, array), values)
+
+    count = jnp.minimum(criticals.number, len(criticals.points))
+    found = jnp.asarray(np.arange(len(criticals.points))) < count
+    at = jnp.where(found[:, None], criticals.points, trace.points[:1])
+    null = null_vectors(fixed, metric, at, criticals.is_branch, criticals.multiplicities)
+    at = with_derivatives(system, metric, at, criticals.is_branch, null)
+    critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
+    modes = jax.vmap(system.mode_displacements)(null.right[..., 0])
+    length = fixed.length()
+    stresses = None
+    if masked.stresses is not None:
+        hinges, names = mechanism.hinge_assembly, mechanism.hinge_names
+        stresses = select_stresses(hinges, masked.stresses, names)
+    return Path(
+        load_factors=masked.load_factor,
+        displacements=masked.displacements,
+        reference=mechanism.reference,
+        reactions=masked.reactions,
+        constraint_forces=masked.constraint_forces,
+        energies=masked.energy,
+        negative_eigenvalues=jnp.where(used, negative, -1),
+        critical_points=CriticalPoints(
+            load_factors=critical.load_factor,
+            displacements=critical.displacements,
+            reference=mechanism.reference,
+            energies=critical.energy,
+            modes=_masked(found, modes),
+            is_branch=criticals.is_branch,
+            multiplicities=criticals.multiplicities,
+            rows=criticals.rows,
+            count=count,
+            length=length,
+            names=mechanism.names,
+        ),
+        count=trace.number,
+        steps=trace.steps,
+        result=path_result(trace),
+        names=mechanism.names,
+        constraint_names=system.constraints.names(),
+        range_shares=masked.range_shares,
+        stresses=stresses,
+    )
+
+
+def path_result(trace: Trace) -> RESULTS:
+    """Return the reason of the end of a path."""
+    results = (
+        (arc_length.AT_EVENT, RESULTS.event_occurred),
+        (arc_length.RETURNED, RESULTS.returned_to_start),
+        (arc_length.OUT_OF_RANGE, RESULTS.out_of_range),
+        (arc_length.FULL, RESULTS.max_points_reached),
+        (arc_length.TOO_SHORT, RESULTS.path_interrupted),
+        (arc_length.NOT_FINITE, RESULTS.not_finite),
+        (arc_length.SINGULAR, RESULTS.unstable),
+        (arc_length.UNDEFINED, RESULTS.until_not_a_number),
+        (arc_length.UNRESOLVED, RESULTS.critical_point_not_found),
+    )
+    return result_of_status(trace.status, results, RESULTS.successful)
+
+
+def first_rows(run: PathRun, rows: int) -> PathRun:
+    """Return the first rows of the points of a path."""
+    trace = run.trace
+    names = ("points", "tangents", "orientations")
+    first = {name: take_rows(getattr(trace, name), slice(rows)) for name in names}
+    negative = take_rows(run.negative, slice(rows))
+    return run._replace(trace=trace._replace(**first), negative=negative)
+
+
+def _masked(used: Bool[Array, " rows"], values: Array) -> Array:
+    """Replace the rows that are not used by NaN."""
+    return jnp.where(used.reshape(-1, *(values.ndim - 1) * (1,)), values, jnp.nan)
+
+
+def _solve_uncompiled(system: PathSystem, *arguments: Any) -> Path:
+    """Follow the path and evaluate its points, inside another program."""
+    run = run_uncompiled(system, *arguments)
+    return _evaluate_uncompiled(system, refine_uncompiled(system, run))
+
+
+def refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:
+    """Improve the branch points; see `refine_branch_points`."""
+    fixed = stop_gradient(system)
+    refined = refine_branch_points(fixed, run.metric, run.criticals)
+    return run._replace(criticals=refined)
+
+
+solve_path = fast_compile(_solve_uncompiled)
+run_path = fast_compile(run_uncompiled)
+refine_path = fast_compile(refine_uncompiled)
+evaluate_path = fast_compile(_evaluate_uncompiled)
+
+
+def run_refined(system: PathSystem, *arguments: Any) -> PathRun:
+    """Follow the path, and improve its branch points, outside of other programs."""
+    run = run_path(system, *arguments)
+    if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
+        run = refine_path(system, run)
+    return run

@@ -1,0 +1,197 @@
+"""Equations of an equilibrium path: those of statics with a load factor as an unknown."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._utils.types import Entries, Flag, Poses, Scalar
+from ...assembly.tangent import AssemblyTangent
+from ...mechanism.changes import HingeChanges
+from ...mechanism.constraints import ConstraintSet
+from ...mechanism.loads import LoadSet
+from ...mechanism.mechanism import Mechanism
+from ..equations.dofs import DofPartition
+from ..equations.system import System
+
+
+class PathTangent(eqx.Module):
+    """Residual of a path and its derivatives at one point.
+
+    Args:
+        residual: Forces on the free degrees of freedom, then violations of constraints;
+            N m, N, rad, m.
+        jacobian: Derivatives of the residual with respect to the free degrees of freedom
+            and the constraint forces.
+        by_factor: Derivatives of the residual with respect to the load factor.
+        hinges: Tangent of the hinges.
+    """
+
+    residual: Float[Array, " unknowns"]
+    jacobian: Float[Array, "unknowns unknowns"]
+    by_factor: Float[Array, " unknowns"]
+    hinges: AssemblyTangent
+
+
+class PathSystem(eqx.Module):
+    """Equations of a mechanism whose loads are multiplied by a load factor.
+
+    A point of a path is a vector: the displacements of the free degrees of freedom (rad,
+    m), the constraint forces (N m, N), and the load factor.
+
+    Args:
+        mechanism: The mechanism.
+        loads: Loads that are multiplied by the load factor.
+        constant_loads: Loads that are not.
+        constraints: The constraints.
+        changes: Strokes and temperatures as functions of the load factor; None if there
+            are none.
+        start: Displacements at the load factor zero, of which those of the fixed and the
+            prescribed degrees of freedom are used; rad, m, m.
+        targets: Change of the displacements of the prescribed degrees of freedom from the
+            load factor 0 to 1; rad, m.
+        time: Time at which the constraints are evaluated; s.
+        dofs: Partition of the degrees of freedom.
+    """
+
+    mechanism: Mechanism
+    loads: LoadSet
+    constant_loads: LoadSet
+    constraints: ConstraintSet
+    changes: HingeChanges | None
+    start: Poses
+    targets: Float[Array, " prescribed"]
+    time: Scalar
+    dofs: DofPartition = eqx.field(static=True)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns without the load factor."""
+        return len(self.dofs.free) + self.constraints.size
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether all loads have a potential."""
+        return self.loads.conservative and self.constant_loads.conservative
+
+    def length(self) -> Scalar:
+        """Return the unit of length: the rms distance of hinges from their mean; m."""
+        positions = jax.lax.stop_gradient(self.mechanism.at[:, 1:])
+        offsets = positions - jnp.mean(positions, axis=0)[None]
+        size = jnp.sqrt(jnp.mean(jnp.sum(offsets**2, axis=1)))
+        characteristic = self.at(jnp.zeros(())).units()[1]
+        return jnp.maximum(size, characteristic)
+
+    def at(self, factor: Scalar) -> System:
+        """Return the equations at a load factor."""
+        loads = self.constant_loads.plus(self.loads.scaled(factor))
+        hinges = self.mechanism.hinge_assembly
+        if self.changes is not None:
+            state = self.changes.state(self.mechanism, factor)
+            hinges = state.hinges(self.mechanism)
+        begin = self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
+        targets = begin + factor * self.targets
+        return System(hinges, loads, self.constraints, targets, self.time, self.dofs)
+
+    def split(self, point: Float[Array, " n"]) -> tuple[System, Poses, Entries]:
+        """Return equations, displacements, and constraint forces of a point."""
+        system = self.at(point[-1])
+        count = len(self.dofs.free)
+        displacements = system.dofs.expand(point[:count], system.targets, self.start)
+        return system, displacements, point[count:-1]
+
+    def residual(self, point: Float[Array, " n"]) -> Float[Array, " unknowns"]:
+        """Compute the forces on the free degrees of freedom, and the violations."""
+        system, displacements, multipliers = self.split(point)
+        forces = system.residual(displacements, multipliers)
+        return system.equations(forces, displacements)
+
+    def tangent(
+        self,
+        point: Float[Array, " n"],
+        predicted: Float[Array, "3 members"] | None = None,
+    ) -> PathTangent:
+        """Compute the residual at a point, and its derivatives.
+
+        `predicted` is the stress of the hinges that determines their geometric stiffness,
+        by default the stress at this point; N m, N, N.
+        """
+        system, displacements, multipliers = self.split(point)
+        hinges = system.hinges.tangent(displacements, predicted)
+        count, columns = len(self.dofs.free), self.dofs.free + self.dofs.prescribed
+        forces, matrix = system.with_loads(hinges, displacements, columns)
+        applied, _ = self.loads.apply(displacements)
+        by_factor = self._by_changes(point[-1], displacements) - applied.reshape(-1)
+        by_factor = by_factor[system.free]
+        if self.constraints.size:
+            whole = system.jacobian(displacements)
+            forces, rows = forces - multipliers @ whole, whole[:, np.array(columns, int)]
+            geometric = self.constraints.geometric_stiffness(
+                displacements, self.time, multipliers
+            )
+            matrix = matrix + geometric[system.free[:, None], np.array(columns, int)]
+            matrix = jnp.concatenate([matrix, rows])
+            by_factor = jnp.concatenate([by_factor, jnp.zeros(len(rows))])
+        if self.dofs.prescribed:
+            by_factor = by_factor + matrix[:, count:] @ self.targets
+        matrix = matrix[:, :count]
+        if self.constraints.size:
+            corner = jnp.zeros((self.constraints.size, self.constraints.size))
+            right = jnp.concatenate([-matrix[count:].T, corner])
+            matrix = jnp.concatenate([matrix, right], axis=1)
+        return PathTangent(
+            residual=system.equations(forces, displacements),
+            jacobian=matrix,
+            by_factor=by_factor,
+            hinges=hinges,
+        )
+
+    def _by_changes(self, factor: Scalar, displacements: Poses) -> Float[Array, " dofs"]:
+        """Differentiate the forces of the hinges by strokes and temperatures; N m, N."""
+        changes = self.changes
+        if changes is None:
+            return jnp.zeros(displacements.size)
+
+        def forces(factor: Scalar) -> Float[Array, " dofs"]:
+            hinges = changes.state(self.mechanism, factor).hinges(self.mechanism)
+            return hinges.forces(displacements).reshape(-1)
+
+        return jax.jvp(forces, (factor,), (jnp.ones_like(factor),))[1]
+
+    def drive_force(self, point: Float[Array, " n"]) -> Scalar:
+        """Compute the work of the reactions for a unit of the load factor; J.
+
+        It is zero in an equilibrium that needs no reactions of prescribed displacements.
+        """
+        system, displacements, multipliers = self.split(point)
+        reactions, _ = system.reactions_and_energy(displacements, multipliers)
+        return reactions.reshape(-1)[system.prescribed] @ self.targets
+
+    def generalized_stress(self, point: Float[Array, " n"]) -> Float[Array, "3 members"]:
+        """Compute the generalized stress of the hinges at a point; N m, N, N."""
+        system, displacements, _ = self.split(point)
+        return system.hinges.forces_and_stress(displacements)[1]
+
+    def out_of_range(self, point: Float[Array, " n"]) -> Flag:
+        """Decide whether a hinge is outside the validity range of its energy."""
+        system, displacements, _ = self.split(point)
+        return jnp.any(system.hinges.out_of_range(displacements))
+
+    def range_messages(self, point: Float[Array, " n"]) -> str:
+        """Describe the hinges that are outside the validity range of their energy."""
+        system, displacements, _ = self.split(point)
+        mechanism = eqx.tree_at(
+            lambda new: new.hinge_assembly, self.mechanism, system.hinges
+        )
+        return mechanism.range_messages(mechanism.reference + displacements)
+
+    def displacement_change(self, change: Float[Array, " n"]) -> Poses:
+        """Arrange a change of a point by bodies; rad, m, m."""
+        prescribed = change[-1] * self.targets
+        return self.dofs.expand(change[: len(self.dofs.free)], prescribed)
+
+    def mode_displacements(self, mode: Float[Array, " unknowns"]) -> Poses:
+        """Arrange a change of the free displacements by bodies; rad, m, m."""
+        free = mode[: len(self.dofs.free)]
+        return self.dofs.expand(free, jnp.zeros_like(self.targets))

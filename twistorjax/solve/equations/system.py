@@ -1,0 +1,356 @@
+"""The equations of a mechanism: residual, tangent stiffness, loads, and constraints.
+
+Statics, linearization, vibrations, and frequency response assemble their equations here;
+`integration.system` has the equations of motion. The unknowns are the displacements of
+the free degrees of freedom and the constraint forces.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._utils.host import as_float
+from ..._utils.types import Entries, NumberLike, Poses, Scalar, Wrenches
+from ...assembly.assembly import HingeAssembly
+from ...assembly.tangent import AssemblyTangent
+from ...linalg.block_factors import block_layout
+from ...linalg.factors import (
+    ConstrainedFactors,
+    Elimination,
+    factorize,
+    Factors,
+    is_eliminated,
+)
+from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
+from ...mechanism.loads import Load, LoadSet
+from ...mechanism.mechanism import Mechanism
+from .dofs import DofPartition
+from .load_state import LoadState
+from .tangent import (
+    add_load_stiffness,
+    BlockTangent,
+    ConstrainedTangent,
+    DenseTangent,
+    Tangent,
+)
+
+
+class System(eqx.Module):
+    """Equations of equilibrium of a mechanism at one instant.
+
+    Args:
+        hinges: The hinges.
+        loads: The loads, at their full magnitude.
+        constraints: The constraints.
+        targets: Displacements of the prescribed degrees of freedom; rad, m.
+        time: Time at which the constraints are evaluated; s.
+        dofs: Partition of the degrees of freedom.
+        first: Loads and misfits at the fraction zero of the loads. If it is None, there
+            are no loads at the fraction zero, and the misfits are always complete.
+    """
+
+    hinges: HingeAssembly
+    loads: LoadSet
+    constraints: ConstraintSet
+    targets: Float[Array, " prescribed"]
+    time: Scalar
+    dofs: DofPartition = eqx.field(static=True)
+    first: LoadState | None = None
+
+    @classmethod
+    def of(
+        cls,
+        mechanism: Mechanism,
+        dofs: DofPartition,
+        loads: Sequence[Load] = (),
+        constraints: Sequence[AbstractConstraint] = (),
+        time: NumberLike = 0.0,
+    ) -> "System":
+        """Assemble equations in which all prescribed displacements are zero."""
+        return cls(
+            mechanism.hinge_assembly,
+            LoadSet.of(mechanism, loads),
+            gather_constraints(mechanism, constraints),
+            jnp.zeros(len(dofs.prescribed)),
+            as_float(time),
+            dofs,
+        )
+
+    @property
+    def free(self) -> np.ndarray:
+        """Indices of the free degrees of freedom."""
+        return np.array(self.dofs.free, int)
+
+    @property
+    def prescribed(self) -> np.ndarray:
+        """Indices of the prescribed degrees of freedom."""
+        return np.array(self.dofs.prescribed, int)
+
+    def units(self) -> Float[Array, "3"]:
+        """Return the units of displacements: 1 rad, and the characteristic length (m)."""
+        length = self.hinges.characteristic_length(self.dofs.free)
+        length = jnp.where(length > 0, length, 1.0)
+        return jnp.stack([jnp.ones_like(length), length, length])
+
+    def free_units(self) -> Float[Array, " free"]:
+        """Return the unit of each free degree of freedom; rad, m."""
+        return self.units()[self.free % 3]
+
+    @property
+    def conservative(self) -> bool:
+        """Whether the loads have a potential at all fractions."""
+        first = self.first is None or self.first.loads.conservative
+        return first and self.loads.conservative
+
+    @property
+    def changes_misfits(self) -> bool:
+        """Whether the misfits of the hinges depend on the fraction of the loads."""
+        if self.first is None:
+            return False
+        return self.first.misfits is not None or self.hinges.misfits is not None
+
+    def loads_at(self, fraction: Scalar | float) -> LoadSet:
+        """Return the loads at a fraction."""
+        loads = self.loads.scaled(fraction)
+        if self.first is None or not self.first.loads.present:
+            return loads
+        return loads.plus(self.first.loads.scaled(1 - fraction))
+
+    def hinges_at(self, fraction: Scalar | float) -> HingeAssembly:
+        """Return the hinges, with misfits between those of the start and their own."""
+        if self.first is None or not self.changes_misfits:
+            return self.hinges
+        first, last = self.first.misfits, self.hinges.misfits
+        begin = jnp.zeros(()) if first is None else jnp.asarray(first)
+        end = jnp.zeros(()) if last is None else last
+        return replace(self.hinges, misfits=begin + fraction * (end - begin))
+
+    def misfit_response(
+        self, displacements: Poses, fraction: Scalar, increment: Scalar
+    ) -> tuple[Float[Array, " unknowns"], Float[Array, "3 members"]]:
+        """Compute the change of forces and stress with an increment of the misfits.
+
+        Both are of first order, in N m and N. They are zero if the misfits are constant,
+        and the forces are zero in the rows of constraints.
+        """
+        if not self.changes_misfits:
+            unknowns = len(self.free) + self.constraints.size
+            return jnp.zeros(unknowns), jnp.zeros((3, self.hinges.member_count))
+
+        def forces_and_stress(fraction: Scalar) -> tuple[Array, Array]:
+            forces, stress = self.hinges_at(fraction).forces_and_stress(displacements)
+            return self.equations(forces.reshape(-1), displacements), stress
+
+        return jax.jvp(forces_and_stress, (fraction,), (increment,))[1]
+
+    def violation(self, displacements: Poses) -> Entries:
+        """Compute the violation of the constraints; rad or m."""
+        return self.constraints.violation(displacements, self.time)
+
+    def jacobian(self, displacements: Poses) -> Float[Array, "entries dofs"]:
+        """Differentiate the violation with respect to all degrees of freedom."""
+        return self.constraints.jacobian(displacements, self.time)
+
+    def equations(
+        self, forces: Float[Array, " dofs"], displacements: Poses
+    ) -> Float[Array, " unknowns"]:
+        """Join the forces on free degrees of freedom (N m, N) and violations (rad, m).
+
+        Arrays of size zero are avoided, because with them XLA loses the type of LAPACK
+        calls in large programs (jaxlib 0.10.2: "No registered implementation for untyped
+        custom call").
+        """
+        forces = forces[self.free]
+        if not self.constraints.size:
+            return forces
+        return jnp.concatenate([forces, self.violation(displacements)])
+
+    def residual(
+        self, displacements: Poses, multipliers: Entries
+    ) -> Float[Array, " dofs"]:
+        """Compute the forces of hinges, minus loads and constraint forces; N m, N.
+
+        They are zero on free degrees of freedom in equilibrium. On fixed and prescribed
+        ones they are the reactions.
+        """
+        forces = self.hinges.forces(displacements)
+        return self._unbalanced(forces, displacements, multipliers)
+
+    def first_residual(
+        self, forces: Wrenches, displacements: Poses
+    ) -> Float[Array, " dofs"]:
+        """Subtract the known loads at the fraction zero from the forces of the hinges.
+
+        The result, in N m and N, is zero if the mechanism is in equilibrium there.
+        """
+        residual = forces.reshape(-1)
+        if self.first is None:
+            return residual
+        if self.first.loads.present:
+            residual = residual - self.first.loads.apply(displacements)[0].reshape(-1)
+        if self.first.constraint_forces is None:
+            return residual
+        multipliers = jnp.asarray(self.first.constraint_forces)
+        return residual - self.constraints.forces(displacements, self.time, multipliers)
+
+    def reactions_and_energy(
+        self, displacements: Poses, multipliers: Entries
+    ) -> tuple[Wrenches, Scalar]:
+        """Compute the reactions on fixed and prescribed degrees of freedom, and energy.
+
+        The reactions are in N m, N, N; the energy that the hinges store is in J.
+        """
+        energy, forces = self.hinges.energy_and_forces(displacements)
+        residual = self._unbalanced(forces, displacements, multipliers)
+        return self.dofs.reactions(residual), energy
+
+    def constraint_forces(self, displacements: Poses) -> Entries:
+        """Compute the constraint forces of an equilibrium by least squares; N m, N."""
+        if not self.constraints.size:
+            return jnp.zeros(0)
+        # Only mechanisms with constraints need this package, which takes time to load.
+        import lineax as lx
+
+        residual = self.residual(displacements, jnp.zeros(self.constraints.size))
+        units = self.free_units()
+        scaled = self.jacobian(displacements)[:, self.free] * units[None]
+        problem = lx.MatrixLinearOperator(scaled.T)
+        right = units * residual[self.free]
+        return lx.linear_solve(problem, right, lx.QR(), throw=False).value
+
+    def constraint_stiffness(self, displacements: Poses) -> Float[Array, "dofs dofs"]:
+        """Compute the geometric stiffness of the constraint forces of an equilibrium."""
+        multipliers = self.constraint_forces(displacements)
+        return self.constraints.geometric_stiffness(displacements, self.time, multipliers)
+
+    def tangent(
+        self,
+        displacements: Poses,
+        fraction: Scalar | float = 1.0,
+        predicted: Float[Array, "3 members"] | None = None,
+        multipliers: Entries | None = None,
+        misfit_fraction: Scalar | None = None,
+    ) -> tuple[Float[Array, " dofs"], Tangent, AssemblyTangent]:
+        """Compute the residual under a fraction of the loads, and its derivatives.
+
+        Args:
+            displacements: Displacement of each body from its reference pose; rad, m, m.
+            fraction: Fraction of the loads.
+            predicted: Generalized stress of the hinges that determines their geometric
+                stiffness; by default the stress at these displacements; N m, N, N.
+            multipliers: Constraint forces, if there are constraints; N m, N.
+            misfit_fraction: Fraction of the misfits, by default that of the loads.
+
+        Returns:
+            The residual, the tangent stiffness of the free degrees of freedom, and the
+            tangent of the hinges alone.
+        """
+        if misfit_fraction is None:
+            misfit_fraction = jnp.asarray(fraction)
+        hinges = self.hinges_at(misfit_fraction).tangent(displacements, predicted)
+        layout = block_layout(self.hinges.ends, self.dofs.free)
+        if not self.constraints.size and layout is not None:
+            applied, by_angle = (
+                value.reshape(-1)
+                for value in self.loads_at(fraction).apply(displacements)
+            )
+            tangent = BlockTangent(
+                self.hinges, hinges.hinge_stiffness(), by_angle, self.dofs, layout
+            )
+            return hinges.forces() - applied, tangent, hinges
+        columns = self.dofs.free + self.dofs.prescribed
+        constrained = self.constraints.size > 0
+        batch_last = not constrained and is_eliminated(len(self.free), self.conservative)
+        residual, matrix = self.with_loads(
+            hinges, displacements, columns, fraction, batch_last
+        )
+        if not constrained:
+            return residual, DenseTangent(matrix), hinges
+        assert multipliers is not None
+        return *self._constrained(displacements, residual, matrix, multipliers), hinges
+
+    def with_loads(
+        self,
+        hinges: AssemblyTangent,
+        displacements: Poses,
+        columns: tuple[int, ...],
+        fraction: Scalar | float = 1.0,
+        batch_last: bool = False,
+    ) -> tuple[Float[Array, " dofs"], Float[Array, "free columns"]]:
+        """Add a fraction of the loads to the forces of the hinges.
+
+        The free forces are differentiated with respect to the degrees of freedom in
+        `columns`. See `sum_entries` for `batch_last`.
+        """
+        forces = hinges.forces()
+        matrix = hinges.matrix(self.dofs.free, columns, batch_last)
+        loads = self.loads_at(fraction)
+        if not loads.present:
+            return forces, matrix
+        applied, by_angle = (value.reshape(-1) for value in loads.apply(displacements))
+        matrix = add_load_stiffness(
+            matrix, by_angle, loads.conservative, self.dofs.free, columns
+        )
+        return forces - applied, matrix
+
+    def whole_stiffness(
+        self, displacements: Poses
+    ) -> tuple[Float[Array, "dofs dofs"], Float[Array, "entries dofs"]]:
+        """Compute the tangent stiffness with respect to all degrees of freedom.
+
+        The stiffness (N m/rad, N/rad, N/m) includes that of the loads, and that of the
+        constraint forces which are in equilibrium with them. The second matrix has the
+        derivatives of the constraint violations.
+        """
+        count = self.dofs.total
+        whole = replace(self, dofs=DofPartition(count, tuple(range(count))))
+        hinges = self.hinges.tangent(displacements)
+        _, matrix = whole.with_loads(hinges, displacements, whole.dofs.free)
+        if self.constraints.size:
+            matrix += self.constraint_stiffness(displacements)
+        return matrix, self.jacobian(displacements)
+
+    def factors(
+        self, stiffness: Float[Array, "free free"], jacobian: Float[Array, "entries free"]
+    ) -> Factors | Elimination | ConstrainedFactors:
+        """Factorize the stiffness of the free degrees of freedom, with constraints."""
+        symmetric = self.loads.conservative
+        if not self.constraints.size:
+            return factorize(stiffness, symmetric)
+        units = self.free_units()
+        return ConstrainedFactors.of(stiffness, jacobian, units, symmetric)
+
+    def _unbalanced(
+        self, forces: Wrenches, displacements: Poses, multipliers: Entries
+    ) -> Float[Array, " dofs"]:
+        """Subtract the loads and the constraint forces from the forces of the hinges."""
+        applied, _ = self.loads.apply(displacements)
+        residual = (forces - applied).reshape(-1)
+        if not self.constraints.size:
+            return residual
+        return residual - self.constraints.forces(displacements, self.time, multipliers)
+
+    def _constrained(
+        self,
+        displacements: Poses,
+        residual: Float[Array, " dofs"],
+        matrix: Float[Array, "free columns"],
+        multipliers: Entries,
+    ) -> tuple[Float[Array, " dofs"], ConstrainedTangent]:
+        """Add the constraint forces to the residual, and their derivatives."""
+        columns = np.array(self.dofs.free + self.dofs.prescribed, int)
+        jacobian = self.jacobian(displacements)
+        geometric = self.constraints.geometric_stiffness(
+            displacements, self.time, multipliers
+        )
+        tangent = ConstrainedTangent(
+            stiffness=matrix + geometric[self.free[:, None], columns],
+            jacobian=jacobian[:, columns],
+            units=self.free_units(),
+        )
+        return residual - multipliers @ jacobian, tangent

@@ -1,0 +1,66 @@
+"""Derivatives of an equilibrium by the implicit function theorem."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._utils.pytrees import jvp_of_varied
+from ..._utils.types import Flag, Poses
+from ..equations.system import System
+
+
+def differentiable_root(
+    system: System, root: Array, start: Poses, found: Flag
+) -> Float[Array, " unknowns"]:
+    """Return the solution of a system, with derivatives with respect to the system.
+
+    The derivative follows from the implicit function theorem, and has derivatives of
+    every order itself. If no equilibrium was found, the derivative is zero instead of
+    NaN, because NaN could not be masked in a sum over a batch.
+
+    `optimistix.root_find` with its implicit adjoint would differentiate the residual to
+    obtain the matrix. For the gain of the stage and its derivative it takes 1.4 times as
+    long to compile, and 3 times as long for 4096 designs.
+
+    Args:
+        system: The equations.
+        root: The known solution: displacements of the free degrees of freedom, then
+            constraint forces; rad, m, N m, N.
+        start: Displacements, of which the fixed degrees of freedom are used; rad, m, m.
+        found: Whether `root` is a solution.
+
+    Returns:
+        The same values as `root`.
+    """
+    return _root(system, root, start, found)
+
+
+@eqx.filter_custom_jvp
+def _root(system: System, root: Array, start: Poses, found: Flag) -> Array:
+    """Return the root; see `differentiable_root`."""
+    del system, start, found
+    return root
+
+
+@_root.def_jvp
+def _(primals, tangents):
+    system, root, start, found = primals
+    system_change, _, start_change, _ = tangents
+    root = _root(*primals)
+    count = len(system.free)
+
+    def residual(system: System, start: Poses) -> Array:
+        displacements = system.dofs.expand(root[:count], system.targets, start)
+        forces = system.residual(displacements, root[count:])
+        return system.equations(forces, displacements)
+
+    _, rate = jvp_of_varied(residual, (system, start), (system_change, start_change))
+    displacements = system.dofs.expand(root[:count], system.targets, start)
+    _, tangent, _ = system.tangent(displacements, multipliers=root[count:])
+    rate = jnp.where(found, rate, 0.0)
+    step = tangent.where(found).factors(system.loads.conservative).solve(rate)
+    # `solve` returns the negative change of the constraint forces; see
+    # `ConstrainedTangent`.
+    sign = jnp.where(np.arange(root.size) < count, -1.0, 1.0)
+    return root, sign * step

@@ -1,0 +1,87 @@
+"""Errors and warnings of a static equilibrium."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..._utils.types import NumberLike, Poses
+from ...mechanism.constraints import ConstraintSet
+from ...mechanism.mechanism import Mechanism
+from ...results.codes import result_message, succeeded_or_raise
+from ..equations.consistency import constraint_error
+from ..equations.dofs import DofPartition
+from .solution import Equilibrium, warn_outside_linear_range
+
+
+# A stiffness below this fraction of the largest one does not count in messages.
+_NO_STIFFNESS = 1e-12
+
+
+def describe_free_motions(
+    mechanism: Mechanism,
+    constraints: ConstraintSet | None,
+    dofs: DofPartition,
+    displacements: Poses,
+    time: NumberLike,
+) -> str:
+    """Name the bodies that can move without any resistance, for a message."""
+    from ..constraint_analysis import analyze
+
+    given = () if constraints is None else constraints.constraints
+    if not np.all(np.isfinite(displacements)):
+        return ""
+    analysis = analyze(mechanism, dofs, given, displacements, time, ratio=_NO_STIFFNESS)
+    if not analysis.motion_descriptions:
+        return ""
+    return f" Nothing resists the {'; the '.join(analysis.motion_descriptions)}."
+
+
+def check_equilibrium(
+    solution: Equilibrium,
+    mechanism: Mechanism | None = None,
+    constraints: ConstraintSet | None = None,
+    dofs: DofPartition | None = None,
+    time: NumberLike = 0.0,
+    first_critical_point: Callable[[], str] | None = None,
+) -> Equilibrium:
+    """Return the solution if it succeeded, and raise its error otherwise.
+
+    The mechanism, its constraints, its degrees of freedom, and the time (s) are needed
+    only to name the hinges that are out of range, and the inconsistent constraints. A
+    function describes the critical point that the load increments did not pass.
+    """
+
+    def error(item: str, batch_index: tuple[int, ...]) -> Exception:
+        fraction = np.asarray(solution.fraction)[batch_index]
+        steps = np.asarray(solution.steps)[batch_index]
+        where = ""
+        if batch_index:
+            where = f" at index {', '.join(map(str, batch_index))} of the batch"
+        text = result_message(item)
+        if mechanism is not None and not batch_index:
+            if item == "out_of_range":
+                poses = mechanism.reference + solution.reached
+                text += f" {mechanism.range_messages(poses)}"
+            if item == "inconsistent_constraints":
+                assert constraints is not None and dofs is not None
+                detail = constraint_error(
+                    constraints, dofs, mechanism, solution.reached, time
+                )
+                return ValueError(f"{text} {detail}")
+            ended = item in ("no_equilibrium", "steps_used_up")
+            if ended and first_critical_point is not None:
+                description = first_critical_point()
+                if description:
+                    text = result_message("no_equilibrium") + description
+            if item == "unstable" and dofs is not None:
+                text += describe_free_motions(
+                    mechanism, constraints, dofs, solution.reached, time
+                )
+        return RuntimeError(
+            f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
+        )
+
+    solution = succeeded_or_raise(solution, error)
+    if mechanism is not None:
+        warn_outside_linear_range(mechanism, solution.range_shares)
+    return solution

@@ -1,0 +1,390 @@
+"""Newton's method in load increments."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, ScalarLike
+
+from ..._utils.types import Count, Entries, Flag, Poses, Scalar
+from ..equations.system import System
+
+
+RUNNING, CONVERGED, NOT_FINITE, UNSTABLE, STUCK, USED_UP, INCONSISTENT = range(7)
+
+
+class NewtonSolution(NamedTuple):
+    """The last equilibrium that Newton's method found.
+
+    Args:
+        displacements: Displacement of each body from its reference pose; rad, m, m.
+        multipliers: Constraint forces; None without constraints; N m, N.
+        fraction: Fraction of the loads and prescribed displacements.
+        steps: Number of Newton steps.
+        status: Reason why the iteration stopped: one of the constants above.
+            `INCONSISTENT` is set outside of the iteration, which does not check it.
+    """
+
+    displacements: Poses
+    multipliers: Entries | None
+    fraction: Scalar
+    steps: Count
+    status: Count
+
+
+# A load increment is rejected if the ratio of two successive Newton corrections is
+# larger: a fold may then lie between its two ends. The theorem of Newton and Kantorovich
+# excludes a fold if h, the first correction times the relative curvature of the
+# equations, is at most 1/2; the second correction is then at most h / (2 (1 - h)) of the
+# first (Deuflhard, Newton Methods for Nonlinear Problems, 2011, sections 2.1 and 5.1).
+# This ratio corresponds to h = 0.41.
+_LARGEST_CONTRACTION = 0.35
+# An increment is also rejected if the responses to it by the tangents at its two ends
+# differ by more. This measures h as well. It excludes corrections that are small although
+# they lead to another branch, where the stiffness is different.
+_LARGEST_DIFFERENCE = 0.4
+# The next increment is chosen such that it reaches this fraction of both bounds.
+_GOOD_SHARE = 0.6
+# Corrections below this fraction of the first one cannot lead to another branch.
+_SMALL_CORRECTION = 1e-6
+# Corrections below this fraction of the displacements may consist of rounding errors.
+_ROUNDING = 1e-12
+# Violations of constraints are computed from poses, so smaller corrections of a mechanism
+# with constraints are rounding errors; rad, and lengths of the mechanism.
+_ROUNDING_OF_POSES = 16 * np.finfo(float).eps
+# Nothing moves in an increment whose energy changes are below this fraction of the work
+# of the hinges.
+_NO_MOTION = 1e-20
+_LARGEST_ROTATION = 1.0  # of a body in one increment; rad
+_LARGEST_VIOLATION = 1e-10  # of a constraint; rad, and lengths of the mechanism
+_STEPS_PER_INCREMENT = 12
+_SMALLEST_INCREMENT = 1e-7  # as a fraction of the full load
+_SMALLEST_SHARE = 1e-5  # as a fraction of the load that has been reached
+
+
+class _State(NamedTuple):
+    """State of the iteration.
+
+    A vector of unknowns has the displacements of the free degrees of freedom (rad, m),
+    then the constraint forces (N m, N).
+
+    Args:
+        displacements: Displacements at the current iterate; rad, m, m.
+        multipliers: Constraint forces at the current iterate; N m, N.
+        predicted: Generalized stress of the hinges that the last step predicted; N m, N,
+            N.
+        converged: The first three at the last fraction that converged.
+        fraction: Last fraction that converged.
+        increment: Increment of the fraction that is being tried.
+        tries: Number of Newton steps in this increment.
+        energies: Energy change of the last step, for each unknown; J.
+        energy_scale: Energy change of the first step of this increment; J.
+        first_correction: Norm of the first correction of this increment.
+        last_correction: Norm of the last correction.
+        imbalance: Residual at the start of this increment, with the misfits there, and
+            with the opposite sign.
+        response: Response to this imbalance, to the change of misfits, and to the
+            prescribed displacements, by the tangent at the start of the increment.
+        nonlinearity: Largest nonlinearity that was observed in this increment, as a
+            fraction of its bound.
+        steps: Total number of Newton steps.
+        status: Reason to stop, or `RUNNING`.
+    """
+
+    displacements: Poses
+    multipliers: Array | None
+    predicted: Array
+    converged: tuple[Poses, Array | None, Array]
+    fraction: Scalar
+    increment: Scalar
+    tries: Count
+    energies: Array
+    energy_scale: Scalar
+    first_correction: Scalar
+    last_correction: Scalar
+    imbalance: Array
+    response: Array
+    nonlinearity: Scalar
+    steps: Count
+    status: Count
+
+
+def solve_in_increments(
+    system: System, start: Poses, tolerance: ScalarLike, max_steps: ScalarLike
+) -> NewtonSolution:
+    """Follow the equilibrium from `start` to the full loads and prescribed displacements.
+
+    Newton's method is applied to an increasing fraction of the loads and prescribed
+    displacements. The first increment is the full load. An increment is accepted only if
+    Newton's corrections contract quickly and the tangents at its two ends agree, so that
+    there is no fold between them. Otherwise the iteration returns to the last fraction
+    that converged and tries a shorter increment. Both criteria are measured over the
+    whole mechanism. A fold of a part whose displacements are small compared with those of
+    the rest, and a bifurcation of a symmetric path, may remain undetected.
+
+    Loads and misfits change in proportion from those at `start` to the given ones. If the
+    former are unknown, forces of constant direction keep the mechanism at `start`, and
+    decrease in proportion as the fraction increases. A violation of constraints at
+    `start` decreases in the same way.
+    Prescribed degrees of freedom and misfits change in the first Newton step of each
+    increment, together with the first response of the free degrees of freedom.
+
+    Convergence is measured by the energy change of a Newton step, relative to the sum of
+    the absolute values of force times displacement of the hinges. The observed
+    convergence rate predicts the next error, which saves the last step. Contraction is
+    measured in displacements: rotations, and translations divided by a length of the
+    mechanism. In the energy, a stiff hinge that is stretched during one step would
+    dominate all others.
+
+    Args:
+        system: The equations.
+        start: Displacements at which the iteration starts; rad, m, m.
+        tolerance: Relative tolerance on the square root of the Newton energy decrement.
+        max_steps: Largest total number of Newton steps.
+
+    Returns:
+        The last equilibrium that was found.
+    """
+    entries = system.constraints.size
+    units, free_units = system.units(), system.free_units()
+    forces, predicted = system.hinges_at(0.0).forces_and_stress(start)
+    initial_residual = system.equations(system.first_residual(forces, start), start)
+    multipliers = jnp.zeros(entries) if entries else None
+    if system.first is not None and system.first.constraint_forces is not None:
+        multipliers = jnp.asarray(system.first.constraint_forces)
+    largest_violation = jnp.zeros(0)
+    if entries:
+        jacobian = system.jacobian(start)[:, system.free] * free_units[None]
+        size = jnp.linalg.norm(jacobian, axis=1)
+        largest_violation = _LARGEST_VIOLATION * jnp.where(size > 0, size, 1.0)
+    floor = _ROUNDING_OF_POSES if entries else 0.0
+
+    def advance(state: _State) -> _State:
+        """Take one Newton step, and accept, reject, or continue the increment."""
+        step = _newton_step(system, start, initial_residual, state)
+        first = state.tries == 0
+        error, energy, energy_scale = _predicted_error(step, state)
+        length = _length(step.change, units)
+        longest = jnp.where(first, length, state.first_correction)
+        ratio = jnp.where(first, 0.0, length / state.last_correction)
+        rounded = length <= _ROUNDING * _length(step.displacements, units)
+        small = rounded | (length <= _SMALL_CORRECTION * longest) | (length <= floor)
+        share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
+        response = jnp.where(first, step.response, state.response)
+        difference = (step.response - response)[: len(system.free)] / free_units
+        difference = jnp.sqrt(jnp.sum(difference**2))
+        difference /= jnp.where(longest > floor, longest, 1.0)
+        if system.changes_misfits:
+            # After the first step, a stiff hinge that turns by its misfit is stretched.
+            difference = jnp.where(state.tries == 1, 0.0, difference)
+        share = jnp.maximum(share, difference / _LARGEST_DIFFERENCE)
+        # If misfits load the hinges and nothing moves, all corrections are rounding
+        # errors.
+        moves = jnp.maximum(energy_scale, energy) > _NO_MOTION * step.work
+        share = jnp.where(first | moves, share, 0.0)
+        nonlinearity = jnp.where(first, 0.0, jnp.maximum(share, state.nonlinearity))
+
+        contracts = share <= 1
+        rotations = jnp.abs(step.displacements - state.converged[0])[:, 0]
+        rotation = jnp.max(rotations, initial=0.0)
+        acceptable = step.stable & jnp.isfinite(energy) & (rotation <= _LARGEST_ROTATION)
+        acceptable &= contracts
+        # The first step of an increment with prescribed displacements or misfits used
+        # only the tangent before them.
+        tangent_is_current = ~first | step.prescribed_imposed
+        # Intermediate increments are solved less accurately than the last one.
+        goal_tolerance = jnp.where(step.goal < 1, jnp.sqrt(tolerance), tolerance)
+        # In a mechanism of many bodies, corrections that are rounding errors do not
+        # contract.
+        rounded &= ratio > _LARGEST_CONTRACTION
+        rounded &= error <= jnp.sqrt(jnp.finfo(float).eps)
+        small_error = (error <= goal_tolerance) | rounded
+        if entries:
+            small_error |= ~first & (length <= floor)
+            violation = system.violation(step.displacements)
+            violation -= (1 - step.goal) * initial_residual[len(system.free) :]
+            small_error &= jnp.all(jnp.abs(violation) <= largest_violation)
+            # The first tangent lacks the geometric stiffness of the constraint forces.
+            tangent_is_current &= ~first
+        converged = acceptable & tangent_is_current & small_error
+        rejected = ~acceptable | (state.tries + 1 >= _STEPS_PER_INCREMENT)
+        rejected &= ~converged
+
+        # Both measures of nonlinearity are proportional to the increment.
+        factor = _GOOD_SHARE / jnp.where(nonlinearity > 0, nonlinearity, 1.0)
+        reduction = jnp.where(contracts, 0.25, jnp.clip(factor, 0.1, 0.5))
+        increment = jnp.where(rejected, reduction * state.increment, state.increment)
+        smallest = jnp.maximum(_SMALLEST_INCREMENT, _SMALLEST_SHARE * state.fraction)
+        steps = state.steps + 1
+        # The first condition that holds decides. `jnp.select` would count the conditions.
+        status = jnp.where(steps >= max_steps, USED_UP, RUNNING)
+        status = jnp.where(increment < smallest, STUCK, status)
+        # The stiffness is singular or indefinite already at the smallest load.
+        singular = (state.fraction == 0) & first & ~step.stable
+        status = jnp.where((increment < smallest) & singular, UNSTABLE, status)
+        status = jnp.where(converged & (step.goal >= 1), CONVERGED, status)
+        status = jnp.where((state.steps == 0) & ~step.finite, NOT_FINITE, status)
+        fraction = jnp.where(converged, step.goal, state.fraction)
+        remaining = 1 - fraction
+        growth = jnp.where(nonlinearity > 0, jnp.clip(factor, 0.5, 4.0), 4.0)
+        # The last increment is not so short that it consists of rounding errors.
+        is_last = 1.05 * growth * increment > remaining
+        longer = jnp.where(is_last, remaining, growth * increment)
+        current = step.displacements, step.multipliers, step.predicted
+
+        def select(flag: Flag, chosen, other):
+            return jax.tree.map(lambda a, b: jnp.where(flag, a, b), chosen, other)
+
+        return _State(
+            *select(rejected, state.converged, current),
+            converged=select(converged, current, state.converged),
+            fraction=fraction,
+            increment=jnp.where(converged, longer, increment),
+            tries=jnp.where(converged | rejected, 0, state.tries + 1),
+            energies=step.energies,
+            energy_scale=energy_scale,
+            first_correction=longest,
+            last_correction=length,
+            imbalance=step.imbalance,
+            response=response,
+            nonlinearity=jnp.where(converged | rejected, 0.0, nonlinearity),
+            steps=steps,
+            status=status,
+        )
+
+    zero, no_steps = jnp.zeros(()), jnp.zeros((), int)
+    unknowns = jnp.zeros(len(system.free) + entries)
+    state = _State(
+        displacements=start,
+        multipliers=multipliers,
+        predicted=predicted,
+        converged=(start, multipliers, predicted),
+        fraction=zero,
+        increment=zero + 1,
+        tries=no_steps,
+        energies=unknowns,
+        energy_scale=zero,
+        first_correction=zero,
+        last_correction=zero,
+        imbalance=unknowns,
+        response=unknowns,
+        nonlinearity=zero,
+        steps=no_steps,
+        status=jnp.zeros((), int),
+    )
+    state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
+    return NewtonSolution(*state.converged[:2], state.fraction, state.steps, state.status)
+
+
+class _Step(NamedTuple):
+    """Result of one Newton step.
+
+    Args:
+        displacements: Displacements after the step; rad, m, m.
+        multipliers: Constraint forces after the step; N m, N.
+        predicted: Generalized stress of the hinges that the step predicts; N m, N, N.
+        change: Change of the displacements; rad, m, m.
+        energies: Energy change for each unknown; J.
+        work: Sum of the absolute values of force times displacement of the hinges before
+            the step; J.
+        imbalance: Residual at the start of the increment, as in `_State`.
+        response: Response to the whole increment by the tangent before the step.
+        goal: Fraction at the end of the increment.
+        stable: Whether the tangent stiffness indicates a stable equilibrium.
+        finite: Whether residual and tangent are finite.
+        prescribed_imposed: Whether the prescribed displacements and misfits had their
+            values already.
+    """
+
+    displacements: Poses
+    multipliers: Array | None
+    predicted: Array
+    change: Poses
+    energies: Array
+    work: Scalar
+    imbalance: Array
+    response: Array
+    goal: Scalar
+    stable: Flag
+    finite: Flag
+    prescribed_imposed: Flag
+
+
+def _newton_step(
+    system: System, start: Poses, initial_residual: Array, state: _State
+) -> _Step:
+    """Take one Newton step toward the end of the increment."""
+    goal = state.fraction + state.increment
+    first = state.tries == 0
+    misfits = jnp.where(first, state.fraction, goal)
+    forces, tangent, hinges = system.tangent(
+        state.displacements, goal, state.predicted, state.multipliers, misfits
+    )
+    flat = state.displacements.reshape(-1)
+    begin = start.reshape(-1)[system.prescribed]
+    prescribed = begin + goal * (system.targets - begin)
+    prescribed_change = prescribed - flat[system.prescribed]
+    residual = system.equations(forces, state.displacements)
+    residual = residual - (1 - goal) * initial_residual
+    # The forces due to misfits and prescribed displacements follow from the tangent.
+    misfit_forces, misfit_stress = system.misfit_response(
+        state.displacements, misfits, state.increment
+    )
+    right = -(residual + tangent.prescribed_forces(prescribed_change))
+    right = jnp.where(first, right - misfit_forces, right)
+    imbalance = jnp.where(first, -residual, state.imbalance)
+    whole_change = state.increment * (system.targets - begin)
+    forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)
+    rights = jax.lax.optimization_barrier(jnp.stack([right, forcing]))
+    right, _ = rights
+    (step, response), stable = tangent.solve(rights, system.conservative)
+    free = flat[system.free] + step[: len(system.free)]
+    displacements = system.dofs.expand(free, prescribed, state.displacements)
+    multipliers = state.multipliers
+    if multipliers is not None:
+        multipliers = multipliers - step[len(system.free) :]
+    change = displacements - state.displacements
+    predicted = hinges.predicted_stress(change) + jnp.where(first, misfit_stress, 0.0)
+    imposed = jnp.all(prescribed_change == 0)
+    return _Step(
+        displacements=displacements,
+        multipliers=multipliers,
+        predicted=predicted,
+        change=change,
+        energies=jnp.abs(step * right),
+        work=hinges.work,
+        imbalance=imbalance,
+        response=response,
+        goal=goal,
+        stable=stable,
+        finite=hinges.finite() & jnp.all(jnp.isfinite(right)),
+        prescribed_imposed=imposed & (not system.changes_misfits),
+    )
+
+
+def _predicted_error(step: _Step, state: _State) -> tuple[Scalar, Scalar, Scalar]:
+    """Predict the error after a step from the observed convergence rate.
+
+    Each unknown has its own rate, because those of compliant hinges may still converge
+    when those of stiff hinges have converged already.
+
+    Returns:
+        Relative error, the square root of a ratio of energies; energy change of the step;
+        and energy change of the first step of this increment; J.
+    """
+    first = state.tries == 0
+    energy = jnp.sum(step.energies)
+    scale = jnp.where(first, energy, state.energy_scale)
+    rates = jnp.where(first, 1.0, step.energies / state.energies)
+    fast = rates < 0.0625  # the square of the ratio of errors
+    remaining_share = rates / (1 - jnp.sqrt(jnp.where(fast, rates, 0.0))) ** 2
+    remaining = jnp.where(fast, step.energies * remaining_share, step.energies)
+    reference = jnp.maximum(scale, step.work)  # NaN only if the energy is NaN as well
+    reference = jnp.where(reference > 0, reference, 1.0)
+    return jnp.sqrt(jnp.sum(remaining) / reference), energy, scale
+
+
+def _length(displacements: Poses, units: Float[Array, "3"]) -> Scalar:
+    """Compute the Euclidean norm of displacements, divided by their units."""
+    return jnp.sqrt(jnp.sum((displacements / units[None]) ** 2))

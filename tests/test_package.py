@@ -7,6 +7,7 @@ import pathlib
 import re
 import subprocess
 import sys
+import tomllib
 
 import pytest
 
@@ -14,15 +15,21 @@ import twistorjax as tj
 
 
 PACKAGE = pathlib.Path(tj.__file__).parent
+ROOT = pathlib.Path(__file__).parents[1]
 FILES = sorted(PACKAGE.rglob("*.py"))
 LONG_NAMES = r"Union\[|jax\.jaxlib"  # which `help` would print without aliases
 GEOMETRY = ["lines", "se2", "twistors"]
 PACKAGES = [path for path in FILES if path.name == "__init__.py"]
 
 
-def test_the_root_contains_at_most_twelve_packages():
-    entries = [path for path in PACKAGE.iterdir() if path.is_dir()]
-    assert len([path for path in entries if path.name != "__pycache__"]) <= 12
+def test_the_readme_lists_all_packages_from_the_lowest_to_the_highest():
+    """The contract on layers in `pyproject.toml` keeps this order."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    layers = project["tool"]["importlinter"]["contracts"][0]["layers"]
+    packages = [layer.split(".")[1] for layer in layers[:0:-1]]
+    listed = re.findall(r"^  (\w+)/ ", (ROOT / "README.md").read_text(), re.M)
+    assert listed == packages
+    assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(packages)
 
 
 @pytest.mark.parametrize("path", PACKAGES, ids=lambda path: path.parent.name)

@@ -72,8 +72,8 @@ def test_a_flat_store_of_a_grid_is_still_continued(tmp_path, monkeypatch):
     """Earlier versions stored the outputs of a grid along one axis."""
     path = tmp_path / "s.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("twistorjax.sweeps.store_creation.FORMAT", 3)
-        patch.setattr("twistorjax.sweeps.store_creation.grid_chunk", lambda *_: None)
+        patch.setattr("twistorjax.sweeps.stores.creation.FORMAT", 3)
+        patch.setattr("twistorjax.sweeps.stores.creation.grid_chunk", lambda *_: None)
         stored = tj.sweep(area, GRID, chunk_size=4, store=path)
     assert xarray.open_zarr(path, consolidated=False).area.dims == ("design",)
     assert_same_dataset(tj.sweeps.open_sweep(path), stored)
@@ -180,8 +180,8 @@ def test_a_store_is_rejected_if_units_have_changed(tmp_path):
 def test_a_store_of_another_format_is_rejected(tmp_path, monkeypatch):
     path = tmp_path / "s.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("twistorjax.sweeps.store_creation.FORMAT", 2)
-        patch.setattr("twistorjax.sweeps.store.FORMAT", 2)
+        patch.setattr("twistorjax.sweeps.stores.creation.FORMAT", 2)
+        patch.setattr("twistorjax.sweeps.stores.store.FORMAT", 2)
         tj.sweep(area, SIDES, store=path)
     before = modification_times(path)
     for use in (

@@ -26,7 +26,7 @@ from twistorjax._compile.result_structure import from_text, to_text
 from twistorjax._compile.trace_folder import TraceFolder
 from twistorjax._compile.trace_keys import canonical_text, NoCanonicalTextError
 from twistorjax.flexures.beams.beam import uniform
-from twistorjax.mechanism.changes import Temperature
+from twistorjax.mechanism.misfits import Temperature
 
 
 TIMES = [0.0, 0.02, 0.05]
@@ -248,7 +248,8 @@ def test_a_file_of_others_is_never_executed_even_with_a_right_digest(folder, tmp
     [
         '["name", "os:system"]', '["os:stat_result", [1]]', '["name", "jax.numpy:sin"]',
         '["partial", ["f", [], {}]]', '["twistorjax:Load", {"unknown": 1}]',
-        '["twistorjax.solve.path_program:PathRun", [1]]', '["list"]', "[", "", "[1, 2]",
+        '["twistorjax.solve.continuation.program:PathRun", [1]]', '["list"]', "[", "",
+        "[1, 2]",
     ],
 )  # fmt: skip
 def test_only_known_classes_are_read_from_a_text(text):

@@ -345,7 +345,7 @@ def test_outputs_that_exceed_the_memory_are_rejected_before_compilation(monkeypa
 
 
 def test_a_failed_allocation_is_a_clear_error_if_the_memory_is_unknown(monkeypatch):
-    monkeypatch.setattr("twistorjax.sweeps.dataset._machine_memory", lambda: None)
+    monkeypatch.setattr("twistorjax._utils.memory._machine_memory", lambda: None)
     with pytest.raises(ValueError, match=r"is more than the memory of this machine\."):
         tj.sweep(area, {name: np.broadcast_to(1.0, 2**46) for name in "ab"})
 

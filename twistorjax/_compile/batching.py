@@ -1,5 +1,6 @@
-"""Values that XLA computes once, although several other values depend on them."""
+"""What keeps batches of mechanisms fast."""
 
+import re
 from typing import TypeVar
 
 import jax
@@ -28,3 +29,28 @@ def computed_once(tree: Tree, finite: Inexact[Array, "*batch"]) -> Tree:
     """
     one = 1 + 0 * jax.lax.stop_gradient(finite)
     return jax.tree.map(lambda leaf: leaf / one, tree)
+
+
+# On a processor, a chunk is evaluated in batches of this size. The arrays of so few
+# designs stay in the cache, and the slowest design of a batch delays few others.
+CPU_BATCH_SIZE = 128
+
+
+def single_threaded_batch_size(program: str) -> int:
+    """Find the largest batch for which LAPACK calls run in a single thread.
+
+    XLA distributes a batch of matrices among threads if the work exceeds about 2e5
+    operations. Two such calls on two devices of one processor wait for each other and
+    deadlock (jaxlib 0.10). The program is StableHLO text.
+    """
+    largest = 0.0
+    for line in program.splitlines():
+        if not (call := re.search(r"@lapack_.(\w+?)_ffi", line)):
+            continue
+        factor = {"potrf": 1 / 3, "trsm": 1 / 3, "getrf": 2 / 3}.get(call[1], 25.0)
+        for shape in re.findall(r"tensor<([\dx]+)x[cf]\d+>", line):
+            rows, columns = [1, 1, *map(int, shape.split("x"))][-2:]
+            largest = max(largest, factor * rows * columns * max(rows, columns))
+    if not largest:
+        return CPU_BATCH_SIZE
+    return max(1, min(CPU_BATCH_SIZE, int(2e5 / largest)))

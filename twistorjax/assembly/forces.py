@@ -9,20 +9,20 @@ In all functions, `first` and `second` are the ends of the hinge on bodies A and
 `axis` is its axis in the reference configuration, with its misfit.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Array, Float, Inexact
+from jaxtyping import Array, Float
 
 from .._compile.batching import computed_once
 from .._utils.types import Flag, Scalar
 from ..energies import protocols
 from ..energies.base import AbstractEnergy
 from ..geometry.twistors import Displacement, half_angle_cos_sin
+from ..linalg.products import as_array, product
 from .kinematics import Axis, combine, End, Four, HingeKinematics, Six, Three
 
 
@@ -164,6 +164,7 @@ def predicted_stress(hinge: HingeTangent, first: Three, second: Three) -> Three:
 
 # Rows and columns of the entries of a symmetric matrix of four motions.
 UPPER_TRIANGLE = np.triu_indices(4)
+
 # The motion that each of the six displacements (angle, x, y of A and of B) causes, and
 # its sign.
 FOUR_OF_SIX = np.array([0, 2, 3, 1, 2, 3]), np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
@@ -235,31 +236,6 @@ def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
 
 # The motions for a unit of each of the six displacements, in rows.
 MOTIONS = np.eye(4)[FOUR_OF_SIX[0]] * FOUR_OF_SIX[1][:, None]
-
-
-_MOST_TERMS = 24  # of sums that are written out
-
-
-def product(
-    first: Inexact[Array, "rows inner"], second: Inexact[Array, "inner columns"]
-) -> Inexact[Array, "rows columns"]:
-    """Multiply two small matrices as a sum, which XLA fuses with other operations.
-
-    For a few rows, the call of a matrix product takes longer than its operations, and so
-    does that of a reduction. The time of compilation grows with the number of terms, so
-    that many terms are reduced.
-    """
-    if len(second) > _MOST_TERMS:
-        return jnp.sum(first[:, :, None] * second[None], axis=1)
-    sizes = (1,) * len(second)  # `jnp.split` would not accept an empty one
-    columns, rows = lax.split(first, sizes, axis=1), lax.split(second, sizes)
-    zero = jnp.zeros((len(first), second.shape[1]), first.dtype)
-    return sum(map(jnp.multiply, columns, rows), start=zero)
-
-
-def as_array(rows: Sequence[Sequence[Scalar]]) -> Float[Array, "rows columns"]:
-    """Convert rows of scalars to an array."""
-    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def as_matrix(times: Callable[..., Three]) -> Float[Array, "3 3"]:

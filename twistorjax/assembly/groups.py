@@ -17,7 +17,6 @@ from ..energies.damping import ViscousDamping
 from ..energies.dilation import dilated
 from ..energies.natural_curvature import curvature_loads
 from ..energies.protocols import has_resisted_rates, parallel_terms, proportional_damping
-from ..mechanism.hinge import Hinge
 
 
 class HingeGroup(eqx.Module):
@@ -42,18 +41,21 @@ class HingeGroup(eqx.Module):
     curvature_loads: Float[Array, "members 4"] | None = None
 
 
-def group_hinges(hinges: Sequence[Hinge]) -> tuple[HingeGroup, ...]:
+# Energy and damping of a hinge
+DampedEnergy = tuple[AbstractEnergy, ViscousDamping | Scalar | None]
+
+
+def group_hinges(hinges: Sequence[DampedEnergy]) -> tuple[HingeGroup, ...]:
     """Stack the energies of hinges of the same kind.
 
     The terms of a sum act in parallel. Each of them has its own damping, coordinates, and
     model for Newton's method.
     """
     rows, pairs = [], []
-    for row, hinge in enumerate(hinges):
-        terms = parallel_terms(hinge.energy)
-        for term, damping in zip(terms, _distribute(hinge.damping, terms), strict=True):
-            rows.append(row)
-            pairs.append((term, damping))
+    for row, (energy, damping) in enumerate(hinges):
+        terms = parallel_terms(energy)
+        rows += [row] * len(terms)
+        pairs += zip(terms, _distribute(damping, terms), strict=True)
     groups = []
     for indices in group_by_structure(pairs):
         tree = jax.tree.structure(pairs[indices[0]])
@@ -106,13 +108,10 @@ def dilate_groups(
 
 
 def sums_of(
-    hinges: Sequence[Hinge],
-) -> tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]:
+    hinges: Sequence[DampedEnergy],
+) -> tuple[DampedEnergy | None, ...]:
     """Return energy and damping of each hinge whose energy is a sum; None for others."""
-    return tuple(
-        (hinge.energy, hinge.damping) if len(parallel_terms(hinge.energy)) > 1 else None
-        for hinge in hinges
-    )
+    return tuple(hinge if len(parallel_terms(hinge[0])) > 1 else None for hinge in hinges)
 
 
 def _distribute(

@@ -14,8 +14,8 @@ from ..energies.damping import ViscousDamping
 from ..energies.natural_curvature import NaturallyCurved
 from ..energies.strains import half_square, strain
 from ..geometry.twistors import Displacement
+from ..linalg.products import as_array, product
 from .forces import (
-    as_array,
     as_matrix,
     displacement_at,
     dot,
@@ -23,7 +23,6 @@ from .forces import (
     gradient_and_hessian,
     hinge_coordinates,
     on_bodies,
-    product,
 )
 from .kinematics import Axis, End, HingeKinematics, Six, Three, Two
 

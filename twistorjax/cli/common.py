@@ -196,7 +196,7 @@ def require_finite_results(record: Mapping[str, Any]) -> None:
 
 def progress_bar() -> Any:
     """Return a progress bar for `simulate`, or None if stderr is not a terminal."""
-    from ..solve.progress import ProgressBar
+    from ..solve.integration.diffrax_interface import ProgressBar
 
     return ProgressBar() if sys.stderr.isatty() else None
 

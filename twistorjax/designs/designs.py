@@ -13,7 +13,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.pytrees import path_name
 from .._utils.validation import quote
-from ..sweeps.names import check_parameter_names
+from .names import check_parameter_names
 
 
 # Values of one parameter, in its SI unit

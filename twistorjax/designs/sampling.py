@@ -8,10 +8,10 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.memory import require_memory
 from .._utils.pytrees import entry_names, path_name, split_last_axis
 from .._utils.types import ArrayOfNumbers
 from .._utils.validation import require_choice
-from ..sweeps.dataset import require_memory
 from .distributions import AbstractDistribution, Uniform
 
 

@@ -17,13 +17,13 @@ from .damping import ViscousDamping
 from .dilation import multiply_fields
 from .evaluation import Coefficients
 from .monomials import Powers
-from .one_freedom_potential import (
+from .polynomial import coefficients_error, require_coefficients, require_powers
+from .potentials import (
     ForceRatios,
     maximum_over_forces,
     potential_derivatives,
     resisted_stretch_rates,
 )
-from .polynomial import coefficients_error, require_coefficients, require_powers
 from .quadratic import CoordinateEnergy
 from .strains import Coordinates, strain
 

@@ -33,10 +33,9 @@ from ..energies.strains import Coordinates
 from ..flexures import notch, notch_outline
 from ..flexures.notch import Formula
 from ..mechanism.body import Body
-from ..mechanism.expansion import Expansion
 from ..mechanism.hinge import Hinge
 from ..mechanism.loads import Drive
-from ..mechanism.material import Material
+from ..mechanism.material import Expansion, Material
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import DARK_BLUE
 from ..results.codes import RESULTS

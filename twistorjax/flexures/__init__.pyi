@@ -1,7 +1,6 @@
 from .actuator import piezo_stack as piezo_stack
 from .beams.at_pose import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
 from .beams.beam import Beam as Beam
-from .beams.plates import bending_factor as bending_factor
 from .beams.stress import (
     largest_stress as largest_stress,
     leaf_stress as leaf_stress,
@@ -17,7 +16,6 @@ from .compound.chain import (
     Chain as Chain,
     chain as chain,
 )
-from .compound.condensed import Condensed as Condensed
 from .compound.guides import (
     double_parallelogram as double_parallelogram,
     folded_beam as folded_beam,
@@ -28,6 +26,7 @@ from .compound.pivots import (
     cartwheel_pivot as cartwheel_pivot,
     cross_spring_pivot as cross_spring_pivot,
 )
+from .condensed import Condensed as Condensed
 from .contours.energies import (
     elliptical_notch as elliptical_notch,
     filleted_leaf as filleted_leaf,
@@ -53,4 +52,5 @@ from .notch import (
     notch_outline as notch_outline,
     notch_profile as notch_profile,
 )
+from .plates import bending_factor as bending_factor
 from .surrogates.surrogate import surrogate as surrogate

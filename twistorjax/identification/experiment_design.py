@@ -13,9 +13,8 @@ from jaxtyping import Array, Float
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.validation import require_kind
-from .diagnostics import undetermined_changes
 from .experiments.measurement import AbstractTest, map_in_groups
-from .report import Identification
+from .report import Identification, undetermined_changes
 
 
 class Candidate(NamedTuple):

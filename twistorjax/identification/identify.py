@@ -21,10 +21,9 @@ from ..results.codes import result_message, RESULTS, succeeded_or_raise
 from .estimation.levenberg_marquardt import LevenbergMarquardt
 from .estimation.objective import IdentificationProblem
 from .estimation.optimizer import AbstractOptimizer, from_numpy
-from .estimation.search import search_compiled, search_with_progress, SearchState
 from .experiments.measurement import as_pytree, Measurement, random_key
-from .padding import cut, pad
 from .report import Identification
+from .search import cut, pad, search_compiled, search_with_progress, SearchState
 
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from .._utils.types import PosesLike
 from .._utils.validation import require_package, require_simple_polygon
+from ..mechanism.hinge import AbstractOutline
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.outline import AbstractOutline
 from ..plotting.figure_style import FILLS, RED
 from ..plotting.shapes import Shape, shapes
 

@@ -1,47 +1,21 @@
-"""Strokes and temperatures that change the hinges of a mechanism in a motion."""
+"""Strokes and temperatures as functions of time or of a load factor."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from typing_extensions import TypeAliasType
 
 from .._compile.traced_function import traced
 from .._utils.host import as_float
-from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar
+from .._utils.types import NumberLike, PoseLike, Poses, Scalar
 from ..assembly.assembly import HingeAssembly
-from .misfits import stroke_rows
-
-
-if TYPE_CHECKING:
-    from .mechanism import Mechanism
-
-
-class Temperature(NamedTuple):
-    """Changes of the temperature of bodies and hinges.
-
-    These are the arguments of `Mechanism.at_temperature`.
-
-    Args:
-        change: Change of the temperature; K.
-        bodies: Changes of single bodies, by name, instead of `change`; K.
-        hinges: Changes of single hinges, by name, instead of `change`; K.
-        gradients: Gradients of the temperature along axis 2 of hinges, by name; K/m.
-
-    Example:
-        >>> Temperature(5.0, hinges={"heater": 200.0}).hinges
-        {'heater': 200.0}
-    """
-
-    change: NumberLike = 0.0
-    bodies: NamedNumbers = MappingProxyType({})
-    hinges: NamedNumbers = MappingProxyType({})
-    gradients: NamedNumbers = MappingProxyType({})
+from .mechanism import Mechanism
+from .misfits import HingeState, stroke_rows, Temperature
 
 
 # Strokes by the names of hinges; rad, m, m
@@ -50,43 +24,6 @@ StrokesInTime = TypeAliasType("StrokesInTime", Callable[[Scalar], Mapping[str, P
 TemperatureInTime = TypeAliasType(
     "TemperatureInTime", Callable[[Scalar], NumberLike | Temperature]
 )
-
-
-class HingeState(NamedTuple):
-    """Strokes and temperatures at an instant, or at the instants of a motion.
-
-    Args:
-        strokes: Strokes of all hinges; None if there are none; rad, m, m.
-        temperature: Changes of the temperature; None if it is that of the mechanism.
-    """
-
-    strokes: Float[Array, "*batch hinges 3"] | None
-    temperature: Temperature | None
-
-    @classmethod
-    def of_solution(cls, solution: Any, batch: tuple[int, ...]) -> "HingeState":
-        """Return the states of a solution (none for poses), one row for each."""
-        strokes, temperature = (
-            getattr(solution, name, None) for name in ("strokes", "temperature")
-        )
-
-        def rows(values: Array, trailing: tuple[int, ...]) -> Array:
-            return jnp.broadcast_to(values, (*batch, *trailing)).reshape(-1, *trailing)
-
-        if strokes is not None:
-            strokes = rows(strokes, strokes.shape[-2:])
-        return cls(strokes, jax.tree.map(lambda values: rows(values, ()), temperature))
-
-    def hinges(self, mechanism: "Mechanism") -> HingeAssembly:
-        """Return the hinges of the mechanism in this state."""
-        hinges = mechanism.hinge_assembly
-        if self.temperature is not None:
-            change, bodies, of_hinges, gradients = self.temperature
-            warm = mechanism.at_temperature(
-                change, bodies=bodies, hinges=of_hinges, gradients=gradients
-            )
-            hinges = warm.hinge_assembly
-        return hinges if self.strokes is None else hinges.with_strokes(self.strokes)
 
 
 class HingeChanges(eqx.Module):
@@ -123,27 +60,27 @@ class HingeChanges(eqx.Module):
         functions = self.strokes, self.temperature
         return HingeChanges(*(f if f is None else traced(f) for f in functions))
 
-    def state(self, mechanism: "Mechanism", time: Scalar) -> HingeState:
+    def state(self, mechanism: Mechanism, time: Scalar) -> HingeState:
         """Evaluate the functions at a time; s."""
         rows = temperature = None
         if self.strokes is not None:
-            rows = stroke_rows(mechanism, self.strokes(time))
+            rows = stroke_rows(mechanism.hinge_names, self.strokes(time))
         if self.temperature is not None:
             temperature = as_temperature(self.temperature(time))
         return HingeState(rows, temperature)
 
-    def hinges(self, mechanism: "Mechanism", time: Scalar) -> HingeAssembly:
+    def hinges(self, mechanism: Mechanism, time: Scalar) -> HingeAssembly:
         """Return the hinges at a time (s), with the time derivatives of their misfits."""
 
         def misfits(time: Scalar) -> Array | None:
-            return self.state(mechanism, time).hinges(mechanism).misfits
+            return mechanism.hinges_in(self.state(mechanism, time)).misfits
 
         _, rates = jax.jvp(misfits, (time,), (jnp.ones_like(time),))
-        hinges = self.state(mechanism, time).hinges(mechanism)
+        hinges = mechanism.hinges_in(self.state(mechanism, time))
         return replace(hinges, misfit_rates=rates)
 
     def dilation_power(
-        self, mechanism: "Mechanism", time: Scalar, displacements: Poses
+        self, mechanism: Mechanism, time: Scalar, displacements: Poses
     ) -> Scalar:
         """Compute the power by which temperatures change arms and stiffness of hinges; W.
 
@@ -154,7 +91,7 @@ class HingeChanges(eqx.Module):
         misfits = self.hinges(mechanism, time).misfits
 
         def energy(time: Scalar) -> Scalar:
-            hinges = self.state(mechanism, time).hinges(mechanism)
+            hinges = mechanism.hinges_in(self.state(mechanism, time))
             return replace(hinges, misfits=misfits).energy(displacements)
 
         return jax.jvp(energy, (time,), (jnp.ones_like(time),))[1]
@@ -178,7 +115,7 @@ def _constant(strokes: Mapping[str, PoseLike], time: Scalar) -> Mapping[str, Pos
     return strokes
 
 
-def as_temperature(given: "NumberLike | Temperature") -> Temperature:
+def as_temperature(given: NumberLike | Temperature) -> Temperature:
     """Convert the change of the temperature of all parts; K."""
     if not isinstance(given, Temperature):
         given = Temperature(given)

@@ -21,12 +21,17 @@ from ..assembly.kinematics import misfit_numbers
 from ..energies.base import AbstractEnergy, validation_error
 from ..energies.damping import DampingLike, ViscousDamping
 from ..geometry import se2
-from .expansion import Expansion
-from .outline import AbstractOutline
+from .material import Expansion
 
 
 # Displacement (angle, x, y) at which a hinge is not loaded, or that of its ports; rad, m
 MisfitLike = TypeAliasType("MisfitLike", PoseLike | Literal["ports"])
+
+
+class AbstractOutline(eqx.Module):
+    """An outline of a hinge that is drawn by its own parts, as a `SubMechanism` is."""
+
+
 # Corners of a polygon (m), or the parts that are drawn
 OutlineLike = TypeAliasType("OutlineLike", CornersLike | AbstractOutline)
 

@@ -1,33 +1,78 @@
-"""Changes of the misfits of a mechanism: strokes of actuators, and thermal expansion."""
+"""Strokes and temperatures of hinges, and the misfits that they change."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TYPE_CHECKING
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
-from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Wrenches
+from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import index_of, require_finite, require_pose, shorten, warn
+from ..assembly.assembly import HingeAssembly
 from ..assembly.groups import dilate_groups
 from ..energies.base import AbstractEnergy, flexure_length
 from ..energies.dilation import dilated
-
-
-if TYPE_CHECKING:
-    from ..assembly.assembly import HingeAssembly
-    from .mechanism import Mechanism
+from .material import Expansion
 
 
 _LARGEST_STRAIN = 0.5  # due to a change of the temperature
 
 
+class Temperature(NamedTuple):
+    """Changes of the temperature of bodies and hinges.
+
+    These are the arguments of `Mechanism.at_temperature`.
+
+    Args:
+        change: Change of the temperature; K.
+        bodies: Changes of single bodies, by name, instead of `change`; K.
+        hinges: Changes of single hinges, by name, instead of `change`; K.
+        gradients: Gradients of the temperature along axis 2 of hinges, by name; K/m.
+
+    Example:
+        >>> Temperature(5.0, hinges={"heater": 200.0}).hinges
+        {'heater': 200.0}
+    """
+
+    change: NumberLike = 0.0
+    bodies: NamedNumbers = MappingProxyType({})
+    hinges: NamedNumbers = MappingProxyType({})
+    gradients: NamedNumbers = MappingProxyType({})
+
+
+class HingeState(NamedTuple):
+    """Strokes and temperatures at an instant, or at the instants of a motion.
+
+    Args:
+        strokes: Strokes of all hinges; None if there are none; rad, m, m.
+        temperature: Changes of the temperature; None if it is that of the mechanism.
+    """
+
+    strokes: Float[Array, "*batch hinges 3"] | None
+    temperature: Temperature | None
+
+    @classmethod
+    def of_solution(cls, solution: Any, batch: tuple[int, ...]) -> "HingeState":
+        """Return the states of a solution (none for poses), one row for each."""
+        strokes, temperature = (
+            getattr(solution, name, None) for name in ("strokes", "temperature")
+        )
+
+        def rows(values: Array, trailing: tuple[int, ...]) -> Array:
+            return jnp.broadcast_to(values, (*batch, *trailing)).reshape(-1, *trailing)
+
+        if strokes is not None:
+            strokes = rows(strokes, strokes.shape[-2:])
+        return cls(strokes, jax.tree.map(lambda values: rows(values, ()), temperature))
+
+
 def stroke_rows(
-    mechanism: "Mechanism", strokes: Mapping[str, PoseLike]
+    names: Sequence[str], strokes: Mapping[str, PoseLike]
 ) -> Float[Array, "hinges 3"]:
     """Arrange strokes (rad, m, m) in rows, which are zero for hinges without a stroke.
 
@@ -40,29 +85,16 @@ def stroke_rows(
             f"`strokes` is {shorten(repr(strokes))}, but must be a mapping from names of "
             'hinges to displacements (angle, x, y), such as {"piezo": (0.0, 1e-6, 0.0)}.'
         )
-    rows: list[Any] = [np.zeros(3) for _ in mechanism.hinge_names]
+    rows: list[Any] = [np.zeros(3) for _ in names]
     for name, stroke in strokes.items():
-        row = index_of("`strokes`", "hinge", name, mechanism.hinge_names)
+        row = index_of("`strokes`", "hinge", name, names)
         where = f"`strokes` of the hinge {name!r}"
         rows[row] = require_pose(where, stroke)
     return as_float(_stacked(rows))
 
 
-def with_strokes(mechanism: "Mechanism", strokes: Mapping[str, PoseLike]) -> "Mechanism":
-    """Add displacements to the misfits of hinges; see `Mechanism.with_strokes`."""
-    return with_stroke_rows(mechanism, stroke_rows(mechanism, strokes))
-
-
-def with_stroke_rows(
-    mechanism: "Mechanism", rows: Float[Array, "hinges 3"]
-) -> "Mechanism":
-    """Add strokes that are arranged in rows (rad, m, m) to the misfits of all hinges."""
-    hinges = mechanism.hinge_assembly.with_strokes(rows)
-    return eqx.tree_at(lambda new: new.hinge_assembly, mechanism, hinges)
-
-
 def stroke_forces(
-    hinges: "HingeAssembly", displacements: Poses, strokes: Float[Array, "hinges 3"]
+    hinges: HingeAssembly, displacements: Poses, strokes: Float[Array, "hinges 3"]
 ) -> tuple[Wrenches, Wrenches]:
     """Compute the forces of the hinges on the bodies due to small strokes.
 
@@ -83,33 +115,46 @@ def stroke_forces(
 
 
 def expanded(
-    mechanism: "Mechanism",
-    change: NumberLike,
-    bodies: NamedNumbers,
-    hinges: NamedNumbers,
-    gradients: NamedNumbers,
-) -> "Mechanism":
-    """Expand bodies and hinges; see `Mechanism.at_temperature`."""
-    assembly, expansions = mechanism.hinge_assembly, mechanism.hinge_expansions
-    _require_expansions(mechanism, {**hinges, **gradients})
+    assembly: HingeAssembly,
+    at: Float[Array, "hinges 3"],
+    bodies: Mapping[str, Scalar | None],
+    hinges: Mapping[str, Expansion | None],
+    temperature: Temperature,
+) -> tuple[HingeAssembly, Float[Array, "hinges 3"]]:
+    """Expand bodies and hinges; see `Mechanism.at_temperature`.
+
+    Args:
+        assembly: The hinges at the temperature without expansion.
+        at: Poses of the hinges in the world; rad, m, m.
+        bodies: Coefficients of expansion by names of bodies; 1/K.
+        hinges: Expansions by names of hinges.
+        temperature: Changes of the temperature.
+
+    Returns:
+        The hinges and their poses at the other temperature.
+    """
+    change, of_single_bodies, of_single_hinges, gradients = temperature
+    _require_expansions(assembly, bodies, hinges, {**of_single_hinges, **gradients})
+    names, hinge_names = tuple(bodies), tuple(hinges)
+    expansions = hinges.values()
     numbers = (
-        _by_name("`bodies`", "body", bodies, mechanism.names, change),
-        [0.0 if value is None else value for value in mechanism.expansions],
-        _by_name("`hinges`", "hinge", hinges, mechanism.hinge_names, change),
-        _by_name("`gradients`", "hinge", gradients, mechanism.hinge_names, 0.0),
+        _by_name("`bodies`", "body", of_single_bodies, names, change),
+        [0.0 if value is None else value for value in bodies.values()],
+        _by_name("`hinges`", "hinge", of_single_hinges, hinge_names, change),
+        _by_name("`gradients`", "hinge", gradients, hinge_names, 0.0),
         [0.0 if value is None else value.coefficient for value in expansions],
         [np.zeros((2, 2)) if value is None else value.ends for value in expansions],
         [np.zeros(3) if value is None else value.free_turn for value in expansions],
         [0.0 if value is None else value.arc_length for value in expansions],
     )
-    xp, (at, arms, directions, *arrays) = on_host(
-        mechanism.at, assembly.arms, assembly.directions, *map(_stacked, numbers)
+    xp, (poses, arms, directions, *arrays) = on_host(
+        at, assembly.arms, assembly.directions, *map(_stacked, numbers)
     )
     of_bodies, of_material, of_hinges, slopes, coefficient, *shapes = arrays
     clamps, free_turns, arc_length = shapes
     body_strains, hinge_strains = of_bodies * of_material, coefficient * of_hinges
-    _require_small_strains("body", mechanism.names, body_strains)
-    _require_small_strains("hinge", mechanism.hinge_names, hinge_strains)
+    _require_small_strains("body", names, body_strains)
+    _require_small_strains("hinge", hinge_names, hinge_strains)
     # The clamped ends of a hinge, not its middle, move with the bodies, and away from the
     # middle if the hinge expands.
     cos, sin = directions.T[:, :, None]
@@ -132,9 +177,8 @@ def expanded(
         sums=tuple(map(_dilated_sum, assembly.sums, scales)),
     )
     warm = warm.with_more_misfit(as_float(xp.stack(columns, axis=1)))
-    moved_at = as_float(xp.concatenate([at[:, :1], at[:, 1:] + middle], axis=1))
-    parts = moved_at, warm
-    return eqx.tree_at(lambda new: (new.at, new.hinge_assembly), mechanism, parts)
+    moved_at = xp.concatenate([poses[:, :1], poses[:, 1:] + middle], axis=1)
+    return warm, as_float(moved_at)
 
 
 def _require_small_strains(noun: str, names: Sequence[str], strains: Any) -> None:
@@ -164,34 +208,38 @@ def _dilated_sum(
     return dilated(energy, as_float(scale)), damping
 
 
-def _require_expansions(mechanism: "Mechanism", named: NamedNumbers) -> None:
+def _require_expansions(
+    assembly: HingeAssembly,
+    bodies: Mapping[str, Scalar | None],
+    hinges: Mapping[str, Expansion | None],
+    named: NamedNumbers,
+) -> None:
     """Check that parts can expand.
 
     Raises:
         ValueError: A hinge with a temperature or a gradient has no expansion, or neither
             bodies nor hinges have one.
     """
-    expansions = dict(zip(mechanism.hinge_names, mechanism.hinge_expansions, strict=True))
     for name in named:
-        if name in expansions and expansions[name] is None:
+        if name in hinges and hinges[name] is None:
             raise ValueError(
                 f"The hinge {name!r} has no `expansion`, so its temperature has no "
                 "effect. Give it one: `Hinge(..., expansion=Expansion(material, "
                 "length=...))`."
             )
-    parts = [*expansions.values(), *mechanism.expansions]
+    parts = [*hinges.values(), *bodies.values()]
     if all(expansion is None for expansion in parts):
         raise ValueError(
             "No body and no hinge has an `expansion`, so the temperature has no effect. "
             "Give `Body(..., expansion=12e-6)` (1/K) and `Hinge(..., "
             "expansion=Expansion(material, length=...))`."
         )
-    for row, (name, expansion) in enumerate(expansions.items()):
-        bodies = mechanism.hinge_assembly.ends[row]
-        expands = any(mechanism.expansions[body] is not None for body in bodies)
+    of_bodies = tuple(bodies.values())
+    for row, (name, expansion) in enumerate(hinges.items()):
+        expands = any(of_bodies[body] is not None for body in assembly.ends[row])
         if expansion is not None or not expands:
             continue
-        energy = mechanism.hinge_assembly.energy_of(row)
+        energy = assembly.energy_of(row)
         if flexure_length(energy) is not None:
             warn(
                 f"The hinge {name!r} is a flexure without an `expansion`. The bodies "

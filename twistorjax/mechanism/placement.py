@@ -9,8 +9,7 @@ from .._utils.host import all_concrete, concrete
 from .._utils.validation import warn
 from ..energies.base import flexure_length
 from .body import Body
-from .hinge import Hinge
-from .outline import AbstractOutline
+from .hinge import AbstractOutline, Hinge
 
 
 def warn_if_misplaced(

@@ -11,9 +11,8 @@ from ..energies.base import AbstractEnergy
 from ..energies.validity import without_ranges
 from ..geometry import se2
 from .body import Body
-from .hinge import Hinge
+from .hinge import AbstractOutline, Hinge
 from .mechanism import Mechanism
-from .outline import AbstractOutline
 
 
 class SubMechanism(AbstractOutline):

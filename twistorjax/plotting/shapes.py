@@ -11,7 +11,7 @@ import numpy as np
 
 from .._utils.types import Corners, Pose
 from ..energies.axial_spring import AxialSpring
-from ..flexures.compound.condensed import drawn_displacements
+from ..flexures.condensed import drawn_displacements
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
 

@@ -1,15 +1,14 @@
 from .bistability import Bistability as Bistability, bistability as bistability
 from .buckling import Buckling as Buckling, buckling as buckling
-from .constraint_analysis import (
-    constraint_analysis as constraint_analysis,
-    ConstraintAnalysis as ConstraintAnalysis,
-)
+from .constraint_analysis import constraint_analysis as constraint_analysis
 from .continuation.solution import (
     CriticalPoint as CriticalPoint,
     CriticalPoints as CriticalPoints,
     Path as Path,
     PathPoint as PathPoint,
 )
+from .equations.mobility import ConstraintAnalysis as ConstraintAnalysis
+from .equations.stresses import Stresses as Stresses
 from .equilibrium import (
     Column as Column,
     equilibrium as equilibrium,
@@ -22,6 +21,7 @@ from .frequency_response import (
     FrequencyResponse as FrequencyResponse,
 )
 from .integration.collocation import Gauss as Gauss, Radau as Radau
+from .integration.diffrax_interface import ProgressBar as ProgressBar
 from .integration.solution import Energies as Energies, Motion as Motion
 from .linearization import Linearization as Linearization, linearize as linearize
 from .path import path as path
@@ -30,7 +30,6 @@ from .port_compliance import (
     PortCompliance as PortCompliance,
 )
 from .port_motion import port_motion as port_motion, PortMotion as PortMotion
-from .progress import ProgressBar as ProgressBar
 from .range_of_motion import (
     range_of_motion as range_of_motion,
     RangeOfMotion as RangeOfMotion,
@@ -38,5 +37,5 @@ from .range_of_motion import (
 from .simulate import simulate as simulate
 from .state_space import state_space as state_space, StateSpace as StateSpace
 from .statics.solution import Equilibrium as Equilibrium
-from .stresses import Stresses as Stresses, stresses as stresses
+from .stresses import stresses as stresses
 from .vibrations import Vibrations as Vibrations, vibrations as vibrations

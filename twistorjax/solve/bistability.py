@@ -29,6 +29,7 @@ from ..results.codes import (
 )
 from .continuation.arc_length import Metric, NOT_FINITE, Step
 from .continuation.critical_points import null_vectors, with_derivatives
+from .continuation.diagnosis import path_message
 from .continuation.location import locate, Segment
 from .continuation.points import negative_eigenvalues, on_path, point_values
 from .continuation.program import (
@@ -38,12 +39,11 @@ from .continuation.program import (
     run_refined,
     run_uncompiled,
 )
-from .continuation.setup import assemble_path, first_displacements, FirstPoint
+from .continuation.setup import assemble_path, check_settings, first_displacements
 from .continuation.solution import CriticalPoint
+from .continuation.start import FirstPoint, metric_of
 from .continuation.system import PathSystem, PathTangent
 from .equations.dofs import DofPartition
-from .path import check_settings, path_message
-from .path_start import metric_of
 from .statics.solution import StateLike, warn_outside_linear_range
 
 

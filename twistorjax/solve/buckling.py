@@ -34,11 +34,11 @@ from .continuation.critical_points import (
     with_derivatives,
 )
 from .continuation.points import allowed_stiffness
+from .continuation.start import first_point, metric_of
 from .continuation.system import PathSystem, PathTangent
 from .equations.consistency import require_equilibrium
 from .equations.dofs import DofPartition
 from .equations.system import System
-from .path_start import first_point, metric_of
 from .statics.errors import describe_free_motions
 from .statics.solution import state_in_range, StateLike, warn_outside_linear_range
 

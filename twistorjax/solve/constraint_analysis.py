@@ -1,86 +1,15 @@
 """Mechanisms and over-constraints: motions and stresses that stiff hinges allow."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
-
-import jax
-import numpy as np
-from jaxtyping import Float
 
 from .._utils.progress import announced
-from .._utils.types import NumberLike, Poses
+from .._utils.types import NumberLike
 from .._utils.validation import require_float64
-from ..assembly.assembly import HingeAssembly
 from ..mechanism.constraints import AbstractConstraint
-from ..mechanism.mechanism import COORDINATES, Mechanism
+from ..mechanism.mechanism import Mechanism
 from .equations.dofs import DofPartition
-from .equations.system import System
+from .equations.mobility import analyze, ConstraintAnalysis
 from .statics.solution import state_in_range, StateLike
-
-
-_DIRECTIONS = ("moment", "axial force", "transverse force")
-_hinge_rows = jax.jit(HingeAssembly.rows_and_stiffness)
-# Singular values, and entries of vectors, below this fraction are rounding errors.
-_ROUNDING = 1e-9
-
-
-class ConstraintAnalysis(NamedTuple):
-    """Motions that no stiff direction resists, and states of self-stress.
-
-    Args:
-        motions: Displacements of the bodies in each independent motion that no stiff
-            direction resists. The largest coordinate of each motion is 1, with
-            translations divided by `length`; -, -, -.
-        self_stresses: Forces in the stiff directions of each independent state of
-            self-stress, the largest of which is 1. Such forces are in equilibrium without
-            loads: the mechanism is over-constrained.
-        directions: Name of each stiff direction, such as "axial force of 'left'".
-        length: Characteristic length of the mechanism; m.
-        names: Names of the bodies.
-    """
-
-    motions: Float[np.ndarray, "motions bodies 3"]
-    self_stresses: Float[np.ndarray, "states directions"]
-    directions: tuple[str, ...]
-    length: float
-    names: tuple[str, ...]
-
-    @property
-    def moving_bodies(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the bodies that move in each motion."""
-        return tuple(_nonzero(self.names, motion) for motion in self.motions)
-
-    @property
-    def releases(self) -> tuple[tuple[str, ...], ...]:
-        """Stiff directions of which one must be released, for each self-stress."""
-        return tuple(_nonzero(self.directions, row) for row in self.self_stresses)
-
-    @property
-    def motion_descriptions(self) -> tuple[str, ...]:
-        """Sentences such as "motion of 'table', mainly x of 'table'", for each motion."""
-        descriptions = []
-        for motion, bodies in zip(self.motions, self.moving_bodies, strict=True):
-            body, coordinate = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
-            descriptions.append(
-                f"motion of {', '.join(map(repr, bodies))}, mainly "
-                f"{COORDINATES[coordinate]} of {self.names[body]!r}"
-            )
-        return tuple(descriptions)
-
-    def __repr__(self) -> str:
-        def count(number: int, noun: str) -> str:
-            return f"{number} {noun}{'' if number == 1 else 's'}"
-
-        lines = [
-            f"{count(len(self.motions), 'motion')} that no stiff direction resists, "
-            f"{count(len(self.self_stresses), 'over-constraint')}"
-        ]
-        lines += self.motion_descriptions
-        lines += [
-            f"over-constraint: release one of {', '.join(directions)}"
-            for directions in self.releases
-        ]
-        return "\n".join(lines)
 
 
 @announced("constraint analysis")
@@ -144,78 +73,3 @@ def constraint_analysis(
     dofs = DofPartition.of(mechanism, sorted(held))
     state = state_in_range(mechanism, "about", about)
     return analyze(mechanism, dofs, constraints, state, time, ratio)
-
-
-def analyze(
-    mechanism: Mechanism,
-    dofs: DofPartition,
-    constraints: Sequence[AbstractConstraint],
-    state: Poses,
-    time: NumberLike,
-    ratio: float,
-) -> ConstraintAnalysis:
-    """Analyze displacements (rad, m, m); see `constraint_analysis`."""
-    system = System.of(mechanism, dofs, (), constraints, time)
-    rows, stiffness = map(np.asarray, _hinge_rows(mechanism.hinge_assembly, state))
-    length = float(system.units()[1])
-    units = np.array([length, 1.0, 1.0])
-    scaled = stiffness / (units[:, None] * units)
-    values, vectors = np.linalg.eigh(scaled)
-    column_units = np.where(np.array(dofs.free, int) % 3, length, 1.0)
-    stiff, names = [], []
-    largest = np.max(np.abs(values), initial=0.0)
-    for k, name in enumerate(mechanism.hinge_names):
-        for value, vector in zip(values[k], vectors[k].T, strict=True):
-            if value >= ratio * largest:
-                row = (vector * units) @ rows[k][:, dofs.free] * column_units
-                stiff.append(row / length)
-                names.append(f"{_DIRECTIONS[np.argmax(np.abs(vector))]} of {name!r}")
-    jacobian = np.asarray(system.jacobian(state))[:, dofs.free] * column_units
-    for name, row in zip(system.constraints.names(), jacobian, strict=True):
-        stiff.append(row / max(np.linalg.norm(row), np.finfo(float).tiny))
-        names.append(f"constraint {name!r}")
-    matrix = np.array(stiff).reshape(len(names), len(dofs.free))
-    free_motions = _sparse_null_space(matrix)
-    motions = np.zeros((len(free_motions), dofs.total))
-    motions[:, list(dofs.free)] = free_motions
-    return ConstraintAnalysis(
-        motions=motions.reshape(-1, len(mechanism.names), 3),
-        self_stresses=_sparse_null_space(matrix.T),
-        directions=tuple(names),
-        length=length,
-        names=mechanism.names,
-    )
-
-
-def _nonzero(names: Sequence[str], values: np.ndarray) -> tuple[str, ...]:
-    """Return the names of the rows that have values other than zero."""
-    return tuple(
-        name
-        for name, row in zip(names, values, strict=True)
-        if np.any(np.abs(row) > _ROUNDING)
-    )
-
-
-def _sparse_null_space(
-    matrix: Float[np.ndarray, "rows columns"],
-) -> Float[np.ndarray, "vectors columns"]:
-    """Compute a basis of the null space whose vectors have many zeros.
-
-    The orthonormal basis is reduced to row echelon form, with the largest entries as
-    pivots.
-    """
-    columns = matrix.shape[1]
-    if not matrix.size:
-        return np.eye(columns)
-    _, values, rows = np.linalg.svd(matrix)
-    rank = int(np.sum(values > _ROUNDING * max(values[0], np.finfo(float).tiny)))
-    basis = rows[rank:].copy()
-    for k in range(len(basis)):
-        rest = np.abs(basis[k:])
-        row, pivot = np.unravel_index(np.argmax(rest), rest.shape)
-        basis[[k, k + row]] = basis[[k + row, k]]
-        basis[k] /= basis[k, pivot]
-        others = np.arange(len(basis)) != k
-        basis[others] -= basis[others, pivot][:, None] * basis[k]
-    basis[np.abs(basis) < _ROUNDING] = 0.0
-    return basis / np.max(np.abs(basis), axis=1, keepdims=True, initial=0.0)

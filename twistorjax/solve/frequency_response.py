@@ -12,12 +12,13 @@ from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import require_float64
-from ..linalg.factors import null_space
+from ..linalg.constraints import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..results.codes import BodySolution, result_message, RESULTS, succeeded_or_raise
+from ..results.codes import result_message, RESULTS, succeeded_or_raise
+from ..results.solutions import BodySolution
 from ..results.tables import Column, Columns
 from .equations.consistency import consistent, inconsistency, require_equilibrium
 from .equations.dofs import DofPartition
@@ -132,7 +133,7 @@ def frequency_response(
     prescribed, targets = prescribed_dofs(mechanism, drives)
     dofs = DofPartition.of(mechanism, prescribed)
     load_set = LoadSet.of(mechanism, loads)
-    rows = stroke_rows(mechanism, strokes) if strokes else None
+    rows = stroke_rows(mechanism.hinge_names, strokes) if strokes else None
     system = System.of(mechanism, dofs, static_loads, constraints, time)
     state = state_in_range(mechanism, "about", about)
     state = require_equilibrium(mechanism, system, state, about, "static_loads")

@@ -13,15 +13,15 @@ from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
 from .._utils.validation import require_float64
-from ..linalg.factors import ConstrainedFactors, Elimination, Factors
+from ..linalg.constraints import ConstrainedFactors
+from ..linalg.factors import Elimination, Factors
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..mechanism.support import require_support
 from ..results.codes import RESULTS
 from .equations.consistency import consistent, inconsistency, require_equilibrium
-from .equations.dofs import DofPartition
+from .equations.dofs import DofPartition, require_support
 from .equations.system import System
 from .statics.errors import check_equilibrium
 from .statics.solution import Equilibrium, state_in_range, StateLike
@@ -100,7 +100,7 @@ class Linearization(eqx.Module):
                 f"made by `linearize` for {_listed(mechanism, self.dofs.prescribed)}."
             )
         load_set = LoadSet.of(mechanism, loads)
-        rows = stroke_rows(mechanism, strokes) if strokes else None
+        rows = stroke_rows(mechanism.hinge_names, strokes) if strokes else None
         change = _respond(self, load_set, rows, targets, prescribed)
         return check_equilibrium(change) if throw else change
 

@@ -11,7 +11,6 @@ from .._compile.traced_function import traced
 from .._utils.host import (
     all_concrete,
     as_float,
-    concrete,
     is_traced,
     padded_size,
     take_rows,
@@ -22,7 +21,8 @@ from .._utils.validation import require_positive, warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import result_message, succeeded_or_raise
+from ..results.codes import succeeded_or_raise
+from .continuation.diagnosis import path_message
 from .continuation.program import (
     evaluate_path,
     first_rows,
@@ -33,14 +33,14 @@ from .continuation.program import (
 )
 from .continuation.setup import (
     assemble_path,
-    FirstPoint,
+    check_settings,
     PathStrokes,
     PathTemperature,
     StartLike,
 )
 from .continuation.solution import Path, PathPoint
+from .continuation.start import FirstPoint
 from .continuation.system import PathSystem
-from .statics.errors import describe_free_motions
 from .statics.solution import warn_outside_linear_range
 
 
@@ -166,37 +166,6 @@ def path(
     return _checked(found, system, run)
 
 
-def check_settings(
-    direction: int | Mapping[str, PoseLike],
-    load_factors: NumbersLike,
-    max_points: int,
-    max_critical: int = 1,
-) -> None:
-    """Check the settings of a path.
-
-    Raises:
-        ValueError: A setting is invalid.
-    """
-    if not isinstance(direction, Mapping) and direction not in (1, -1):
-        raise ValueError(f"`direction` is {direction!r}, but must be 1 or -1.")
-    limits = concrete(load_factors)
-    if limits is not None and limits.shape != (2,):
-        raise ValueError(
-            f"`load_factors` has the shape {limits.shape}, but must be two load factors, "
-            "between which the path is followed. Its points are chosen by the solver."
-        )
-    if limits is not None and not limits[0] < limits[1]:
-        raise ValueError(
-            f"`load_factors` is {load_factors!r}, but the first one must be smaller than "
-            "the second one."
-        )
-    if max_points < 3 or max_critical < 1:
-        raise ValueError(
-            f"`max_points` is {max_points!r} and `max_critical` is {max_critical!r}, but "
-            "`max_points` must be at least 3, and `max_critical` at least 1."
-        )
-
-
 def _require_inside(first: FirstPoint, load_factors: NumbersLike) -> None:
     """Check that a path begins in the interval of its load factors.
 
@@ -276,15 +245,3 @@ def _checked(found: Path, system: PathSystem, run: PathRun) -> Path:
         return RuntimeError(text)
 
     return succeeded_or_raise(found, error)
-
-
-def path_message(item: str, system: PathSystem, run: PathRun) -> str:
-    """Return the message of a failure of a path, by the name of the result."""
-    text = result_message(item)
-    if item == "out_of_range":
-        text += f" {system.range_messages(run.trace.reached)}"
-    if item == "unstable":
-        text += describe_free_motions(
-            system.mechanism, system.constraints, system.dofs, system.start, system.time
-        )
-    return text

@@ -18,21 +18,22 @@ from .._utils.types import (
     BatchScalar,
     NumberLike,
     Numbers,
+    Point,
     Pose,
     PoseLike,
     Poses,
     Scalar,
 )
 from .._utils.validation import index_of, require_choice, require_finite, require_pose
+from ..geometry import se2
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from ..mechanism.misfits import stroke_rows, with_stroke_rows
+from ..mechanism.misfits import stroke_rows
 from ..results.codes import is_success, RESULTS
 from ..results.tables import Column, Columns, Tabular
 from .constraint_analysis import constraint_analysis
 from .equilibrium import equilibrium
-from .port_kinematics import displacement_and_rate
 from .statics.errors import check_equilibrium
 from .statics.solution import Equilibrium
 
@@ -278,7 +279,7 @@ def _input(
                 f"`strokes` has {len(strokes)} actuators, but the input is the stroke of "
                 "one. Apply the others by `Mechanism.with_strokes`."
             )
-        rows = stroke_rows(mechanism, strokes)
+        rows = stroke_rows(mechanism.hinge_names, strokes)
         travel = jnp.sqrt(jnp.sum(rows[:, 1:] ** 2))
         if (known := all_concrete([travel])) is not None and known[0] == 0:
             raise ValueError(
@@ -321,7 +322,8 @@ def _path(
         if drive is not None:
             drives = [jax.tree.map(lambda value: share * value, drive)]
         if strokes is not None:
-            moved = with_stroke_rows(mechanism, share * strokes)
+            hinges = mechanism.hinge_assembly.with_strokes(share * strokes)
+            moved = mechanism.with_hinges(hinges)
         solution = equilibrium(
             moved, loads=loads, drives=drives, constraints=constraints, time=time,
             throw=False,
@@ -381,3 +383,27 @@ def _rigid_gain(
     rate = jnp.asarray(motions[moving[0], body] / inputs[moving[0]])
     angle = mechanism.reference[body, 0]
     return displacement_and_rate(angle, frame, start[body], start[body], rate)[1]
+
+
+def displacement_and_rate(
+    reference: Scalar, frame: Pose, start: Pose, now: Pose, rate: Pose
+) -> tuple[Pose, Pose]:
+    """Compute displacement and rate of a port from those of its body (angle, x, y).
+
+    `reference` is the angle of the body in the reference configuration; rad. `start` is
+    the displacement of the body at the start of the travel; rad, m, m.
+    """
+    angle = now[0] - start[0]
+    arm = se2.rotate(reference + start[0], frame[1:])
+    turned = se2.rotation_displacement(tuple(arm), jnp.cos(angle / 2), jnp.sin(angle / 2))
+    turned = jnp.stack(turned)
+    translation = now[1:] - start[1:] + turned
+    velocity = rate[1:] + rate[0] * _perpendicular(arm + turned)
+    to_port = -(reference + start[0] + frame[0])
+    displacement = jnp.append(angle, se2.rotate(to_port, translation))
+    return displacement, jnp.append(rate[0], se2.rotate(to_port, velocity))
+
+
+def _perpendicular(vector: Point) -> Point:
+    """Rotate a vector by 90 degrees counterclockwise."""
+    return jnp.stack([-vector[1], vector[0]])

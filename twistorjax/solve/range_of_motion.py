@@ -19,21 +19,20 @@ from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_rows
-from ..mechanism.support import require_support
 from ..results.codes import (
     count_results,
-    PoseSolution,
     result_message,
     result_names,
     RESULTS,
     succeeded_or_raise,
 )
+from ..results.solutions import PoseSolution
 from ..results.tables import Column, Columns
 from .continuation.setup import first_displacements
-from .equations.dofs import DofPartition
+from .equations.dofs import DofPartition, require_support
+from .equations.stresses import select_stresses, Stresses
 from .statics.range_search import find_ends, RangeInput
 from .statics.solution import StateLike, warn_outside_linear_range
-from .stresses import select_stresses, Stresses
 
 
 _SIDES = ("backward", "forward")
@@ -193,7 +192,7 @@ def range_of_motion(
         constant_loads=LoadSet.of(mechanism, constant_loads),
         constraints=constraint_set,
         targets=targets,
-        strokes=stroke_rows(mechanism, strokes) if strokes else None,
+        strokes=stroke_rows(mechanism.hinge_names, strokes) if strokes else None,
         time=as_float(time),
         allowable=allowable,
     )

@@ -14,19 +14,18 @@ from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import index_of, require_float64, require_package
+from ..linalg.constraints import null_space
 from ..linalg.elimination import inverse
-from ..linalg.factors import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..mechanism.support import require_support
 from ..results.codes import result_message, RESULTS, succeeded_or_raise
 from .equations.consistency import consistent, inconsistency, require_equilibrium
-from .equations.dofs import DofPartition
+from .equations.dofs import DofPartition, require_support
+from .equations.modes import natural_modes
 from .equations.system import System
 from .statics.solution import state_in_range, StateLike
-from .vibrations import natural_modes
 
 
 if TYPE_CHECKING:
@@ -279,7 +278,7 @@ class _Excitation(NamedTuple):
         """
         strokes = None
         if isinstance(given, Mapping):
-            strokes = stroke_rows(mechanism, given)
+            strokes = stroke_rows(mechanism.hinge_names, given)
         elif not isinstance(given, Load | Drive):
             raise ValueError(
                 f"The input {name!r} is a {type(given).__name__}, but must be a `Load`, "

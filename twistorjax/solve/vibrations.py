@@ -1,20 +1,16 @@
 """Natural vibrations of a mechanism about an equilibrium."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
-from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, NumberLike, Poses
 from .._utils.validation import require_float64
-from ..linalg.eigenvalues import modes, rounding_errors, Stiffness
-from ..linalg.factors import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
@@ -28,6 +24,7 @@ from ..results.codes import (
 from ..results.tables import Column, Columns, columns, Tabular
 from .equations.consistency import consistent, inconsistency, require_equilibrium
 from .equations.dofs import DofPartition
+from .equations.modes import natural_modes
 from .equations.system import System
 from .statics.solution import state_in_range, StateLike
 
@@ -161,54 +158,6 @@ def vibrations(
         return RuntimeError(result_message(name))
 
     return succeeded_or_raise(solution, error) if throw else solution
-
-
-class NaturalModes(NamedTuple):
-    """Modes of vibration of the free degrees of freedom.
-
-    Args:
-        angular: Angular frequencies, negative for unstable modes; rad/s.
-        shapes: Mass-normalized mode shapes, one in each column; rad/(kg^0.5 m),
-            1/kg^0.5.
-        unstable: Whether the stiffness of each mode is negative, and not zero within
-            rounding errors.
-    """
-
-    angular: Float[Array, " modes"]
-    shapes: Float[Array, "free modes"]
-    unstable: Bool[Array, " modes"]
-
-
-def natural_modes(
-    mechanism: Mechanism, system: System, displacements: Poses
-) -> NaturalModes:
-    """Compute the modes at given displacements (rad, m, m), without follower loads."""
-    free = system.free
-    root = jnp.sqrt(mechanism.inertia().reshape(-1)[free])
-    rows, weights, remainder = system.hinges.factored(displacements, system.dofs.free)
-    _, by_angle = system.loads.apply(displacements)
-    # Without follower loads, only the moments of the loads depend on the angles.
-    remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
-    basis = None
-    if system.constraints.size:
-        geometric = system.constraint_stiffness(displacements)
-        remainder = remainder + geometric[free[:, None], free]
-        jacobian = system.jacobian(displacements)[:, free]
-        _, basis = null_space(jacobian / root[None])
-    stiffness = Stiffness(
-        rows / root[None], weights, remainder / (root[:, None] * root[None])
-    )
-    allowed = stiffness
-    if basis is not None:
-        remainder = basis.T @ stiffness.remainder @ basis
-        allowed = Stiffness(stiffness.rows @ basis, weights, remainder)
-    angular, vectors = modes(allowed)
-    angular = jnp.diagonal(angular)
-    if basis is not None:
-        vectors = basis @ vectors
-    errors = rounding_errors(*stop_gradient((stiffness, vectors)))
-    unstable = (angular < 0) & (angular**2 > errors)
-    return NaturalModes(angular, vectors / root[:, None], unstable)
 
 
 @fast_compile

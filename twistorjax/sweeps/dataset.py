@@ -1,10 +1,7 @@
 """Layout of the dataset of a sweep, and check that it fits into the memory."""
 
-import contextlib
 import math
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import jax
@@ -24,8 +21,10 @@ if TYPE_CHECKING:
 
 # size of `succeeded` and `result` for one design; bytes
 MINIMUM_OUTPUT_SIZE = 5
+
 # value of `result` for a design that has not been evaluated
 NOT_COMPUTED = -1
+
 # meaning of the numbers of `result`, in the form of the CF conventions
 RESULT_FLAGS = {
     "result": {
@@ -215,46 +214,6 @@ def finish_dataset(
         names = [name for name in table.data_vars if "design" in table[name].dims]
         table = table.assign({name: reshape(table[name]) for name in names})
     return table
-
-
-def require_memory(count: int, needed: int) -> None:
-    """Check that the arrays of a dataset fit into the memory of the machine.
-
-    The check is skipped if the system does not report its memory.
-
-    Args:
-        count: Number of designs.
-        needed: Size of the arrays that are held in memory; bytes.
-
-    Raises:
-        ValueError: The machine has less memory.
-    """
-    available = _machine_memory()
-    if available is not None and needed > available:
-        raise memory_error(count, needed, available)
-
-
-def memory_error(count: int, needed: int, available: int | None = None) -> ValueError:
-    """Create the error for a dataset that does not fit into the memory.
-
-    The arrays need `needed` bytes; the machine has `available` bytes, if this is known.
-    """
-    memory = "" if available is None else f" ({available / 2**30:,.3g} GiB)"
-    return ValueError(
-        f"The dataset of {count:,} designs needs at least {needed / 2**30:,.3g} GiB, "
-        f"which is more than the memory of this machine{memory}. Use fewer designs, or "
-        "split them into several sweeps."
-    )
-
-
-def _machine_memory() -> int | None:
-    """Read the memory that this process may use; bytes, or `None` if it is unknown."""
-    sizes = []
-    with contextlib.suppress(AttributeError, ValueError, OSError):  # missing on Windows
-        sizes.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    with contextlib.suppress(ValueError, OSError):  # memory limit of a container
-        sizes.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return min((size for size in sizes if size > 0), default=None)
 
 
 def _derivative_unit(output: str, parameter: str) -> str:

@@ -5,7 +5,6 @@ The devices may belong to several processes, which `jax.distributed` connects.
 
 import contextlib
 import hashlib
-import re
 from collections import deque, OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from .._compile.batching import CPU_BATCH_SIZE, single_threaded_batch_size
 from .._compile.program_key import program_key
 from .._utils.host import padded_size
 from ..designs.designs import Designs, DesignStructure
@@ -25,12 +25,11 @@ from .outputs import study_output, StudyOutput
 # largest fraction of padding, on a processor and on an accelerator. An accelerator
 # evaluates a few large chunks in less time than many small ones.
 _CPU_CHUNKS, _ACCELERATOR_CHUNKS = (128, 4096, 1 / 4), (2**14, 2**17, 1 / 2)
+
 # Memory that a chunk may use by default: bytes on a processor, and a fraction of the
 # memory of an accelerator
 _CPU_MEMORY, _ACCELERATOR_MEMORY = 2**30, 1 / 2
-# On a processor, a chunk is evaluated in batches of this size. The arrays of so few
-# designs stay in the cache, and the slowest design of a batch delays few others.
-_CPU_BATCH_SIZE = 128
+
 _MOST_PROGRAMS = 32  # that are kept
 
 
@@ -98,7 +97,7 @@ class Program:
     ):
         self.structure, self.mesh, self.memory = structure, mesh, memory
         self._evaluate = study_output(study, structure, derivatives)
-        self._batch_size = _CPU_BATCH_SIZE
+        self._batch_size = CPU_BATCH_SIZE
         self._compiled: Any = None
         self._fixed_chunk_size, self.chunk_size = fixed_chunk_size, chunk_size
         self._trace()
@@ -222,7 +221,7 @@ class Program:
         while True:
             lowered = self._traced.lower()
             text = lowered.as_text()
-            batch_size = _single_threaded_batch_size(text)
+            batch_size = single_threaded_batch_size(text)
             if batch_size >= self._batch_size:
                 break
             self._batch_size = batch_size
@@ -390,26 +389,6 @@ def gather(
         name: np.asarray(multihost_utils.process_allgather(array))[owners, rows]
         for name, array in values.items()
     }
-
-
-def _single_threaded_batch_size(program: str) -> int:
-    """Find the largest batch for which LAPACK calls run in a single thread.
-
-    XLA distributes a batch of matrices among threads if the work exceeds about 2e5
-    operations. Two such calls on two devices of one processor wait for each other and
-    deadlock (jaxlib 0.10). The program is StableHLO text.
-    """
-    largest = 0.0
-    for line in program.splitlines():
-        if not (call := re.search(r"@lapack_.(\w+?)_ffi", line)):
-            continue
-        factor = {"potrf": 1 / 3, "trsm": 1 / 3, "getrf": 2 / 3}.get(call[1], 25.0)
-        for shape in re.findall(r"tensor<([\dx]+)x[cf]\d+>", line):
-            rows, columns = [1, 1, *map(int, shape.split("x"))][-2:]
-            largest = max(largest, factor * rows * columns * max(rows, columns))
-    if not largest:
-        return _CPU_BATCH_SIZE
-    return max(1, min(_CPU_BATCH_SIZE, int(2e5 / largest)))
 
 
 def _shape(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -8,6 +8,7 @@ from typing import Any, TYPE_CHECKING
 import jax
 import numpy as np
 
+from .._utils.memory import memory_error, require_memory
 from .._utils.progress import announced, progress_bar
 from .._utils.validation import compilation_error, require_package, warn
 from ..designs.designs import Designs, Grid as Grid, grid_chunk_size
@@ -17,10 +18,8 @@ from ..results.tables import Column, dataset
 from .dataset import (
     finish_dataset,
     Layout,
-    memory_error,
     MINIMUM_OUTPUT_SIZE,
     NOT_COMPUTED,
-    require_memory,
     RESULT_FLAGS,
 )
 from .executor import (

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.memory import require_memory
 from .._utils.progress import announced
 from .._utils.types import ArrayOfNumbers
 from .._utils.validation import quote, require_float64
@@ -17,7 +18,6 @@ from ..designs.distributions import (
     Uniform as Uniform,
 )
 from ..designs.sampling import DistributionSet, Method
-from .dataset import require_memory
 from .outputs import without_jit
 from .sweep import require_packages, sweep, warn_of_failures
 

@@ -34,8 +34,8 @@ from ..._utils.validation import (
 from ...energies.validity import WithValidityRange
 from ...geometry import se2
 from ...mechanism.body import Body
-from ...mechanism.expansion import Expansion
 from ...mechanism.hinge import Hinge
+from ...mechanism.material import Expansion
 from ..beams.beam import arc_rotation, Beam, is_constant, is_uniform, load_units
 from ..beams.under_load import (
     beam_under_load,

@@ -28,7 +28,7 @@ from ...mechanism.sub_mechanism import SubMechanism
 from ...results.codes import RESULTS
 from ...solve.equilibrium import equilibrium
 from ..beams.stress_models import MechanismStress, terms_of_state
-from ..compound.condensed import Condensed, reference_stiffness
+from ..condensed import Condensed, reference_stiffness
 from .samples import least_squares, low_discrepancy_points, relative_errors, SAMPLES
 
 

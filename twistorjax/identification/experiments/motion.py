@@ -12,8 +12,9 @@ from ..._utils.host import as_float, concrete
 from ..._utils.types import NumberLike, Poses, Scalar, Table, TimesLike, VelocityLike
 from ...mechanism.constraints import AbstractConstraint
 from ...mechanism.mechanism import Mechanism
-from ...solve.integration.initial_value import check_times, explain_compilation
-from ...solve.simulate import Driving, Loading, simulate
+from ...solve.integration.arguments import check_times, explain_compilation
+from ...solve.integration.program import Driving, Loading
+from ...solve.simulate import simulate
 from ...solve.statics.solution import Equilibrium, StateLike
 from .measurement import as_pytree, require_sensors, SensorTest
 from .sensors import AbstractSensor

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ..._utils.types import Count, Flag, Scalar
+from ...linalg.factors import determinant_sign
 from .system import PathSystem, PathTangent
 
 
@@ -24,26 +24,43 @@ from .system import PathSystem, PathTangent
 ) = range(11)  # fmt: skip
 
 _LARGEST_CORRECTION = 0.3  # of the first correction, as a fraction of the step
+
 _LARGEST_CONTRACTION = 0.25  # of the following corrections
+
 _SMALL_CORRECTION = 1e-3  # of a step; smaller ones need not contract
+
 _CORRECTIONS = 8  # at most, in one step
+
 _SMALLEST_STEP = 1e-7  # as a fraction of the largest one
+
 # Steps of this fraction may pass a limit point and branch points at the same time.
 _MULTIPLE_POINT_STEP = 4e-4
+
 _TOLERANCE = 1e-9  # on the predicted error of a point, relative to the largest step
+
 _ROUNDING = 1e-8  # Corrections below this fraction of a step may be rounding errors.
+
 _LARGEST_ANGLE = 0.35  # between the tangents of successive points; rad
+
 _GOOD_ANGLE = 0.12
+
 _GROWTH = 2.0
+
 _REDUCTION = 0.4  # of a step that was rejected
+
 # A path has returned if it passes its first point at this fraction of its largest
 # displacement, which may be small compared with the metric in a shallow mechanism.
 _SAME_PLACE = 0.05
+
 _BLOCK = 16  # steps, after which points are stored
+
 _FIRST_STEP = 0.1  # as a fraction of the largest one
+
 _FIRST_BRANCH_STEP = 0.3
+
 # The direction of a branch is known less exactly than that of a path.
 _LARGEST_BRANCH_CORRECTION = 0.8
+
 _LARGEST_BRANCH_ANGLE = 1.2
 
 
@@ -183,16 +200,6 @@ def solve_step(
 def border_row(metric: Metric, border: Float[Array, " n"]) -> Float[Array, "1 n"]:
     """Return the last row of the matrix of a correction."""
     return (metric.weights * border)[None]
-
-
-def determinant_sign(
-    triangle: Float[Array, "n n"], pivots: Int[Array, " n"]
-) -> Float[Array, ""]:
-    """Return the sign of a determinant from the factors of Gaussian elimination."""
-    rows = np.arange(pivots.shape[-1], dtype=np.int32)
-    exchanges = jnp.sum(pivots != jnp.asarray(rows))
-    negative = jnp.sum(jnp.diagonal(triangle) < 0)
-    return jnp.where((exchanges + negative) % 2 == 0, 1.0, -1.0)
 
 
 def follow(

@@ -1,45 +1,39 @@
-"""The critical point at which an equilibrium under increasing loads ends."""
+"""Messages on paths and on equilibria under increasing loads that fail."""
 
 import jax.numpy as jnp
 
-from ..._utils.host import as_float
-from ..._utils.types import NumberLike, Scalar
-from ...mechanism.constraints import ConstraintSet
+from ..._utils.host import (
+    as_float,
+)
 from ...mechanism.loads import LoadSet
-from ...mechanism.mechanism import Mechanism
-from ..equations.dofs import DofPartition
+from ...results.codes import result_message
+from ..statics.errors import describe_free_motions
 from ..statics.solution import Equilibrium
-from .program import run_path
-from .setup import regular_point
+from ..statics.solver import StaticProblem
+from .program import (
+    PathRun,
+    run_path,
+)
+from .start import regular_point
 from .system import PathSystem
 
 
 _POINTS = 60  # of the path; the critical point is close to its start
 
 
-def describe_critical_point(
-    mechanism: Mechanism,
-    loads: LoadSet,
-    constraints: ConstraintSet,
-    targets: tuple[Scalar, ...],
-    dofs: DofPartition,
-    solution: Equilibrium,
-    time: NumberLike,
-) -> str:
+def describe_critical_point(problem: StaticProblem, solution: Equilibrium) -> str:
     """Describe the first critical point after the equilibrium that was reached.
 
     Args:
-        mechanism: The mechanism.
-        loads: Its loads.
-        constraints: Its constraints.
-        targets: Displacements of the prescribed degrees of freedom; rad, m.
-        dofs: Partition of the degrees of freedom.
+        problem: The mechanism and its loads.
         solution: The equilibrium, with the fraction of the loads that was reached.
-        time: Time at which time-dependent constraints are evaluated; s.
 
     Returns:
         A sentence for an error message; empty if no critical point was found.
     """
+    mechanism, loads, constraints, dofs, targets, start, time = problem
+    if start is not None or mechanism.hinge_assembly.misfits is not None:
+        return ""  # The forces at the start, or the misfits, change along the path.
     system = PathSystem(
         mechanism=mechanism,
         loads=loads,
@@ -61,3 +55,15 @@ def describe_critical_point(
     if (times := int(criticals.multiplicities[0])) > 1:
         kind = f"{times}-fold {kind}"
     return f" There is a {kind} point at the fraction {fraction:.8g}."
+
+
+def path_message(item: str, system: PathSystem, run: PathRun) -> str:
+    """Return the message of a failure of a path, by the name of the result."""
+    text = result_message(item)
+    if item == "out_of_range":
+        text += f" {system.range_messages(run.trace.reached)}"
+    if item == "unstable":
+        text += describe_free_motions(
+            system.mechanism, system.constraints, system.dofs, system.start, system.time
+        )
+    return text

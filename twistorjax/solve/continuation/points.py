@@ -10,10 +10,11 @@ from jaxtyping import Array, Float, Int
 
 from ..._utils.pytrees import jvp_of_varied
 from ..._utils.types import Count
+from ...linalg.constraints import null_space
 from ...linalg.elimination import solve
-from ...linalg.factors import null_space
-from ..stresses import reported_stresses
-from .arc_length import determinant_sign, Metric
+from ...linalg.factors import determinant_sign
+from ..equations.stresses import reported_stresses
+from .arc_length import Metric
 from .system import PathSystem, PathTangent
 
 

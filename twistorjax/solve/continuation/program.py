@@ -19,15 +19,14 @@ from ..._utils.host import take_rows
 from ..._utils.pytrees import stop_gradient
 from ..._utils.types import Scalar
 from ...results.codes import result_of_status, RESULTS
-from ..path_start import first_point, start_at, start_on_branch
-from ..stresses import select_stresses
+from ..equations.stresses import select_stresses
 from . import arc_length
 from .arc_length import follow, Metric, Trace
 from .branch_points import refine_branch_points
 from .critical_points import Criticals, locate_points, null_vectors, with_derivatives
 from .points import on_path, point_values
-from .setup import FirstPoint
 from .solution import CriticalPoints, Path, PathPoint
+from .start import first_point, FirstPoint, start_at, start_on_branch
 from .system import PathSystem
 
 

@@ -1,32 +1,41 @@
 """Equations and first point of a path, from the arguments of a user."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from typing_extensions import TypeAliasType
 
-from ..._utils.host import as_float, concrete
-from ..._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
-from ..._utils.validation import index_of, require_float64, require_pose
+from ..._utils.host import (
+    as_float,
+    concrete,
+)
+from ..._utils.types import NumberLike, NumbersLike, PoseLike, Poses, Scalar
+from ..._utils.validation import (
+    index_of,
+    require_float64,
+    require_pose,
+)
 from ...mechanism.changes import (
     as_temperature,
     HingeChanges,
-    Temperature,
     TemperatureInTime,
     with_arrays,
 )
 from ...mechanism.constraints import AbstractConstraint, gather_constraints
 from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ...mechanism.mechanism import Mechanism
-from ...mechanism.support import require_support
-from ..equations.dofs import DofPartition
-from ..equilibrium import equilibrium
-from ..path_start import branch_mode
+from ...mechanism.misfits import Temperature
+from ..equations.dofs import DofPartition, require_support
+from ..statics.errors import check_equilibrium
 from ..statics.solution import StateLike
+from ..statics.solver import StaticProblem
+from .diagnosis import describe_critical_point
 from .solution import CriticalPoint
+from .start import branch_mode, FirstPoint, regular_point
 from .system import PathSystem
 
 
@@ -34,42 +43,13 @@ from .system import PathSystem
 PathStrokes = TypeAliasType(
     "PathStrokes", Mapping[str, PoseLike] | Callable[[Scalar], Mapping[str, PoseLike]]
 )
+
 # A change of the temperature, or a function of the load factor that returns it; K
 PathTemperature = TypeAliasType(
     "PathTemperature", NumberLike | Temperature | TemperatureInTime
 )
+
 StartLike = TypeAliasType("StartLike", StateLike | CriticalPoint)
-
-
-class FirstPoint(NamedTuple):
-    """First point of a path, and the direction in which the path begins.
-
-    Args:
-        displacements: Displacements of the bodies; rad, m, m.
-        factor: Load factor.
-        direction: 1 or -1; the sign of the change of the load factor or, at a branch
-            point, of the mode.
-        at_branch: Whether the point is a branch point, at which the path leaves in the
-            direction of the mode.
-        mode: The mode of the branch point.
-    """
-
-    displacements: Poses
-    factor: Scalar
-    direction: Scalar
-    at_branch: Flag
-    mode: Poses
-
-
-def regular_point(displacements: Poses, factor: Scalar, direction: int = 1) -> FirstPoint:
-    """Return a first point that is not a branch point."""
-    return FirstPoint(
-        displacements=displacements,
-        factor=factor,
-        direction=jnp.asarray(direction, float),
-        at_branch=jnp.zeros((), bool),
-        mode=jnp.zeros_like(displacements),
-    )
 
 
 def assemble_path(
@@ -204,16 +184,48 @@ def first_displacements(
 ) -> Poses:
     """Compute the equilibrium at the load factor zero; rad, m, m."""
     if changes is not None:
-        hinges = changes.state(mechanism, jnp.zeros(())).hinges(mechanism)
-        mechanism = eqx.tree_at(lambda new: new.hinge_assembly, mechanism, hinges)
+        hinges = mechanism.hinges_in(changes.state(mechanism, jnp.zeros(())))
+        mechanism = mechanism.with_hinges(hinges)
     deformed = mechanism.hinge_assembly.misfits is not None
     if start is None and not (deformed or constant_loads or constraints):
         return jnp.zeros_like(mechanism.reference)
-    return equilibrium(
-        mechanism,
-        loads=constant_loads,
-        drives=jax.tree.map(lambda value: 0.0 * value, drives),
-        constraints=constraints,
-        start=start,
-        time=time,
-    ).displacements
+    drives = jax.tree.map(lambda value: 0.0 * value, drives)
+    problem = StaticProblem.of(
+        mechanism, constant_loads, drives, constraints, start, time
+    )
+    solution = problem.solve()
+    return check_equilibrium(
+        solution, mechanism, problem.constraints, problem.dofs, time,
+        first_critical_point=partial(describe_critical_point, problem, solution),
+    ).displacements  # fmt: skip
+
+
+def check_settings(
+    direction: int | Mapping[str, PoseLike],
+    load_factors: NumbersLike,
+    max_points: int,
+    max_critical: int = 1,
+) -> None:
+    """Check the settings of a path.
+
+    Raises:
+        ValueError: A setting is invalid.
+    """
+    if not isinstance(direction, Mapping) and direction not in (1, -1):
+        raise ValueError(f"`direction` is {direction!r}, but must be 1 or -1.")
+    limits = concrete(load_factors)
+    if limits is not None and limits.shape != (2,):
+        raise ValueError(
+            f"`load_factors` has the shape {limits.shape}, but must be two load factors, "
+            "between which the path is followed. Its points are chosen by the solver."
+        )
+    if limits is not None and not limits[0] < limits[1]:
+        raise ValueError(
+            f"`load_factors` is {load_factors!r}, but the first one must be smaller than "
+            "the second one."
+        )
+    if max_points < 3 or max_critical < 1:
+        raise ValueError(
+            f"`max_points` is {max_points!r} and `max_critical` is {max_critical!r}, but "
+            "`max_points` must be at least 3, and `max_critical` at least 1."
+        )

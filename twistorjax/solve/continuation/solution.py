@@ -10,9 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._utils.host import all_concrete, concrete
 from ..._utils.types import Flag, NumberLike, Pose, Poses, Scalar
 from ..._utils.validation import index_of
-from ...results.codes import count_results, PoseSolution, result_names, RESULTS
+from ...results.codes import count_results, result_names, RESULTS
+from ...results.solutions import PoseSolution
 from ...results.tables import Column, Columns
-from ..stresses import Stresses
+from ..equations.stresses import Stresses
 
 
 class PathPoint(eqx.Module):

@@ -89,7 +89,7 @@ class PathSystem(eqx.Module):
         hinges = self.mechanism.hinge_assembly
         if self.changes is not None:
             state = self.changes.state(self.mechanism, factor)
-            hinges = state.hinges(self.mechanism)
+            hinges = self.mechanism.hinges_in(state)
         begin = self.start.reshape(-1)[np.array(self.dofs.prescribed, int)]
         targets = begin + factor * self.targets
         return System(hinges, loads, self.constraints, targets, self.time, self.dofs)
@@ -154,7 +154,7 @@ class PathSystem(eqx.Module):
             return jnp.zeros(displacements.size)
 
         def forces(factor: Scalar) -> Float[Array, " dofs"]:
-            hinges = changes.state(self.mechanism, factor).hinges(self.mechanism)
+            hinges = self.mechanism.hinges_in(changes.state(self.mechanism, factor))
             return hinges.forces(displacements).reshape(-1)
 
         return jax.jvp(forces, (factor,), (jnp.ones_like(factor),))[1]

@@ -7,12 +7,11 @@ from jaxtyping import Array, Float
 from ..._compile.compilation import fast_compile
 from ..._utils.host import all_concrete
 from ..._utils.pytrees import stop_gradient
-from ..._utils.types import Entries, Flag, NumberLike, Poses, Scalar
+from ..._utils.types import Entries, Flag, NumberLike, Poses, PosesOrResult, Scalar
 from ...linalg.elimination import inverse
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.mechanism import COORDINATES, Mechanism
 from ...results.codes import result_message
-from ..statics.solution import StateLike
 from .dofs import DofPartition
 from .system import System
 
@@ -32,7 +31,7 @@ def require_equilibrium(
     mechanism: Mechanism,
     system: System,
     displacements: Poses,
-    state: StateLike | None,
+    state: PosesOrResult | None,
     loads: str = "loads",
     held: tuple[int, ...] = (),
 ) -> Poses:

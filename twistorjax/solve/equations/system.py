@@ -19,13 +19,8 @@ from ..._utils.types import Entries, NumberLike, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
 from ...assembly.tangent import AssemblyTangent
 from ...linalg.block_factors import block_layout
-from ...linalg.factors import (
-    ConstrainedFactors,
-    Elimination,
-    factorize,
-    Factors,
-    is_eliminated,
-)
+from ...linalg.constraints import ConstrainedFactors
+from ...linalg.factors import Elimination, factorize, Factors, is_eliminated
 from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ...mechanism.loads import Load, LoadSet
 from ...mechanism.mechanism import Mechanism

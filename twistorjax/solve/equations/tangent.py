@@ -10,13 +10,8 @@ from ..._utils.types import Flag
 from ...assembly.assembly import HingeAssembly
 from ...assembly.scatter import sum_entries
 from ...linalg.block_factors import BlockFactors, Layout
-from ...linalg.factors import (
-    ConstrainedFactors,
-    Elimination,
-    factorize,
-    Factors,
-    solve_once,
-)
+from ...linalg.constraints import ConstrainedFactors
+from ...linalg.factors import Elimination, factorize, Factors, solve_once
 from .dofs import DofPartition
 
 

@@ -39,10 +39,9 @@ from jaxtyping import Array, Float, Inexact
 
 from ..._utils.pytrees import stop_gradient
 from ..._utils.types import Scalar
-from ...assembly.forces import product
 from ...linalg.elimination import inverse
-from ..dense_output import DenseOutput
-from .polynomials import StepHistory
+from ...linalg.products import product
+from .polynomials import DenseOutput, StepHistory
 from .schemes import collocation_scheme, Scheme
 from .system import MotionSystem, MotionTangent, State
 

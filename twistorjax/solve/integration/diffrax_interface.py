@@ -1,17 +1,22 @@
-"""Settings and results of diffrax, as `simulate` needs them."""
+"""What `simulate` needs of diffrax: results, projection, events, and progress."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
+from tqdm import tqdm
 
+from ..._utils.progress import progress_bar
+from ..._utils.types import Poses
 from ...results.codes import result_of_status, RESULTS
 from .initial_value import InitialValueProblem
+from .system import MotionSystem, State
 
 
 @contextmanager
@@ -81,3 +86,117 @@ def with_end(saveat: dfx.SaveAt, problem: InitialValueProblem) -> dfx.SaveAt:
         controller_state=saveat.controller_state,
         made_jump=saveat.made_jump,
     )
+
+
+class Projected(dfx.AbstractWrappedSolver):
+    """A solver of diffrax that projects the end of each step onto the constraints.
+
+    The equations of motion set the second time derivative of the constraint violations to
+    zero. Because of integration errors, the violations themselves would slowly grow.
+    Therefore the displacements and velocities are projected after each step, in the
+    metric of the inertia. The order of the solver does not change.
+
+    Args:
+        solver: A solver for ordinary differential equations.
+
+    Source:
+        Hairer, Lubich and Wanner, Geometric Numerical Integration, algorithm IV.4.2.
+    """
+
+    solver: dfx.AbstractSolver
+
+    @property
+    def term_structure(self) -> Any:
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self) -> Any:  # pyright: ignore
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self) -> Any:
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def root_finder(self) -> Any:
+        """Root finder of an implicit solver, whose tolerances diffrax sets."""
+        return cast(dfx.AbstractImplicitSolver, self.solver).root_finder
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def strong_order(self, terms):
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+    def step(self, terms, t0, t1, y0: State, args: MotionSystem, solver_state, made_jump):
+        # The state of the solver was computed before the projection of the last step. For
+        # diffrax the projection is a jump.
+        del made_jump
+        end, error, dense, solver_state, result = self.solver.step(
+            terms, t0, t1, y0, args, solver_state, True
+        )
+        time = jnp.asarray(t1)
+        position, rate = args.project(time, end.position, end.rate)
+        end = eqx.tree_at(lambda end: (end.position, end.rate), end, (position, rate))
+        return end, error, dense, solver_state, result
+
+
+class Snapshot(eqx.Module):
+    """State of a motion, the argument of the condition of an event.
+
+    Args:
+        poses: Poses of the bodies; rad, m, m.
+        displacements: Displacements of the bodies from their reference poses; rad, m, m.
+        velocities: Velocities of the bodies; rad/s, m/s, m/s.
+    """
+
+    poses: Poses
+    displacements: Poses
+    velocities: Poses
+
+
+def with_snapshots(event: dfx.Event) -> dfx.Event:
+    """Convert an event whose conditions receive snapshots to one that receives states."""
+
+    def wrapped(condition):
+        def on_state(t, y, args, **more):
+            displacements, velocities = args.expand(t, y.position, y.rate)
+            poses = args.mechanism.reference + displacements
+            return condition(t, Snapshot(poses, displacements, velocities), args, **more)
+
+        return on_state
+
+    conditions = jax.tree.map(wrapped, event.cond_fn, is_leaf=callable)
+    return dfx.Event(conditions, event.root_finder, event.direction)
+
+
+class ProgressBar(dfx.TqdmProgressMeter):
+    """Progress bar for `simulate(progress_meter=...)`, which appears after one second.
+
+    Args:
+        refresh_steps: Number of steps of the solver between two updates of the bar.
+
+    Example:
+        >>> ProgressBar().refresh_steps
+        20
+    """
+
+    @staticmethod
+    def _init_bar() -> tqdm:
+        return progress_bar(
+            100,
+            "%",
+            True,
+            delay=1.0,
+            leave=False,
+            bar_format="{percentage:.0f}% of the motion |{bar}| {elapsed}<{remaining}",
+        )

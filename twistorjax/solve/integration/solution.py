@@ -13,8 +13,9 @@ from jaxtyping import Array, Float, Int
 
 from ..._utils.host import all_concrete, take_rows
 from ..._utils.types import BatchScalar, NumberLike, Numbers, Poses
-from ...mechanism.changes import Temperature
-from ...results.codes import count_results, PoseSolution, result_names, RESULTS
+from ...mechanism.misfits import Temperature
+from ...results.codes import count_results, result_names, RESULTS
+from ...results.solutions import PoseSolution
 from ...results.tables import Column, Columns, columns
 from .system import MotionSystem
 

@@ -13,10 +13,11 @@ from jaxtyping import Array, Float
 from ..._utils.types import Entries, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
 from ...linalg.elimination import inverse
-from ...mechanism.changes import HingeChanges, HingeState
+from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ...mechanism.mechanism import Mechanism
+from ...mechanism.misfits import HingeState
 from ..equations.dofs import DofPartition
 from ..equations.tangent import add_load_stiffness
 

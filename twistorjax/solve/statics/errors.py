@@ -25,7 +25,7 @@ def describe_free_motions(
     time: NumberLike,
 ) -> str:
     """Name the bodies that can move without any resistance, for a message."""
-    from ..constraint_analysis import analyze
+    from ..equations.mobility import analyze
 
     given = () if constraints is None else constraints.constraints
     if not np.all(np.isfinite(displacements)):

@@ -18,9 +18,9 @@ from ...results.codes import is_success, RESULTS
 from ..equations.dofs import DofPartition
 from ..equations.load_state import LoadState
 from ..equations.system import System
-from ..equilibrium import find_equilibrium, report_equilibrium, search_result
 from .newton import CONVERGED, NewtonSolution
 from .solution import Equilibrium
+from .solver import find_equilibrium, report_equilibrium, search_result
 
 
 _TOLERANCE, _MOST_STEPS = 1e-10, 400  # of an equilibrium

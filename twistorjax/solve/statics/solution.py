@@ -13,9 +13,10 @@ from ..._utils.validation import warn
 from ...assembly.assembly import HingeAssembly
 from ...mechanism.loads import LoadSet
 from ...mechanism.mechanism import Mechanism
-from ...results.codes import count_results, PoseSolution, result_names, RESULTS
+from ...results.codes import count_results, result_names, RESULTS
+from ...results.solutions import PoseSolution
 from ...results.tables import Column, Columns
-from ..stresses import Stresses
+from ..equations.stresses import Stresses
 
 
 class Equilibrium(PoseSolution):

@@ -1,14 +1,16 @@
-"""Units of an equilibrium path, and its direction at the first point."""
+"""Units of a path, its first point, and its direction there."""
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._compile.compilation import fast_compile
-from .._utils.types import Count, Flag, Poses, Scalar
-from .continuation.arc_length import Metric, Node, select, solve_step
-from .continuation.critical_points import null_vectors
-from .continuation.system import PathSystem, PathTangent
+from ..._compile.compilation import fast_compile
+from ..._utils.types import Count, Flag, Poses, Scalar
+from .arc_length import Metric, Node, select, solve_step
+from .critical_points import null_vectors
+from .system import PathSystem, PathTangent
 
 
 _SMALL_PART = 1e-6  # of a direction, which may consist of rounding errors
@@ -95,3 +97,34 @@ def metric_of(
         forces = jnp.max(jnp.abs(stiffness)) / jnp.where(size > 0, size, 1.0)
         units = jnp.concatenate([units, jnp.where(forces > 0, forces, 1.0)])
     return Metric(jnp.concatenate([units, jnp.ones(1)]), weights)
+
+
+class FirstPoint(NamedTuple):
+    """First point of a path, and the direction in which the path begins.
+
+    Args:
+        displacements: Displacements of the bodies; rad, m, m.
+        factor: Load factor.
+        direction: 1 or -1; the sign of the change of the load factor or, at a branch
+            point, of the mode.
+        at_branch: Whether the point is a branch point, at which the path leaves in the
+            direction of the mode.
+        mode: The mode of the branch point.
+    """
+
+    displacements: Poses
+    factor: Scalar
+    direction: Scalar
+    at_branch: Flag
+    mode: Poses
+
+
+def regular_point(displacements: Poses, factor: Scalar, direction: int = 1) -> FirstPoint:
+    """Return a first point that is not a branch point."""
+    return FirstPoint(
+        displacements=displacements,
+        factor=factor,
+        direction=jnp.asarray(direction, float),
+        at_branch=jnp.zeros((), bool),
+        mode=jnp.zeros_like(displacements),
+    )

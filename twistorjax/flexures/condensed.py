@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._utils.types import Flag, Matrix, Pose, Poses, Scalar
-from ...energies.base import AbstractEnergy
-from ...geometry.twistors import Displacement
-from ...mechanism.loads import Drive
-from ...mechanism.mechanism import Mechanism
-from ...mechanism.sub_mechanism import SubMechanism
-from ...solve.equilibrium import equilibrium
+from .._utils.types import Flag, Matrix, Pose, Poses, Scalar
+from ..energies.base import AbstractEnergy
+from ..geometry.twistors import Displacement
+from ..mechanism.loads import Drive
+from ..mechanism.mechanism import Mechanism
+from ..mechanism.sub_mechanism import SubMechanism
+from ..solve.equilibrium import equilibrium
 
 
 class Condensed(AbstractEnergy):

@@ -1,0 +1,207 @@
+"""The program that finds an equilibrium, and its derivatives."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..._compile.compilation import fast_compile
+from ..._utils.host import program_input
+from ..._utils.pytrees import stop_gradient
+from ..._utils.types import Count, NumberLike, Poses, Scalar
+from ..._utils.validation import require_float64
+from ...assembly.assembly import HingeAssembly
+from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
+from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
+from ...mechanism.mechanism import Mechanism
+from ...results.codes import is_success, result_of_status, RESULTS
+from ..equations.consistency import independent
+from ..equations.dofs import displacements_at_start, DofPartition, require_support
+from ..equations.load_state import LoadState
+from ..equations.stresses import report_stresses, reported_hinges
+from ..equations.system import System
+from . import newton
+from .derivatives import differentiable_root
+from .solution import Equilibrium, StateLike
+
+
+class StaticProblem(NamedTuple):
+    """The arguments of `equilibrium`, checked and converted to arrays.
+
+    Args:
+        mechanism: The mechanism.
+        loads: Its loads.
+        constraints: Its constraints.
+        dofs: Partition of the degrees of freedom.
+        targets: Displacements of the prescribed ones; rad, m.
+        start: Equilibrium or poses at which the search starts.
+        time: Time at which time-dependent constraints are evaluated; s.
+    """
+
+    mechanism: Mechanism
+    loads: LoadSet
+    constraints: ConstraintSet
+    dofs: DofPartition
+    targets: tuple[Scalar, ...]
+    start: StateLike | None
+    time: NumberLike
+
+    @classmethod
+    def of(
+        cls,
+        mechanism: Mechanism,
+        loads: Sequence[Load],
+        drives: Sequence[Drive],
+        constraints: Sequence[AbstractConstraint],
+        start: StateLike | None,
+        time: NumberLike,
+    ) -> "StaticProblem":
+        """Check and convert the arguments.
+
+        Raises:
+            ValueError: An argument is invalid; see `equilibrium`.
+        """
+        require_float64(mechanism.reference)
+        constraint_set = gather_constraints(mechanism, constraints)
+        load_set = LoadSet.of(mechanism, loads)
+        prescribed, targets = prescribed_dofs(mechanism, drives)
+        require_support(mechanism, constraint_set.bodies, prescribed)
+        dofs = DofPartition.of(mechanism, prescribed)
+        return cls(mechanism, load_set, constraint_set, dofs, targets, start, time)
+
+    def solve(self, tolerance: float = 1e-10, max_steps: int = 400) -> Equilibrium:
+        """Compute the equilibrium, or its failure."""
+        mechanism, constraints = self.mechanism, self.constraints
+        begin = np.zeros(mechanism.reference.shape)
+        if self.start is not None:
+            begin = displacements_at_start(mechanism, self.start)
+        # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`, but
+        # constraints may contain functions.
+        solve = _solve_constrained if constraints.size else _solve_unconstrained
+        return solve(
+            mechanism.hinge_assembly,
+            mechanism.reference,
+            begin,
+            LoadState.of(mechanism, self.start, self.loads, constraints),
+            self.loads,
+            constraints,
+            self.targets,
+            program_input(self.time, float),
+            program_input(tolerance, float),
+            program_input(max_steps, int),
+            dofs=self.dofs,
+            names=(mechanism.names, reported_hinges(mechanism)),
+        )
+
+
+def _solve(
+    hinges: HingeAssembly,
+    reference: Poses,
+    start_displacements: Poses,
+    first: LoadState | None,
+    loads: LoadSet,
+    constraints: ConstraintSet,
+    targets: tuple[Scalar, ...],
+    time: Scalar,
+    tolerance: Scalar,
+    max_steps: Count,
+    *,
+    dofs: DofPartition,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+) -> Equilibrium:
+    """Compute the equilibrium; see `equilibrium`."""
+    system = System(hinges, loads, constraints, jnp.array(targets, float), time, dofs)
+    solution = find_equilibrium(system, start_displacements, first, tolerance, max_steps)
+    return report_equilibrium(
+        system, solution, reference, start_displacements, names=names
+    )
+
+
+def find_equilibrium(
+    system: System,
+    start_displacements: Poses,
+    first: LoadState | None,
+    tolerance: Scalar,
+    max_steps: Count,
+) -> newton.NewtonSolution:
+    """Compute the displacements of the equilibrium, without derivatives."""
+    system, start, first = stop_gradient((system, start_displacements, first))
+    consistent = independent(system, start)
+    solution = newton.solve_in_increments(
+        replace(system, first=first), start, tolerance, max_steps
+    )
+    failed = (solution.status != newton.NOT_FINITE) & ~consistent
+    status = jnp.where(failed, newton.INCONSISTENT, solution.status)
+    return solution._replace(status=status)
+
+
+def search_result(system: System, solution: newton.NewtonSolution) -> RESULTS:
+    """Return whether an equilibrium was found, and it is valid; otherwise the reason."""
+    results = (
+        (newton.NOT_FINITE, RESULTS.not_finite),
+        (newton.UNSTABLE, RESULTS.unstable),
+        (newton.STUCK, RESULTS.no_equilibrium),
+        (newton.USED_UP, RESULTS.steps_used_up),
+        (newton.INCONSISTENT, RESULTS.inconsistent_constraints),
+    )
+    result = result_of_status(solution.status, results, RESULTS.successful)
+    outside = jnp.any(system.hinges.out_of_range(solution.displacements))
+    outside &= solution.status == newton.CONVERGED
+    return RESULTS.where(outside, RESULTS.out_of_range, result)
+
+
+def report_equilibrium(
+    system: System,
+    solution: newton.NewtonSolution,
+    reference: Poses,
+    start_displacements: Poses,
+    *,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+) -> Equilibrium:
+    """Compute all results of an equilibrium that was found, with their derivatives."""
+    hinges, flat = system.hinges, solution.displacements.reshape(-1)
+    converged = solution.status == newton.CONVERGED
+    root, multipliers = flat[system.free], jnp.zeros(0)
+    if solution.multipliers is not None:
+        root = jnp.concatenate([root, solution.multipliers])
+    root = differentiable_root(system, root, start_displacements, converged)
+    free = root
+    if solution.multipliers is not None:
+        free, multipliers = jnp.split(root, [len(system.free)])
+    prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
+    displacements = system.dofs.expand(free, prescribed, start_displacements)
+    reactions, energy = system.reactions_and_energy(displacements, multipliers)
+    result = search_result(system, solution)
+    # Newton's method does not evaluate forces at prescribed displacements alone.
+    finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(reactions))
+    undefined = is_success(result) & ~finite
+    result = RESULTS.where(undefined, RESULTS.not_finite, result)
+    valid = is_success(result)
+    if solution.multipliers is not None:  # no array of size zero; see `System.equations`
+        multipliers = jnp.where(valid, multipliers, jnp.nan)
+    return Equilibrium(
+        displacements=jnp.where(valid, displacements, jnp.nan),
+        reference=reference,
+        reactions=jnp.where(valid, reactions, jnp.nan),
+        constraint_forces=multipliers,
+        energy=jnp.where(valid, energy, jnp.nan),
+        reached=solution.displacements,
+        fraction=solution.fraction,
+        steps=solution.steps,
+        range_shares=hinges.range_shares(solution.displacements),
+        loads=system.loads,
+        misfits=hinges.misfits,
+        result=result,
+        names=names[0],
+        constraint_names=system.constraints.names(),
+        stresses=report_stresses(hinges, displacements, names[1], valid),
+    )
+
+
+_solve_unconstrained = fast_compile(
+    _solve, jit=jax.jit, static_argnames=("dofs", "names")
+)
+_solve_constrained = fast_compile(_solve)

@@ -8,8 +8,7 @@ from helpers import some_stiffness
 
 import twistorjax as tj
 from twistorjax.linalg.block_factors import block_layout
-from twistorjax.solve.equations.dofs import DofPartition
-from twistorjax.solve.equations.system import System
+from twistorjax.solve.equations.problem import Problem
 
 
 COUNT = 60
@@ -78,12 +77,12 @@ def test_block_factorization_agrees_with_a_dense_one(follower):
     fixed = {"0 0": ("angle", "x", "y"), "7 1": ("x", "y")}
     mechanism = lattice(3, 24, fixed)
     prescribed = mechanism.dofs_of("prescribed", {"23 2": ["angle", "y"]})
-    dofs = DofPartition.of(mechanism, prescribed)
     loads = [
         tj.Load(body, (0.3, 0.5, -0.2), at=(0.4, 0.1), follower=follower)
         for body in ("23 2", "11 1")
     ]
-    system = System.of(mechanism, dofs, loads)
+    problem = Problem.of(mechanism, loads, held=prescribed)
+    system, dofs = problem.system, problem.dofs
     shape = mechanism.reference.shape
     rng = np.random.default_rng(0)
     displacements, right = 0.01 * rng.normal(size=shape), rng.normal(size=len(dofs.free))

@@ -5,10 +5,7 @@ from pathlib import Path
 from .._utils.json_files import EntryError
 from .._utils.validation import require_float64
 from ..mechanism.mechanism import Mechanism
-from .conversion import (
-    mechanism_from_record,
-    mechanism_record,
-)
+from .conversion import mechanism_from_record, mechanism_record
 
 
 def save_mechanism(mechanism: Mechanism, path: str | Path) -> None:

@@ -44,7 +44,8 @@ from .continuation.solution import CriticalPoint
 from .continuation.start import FirstPoint, metric_of
 from .continuation.system import PathSystem, PathTangent
 from .equations.dofs import DofPartition
-from .statics.solution import StateLike, warn_outside_linear_range
+from .equations.state import warn_outside_linear_range
+from .statics.solution import StateLike
 
 
 _MAX_CRITICAL = 10  # critical points of a path that are located

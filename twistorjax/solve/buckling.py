@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
-from .._utils.host import concrete
+from .._utils.host import as_float, concrete
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, Count, Flag, NumberLike, Poses, Scalar
-from .._utils.validation import require_float64, warn
+from .._utils.validation import warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -36,11 +36,10 @@ from .continuation.critical_points import (
 from .continuation.points import allowed_stiffness
 from .continuation.start import first_point, metric_of
 from .continuation.system import PathSystem, PathTangent
-from .equations.consistency import require_equilibrium
-from .equations.dofs import DofPartition
-from .equations.system import System
+from .equations.problem import Problem
+from .equations.state import warn_outside_linear_range
 from .statics.errors import describe_free_motions
-from .statics.solution import state_in_range, StateLike, warn_outside_linear_range
+from .statics.solution import StateLike
 
 
 # Of the largest diagonal entry of a matrix; a smaller pivot may be a rounding error.
@@ -186,7 +185,6 @@ def buckling(
         >>> buckling(link, loads=[load]).load_factors[0].round(6)  # stiffness / length
         Array(2., dtype=float64)
     """
-    require_float64(mechanism.reference)
     if not loads and not drives:
         raise ValueError(
             "Nothing is multiplied by the load factor. Give `loads` or `drives`."
@@ -198,27 +196,27 @@ def buckling(
         )
     if modes < 1:
         raise ValueError(f"`modes` is {modes!r}, but must be at least 1.")
-    prescribed, targets = prescribed_dofs(mechanism, drives)
-    dofs = DofPartition.of(mechanism, prescribed)
-    if not dofs.free:
+    held, targets = prescribed_dofs(mechanism, drives)
+    problem = Problem.of(
+        mechanism, constant_loads, (), constraints, time, held=held, supported=False
+    )
+    if not problem.dofs.free:
         raise ValueError(
             "All bodies are fixed or driven, so none can buckle. Drive fewer "
             "displacements, or divide a flexure by `flexures.chain`, so that it can "
             "buckle between its ends."
         )
-    state = state_in_range(mechanism, "about", about)
-    equations = System.of(mechanism, dofs, constant_loads, constraints, time)
-    state = require_equilibrium(mechanism, equations, state, about, "constant_loads")
+    state = problem.state(about, "constant_loads")
     system = PathSystem(
         mechanism=mechanism,
         loads=LoadSet.of(mechanism, loads),
-        constant_loads=LoadSet.of(mechanism, constant_loads),
-        constraints=equations.constraints,
+        constant_loads=problem.loads,
+        constraints=problem.constraints,
         changes=None,
         start=state,
         targets=jnp.array(targets, float),
-        time=equations.time,
-        dofs=dofs,
+        time=as_float(time),
+        dofs=problem.dofs,
     )
     solution, displacements = _buckling(system, modes)
 

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 from .._utils.progress import announced
 from .._utils.types import NumberLike
-from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
 from .equations.dofs import DofPartition
 from .equations.mobility import analyze, ConstraintAnalysis
-from .statics.solution import state_in_range, StateLike
+from .equations.state import state_in_range
+from .statics.solution import StateLike
 
 
 @announced("constraint analysis")
@@ -66,7 +66,6 @@ def constraint_analysis(
         over-constraint: release one of axial force of 'left', axial force of 'middle',
         axial force of 'right'
     """
-    require_float64(mechanism.reference)
     if not 0 < ratio < 1:
         raise ValueError(f"`ratio` is {ratio!r}, but must be between 0 and 1.")
     held = set(mechanism.dofs_of("prescribed", prescribed)) - set(mechanism.fixed)

@@ -7,14 +7,12 @@ from .._utils.types import NumberLike
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import (
-    result_names as result_names,
-    RESULTS as RESULTS,
-)
+from ..results.codes import result_names as result_names, RESULTS as RESULTS
 from ..results.tables import Column as Column
+from .equations.problem import Problem
 from .statics.errors import check_equilibrium
 from .statics.solution import Equilibrium, StateLike
-from .statics.solver import StaticProblem
+from .statics.solver import solve
 
 
 @announced("equilibrium")
@@ -86,16 +84,14 @@ def equilibrium(
             f"`tolerance` is {tolerance!r} and `max_steps` is {max_steps!r}, but "
             "`tolerance` must be between 0 and 1, and `max_steps` at least 1."
         )
-    problem = StaticProblem.of(mechanism, loads, drives, constraints, start, time)
-    solution = problem.solve(tolerance, max_steps)
+    problem = Problem.of(mechanism, loads, drives, constraints, time)
+    solution = solve(problem, start, tolerance, max_steps)
     if not throw:
         return solution
 
     def first_critical_point() -> str:
         from .continuation.diagnosis import describe_critical_point
 
-        return describe_critical_point(problem, solution)
+        return describe_critical_point(problem, start, solution)
 
-    return check_equilibrium(
-        solution, mechanism, problem.constraints, problem.dofs, time, first_critical_point
-    )
+    return check_equilibrium(solution, problem, first_critical_point)

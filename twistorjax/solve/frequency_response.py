@@ -11,19 +11,18 @@ from jaxtyping import Array, Complex, Float
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
-from .._utils.validation import require_float64
 from ..linalg.constraints import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..results.codes import result_message, RESULTS, succeeded_or_raise
+from ..results.codes import RESULTS, succeeded_or_raise
 from ..results.solutions import BodySolution
 from ..results.tables import Column, Columns
-from .equations.consistency import consistent, inconsistency, require_equilibrium
-from .equations.dofs import DofPartition
+from .equations.consistency import consistent
+from .equations.problem import Problem
 from .equations.system import System
-from .statics.solution import state_in_range, StateLike
+from .statics.solution import StateLike
 
 
 # A frequency is a resonance if the condition number of the dynamic stiffness is larger.
@@ -123,36 +122,33 @@ def frequency_response(
         >>> abs(response.displacement("block")[0, 1])  # 1 N over 400 N/m
         Array(0.0025, dtype=float64)
     """
-    require_float64(mechanism.reference)
     values = jnp.asarray(frequencies, float)
     if values.ndim != 1:
         raise ValueError(
             f"`frequencies` has shape {values.shape}, but must be a list or a "
             "one-dimensional array, such as [100.0] or jnp.linspace(0, 100, 11)."
         )
-    prescribed, targets = prescribed_dofs(mechanism, drives)
-    dofs = DofPartition.of(mechanism, prescribed)
+    held, targets = prescribed_dofs(mechanism, drives)
+    problem = Problem.of(
+        mechanism, static_loads, (), constraints, time, held=held, supported=False
+    )
     load_set = LoadSet.of(mechanism, loads)
     rows = stroke_rows(mechanism.hinge_names, strokes) if strokes else None
-    system = System.of(mechanism, dofs, static_loads, constraints, time)
-    state = state_in_range(mechanism, "about", about)
-    state = require_equilibrium(mechanism, system, state, about, "static_loads")
+    state = problem.state(about, "static_loads")
     response = _frequency_response(
-        mechanism, system, values, load_set, rows, targets, state
+        mechanism, problem.system, values, load_set, rows, targets, state
     )
 
-    def error(name: str, batch_index: tuple[int, ...]) -> Exception:
-        if name == "inconsistent_constraints":
-            if not batch_index:
-                return inconsistency(mechanism, system, state)
-            return RuntimeError(result_message(name))
-        return RuntimeError(
+    messages = {
+        "not_finite": (
             "At some frequency the response is not finite: there is a resonance without "
             "damping, or a value of the mechanism is not finite. Give the hinges "
             "`damping`, or leave out the frequency."
         )
-
-    return succeeded_or_raise(response, error) if throw else response
+    }
+    if not throw:
+        return response
+    return succeeded_or_raise(response, problem.error_at(state, messages))
 
 
 @fast_compile

@@ -12,7 +12,6 @@ from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
-from .._utils.validation import require_float64
 from ..linalg.constraints import ConstrainedFactors
 from ..linalg.factors import Elimination, Factors
 from ..mechanism.constraints import AbstractConstraint
@@ -20,11 +19,12 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..results.codes import RESULTS
-from .equations.consistency import consistent, inconsistency, require_equilibrium
-from .equations.dofs import DofPartition, require_support
+from .equations.consistency import consistent
+from .equations.dofs import DofPartition
+from .equations.problem import Problem
 from .equations.system import System
 from .statics.errors import check_equilibrium
-from .statics.solution import Equilibrium, state_in_range, StateLike
+from .statics.solution import Equilibrium, StateLike
 
 
 class Linearization(eqx.Module):
@@ -221,23 +221,17 @@ def linearize_held(
 
     Unknown constant forces may act on the degrees of freedom `held` at this equilibrium.
     """
-    require_float64(mechanism.reference)
     dofs = mechanism.dofs_of("prescribed", prescribed)
     if both := sorted(set(dofs) & set(mechanism.fixed)):
         raise ValueError(
             f"`prescribed` names {_listed(mechanism, both)}, but fixed coordinates "
             "cannot be prescribed: remove them."
         )
-    dofs = DofPartition.of(mechanism, dofs)
-    system = System.of(mechanism, dofs, loads, constraints, time)
-    require_support(mechanism, system.constraints.bodies, dofs.prescribed)
-    displacements = state_in_range(mechanism, "about", about)
+    problem = Problem.of(mechanism, loads, (), constraints, time, held=dofs)
+    system, displacements = problem.system, problem.state(about, held=held)
     is_consistent = consistent(system, displacements)
     if concrete(is_consistent) is not None and not is_consistent:
-        raise inconsistency(mechanism, system, displacements)
-    displacements = require_equilibrium(
-        mechanism, system, displacements, about, held=held
-    )
+        raise problem.inconsistency(displacements)
     return _linearize(mechanism, system, displacements, is_consistent)
 
 

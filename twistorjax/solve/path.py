@@ -8,13 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._compile.traced_function import traced
-from .._utils.host import (
-    all_concrete,
-    as_float,
-    is_traced,
-    padded_size,
-    take_rows,
-)
+from .._utils.host import all_concrete, as_float, is_traced, padded_size, take_rows
 from .._utils.progress import announced
 from .._utils.types import NumberLike, NumbersLike, PoseLike
 from .._utils.validation import require_positive, warn
@@ -41,7 +35,7 @@ from .continuation.setup import (
 from .continuation.solution import Path, PathPoint
 from .continuation.start import FirstPoint
 from .continuation.system import PathSystem
-from .statics.solution import warn_outside_linear_range
+from .equations.state import warn_outside_linear_range
 
 
 @announced("path")

@@ -33,6 +33,7 @@ from ..mechanism.misfits import stroke_rows
 from ..results.codes import is_success, RESULTS
 from ..results.tables import Column, Columns, Tabular
 from .constraint_analysis import constraint_analysis
+from .equations.state import warn_outside_linear_range
 from .equilibrium import equilibrium
 from .statics.errors import check_equilibrium
 from .statics.solution import Equilibrium
@@ -249,7 +250,8 @@ def port_motion(
     )  # fmt: skip
     solution, displacement, rate, force = path
     if throw:
-        check_equilibrium(solution, mechanism)
+        check_equilibrium(solution)
+        warn_outside_linear_range(mechanism, solution.range_shares)
     if rigid_gain is None and dof is not None:
         start = solution.displacements[0]
         gain = _rigid_gain(mechanism, row, frame, dof, start, constraints, time)

@@ -13,10 +13,10 @@ from typing_extensions import TypeAliasType
 from .._utils.host import all_concrete, as_float
 from .._utils.progress import announced
 from .._utils.types import BatchFlag, NumberLike, PoseLike
-from .._utils.validation import index_of, require_float64, require_positive
+from .._utils.validation import index_of, require_positive
 from ..assembly.stress import rows_with_stress, strengths
-from ..mechanism.constraints import AbstractConstraint, gather_constraints
-from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
+from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.loads import Drive, Load, LoadSet
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_rows
 from ..results.codes import (
@@ -29,10 +29,11 @@ from ..results.codes import (
 from ..results.solutions import PoseSolution
 from ..results.tables import Column, Columns
 from .continuation.setup import first_displacements
-from .equations.dofs import DofPartition, require_support
+from .equations.problem import Problem
+from .equations.state import warn_outside_linear_range
 from .equations.stresses import select_stresses, Stresses
 from .statics.range_search import find_ends, RangeInput
-from .statics.solution import StateLike, warn_outside_linear_range
+from .statics.solution import StateLike
 
 
 _SIDES = ("backward", "forward")
@@ -174,29 +175,25 @@ def range_of_motion(
     """
     if not loads and not drives and not strokes:
         raise ValueError("The input is empty. Give `loads`, `drives`, or `strokes`.")
-    require_float64(mechanism.reference)
+    problem = Problem.of(mechanism, loads, drives, constraints, time)
     allowable = _allowable(mechanism, stress) / as_float(
         require_positive("`safety_factor`", safety_factor)
     )
-    constraint_set = gather_constraints(mechanism, constraints)
-    prescribed, targets = prescribed_dofs(mechanism, drives)
-    require_support(mechanism, constraint_set.bodies, prescribed)
-    dofs = DofPartition.of(mechanism, prescribed)
     begin = first_displacements(
         mechanism, drives, None, constant_loads, constraints, start, time
     )
     given = RangeInput(
         hinges=mechanism.hinge_assembly,
         reference=mechanism.reference,
-        loads=LoadSet.of(mechanism, loads),
+        loads=problem.loads,
         constant_loads=LoadSet.of(mechanism, constant_loads),
-        constraints=constraint_set,
-        targets=targets,
+        constraints=problem.constraints,
+        targets=problem.targets,
         strokes=stroke_rows(mechanism.hinge_names, strokes) if strokes else None,
         time=as_float(time),
         allowable=allowable,
     )
-    ends = find_ends(given, begin, dofs=dofs)
+    ends = find_ends(given, begin, dofs=problem.dofs)
     hinges, solution = mechanism.hinge_assembly, ends.equilibrium
     stresses = select_stresses(hinges, ends.stresses, mechanism.hinge_names)
     rows = np.array(rows_with_stress(hinges), int)
@@ -210,7 +207,7 @@ def range_of_motion(
         by_stress=ends.by_stress,
         result=ends.result,
         names=mechanism.names,
-        constraint_names=constraint_set.names(),
+        constraint_names=problem.constraints.names(),
     )
     if not throw:
         return found

@@ -10,11 +10,7 @@ import jax.numpy as jnp
 from .._compile.traced_function import traced
 from .._utils.host import as_float, is_traced, on_host, program_input
 from .._utils.progress import announced
-from .._utils.types import (
-    NumberLike,
-    TimesLike,
-    VelocityLike,
-)
+from .._utils.types import NumberLike, TimesLike, VelocityLike
 from .._utils.validation import require_float64
 from ..mechanism.changes import HingeChanges, TemperatureInTime
 from ..mechanism.constraints import AbstractConstraint, gather_constraints

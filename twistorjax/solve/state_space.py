@@ -13,19 +13,20 @@ from typing_extensions import TypeAliasType
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
-from .._utils.validation import index_of, require_float64, require_package
+from .._utils.validation import index_of, require_package
 from ..linalg.constraints import null_space
 from ..linalg.elimination import inverse
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..results.codes import result_message, RESULTS, succeeded_or_raise
-from .equations.consistency import consistent, inconsistency, require_equilibrium
-from .equations.dofs import DofPartition, require_support
+from ..results.codes import RESULTS, succeeded_or_raise
+from .equations.consistency import consistent
+from .equations.dofs import DofPartition
 from .equations.modes import natural_modes
+from .equations.problem import Problem
 from .equations.system import System
-from .statics.solution import state_in_range, StateLike
+from .statics.solution import StateLike
 
 
 if TYPE_CHECKING:
@@ -199,7 +200,6 @@ def state_space(
         >>> model.static_gain  # 1 N over 400 N/m
         Array([[0.0025]], dtype=float64)
     """
-    require_float64(mechanism.reference)
     for name, given in (("inputs", inputs), ("outputs", outputs)):
         if not isinstance(given, Mapping) or not given:
             raise ValueError(
@@ -220,12 +220,10 @@ def state_space(
         for name, given in inputs.items()
         if isinstance(given, Drive)
     }
-    dofs = DofPartition.of(
-        mechanism, tuple(sorted({*held, *(dof for row in moved.values() for dof in row)}))
-    )
-    system = System.of(mechanism, dofs, loads, constraints, time)
-    require_support(mechanism, system.constraints.bodies, dofs.prescribed)
-    count = len(dofs.free) - system.constraints.size
+    held = sorted({*held, *(dof for row in moved.values() for dof in row)})
+    problem = Problem.of(mechanism, loads, (), constraints, time, held=held)
+    dofs = problem.dofs
+    count = len(dofs.free) - problem.constraints.size
     if modes is not None and not (isinstance(modes, int) and 1 <= modes <= count):
         raise ValueError(
             f"`modes` is {modes!r}, but the mechanism has {count} modes: give an integer "
@@ -236,17 +234,12 @@ def state_space(
         for name, given in inputs.items()
     ]
     rows = tuple(_output_dof(mechanism, name, given) for name, given in outputs.items())
-    state = state_in_range(mechanism, "about", about)
-    state = require_equilibrium(mechanism, system, state, about)
+    state = problem.state(about)
     names = tuple(inputs), tuple(outputs)
-    model = _state_space(mechanism, system, columns, rows, modes or count, state, names)
-
-    def error(name: str, batch_index: tuple[int, ...]) -> Exception:
-        if name == "inconsistent_constraints" and not batch_index:
-            return inconsistency(mechanism, system, state)
-        return RuntimeError(result_message(name))
-
-    return succeeded_or_raise(model, error) if throw else model
+    model = _state_space(
+        mechanism, problem.system, columns, rows, modes or count, state, names
+    )
+    return succeeded_or_raise(model, problem.error_at(state)) if throw else model
 
 
 class _Excitation(NamedTuple):

@@ -10,23 +10,21 @@ from jaxtyping import Array, Float
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import BatchFlag, NumberLike, Poses
-from .._utils.validation import require_float64
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
     count_results,
-    result_message,
     result_names,
     RESULTS,
     succeeded_or_raise,
 )
 from ..results.tables import Column, Columns, columns, Tabular
-from .equations.consistency import consistent, inconsistency, require_equilibrium
-from .equations.dofs import DofPartition
+from .equations.consistency import consistent
 from .equations.modes import natural_modes
+from .equations.problem import Problem
 from .equations.system import System
-from .statics.solution import state_in_range, StateLike
+from .statics.solution import StateLike
 
 
 class Vibrations(Tabular):
@@ -135,29 +133,23 @@ def vibrations(
         >>> 2 * jnp.pi * vibrations(mechanism).frequencies
         Array([ 3.16227766, 10.        , 20.        ], dtype=float64)
     """
-    require_float64(mechanism.reference)
     if any(load.follower for load in loads):
         raise ValueError(
             "`loads` has a follower load. It has no potential, so natural vibrations may "
             "not exist: use `frequency_response`, or `simulate` the motion."
         )
-    dofs = DofPartition.of(mechanism, mechanism.dofs_of("prescribed", prescribed))
-    system = System.of(mechanism, dofs, loads, constraints, time)
-    if len(dofs.free) <= system.constraints.size:
+    held = mechanism.dofs_of("prescribed", prescribed)
+    problem = Problem.of(
+        mechanism, loads, (), constraints, time, held=held, supported=False
+    )
+    if len(problem.dofs.free) <= problem.constraints.size:
         raise ValueError(
             "No coordinate can vibrate: all of them are fixed, prescribed, or determined "
             "by constraints. Leave at least one coordinate free."
         )
-    state = state_in_range(mechanism, "about", about)
-    state = require_equilibrium(mechanism, system, state, about)
-    solution = _vibrations(mechanism, system, state)
-
-    def error(name: str, batch_index: tuple[int, ...]) -> Exception:
-        if name == "inconsistent_constraints" and not batch_index:
-            return inconsistency(mechanism, system, state)
-        return RuntimeError(result_message(name))
-
-    return succeeded_or_raise(solution, error) if throw else solution
+    state = problem.state(about)
+    solution = _vibrations(mechanism, problem.system, state)
+    return succeeded_or_raise(solution, problem.error_at(state)) if throw else solution
 
 
 @fast_compile

@@ -2,18 +2,13 @@
 
 import jax.numpy as jnp
 
-from ..._utils.host import (
-    as_float,
-)
+from ..._utils.host import as_float
 from ...mechanism.loads import LoadSet
 from ...results.codes import result_message
+from ..equations.problem import Problem
 from ..statics.errors import describe_free_motions
-from ..statics.solution import Equilibrium
-from ..statics.solver import StaticProblem
-from .program import (
-    PathRun,
-    run_path,
-)
+from ..statics.solution import Equilibrium, StateLike
+from .program import PathRun, run_path
 from .start import regular_point
 from .system import PathSystem
 
@@ -21,17 +16,20 @@ from .system import PathSystem
 _POINTS = 60  # of the path; the critical point is close to its start
 
 
-def describe_critical_point(problem: StaticProblem, solution: Equilibrium) -> str:
+def describe_critical_point(
+    problem: Problem, start: StateLike | None, solution: Equilibrium
+) -> str:
     """Describe the first critical point after the equilibrium that was reached.
 
     Args:
         problem: The mechanism and its loads.
+        start: State at which the search has started.
         solution: The equilibrium, with the fraction of the loads that was reached.
 
     Returns:
         A sentence for an error message; empty if no critical point was found.
     """
-    mechanism, loads, constraints, dofs, targets, start, time = problem
+    mechanism, loads, constraints, dofs, targets, time = problem
     if start is not None or mechanism.hinge_assembly.misfits is not None:
         return ""  # The forces at the start, or the misfits, change along the path.
     system = PathSystem(

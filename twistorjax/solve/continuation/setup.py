@@ -9,30 +9,23 @@ import jax
 import jax.numpy as jnp
 from typing_extensions import TypeAliasType
 
-from ..._utils.host import (
-    as_float,
-    concrete,
-)
+from ..._utils.host import as_float, concrete
 from ..._utils.types import NumberLike, NumbersLike, PoseLike, Poses, Scalar
-from ..._utils.validation import (
-    index_of,
-    require_float64,
-    require_pose,
-)
+from ..._utils.validation import index_of, require_pose
 from ...mechanism.changes import (
     as_temperature,
     HingeChanges,
     TemperatureInTime,
     with_arrays,
 )
-from ...mechanism.constraints import AbstractConstraint, gather_constraints
-from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
+from ...mechanism.constraints import AbstractConstraint
+from ...mechanism.loads import Drive, Load, LoadSet
 from ...mechanism.mechanism import Mechanism
 from ...mechanism.misfits import Temperature
-from ..equations.dofs import DofPartition, require_support
+from ..equations.problem import Problem
 from ..statics.errors import check_equilibrium
 from ..statics.solution import StateLike
-from ..statics.solver import StaticProblem
+from ..statics.solver import solve
 from .diagnosis import describe_critical_point
 from .solution import CriticalPoint
 from .start import branch_mode, FirstPoint, regular_point
@@ -74,17 +67,14 @@ def assemble_path(
         ValueError: An argument is invalid; see `path`.
         RuntimeError: There is no first equilibrium.
     """
-    require_float64(mechanism.reference)
-    constraint_set = gather_constraints(mechanism, constraints)
     changes = _changes(strokes, temperature)
     if not loads and not drives and changes is None:
         raise ValueError(
             "Nothing is multiplied by the load factor. Give `loads`, `drives`, "
             "`strokes`, or `temperature`."
         )
-    prescribed, targets = prescribed_dofs(mechanism, drives)
-    require_support(mechanism, constraint_set.bodies, prescribed)
-    dofs = DofPartition.of(mechanism, prescribed)
+    problem = Problem.of(mechanism, loads, drives, constraints, time)
+    dofs = problem.dofs
     if isinstance(start, CriticalPoint):
         is_simple_limit = concrete(~start.is_branch & (start.multiplicity == 1))
         if is_simple_limit is not None and is_simple_limit:
@@ -115,12 +105,12 @@ def assemble_path(
         first = regular_point(begin, jnp.zeros(()), direction)
     system = PathSystem(
         mechanism=mechanism,
-        loads=LoadSet.of(mechanism, loads),
+        loads=problem.loads,
         constant_loads=LoadSet.of(mechanism, constant_loads),
-        constraints=constraint_set,
+        constraints=problem.constraints,
         changes=changes,
         start=begin,
-        targets=jnp.array(targets, float),
+        targets=jnp.array(problem.targets, float),
         time=as_float(time),
         dofs=dofs,
     )
@@ -190,14 +180,10 @@ def first_displacements(
     if start is None and not (deformed or constant_loads or constraints):
         return jnp.zeros_like(mechanism.reference)
     drives = jax.tree.map(lambda value: 0.0 * value, drives)
-    problem = StaticProblem.of(
-        mechanism, constant_loads, drives, constraints, start, time
-    )
-    solution = problem.solve()
-    return check_equilibrium(
-        solution, mechanism, problem.constraints, problem.dofs, time,
-        first_critical_point=partial(describe_critical_point, problem, solution),
-    ).displacements  # fmt: skip
+    problem = Problem.of(mechanism, constant_loads, drives, constraints, time)
+    solution = solve(problem, start)
+    describe = partial(describe_critical_point, problem, start, solution)
+    return check_equilibrium(solution, problem, describe).displacements
 
 
 def check_settings(

@@ -11,7 +11,6 @@ from ..._utils.types import Entries, Flag, NumberLike, Poses, PosesOrResult, Sca
 from ...linalg.elimination import inverse
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.mechanism import COORDINATES, Mechanism
-from ...results.codes import result_message
 from .dofs import DofPartition
 from .system import System
 
@@ -166,16 +165,6 @@ def _consistent(system: System, displacements: Poses) -> Flag:
     """Decide whether constraints, of which there are some, are consistent."""
     jacobian = _scaled_jacobian(system, displacements)
     return consistent_rows(jacobian, system.violation(displacements))
-
-
-def inconsistency(
-    mechanism: Mechanism, system: System, displacements: Poses
-) -> ValueError:
-    """Return the error of constraints that are not consistent with displacements."""
-    details = constraint_error(
-        system.constraints, system.dofs, mechanism, displacements, system.time
-    )
-    return ValueError(f"{result_message('inconsistent_constraints')} {details}")
 
 
 def _scaled_jacobian(

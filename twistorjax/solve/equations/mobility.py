@@ -12,7 +12,7 @@ from ...assembly.assembly import HingeAssembly
 from ...mechanism.constraints import AbstractConstraint
 from ...mechanism.mechanism import COORDINATES, Mechanism
 from .dofs import DofPartition
-from .system import System
+from .problem import Problem
 
 
 _DIRECTIONS = ("moment", "axial force", "transverse force")
@@ -91,7 +91,10 @@ def analyze(
     ratio: float,
 ) -> ConstraintAnalysis:
     """Analyze displacements (rad, m, m); see `constraint_analysis`."""
-    system = System.of(mechanism, dofs, (), constraints, time)
+    held = dofs.prescribed
+    system = Problem.of(
+        mechanism, (), (), constraints, time, held=held, supported=False
+    ).system
     rows, stiffness = map(np.asarray, _hinge_rows(mechanism.hinge_assembly, state))
     length = float(system.units()[1])
     units = np.array([length, 1.0, 1.0])

@@ -5,7 +5,6 @@ Statics, linearization, vibrations, and frequency response assemble their equati
 the free degrees of freedom and the constraint forces.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -14,16 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._utils.host import as_float
-from ..._utils.types import Entries, NumberLike, Poses, Scalar, Wrenches
+from ..._utils.types import Entries, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
 from ...assembly.tangent import AssemblyTangent
 from ...linalg.block_factors import block_layout
 from ...linalg.constraints import ConstrainedFactors
 from ...linalg.factors import Elimination, factorize, Factors, is_eliminated
-from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
-from ...mechanism.loads import Load, LoadSet
-from ...mechanism.mechanism import Mechanism
+from ...mechanism.constraints import ConstraintSet
+from ...mechanism.loads import LoadSet
 from .dofs import DofPartition
 from .load_state import LoadState
 from .tangent import (
@@ -56,25 +53,6 @@ class System(eqx.Module):
     time: Scalar
     dofs: DofPartition = eqx.field(static=True)
     first: LoadState | None = None
-
-    @classmethod
-    def of(
-        cls,
-        mechanism: Mechanism,
-        dofs: DofPartition,
-        loads: Sequence[Load] = (),
-        constraints: Sequence[AbstractConstraint] = (),
-        time: NumberLike = 0.0,
-    ) -> "System":
-        """Assemble equations in which all prescribed displacements are zero."""
-        return cls(
-            mechanism.hinge_assembly,
-            LoadSet.of(mechanism, loads),
-            gather_constraints(mechanism, constraints),
-            jnp.zeros(len(dofs.prescribed)),
-            as_float(time),
-            dofs,
-        )
 
     @property
     def free(self) -> np.ndarray:

@@ -11,12 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.host import as_float, concrete, padded_size
-from ..._utils.types import (
-    NumberLike,
-    NumbersLike,
-    Poses,
-    VelocityLike,
-)
+from ..._utils.types import NumberLike, NumbersLike, Poses, VelocityLike
 from ..._utils.validation import compilation_error, index_of, require_row
 from ...mechanism.mechanism import Mechanism
 

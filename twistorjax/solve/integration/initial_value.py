@@ -9,12 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.pytrees import stop_gradient
-from ..._utils.types import (
-    Count,
-    Flag,
-    Poses,
-    Scalar,
-)
+from ..._utils.types import Count, Flag, Poses, Scalar
 from ...linalg.elimination import inverse
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet

@@ -12,12 +12,7 @@ from typing_extensions import TypeAliasType
 
 from ..._compile.compilation import fast_compile
 from ..._compile.stored_gradients import fast_compile_with_gradient
-from ..._utils.types import (
-    Count,
-    PoseLike,
-    Poses,
-    Scalar,
-)
+from ..._utils.types import Count, PoseLike, Poses, Scalar
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import Drive, Load, LoadSet

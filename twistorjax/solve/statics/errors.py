@@ -8,9 +8,10 @@ from ..._utils.types import NumberLike, Poses
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.mechanism import Mechanism
 from ...results.codes import result_message, succeeded_or_raise
-from ..equations.consistency import constraint_error
 from ..equations.dofs import DofPartition
-from .solution import Equilibrium, warn_outside_linear_range
+from ..equations.problem import Problem
+from ..equations.state import warn_outside_linear_range
+from .solution import Equilibrium
 
 
 # A stiffness below this fraction of the largest one does not count in messages.
@@ -38,17 +39,14 @@ def describe_free_motions(
 
 def check_equilibrium(
     solution: Equilibrium,
-    mechanism: Mechanism | None = None,
-    constraints: ConstraintSet | None = None,
-    dofs: DofPartition | None = None,
-    time: NumberLike = 0.0,
+    problem: Problem | None = None,
     first_critical_point: Callable[[], str] | None = None,
 ) -> Equilibrium:
     """Return the solution if it succeeded, and raise its error otherwise.
 
-    The mechanism, its constraints, its degrees of freedom, and the time (s) are needed
-    only to name the hinges that are out of range, and the inconsistent constraints. A
-    function describes the critical point that the load increments did not pass.
+    The problem is needed only to name the hinges that are out of range, and the
+    inconsistent constraints. A function describes the critical point that the load
+    increments did not pass.
     """
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
@@ -58,30 +56,26 @@ def check_equilibrium(
         if batch_index:
             where = f" at index {', '.join(map(str, batch_index))} of the batch"
         text = result_message(item)
-        if mechanism is not None and not batch_index:
+        if problem is not None and not batch_index:
+            mechanism, reached = problem.mechanism, solution.reached
             if item == "out_of_range":
-                poses = mechanism.reference + solution.reached
-                text += f" {mechanism.range_messages(poses)}"
+                text += f" {mechanism.range_messages(mechanism.reference + reached)}"
             if item == "inconsistent_constraints":
-                assert constraints is not None and dofs is not None
-                detail = constraint_error(
-                    constraints, dofs, mechanism, solution.reached, time
-                )
-                return ValueError(f"{text} {detail}")
+                return problem.inconsistency(reached)
             ended = item in ("no_equilibrium", "steps_used_up")
             if ended and first_critical_point is not None:
                 description = first_critical_point()
                 if description:
                     text = result_message("no_equilibrium") + description
-            if item == "unstable" and dofs is not None:
+            if item == "unstable":
                 text += describe_free_motions(
-                    mechanism, constraints, dofs, solution.reached, time
+                    mechanism, problem.constraints, problem.dofs, reached, problem.time
                 )
         return RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )
 
     solution = succeeded_or_raise(solution, error)
-    if mechanism is not None:
-        warn_outside_linear_range(mechanism, solution.range_shares)
+    if problem is not None:
+        warn_outside_linear_range(problem.mechanism, solution.range_shares)
     return solution

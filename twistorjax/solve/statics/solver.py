@@ -1,8 +1,6 @@
 """The program that finds an equilibrium, and its derivatives."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,16 +9,15 @@ import numpy as np
 from ..._compile.compilation import fast_compile
 from ..._utils.host import program_input
 from ..._utils.pytrees import stop_gradient
-from ..._utils.types import Count, NumberLike, Poses, Scalar
-from ..._utils.validation import require_float64
+from ..._utils.types import Count, Poses, Scalar
 from ...assembly.assembly import HingeAssembly
-from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
-from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
-from ...mechanism.mechanism import Mechanism
+from ...mechanism.constraints import ConstraintSet
+from ...mechanism.loads import LoadSet
 from ...results.codes import is_success, result_of_status, RESULTS
 from ..equations.consistency import independent
-from ..equations.dofs import displacements_at_start, DofPartition, require_support
+from ..equations.dofs import displacements_at_start, DofPartition
 from ..equations.load_state import LoadState
+from ..equations.problem import Problem
 from ..equations.stresses import report_stresses, reported_hinges
 from ..equations.system import System
 from . import newton
@@ -28,73 +25,34 @@ from .derivatives import differentiable_root
 from .solution import Equilibrium, StateLike
 
 
-class StaticProblem(NamedTuple):
-    """The arguments of `equilibrium`, checked and converted to arrays.
-
-    Args:
-        mechanism: The mechanism.
-        loads: Its loads.
-        constraints: Its constraints.
-        dofs: Partition of the degrees of freedom.
-        targets: Displacements of the prescribed ones; rad, m.
-        start: Equilibrium or poses at which the search starts.
-        time: Time at which time-dependent constraints are evaluated; s.
-    """
-
-    mechanism: Mechanism
-    loads: LoadSet
-    constraints: ConstraintSet
-    dofs: DofPartition
-    targets: tuple[Scalar, ...]
-    start: StateLike | None
-    time: NumberLike
-
-    @classmethod
-    def of(
-        cls,
-        mechanism: Mechanism,
-        loads: Sequence[Load],
-        drives: Sequence[Drive],
-        constraints: Sequence[AbstractConstraint],
-        start: StateLike | None,
-        time: NumberLike,
-    ) -> "StaticProblem":
-        """Check and convert the arguments.
-
-        Raises:
-            ValueError: An argument is invalid; see `equilibrium`.
-        """
-        require_float64(mechanism.reference)
-        constraint_set = gather_constraints(mechanism, constraints)
-        load_set = LoadSet.of(mechanism, loads)
-        prescribed, targets = prescribed_dofs(mechanism, drives)
-        require_support(mechanism, constraint_set.bodies, prescribed)
-        dofs = DofPartition.of(mechanism, prescribed)
-        return cls(mechanism, load_set, constraint_set, dofs, targets, start, time)
-
-    def solve(self, tolerance: float = 1e-10, max_steps: int = 400) -> Equilibrium:
-        """Compute the equilibrium, or its failure."""
-        mechanism, constraints = self.mechanism, self.constraints
-        begin = np.zeros(mechanism.reference.shape)
-        if self.start is not None:
-            begin = displacements_at_start(mechanism, self.start)
-        # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`, but
-        # constraints may contain functions.
-        solve = _solve_constrained if constraints.size else _solve_unconstrained
-        return solve(
-            mechanism.hinge_assembly,
-            mechanism.reference,
-            begin,
-            LoadState.of(mechanism, self.start, self.loads, constraints),
-            self.loads,
-            constraints,
-            self.targets,
-            program_input(self.time, float),
-            program_input(tolerance, float),
-            program_input(max_steps, int),
-            dofs=self.dofs,
-            names=(mechanism.names, reported_hinges(mechanism)),
-        )
+def solve(
+    problem: Problem,
+    start: StateLike | None,
+    tolerance: float = 1e-10,
+    max_steps: int = 400,
+) -> Equilibrium:
+    """Compute the equilibrium from a start, or its failure; see `equilibrium`."""
+    mechanism, constraints = problem.mechanism, problem.constraints
+    begin = np.zeros(mechanism.reference.shape)
+    if start is not None:
+        begin = displacements_at_start(mechanism, start)
+    # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`, but
+    # constraints may contain functions.
+    compiled = _solve_constrained if constraints.size else _solve_unconstrained
+    return compiled(
+        mechanism.hinge_assembly,
+        mechanism.reference,
+        begin,
+        LoadState.of(mechanism, start, problem.loads, constraints),
+        problem.loads,
+        constraints,
+        problem.targets,
+        program_input(problem.time, float),
+        program_input(tolerance, float),
+        program_input(max_steps, int),
+        dofs=problem.dofs,
+        names=(mechanism.names, reported_hinges(mechanism)),
+    )
 
 
 def _solve(

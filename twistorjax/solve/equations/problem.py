@@ -1,0 +1,145 @@
+"""The arguments of an analysis, checked and converted to arrays."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._utils.host import as_float, on_host
+from ..._utils.types import NumberLike, Poses, PosesOrResult, Scalar
+from ..._utils.validation import require_float64
+from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
+from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
+from ...mechanism.mechanism import Mechanism
+from ...results.codes import result_message
+from .consistency import constraint_error, require_equilibrium
+from .dofs import DofPartition, require_support
+from .state import state_in_range
+from .system import System
+
+
+class Problem(NamedTuple):
+    """A mechanism with its loads, prescribed displacements, and constraints.
+
+    Args:
+        mechanism: The mechanism.
+        loads: Its loads.
+        constraints: Its constraints.
+        dofs: Partition of the degrees of freedom.
+        targets: Displacements of the prescribed ones; rad, m.
+        time: Time at which the constraints are evaluated; s.
+    """
+
+    mechanism: Mechanism
+    loads: LoadSet
+    constraints: ConstraintSet
+    dofs: DofPartition
+    targets: tuple[Scalar, ...]
+    time: NumberLike
+
+    @classmethod
+    def of(
+        cls,
+        mechanism: Mechanism,
+        loads: Sequence[Load] = (),
+        drives: Sequence[Drive] = (),
+        constraints: Sequence[AbstractConstraint] = (),
+        time: NumberLike = 0.0,
+        *,
+        held: Sequence[int] = (),
+        supported: bool = True,
+    ) -> "Problem":
+        """Check and convert the arguments of a user.
+
+        Args:
+            mechanism: The mechanism.
+            loads: Its loads.
+            drives: Its prescribed displacements.
+            constraints: Its constraints.
+            time: Time at which the constraints are evaluated; s.
+            held: Further degrees of freedom whose displacements are prescribed, as zero.
+            supported: Whether hinges or constraints must connect all bodies to the fixed
+                ones.
+
+        Returns:
+            The problem.
+
+        Raises:
+            ValueError: Double precision is disabled, a name is unknown, a coordinate is
+                prescribed twice, or a body is not supported.
+        """
+        require_float64(mechanism.reference)
+        constraint_set = gather_constraints(mechanism, constraints)
+        load_set = LoadSet.of(mechanism, loads)
+        driven, targets = prescribed_dofs(mechanism, drives)
+        prescribed = (*driven, *held)
+        if supported:
+            require_support(mechanism, constraint_set.bodies, prescribed)
+        dofs = DofPartition.of(mechanism, prescribed)
+        targets = (*targets, *len(held) * (as_float(0.0),))
+        return cls(mechanism, load_set, constraint_set, dofs, targets, time)
+
+    @property
+    def system(self) -> System:
+        """The equations of equilibrium."""
+        xp, targets = on_host(*self.targets)
+        return System(
+            self.mechanism.hinge_assembly,
+            self.loads,
+            self.constraints,
+            as_float(xp.stack(targets) if targets else np.zeros(0)),
+            as_float(self.time),
+            self.dofs,
+        )
+
+    def state(
+        self,
+        about: PosesOrResult | None,
+        loads: str = "loads",
+        held: tuple[int, ...] = (),
+    ) -> Poses:
+        """Return the displacements about which the equations are linearized; rad, m, m.
+
+        Args:
+            about: An equilibrium under the loads, or its poses; None for the reference
+                configuration.
+            loads: Name of the argument with the loads, for the message.
+            held: Degrees of freedom on which unknown constant forces may act.
+
+        Returns:
+            The displacements; NaN if the state is traced and not an equilibrium.
+
+        Raises:
+            ValueError: The state is not an equilibrium, or a hinge is outside the range
+                of its energy, and the state is not traced.
+        """
+        displacements = state_in_range(self.mechanism, "about", about)
+        return require_equilibrium(
+            self.mechanism, self.system, displacements, about, loads, held
+        )
+
+    def inconsistency(self, displacements: Poses) -> ValueError:
+        """Return the error of constraints that are not consistent with displacements."""
+        details = constraint_error(
+            self.constraints, self.dofs, self.mechanism, displacements, self.time
+        )
+        return ValueError(f"{result_message('inconsistent_constraints')} {details}")
+
+    def error_at(
+        self, state: Poses, messages: Mapping[str, str] = MappingProxyType({})
+    ) -> Callable[[str, tuple[int, ...]], Exception]:
+        """Return the function that makes the error of a linearized analysis.
+
+        Args:
+            state: Displacements about which the equations are linearized; rad, m, m.
+            messages: Messages of this analysis by names of results; by default those of
+                all analyses.
+        """
+
+        def error(name: str, batch_index: tuple[int, ...]) -> Exception:
+            if name == "inconsistent_constraints" and not batch_index:
+                return self.inconsistency(state)
+            return RuntimeError(messages.get(name, result_message(name)))
+
+        return error

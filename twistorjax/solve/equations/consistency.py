@@ -50,8 +50,6 @@ def require_equilibrium(
     Raises:
         ValueError: The state is not an equilibrium, and not traced.
     """
-    if state is None and not system.loads.present:
-        return displacements
     frozen = stop_gradient((system, mechanism.reference, displacements))
     excess, residual = _imbalance(*frozen)
     counts = ~np.isin(system.free, held)

@@ -77,7 +77,7 @@ class Problem(NamedTuple):
         if supported:
             require_support(mechanism, constraint_set.bodies, prescribed)
         dofs = DofPartition.of(mechanism, prescribed)
-        targets = (*targets, *len(held) * (as_float(0.0),))
+        targets += len(held) * (np.zeros(()),)
         return cls(mechanism, load_set, constraint_set, dofs, targets, time)
 
     @property
@@ -115,6 +115,8 @@ class Problem(NamedTuple):
                 of its energy, and the state is not traced.
         """
         displacements = state_in_range(self.mechanism, "about", about)
+        if about is None and not self.loads.present:
+            return displacements
         return require_equilibrium(
             self.mechanism, self.system, displacements, about, loads, held
         )

@@ -57,7 +57,7 @@ def test_a_bending_factor_that_is_too_large(run_here):
     assert_usage_error(run_here("parallelogram", "--bending-factor", "1e308"), message)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_load_cases_that_all_fail(run_here):
     """They exceed the range of the leaves; the table shows the reason of each."""
     table = "transverse_EI_L2,axial_EI_L2,moment_EI_L\n1e6,0,0\n0,-1e5,0\n"

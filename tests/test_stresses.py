@@ -229,7 +229,7 @@ def arc_stress(angle):
     return 210e9 * SIZES["thickness"] * angle / (2 * SIZES["length"])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_surrogate_of_a_pivot_has_a_range_of_motion_and_a_fatigue_life(pivot):
     """A pure rotation bends both leaves to arcs, whose stress is proportional to it."""
     mechanism = cantilever(pivot)

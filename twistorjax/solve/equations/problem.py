@@ -77,7 +77,8 @@ class Problem(NamedTuple):
         if supported:
             require_support(mechanism, constraint_set.bodies, prescribed)
         dofs = DofPartition.of(mechanism, prescribed)
-        targets += len(held) * (np.zeros(()),)
+        if held:
+            targets += len(held) * (as_float(0.0),)
         return cls(mechanism, load_set, constraint_set, dofs, targets, time)
 
     @property

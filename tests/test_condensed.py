@@ -183,14 +183,7 @@ def linkage_of(energy):
 
 
 @pytest.mark.release
-@pytest.mark.parametrize(
-    "name",
-    [
-        "cross-spring",
-        "cartwheel",
-        "double parallelogram",
-    ],
-)
+@pytest.mark.parametrize("name", ["cross-spring", "cartwheel", "double parallelogram"])
 def test_a_surrogate_agrees_with_the_whole_mechanism(name):
     """Moment, displacement of the center, stiffness, and stress, to 20 degrees."""
     build, direction, _ = FLEXURES[name]

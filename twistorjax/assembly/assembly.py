@@ -12,11 +12,10 @@ from .._compile.batching import computed_once
 from .._utils.host import as_float, on_host
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
-from ..energies.damping import ViscousDamping
 from ..energies.natural_curvature import NaturallyCurved
 from ..geometry.twistors import Displacement
 from . import forces as hinge_forces, motion_forces
-from .groups import HingeGroup
+from .groups import DampedEnergy, HingeGroup
 from .kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
 from .scatter import gather_entries, hinge_dofs, matrix_entries, row_entries, sum_entries
 from .tangent import AssemblyMotionTangent, AssemblyTangent
@@ -49,7 +48,7 @@ class HingeAssembly(eqx.Module):
     directions: Float[Array, "hinges 2"]
     misfits: Float[Array, "hinges 6"] | None
     groups: tuple[HingeGroup, ...]
-    sums: tuple[tuple[AbstractEnergy, ViscousDamping | Scalar | None] | None, ...]
+    sums: tuple[DampedEnergy | None, ...]
     misfit_rates: Float[Array, "hinges 6"] | None = None
 
     def characteristic_length(self, free: tuple[int, ...]) -> Scalar | np.float64:
@@ -67,9 +66,7 @@ class HingeAssembly(eqx.Module):
         """Return the energy of one hinge, by its index."""
         return self.energy_and_damping_of(row)[0]
 
-    def energy_and_damping_of(
-        self, row: int
-    ) -> tuple[AbstractEnergy, ViscousDamping | Scalar | None]:
+    def energy_and_damping_of(self, row: int) -> DampedEnergy:
         """Return the energy of one hinge and its damping, by its index.
 
         The damping of a sum is returned as it was given, perhaps as a time; s.

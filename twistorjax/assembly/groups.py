@@ -107,9 +107,7 @@ def dilate_groups(
     return tuple(new)
 
 
-def sums_of(
-    hinges: Sequence[DampedEnergy],
-) -> tuple[DampedEnergy | None, ...]:
+def sums_of(hinges: Sequence[DampedEnergy]) -> tuple[DampedEnergy | None, ...]:
     """Return energy and damping of each hinge whose energy is a sum; None for others."""
     return tuple(hinge if len(parallel_terms(hinge[0])) > 1 else None for hinge in hinges)
 

@@ -2,8 +2,8 @@
 
 Start reading in `mechanism`. `body`, `hinge`, `loads`, `constraints`, and `material`
 contain the classes that a user creates, and `sub_mechanism` a mechanism that acts as one
-hinge. `queries` evaluates displaced hinges, `misfits` are parts that do not fit together,
-and `changes` are strokes and temperatures in time.
+hinge. `misfits` adds strokes and temperatures to the states in which hinges are not
+loaded, and `changes` has those that are functions of time.
 """
 
 import lazy_loader

@@ -14,8 +14,8 @@ from .._utils.host import as_float, concrete, on_host
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import index_of, require_finite, require_pose, shorten, warn
 from ..assembly.assembly import HingeAssembly
-from ..assembly.groups import dilate_groups
-from ..energies.base import AbstractEnergy, flexure_length
+from ..assembly.groups import DampedEnergy, dilate_groups
+from ..energies.base import flexure_length
 from ..energies.dilation import dilated
 from .material import Expansion
 
@@ -198,9 +198,7 @@ def _require_small_strains(noun: str, names: Sequence[str], strains: Any) -> Non
     )
 
 
-def _dilated_sum(
-    given: tuple[AbstractEnergy, Any] | None, scale: NumberLike
-) -> tuple[AbstractEnergy, Any] | None:
+def _dilated_sum(given: DampedEnergy | None, scale: NumberLike) -> DampedEnergy | None:
     """Multiply the dimensions of a hinge whose energy is a sum; it keeps its damping."""
     if given is None:
         return None

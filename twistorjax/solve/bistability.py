@@ -44,6 +44,7 @@ from .continuation.solution import CriticalPoint
 from .continuation.start import FirstPoint, metric_of
 from .continuation.system import PathSystem, PathTangent
 from .equations.dofs import DofPartition
+from .equations.problem import Problem
 from .equations.state import warn_outside_linear_range
 from .statics.solution import StateLike
 
@@ -251,9 +252,8 @@ def bistability(
     step = require_positive("`largest_step`", largest_step)
     by_drives, begin = not loads, None
     if by_drives:
-        begin = first_displacements(
-            mechanism, (), None, constant_loads, constraints, start, time
-        )
+        undriven = Problem.of(mechanism, (), (), constraints, time)
+        begin = first_displacements(undriven, constant_loads, start)
     system, first = assemble_path(
         mechanism, loads, drives, {}, None, constant_loads, constraints, start,
         direction, time, begin,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
-from .._utils.host import as_float, concrete
+from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import BatchFlag, Count, Flag, NumberLike, Poses, Scalar
@@ -207,17 +207,8 @@ def buckling(
             "buckle between its ends."
         )
     state = problem.state(about, "constant_loads")
-    system = PathSystem(
-        mechanism=mechanism,
-        loads=LoadSet.of(mechanism, loads),
-        constant_loads=problem.loads,
-        constraints=problem.constraints,
-        changes=None,
-        start=state,
-        targets=jnp.array(targets, float),
-        time=as_float(time),
-        dofs=problem.dofs,
-    )
+    scaled = problem._replace(loads=LoadSet.of(mechanism, loads), targets=targets)
+    system = PathSystem.of(scaled, problem.loads, state)
     solution, displacements = _buckling(system, modes)
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
@@ -225,9 +216,7 @@ def buckling(
         if name == "out_of_range" and not batch_index:
             text += f" {mechanism.range_messages(mechanism.reference + displacements)}"
         if name == "unstable" and not batch_index:
-            text += describe_free_motions(
-                mechanism, system.constraints, system.dofs, state, time
-            )
+            text += describe_free_motions(mechanism, problem.system, state)
         return RuntimeError(text)
 
     if not throw:

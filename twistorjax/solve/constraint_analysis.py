@@ -6,8 +6,8 @@ from .._utils.progress import announced
 from .._utils.types import NumberLike
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.mechanism import Mechanism
-from .equations.dofs import DofPartition
 from .equations.mobility import analyze, ConstraintAnalysis
+from .equations.problem import Problem
 from .equations.state import state_in_range
 from .statics.solution import StateLike
 
@@ -69,6 +69,8 @@ def constraint_analysis(
     if not 0 < ratio < 1:
         raise ValueError(f"`ratio` is {ratio!r}, but must be between 0 and 1.")
     held = set(mechanism.dofs_of("prescribed", prescribed)) - set(mechanism.fixed)
-    dofs = DofPartition.of(mechanism, sorted(held))
+    problem = Problem.of(
+        mechanism, (), (), constraints, time, held=sorted(held), supported=False
+    )
     state = state_in_range(mechanism, "about", about)
-    return analyze(mechanism, dofs, constraints, state, time, ratio)
+    return analyze(mechanism, problem.system, state, ratio)

@@ -179,9 +179,7 @@ def range_of_motion(
     allowable = _allowable(mechanism, stress) / as_float(
         require_positive("`safety_factor`", safety_factor)
     )
-    begin = first_displacements(
-        mechanism, drives, None, constant_loads, constraints, start, time
-    )
+    begin = first_displacements(problem, constant_loads, start)
     given = RangeInput(
         hinges=mechanism.hinge_assembly,
         reference=mechanism.reference,

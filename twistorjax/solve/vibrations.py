@@ -13,12 +13,7 @@ from .._utils.types import BatchFlag, NumberLike, Poses
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import (
-    count_results,
-    result_names,
-    RESULTS,
-    succeeded_or_raise,
-)
+from ..results.codes import count_results, result_names, RESULTS, succeeded_or_raise
 from ..results.tables import Column, Columns, columns, Tabular
 from .equations.consistency import consistent
 from .equations.modes import natural_modes

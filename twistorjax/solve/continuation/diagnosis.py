@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 
-from ..._utils.host import as_float
 from ...mechanism.loads import LoadSet
 from ...results.codes import result_message
 from ..equations.problem import Problem
@@ -29,20 +28,11 @@ def describe_critical_point(
     Returns:
         A sentence for an error message; empty if no critical point was found.
     """
-    mechanism, loads, constraints, dofs, targets, time = problem
+    mechanism = problem.mechanism
     if start is not None or mechanism.hinge_assembly.misfits is not None:
         return ""  # The forces at the start, or the misfits, change along the path.
-    system = PathSystem(
-        mechanism=mechanism,
-        loads=loads,
-        constant_loads=LoadSet.of(mechanism, ()),
-        constraints=constraints,
-        changes=None,
-        start=jnp.zeros_like(mechanism.reference),
-        targets=jnp.array(targets, float),
-        time=as_float(time),
-        dofs=dofs,
-    )
+    begin = jnp.zeros_like(mechanism.reference)
+    system = PathSystem.of(problem, LoadSet.of(mechanism, ()), begin)
     limits, step = jnp.array([-1.0, 1.0]), jnp.array(0.05)
     first = regular_point(solution.reached, solution.fraction)
     criticals = run_path(system, first, limits, step, None, _POINTS, 1).criticals
@@ -61,7 +51,6 @@ def path_message(item: str, system: PathSystem, run: PathRun) -> str:
     if item == "out_of_range":
         text += f" {system.range_messages(run.trace.reached)}"
     if item == "unstable":
-        text += describe_free_motions(
-            system.mechanism, system.constraints, system.dofs, system.start, system.time
-        )
+        equations = system.at(jnp.zeros(()))
+        text += describe_free_motions(system.mechanism, equations, system.start)
     return text

@@ -99,21 +99,10 @@ def assemble_path(
                 "to begin with increasing load factors, or -1 with decreasing ones."
             )
         if begin is None:
-            begin = first_displacements(
-                mechanism, drives, changes, constant_loads, constraints, start, time
-            )
+            begin = first_displacements(problem, constant_loads, start, changes)
         first = regular_point(begin, jnp.zeros(()), direction)
-    system = PathSystem(
-        mechanism=mechanism,
-        loads=problem.loads,
-        constant_loads=LoadSet.of(mechanism, constant_loads),
-        constraints=problem.constraints,
-        changes=changes,
-        start=begin,
-        targets=jnp.array(problem.targets, float),
-        time=as_float(time),
-        dofs=dofs,
-    )
+    unscaled = LoadSet.of(mechanism, constant_loads)
+    system = PathSystem.of(problem, unscaled, begin, changes)
     if isinstance(start, CriticalPoint) and isinstance(direction, Mapping):
         mode = branch_mode(
             system, first.displacements, first.factor, jnp.asarray(start.multiplicity),
@@ -164,23 +153,27 @@ def _multiplied(values: Any, factor: Scalar) -> Any:
 
 
 def first_displacements(
-    mechanism: Mechanism,
-    drives: Sequence[Drive],
-    changes: HingeChanges | None,
+    problem: Problem,
     constant_loads: Sequence[Load],
-    constraints: Sequence[AbstractConstraint],
     start: StateLike | None,
-    time: NumberLike,
+    changes: HingeChanges | None = None,
 ) -> Poses:
-    """Compute the equilibrium at the load factor zero; rad, m, m."""
+    """Compute the equilibrium at the load factor zero; rad, m, m.
+
+    The problem is that at the load factor 1.
+    """
+    mechanism = problem.mechanism
     if changes is not None:
         hinges = mechanism.hinges_in(changes.state(mechanism, jnp.zeros(())))
         mechanism = mechanism.with_hinges(hinges)
     deformed = mechanism.hinge_assembly.misfits is not None
-    if start is None and not (deformed or constant_loads or constraints):
+    if start is None and not (deformed or constant_loads or problem.constraints.size):
         return jnp.zeros_like(mechanism.reference)
-    drives = jax.tree.map(lambda value: 0.0 * value, drives)
-    problem = Problem.of(mechanism, constant_loads, drives, constraints, time)
+    problem = problem._replace(
+        mechanism=mechanism,
+        loads=LoadSet.of(mechanism, constant_loads),
+        targets=tuple(0.0 * target for target in problem.targets),
+    )
     solution = solve(problem, start)
     describe = partial(describe_critical_point, problem, start, solution)
     return check_equilibrium(solution, problem, describe).displacements

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._utils.host import as_float
 from ..._utils.types import Entries, Flag, Poses, Scalar
 from ...assembly.tangent import AssemblyTangent
 from ...mechanism.changes import HingeChanges
@@ -13,6 +14,7 @@ from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import LoadSet
 from ...mechanism.mechanism import Mechanism
 from ..equations.dofs import DofPartition
+from ..equations.problem import Problem
 from ..equations.system import System
 
 
@@ -82,6 +84,27 @@ class PathSystem(eqx.Module):
         size = jnp.sqrt(jnp.mean(jnp.sum(offsets**2, axis=1)))
         characteristic = self.at(jnp.zeros(())).units()[1]
         return jnp.maximum(size, characteristic)
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        constant_loads: LoadSet,
+        start: Poses,
+        changes: HingeChanges | None = None,
+    ) -> "PathSystem":
+        """Multiply the loads and the displacements of a problem by a load factor."""
+        return cls(
+            mechanism=problem.mechanism,
+            loads=problem.loads,
+            constant_loads=constant_loads,
+            constraints=problem.constraints,
+            changes=changes,
+            start=start,
+            targets=jnp.array(problem.targets, float),
+            time=as_float(problem.time),
+            dofs=problem.dofs,
+        )
 
     def at(self, factor: Scalar) -> System:
         """Return the equations at a load factor."""

@@ -7,12 +7,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..._utils.types import NumberLike, Poses
+from ..._utils.types import Poses
 from ...assembly.assembly import HingeAssembly
-from ...mechanism.constraints import AbstractConstraint
 from ...mechanism.mechanism import COORDINATES, Mechanism
-from .dofs import DofPartition
-from .problem import Problem
+from .system import System
 
 
 _DIRECTIONS = ("moment", "axial force", "transverse force")
@@ -83,18 +81,10 @@ class ConstraintAnalysis(NamedTuple):
 
 
 def analyze(
-    mechanism: Mechanism,
-    dofs: DofPartition,
-    constraints: Sequence[AbstractConstraint],
-    state: Poses,
-    time: NumberLike,
-    ratio: float,
+    mechanism: Mechanism, system: System, state: Poses, ratio: float
 ) -> ConstraintAnalysis:
     """Analyze displacements (rad, m, m); see `constraint_analysis`."""
-    held = dofs.prescribed
-    system = Problem.of(
-        mechanism, (), (), constraints, time, held=held, supported=False
-    ).system
+    dofs = system.dofs
     rows, stiffness = map(np.asarray, _hinge_rows(mechanism.hinge_assembly, state))
     length = float(system.units()[1])
     units = np.array([length, 1.0, 1.0])

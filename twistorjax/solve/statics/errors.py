@@ -4,13 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..._utils.types import NumberLike, Poses
-from ...mechanism.constraints import ConstraintSet
+from ..._utils.types import Poses
 from ...mechanism.mechanism import Mechanism
 from ...results.codes import result_message, succeeded_or_raise
-from ..equations.dofs import DofPartition
 from ..equations.problem import Problem
 from ..equations.state import warn_outside_linear_range
+from ..equations.system import System
 from .solution import Equilibrium
 
 
@@ -19,19 +18,14 @@ _NO_STIFFNESS = 1e-12
 
 
 def describe_free_motions(
-    mechanism: Mechanism,
-    constraints: ConstraintSet | None,
-    dofs: DofPartition,
-    displacements: Poses,
-    time: NumberLike,
+    mechanism: Mechanism, system: System, displacements: Poses
 ) -> str:
     """Name the bodies that can move without any resistance, for a message."""
     from ..equations.mobility import analyze
 
-    given = () if constraints is None else constraints.constraints
     if not np.all(np.isfinite(displacements)):
         return ""
-    analysis = analyze(mechanism, dofs, given, displacements, time, ratio=_NO_STIFFNESS)
+    analysis = analyze(mechanism, system, displacements, ratio=_NO_STIFFNESS)
     if not analysis.motion_descriptions:
         return ""
     return f" Nothing resists the {'; the '.join(analysis.motion_descriptions)}."
@@ -68,9 +62,7 @@ def check_equilibrium(
                 if description:
                     text = result_message("no_equilibrium") + description
             if item == "unstable":
-                text += describe_free_motions(
-                    mechanism, problem.constraints, problem.dofs, reached, problem.time
-                )
+                text += describe_free_motions(mechanism, problem.system, reached)
         return RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )

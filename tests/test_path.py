@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers import assert_close, value_and_slopes
+from helpers import assert_close, value_and_slopes, with_value
 from path_helpers import (
     bar,
     BAR_STIFFNESS,
@@ -159,6 +159,36 @@ class TestVonMisesTruss:
         assert_close(np.asarray(flat.pose("apex"))[-1, 2], 0.0)
         assert_close(np.asarray(flat.load_factors)[-1], 0.0)
         assert len(flat.critical_points) == 1
+
+    @pytest.mark.slow
+    def test_derivatives_of_the_end_by_its_condition_and_by_the_interval(self):
+        """The end is on the closed form: where the height, or the load factor, is given."""
+
+        def end(at):
+            level, limit = at
+            above = jax.tree_util.Partial(height_above, level)
+            load = tj.Load("apex", force=(0.0, -20.0))
+
+            def last(until, limits):
+                found = tj.path(
+                    truss(), loads=[load], until=until, load_factors=limits,
+                    largest_step=0.2, max_points=32, max_critical=1, throw=False,
+                )  # fmt: skip
+                row = found.count - 1
+                height = found.pose("apex")[row, 2]
+                return found.load_factors[row], height
+
+            return *last(above, (-1.0, 1.0)), *last(None, (-1.0, limit))
+
+        at = jnp.array([0.25, 0.3])
+        slopes, (force, _, limit, height) = jax.jacfwd(with_value(end), has_aux=True)(at)
+        by_height = jax.grad(von_mises_force)
+        assert_close(slopes[0], np.array([by_height(0.25) / 20, 0.0]), digits=8)
+        assert_close(slopes[1], np.array([1.0, 0.0]), digits=8)
+        assert_close(slopes[2], np.array([0.0, 1.0]), digits=8)
+        assert_close(slopes[3], np.array([0.0, 20 / by_height(float(height))]), digits=8)
+        assert_close(20 * force, von_mises_force(0.25), digits=8)
+        assert_close(limit, 0.3, digits=8)
 
     def test_a_path_in_the_other_direction(self):
         up = pushed(direction=-1, largest_step=0.025)

@@ -12,8 +12,10 @@ from .types import Numbers
 
 
 def concrete(value: Any) -> np.ndarray | None:
-    """Return a value as a NumPy array; `None` if JAX is tracing it."""
-    return None if isinstance(value, Tracer) else np.asarray(value)
+    """Return numbers as a NumPy array; `None` if JAX is tracing one of them."""
+    is_sequence = isinstance(value, list | tuple)
+    traced = is_traced(value) if is_sequence else isinstance(value, Tracer)
+    return None if traced else np.asarray(value)
 
 
 def all_concrete(values: Iterable[Any]) -> list[np.ndarray] | None:

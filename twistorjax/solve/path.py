@@ -145,14 +145,15 @@ def path(
             mechanism.names,
         )  # fmt: skip
         until = traced(until, start_point)
-    arguments = system, first, as_float(load_factors), step
-    numbers = until, max_points, max_critical
+    limits = as_float(load_factors)
+    arguments = system, first, limits, step, until
     if is_traced(arguments):
-        return solve_path(*arguments, *numbers)
-    run = run_refined(*arguments, *numbers)
+        return solve_path(*arguments, max_points, max_critical)
+    run = run_refined(*arguments, max_points, max_critical)
     count = int(run.trace.number)
     rows = min(padded_size(count, 16), max_points)
-    found = _first_points(evaluate_path(system, first_rows(run, rows)), count)
+    found = evaluate_path(system, limits, until, first_rows(run, rows))
+    found = _first_points(found, count)
     if not throw:
         return found
     warn_outside_linear_range(mechanism, found.range_shares)

@@ -120,32 +120,40 @@ def on_path(
     system: PathSystem,
     points: Float[Array, "points n"],
     normals: Float[Array, "points n"],
+    conditions: Float[Array, " points"] | None = None,
 ) -> Float[Array, "points n"]:
     """Return points of a path with derivatives with respect to the system.
 
-    If the system changes, a point moves in the plane that is perpendicular to its normal.
+    Each point is on a surface: a function of the point is zero there, `normals` has its
+    gradient, and `conditions` its value, of which only the derivative with respect to the
+    system and its loads is used. By default, the surfaces do not move.
     """
-    return jax.vmap(partial(_on_path, system))(points, normals)
+    if conditions is None:
+        conditions = jnp.zeros(len(points))
+    return jax.vmap(partial(_on_path, system))(points, normals, conditions)
 
 
 @eqx.filter_custom_jvp
-def _on_path(system: PathSystem, point: Array, normal: Array) -> Array:
+def _on_path(system: PathSystem, point: Array, normal: Array, condition: Array) -> Array:
     """Return the point; see `on_path`."""
-    del system, normal
+    del system, normal, condition
     return point
 
 
 @_on_path.def_jvp
 def _(primals, tangents):
-    system, point, normal = primals
+    system, point, normal, condition = primals
     point = _on_path(*primals)
     normal = jax.lax.stop_gradient(normal)
     found = jnp.all(jnp.isfinite(point))
     at = jnp.where(found, point, 0.0)
-    _, rate = jvp_of_varied(lambda system: system.residual(at), (system,), tangents[:1])
+
+    def equations(system: PathSystem, condition: Array) -> Array:
+        return jnp.append(system.residual(at), condition)
+
+    _, rate = jvp_of_varied(equations, (system, condition), (tangents[0], tangents[3]))
     tangent = system.tangent(at)
     rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
     matrix = jnp.concatenate([rows, normal[None]])
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
-    change = -solve(matrix, jnp.concatenate([rate, jnp.zeros(1)]))
-    return point, jnp.where(found, change, 0.0)
+    return point, jnp.where(found, -solve(matrix, rate), 0.0)

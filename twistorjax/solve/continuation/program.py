@@ -42,14 +42,12 @@ class PathRun(NamedTuple):
         trace: The points.
         negative: Number of negative eigenvalues of the stiffness at each point.
         criticals: The critical points.
-        end_normal: Normal of the plane in which the last point is for other parameters.
     """
 
     metric: Metric
     trace: Trace
     negative: Int[Array, " points"]
     criticals: Criticals
-    end_normal: Float[Array, " n"]
 
 
 def run_uncompiled(
@@ -62,7 +60,7 @@ def run_uncompiled(
     max_critical: int,
 ) -> PathRun:
     """Follow the path, and locate its end and its critical points."""
-    system, first = stop_gradient((system, first))
+    system, first, limits, until = stop_gradient((system, first, limits, until))
     event = None if until is None else _event(system, until)
     point = first_point(system, first.displacements, first.factor)
     mode = first.mode.reshape(-1)[np.array(system.dofs.free, int)]
@@ -79,12 +77,7 @@ def run_uncompiled(
     trace, criticals, negative = locate_points(
         system, metric, trace, limits, event, max_critical
     )
-    normal = jnp.zeros_like(point).at[-1].set(1.0)
-    if event is not None:
-        by_event = trace.status == arc_length.AT_EVENT
-        slope = jax.grad(event)(trace.points[trace.number - 1])
-        normal = jnp.where(by_event, slope, normal)
-    return PathRun(metric, trace, negative, criticals, normal)
+    return PathRun(metric, trace, negative, criticals)
 
 
 def _event(system: PathSystem, until: Until) -> arc_length.PathEvent:
@@ -112,9 +105,35 @@ def _event(system: PathSystem, until: Until) -> arc_length.PathEvent:
     return event
 
 
-def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
+def _end_condition(
+    system: PathSystem, limits: Float[Array, "2"], until: Until | None, trace: Trace
+) -> tuple[Scalar, Float[Array, " n"]]:
+    """Return the value and the gradient of the function that is zero at the last point.
+
+    The value has derivatives with respect to the system, the limits, and `until`.
+    """
+    point = trace.points[trace.number - 1]
+    limit = limits[jnp.argmin(jnp.abs(limits - point[-1]))]
+    value = jnp.where(trace.status == arc_length.AT_LIMIT, point[-1] - limit, 0.0)
+    gradient = _of_load_factor(point)
+    if until is None:
+        return value, gradient
+    at_event = trace.status == arc_length.AT_EVENT
+    event, event_gradient = jax.value_and_grad(_event(system, until))(point)
+    value = jnp.where(at_event, event, value)
+    return value, jnp.where(at_event, event_gradient, gradient)
+
+
+def _of_load_factor(point: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Return the gradient of the load factor of a point."""
+    return jnp.zeros_like(point).at[-1].set(1.0)
+
+
+def _evaluate_uncompiled(
+    system: PathSystem, limits: Float[Array, "2"], until: Until | None, run: PathRun
+) -> Path:
     """Compute the quantities at the points, and give them derivatives."""
-    metric, trace, negative, criticals, end_normal = run
+    metric, trace, negative, criticals = run
     fixed, mechanism = stop_gradient(system), system.mechanism
     rows = jnp.asarray(np.arange(len(trace.points)))
     used = rows < trace.number
@@ -125,10 +144,12 @@ def _evaluate_uncompiled(system: PathSystem, run: PathRun) -> Path:
     normals = tangents * (metric.weights / metric.units)[None]
     ended = (trace.status == arc_length.AT_LIMIT) | (trace.status == arc_length.AT_EVENT)
     is_end = ended & (rows == trace.number - 1)
-    normals = jnp.where(is_end[:, None], end_normal[None], normals)
+    condition, gradient = _end_condition(system, limits, until, trace)
+    normals = jnp.where(is_end[:, None], gradient[None], normals)
     # The first point stays at its load factor.
-    normals = normals.at[0].set(jnp.zeros(len(end_normal)).at[-1].set(1.0))
-    values = point_values(system, on_path(system, known, normals))
+    normals = normals.at[0].set(_of_load_factor(known[0]))
+    conditions = jnp.where(is_end, condition, 0.0)
+    values = point_values(system, on_path(system, known, normals, conditions))
     masked = jax.tree.map(lambda array: _masked(used, array), values)
 
     count = jnp.minimum(criticals.number, len(criticals.points))
@@ -204,10 +225,17 @@ def _masked(used: Bool[Array, " rows"], values: Array) -> Array:
     return jnp.where(used.reshape(-1, *(values.ndim - 1) * (1,)), values, jnp.nan)
 
 
-def _solve_uncompiled(system: PathSystem, *arguments: Any) -> Path:
+def _solve_uncompiled(
+    system: PathSystem,
+    first: FirstPoint,
+    limits: Float[Array, "2"],
+    largest_step: Scalar,
+    until: Until | None,
+    *numbers: int,
+) -> Path:
     """Follow the path and evaluate its points, inside another program."""
-    run = run_uncompiled(system, *arguments)
-    return _evaluate_uncompiled(system, refine_uncompiled(system, run))
+    run = run_uncompiled(system, first, limits, largest_step, until, *numbers)
+    return _evaluate_uncompiled(system, limits, until, refine_uncompiled(system, run))
 
 
 def refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:

@@ -162,7 +162,7 @@ class TestVonMisesTruss:
 
     @pytest.mark.slow
     def test_derivatives_of_the_end_by_its_condition_and_by_the_interval(self):
-        """The end is on the closed form: where the height, or the load factor, is given."""
+        """The end is where the height, or the load factor, is given."""
 
         def end(at):
             level, limit = at

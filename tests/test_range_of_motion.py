@@ -146,6 +146,53 @@ def test_a_column_ends_where_it_buckles():
     assert backward.endswith("stability") and forward.endswith("stress in 'flexure'")
 
 
+def weak_arch(modulus):
+    """Two bars of a shallow arch, whose apex a weak leaf supports."""
+    half, angle = np.hypot(1.0, 0.3), np.arctan2(0.3, 1.0)
+    bar = tj.energies.AxialSpring(modulus / 210e6, length=half)
+    soft = tj.Material(modulus=1e-3 * modulus, poisson=0.3)
+    support = flexures.linear_leaf(soft, length=1.0, thickness=5e-3, width=10e-3)
+    bodies = [tj.Body("wall"), tj.Body("apex", pose=(0.0, 0.0, 0.3))]
+    hinges = [
+        tj.Hinge("left", "wall", "apex", bar, at=(angle, -0.5, 0.15)),
+        tj.Hinge("right", "apex", "wall", bar, at=(-angle, 0.5, 0.15)),
+        tj.Hinge("support", "wall", "apex", support, at=(0.0, 0.0, 0.3)),
+    ]
+    fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"]}
+    return tj.Mechanism(bodies, hinges, fixed=fixed)
+
+
+@pytest.mark.release
+def test_derivatives_of_ends_by_stability():
+    """Buckling and snapping forces are in proportion to the modulus.
+
+    Two equal columns that are not connected end at a double branch point, and on the
+    other side where their sections have the allowable stress. The arch ends at a limit
+    point when it is pushed.
+    """
+
+    def columns(modulus):
+        energy = flexures.leaf(tj.Material(modulus=modulus, poisson=0.3), **SIZES)
+        names = ("one", "two")
+        bodies = [tj.Body("wall"), *(tj.Body(name, (0.0, 25e-3, 0.0)) for name in names)]
+        hinges = [tj.Hinge(name, "wall", name, energy, at=(0, 0, 0)) for name in names]
+        pull = [tj.Load(name, force=(1.0, 0.0)) for name in names]
+        return tj.Mechanism(bodies, hinges, fixed=["wall"]), pull
+
+    def arch(modulus):
+        return weak_arch(modulus), [tj.Load("apex", force=(0.0, -1.0))]
+
+    def logarithms(case, scale):
+        mechanism, loads = case(210e9 * scale)
+        found = tj.range_of_motion(mechanism, loads=loads, stress=ALLOWABLE, throw=False)
+        return jnp.log(jnp.abs(found.factors))
+
+    both = jax.jacrev(partial(logarithms, columns))(1.0)
+    np.testing.assert_allclose(both, [1.0, 0.0], atol=1e-5)
+    _, forward = jax.jacfwd(partial(logarithms, arch))(1.0)
+    np.testing.assert_allclose(forward, 1.0, atol=1e-5)
+
+
 @pytest.mark.slow
 def test_the_stroke_of_an_actuator_against_a_leaf():
     """The actuator is much stiffer than the leaf, so the block moves by its stroke."""

@@ -18,7 +18,6 @@ from ..assembly.stress import rows_with_stress, strengths
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.misfits import stroke_rows
 from ..results.codes import (
     count_results,
     result_message,
@@ -28,11 +27,12 @@ from ..results.codes import (
 )
 from ..results.solutions import PoseSolution
 from ..results.tables import Column, Columns
-from .continuation.setup import first_displacements
+from .continuation.range_search import find_ends
+from .continuation.setup import changes_by_factor, first_displacements
+from .continuation.system import PathSystem
 from .equations.problem import Problem
 from .equations.state import warn_outside_linear_range
 from .equations.stresses import select_stresses, Stresses
-from .statics.range_search import find_ends, RangeInput
 from .statics.solution import StateLike
 
 
@@ -179,28 +179,20 @@ def range_of_motion(
     allowable = _allowable(mechanism, stress) / as_float(
         require_positive("`safety_factor`", safety_factor)
     )
-    begin = first_displacements(problem, constant_loads, start)
-    given = RangeInput(
-        hinges=mechanism.hinge_assembly,
-        reference=mechanism.reference,
-        loads=problem.loads,
-        constant_loads=LoadSet.of(mechanism, constant_loads),
-        constraints=problem.constraints,
-        targets=problem.targets,
-        strokes=stroke_rows(mechanism.hinge_names, strokes) if strokes else None,
-        time=as_float(time),
-        allowable=allowable,
-    )
-    ends = find_ends(given, begin, dofs=problem.dofs)
-    hinges, solution = mechanism.hinge_assembly, ends.equilibrium
+    changes = changes_by_factor(strokes)
+    begin = first_displacements(problem, constant_loads, start, changes)
+    constant = LoadSet.of(mechanism, constant_loads)
+    system = PathSystem.of(problem, constant, begin, changes)
+    ends = find_ends(system, begin, allowable)
+    hinges, values = mechanism.hinge_assembly, ends.values
     stresses = select_stresses(hinges, ends.stresses, mechanism.hinge_names)
     rows = np.array(rows_with_stress(hinges), int)
     found = RangeOfMotion(
         factors=ends.factor,
-        displacements=solution.displacements,
+        displacements=values.displacements,
         reference=mechanism.reference,
-        reactions=solution.reactions,
-        constraint_forces=solution.constraint_forces,
+        reactions=values.reactions,
+        constraint_forces=values.constraint_forces,
         stresses=replace(stresses, strength=allowable[rows]),
         by_stress=ends.by_stress,
         result=ends.result,
@@ -209,7 +201,7 @@ def range_of_motion(
     )
     if not throw:
         return found
-    warn_outside_linear_range(mechanism, solution.range_shares)
+    warn_outside_linear_range(mechanism, values.range_shares)
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         side = _SIDES[batch_index[-1]]

@@ -72,9 +72,8 @@ def refine_branch_points(
 
     def improve_point(largest: Scalar, _, point: Array) -> Array:
         start = point / metric.units
-        equations = partial(
-            _branch_residual, system, metric, singular_vectors(system, metric, point)
-        )
+        borders = singular_vectors(metric, system.tangent(point))
+        equations = partial(_branch_residual, system, metric, borders)
 
         # Exact derivatives of these conditions would take 40 s to compile.
         def improve(state: _Refinement) -> _Refinement:

@@ -415,8 +415,8 @@ class NullVectors(NamedTuple):
         right: Those of its columns.
     """
 
-    left: Float[Array, "critical unknowns vectors"]
-    right: Float[Array, "critical unknowns vectors"]
+    left: Float[Array, "*critical unknowns vectors"]
+    right: Float[Array, "*critical unknowns vectors"]
 
 
 def null_vectors(
@@ -437,22 +437,33 @@ def null_vectors(
         point, branch, multiplicity = arguments
         if not system.unknowns:
             return NullVectors(jnp.zeros((0, 1)), jnp.zeros((0, 1)))
-        if not system.symmetric:
-            left, right = singular_vectors(system, metric, point)
-            largest = right[jnp.argmax(jnp.abs(metric.weights[:-1] * right))]
-            right = jnp.where(largest < 0, -1.0, 1.0) * right
-            size = metric.length(jnp.append(right, 0.0))
-            return NullVectors(left[:, None], right[:, None] / size)
         tangent = system.tangent(point)
-        matrix, basis = allowed_stiffness(system, metric, tangent)
-        load = metric.units[: len(basis)] * tangent.by_factor[: len(basis)]
-        load = jnp.where(branch, 0.0, load)
-        found = basis_of_null_space(matrix, basis, load, multiplicity)
-        found = jnp.pad(found, ((0, system.unknowns - len(basis)), (0, 0)))
-        return NullVectors(found, found)
+        return null_vectors_of(system, metric, tangent, branch, multiplicity)
 
     # Two batches of LAPACK calls at the same time can cause a deadlock (jaxlib 0.10).
     return jax.lax.map(one, (points, is_branch, multiplicities))
+
+
+def null_vectors_of(
+    system: PathSystem,
+    metric: Metric,
+    tangent: PathTangent,
+    is_branch: Flag,
+    multiplicity: Count,
+) -> NullVectors:
+    """Compute the null vectors of one stiffness; see `null_vectors`."""
+    if not system.symmetric:
+        left, right = singular_vectors(metric, tangent)
+        largest = right[jnp.argmax(jnp.abs(metric.weights[:-1] * right))]
+        right = jnp.where(largest < 0, -1.0, 1.0) * right
+        size = metric.length(jnp.append(right, 0.0))
+        return NullVectors(left[:, None], right[:, None] / size)
+    matrix, basis = allowed_stiffness(system, metric, tangent)
+    load = metric.units[: len(basis)] * tangent.by_factor[: len(basis)]
+    load = jnp.where(is_branch, 0.0, load)
+    found = basis_of_null_space(matrix, basis, load, multiplicity)
+    found = jnp.pad(found, ((0, system.unknowns - len(basis)), (0, 0)))
+    return NullVectors(found, found)
 
 
 def basis_of_null_space(
@@ -494,13 +505,13 @@ def basis_of_null_space(
 
 
 def singular_vectors(
-    system: PathSystem, metric: Metric, point: Float[Array, " n"]
+    metric: Metric, tangent: PathTangent
 ) -> tuple[Float[Array, " unknowns"], Float[Array, " unknowns"]]:
     """Compute the singular vectors of the smallest singular value of the stiffness.
 
     The left one belongs to the rows of the scaled stiffness; see `scaled_jacobian`.
     """
-    matrix = scaled_jacobian(metric, system.tangent(point))
+    matrix = scaled_jacobian(metric, tangent)
     # Inverse iteration, with a matrix that is not quite singular
     shift = _SHIFT * jnp.max(jnp.abs(matrix)) * jnp.eye(len(matrix))
     found = pivoted_inverse(matrix + shift)

@@ -67,7 +67,7 @@ def assemble_path(
         ValueError: An argument is invalid; see `path`.
         RuntimeError: There is no first equilibrium.
     """
-    changes = _changes(strokes, temperature)
+    changes = changes_by_factor(strokes, temperature)
     if not loads and not drives and changes is None:
         raise ValueError(
             "Nothing is multiplied by the load factor. Give `loads`, `drives`, "
@@ -129,8 +129,8 @@ def _named_displacements(
     return rows
 
 
-def _changes(
-    strokes: PathStrokes, temperature: PathTemperature | None
+def changes_by_factor(
+    strokes: PathStrokes, temperature: PathTemperature | None = None
 ) -> HingeChanges | None:
     """Gather strokes and temperatures as functions of the load factor."""
     of_strokes = of_temperature = None

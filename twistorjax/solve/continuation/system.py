@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ..._utils.host import as_float
 from ..._utils.types import Entries, Flag, Poses, Scalar
+from ...assembly.stress import largest_stresses
 from ...assembly.tangent import AssemblyTangent
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
@@ -195,6 +196,11 @@ class PathSystem(eqx.Module):
         """Compute the generalized stress of the hinges at a point; N m, N, N."""
         system, displacements, _ = self.split(point)
         return system.hinges.forces_and_stress(displacements)[1]
+
+    def stresses(self, point: Float[Array, " n"]) -> Float[Array, " hinges"]:
+        """Compute the largest stress in each hinge at a point; Pa."""
+        system, displacements, _ = self.split(point)
+        return largest_stresses(system.hinges, displacements)
 
     def out_of_range(self, point: Float[Array, " n"]) -> Flag:
         """Decide whether a hinge is outside the validity range of its energy."""

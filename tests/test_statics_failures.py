@@ -9,7 +9,7 @@ from statics_helpers import block_on_spring, cantilever
 
 import twistorjax as tj
 from twistorjax.results.codes import RESULTS
-from twistorjax.solve.statics.errors import check_equilibrium
+from twistorjax.solve.statics.errors import finish_equilibrium
 
 
 def test_error_of_a_batch_names_the_failed_design():
@@ -19,7 +19,7 @@ def test_error_of_a_batch_names_the_failed_design():
 
     batch = jax.jit(jax.vmap(solve))(np.array([4.0, 0.0, 3.0]))
     with pytest.raises(RuntimeError, match="index 1 of the batch"):
-        check_equilibrium(batch)
+        finish_equilibrium(batch, throw=True)
     assert repr(batch.result) == "RESULTS<['successful' 'unstable' 'successful']>"
     assert repr(batch) == "3 equilibria, of shape (3,): 2 successful, 1 unstable"
 

@@ -48,6 +48,7 @@ from .solve import (
     FrequencyResponse as FrequencyResponse,
     Linearization as Linearization,
     linearize as linearize,
+    LinearResponse as LinearResponse,
     Motion as Motion,
     Path as Path,
     path as path,

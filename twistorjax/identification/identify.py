@@ -1,6 +1,7 @@
 """Identification of the parameters of a mechanism from measurements."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TYPE_CHECKING
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from .._utils.types import KeyLike
 from .._utils.validation import compilation_error, require_float64, require_kind
 from ..designs.parameters import Parameter as Parameter, ParameterSet
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import result_message, RESULTS, succeeded_or_raise
+from ..results.codes import finish, result_message, RESULTS
 from .estimation.levenberg_marquardt import LevenbergMarquardt
 from .estimation.objective import IdentificationProblem
 from .estimation.optimizer import AbstractOptimizer, from_numpy
@@ -185,7 +186,7 @@ def identify(
         jax.eval_shape(given.residuals, start_point)
         raise
     identification = cut(_summarize(problem, state), given)
-    return _raise_if_failed(identification) if throw else identification
+    return finish(identification, throw, partial(_failure, identification))
 
 
 def _choose_optimizer(
@@ -251,24 +252,21 @@ def _summarize(problem: IdentificationProblem, state: SearchState) -> Identifica
     )
 
 
-def _raise_if_failed(identification: Identification) -> Identification:
-    """Return a successful identification; raise an error for one that has failed."""
-
-    def failure(item: str, batch_index: tuple[int, ...]) -> Exception:
-        message = result_message(item)
-        problem = identification.problem
-        if item == "no_solution_at_start" and not batch_index:
-            start = jnp.zeros_like(identification.normalized)
-            mechanism = problem.mechanism(start)
-            for measurement in problem.data:
-                try:
-                    measurement.test.predict(mechanism)
-                except RuntimeError as error:
-                    return RuntimeError(f"{message} {measurement.test!r}: {error}")
-            return ValueError(message)
-        index = ", ".join(map(str, batch_index))
-        where = f" at index {index} of the batch" if batch_index else ""
-        steps = np.asarray(identification.steps)[batch_index]
-        return RuntimeError(f"{message} ({steps} evaluations{where})")
-
-    return succeeded_or_raise(identification, failure)
+def _failure(
+    identification: Identification, item: str, batch_index: tuple[int, ...]
+) -> Exception:
+    """Return the error of an identification that has failed."""
+    message = result_message(item)
+    problem = identification.problem
+    if item == "no_solution_at_start" and not batch_index:
+        mechanism = problem.mechanism(jnp.zeros_like(identification.normalized))
+        for measurement in problem.data:
+            try:
+                measurement.test.predict(mechanism)
+            except RuntimeError as error:
+                return RuntimeError(f"{message} {measurement.test!r}: {error}")
+        return ValueError(message)
+    index = ", ".join(map(str, batch_index))
+    where = f" at index {index} of the batch" if batch_index else ""
+    steps = np.asarray(identification.steps)[batch_index]
+    return RuntimeError(f"{message} ({steps} evaluations{where})")

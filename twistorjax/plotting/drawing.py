@@ -12,8 +12,8 @@ from .._utils.validation import index_of
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
+from ..results.solutions import PoseSolution
 from ..solve.integration.solution import Motion
-from ..solve.statics.solution import Equilibrium
 from .figure_style import (
     FILLS,
     GRAY,
@@ -42,7 +42,7 @@ Color = tuple[float, ...]  # red, green, blue, opacity
 
 
 # What can be drawn; poses in rad, m, m
-Drawn = TypeAliasType("Drawn", PosesLike | Equilibrium | Motion)
+Drawn = TypeAliasType("Drawn", PosesLike | PoseSolution)
 # The stored energy (J), or a number for each hinge
 HingeColors = TypeAliasType("HingeColors", Literal["energy"] | NamedNumbers)
 
@@ -195,14 +195,14 @@ def _displacements(mechanism: Mechanism, poses: Drawn | None) -> np.ndarray:
     """Return the displacements of the bodies that are drawn; rad, m, m."""
     if poses is None:
         return np.zeros(mechanism.reference.shape)
-    if isinstance(poses, Equilibrium | Motion):
+    if isinstance(poses, PoseSolution):
         rows = poses.poses
         if (batch := rows.ndim - 2 - isinstance(poses, Motion)) > 0:
             raise ValueError(
                 f"`poses` is a batch of results, of shape {rows.shape[:batch]}. Draw one "
                 "of them, for example `jax.tree.map(lambda leaf: leaf[0], results)`."
             )
-        poses = rows if isinstance(poses, Equilibrium) else rows[-1]
+        poses = rows[-1] if isinstance(poses, Motion) else rows
     displacements = np.asarray(mechanism.displacements(poses))
     if not np.all(np.isfinite(displacements)):
         raise ValueError(
@@ -214,10 +214,10 @@ def _displacements(mechanism: Mechanism, poses: Drawn | None) -> np.ndarray:
 
 def _reactions(poses: Drawn | None) -> np.ndarray:
     """Return the reactions on the bodies that are drawn; N m, N, N."""
-    if isinstance(poses, Equilibrium):
-        return np.asarray(poses.reactions)
     if isinstance(poses, Motion):
         return np.asarray(poses.reactions[-1])
+    if isinstance(poses, PoseSolution):
+        return np.asarray(poses.reactions)
     raise ValueError(
         "`reactions` is True, but `poses` has no reactions. Give an equilibrium or a "
         "motion as `poses`."

@@ -231,13 +231,40 @@ class HasResult(Protocol):
 Solution = TypeVar("Solution", bound=HasResult)
 
 
-def succeeded_or_raise(
-    solution: Solution, error: Callable[[str, tuple[int, ...]], Exception]
+# Results whose reason is in the arguments of the user
+_INVALID_INPUT = (
+    "times_not_increasing",
+    "drive_jumps",
+    "damping_gives_energy",
+    "inconsistent_constraints",
+)
+
+
+def result_error(name: str, batch_index: tuple[int, ...], more: str = "") -> Exception:
+    """Return the error of a result, from its name and its index in a batch.
+
+    `more` follows the message of the result.
+    """
+    error = ValueError if name in _INVALID_INPUT else RuntimeError
+    return error(f"{result_message(name)}{more}{_place(batch_index)}")
+
+
+def _place(batch_index: tuple[int, ...]) -> str:
+    index = ", ".join(map(str, batch_index))
+    return f" (at index {index} of the batch)" if index else ""
+
+
+def finish(
+    solution: Solution,
+    throw: bool,
+    error: Callable[[str, tuple[int, ...]], Exception] = result_error,
 ) -> Solution:
-    """Return a solution if it succeeded, and raise the error of the first failed one.
+    """Return a solution; if it may `throw`, raise the error of the first failed one.
 
     `error` returns this error from the name of the result and the index in the batch.
     """
+    if not throw:
+        return solution
     index = concrete(solution.result._value)
     if index is None:
         return solution.result.error_if(solution, ~solution.succeeded)

@@ -23,7 +23,11 @@ from .frequency_response import (
 from .integration.collocation import Gauss as Gauss, Radau as Radau
 from .integration.diffrax_interface import ProgressBar as ProgressBar
 from .integration.solution import Energies as Energies, Motion as Motion
-from .linearization import Linearization as Linearization, linearize as linearize
+from .linearization import (
+    Linearization as Linearization,
+    linearize as linearize,
+    LinearResponse as LinearResponse,
+)
 from .path import path as path
 from .port_compliance import (
     port_compliance as port_compliance,

@@ -22,10 +22,10 @@ from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
     count_results,
+    finish,
     is_success,
     result_names,
     RESULTS,
-    succeeded_or_raise,
 )
 from .continuation.arc_length import Metric, NOT_FINITE, Step
 from .continuation.critical_points import null_vectors, with_derivatives
@@ -265,9 +265,8 @@ def bistability(
         return _solve(system, first, by_drives, *arguments[2:], *numbers)
     run = run_refined(*arguments, *numbers)
     found = _evaluate(system, run, first.direction, by_drives)
-    if not throw:
-        return found
-    warn_outside_linear_range(mechanism, found.range_shares)
+    if throw:
+        warn_outside_linear_range(mechanism, found.range_shares)
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
@@ -275,7 +274,7 @@ def bistability(
             f"No second stable state was found. {path_message(item, system, run)}"
         )
 
-    return succeeded_or_raise(found, error)
+    return finish(found, throw, error)
 
 
 def _solve_uncompiled(

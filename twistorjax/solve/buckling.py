@@ -20,10 +20,10 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
     count_results,
-    result_message,
+    finish,
+    result_error,
     result_names,
     RESULTS,
-    succeeded_or_raise,
 )
 from ..results.tables import Column, Columns, columns, Tabular
 from .continuation.arc_length import Metric
@@ -212,20 +212,19 @@ def buckling(
     solution, displacements = _buckling(system, modes)
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
-        text = result_message(name)
+        more = ""
         if name == "out_of_range" and not batch_index:
-            text += f" {mechanism.range_messages(mechanism.reference + displacements)}"
+            more = f" {mechanism.range_messages(mechanism.reference + displacements)}"
         if name == "unstable" and not batch_index:
-            text += describe_free_motions(mechanism, problem.system, state)
-        return RuntimeError(text)
+            more = describe_free_motions(mechanism, problem.system, state)
+        return result_error(name, batch_index, more)
 
-    if not throw:
-        return solution
-    warn_outside_linear_range(mechanism, solution.range_shares)
-    factors = concrete(solution.load_factors)
-    if factors is not None and np.all(np.isinf(factors)):
-        _warn_of_range(system)
-    return succeeded_or_raise(solution, error)
+    if throw:
+        warn_outside_linear_range(mechanism, solution.range_shares)
+        factors = concrete(solution.load_factors)
+        if factors is not None and np.all(np.isinf(factors)):
+            _warn_of_range(system)
+    return finish(solution, throw, error)
 
 
 def _warn_of_range(system: PathSystem) -> None:

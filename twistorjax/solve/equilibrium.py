@@ -10,7 +10,7 @@ from ..mechanism.mechanism import Mechanism
 from ..results.codes import result_names as result_names, RESULTS as RESULTS
 from ..results.tables import Column as Column
 from .equations.problem import Problem
-from .statics.errors import check_equilibrium
+from .statics.errors import finish_equilibrium
 from .statics.solution import Equilibrium, StateLike
 from .statics.solver import solve
 
@@ -86,12 +86,10 @@ def equilibrium(
         )
     problem = Problem.of(mechanism, loads, drives, constraints, time)
     solution = solve(problem, start, tolerance, max_steps)
-    if not throw:
-        return solution
 
     def first_critical_point() -> str:
         from .continuation.diagnosis import describe_critical_point
 
         return describe_critical_point(problem, start, solution)
 
-    return check_equilibrium(solution, problem, first_critical_point)
+    return finish_equilibrium(solution, throw, problem, first_critical_point)

@@ -16,7 +16,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..results.codes import RESULTS, succeeded_or_raise
+from ..results.codes import RESULTS
 from ..results.solutions import BodySolution
 from ..results.tables import Column, Columns
 from .equations.consistency import consistent
@@ -138,17 +138,12 @@ def frequency_response(
     response = _frequency_response(
         mechanism, problem.system, values, load_set, rows, targets, state
     )
-
-    messages = {
-        "not_finite": (
-            "At some frequency the response is not finite: there is a resonance without "
-            "damping, or a value of the mechanism is not finite. Give the hinges "
-            "`damping`, or leave out the frequency."
-        )
-    }
-    if not throw:
-        return response
-    return succeeded_or_raise(response, problem.error_at(state, messages))
+    not_finite = (
+        "At some frequency the response is not finite: there is a resonance without "
+        "damping, or a value of the mechanism is not finite. Give the hinges `damping`, "
+        "or leave out the frequency."
+    )
+    return problem.finish(response, throw, state, {"not_finite": not_finite})
 
 
 @fast_compile

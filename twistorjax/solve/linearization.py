@@ -9,35 +9,80 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
-from .._utils.host import concrete
+from .._utils.host import all_concrete, concrete
 from .._utils.progress import announced
-from .._utils.types import Flag, NumberLike, PoseLike, Poses, Scalar
+from .._utils.types import Entries, Flag, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from ..linalg.constraints import ConstrainedFactors
 from ..linalg.factors import Elimination, Factors
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..results.codes import RESULTS
+from ..results.codes import (
+    count_results,
+    finish,
+    result_names,
+    RESULTS,
+)
+from ..results.solutions import PoseSolution
+from ..results.tables import Column, Columns
 from .equations.consistency import consistent
 from .equations.dofs import DofPartition
 from .equations.problem import Problem
 from .equations.system import System
-from .statics.errors import check_equilibrium
-from .statics.solution import Equilibrium, StateLike
+from .statics.solution import StateLike
+
+
+class LinearResponse(PoseSolution):
+    """First-order changes from the equilibrium about which a mechanism is linearized.
+
+    Args:
+        displacements: Change of the displacement of each body; rad, m, m.
+        reference: Poses of the equilibrium, from which it is measured; rad, m, m.
+        reactions: Change of the external wrench on the fixed and prescribed degrees of
+            freedom of each body, about the origin of the body and in world axes; zero for
+            free degrees of freedom; N m, N, N.
+        constraint_forces: Change of the constraint forces, one for each scalar equation
+            of the constraints; N m, N.
+        energy: Half the product of displacements and forces; J. For a linearization about
+            the reference configuration, it is the energy stored in the hinges; about a
+            loaded equilibrium, the second-order change of the total potential energy.
+        strokes: Strokes of all hinges; None if there are none; rad, m, m.
+        result: `RESULTS.successful` or the reason of the failure; `result_names` returns
+            its name.
+        names: Names of the bodies.
+        constraint_names: Name of the constraint to which each scalar equation belongs.
+    """
+
+    displacements: Poses
+    reference: Poses
+    reactions: Wrenches
+    constraint_forces: Entries
+    energy: Scalar
+    strokes: Float[Array, "*batch hinges 3"] | None
+    result: RESULTS
+    names: tuple[str, ...] = eqx.field(static=True)
+    constraint_names: tuple[str, ...] = eqx.field(static=True)
+
+    def columns(self) -> Columns:
+        return {**self._body_columns(), "energy": Column(self.energy, (), "J")}
+
+    def __repr__(self) -> str:
+        names = result_names(self.result)
+        values = all_concrete([self.displacements, self.energy])
+        if names is None or values is None:
+            return eqx.tree_pformat(self)
+        if names.shape:
+            return count_results("linear responses", names)
+        displacements, energy = values
+        return self._listed(f"{names}: {float(energy):.6g} J", "body", displacements)
 
 
 class Linearization(eqx.Module):
     """Linear map from small loads and prescribed displacements to the response.
 
     Call it as `linear(loads=..., drives=..., strokes=..., throw=...)`. The tangent
-    stiffness is computed once. A call returns an `Equilibrium`. Its displacements,
-    reactions, and constraint forces are the first-order changes from the equilibrium
-    about which the mechanism was linearized.
-
-    Its energy is half the product of displacements and forces. For a linearization about
-    the reference configuration, this is the energy stored in the hinges. For one about a
-    loaded equilibrium, it is the second-order change of the total potential energy.
+    stiffness is computed once. A call returns a `LinearResponse`.
 
     Args:
         mechanism: The mechanism.
@@ -71,7 +116,7 @@ class Linearization(eqx.Module):
         drives: Sequence[Drive] = (),
         strokes: Mapping[str, PoseLike] = MappingProxyType({}),
         throw: bool = True,
-    ) -> Equilibrium:
+    ) -> LinearResponse:
         """Compute the first-order response.
 
         Args:
@@ -101,8 +146,8 @@ class Linearization(eqx.Module):
             )
         load_set = LoadSet.of(mechanism, loads)
         rows = stroke_rows(mechanism.hinge_names, strokes) if strokes else None
-        change = _respond(self, load_set, rows, targets, prescribed)
-        return check_equilibrium(change) if throw else change
+        response = _respond(self, load_set, rows, targets, prescribed)
+        return finish(response, throw)
 
 
 @fast_compile
@@ -112,7 +157,7 @@ def _respond(
     strokes: Float[Array, "hinges 3"] | None,
     targets: tuple[Scalar, ...],
     prescribed: tuple[int, ...],
-) -> Equilibrium:
+) -> LinearResponse:
     """Compute the response to loads, strokes, and prescribed displacements; rad, m."""
     mechanism, count = linear.mechanism, len(linear.dofs.free)
     displacements = linear.about - mechanism.reference
@@ -140,23 +185,16 @@ def _respond(
     # The matrices of redundant constraints are not finite.
     inconsistent = RESULTS.inconsistent_constraints
     result = RESULTS.where(linear.consistent, result, inconsistent)
-    displacements = flat.reshape(linear.about.shape)
-    return Equilibrium(
-        displacements=displacements,
+    return LinearResponse(
+        displacements=flat.reshape(linear.about.shape),
         reference=linear.about,
         reactions=dofs.reactions(forces - applied - constraint),
         constraint_forces=multipliers,
         energy=jnp.vdot(flat, forces) / 2,
-        reached=displacements,
-        fraction=jnp.ones(()),
-        steps=jnp.zeros((), int),
-        range_shares=None,
-        loads=None,
-        misfits=None,
+        strokes=strokes,
         result=result,
         names=mechanism.names,
         constraint_names=linear.constraint_names,
-        strokes=strokes,
     )
 
 
@@ -186,8 +224,7 @@ def linearize(
         time: Time at which time-dependent constraints are evaluated, by default zero; s.
 
     Returns:
-        The linear map. Call it with `loads` and `drives`; it returns an `Equilibrium`
-        with the first-order response.
+        The linear map. Call it with `loads` and `drives`; it returns a `LinearResponse`.
 
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a coordinate in

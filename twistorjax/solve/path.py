@@ -15,12 +15,11 @@ from .._utils.validation import require_positive, warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import succeeded_or_raise
+from ..results.codes import finish
 from .continuation.diagnosis import path_message
 from .continuation.program import (
     evaluate_path,
     first_rows,
-    PathRun,
     run_refined,
     solve_path,
     Until,
@@ -34,7 +33,6 @@ from .continuation.setup import (
 )
 from .continuation.solution import Path, PathPoint
 from .continuation.start import FirstPoint
-from .continuation.system import PathSystem
 from .equations.state import warn_outside_linear_range
 
 
@@ -154,11 +152,22 @@ def path(
     rows = min(padded_size(count, 16), max_points)
     found = evaluate_path(system, limits, until, first_rows(run, rows))
     found = _first_points(found, count)
-    if not throw:
-        return found
-    warn_outside_linear_range(mechanism, found.range_shares)
-    _warn_of_more_critical_points(found, max_critical)
-    return _checked(found, system, run)
+    if throw:
+        warn_outside_linear_range(mechanism, found.range_shares)
+        _warn_of_more_critical_points(found, max_critical)
+
+    def error(item: str, batch_index: tuple[int, ...]) -> Exception:
+        del batch_index
+        text = path_message(item, system, run)
+        if count > 1:
+            text += (
+                f" ({count} points up to the load factor "
+                f"{float(found.load_factors[-1]):.6g} were found; `path(..., "
+                "throw=False)` returns them.)"
+            )
+        return RuntimeError(text)
+
+    return finish(found, throw, error)
 
 
 def _require_inside(first: FirstPoint, load_factors: NumbersLike) -> None:
@@ -223,20 +232,3 @@ def _warn_of_more_critical_points(found: Path, max_critical: int) -> None:
             f"`max_critical` is {max_critical}, but the stability changes again behind "
             "the last critical point that was located. Increase `max_critical`."
         )
-
-
-def _checked(found: Path, system: PathSystem, run: PathRun) -> Path:
-    """Return the path, and raise an error if it ended by a failure."""
-
-    def error(item: str, batch_index: tuple[int, ...]) -> Exception:
-        del batch_index
-        text, count = path_message(item, system, run), len(found.load_factors)
-        if count > 1:
-            text += (
-                f" ({count} points up to the load factor "
-                f"{float(found.load_factors[-1]):.6g} were found; `path(..., "
-                "throw=False)` returns them.)"
-            )
-        return RuntimeError(text)
-
-    return succeeded_or_raise(found, error)

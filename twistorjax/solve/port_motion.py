@@ -35,7 +35,7 @@ from ..results.tables import Column, Columns, Tabular
 from .constraint_analysis import constraint_analysis
 from .equations.state import warn_outside_linear_range
 from .equilibrium import equilibrium
-from .statics.errors import check_equilibrium
+from .statics.errors import finish_equilibrium
 from .statics.solution import Equilibrium
 
 
@@ -249,8 +249,8 @@ def port_motion(
         program_input(time, float), travel, dof, positions,
     )  # fmt: skip
     solution, displacement, rate, force = path
+    finish_equilibrium(solution, throw)
     if throw:
-        check_equilibrium(solution)
         warn_outside_linear_range(mechanism, solution.range_shares)
     if rigid_gain is None and dof is not None:
         start = solution.displacements[0]

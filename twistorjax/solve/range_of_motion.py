@@ -20,10 +20,10 @@ from ..mechanism.loads import Drive, Load, LoadSet
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
     count_results,
+    finish,
     result_message,
     result_names,
     RESULTS,
-    succeeded_or_raise,
 )
 from ..results.solutions import PoseSolution
 from ..results.tables import Column, Columns
@@ -199,15 +199,14 @@ def range_of_motion(
         names=mechanism.names,
         constraint_names=problem.constraints.names(),
     )
-    if not throw:
-        return found
-    warn_outside_linear_range(mechanism, values.range_shares)
+    if throw:
+        warn_outside_linear_range(mechanism, values.range_shares)
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         side = _SIDES[batch_index[-1]]
         return RuntimeError(f"The {side} end was not found. {result_message(item)}")
 
-    return succeeded_or_raise(found, error)
+    return finish(found, throw, error)
 
 
 def _allowable(

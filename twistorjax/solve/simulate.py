@@ -16,7 +16,7 @@ from ..mechanism.changes import HingeChanges, TemperatureInTime
 from ..mechanism.constraints import AbstractConstraint, gather_constraints
 from ..mechanism.loads import LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import succeeded_or_raise
+from ..results.codes import finish
 from .equations.dofs import displacements_at_start, DofPartition
 from .integration.adjoint import StepwiseAdjoint
 from .integration.arguments import (
@@ -220,6 +220,4 @@ def simulate(
         )
     if pad:
         motion = motion.first_times(time_count)
-    if not throw:
-        return motion
-    return succeeded_or_raise(motion, partial(start_of_motion.error, motion))
+    return finish(motion, throw, partial(start_of_motion.error, motion))

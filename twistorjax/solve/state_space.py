@@ -20,7 +20,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..results.codes import RESULTS, succeeded_or_raise
+from ..results.codes import RESULTS
 from .equations.consistency import consistent
 from .equations.dofs import DofPartition
 from .equations.modes import natural_modes
@@ -239,7 +239,7 @@ def state_space(
     model = _state_space(
         mechanism, problem.system, columns, rows, modes or count, state, names
     )
-    return succeeded_or_raise(model, problem.error_at(state)) if throw else model
+    return problem.finish(model, throw, state)
 
 
 class _Excitation(NamedTuple):

@@ -13,7 +13,7 @@ from .._utils.types import BatchFlag, NumberLike, Poses
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import count_results, result_names, RESULTS, succeeded_or_raise
+from ..results.codes import count_results, result_names, RESULTS
 from ..results.tables import Column, Columns, columns, Tabular
 from .equations.consistency import consistent
 from .equations.modes import natural_modes
@@ -144,7 +144,7 @@ def vibrations(
         )
     state = problem.state(about)
     solution = _vibrations(mechanism, problem.system, state)
-    return succeeded_or_raise(solution, problem.error_at(state)) if throw else solution
+    return problem.finish(solution, throw, state)
 
 
 @fast_compile

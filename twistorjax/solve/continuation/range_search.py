@@ -1,7 +1,8 @@
 """Search for the ends of a range of motion, along the stable part of a path.
 
 Only the two ends are needed. With the long steps of a root finder, they take a fortieth
-of the time of a path with an `until`, and half of its compilation (`benchmarks.analyses`).
+of the time of a path with an `until`, and half of its compilation
+(`benchmarks.analyses`).
 """
 
 from functools import partial

@@ -23,7 +23,7 @@ from ...mechanism.loads import Drive, Load, LoadSet
 from ...mechanism.mechanism import Mechanism
 from ...mechanism.misfits import Temperature
 from ..equations.problem import Problem
-from ..statics.errors import check_equilibrium
+from ..statics.errors import finish_equilibrium
 from ..statics.solution import StateLike
 from ..statics.solver import solve
 from .diagnosis import describe_critical_point
@@ -176,7 +176,7 @@ def first_displacements(
     )
     solution = solve(problem, start)
     describe = partial(describe_critical_point, problem, start, solution)
-    return check_equilibrium(solution, problem, describe).displacements
+    return finish_equilibrium(solution, True, problem, describe).displacements
 
 
 def check_settings(

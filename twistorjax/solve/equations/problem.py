@@ -1,6 +1,6 @@
 """The arguments of an analysis, checked and converted to arrays."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from ..._utils.validation import require_float64
 from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ...mechanism.mechanism import Mechanism
-from ...results.codes import result_message
+from ...results.codes import finish, result_error, Solution
 from .consistency import constraint_error, require_equilibrium
 from .dofs import DofPartition, require_support
 from .state import state_in_range
@@ -122,27 +122,31 @@ class Problem(NamedTuple):
             self.mechanism, self.system, displacements, about, loads, held
         )
 
-    def inconsistency(self, displacements: Poses) -> ValueError:
+    def inconsistency(self, displacements: Poses) -> Exception:
         """Return the error of constraints that are not consistent with displacements."""
         details = constraint_error(
             self.constraints, self.dofs, self.mechanism, displacements, self.time
         )
-        return ValueError(f"{result_message('inconsistent_constraints')} {details}")
+        return result_error("inconsistent_constraints", (), f" {details}")
 
-    def error_at(
-        self, state: Poses, messages: Mapping[str, str] = MappingProxyType({})
-    ) -> Callable[[str, tuple[int, ...]], Exception]:
-        """Return the function that makes the error of a linearized analysis.
+    def finish(
+        self,
+        solution: Solution,
+        throw: bool,
+        state: Poses,
+        messages: Mapping[str, str] = MappingProxyType({}),
+    ) -> Solution:
+        """Return a linearized solution; if it failed and may `throw`, raise its error.
 
-        Args:
-            state: Displacements about which the equations are linearized; rad, m, m.
-            messages: Messages of this analysis by names of results; by default those of
-                all analyses.
+        `state` is the state about which the equations are linearized; rad, m, m.
+        `messages` has those of this analysis that differ, by the names of the results.
         """
 
         def error(name: str, batch_index: tuple[int, ...]) -> Exception:
             if name == "inconsistent_constraints" and not batch_index:
                 return self.inconsistency(state)
-            return RuntimeError(messages.get(name, result_message(name)))
+            if name in messages:
+                return RuntimeError(messages[name])
+            return result_error(name, batch_index)
 
-        return error
+        return finish(solution, throw, error)

@@ -12,7 +12,7 @@ from ..._utils.types import Poses
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import Drive, prescribed_dofs
 from ...mechanism.mechanism import Mechanism
-from ...results.codes import result_message
+from ...results.codes import result_error, result_message
 from ..equations.consistency import (
     characteristic_length,
     constraint_error,
@@ -75,21 +75,18 @@ class StartOfMotion(NamedTuple):
 
         `batch_index` is its index in a batch; empty for a single motion.
         """
-        text = result_message(name)
-        if batch_index:
-            index = ", ".join(map(str, batch_index))
-            return RuntimeError(f"{text} (at index {index} of the batch)")
-        if name == "drive_jumps":
-            return ValueError(f"{text} {self._jump_message()}")
-        if name == "inconsistent_constraints":
+        more = ""
+        if batch_index or name in ("times_not_increasing", "damping_gives_energy"):
+            pass
+        elif name == "drive_jumps":
+            more = f" {self._jump_message()}"
+        elif name == "inconsistent_constraints":
             message = self._constraint_message()
-            message = message or "The velocities at the start violate them."
-            return ValueError(f"{text} {message}")
-        if name in ("times_not_increasing", "damping_gives_energy"):
-            return ValueError(text)
-        if name == "not_finite":
-            text += _not_finite_message(self.mechanism)
-        return RuntimeError(f"{text} {_stop_message(motion, self.mechanism)}")
+            more = f" {message or 'The velocities at the start violate them.'}"
+        else:
+            more = _not_finite_message(self.mechanism) if name == "not_finite" else ""
+            more += f" {_stop_message(motion, self.mechanism)}"
+        return result_error(name, batch_index, more)
 
     def _jumps(self) -> list[tuple[int, float, float]] | None:
         """List the degree of freedom, the jump, and the target of each drive; rad, m."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..._utils.types import Poses
 from ...mechanism.mechanism import Mechanism
-from ...results.codes import result_message, succeeded_or_raise
+from ...results.codes import finish, result_message
 from ..equations.problem import Problem
 from ..equations.state import warn_outside_linear_range
 from ..equations.system import System
@@ -31,12 +31,13 @@ def describe_free_motions(
     return f" Nothing resists the {'; the '.join(analysis.motion_descriptions)}."
 
 
-def check_equilibrium(
+def finish_equilibrium(
     solution: Equilibrium,
+    throw: bool,
     problem: Problem | None = None,
     first_critical_point: Callable[[], str] | None = None,
 ) -> Equilibrium:
-    """Return the solution if it succeeded, and raise its error otherwise.
+    """Return the solution; if it failed and may `throw`, raise its error.
 
     The problem is needed only to name the hinges that are out of range, and the
     inconsistent constraints. A function describes the critical point that the load
@@ -67,7 +68,7 @@ def check_equilibrium(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )
 
-    solution = succeeded_or_raise(solution, error)
-    if problem is not None:
+    solution = finish(solution, throw, error)
+    if throw and problem is not None:
         warn_outside_linear_range(problem.mechanism, solution.range_shares)
     return solution

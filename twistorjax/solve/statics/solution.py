@@ -38,14 +38,12 @@ class Equilibrium(PoseSolution):
             at which its force or moment errs by 5 %; zero for other hinges; None if there
             are no such flexures.
         loads: Sums of the loads on each body. Together with the misfits and the
-            constraint forces, they let another solve start at this equilibrium; None for
-            a linear response.
+            constraint forces, they let another solve start at this equilibrium.
         misfits: The six numbers of the misfit of each hinge; None if there are none.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
-        strokes: Strokes of all hinges in a linear response to strokes; rad, m, m.
         stresses: Stresses in the hinges, if the `strength` of a material is given.
     """
 
@@ -58,12 +56,11 @@ class Equilibrium(PoseSolution):
     fraction: Scalar
     steps: Count
     range_shares: Float[Array, "*batch hinges"] | None
-    loads: LoadSet | None
+    loads: LoadSet
     misfits: Float[Array, "*batch hinges 6"] | None
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
-    strokes: Float[Array, "*batch hinges 3"] | None = None
     stresses: Stresses | None = None
 
     def columns(self) -> Columns:

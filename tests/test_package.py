@@ -92,6 +92,22 @@ def _methods(part):
     }
 
 
+def test_docstrings_of_public_functions_describe_all_arguments():
+    missing = []
+    for name, value in _public().items():
+        text, signature = inspect.getdoc(value) or "", inspect.signature(value)
+        arguments = text.partition("Args:")[2] or text
+        missing += [
+            f"{name}: {argument}"
+            for argument in signature.parameters
+            if arguments != text
+            and not inspect.isclass(value)
+            and argument not in ("self", "cls")
+            and f"{argument}:" not in arguments
+        ]
+    assert not missing
+
+
 def test_signatures_print_the_names_of_types():
     shown = {name: str(inspect.signature(value)) for name, value in _public().items()}
     assert len(shown) > 300

@@ -52,9 +52,6 @@ def fast_compile(
         store: Whether traces are stored. Those with callbacks to Python cannot be stored.
         jit: `equinox.filter_jit`, or `jax.jit`, whose calls take less time.
         settings: Arguments of `jit`.
-
-    Returns:
-        The compiled function.
     """
     options = _FAST if optimize else _NOT_OPTIMIZED
     given = os.environ.get("XLA_FLAGS", "")

@@ -30,7 +30,6 @@ def call_program(program: jax.export.Exported, inputs: Sequence[Any]) -> Sequenc
     """Call a program while JAX traces another one.
 
     Args:
-        program: The program.
         inputs: Its arguments.
 
     Returns:

@@ -25,9 +25,6 @@ def to_text(value: Any) -> str:
         value: Tree of tuples, lists, dictionaries, named tuples, and dataclasses. Its
             leaves are numbers, strings, None, and names of classes and functions.
 
-    Returns:
-        The text.
-
     Raises:
         NoCanonicalTextError: The value contains something else.
 

@@ -87,15 +87,10 @@ def stored(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @dataclass(frozen=True)
 class _Placeholder:
-    """Placeholder of an array in a stored result.
+    """Placeholder of an array in a stored result."""
 
-    Args:
-        index: Index of the array among the results of the program.
-        weak: Whether its type is weak, as that of a Python number.
-    """
-
-    index: int
-    weak: bool
+    index: int  # Index of the array among the results of the program
+    weak: bool  # Whether its type is weak, as that of a Python number
 
     def value(self, values: Any) -> Any:
         """Return the array from the results of the program, whose types are not weak."""
@@ -108,15 +103,10 @@ class _Placeholder:
 
 
 class _Trace(NamedTuple):
-    """A traced function.
+    """A traced function."""
 
-    Args:
-        program: Program of the arrays, as `jax.export` returns it.
-        result: Result of the function, with placeholders instead of arrays.
-    """
-
-    program: Any
-    result: Any
+    program: Any  # Program of the arrays, as `jax.export` returns it
+    result: Any  # Result of the function, with placeholders instead of arrays
 
     @classmethod
     def of(

@@ -34,16 +34,12 @@ class TraceFolder:
     read. The digest does not protect against somebody who may write the file: therefore
     it is read only if nobody but the user may change it or its folder, unless the folder
     is shared. No method raises an `OSError`.
-
-    Args:
-        path: The folder.
-        size: Largest total size of its files; infinite without a limit; bytes.
-        shared: Whether files are read that other users may have written.
     """
 
-    path: Path
+    path: Path  # The folder
+    # Largest total size of its files; infinite without a limit; bytes
     size: int | float = math.inf
-    shared: bool = False
+    shared: bool = False  # Whether files are read that other users may have written
 
     def read(self, key: str) -> bytes | None:
         """Return the content of a file; None if it is missing, damaged, or unsafe."""

@@ -20,14 +20,11 @@ from .trace_keys import canonical_text, NoCanonicalTextError
 
 
 class TracedFunction(eqx.Module):
-    """A function that calls the program of another one.
+    """A function that calls the program of another one."""
 
-    Args:
-        constants: Arrays that the function uses, which are inputs of compiled programs.
-        program: The program. Compiled programs are shared if it is equal.
-    """
-
+    # Arrays that the function uses, which are inputs of compiled programs
     constants: list[Any]
+    # The program. Compiled programs are shared if it is equal.
     program: "_Program" = eqx.field(static=True)
 
     def __call__(self, *arguments: Any) -> Any:

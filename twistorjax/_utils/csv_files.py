@@ -42,8 +42,6 @@ def unit_factor(
         source: Name of the file or the dataset, for messages.
         header: Name of the column, for messages.
         quantity: Quantity of the column, for messages.
-        si_unit: SI unit of the quantity.
-        unit: Unit of the column.
 
     Raises:
         ValueError: The unit is not one of the quantity.
@@ -123,7 +121,6 @@ class CsvFile:
         """Return the numbers of a column.
 
         Args:
-            name: Name of the column.
             factor: Factor by which the numbers are multiplied.
             allow_empty: Whether entries may be empty; these are NaN.
 

@@ -36,9 +36,6 @@ def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
     An eager operation of `jax.numpy` compiles a program, so that a mechanism of concrete
     values would compile dozens of programs before anything is solved.
 
-    Args:
-        values: Values in the formula.
-
     Returns:
         The module with the functions for the formula, and the values as its arrays.
     """

@@ -32,9 +32,6 @@ class _ObjectWithDuplicateField(dict[str, Any]):
 def read_json(path: str | Path) -> Any:
     """Read a JSON file and check that its numbers are finite and its text is valid.
 
-    Args:
-        path: Path of the file.
-
     Returns:
         The objects, lists and values of the file. An integer of more than 18 digits is
         a float.
@@ -75,7 +72,6 @@ def write_json(path: str | Path, tree: Any) -> None:
     """Write a JSON file; replace an existing file only when the new one is complete.
 
     Args:
-        path: Path of the file.
         tree: Objects, lists and values without an invalid entry; see
             `find_invalid_entry`.
 

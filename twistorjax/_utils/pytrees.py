@@ -15,9 +15,6 @@ from jaxtyping import Array, Float
 def group_by_structure(trees: Sequence[Any]) -> list[list[int]]:
     """Group pytrees that can be stacked.
 
-    Args:
-        trees: The pytrees.
-
     Returns:
         For each group, the indices of its pytrees. All pytrees of a group have the same
         structure, and their leaves have the same shapes and dtypes.
@@ -44,10 +41,6 @@ def path_name(path: Sequence[Any]) -> str:
 
 def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
     """Return the names of the entries of an array, such as "web[0]" and "web[1]".
-
-    Args:
-        name: Name of the array.
-        shape: Shape of the array.
 
     Returns:
         The names in row-major order; only `name` for a scalar.
@@ -76,7 +69,6 @@ def split_last_axis(array: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
     """Split the last axis of an array of JAX or NumPy, and reshape the parts.
 
     Args:
-        array: The array.
         shapes: Shape into which the entries of each part are arranged.
 
     Returns:
@@ -121,10 +113,6 @@ def value_and_jacfwd(
     function: Callable[[Array], Array], point: Float[Array, " entries"]
 ) -> tuple[Array, Array]:
     """Compute a function of a vector and its Jacobian in one pass, in forward mode.
-
-    Args:
-        function: Function of a vector.
-        point: The vector.
 
     Returns:
         The value, and the Jacobian, whose last axis is that of the vector.

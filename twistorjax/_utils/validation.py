@@ -68,11 +68,6 @@ def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
     Args:
         where: The argument that has the name, for the message.
         noun: What is named: a key of `PLURAL`.
-        name: The name.
-        names: All names.
-
-    Returns:
-        The index.
 
     Raises:
         ValueError: The name is not in the list.
@@ -120,12 +115,8 @@ def require_package(name: str, feature: str, extra: str) -> ModuleType:
     """Import an optional package.
 
     Args:
-        name: Name of the package.
         feature: What needs the package, as a plural noun for the message.
         extra: Extra of twistorjax that installs the package.
-
-    Returns:
-        The package.
 
     Raises:
         ImportError: The package is not installed. The message says how to install it.
@@ -168,7 +159,6 @@ def compilation_error(name: str, subject: str, error: Exception) -> ValueError:
     """Create the error for a user's function that JAX cannot trace.
 
     Args:
-        name: Name of the function.
         subject: What `if` must not depend on, as words that follow it: "about the time".
         error: The error that JAX raised.
 
@@ -275,9 +265,6 @@ def require_shape(
         shape: The shape; None for an axis of any length.
         requirement: Words of the message that follow "but must", such as "have a row
             (angle, x, y) for each trial".
-
-    Returns:
-        The array.
 
     Raises:
         ValueError: The shape is wrong.

@@ -27,28 +27,23 @@ class HingeAssembly(eqx.Module):
     Displacements are those from the reference poses; rad, m, m. Hinges are evaluated in
     the order of the members of the groups. Degrees of freedom are numbered by bodies,
     three for each: angle, x, y.
-
-    Args:
-        bodies: Number of bodies.
-        ends: Indices of the two bodies of each hinge.
-        arms: Vector from the origin of each of the two bodies to the hinge, in the
-            reference configuration and world axes; m.
-        directions: Cosine and sine of the angle of each hinge in the reference
-            configuration.
-        misfits: The six numbers of each hinge from which its `Misfit` is created; None
-            if there are none; rad, m, m, m, m, rad.
-        groups: Groups of hinges with the same kind of energy.
-        sums: Energy and damping of each hinge whose energy is a sum; None for others.
-        misfit_rates: Time derivatives of the misfits; None if they are constant.
     """
 
     bodies: int = eqx.field(static=True)
+    # Indices of the two bodies of each hinge
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    # Vector from the origin of each of the two bodies to the hinge, in the reference
+    # configuration and world axes; m
     arms: Float[Array, "hinges 2 2"]
+    # Cosine and sine of the angle of each hinge in the reference configuration
     directions: Float[Array, "hinges 2"]
+    # The six numbers of each hinge from which its `Misfit` is created; None if there are
+    # none; rad, m, m, m, m, rad
     misfits: Float[Array, "hinges 6"] | None
-    groups: tuple[HingeGroup, ...]
+    groups: tuple[HingeGroup, ...]  # Groups of hinges with the same kind of energy
+    # Energy and damping of each hinge whose energy is a sum; None for others
     sums: tuple[DampedEnergy | None, ...]
+    # Time derivatives of the misfits; None if they are constant
     misfit_rates: Float[Array, "hinges 6"] | None = None
 
     def characteristic_length(self, free: tuple[int, ...]) -> Scalar | np.float64:

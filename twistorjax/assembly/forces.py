@@ -63,24 +63,17 @@ class HingeTangent(NamedTuple):
     translation of B relative to A along x and along y. A translation of A is the opposite
     one of B, so the ten entries determine the stiffness of the six displacements; see
     `FOUR_OF_SIX`.
-
-    Args:
-        forces: Derivatives of the energy with respect to the motions; N m, N m, N, N.
-        stiffness: Upper triangle of the second derivatives, row by row; N m/rad, N/rad,
-            N/m.
-        stress: Generalized stress; N m, N, N.
-        stress_rates: Derivatives of the stress with respect to each coordinate of the
-            hinge.
-        kinematics: Derivatives of these coordinates with respect to the motions.
-        work: Sum of the absolute values of force times coordinate; J.
     """
 
-    forces: Four
+    forces: Four  # Derivatives of the energy with respect to the motions; N m, N m, N, N
+    # Upper triangle of the second derivatives, row by row; N m/rad, N/rad, N/m
     stiffness: tuple[Scalar, ...]
-    stress: Three
+    stress: Three  # Generalized stress; N m, N, N
+    # Derivatives of the stress with respect to each coordinate of the hinge
     stress_rates: tuple[Three, Three, Three]
+    # Derivatives of these coordinates with respect to the motions
     kinematics: HingeKinematics
-    work: Scalar
+    work: Scalar  # Sum of the absolute values of force times coordinate; J
 
 
 @jax.jit
@@ -171,17 +164,11 @@ FOUR_OF_SIX = np.array([0, 2, 3, 1, 2, 3]), np.array([1.0, -1.0, -1.0, 1.0, 1.0,
 
 
 class Factored(NamedTuple):
-    """Stiffness of a hinge in factors, `rows.T diag(weights) rows + remainder`.
+    """Stiffness of a hinge in factors, `rows.T diag(weights) rows + remainder`."""
 
-    Args:
-        rows: Three linear combinations of the six displacements.
-        weights: Stiffness against each of them; N m/rad, N/m.
-        remainder: Geometric stiffness, and the part of the stiffness that is not positive
-            semidefinite.
-    """
-
-    rows: Float[Array, "3 6"]
-    weights: Float[Array, "3"]
+    rows: Float[Array, "3 6"]  # Three linear combinations of the six displacements
+    weights: Float[Array, "3"]  # Stiffness against each of them; N m/rad, N/m
+    # Geometric stiffness, and the part of the stiffness that is not positive semidefinite
     remainder: Float[Array, "6 6"]
 
 

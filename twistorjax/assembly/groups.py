@@ -23,21 +23,17 @@ class HingeGroup(eqx.Module):
     """Hinges with the same kind of energy and damping.
 
     A hinge whose energy is a sum has a member for each term.
-
-    Args:
-        members: Index of the hinge of each member.
-        energy: Their energies, stacked. An array that all of them share is not stacked.
-        damping: Their damping, stacked in the same way; None without damping.
-        batch_axes: For each array of energy and damping: 0 if it is stacked, None if it
-            is shared.
-        curvature_loads: Loads of each member for its natural turn; see the function of
-            this name. None if there was no gradient of the temperature.
     """
 
-    members: tuple[int, ...] = eqx.field(static=True)
+    members: tuple[int, ...] = eqx.field(static=True)  # Index of the hinge of each member
+    # Their energies, stacked. An array that all of them share is not stacked.
     energy: AbstractEnergy
+    # Their damping, stacked in the same way; None without damping
     damping: ViscousDamping | None
+    # For each array of energy and damping: 0 if it is stacked, None if it is shared
     batch_axes: tuple[int | None, ...] = eqx.field(static=True)
+    # Loads of each member for its natural turn; see the function of this name. None if
+    # there was no gradient of the temperature.
     curvature_loads: Float[Array, "members 4"] | None = None
 
 

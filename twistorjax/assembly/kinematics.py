@@ -24,25 +24,17 @@ class End(NamedTuple):
 
     Displacements are measured from the reference pose, because differences of positions
     would lose digits if displacements are small compared with positions.
-
-    Args:
-        angle: Rotation of the body; rad.
-        x: Displacement of the origin of the body along x; m.
-        y: Displacement of the origin of the body along y; m.
-        cos: Cosine of half the rotation.
-        sin: Sine of half the rotation.
-        arm_x: Distance along x from the origin of the body to the hinge, in the reference
-            configuration; m.
-        arm_y: The same along y; m.
     """
 
-    angle: Scalar
-    x: Scalar
-    y: Scalar
-    cos: Scalar
-    sin: Scalar
+    angle: Scalar  # Rotation of the body; rad
+    x: Scalar  # Displacement of the origin of the body along x; m
+    y: Scalar  # Displacement of the origin of the body along y; m
+    cos: Scalar  # Cosine of half the rotation
+    sin: Scalar  # Sine of half the rotation
+    # Distance along x from the origin of the body to the hinge, in the reference
+    # configuration; m
     arm_x: Scalar
-    arm_y: Scalar
+    arm_y: Scalar  # The same along y; m
 
     def arm_displacement(self) -> tuple[Scalar, Scalar]:
         """Compute the displacement of the hinge due to the rotation: (R - 1) arm; m."""
@@ -54,26 +46,17 @@ class Misfit(NamedTuple):
 
     At a rotation theta of frame b, the translation in the mid-frame is measured from
     `cos(theta / 2) e + sin(theta / 2) f`.
-
-    Args:
-        angle: Rotation at which the hinge is not loaded; rad.
-        cos: Cosine of half this rotation.
-        sin: Sine of half this rotation.
-        e1: Component of e along axis 1; m.
-        e2: Component of e along axis 2; m.
-        f1: Component of f along axis 1; m.
-        f2: Component of f along axis 2; m.
-        turn: Rotation of the ends due to natural curvature, which is not a part of the
-            displacement; see `NaturallyCurved`; rad.
     """
 
-    angle: Scalar
-    cos: Scalar
-    sin: Scalar
-    e1: Scalar
-    e2: Scalar
-    f1: Scalar
-    f2: Scalar
+    angle: Scalar  # Rotation at which the hinge is not loaded; rad
+    cos: Scalar  # Cosine of half this rotation
+    sin: Scalar  # Sine of half this rotation
+    e1: Scalar  # Component of e along axis 1; m
+    e2: Scalar  # Component of e along axis 2; m
+    f1: Scalar  # Component of f along axis 1; m
+    f2: Scalar  # Component of f along axis 2; m
+    # Rotation of the ends due to natural curvature, which is not a part of the
+    # displacement; see `NaturallyCurved`; rad
     turn: Scalar
 
     @classmethod
@@ -114,44 +97,30 @@ def misfit_numbers(poses: Float[Array, "*hinges 3"]) -> Float[Array, "*hinges 6"
 
 
 class Axis(NamedTuple):
-    """Axis 1 of a hinge in the reference configuration, and the misfit of the hinge.
+    """Axis 1 of a hinge in the reference configuration, and the misfit of the hinge."""
 
-    Args:
-        cos: Cosine of the angle of the axis.
-        sin: Sine of the angle of the axis.
-        misfit: The misfit, if any hinge of the mechanism has one.
-        misfit_rate: Its time derivative, if strokes change with time.
-    """
-
-    cos: Scalar
-    sin: Scalar
-    misfit: Misfit | None = None
-    misfit_rate: Misfit | None = None
+    cos: Scalar  # Cosine of the angle of the axis
+    sin: Scalar  # Sine of the angle of the axis
+    misfit: Misfit | None = None  # The misfit, if any hinge of the mechanism has one
+    misfit_rate: Misfit | None = None  # Its time derivative, if strokes change with time
 
 
 class MidFrame(NamedTuple):
-    """The displacement of a hinge, and its mid-frame.
+    """The displacement of a hinge, and its mid-frame."""
 
-    Args:
-        displacement: Displacement from the state in which the hinge is not loaded.
-        half: Half the translation of frame b relative to frame a, in the mid-frame; m.
-        cos: Cosine of the angle of the mid-frame in the world.
-        sin: Sine of the angle of the mid-frame in the world.
-        slope: Derivative of the translation of `displacement` with respect to the
-            rotation, at a constant translation of frame b; None without misfit; m/rad.
-        curvature: The second derivative; None without misfit; m/rad^2.
-        drift: Rates of the coordinates of the hinge, minus that of its turn, at constant
-            poses of its bodies; None if its misfit is constant; rad/s, m/s, m/s.
-        drift_slope: Derivative of the last two with respect to the rotation; m/(rad s).
-    """
-
+    # Displacement from the state in which the hinge is not loaded
     displacement: Displacement
-    half: Two
-    cos: Scalar
-    sin: Scalar
+    half: Two  # Half the translation of frame b relative to frame a, in the mid-frame; m
+    cos: Scalar  # Cosine of the angle of the mid-frame in the world
+    sin: Scalar  # Sine of the angle of the mid-frame in the world
+    # Derivative of the translation of `displacement` with respect to the rotation, at a
+    # constant translation of frame b; None without misfit; m/rad
     slope: Two | None = None
-    curvature: Two | None = None
+    curvature: Two | None = None  # The second derivative; None without misfit; m/rad^2
+    # Rates of the coordinates of the hinge, minus that of its turn, at constant poses of
+    # its bodies; None if its misfit is constant; rad/s, m/s, m/s
     drift: Three | None = None
+    # Derivative of the last two with respect to the rotation; m/(rad s)
     drift_slope: Two | None = None
 
 
@@ -211,21 +180,14 @@ class HingeKinematics(NamedTuple):
     They depend on the translations of the bodies only through their difference, so there
     are four motions instead of six displacements: rotation of A, rotation of B, and
     translation of B relative to A along x and along y.
-
-    Args:
-        middle: Displacement and mid-frame of the hinge.
-        a1: Distance from the origin of body A to the hinge along axis 1 of the mid-frame;
-            m.
-        a2: The same along axis 2; m.
-        b1: Distance from the origin of body B to the hinge along axis 1; m.
-        b2: The same along axis 2; m.
     """
 
-    middle: MidFrame
+    middle: MidFrame  # Displacement and mid-frame of the hinge
+    # Distance from the origin of body A to the hinge along axis 1 of the mid-frame; m
     a1: Scalar
-    a2: Scalar
-    b1: Scalar
-    b2: Scalar
+    a2: Scalar  # The same along axis 2; m
+    b1: Scalar  # Distance from the origin of body B to the hinge along axis 1; m
+    b2: Scalar  # The same along axis 2; m
 
     @classmethod
     def of(cls, first: End, second: End, axis: Axis) -> "HingeKinematics":

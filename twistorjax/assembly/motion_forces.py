@@ -81,20 +81,16 @@ class HingeMotionTangent(NamedTuple):
 
     The motions are those of `HingeKinematics`. `FOUR_OF_SIX` relates them to the six
     displacements of the bodies.
-
-    Args:
-        stiffness: Derivatives with respect to the motions, on which the stretch depends
-            as well. It is not symmetric if a damped hinge moves, because the viscous
-            forces depend on its rotation.
-        damping: Derivatives with respect to the rates of the motions.
-        stretch_by_displacement: Derivatives of the mid-frame translation.
-        force_by_stretch: Derivatives of the forces with respect to the mid-frame
-            translation.
     """
 
+    # Derivatives with respect to the motions, on which the stretch depends as well. It is
+    # not symmetric if a damped hinge moves, because the viscous forces depend on its
+    # rotation.
     stiffness: Float[Array, "4 4"]
-    damping: Float[Array, "4 4"]
+    damping: Float[Array, "4 4"]  # Derivatives with respect to the rates of the motions
+    # Derivatives of the mid-frame translation
     stretch_by_displacement: Float[Array, "2 4"]
+    # Derivatives of the forces with respect to the mid-frame translation
     force_by_stretch: Float[Array, "2 4"]
 
 
@@ -170,9 +166,6 @@ def _viscous_slopes(
     """Compute the viscous forces on the coordinates of the hinge; N m, N, N.
 
     Args:
-        energy: Energy of the hinge.
-        damping: Damping of the hinge.
-        at: Displacement of the hinge.
         coordinates: Coordinates of the hinge, with respect to which the result is
             differentiated; rad, m, m.
         rates: Rates of the coordinates; rad/s, m/s, m/s.

@@ -38,10 +38,8 @@ def sum_entries(
     parallel. A scatter operation processes one entry after another.
 
     Args:
-        entries: The entries.
         source: Indices of the entries that are summed.
         target: Index of each of them in the sum.
-        size: Size of the sum.
         signs: Signs by which they are multiplied; all positive if None.
         batch_last: Whether `jax.vmap` makes its axis the last one in memory. This is
             faster if the sum is a matrix for `small_matrices.eliminate`, and slower if

@@ -23,13 +23,10 @@ class MemberStresses(NamedTuple):
     """Stresses in hinges of the same kind.
 
     A hinge whose energy is a sum has a member for each term.
-
-    Args:
-        rows: Index of the hinge of each member.
-        values: Normal stress at points of the surface of each member; Pa.
     """
 
-    rows: tuple[int, ...]
+    rows: tuple[int, ...]  # Index of the hinge of each member
+    # Normal stress at points of the surface of each member; Pa
     values: Float[Array, "members points"]
 
 

@@ -23,18 +23,13 @@ _WHOLE = np.arange(16).reshape(4, 4)
 
 
 class AssemblyTangent(eqx.Module):
-    """Forces and stiffness of all hinges with respect to their four motions.
+    """Forces and stiffness of all hinges with respect to their four motions."""
 
-    Args:
-        hinges: The tangent of each hinge; its leaves have an axis of hinges.
-        bodies: Number of bodies.
-        ends: Indices of the two bodies of each hinge.
-        order: Index of the hinge to which each column of the arrays belongs.
-    """
-
-    hinges: HingeTangent
+    hinges: HingeTangent  # The tangent of each hinge; its leaves have an axis of hinges
     bodies: int = eqx.field(static=True)
+    # Indices of the two bodies of each hinge
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    # Index of the hinge to which each column of the arrays belongs
     order: tuple[int, ...] = eqx.field(static=True)
 
     @property
@@ -114,13 +109,10 @@ def _sum_entries(
     """Sum the entries of all hinges, which are given for the four motions.
 
     Args:
-        entries: The entries of each hinge.
         places: Index of each entry for the six displacements, and its index in the sum;
             see `matrix_entries` and `row_entries`.
         position: Index among the motions, for each index among the displacements.
         signs: The sign with which this entry enters.
-        shape: Shape of the sum.
-        batch_last: See `sum_entries`.
     """
     entry, hinge = np.divmod(places[0], entries.shape[-1])
     source = position[entry] * entries.shape[-1] + hinge
@@ -129,19 +121,15 @@ def _sum_entries(
 
 
 class AssemblyMotionTangent(NamedTuple):
-    """Derivatives of the forces of all hinges with respect to free degrees of freedom.
+    """Derivatives of the forces of all hinges with respect to free degrees of freedom."""
 
-    Args:
-        stiffness: Derivatives with respect to displacements; N m/rad, N/rad, N/m.
-        damping: Derivatives with respect to rates; N m s/rad, N s/rad, N s/m.
-        stretch_by_displacement: Derivatives of the mid-frame translations; m/rad, -.
-        force_by_stretch: Derivatives of the forces with respect to the mid-frame
-            translations; N, N/m.
-    """
-
+    # Derivatives with respect to displacements; N m/rad, N/rad, N/m
     stiffness: Float[Array, "free free"]
+    # Derivatives with respect to rates; N m s/rad, N s/rad, N s/m
     damping: Float[Array, "free free"]
+    # Derivatives of the mid-frame translations; m/rad, -
     stretch_by_displacement: Float[Array, "free stretches"]
+    # Derivatives of the forces with respect to the mid-frame translations; N, N/m
     force_by_stretch: Float[Array, "free stretches"]
 
     @classmethod

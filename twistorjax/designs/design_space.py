@@ -16,32 +16,22 @@ from .parameters import Parameter
 
 
 class DesignSpace(NamedTuple):
-    """All real numbers of a design as one vector, of which some are variables.
-
-    Args:
-        structure: Structure of a design.
-        arrays: Value of each parameter, in the order of the structure.
-        rows: Rows of the real parameters in `arrays`.
-        names: Name of each real number.
-        units: Unit of each real number; empty if it is unknown.
-        is_variable: Whether each number is a variable.
-        start: Start value of each number.
-        lower: Lower bound of each number; -inf if there is none.
-        upper: Upper bound of each number; inf if there is none.
-        scales: Typical change of each number, by which its changes are divided.
-        deviations: Standard deviation of each number; zero if it is certain.
-    """
+    """All real numbers of a design as one vector, of which some are variables."""
 
     structure: DesignStructure
-    arrays: list[np.ndarray]
-    rows: list[int]
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    is_variable: Bool[np.ndarray, " numbers"]
+    arrays: list[np.ndarray]  # Value of each parameter, in the order of the structure
+    rows: list[int]  # Rows of the real parameters in `arrays`
+    names: tuple[str, ...]  # Name of each real number
+    units: tuple[str, ...]  # Unit of each real number; empty if it is unknown
+    is_variable: Bool[np.ndarray, " numbers"]  # Whether each number is a variable
     start: Float[np.ndarray, " numbers"]
+    # Lower bound of each number; -inf if there is none
     lower: Float[np.ndarray, " numbers"]
+    # Upper bound of each number; inf if there is none
     upper: Float[np.ndarray, " numbers"]
+    # Typical change of each number, by which its changes are divided
     scales: Float[np.ndarray, " numbers"]
+    # Standard deviation of each number; zero if it is certain
     deviations: Float[np.ndarray, " numbers"]
 
     @classmethod
@@ -54,9 +44,6 @@ class DesignSpace(NamedTuple):
             parameters: One design, as the study takes it. Each `Parameter` in it is a
                 variable or, if there is none, each real number.
             standard_deviations: Standard deviation of each uncertain parameter, by name.
-
-        Returns:
-            The numbers.
 
         Raises:
             ValueError: There is no variable; a standard deviation belongs to no real
@@ -137,9 +124,6 @@ class DesignSpace(NamedTuple):
         Args:
             designs: A tree of arrays, whose first axis has one entry for each design.
 
-        Returns:
-            The numbers of each design.
-
         Raises:
             ValueError: The tree has another structure than a design, the arrays have
                 different lengths or shapes, or a number is outside its bounds.
@@ -175,11 +159,7 @@ class DesignSpace(NamedTuple):
         """Sample designs whose variables lie evenly between their bounds.
 
         Args:
-            count: Number of designs.
             seed: Seed of the random number generator.
-
-        Returns:
-            The numbers of each design.
 
         Raises:
             ValueError: A variable lacks a bound.

@@ -65,18 +65,12 @@ class Grid:
 
 
 class DesignStructure(NamedTuple):
-    """Structure of one design; designs of the same structure share a compiled program.
+    """Structure of one design; designs of the same structure share a compiled program."""
 
-    Args:
-        tree: Structure of the pytree of a design, as the study takes it.
-        order: Index of the parameter of each leaf of the pytree.
-        names: Names of the parameters.
-        shapes: Shape and number type of each parameter for one design.
-    """
-
-    tree: Any
-    order: tuple[int, ...]
-    names: tuple[str, ...]
+    tree: Any  # Structure of the pytree of a design, as the study takes it
+    order: tuple[int, ...]  # Index of the parameter of each leaf of the pytree
+    names: tuple[str, ...]  # Names of the parameters
+    # Shape and number type of each parameter for one design
     shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]
 
     def design(self, parameters: Sequence[Array]) -> Any:

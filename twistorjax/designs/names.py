@@ -14,9 +14,6 @@ RESERVED = ("succeeded", "result")
 def check_parameter_names(names: Sequence[Any]) -> None:
     """Check that a dataset can hold parameters of these names.
 
-    Args:
-        names: Names of all parameters.
-
     Raises:
         ValueError: A name is not a string, is empty, occurs twice, or is reserved.
     """

@@ -184,21 +184,15 @@ class Parameter(eqx.Module):
 
 
 class ParameterSet(eqx.Module):
-    """All parameters of a design function, in the form of one vector.
+    """All parameters of a design function, in the form of one vector."""
 
-    Args:
-        parameters: The argument of the design function, with a `Parameter` in place of
-            each identified leaf and None in place of the others.
-        constants: The same pytree with the other leaves only.
-        names: Names of the entries of the vector.
-        units: Units of the entries of the vector.
-        bounded: Names of the entries that have a bound.
-    """
-
+    # The argument of the design function, with a `Parameter` in place of each identified
+    # leaf and None in place of the others
     parameters: Any
-    constants: Any
-    names: tuple[str, ...] = eqx.field(static=True)
-    units: tuple[str, ...] = eqx.field(static=True)
+    constants: Any  # The same pytree with the other leaves only
+    names: tuple[str, ...] = eqx.field(static=True)  # Names of the entries of the vector
+    units: tuple[str, ...] = eqx.field(static=True)  # Units of the entries of the vector
+    # Names of the entries that have a bound
     bounded: frozenset[str] = eqx.field(static=True)
 
     @classmethod
@@ -208,9 +202,6 @@ class ParameterSet(eqx.Module):
         Args:
             start: Argument of a design function. Each `Parameter` in it is identified or,
                 if there is none, each number.
-
-        Returns:
-            The parameters.
 
         Raises:
             ValueError: The pytree contains neither parameters nor numbers.

@@ -128,9 +128,6 @@ class DistributionSet:
             method: Sampling method; see `sample_designs`.
             seed: Seed of the random number generator.
 
-        Returns:
-            The value of each random variable for each design.
-
         Raises:
             ValueError: `count` is not a positive integer, the method is unknown, or the
                 samples do not fit into the memory of the machine.
@@ -171,9 +168,6 @@ class DistributionSet:
         self, samples: Float[np.ndarray, "designs variables"]
     ) -> dict[str, Float[np.ndarray, "designs ..."]]:
         """Collect the random variables of each uncertain parameter.
-
-        Args:
-            samples: Value of each random variable for each design.
 
         Returns:
             An array for each uncertain parameter, by name, with one entry for each

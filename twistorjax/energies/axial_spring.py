@@ -80,16 +80,11 @@ class _NewtonModel(AbstractEnergy):
     A Newton step that turns a stiff bar stretches it, because its shortening along its
     first direction is of second order. The large force of this stretch would slow down
     Newton's method, so the geometric stiffness is that of the predicted force.
-
-    Args:
-        spring: The spring.
-        axial: Predicted axial force; N.
-        transverse: Predicted transverse force; N.
     """
 
     spring: AxialSpring
-    axial: Scalar
-    transverse: Scalar
+    axial: Scalar  # Predicted axial force; N
+    transverse: Scalar  # Predicted transverse force; N
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         spring, fixed = self.spring, jax.lax.stop_gradient(displacement)

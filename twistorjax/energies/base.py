@@ -62,9 +62,6 @@ class AbstractEnergy(eqx.Module):
     def __call__(self, pose: Pose) -> Scalar:
         """Compute the energy that is stored at a pose of frame b relative to frame a.
 
-        Args:
-            pose: Pose of frame b relative to frame a; rad, m, m.
-
         Returns:
             The energy; J.
 
@@ -224,14 +221,9 @@ class AbstractWrapper(AbstractEnergy):
 
 
 class Scaled(AbstractWrapper):
-    """A multiple of an energy, such as that of a wider or stiffer hinge.
+    """A multiple of an energy, such as that of a wider or stiffer hinge."""
 
-    Args:
-        factor: The factor; finite and not negative.
-        energy: The energy.
-    """
-
-    factor: Scalar
+    factor: Scalar  # The factor; finite and not negative
     energy: AbstractEnergy
 
     @property

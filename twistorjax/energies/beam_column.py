@@ -197,16 +197,12 @@ class BeamColumnPotential(AbstractPotential):
     `W = bending ((r(p) a + s(p) b - stretch p^2) / 2 + 108/35 b^2 + 3/10 a b
     + (36/175 b^2 + 9/1400 a b + a^2 / 480) p / (1 + 3/616 p))`. Above 0.999 times the
     buckling load, the functions of p are continued linearly.
-
-    Args:
-        bending: E I / length; J.
-        stretch: E I / (E A length^2).
-        shear: E I / (G A length^2), with the shear correction factor of G A; None without
-            shear deformation.
     """
 
-    bending: Scalar
-    stretch: Scalar
+    bending: Scalar  # E I / length; J
+    stretch: Scalar  # E I / (E A length^2)
+    # E I / (G A length^2), with the shear correction factor of G A; None without shear
+    # deformation
     shear: Scalar | None
 
     @property
@@ -296,11 +292,7 @@ class BeamColumnPotential(AbstractPotential):
 
 
 def _quartic_slopes(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Compute the factor of `p / (1 + 3/616 p)`, and its derivatives by a and b.
-
-    Returns:
-        The derivatives by a and by b, and the factor.
-    """
+    """Compute the factor of `p / (1 + 3/616 p)`, and its derivatives by a and b."""
     by_a, by_b = a / 240 + 9 / 1400 * b, 72 / 175 * b + 9 / 1400 * a
     return by_a, by_b, (by_a * a + by_b * b) / 2
 

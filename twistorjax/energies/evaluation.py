@@ -67,9 +67,7 @@ def polynomial_derivatives(
 
     Args:
         powers: Powers of each term.
-        orders: Orders of each derivative.
         coefficients: Coefficients of the terms, in any unit.
-        variables: The variables.
         continued: Indices of the variables whose powers are continued outside of the
             interval from -1 to 1, by their second-order Taylor polynomials.
 
@@ -233,7 +231,6 @@ def term_wrenches(
     Args:
         poses: Poses of frame b relative to frame a; rad, m, m.
         scale: Length by which the translations are divided; m.
-        powers: Powers of each term.
         coordinates: "twist" or "twistor".
 
     Returns:
@@ -261,7 +258,6 @@ def term_stiffnesses(
 
     Args:
         scale: Length by which the translations are divided; m.
-        powers: Powers of each term.
         coordinates: "twist" or "twistor".
 
     Returns:

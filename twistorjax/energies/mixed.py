@@ -241,13 +241,10 @@ class _NewtonModel(AbstractEnergy):
     of their relation is eliminated to first order. With the energy itself, a transverse
     Newton step would stretch the flexure, because the axial shortening by bending is of
     second order. The large axial force of this stretch would slow down Newton's method.
-
-    Args:
-        energy: The mixed energy.
-        force_ratio: Predicted axial force divided by the reference force, `n / force`.
     """
 
     energy: AbstractMixedEnergy
+    # Predicted axial force divided by the reference force, `n / force`
     force_ratio: Scalar
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
@@ -323,22 +320,15 @@ def _(primals, tangents):
 
 
 class _PotentialAt(NamedTuple):
-    """W and its derivatives by bending and by the relative axial force; J.
+    """W and its derivatives by bending and by the relative axial force; J."""
 
-    Args:
-        value: W.
-        by_force: Derivative by the force.
-        by_force_twice: Second derivative by the force.
-        by_bending: Derivatives by the rotation and the transverse displacement.
-        mixed: Derivatives by each of these two and the force.
-        by_bending_twice: Second derivatives by these two: 11, 12, 22.
-    """
-
-    value: Scalar
-    by_force: Scalar
-    by_force_twice: Scalar
+    value: Scalar  # W
+    by_force: Scalar  # Derivative by the force
+    by_force_twice: Scalar  # Second derivative by the force
+    # Derivatives by the rotation and the transverse displacement
     by_bending: tuple[Scalar, Scalar]
-    mixed: tuple[Scalar, Scalar]
+    mixed: tuple[Scalar, Scalar]  # Derivatives by each of these two and the force
+    # Second derivatives by these two: 11, 12, 22
     by_bending_twice: tuple[Scalar, Scalar, Scalar]
 
     @classmethod

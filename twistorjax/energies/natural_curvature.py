@@ -16,15 +16,11 @@ class NaturallyCurved(AbstractWrapper):
     The energy of bending of a leaf is the integral of `E I (k - k0)^2 / 2` with the
     natural curvature k0, and the integral of its curvature k is the rotation of its ends.
     So k0 adds the term `-E I k0 angle`, at any displacement and axial force.
-
-    Args:
-        energy: The energy without natural curvature.
-        turn: Rotation of the ends of the free flexure, k0 times its length; rad.
-        loads: Loads by which the turn is prevented, divided by it; see `curvature_loads`.
     """
 
-    energy: AbstractEnergy
-    turn: Scalar
+    energy: AbstractEnergy  # The energy without natural curvature
+    turn: Scalar  # Rotation of the ends of the free flexure, k0 times its length; rad
+    # Loads by which the turn is prevented, divided by it; see `curvature_loads`
     loads: Float[Array, "4"]
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
@@ -61,7 +57,6 @@ def curvature_loads(energy: AbstractEnergy, free: Float[Array, "3"]) -> Float[Ar
     For other flexures they are exact to first order.
 
     Args:
-        energy: The energy without natural curvature.
         free: Displacement of the free flexure, divided by its turn: 1, and the position
             of the centroid of its center line, turned by -90 degrees; -, m, m.
 

@@ -208,13 +208,10 @@ class _NewtonModel(AbstractEnergy):
     The forces are independent unknowns, and the residual of their relation to the
     displacements is eliminated to first order. With the energy itself, a step in the
     compliant direction would stretch the flexure in the stiff directions.
-
-    Args:
-        energy: The energy.
-        forces: Predicted forces in the stiff directions, over their reference values.
     """
 
     energy: OneFreedomEnergy
+    # Predicted forces in the stiff directions, over their reference values
     forces: ForceRatios
 
     def stored_energy(self, displacement: Displacement) -> Scalar:

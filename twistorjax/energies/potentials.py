@@ -71,14 +71,10 @@ class PolynomialPotential(AbstractPotential):
 
     Between the relative forces minus one and one, W is the polynomial. Outside it is a
     parabola of the force.
-
-    Args:
-        coefficients: Coefficients of the terms; J.
-        powers: Powers of the three variables in each term.
     """
 
-    coefficients: Float[Array, " terms"]
-    powers: Powers = eqx.field(static=True)
+    coefficients: Float[Array, " terms"]  # Coefficients of the terms; J
+    powers: Powers = eqx.field(static=True)  # Powers of the three variables in each term
 
     @property
     def reference_curvature(self) -> Scalar:
@@ -211,22 +207,15 @@ def _saturate(force: Scalar) -> Scalar:
 
 
 class PotentialDerivatives(NamedTuple):
-    """W and its derivatives by the compliant coordinate and the two relative forces; J.
+    """W and its derivatives by the coordinate and the two relative forces; J."""
 
-    Args:
-        value: W.
-        by_compliant: Derivative by the compliant coordinate.
-        by_forces: Derivatives by the forces.
-        curvature: Second derivative by the compliant coordinate.
-        mixed: Derivatives by the compliant coordinate and each of the forces.
-        by_forces_twice: Second derivatives by the forces: 11, 12, 22.
-    """
-
-    value: Scalar
-    by_compliant: Scalar
-    by_forces: tuple[Scalar, Scalar]
-    curvature: Scalar
+    value: Scalar  # W
+    by_compliant: Scalar  # Derivative by the compliant coordinate
+    by_forces: tuple[Scalar, Scalar]  # Derivatives by the forces
+    curvature: Scalar  # Second derivative by the compliant coordinate
+    # Derivatives by the compliant coordinate and each of the forces
     mixed: tuple[Scalar, Scalar]
+    # Second derivatives by the forces: 11, 12, 22
     by_forces_twice: tuple[Scalar, Scalar, Scalar]
 
     def force_step(self, residual: tuple[Scalar, Scalar]) -> ForceRatios:

@@ -18,18 +18,14 @@ MidWrench = tuple[Scalar, Scalar, Scalar]
 
 
 class Strengths(NamedTuple):
-    """Strengths of a material; None if they are not given.
+    """Strengths of a material; None if they are not given."""
 
-    Args:
-        static: Largest allowable stress under static loads: the yield strength, or the
-            fracture strength of a brittle material; Pa.
-        ultimate: Ultimate tensile strength; Pa.
-        endurance: Endurance limit: largest amplitude of a stress that alternates about
-            zero, for infinite life; Pa.
-    """
-
+    # Largest allowable stress under static loads: the yield strength, or the fracture
+    # strength of a brittle material; Pa
     static: Scalar | None = None
-    ultimate: Scalar | None = None
+    ultimate: Scalar | None = None  # Ultimate tensile strength; Pa
+    # Endurance limit: largest amplitude of a stress that alternates about zero, for
+    # infinite life; Pa
     endurance: Scalar | None = None
 
 

@@ -160,14 +160,7 @@ def _transverse(displacement: Displacement) -> Scalar:
 
 
 def without_ranges(energy: AbstractEnergy) -> AbstractEnergy:
-    """Remove the validity ranges of an energy, and of its terms and factors.
-
-    Args:
-        energy: The energy.
-
-    Returns:
-        The energy without `WithValidityRange`.
-    """
+    """Remove the validity ranges of an energy, and of its terms and factors."""
     if isinstance(energy, WithValidityRange):
         return without_ranges(energy.energy)
     if isinstance(energy, Sum):

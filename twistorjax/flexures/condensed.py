@@ -113,7 +113,6 @@ def drawn_displacements(part: SubMechanism, pose: Pose) -> Poses:
     equilibrium.
 
     Args:
-        part: The sub-mechanism.
         pose: Pose of frame b relative to frame a; rad, m, m.
 
     Returns:

@@ -19,25 +19,19 @@ from .report import Identification
 
 
 class SearchState(eqx.Module):
-    """State of a search after some steps.
+    """State of a search after some steps."""
 
-    Args:
-        point: Normalized parameters of the next evaluation.
-        best_point: Normalized parameters with the smallest loss so far.
-        best: Residuals and derivatives at the best point.
-        residual_norm: Norm of the residuals at the best point, in standard deviations.
-        optimizer_state: State of the optimizer.
-        done: Whether the optimizer has converged, or a solve has failed at the start.
-        steps: Number of evaluations.
-    """
-
+    # Normalized parameters of the next evaluation
     point: Float[Array, "*restarts parameters"]
+    # Normalized parameters with the smallest loss so far
     best_point: Float[Array, "*restarts parameters"]
-    best: Evaluation
+    best: Evaluation  # Residuals and derivatives at the best point
+    # Norm of the residuals at the best point, in standard deviations
     residual_norm: Float[Array, "*restarts"]
     optimizer_state: Any
+    # Whether the optimizer has converged, or a solve has failed at the start
     done: Bool[Array, "*restarts"]
-    steps: Int[Array, "*restarts"]
+    steps: Int[Array, "*restarts"]  # Number of evaluations
 
 
 def search_with_progress(
@@ -52,7 +46,6 @@ def search_with_progress(
 
     Args:
         problem: Problem to solve.
-        optimizer: Optimizer.
         start: Normalized parameters at the start.
         max_steps: Largest number of evaluations.
         forward: Whether derivatives are computed in forward mode.
@@ -88,7 +81,6 @@ def search_compiled(
 
     Args:
         problem: Problem to solve.
-        optimizer: Optimizer.
         starts: Normalized parameters at each start.
         max_steps: Largest number of evaluations of each search.
         forward: Whether derivatives are computed in forward mode.

@@ -21,17 +21,11 @@ _LEAST_BLOCK_SIZE = 12
 
 
 class Layout(NamedTuple):
-    """An order of degrees of freedom in which a matrix is block tridiagonal.
+    """An order of degrees of freedom in which a matrix is block tridiagonal."""
 
-    Args:
-        order: Index of each free degree of freedom in the new order.
-        size: Number of rows of a block.
-        blocks: Number of blocks on the diagonal.
-    """
-
-    order: tuple[int, ...]
-    size: int
-    blocks: int
+    order: tuple[int, ...]  # Index of each free degree of freedom in the new order
+    size: int  # Number of rows of a block
+    blocks: int  # Number of blocks on the diagonal
 
     def flat_indices(
         self, rows: Int[np.ndarray, " entries"], columns: Int[np.ndarray, " entries"]

@@ -42,20 +42,15 @@ class ConstrainedFactors(NamedTuple):
 
     They solve `[K G^T; G 0]` for displacements and constraint forces by the null-space
     method (Nocedal and Wright, Numerical Optimization, 2006, section 16.2).
-
-    Args:
-        units: Unit of each degree of freedom; rad, m.
-        stiffness: The stiffness K in these units.
-        pseudo_inverse: Pseudo-inverse of the constraint Jacobian G in these units.
-        basis: Orthonormal basis of the null space of G in these units.
-        reduced: Factors of the stiffness in this basis.
     """
 
-    units: Float[Array, " n"]
-    stiffness: Float[Array, "n n"]
+    units: Float[Array, " n"]  # Unit of each degree of freedom; rad, m
+    stiffness: Float[Array, "n n"]  # The stiffness K in these units
+    # Pseudo-inverse of the constraint Jacobian G in these units
     pseudo_inverse: Float[Array, "n entries"]
+    # Orthonormal basis of the null space of G in these units
     basis: Float[Array, "n allowed"]
-    reduced: Factors | Elimination
+    reduced: Factors | Elimination  # Factors of the stiffness in this basis
 
     @classmethod
     def of(

@@ -23,16 +23,13 @@ class Stiffness(NamedTuple):
     """Mass-normalized stiffness in factors: `rows.T diag(weights) rows + remainder`.
 
     Each displacement is multiplied by the square root of its inertia.
-
-    Args:
-        rows: Linear combinations of displacements against which hinges have stiffness.
-        weights: Stiffness against each of these combinations.
-        remainder: Geometric stiffness, stiffness of the loads, and the part of the hinge
-            stiffness that is not positive semidefinite.
     """
 
+    # Linear combinations of displacements against which hinges have stiffness
     rows: Float[Array, "rows n"]
-    weights: Float[Array, " rows"]
+    weights: Float[Array, " rows"]  # Stiffness against each of these combinations
+    # Geometric stiffness, stiffness of the loads, and the part of the hinge stiffness
+    # that is not positive semidefinite
     remainder: Float[Array, "n n"]
 
 
@@ -53,17 +50,13 @@ def rounding_errors(
 
 
 class Modes(NamedTuple):
-    """Eigenvectors of a stiffness, and its square root in their basis.
+    """Eigenvectors of a stiffness, and its square root in their basis."""
 
-    Args:
-        root: Diagonal matrix of the angular frequencies, the smallest first; rad/s. An
-            entry is negative if its stiffness is negative. The derivative of the matrix
-            has off-diagonal entries for equal frequencies.
-        vectors: Orthonormal eigenvectors, one in each column.
-    """
-
+    # Diagonal matrix of the angular frequencies, the smallest first; rad/s. An entry is
+    # negative if its stiffness is negative. The derivative of the matrix has off-diagonal
+    # entries for equal frequencies.
     root: Float[Array, "n n"]
-    vectors: Float[Array, "n n"]
+    vectors: Float[Array, "n n"]  # Orthonormal eigenvectors, one in each column
 
 
 @jax.custom_jvp

@@ -25,15 +25,12 @@ class Factors(NamedTuple):
     A symmetric matrix has a Cholesky factor. If the matrix is not positive definite, the
     equilibrium is unstable, and this factor and all solutions are NaN. Other matrices
     have the two factors of Gaussian elimination.
-
-    Args:
-        scale: Reciprocal square roots of the diagonal.
-        triangle: The Cholesky factor, or both factors of Gaussian elimination.
-        pivots: Rows that Gaussian elimination exchanged; None for a Cholesky factor.
     """
 
-    scale: Float[Array, " n"]
+    scale: Float[Array, " n"]  # Reciprocal square roots of the diagonal
+    # The Cholesky factor, or both factors of Gaussian elimination
     triangle: Float[Array, "n n"]
+    # Rows that Gaussian elimination exchanged; None for a Cholesky factor
     pivots: Int[Array, " n"] | None
 
     @classmethod
@@ -83,9 +80,6 @@ class Elimination(NamedTuple):
     Each solution eliminates the matrix again. This takes a few microseconds, and in a
     batch less time than factors by LAPACK. If the matrix is not positive definite, the
     equilibrium is unstable, and all solutions are NaN.
-
-    Args:
-        matrix: The matrix.
     """
 
     matrix: Float[Array, "n n"]

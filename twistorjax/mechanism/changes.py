@@ -27,14 +27,11 @@ TemperatureInTime = TypeAliasType(
 
 
 class HingeChanges(eqx.Module):
-    """Functions of time that change the hinges of a mechanism.
+    """Functions of time that change the hinges of a mechanism."""
 
-    Args:
-        strokes: A function that returns strokes; None if there are none.
-        temperature: A function that returns temperatures; None if there is none.
-    """
-
+    # A function that returns strokes; None if there are none
     strokes: StrokesInTime | None
+    # A function that returns temperatures; None if there is none
     temperature: TemperatureInTime | None
 
     @classmethod

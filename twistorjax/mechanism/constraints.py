@@ -193,18 +193,15 @@ class ConstraintSet(eqx.Module):
 
     The generalized forces on the bodies are the product of the constraint forces and the
     derivatives of the violation.
-
-    Args:
-        constraints: The constraints, in the order of their scalar equations.
-        bodies: Indices of the bodies of each constraint.
-        sizes: Number of scalar equations of each constraint.
-        reference: Reference poses of all bodies; rad, m, m.
     """
 
+    # The constraints, in the order of their scalar equations
     constraints: tuple[AbstractConstraint, ...]
+    # Indices of the bodies of each constraint
     bodies: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    # Number of scalar equations of each constraint
     sizes: tuple[int, ...] = eqx.field(static=True)
-    reference: Poses
+    reference: Poses  # Reference poses of all bodies; rad, m, m
 
     @property
     def size(self) -> int:

@@ -190,20 +190,16 @@ class LoadSet(eqx.Module):
 
     The array does not depend on the number of loads and on the bodies to which they are
     applied, so that other loads need no other compiled program.
-
-    Args:
-        sums: Seven sums for each body, in the reference configuration and world axes. The
-            moments about its origin that do not depend on its rotation; N m. The forces
-            of constant direction; N, N. The cross products, and the scalar products, of
-            arms and these forces, which determine their moment; N m, N m. The forces
-            that rotate with the body; N, N.
-        present: Whether there is a load.
-        conservative: Whether the loads have a potential, which follower loads do not
-            have.
     """
 
+    # Seven sums for each body, in the reference configuration and world axes. The moments
+    # about its origin that do not depend on its rotation; N m. The forces of constant
+    # direction; N, N. The cross products, and the scalar products, of arms and these
+    # forces, which determine their moment; N m, N m. The forces that rotate with the
+    # body; N, N.
     sums: Float[Array | np.ndarray, "bodies 7"]
-    present: bool = eqx.field(static=True)
+    present: bool = eqx.field(static=True)  # Whether there is a load
+    # Whether the loads have a potential, which follower loads do not have
     conservative: bool = eqx.field(static=True)
 
     @classmethod

@@ -46,14 +46,11 @@ class Temperature(NamedTuple):
 
 
 class HingeState(NamedTuple):
-    """Strokes and temperatures at an instant, or at the instants of a motion.
+    """Strokes and temperatures at an instant, or at the instants of a motion."""
 
-    Args:
-        strokes: Strokes of all hinges; None if there are none; rad, m, m.
-        temperature: Changes of the temperature; None if it is that of the mechanism.
-    """
-
+    # Strokes of all hinges; None if there are none; rad, m, m
     strokes: Float[Array, "*batch hinges 3"] | None
+    # Changes of the temperature; None if it is that of the mechanism
     temperature: Temperature | None
 
     @classmethod

@@ -30,8 +30,6 @@ def subplots(
     """Create a figure and its axes, with a layout in which axes do not overlap.
 
     Args:
-        rows: Number of rows of axes.
-        columns: Number of columns of axes.
         size: Width and height of the figure; inches.
         settings: Further arguments of `matplotlib.pyplot.subplots`.
 

@@ -29,10 +29,8 @@ def draw_ranked(
     lie outside.
 
     Args:
-        axes: The axes.
         data: Exact or measured energy of each trial.
         fitted: Predictions by each fit, by its name. The first fit is drawn on top.
-        unit: Unit of the energies.
     """
     order = np.argsort(data)
     ranks = np.arange(1, len(data) + 1)
@@ -60,9 +58,7 @@ def draw_distribution(
     """Draw the share of trials whose absolute error exceeds each value.
 
     Args:
-        axes: The axes.
         errors: Errors of each fit, by its name.
-        unit: Unit of the errors.
     """
     for (name, values), color in zip(errors.items(), _FIT_COLORS, strict=False):
         sizes = np.sort(np.abs(values))[::-1]
@@ -86,7 +82,6 @@ def draw_numbers(
     that predictions with large errors are visible, too.
 
     Args:
-        axes: The axes.
         data: Measured number of each trial.
         fitted: Predictions by each fit, by its name.
     """

@@ -46,9 +46,6 @@ class Labels(Artist):
     def of(cls, axes: "Axes") -> "Labels":
         """Return the labels of the axes, which all drawings on these axes share.
 
-        Args:
-            axes: The axes.
-
         Returns:
             The labels. They are created if the axes have none.
         """
@@ -65,7 +62,6 @@ class Labels(Artist):
         """Add a label.
 
         Args:
-            text: The text.
             anchor: The point that the label belongs to; data coordinates.
             direction: Preferred direction from the anchor to the label. It is zero if the
                 label may cover its anchor.

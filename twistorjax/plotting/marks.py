@@ -29,17 +29,11 @@ _VALUE_STYLE = {
 
 
 class Wrenches(NamedTuple):
-    """Forces and moments that are drawn in one color.
+    """Forces and moments that are drawn in one color."""
 
-    Args:
-        points: Points of application in world coordinates, one in each row; m.
-        wrenches: Moment and force at each point, in world axes; N m, N, N.
-        color: Color of the arrows and their labels.
-    """
-
-    points: np.ndarray
-    wrenches: np.ndarray
-    color: str
+    points: np.ndarray  # Points of application in world coordinates, one in each row; m
+    wrenches: np.ndarray  # Moment and force at each point, in world axes; N m, N, N
+    color: str  # Color of the arrows and their labels
 
 
 def mark_frames(
@@ -94,8 +88,6 @@ def mark_wrenches(
     the largest effect on the mechanism, because it may consist of rounding errors.
 
     Args:
-        axes: The axes.
-        groups: The wrenches to draw.
         size: Size of the mechanism; m.
         unit: Number of units of the axes in a meter.
         hinge_forces: Wrenches of the hinges on each body, which also count as effects on

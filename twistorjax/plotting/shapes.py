@@ -21,28 +21,19 @@ _WINDINGS = 8  # of the zigzag line of an axial spring
 
 
 class Shape(NamedTuple):
-    """Outline of a part of a mechanism.
+    """Outline of a part of a mechanism."""
 
-    Args:
-        kind: "body" is a body with an outline, and "fixed" is one whose three coordinates
-            are fixed. "line" is a line from the origin of a body without an outline to
-            one of its hinges. "hinge" is a hinge with an outline, and "spring" is a hinge
-            without one: a zigzag line between the ends of an `AxialSpring`, otherwise a
-            spiral.
-        corners: Corners in world coordinates; m.
-        row: Index of the body or hinge in the mechanism.
-    """
-
+    # "body" is a body with an outline, and "fixed" is one whose three coordinates are
+    # fixed. "line" is a line from the origin of a body without an outline to one of its
+    # hinges. "hinge" is a hinge with an outline, and "spring" is a hinge without one: a
+    # zigzag line between the ends of an `AxialSpring`, otherwise a spiral.
     kind: Literal["body", "fixed", "line", "hinge", "spring"]
-    corners: np.ndarray
-    row: int
+    corners: np.ndarray  # Corners in world coordinates; m
+    row: int  # Index of the body or hinge in the mechanism
 
 
 def mechanism_size(mechanism: Mechanism) -> float:
     """Compute the size of a mechanism in its reference configuration.
-
-    Args:
-        mechanism: The mechanism.
 
     Returns:
         The longer side of the box around origins, hinges and outlines; m. It is 1 m if
@@ -71,7 +62,6 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
     """Compute the outlines of all parts of a mechanism.
 
     Args:
-        mechanism: The mechanism.
         poses: Poses of its bodies; rad, m, m.
 
     Returns:
@@ -174,7 +164,6 @@ def hinge_frames(
     """Compute the poses of the two frames of a hinge.
 
     Args:
-        mechanism: The mechanism.
         poses: Poses of its bodies; rad, m, m.
         hinge: Index of the hinge.
 
@@ -192,7 +181,6 @@ def attached_frame(
     """Compute the pose of a frame that is attached to a body.
 
     Args:
-        mechanism: The mechanism.
         poses: Poses of its bodies; rad, m, m.
         body: Index of the body.
         frame: Pose of the frame in the reference configuration; rad, m, m.

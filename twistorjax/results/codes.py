@@ -184,9 +184,6 @@ def result_of_status(
         status: The status, a traced integer or a member of an enumeration of equinox.
         results: Each status that has a result of its own, and this result.
         default: The result of any other status.
-
-    Returns:
-        The result.
     """
     result = default
     for value, item in results:

@@ -64,9 +64,6 @@ class Tabular(eqx.Module):
     def to_xarray(self) -> "xarray.Dataset":
         """Convert the solution to an xarray dataset with names and units.
 
-        Returns:
-            The dataset.
-
         Raises:
             ImportError: xarray is not installed.
             ValueError: This is a batch of solutions.
@@ -91,11 +88,7 @@ def dataset(
     A column that has the name of its only axis becomes a coordinate.
 
     Args:
-        table: The columns.
         attributes: Additional attributes of some variables, by name.
-
-    Returns:
-        The dataset.
 
     Raises:
         ImportError: xarray is not installed.

@@ -261,42 +261,29 @@ def _range_limit(system: PathSystem) -> Float[Array, " n"]:
 
 
 class _Modes(NamedTuple):
-    """Modes of the linearized equations, in the order of their load factors.
+    """Modes of the linearized equations, in the order of their load factors."""
 
-    Args:
-        point: The equilibrium about which the equations are linearized.
-        rate: Change of this point with the load factor.
-        matrix: Derivative of the residual there.
-        basis: Displacements that the constraints allow as columns, divided by the units.
-        dual: Product of the modes, as rows, and the stiffness.
-        vectors: Modes as columns, in this basis, orthonormal in energy.
-        factors: Load factors; infinite if a mode has no geometric stiffness.
-    """
-
-    point: Float[Array, " n"]
-    rate: Float[Array, " n"]
-    matrix: Float[Array, "unknowns unknowns"]
+    point: Float[Array, " n"]  # The equilibrium about which the equations are linearized
+    rate: Float[Array, " n"]  # Change of this point with the load factor
+    matrix: Float[Array, "unknowns unknowns"]  # Derivative of the residual there
+    # Displacements that the constraints allow as columns, divided by the units
     basis: Float[Array, "free allowed"]
+    # Product of the modes, as rows, and the stiffness
     dual: Float[Array, "modes allowed"]
+    # Modes as columns, in this basis, orthonormal in energy
     vectors: Float[Array, "allowed modes"]
+    # Load factors; infinite if a mode has no geometric stiffness
     factors: Float[Array, " modes"]
 
 
 class _Iteration(NamedTuple):
-    """State of the iteration for one load factor.
+    """State of the iteration for one load factor."""
 
-    Args:
-        point: Current point.
-        amplitude: Load factor at which the linearized equations have the same modes.
-        last: Amplitude and eigenvalue at the last iterate.
-        change: Last change of the amplitude or of the point, whichever is larger, as a
-            fraction of it.
-        iterations: Number of iterations.
-    """
-
-    point: Float[Array, " n"]
-    amplitude: Scalar
-    last: Float[Array, "2"]
+    point: Float[Array, " n"]  # Current point
+    amplitude: Scalar  # Load factor at which the linearized equations have the same modes
+    last: Float[Array, "2"]  # Amplitude and eigenvalue at the last iterate
+    # Last change of the amplitude or of the point, whichever is larger, as a fraction of
+    # it
     change: Scalar
     iterations: Count
 

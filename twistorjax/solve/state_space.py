@@ -243,16 +243,12 @@ def state_space(
 
 
 class _Excitation(NamedTuple):
-    """What an input does at the value 1.
+    """What an input does at the value 1."""
 
-    Args:
-        loads: Loads; N m, N.
-        prescribed: Displacement of each prescribed degree of freedom; rad, m.
-        strokes: Strokes of all hinges; None if there are none; rad, m, m.
-    """
-
-    loads: LoadSet
+    loads: LoadSet  # Loads; N m, N
+    # Displacement of each prescribed degree of freedom; rad, m
     prescribed: tuple[Any, ...]
+    # Strokes of all hinges; None if there are none; rad, m, m
     strokes: Float[Array, "hinges 3"] | None
 
     @classmethod

@@ -147,7 +147,6 @@ class Program:
 
         Args:
             designs: Designs of the sweep.
-            chunks: Numbers of the chunks.
 
         Yields:
             The number of each chunk that a device of this process has evaluated, and the

@@ -98,11 +98,7 @@ def coordinate_names(parameters: Iterable[str], outputs: Columns) -> Mapping[str
     `<axis>_coordinate`.
 
     Args:
-        parameters: Names of the parameters.
         outputs: Outputs for a batch of designs, by name.
-
-    Returns:
-        Axis of each of these variables, such as "time" for "time_coordinate".
 
     Raises:
         ValueError: A parameter or another output has the name of such a variable.

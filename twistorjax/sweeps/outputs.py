@@ -22,17 +22,11 @@ _MAX_FORWARD_SIZE = 32
 
 
 class StudyOutput(eqx.Module):
-    """Outputs of a study for one design, or for a batch of designs.
+    """Outputs of a study for one design, or for a batch of designs."""
 
-    Args:
-        columns: Outputs of the study and their derivatives, by name.
-        result: Number of the result; see `RESULTS`.
-        succeeded: Whether the design succeeded.
-    """
-
-    columns: Columns
+    columns: Columns  # Outputs of the study and their derivatives, by name
     result: Int[Array, "*designs"]
-    succeeded: Bool[Array, "*designs"]
+    succeeded: Bool[Array, "*designs"]  # Whether the design succeeded
 
 
 def study_output(
@@ -42,7 +36,6 @@ def study_output(
 
     Args:
         study: Function of one design.
-        structure: Structure of a design.
         derivatives: Names of the outputs that are differentiated with respect to each
             parameter.
 

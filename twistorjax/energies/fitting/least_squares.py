@@ -10,33 +10,23 @@ _RELATIVE_RANK_TOLERANCE = 1e-13  # smaller singular values are rounding errors
 
 
 class ConstrainedSolution(NamedTuple):
-    """Solution of a linear least-squares problem with equality constraints.
-
-    Args:
-        coefficients: The coefficients.
-        residuals: Fitted minus measured values, a row for each trial, in standard
-            deviations.
-        leave_one_out_residuals: Residuals of each trial for the fit to all other trials.
-        rank: Number of coefficients, or combinations of them, that are determined.
-        free: Number of coefficients that the constraints leave free.
-        condition: Ratio of the largest singular value to the smallest significant one.
-        ridge: Ridge parameter, relative to the square of the largest singular value.
-        covariance: Covariance of the coefficients for measurements of unit variance.
-        undetermined: Directions of coefficients that the trials do not determine, in
-            columns.
-        stiffness_replaced: Whether the stiffness was not positive definite without a
-            constraint.
-    """
+    """Solution of a linear least-squares problem with equality constraints."""
 
     coefficients: np.ndarray
+    # Fitted minus measured values, a row for each trial, in standard deviations
     residuals: np.ndarray
+    # Residuals of each trial for the fit to all other trials
     leave_one_out_residuals: np.ndarray
-    rank: int
-    free: int
+    rank: int  # Number of coefficients, or combinations of them, that are determined
+    free: int  # Number of coefficients that the constraints leave free
+    # Ratio of the largest singular value to the smallest significant one
     condition: float
-    ridge: float
+    ridge: float  # Ridge parameter, relative to the square of the largest singular value
+    # Covariance of the coefficients for measurements of unit variance
     covariance: np.ndarray
+    # Directions of coefficients that the trials do not determine, in columns
     undetermined: np.ndarray
+    # Whether the stiffness was not positive definite without a constraint
     stiffness_replaced: bool = False
 
 
@@ -63,9 +53,6 @@ def solve_constrained(
             By default there are none.
         stiffness: Contribution of each coefficient to the stiffness matrix, in the last
             axis. By default the stiffness matrix may have any eigenvalues.
-
-    Returns:
-        The solution.
 
     Raises:
         ValueError: A row or a target is not finite.

@@ -134,17 +134,11 @@ def _mixed_trials(trials: Trials) -> MixedTrials:
 
 
 class _Prediction(NamedTuple):
-    """Predictions of a mixed energy at the trials.
+    """Predictions of a mixed energy at the trials."""
 
-    Args:
-        coefficients: Coefficients of the energy; J.
-        residuals: Predicted minus measured values in standard deviations.
-        axial_forces: Predicted axial forces; N.
-    """
-
-    coefficients: np.ndarray
-    residuals: np.ndarray
-    axial_forces: np.ndarray
+    coefficients: np.ndarray  # Coefficients of the energy; J
+    residuals: np.ndarray  # Predicted minus measured values in standard deviations
+    axial_forces: np.ndarray  # Predicted axial forces; N
 
     @property
     def cost(self) -> float:

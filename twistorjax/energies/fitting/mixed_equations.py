@@ -21,17 +21,12 @@ from ..monomials import Powers
 
 
 class MixedTrials(NamedTuple):
-    """Trials in the coordinates of a mixed energy; see `twists_and_stresses`.
+    """Trials in the coordinates of a mixed energy; see `twists_and_stresses`."""
 
-    Args:
-        twists: Twist of each trial; rad, m, m.
-        stresses: Generalized stress of each trial; N m, N, N.
-        to_wrenches: Matrices from an error of the generalized stress to the error of the
-            wrench in standard deviations.
-    """
-
-    twists: Float[AnyArray, "trials 3"]
-    stresses: Float[AnyArray, "trials 3"]
+    twists: Float[AnyArray, "trials 3"]  # Twist of each trial; rad, m, m
+    stresses: Float[AnyArray, "trials 3"]  # Generalized stress of each trial; N m, N, N
+    # Matrices from an error of the generalized stress to the error of the wrench in
+    # standard deviations
     to_wrenches: Float[AnyArray, "trials 3 3"]
 
 
@@ -39,29 +34,24 @@ class MixedEquations(NamedTuple):
     """Equations for the coefficients of W; see `mixed_equations`.
 
     The contributions of a term are those for a coefficient of one joule.
-
-    Args:
-        axial_forces: Axial force at which the terms are evaluated; N.
-        moment: Contributions to the derivative with respect to the rotation; N m.
-        transverse_force: Contributions to the derivative with respect to the transverse
-            displacement; N.
-        axial_displacement: Contributions to the axial displacement; m.
-        axial_compliance: Contributions to the derivative of the axial displacement with
-            respect to the axial force; m/N.
-        moment_sensitivity: Derivatives of `moment` with respect to the axial force; m.
-        transverse_sensitivity: Derivatives of `transverse_force` with respect to the
-            axial force; dimensionless.
-        energy: Contributions to W; J.
     """
 
+    # Axial force at which the terms are evaluated; N
     axial_forces: Float[AnyArray, " trials"]
+    # Contributions to the derivative with respect to the rotation; N m
     moment: Float[AnyArray, "trials terms"]
+    # Contributions to the derivative with respect to the transverse displacement; N
     transverse_force: Float[AnyArray, "trials terms"]
+    # Contributions to the axial displacement; m
     axial_displacement: Float[AnyArray, "trials terms"]
+    # Contributions to the derivative of the axial displacement with respect to the axial
+    # force; m/N
     axial_compliance: Float[AnyArray, "trials terms"]
+    # Derivatives of `moment` with respect to the axial force; m
     moment_sensitivity: Float[AnyArray, "trials terms"]
+    # Derivatives of `transverse_force` with respect to the axial force; dimensionless
     transverse_sensitivity: Float[AnyArray, "trials terms"]
-    energy: Float[AnyArray, "trials terms"]
+    energy: Float[AnyArray, "trials terms"]  # Contributions to W; J
 
 
 def mixed_equations(
@@ -124,7 +114,6 @@ def weighted_equations(
     Gauss-Newton step for the errors of the predicted wrenches.
 
     Args:
-        trials: The trials.
         equations: The equations at these trials.
         coefficients: Coefficients of the previous solution, or `None` at first; J.
 
@@ -177,9 +166,6 @@ def twists_and_stresses(
         poses: Poses of frame b relative to frame a; rad, m, m.
         wrenches: Wrenches that body B exerts, in frame b; N m, N, N.
         deviations: Standard deviations of the wrenches; N m, N, N.
-
-    Returns:
-        The twists and the generalized stresses.
     """
 
     def twist_and_matrix(pose: Pose) -> tuple[Twist, Matrix]:

@@ -207,7 +207,6 @@ class _Candidate(NamedTuple):
         """Return the result of `fit_energy`.
 
         Args:
-            trials: The trials.
             averages: The averages of trials with the same pose, to which this is a fit.
             rows: Row of the average of each trial.
             held_out: Errors of the check at held-out trials.

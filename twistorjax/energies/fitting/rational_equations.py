@@ -59,15 +59,9 @@ def require_base(
 
 
 class RationalTerms(NamedTuple):
-    """Values and wrenches of the terms and of the base of the denominator at many poses.
+    """Terms and base of the denominator at many poses: values and wrenches."""
 
-    Args:
-        wrenches: Wrench of each term, for a coefficient of one.
-        energies: Value of each term.
-        base_wrenches: Wrench of the base.
-        base: Value of the base.
-    """
-
+    # Wrench of each term, for a coefficient of one
     wrenches: Float[np.ndarray, "poses 3 terms"]
     energies: Float[np.ndarray, "poses terms"]
     base_wrenches: Float[np.ndarray, "poses 3"]
@@ -100,11 +94,7 @@ def evaluate_terms(
 
     Args:
         poses: Sets of poses; rad, m, m.
-        powers: Powers of the terms.
         base: Base of the denominator.
-
-    Returns:
-        The terms at each set of poses.
 
     Raises:
         ValueError: The base is not positive at a pose.
@@ -175,21 +165,13 @@ def rational_equations(
 
 
 class RationalSolution(NamedTuple):
-    """Solution of the least-squares problem.
+    """Solution of the least-squares problem."""
 
-    Args:
-        numerator: Coefficients of the numerator; J.
-        denominator: Coefficients of the polynomial that is added to the base.
-        rank: Rank of the matrix of the problem.
-        condition: Ratio of its largest to its smallest significant singular value.
-        ridge: Ridge parameter that was used.
-    """
-
-    numerator: np.ndarray
-    denominator: np.ndarray
-    rank: int
-    condition: float
-    ridge: float
+    numerator: np.ndarray  # Coefficients of the numerator; J
+    denominator: np.ndarray  # Coefficients of the polynomial that is added to the base
+    rank: int  # Rank of the matrix of the problem
+    condition: float  # Ratio of its largest to its smallest significant singular value
+    ridge: float  # Ridge parameter that was used
 
 
 def solve_rational(
@@ -207,7 +189,6 @@ def solve_rational(
         rows: Matrix of the least-squares problem.
         targets: Measured values, in standard deviations.
         free: Whether each term is free in the denominator.
-        at_trials: Terms at the trials.
         at_regular: Terms at the poses at which the energy must not be singular.
         ridge: First ridge parameter. It is tripled until the denominator is positive; if
             it is zero, it remains zero.

@@ -201,7 +201,6 @@ def describe_direction(
 
     Args:
         direction: Coefficient of each term.
-        powers: Powers of each term.
         names: Names of the variables.
 
     Returns:

@@ -202,7 +202,6 @@ def errors_of_predictions(
     Predictions of quantities that were not measured are ignored.
 
     Args:
-        trials: The trials.
         wrenches: Predicted wrenches at the poses of the trials; N m, N, N.
         energies: Predicted energies at these poses; J.
 
@@ -231,7 +230,6 @@ def errors_of_residuals(
     """Convert residuals in standard deviations to errors.
 
     Args:
-        trials: The trials, with their standard deviations.
         residuals: A row for each trial: the residuals of the wrench, then of the energy,
             as far as these were measured.
 

@@ -72,13 +72,10 @@ class _NewtonModel(AbstractEnergy):
     relation is eliminated to first order, by the compliance of the beam under the
     predicted wrench. With the energy itself, a transverse Newton step would stretch the
     beam, whose large axial force would slow down Newton's method.
-
-    Args:
-        beam: The beam.
-        stress: Predicted moment, axial force, and transverse force; N m, N, N.
     """
 
     beam: Beam
+    # Predicted moment, axial force, and transverse force; N m, N, N
     stress: Float[Array, "3"]
 
     def stored_energy(self, displacement: Displacement) -> Scalar:

@@ -19,19 +19,13 @@ Strains = tuple[Scalar, Scalar, Scalar]  # stretch, shear, curvature
 
 
 class CrossSection(NamedTuple):
-    """A cross-section of a beam.
+    """A cross-section of a beam."""
 
-    Args:
-        height: Thickness over that of the middle section.
-        slenderness: Thickness of the middle section over the length of the beam.
-        bending_factor: Factor of the bending stiffness.
-        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
-            None to neglect shear deformation.
-    """
-
-    height: Scalar
-    slenderness: Scalar
-    bending_factor: Scalar
+    height: Scalar  # Thickness over that of the middle section
+    slenderness: Scalar  # Thickness of the middle section over the length of the beam
+    bending_factor: Scalar  # Factor of the bending stiffness
+    # Shear correction factor times shear modulus over Young's modulus; None to neglect
+    # shear deformation
     shear_ratio: Scalar | None
 
 
@@ -57,7 +51,6 @@ def section_strains(
     """Compute the strains and the energy density of a cross-section.
 
     Args:
-        section: The cross-section.
         law: Constitutive law; see `Beam`.
         forces: Axial force, shear force and bending moment, dimensionless.
 

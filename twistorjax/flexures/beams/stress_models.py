@@ -348,27 +348,21 @@ class MechanismStress(AbstractStressModel):
     The displacement and the wrench of each flexure are polynomials of the compliant
     coordinate and of the forces in the stiff directions, in the units of a
     `OneFreedomEnergy`. The stress follows from them by the stress model of the flexure.
-
-    Args:
-        parts: Stress models of the flexures.
-        coefficients: Coefficients of the polynomials of each flexure: displacement
-            (angle, x, y), moment, axial force, and transverse force in its mid-frame;
-            rad, m, m, N m, N, N.
-        length: Reference length, by which the transverse displacement is divided; m.
-        force: Reference force, by which forces are divided; moments are divided by the
-            force times the length; N.
-        strengths: Strengths of the material; the smallest ones, if the flexures have
-            several materials.
-        powers: Powers of the compliant coordinate and of both forces in each term.
-        freedom: The compliant direction; see `OneFreedomEnergy`.
     """
 
-    parts: tuple[AbstractStressModel, ...]
+    parts: tuple[AbstractStressModel, ...]  # Stress models of the flexures
+    # Coefficients of the polynomials of each flexure: displacement (angle, x, y), moment,
+    # axial force, and transverse force in its mid-frame; rad, m, m, N m, N, N
     coefficients: Float[Array, "parts 6 terms"]
-    length: Scalar
+    length: Scalar  # Reference length, by which the transverse displacement is divided; m
+    # Reference force, by which forces are divided; moments are divided by the force times
+    # the length; N
     force: Scalar
+    # Strengths of the material; the smallest ones, if the flexures have several materials
     strengths: Strengths
+    # Powers of the compliant coordinate and of both forces in each term
     powers: Powers = eqx.field(static=True)
+    # The compliant direction; see `OneFreedomEnergy`
     freedom: Freedom = eqx.field(static=True)
 
     def surface_stresses(

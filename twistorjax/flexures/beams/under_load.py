@@ -69,15 +69,10 @@ class BeamSolution(eqx.Module):
 
 
 class ReferenceEnds(NamedTuple):
-    """Poses of the two ends of the undeformed beam, in frame a; dimensionless.
+    """Poses of the two ends of the undeformed beam, in frame a; dimensionless."""
 
-    Args:
-        first: Pose of the first end; rad, -, -.
-        second: Pose of the second end; rad, -, -.
-    """
-
-    first: Pose
-    second: Pose
+    first: Pose  # Pose of the first end; rad, -, -
+    second: Pose  # Pose of the second end; rad, -, -
 
 
 class SectionState(NamedTuple):
@@ -241,7 +236,6 @@ def pose_and_wrench(
     """Compute the pose of frame b, and the wrench on the beam in frame b.
 
     Args:
-        beam: The beam.
         load: Load about the origin of frame a and in its axes; N m, N, N.
         end: State of the second end, dimensionless.
         ends: Ends of the undeformed beam.

@@ -38,21 +38,13 @@ def require_leaf(beam: Beam, energy: AbstractEnergy) -> None:
 
 
 class Leaf(NamedTuple):
-    """A leaf on a line through a point.
+    """A leaf on a line through a point."""
 
-    Args:
-        first: Name of the body at its first end.
-        second: Name of the body at its second end.
-        point: A point on its axis; m.
-        angle: Direction of its axis, from the first end to the second; rad.
-        start: Distance of the first end from the point along the axis; m.
-    """
-
-    first: str
-    second: str
-    point: tuple[Scalar | float, Scalar | float]
-    angle: Scalar | float
-    start: Scalar | float
+    first: str  # Name of the body at its first end
+    second: str  # Name of the body at its second end
+    point: tuple[Scalar | float, Scalar | float]  # A point on its axis; m
+    angle: Scalar | float  # Direction of its axis, from the first end to the second; rad
+    start: Scalar | float  # Distance of the first end from the point along the axis; m
 
 
 def assemble(

@@ -19,17 +19,11 @@ Number = Any  # array of NumPy or JAX
 
 
 class Integrals(NamedTuple):
-    """Integrals of powers of the thickness `h` over half of the length.
+    """Integrals of powers of the thickness `h` over half of the length."""
 
-    Args:
-        bending: Integral of `1 / h^3`; 1/m2.
-        axial: Integral of `1 / h`.
-        transverse: Integral of `x^2 / h^3`, with `x` from the middle.
-    """
-
-    bending: Number
-    axial: Number
-    transverse: Number
+    bending: Number  # Integral of `1 / h^3`; 1/m2
+    axial: Number  # Integral of `1 / h`
+    transverse: Number  # Integral of `x^2 / h^3`, with `x` from the middle
 
 
 class Arc(NamedTuple):
@@ -37,18 +31,12 @@ class Arc(NamedTuple):
 
     The position is `sin(phi)` and the thickness is `1 + r - cos(phi)`, where `r` is the
     smallest thickness over the diameter of the arc.
-
-    Args:
-        axial: Integral of the power -1 of the thickness.
-        bending: Integral of the power -3.
-        first: Integral of the power -3 times the position.
-        second: Integral of the power -3 times the square of the position.
     """
 
-    axial: Number
-    bending: Number
-    first: Number
-    second: Number
+    axial: Number  # Integral of the power -1 of the thickness
+    bending: Number  # Integral of the power -3
+    first: Number  # Integral of the power -3 times the position
+    second: Number  # Integral of the power -3 times the square of the position
 
 
 def arc_integrals(xp: Any, r: Number, angle: Number) -> Arc:
@@ -89,10 +77,7 @@ def quadratic_energy(
     Args:
         material: Material of the plate.
         width: Out-of-plane width; m.
-        half: Integrals over half of the length.
         theory: "euler-bernoulli" or "timoshenko".
-        coordinates: Coordinates of the energy.
-        stress_model: Stress in the flexure.
     """
     require_instance("material", material, Material)
     xp, (modulus, poisson, width, bending, axial, transverse) = on_host(
@@ -126,7 +111,6 @@ def beam_energy(
         width: Out-of-plane width; m.
         half: Integrals over half of the length.
         theory: "euler-bernoulli" or "timoshenko".
-        coordinates: Coordinates of the energy.
     """
     require_instance("material", material, Material)
     beam = Beam(material, length=length, thickness=profile, width=width)

@@ -44,26 +44,18 @@ _SIGNS = {"mirror": (-1, 1, -1), "ends": (-1, 1, 1), "arch": (1, 1, -1)}
 
 
 class MechanismSamples(NamedTuple):
-    """Displacements of a sub-mechanism and their wrenches.
+    """Displacements of a sub-mechanism and their wrenches."""
 
-    Args:
-        poses: Poses of frame b relative to frame a; rad, m, m.
-        wrenches: Wrenches that act on body B, in frame b; N m, N, N.
-        succeeded: Whether an equilibrium was found, and all hinges are in their ranges.
-        outside: Whether a hinge is outside its validity range.
-        stiffness: Stiffness in the reference configuration; N m/rad, N/rad, N/m.
-        length: Reference length; m.
-        force: Reference force; N.
-        states: States of the flexures with a known stress; see `member_states`.
-    """
-
-    poses: Float[Array, "samples 3"]
+    poses: Float[Array, "samples 3"]  # Poses of frame b relative to frame a; rad, m, m
+    # Wrenches that act on body B, in frame b; N m, N, N
     wrenches: Float[Array, "samples 3"]
+    # Whether an equilibrium was found, and all hinges are in their ranges
     succeeded: Bool[Array, " samples"]
-    outside: Bool[Array, " samples"]
-    stiffness: Matrix
-    length: Scalar
-    force: Scalar
+    outside: Bool[Array, " samples"]  # Whether a hinge is outside its validity range
+    stiffness: Matrix  # Stiffness in the reference configuration; N m/rad, N/rad, N/m
+    length: Scalar  # Reference length; m
+    force: Scalar  # Reference force; N
+    # States of the flexures with a known stress; see `member_states`
     states: Float[Array, "samples members 6"]
 
 

@@ -20,24 +20,18 @@ SAMPLES = 800  # for the fit; half as many more are for the error estimate
 
 
 class Samples(NamedTuple):
-    """Displacements of a beam and their wrenches.
+    """Displacements of a beam and their wrenches."""
 
-    Args:
-        poses: Poses of frame b relative to frame a; rad, m, m.
-        wrenches: Wrenches that body B exerts on the beam, in frame b; N m, N, N.
-        rotation_error: Magnitude of computed minus prescribed rotation; rad.
-        least_failed_force: Smallest force at which the prescribed rotation was not
-            reached, infinite if there is none; N.
-        force: Largest force; N.
-        stiffness: Stiffness of the beam in the reference configuration; N m/rad, N/rad,
-            N/m.
-    """
-
-    poses: Float[Array, "samples 3"]
+    poses: Float[Array, "samples 3"]  # Poses of frame b relative to frame a; rad, m, m
+    # Wrenches that body B exerts on the beam, in frame b; N m, N, N
     wrenches: Float[Array, "samples 3"]
+    # Magnitude of computed minus prescribed rotation; rad
     rotation_error: Float[Array, " samples"]
+    # Smallest force at which the prescribed rotation was not reached, infinite if there
+    # is none; N
     least_failed_force: Scalar
-    force: Scalar
+    force: Scalar  # Largest force; N
+    # Stiffness of the beam in the reference configuration; N m/rad, N/rad, N/m
     stiffness: Matrix
 
 

@@ -15,27 +15,20 @@ class _LinearModel(eqx.Module):
 
     Each column of the Jacobian is divided by its norm before the decomposition, so that a
     badly scaled parameter is not damped more than the others.
-
-    Args:
-        point: Point of the linearization, at which the last step was accepted.
-        loss: Loss at this point; infinite before the first step.
-        components: Components of the residuals along the left singular vectors.
-        singular_values: Singular values.
-        directions: Right singular vectors, as changes of the normalized parameters.
-        damping: Levenberg-Marquardt parameter.
-        reduction: Factor of the damping after a step that agrees with the model.
-        has_failed: Whether a solve has failed at a previous point.
-        predicted_decrease: Decrease of the loss that the model predicts for the step.
     """
 
+    # Point of the linearization, at which the last step was accepted
     point: Float[Array, " parameters"]
-    loss: Scalar
+    loss: Scalar  # Loss at this point; infinite before the first step
+    # Components of the residuals along the left singular vectors
     components: Float[Array, " rank"]
     singular_values: Float[Array, " rank"]
+    # Right singular vectors, as changes of the normalized parameters
     directions: Float[Array, "rank parameters"]
-    damping: Scalar
-    reduction: Scalar
-    has_failed: Flag
+    damping: Scalar  # Levenberg-Marquardt parameter
+    reduction: Scalar  # Factor of the damping after a step that agrees with the model
+    has_failed: Flag  # Whether a solve has failed at a previous point
+    # Decrease of the loss that the model predicts for the step
     predicted_decrease: Scalar
 
 

@@ -21,20 +21,14 @@ class IdentificationProblem(eqx.Module):
     The loss is half the sum of the squared residuals. Huber's loss replaces the square of
     a residual by a linear function beyond a threshold. To minimize it by least squares,
     each residual is transformed so that its square is twice Huber's function.
-
-    Args:
-        design: Design function, which builds the mechanism from the parameters.
-        parameters: Parameters with their initial values.
-        data: Measurements.
-        held_out: Measurements that are not used for the estimates.
-        huber_threshold: Threshold of Huber's loss, in standard deviations; None for
-            ordinary least squares.
     """
 
+    # Design function, which builds the mechanism from the parameters
     design: Callable[[Any], Mechanism]
-    parameters: ParameterSet
+    parameters: ParameterSet  # Parameters with their initial values
     data: tuple[Measurement, ...]
-    held_out: tuple[Measurement, ...]
+    held_out: tuple[Measurement, ...]  # Measurements that are not used for the estimates
+    # Threshold of Huber's loss, in standard deviations; None for ordinary least squares
     huber_threshold: float | None = eqx.field(static=True)
 
     def mechanism(self, normalized: Float[Array, " parameters"]) -> Mechanism:
@@ -57,7 +51,6 @@ class IdentificationProblem(eqx.Module):
         """Compute the residuals of all tests, transformed if the loss is Huber's.
 
         Args:
-            normalized: Normalized parameters.
             forward: Mode of differentiation; see `AbstractTest.predict`.
 
         Returns:
@@ -119,7 +112,6 @@ class IdentificationProblem(eqx.Module):
         """Compute the residuals and their derivatives.
 
         Args:
-            normalized: Normalized parameters.
             forward: Whether the Jacobian of the residuals is computed in forward mode. If
                 False, only the gradient of the loss is computed, in reverse mode.
 

@@ -41,15 +41,11 @@ def exceeds_rounding(
 
 
 class Evaluation(eqx.Module):
-    """Residuals and derivatives at one point.
+    """Residuals and derivatives at one point."""
 
-    Args:
-        residuals: Residual of each reading, in standard deviations; NaN if a solve fails.
-        derivatives: Jacobian of the residuals; or gradient of the loss, if there are many
-            parameters.
-    """
-
+    # Residual of each reading, in standard deviations; NaN if a solve fails
     residuals: Float[Array, " readings"]
+    # Jacobian of the residuals; or gradient of the loss, if there are many parameters
     derivatives: Float[Array, "*readings parameters"]
 
     @property

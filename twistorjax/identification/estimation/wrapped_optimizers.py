@@ -74,12 +74,9 @@ class GradientDescent(AbstractOptimizer):
 
 
 class OptimistixSolver(AbstractOptimizer):
-    """Least-squares solver of optimistix that evaluates the residuals once in a step.
+    """Least-squares solver of optimistix that evaluates the residuals once in a step."""
 
-    Args:
-        solver: Solver, for example `LevenbergMarquardt`, `Dogleg` or `GaussNewton`.
-    """
-
+    # Solver, for example `LevenbergMarquardt`, `Dogleg` or `GaussNewton`
     solver: optx.AbstractLeastSquaresSolver
 
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> Any:

@@ -146,12 +146,9 @@ class AbstractTest(eqx.Module):
 
 
 class SensorTest(AbstractTest):
-    """Test that is measured by sensors.
+    """Test that is measured by sensors."""
 
-    Args:
-        sensors: Sensors, one for each column of the table of readings.
-    """
-
+    # Sensors, one for each column of the table of readings
     sensors: eqx.AbstractVar[tuple[AbstractSensor, ...]]
 
     @property
@@ -257,7 +254,6 @@ def map_in_groups(function: Callable[[Any], Array], trees: Sequence[Any]) -> lis
     """Apply a function to each tree; trees of equal structure are evaluated by `vmap`.
 
     Args:
-        function: Function of one tree.
         trees: Arguments; those of equal structure and equal shapes are stacked.
 
     Returns:

@@ -28,20 +28,13 @@ _GLOBAL_UNITS = {"time": "s", "frequency": "Hz"}
 
 
 class _Column(NamedTuple):
-    """One column of a file or a dataset.
+    """One column of a file or a dataset."""
 
-    Args:
-        role: "body" or "hinge" for readings, "load", "drive", "time" or "frequency".
-        subject: Name of the body or hinge; empty for times and frequencies.
-        quantity: Quantity, for example "force_x".
-        values: Values in SI units.
-        absolute: Whether the values are poses in the world frame, not displacements.
-    """
-
-    role: str
-    subject: str
-    quantity: str
-    values: np.ndarray
+    role: str  # "body" or "hinge" for readings, "load", "drive", "time" or "frequency"
+    subject: str  # Name of the body or hinge; empty for times and frequencies
+    quantity: str  # Quantity, for example "force_x"
+    values: np.ndarray  # Values in SI units
+    # Whether the values are poses in the world frame, not displacements
     absolute: bool = False
 
     @property
@@ -51,16 +44,11 @@ class _Column(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """All columns of a file or a dataset.
+    """All columns of a file or a dataset."""
 
-    Args:
-        source: Name of the file or the dataset, for messages.
-        columns: Columns, without those of standard deviations.
-        standard_deviations: Standard deviations by role and name of the column; SI units.
-    """
-
-    source: str
-    columns: list[_Column]
+    source: str  # Name of the file or the dataset, for messages
+    columns: list[_Column]  # Columns, without those of standard deviations
+    # Standard deviations by role and name of the column; SI units
     standard_deviations: dict[tuple[str, str], np.ndarray]
 
     def with_role(self, *roles: str) -> list[_Column]:

@@ -69,15 +69,12 @@ PathEvent = Callable[[Float[Array, " n"]], Scalar]
 
 
 class Metric(NamedTuple):
-    """Units of the unknowns, in which a path has an arc length.
+    """Units of the unknowns, in which a path has an arc length."""
 
-    Args:
-        units: Unit of each displacement (rad, m), of each constraint force (N m, N), and
-            of the load factor.
-        weights: 1 for unknowns that count in the arc length, and 0 for constraint forces.
-    """
-
+    # Unit of each displacement (rad, m), of each constraint force (N m, N), and of the
+    # load factor
     units: Float[Array, " n"]
+    # 1 for unknowns that count in the arc length, and 0 for constraint forces
     weights: Float[Array, " n"]
 
     def length(self, scaled: Float[Array, " n"]) -> Scalar:
@@ -86,89 +83,56 @@ class Metric(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Solution of the equations of a correction.
+    """Solution of the equations of a correction."""
 
-    Args:
-        correction: Correction of the point, divided by the units.
-        tangent: Unit tangent of the path, divided by the units.
-        angle: Angle between the tangent and that of the last point; rad.
-        orientation: Sign of the determinant of the bordered matrix, which changes at a
-            branch point.
-    """
-
-    correction: Float[Array, " n"]
-    tangent: Float[Array, " n"]
-    angle: Scalar
+    correction: Float[Array, " n"]  # Correction of the point, divided by the units
+    tangent: Float[Array, " n"]  # Unit tangent of the path, divided by the units
+    angle: Scalar  # Angle between the tangent and that of the last point; rad
+    # Sign of the determinant of the bordered matrix, which changes at a branch point
     orientation: Scalar
 
 
 class Node(NamedTuple):
-    """Point of a path with its tangent.
-
-    Args:
-        point: The point.
-        tangent: Unit tangent of the path, divided by the units.
-        orientation: Orientation, see `Step`; zero at a branch point.
-    """
+    """Point of a path with its tangent."""
 
     point: Float[Array, " n"]
-    tangent: Float[Array, " n"]
-    orientation: Scalar
+    tangent: Float[Array, " n"]  # Unit tangent of the path, divided by the units
+    orientation: Scalar  # Orientation, see `Step`; zero at a branch point
 
 
 class Trace(NamedTuple):
-    """Points of a path. Those after the first `number` are not used.
-
-    Args:
-        points: The points.
-        tangents: Unit tangents, divided by the units.
-        orientations: Orientations; see `Step`.
-        number: Number of points.
-        steps: Number of evaluations of the tangent stiffness.
-        status: Reason of the end.
-        reached: The last point that was computed, also if it is out of range.
-    """
+    """Points of a path. Those after the first `number` are not used."""
 
     points: Float[Array, "points n"]
-    tangents: Float[Array, "points n"]
-    orientations: Float[Array, " points"]
-    number: Count
-    steps: Count
-    status: Count
+    tangents: Float[Array, "points n"]  # Unit tangents, divided by the units
+    orientations: Float[Array, " points"]  # Orientations; see `Step`
+    number: Count  # Number of points
+    steps: Count  # Number of evaluations of the tangent stiffness
+    status: Count  # Reason of the end
+    # The last point that was computed, also if it is out of range
     reached: Float[Array, " n"]
 
 
 class _State(NamedTuple):
-    """State of the continuation.
+    """State of the continuation."""
 
-    Args:
-        last: The last point that was found.
-        reached: The last point that was computed, also if it is out of range.
-        iterate: Current iterate.
-        predicted: Predicted stress of the hinges, at the iterate and at the last point.
-        curvature: Rate of the tangent along the path at the last point, estimated from
-            the last two tangents.
-        size: Length of the current step.
-        tries: Number of corrections in this step.
-        last_correction: Length of the last correction.
-        farthest: Largest distance from the first point, and its displacements alone.
-        number: Number of points that were found.
-        steps: Number of evaluations of the tangent stiffness.
-        status: Reason of the end, or `RUNNING`.
-    """
-
-    last: Node
+    last: Node  # The last point that was found
+    # The last point that was computed, also if it is out of range
     reached: Float[Array, " n"]
-    iterate: Float[Array, " n"]
+    iterate: Float[Array, " n"]  # Current iterate
+    # Predicted stress of the hinges, at the iterate and at the last point
     predicted: Float[Array, "2 3 members"]
+    # Rate of the tangent along the path at the last point, estimated from the last two
+    # tangents
     curvature: Float[Array, " n"]
-    size: Scalar
-    tries: Count
-    last_correction: Scalar
+    size: Scalar  # Length of the current step
+    tries: Count  # Number of corrections in this step
+    last_correction: Scalar  # Length of the last correction
+    # Largest distance from the first point, and its displacements alone
     farthest: Float[Array, "2"]
-    number: Count
-    steps: Count
-    status: Count
+    number: Count  # Number of points that were found
+    steps: Count  # Number of evaluations of the tangent stiffness
+    status: Count  # Reason of the end, or `RUNNING`
 
 
 def solve_step(

@@ -30,18 +30,11 @@ _LARGEST_REFINEMENT = 0.3  # in the units of the metric
 
 
 class _Refinement(NamedTuple):
-    """State of Newton's method for one branch point.
+    """State of Newton's method for one branch point."""
 
-    Args:
-        coordinates: Coordinates of the point; see `_branch_residual`.
-        last_change: Largest part of the last change of the coordinates.
-        point: The point before this change, divided by the units.
-        steps: Number of steps.
-    """
-
-    coordinates: Float[Array, "2"]
-    last_change: Scalar
-    point: Float[Array, " n"]
+    coordinates: Float[Array, "2"]  # Coordinates of the point; see `_branch_residual`
+    last_change: Scalar  # Largest part of the last change of the coordinates
+    point: Float[Array, " n"]  # The point before this change, divided by the units
     steps: Count
 
 

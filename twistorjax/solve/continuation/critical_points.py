@@ -49,46 +49,32 @@ _SEPARATE = 1e-3  # distance of opposite changes of stability, as a fraction of 
 
 
 class Criticals(NamedTuple):
-    """Critical points of a path. Those after the first `number` are NaN.
-
-    Args:
-        points: The points.
-        is_branch: Whether each of them is a branch point; otherwise it is a limit point.
-        multiplicities: Number of eigenvalues that vanish at each of them.
-        rows: Index of the point of the path that precedes each of them.
-        number: Number of critical points.
-    """
+    """Critical points of a path. Those after the first `number` are NaN."""
 
     points: Float[Array, "critical n"]
+    # Whether each of them is a branch point; otherwise it is a limit point
     is_branch: Bool[Array, " critical"]
+    # Number of eigenvalues that vanish at each of them
     multiplicities: Int[Array, " critical"]
+    # Index of the point of the path that precedes each of them
     rows: Int[Array, " critical"]
-    number: Count
+    number: Count  # Number of critical points
 
 
 class _Search(NamedTuple):
-    """State of the search for the end of a path and its critical points.
+    """State of the search for the end of a path and its critical points."""
 
-    Args:
-        trace: The path, whose last point is replaced by its end.
-        values: Stability values at its points; see `stability_values`.
-        between: Place on each segment that separates opposite changes of stability, as a
-            fraction of its length; zero if there is none.
-        criticals: Critical points that were found.
-        row: Index of the point that precedes the current segment.
-        done: Number of critical points that were found on this segment.
-        ended: Whether the end has been located.
-        finished: Whether there are no more critical points.
-    """
-
-    trace: Trace
+    trace: Trace  # The path, whose last point is replaced by its end
+    # Stability values at its points; see `stability_values`
     values: Float[Array, "points values"]
+    # Place on each segment that separates opposite changes of stability, as a fraction of
+    # its length; zero if there is none
     between: Float[Array, " segments"]
-    criticals: Criticals
-    row: Count
-    done: Count
-    ended: Flag
-    finished: Flag
+    criticals: Criticals  # Critical points that were found
+    row: Count  # Index of the point that precedes the current segment
+    done: Count  # Number of critical points that were found on this segment
+    ended: Flag  # Whether the end has been located
+    finished: Flag  # Whether there are no more critical points
 
     def negative(self) -> Int[Array, " points"]:
         """Return the number of negative values at each point."""
@@ -172,7 +158,6 @@ def locate_points(
         trace: The path, as found by `follow`.
         limits: Interval of the load factor.
         event: Function of a point whose change of sign ended the path.
-        largest_count: Largest number of critical points.
 
     Returns:
         The path up to its end, the critical points, and the number of negative
@@ -351,20 +336,15 @@ def locate_points(
 
 
 class _Stability(NamedTuple):
-    """Stiffness at a point of a path.
+    """Stiffness at a point of a path."""
 
-    Args:
-        values: Stability values; see `stability_values`.
-        modes: Eigenvectors of the stiffness as columns, in the units of the metric; none
-            under follower loads.
-        stiffness: Stiffness for displacements that the constraints allow; J.
-        basis: These displacements.
-    """
-
-    values: Float[Array, " values"]
+    values: Float[Array, " values"]  # Stability values; see `stability_values`
+    # Eigenvectors of the stiffness as columns, in the units of the metric; none under
+    # follower loads
     modes: Float[Array, "free modes"]
+    # Stiffness for displacements that the constraints allow; J
     stiffness: Float[Array, "allowed allowed"]
-    basis: Float[Array, "free allowed"]
+    basis: Float[Array, "free allowed"]  # These displacements
 
 
 def _stability(
@@ -409,14 +389,11 @@ class NullVectors(NamedTuple):
     """Null vectors of the stiffness at critical points, divided by the units.
 
     They are orthonormal, and zero after the first ones, as many as the multiplicity.
-
-    Args:
-        left: Those of the rows of the scaled stiffness; see `scaled_jacobian`.
-        right: Those of its columns.
     """
 
+    # Those of the rows of the scaled stiffness; see `scaled_jacobian`
     left: Float[Array, "*critical unknowns vectors"]
-    right: Float[Array, "*critical unknowns vectors"]
+    right: Float[Array, "*critical unknowns vectors"]  # Those of its columns
 
 
 def null_vectors(
@@ -581,7 +558,6 @@ def _extended_residual(
     limit point are not coupled with the one in which the load does work.
 
     Args:
-        system: The equations.
         metric: Units of the unknowns.
         borders: The left and the right null vectors near the point.
         branch: Whether it is a branch point.

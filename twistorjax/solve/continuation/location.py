@@ -21,15 +21,10 @@ _CLOSE = 1e-5
 
 
 class Segment(NamedTuple):
-    """Part of a path between two successive points.
+    """Part of a path between two successive points."""
 
-    Args:
-        points: Both points.
-        tangents: Unit tangents at both of them, divided by the units.
-    """
-
-    points: Float[Array, "2 n"]
-    tangents: Float[Array, "2 n"]
+    points: Float[Array, "2 n"]  # Both points
+    tangents: Float[Array, "2 n"]  # Unit tangents at both of them, divided by the units
 
 
 # A function of a point of the path, of the derivatives, and of the step there. The second
@@ -40,51 +35,29 @@ SegmentFunction = Callable[
 
 
 class Root(NamedTuple):
-    """Point of a segment at which a function is zero.
-
-    Args:
-        point: The point.
-        step: The step there or nearby.
-        more: The second result of the function, there or nearby.
-        values: Values of the function on both sides of the root.
-    """
+    """Point of a segment at which a function is zero."""
 
     point: Float[Array, " n"]
-    step: Step
-    more: Float[Array, " m"]
-    values: Float[Array, "2"]
+    step: Step  # The step there or nearby
+    more: Float[Array, " m"]  # The second result of the function, there or nearby
+    values: Float[Array, "2"]  # Values of the function on both sides of the root
 
 
 class _Search(NamedTuple):
-    """State of the search for a root on a segment.
+    """State of the search for a root on a segment."""
 
-    Args:
-        ends: Both ends of the interval that contains the root.
-        values: Values of the function at both ends.
-        position: Position of the current point.
-        scaled: Current point, divided by the units.
-        step: Step at the last accurate point.
-        more: Second result of the function at the last accurate point.
-        last_position: Position of the last evaluation of the function.
-        base: Last corrected point, divided by the units.
-        base_position: Its position.
-        slope: Rate of the path with the position, there.
-        finished: Whether the root has been found.
-        iterations: Number of evaluations.
-    """
-
-    ends: Float[Array, "2"]
-    values: Float[Array, "2"]
-    position: Scalar
-    scaled: Float[Array, " n"]
-    step: Step
-    more: Float[Array, " m"]
-    last_position: Scalar
-    base: Float[Array, " n"]
+    ends: Float[Array, "2"]  # Both ends of the interval that contains the root
+    values: Float[Array, "2"]  # Values of the function at both ends
+    position: Scalar  # Position of the current point
+    scaled: Float[Array, " n"]  # Current point, divided by the units
+    step: Step  # Step at the last accurate point
+    more: Float[Array, " m"]  # Second result of the function at the last accurate point
+    last_position: Scalar  # Position of the last evaluation of the function
+    base: Float[Array, " n"]  # Last corrected point, divided by the units
     base_position: Scalar
-    slope: Float[Array, " n"]
-    finished: Flag
-    iterations: Count
+    slope: Float[Array, " n"]  # Rate of the path with the position, there
+    finished: Flag  # Whether the root has been found
+    iterations: Count  # Number of evaluations
 
 
 def locate(
@@ -105,16 +78,11 @@ def locate(
     Args:
         system: The equations.
         metric: Units of the unknowns.
-        segment: The segment.
-        function: The function.
         values: Values of the function at both ends, with different signs.
         more: Second result of the function at one of the ends.
         regular: Whether the equations of a correction are regular at the root. Otherwise
             the root is extrapolated from a point nearby.
         skip: Whether there is nothing to be found, so that the result has no meaning.
-
-    Returns:
-        The root.
     """
     border = metric.weights * segment.tangents[0]
     first, last = segment.points / metric.units[None]

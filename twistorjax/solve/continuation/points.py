@@ -19,25 +19,18 @@ from .system import PathSystem, PathTangent
 
 
 class PointValues(NamedTuple):
-    """Quantities at one point of a path, or with one more axis at many points.
-
-    Args:
-        load_factor: Load factor.
-        displacements: Displacement of each body from its reference pose; rad, m, m.
-        reactions: Reactions on fixed and prescribed degrees of freedom; N m, N, N.
-        constraint_forces: Constraint forces; N m, N.
-        energy: Energy stored in the hinges; J.
-        stresses: Largest stress in each hinge, if a strength is known; Pa.
-        range_shares: As those of an `Equilibrium`.
-    """
+    """Quantities at one point of a path, or with one more axis at many points."""
 
     load_factor: Float[Array, "..."]
+    # Displacement of each body from its reference pose; rad, m, m
     displacements: Float[Array, "... bodies 3"]
+    # Reactions on fixed and prescribed degrees of freedom; N m, N, N
     reactions: Float[Array, "... bodies 3"]
-    constraint_forces: Float[Array, "... entries"]
-    energy: Float[Array, "..."]
+    constraint_forces: Float[Array, "... entries"]  # Constraint forces; N m, N
+    energy: Float[Array, "..."]  # Energy stored in the hinges; J
+    # Largest stress in each hinge, if a strength is known; Pa
     stresses: Float[Array, "... hinges"] | None
-    range_shares: Float[Array, "... hinges"] | None
+    range_shares: Float[Array, "... hinges"] | None  # As those of an `Equilibrium`
 
 
 def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointValues:

@@ -35,19 +35,13 @@ Until = TypeAliasType("Until", Callable[[PathPoint], Scalar])
 
 
 class PathRun(NamedTuple):
-    """Result of the continuation.
+    """Result of the continuation."""
 
-    Args:
-        metric: Units of the unknowns.
-        trace: The points.
-        negative: Number of negative eigenvalues of the stiffness at each point.
-        criticals: The critical points.
-    """
-
-    metric: Metric
-    trace: Trace
+    metric: Metric  # Units of the unknowns
+    trace: Trace  # The points
+    # Number of negative eigenvalues of the stiffness at each point
     negative: Int[Array, " points"]
-    criticals: Criticals
+    criticals: Criticals  # The critical points
 
 
 def run_uncompiled(

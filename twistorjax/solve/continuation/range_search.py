@@ -38,53 +38,33 @@ _ROUNDING = 1e-15  # of the factor, if the precision of the stress cannot be rea
 
 
 class RangeEnd(NamedTuple):
-    """An end of the range of motion, or both of them.
+    """An end of the range of motion, or both of them."""
 
-    Args:
-        factor: Factor of the input; NaN if no end was found.
-        values: Displacements and reactions there.
-        stresses: Largest stress in each hinge; Pa.
-        by_stress: Whether an allowable stress is reached; otherwise the equilibrium
-            becomes unstable.
-        result: Reason of a failure.
-    """
-
-    factor: Float[Array, "..."]
-    values: PointValues
-    stresses: Float[Array, "... hinges"]
+    factor: Float[Array, "..."]  # Factor of the input; NaN if no end was found
+    values: PointValues  # Displacements and reactions there
+    stresses: Float[Array, "... hinges"]  # Largest stress in each hinge; Pa
+    # Whether an allowable stress is reached; otherwise the equilibrium becomes unstable
     by_stress: Bool[Array, "..."]
-    result: RESULTS
+    result: RESULTS  # Reason of a failure
 
 
 class _Search(NamedTuple):
-    """State of the search for an end.
+    """State of the search for an end."""
 
-    Args:
-        lower: Largest factor at which no allowable stress is exceeded.
-        excess: Excess of the stress at this factor; see `_excess`.
-        point: Point of the path there.
-        slope: Derivative of the excess by the factor.
-        upper: Smallest factor beyond the end; infinite if there is none yet.
-        upper_excess: Excess at this factor; NaN if there is no equilibrium.
-        weights: Factors of the two excesses in the method of false position.
-        last: -1 if the lower end was replaced last, 1 if it was the upper one.
-        result: Reason why there is no equilibrium at the upper end.
-        confirmed: Whether there is also none a little beyond the upper end. From a point
-            that is far away, an equilibrium may not be found although it exists.
-        equilibria: Number of equilibria that were computed.
-    """
-
-    lower: Scalar
-    excess: Scalar
-    point: Float[Array, " n"]
-    slope: Scalar
-    upper: Scalar
-    upper_excess: Scalar
+    lower: Scalar  # Largest factor at which no allowable stress is exceeded
+    excess: Scalar  # Excess of the stress at this factor; see `_excess`
+    point: Float[Array, " n"]  # Point of the path there
+    slope: Scalar  # Derivative of the excess by the factor
+    upper: Scalar  # Smallest factor beyond the end; infinite if there is none yet
+    upper_excess: Scalar  # Excess at this factor; NaN if there is no equilibrium
+    # Factors of the two excesses in the method of false position
     weights: Float[Array, "2"]
-    last: Count
-    result: RESULTS
+    last: Count  # -1 if the lower end was replaced last, 1 if it was the upper one
+    result: RESULTS  # Reason why there is no equilibrium at the upper end
+    # Whether there is also none a little beyond the upper end. From a point that is far
+    # away, an equilibrium may not be found although it exists.
     confirmed: Flag
-    equilibria: Count
+    equilibria: Count  # Number of equilibria that were computed
 
     def is_narrow(self) -> Flag:
         """Decide whether the two factors agree as closely as required."""

@@ -100,23 +100,17 @@ def metric_of(
 
 
 class FirstPoint(NamedTuple):
-    """First point of a path, and the direction in which the path begins.
+    """First point of a path, and the direction in which the path begins."""
 
-    Args:
-        displacements: Displacements of the bodies; rad, m, m.
-        factor: Load factor.
-        direction: 1 or -1; the sign of the change of the load factor or, at a branch
-            point, of the mode.
-        at_branch: Whether the point is a branch point, at which the path leaves in the
-            direction of the mode.
-        mode: The mode of the branch point.
-    """
-
-    displacements: Poses
-    factor: Scalar
+    displacements: Poses  # Displacements of the bodies; rad, m, m
+    factor: Scalar  # Load factor
+    # 1 or -1; the sign of the change of the load factor or, at a branch point, of the
+    # mode
     direction: Scalar
+    # Whether the point is a branch point, at which the path leaves in the direction of
+    # the mode
     at_branch: Flag
-    mode: Poses
+    mode: Poses  # The mode of the branch point
 
 
 def regular_point(displacements: Poses, factor: Scalar, direction: int = 1) -> FirstPoint:

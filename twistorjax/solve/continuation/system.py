@@ -20,19 +20,15 @@ from ..equations.system import System
 
 
 class PathTangent(eqx.Module):
-    """Residual of a path and its derivatives at one point.
+    """Residual of a path and its derivatives at one point."""
 
-    Args:
-        residual: Forces on the free degrees of freedom, then violations of constraints;
-            N m, N, rad, m.
-        jacobian: Derivatives of the residual with respect to the free degrees of freedom
-            and the constraint forces.
-        by_factor: Derivatives of the residual with respect to the load factor.
-        hinges: Tangent of the hinges.
-    """
-
+    # Forces on the free degrees of freedom, then violations of constraints; N m, N, rad,
+    # m
     residual: Float[Array, " unknowns"]
+    # Derivatives of the residual with respect to the free degrees of freedom and the
+    # constraint forces
     jacobian: Float[Array, "unknowns unknowns"]
+    # Derivatives of the residual with respect to the load factor
     by_factor: Float[Array, " unknowns"]
     hinges: AssemblyTangent
 
@@ -42,31 +38,22 @@ class PathSystem(eqx.Module):
 
     A point of a path is a vector: the displacements of the free degrees of freedom (rad,
     m), the constraint forces (N m, N), and the load factor.
-
-    Args:
-        mechanism: The mechanism.
-        loads: Loads that are multiplied by the load factor.
-        constant_loads: Loads that are not.
-        constraints: The constraints.
-        changes: Strokes and temperatures as functions of the load factor; None if there
-            are none.
-        start: Displacements at the load factor zero, of which those of the fixed and the
-            prescribed degrees of freedom are used; rad, m, m.
-        targets: Change of the displacements of the prescribed degrees of freedom from the
-            load factor 0 to 1; rad, m.
-        time: Time at which the constraints are evaluated; s.
-        dofs: Partition of the degrees of freedom.
     """
 
     mechanism: Mechanism
-    loads: LoadSet
+    loads: LoadSet  # Loads that are multiplied by the load factor
     constant_loads: LoadSet
     constraints: ConstraintSet
+    # Strokes and temperatures as functions of the load factor; None if there are none
     changes: HingeChanges | None
+    # Displacements at the load factor zero, of which those of the fixed and the
+    # prescribed degrees of freedom are used; rad, m, m
     start: Poses
+    # Change of the displacements of the prescribed degrees of freedom from the load
+    # factor 0 to 1; rad, m
     targets: Float[Array, " prescribed"]
-    time: Scalar
-    dofs: DofPartition = eqx.field(static=True)
+    time: Scalar  # Time at which the constraints are evaluated; s
+    dofs: DofPartition = eqx.field(static=True)  # Partition of the degrees of freedom
 
     @property
     def unknowns(self) -> int:

@@ -20,16 +20,11 @@ class DofPartition(NamedTuple):
     """Partition of the degrees of freedom: free, prescribed, and fixed.
 
     A mechanism has three degrees of freedom for each body: angle, x, y.
-
-    Args:
-        total: Number of degrees of freedom.
-        free: Indices of those that are solved for.
-        prescribed: Indices of those whose displacement is prescribed. All others are
-            fixed.
     """
 
-    total: int
-    free: tuple[int, ...]
+    total: int  # Number of degrees of freedom
+    free: tuple[int, ...]  # Indices of those that are solved for
+    # Indices of those whose displacement is prescribed. All others are fixed.
     prescribed: tuple[int, ...] = ()
 
     @classmethod
@@ -101,7 +96,6 @@ def require_support(
     """Check that hinges or constraints connect every body to a fixed one.
 
     Args:
-        mechanism: The mechanism.
         constrained: Indices of the bodies of each constraint.
         prescribed: Indices of the prescribed degrees of freedom, whose bodies are
             supported as well.

@@ -16,15 +16,12 @@ class LoadState(NamedTuple):
     Loads and misfits change in proportion from these to the given ones. If the loads at
     the start were unknown forces of constant direction, the stiffness of loads beside the
     origin of a body and the geometric stiffness of preloaded hinges would be wrong.
-
-    Args:
-        loads: The loads.
-        misfits: The six numbers of the misfit of each hinge; None if there are none.
-        constraint_forces: Constraint forces; None if there are no constraints; N m, N.
     """
 
     loads: LoadSet
+    # The six numbers of the misfit of each hinge; None if there are none
     misfits: Float[Array | np.ndarray, "hinges 6"] | None
+    # Constraint forces; None if there are no constraints; N m, N
     constraint_forces: Float[Array | np.ndarray, " entries"] | None
 
     @classmethod
@@ -41,7 +38,6 @@ class LoadState(NamedTuple):
         the state of an equilibrium, so that both use the same compiled program.
 
         Args:
-            mechanism: The mechanism.
             start: An equilibrium, poses, or None for the reference configuration.
             loads: Loads to which those of the start change.
             constraints: The constraints. Constraint forces of other ones are not used.

@@ -14,18 +14,13 @@ from .system import System
 
 
 class NaturalModes(NamedTuple):
-    """Modes of vibration of the free degrees of freedom.
+    """Modes of vibration of the free degrees of freedom."""
 
-    Args:
-        angular: Angular frequencies, negative for unstable modes; rad/s.
-        shapes: Mass-normalized mode shapes, one in each column; rad/(kg^0.5 m),
-            1/kg^0.5.
-        unstable: Whether the stiffness of each mode is negative, and not zero within
-            rounding errors.
-    """
-
+    # Angular frequencies, negative for unstable modes; rad/s
     angular: Float[Array, " modes"]
+    # Mass-normalized mode shapes, one in each column; rad/(kg^0.5 m), 1/kg^0.5
     shapes: Float[Array, "free modes"]
+    # Whether the stiffness of each mode is negative, and not zero within rounding errors
     unstable: Bool[Array, " modes"]
 
 

@@ -20,23 +20,14 @@ from .system import System
 
 
 class Problem(NamedTuple):
-    """A mechanism with its loads, prescribed displacements, and constraints.
-
-    Args:
-        mechanism: The mechanism.
-        loads: Its loads.
-        constraints: Its constraints.
-        dofs: Partition of the degrees of freedom.
-        targets: Displacements of the prescribed ones; rad, m.
-        time: Time at which the constraints are evaluated; s.
-    """
+    """A mechanism with its loads, prescribed displacements, and constraints."""
 
     mechanism: Mechanism
     loads: LoadSet
     constraints: ConstraintSet
-    dofs: DofPartition
-    targets: tuple[Scalar, ...]
-    time: NumberLike
+    dofs: DofPartition  # Partition of the degrees of freedom
+    targets: tuple[Scalar, ...]  # Displacements of the prescribed ones; rad, m
+    time: NumberLike  # Time at which the constraints are evaluated; s
 
     @classmethod
     def of(
@@ -53,17 +44,11 @@ class Problem(NamedTuple):
         """Check and convert the arguments of a user.
 
         Args:
-            mechanism: The mechanism.
-            loads: Its loads.
             drives: Its prescribed displacements.
-            constraints: Its constraints.
             time: Time at which the constraints are evaluated; s.
             held: Further degrees of freedom whose displacements are prescribed, as zero.
             supported: Whether hinges or constraints must connect all bodies to the fixed
                 ones.
-
-        Returns:
-            The problem.
 
         Raises:
             ValueError: Double precision is disabled, a name is unknown, a coordinate is

@@ -33,25 +33,17 @@ from .tangent import (
 
 
 class System(eqx.Module):
-    """Equations of equilibrium of a mechanism at one instant.
-
-    Args:
-        hinges: The hinges.
-        loads: The loads, at their full magnitude.
-        constraints: The constraints.
-        targets: Displacements of the prescribed degrees of freedom; rad, m.
-        time: Time at which the constraints are evaluated; s.
-        dofs: Partition of the degrees of freedom.
-        first: Loads and misfits at the fraction zero of the loads. If it is None, there
-            are no loads at the fraction zero, and the misfits are always complete.
-    """
+    """Equations of equilibrium of a mechanism at one instant."""
 
     hinges: HingeAssembly
-    loads: LoadSet
+    loads: LoadSet  # The loads, at their full magnitude
     constraints: ConstraintSet
+    # Displacements of the prescribed degrees of freedom; rad, m
     targets: Float[Array, " prescribed"]
-    time: Scalar
-    dofs: DofPartition = eqx.field(static=True)
+    time: Scalar  # Time at which the constraints are evaluated; s
+    dofs: DofPartition = eqx.field(static=True)  # Partition of the degrees of freedom
+    # Loads and misfits at the fraction zero of the loads. If it is None, there are no
+    # loads at the fraction zero, and the misfits are always complete.
     first: LoadState | None = None
 
     @property
@@ -213,7 +205,6 @@ class System(eqx.Module):
 
         Args:
             displacements: Displacement of each body from its reference pose; rad, m, m.
-            fraction: Fraction of the loads.
             predicted: Generalized stress of the hinges that determines their geometric
                 stiffness; by default the stress at these displacements; N m, N, N.
             multipliers: Constraint forces, if there are constraints; N m, N.

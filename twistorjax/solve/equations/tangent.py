@@ -49,13 +49,10 @@ def add_load_stiffness(
 
 
 class DenseTangent(eqx.Module):
-    """Tangent stiffness of the free degrees of freedom, as one matrix.
+    """Tangent stiffness of the free degrees of freedom, as one matrix."""
 
-    Args:
-        matrix: Derivatives with respect to the free degrees of freedom, then with respect
-            to the prescribed ones; N m/rad, N/rad, N/m.
-    """
-
+    # Derivatives with respect to the free degrees of freedom, then with respect to the
+    # prescribed ones; N m/rad, N/rad, N/m
     matrix: Float[Array, "free free_and_prescribed"]
 
     def prescribed_forces(
@@ -85,17 +82,14 @@ class ConstrainedTangent(eqx.Module):
     Vectors of forces and displacements have the entries of the free degrees of freedom,
     then an entry for each constraint equation: its violation, or the negative change of
     its constraint force.
-
-    Args:
-        stiffness: Derivatives of the forces, including constraint forces, with respect to
-            the free degrees of freedom, then with respect to the prescribed ones.
-        jacobian: Derivatives of the violations with respect to the same.
-        units: Unit of each free degree of freedom; rad, m.
     """
 
+    # Derivatives of the forces, including constraint forces, with respect to the free
+    # degrees of freedom, then with respect to the prescribed ones
     stiffness: Float[Array, "free free_and_prescribed"]
+    # Derivatives of the violations with respect to the same
     jacobian: Float[Array, "entries free_and_prescribed"]
-    units: Float[Array, " free"]
+    units: Float[Array, " free"]  # Unit of each free degree of freedom; rad, m
 
     def prescribed_forces(
         self, change: Float[Array, " prescribed"]
@@ -129,23 +123,16 @@ class ConstrainedTangent(eqx.Module):
 
 
 class BlockTangent(eqx.Module):
-    """Tangent stiffness of the free degrees of freedom of a mechanism of many bodies.
-
-    Args:
-        hinges: The hinges.
-        hinge_stiffness: Stiffness of each hinge with respect to the six degrees of
-            freedom of its two bodies; N m/rad, N/rad, N/m.
-        by_angle: Derivatives of the loads with respect to the angle of their body; N
-            m/rad, N/rad.
-        dofs: Partition of the degrees of freedom.
-        layout: Layout of the blocks of the matrix.
-    """
+    """Tangent stiffness of the free degrees of freedom of a mechanism of many bodies."""
 
     hinges: HingeAssembly
+    # Stiffness of each hinge with respect to the six degrees of freedom of its two
+    # bodies; N m/rad, N/rad, N/m
     hinge_stiffness: Float[Array, "6 6 hinges"]
+    # Derivatives of the loads with respect to the angle of their body; N m/rad, N/rad
     by_angle: Float[Array, " dofs"]
-    dofs: DofPartition = eqx.field(static=True)
-    layout: Layout = eqx.field(static=True)
+    dofs: DofPartition = eqx.field(static=True)  # Partition of the degrees of freedom
+    layout: Layout = eqx.field(static=True)  # Layout of the blocks of the matrix
 
     def prescribed_forces(
         self, change: Float[Array, " prescribed"]

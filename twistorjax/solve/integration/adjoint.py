@@ -27,47 +27,30 @@ _RECORDED_STATES = 512
 
 
 class Start(NamedTuple):
-    """What a solver of diffrax needs at the start of a step.
+    """What a solver of diffrax needs at the start of a step."""
 
-    Args:
-        state: State of the motion.
-        solver_state: State of the solver.
-    """
-
-    state: Any
+    state: Any  # State of the motion
     solver_state: Any
 
 
 class Inputs(NamedTuple):
-    """Inputs of a motion by which it is differentiated.
+    """Inputs of a motion by which it is differentiated."""
 
-    Args:
-        step: Function that makes a step, and the values over which it closes, for example
-            those of loads that are functions of time.
-        args: Arguments of the equations of motion.
-        start: State at the start of the motion.
-        first_time: Time at the start; s.
-        saved_times: Times at which the motion is saved; s.
-    """
-
+    # Function that makes a step, and the values over which it closes, for example those
+    # of loads that are functions of time
     step: Callable
-    args: Any
-    start: Start
-    first_time: Scalar
-    saved_times: Float[Array, " times"]
+    args: Any  # Arguments of the equations of motion
+    start: Start  # State at the start of the motion
+    first_time: Scalar  # Time at the start; s
+    saved_times: Float[Array, " times"]  # Times at which the motion is saved; s
 
 
 class Record(NamedTuple):
-    """The accepted steps of a motion.
+    """The accepted steps of a motion."""
 
-    Args:
-        starts: Recorded starts of steps, stacked. The last row is not used.
-        ends: Time at the end of each step; s.
-        stride: Number of steps from one recorded start to the next one, a power of two.
-    """
-
-    starts: Start
-    ends: Any
+    starts: Start  # Recorded starts of steps, stacked. The last row is not used.
+    ends: Any  # Time at the end of each step; s
+    # Number of steps from one recorded start to the next one, a power of two
     stride: Int[Array, ""]
 
     @classmethod
@@ -243,29 +226,17 @@ def _solve_and_record(perturbed: Inputs, inputs: Inputs, constants: Any) -> Any:
 
 
 class _Carry(eqx.Module):
-    """State of the backward pass.
+    """State of the backward pass."""
 
-    Args:
-        index: Index of the step that is differentiated next.
-        position: Index of the step that begins at `current`.
-        current: Start of a step, at most the one with the index.
-        segment: Starts of the steps since the last recorded start, stacked.
-        row: Index of the last saved time that is not yet differentiated.
-        by_end: Derivative with respect to the end of the step with the index.
-        by_values: Derivatives with respect to step function and arguments.
-        by_shift: Derivative with respect to a shift of the times of all steps.
-        by_times: Derivative with respect to the saved times.
-    """
-
-    index: Int[Array, ""]
-    position: Int[Array, ""]
-    current: Start
-    segment: Start | None
-    row: Int[Array, ""]
-    by_end: Start
-    by_values: Any
-    by_shift: Scalar
-    by_times: Float[Array, " times"]
+    index: Int[Array, ""]  # Index of the step that is differentiated next
+    position: Int[Array, ""]  # Index of the step that begins at `current`
+    current: Start  # Start of a step, at most the one with the index
+    segment: Start | None  # Starts of the steps since the last recorded start, stacked
+    row: Int[Array, ""]  # Index of the last saved time that is not yet differentiated
+    by_end: Start  # Derivative with respect to the end of the step with the index
+    by_values: Any  # Derivatives with respect to step function and arguments
+    by_shift: Scalar  # Derivative with respect to a shift of the times of all steps
+    by_times: Float[Array, " times"]  # Derivative with respect to the saved times
 
 
 @_solve.def_bwd

@@ -245,13 +245,11 @@ class _StageInverses(NamedTuple):
     """Inverses of the matrices of the decoupled stages, including the constraints.
 
     They are transposed, because rows are multiplied by them.
-
-    Args:
-        real: Inverse for the real eigenvalue, if there is one.
-        pair: Real and imaginary part of the inverse for the complex eigenvalue.
     """
 
+    # Inverse for the real eigenvalue, if there is one
     real: Float[Array, "unknowns unknowns"] | None
+    # Real and imaginary part of the inverse for the complex eigenvalue
     pair: tuple[Float[Array, "unknowns unknowns"], Float[Array, "unknowns unknowns"]]
 
     @classmethod

@@ -151,17 +151,12 @@ class Projected(dfx.AbstractWrappedSolver):
 
 
 class Snapshot(eqx.Module):
-    """State of a motion, the argument of the condition of an event.
+    """State of a motion, the argument of the condition of an event."""
 
-    Args:
-        poses: Poses of the bodies; rad, m, m.
-        displacements: Displacements of the bodies from their reference poses; rad, m, m.
-        velocities: Velocities of the bodies; rad/s, m/s, m/s.
-    """
-
-    poses: Poses
+    poses: Poses  # Poses of the bodies; rad, m, m
+    # Displacements of the bodies from their reference poses; rad, m, m
     displacements: Poses
-    velocities: Poses
+    velocities: Poses  # Velocities of the bodies; rad/s, m/s, m/s
 
 
 def with_snapshots(event: dfx.Event) -> dfx.Event:

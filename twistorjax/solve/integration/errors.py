@@ -26,25 +26,15 @@ if TYPE_CHECKING:
 
 
 class StartOfMotion(NamedTuple):
-    """Start of a motion, with its checks and error messages.
-
-    Args:
-        mechanism: The mechanism.
-        drives: Prescribed displacements, or a function of time that returns them.
-        constraints: The constraints.
-        displacements: Displacements at the start; rad, m, m.
-        time: Time at the start; s.
-        dofs: Partition of the degrees of freedom.
-        has_velocities: Whether velocities at the start are given.
-    """
+    """Start of a motion, with its checks and error messages."""
 
     mechanism: Mechanism
-    drives: Any
+    drives: Any  # Prescribed displacements, or a function of time that returns them
     constraints: ConstraintSet
-    displacements: Poses
-    time: Array
-    dofs: DofPartition
-    has_velocities: bool
+    displacements: Poses  # Displacements at the start; rad, m, m
+    time: Array  # Time at the start; s
+    dofs: DofPartition  # Partition of the degrees of freedom
+    has_velocities: bool  # Whether velocities at the start are given
 
     def check(self) -> None:
         """Raise a ValueError if the start is invalid, before anything is compiled."""

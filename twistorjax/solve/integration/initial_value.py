@@ -30,22 +30,14 @@ class InitialValueProblem(NamedTuple):
 
     If the motion cannot start, the state and the times are zero, so the solver takes no
     step, and the other motions of a batch are not delayed.
-
-    Args:
-        system: Equations of motion.
-        state: State at the first time.
-        times: Times at which the motion is reported; s.
-        step: Length of the first step; s.
-        tolerance: Tolerance on the error of a step.
-        result: `successful`, or the reason why the motion cannot start.
     """
 
-    system: MotionSystem
-    state: State
-    times: Float[Array, " times"]
-    step: Scalar
-    tolerance: Scalar
-    result: RESULTS
+    system: MotionSystem  # Equations of motion
+    state: State  # State at the first time
+    times: Float[Array, " times"]  # Times at which the motion is reported; s
+    step: Scalar  # Length of the first step; s
+    tolerance: Scalar  # Tolerance on the error of a step
+    result: RESULTS  # `successful`, or the reason why the motion cannot start
 
 
 def initial_value_problem(

@@ -19,22 +19,19 @@ class StepHistory(NamedTuple):
 
     Polynomials are given by their coefficients, lowest power first. Their variable is the
     time since the start of the step, divided by its length.
-
-    Args:
-        last_acceleration: Accelerations at the end of the step; rad/s^2, m/s^2.
-        last_stretches: Mid-frame translations of the hinges at the end of the step; m.
-        accelerations: Polynomial of the accelerations; rad/s^2, m/s^2.
-        stretches: Polynomial of the mid-frame translations; m.
-        multipliers: Polynomial of the constraint forces; N m, N.
-        step: Length of the step; s.
     """
 
+    # Accelerations at the end of the step; rad/s^2, m/s^2
     last_acceleration: Float[Array, " free"]
+    # Mid-frame translations of the hinges at the end of the step; m
     last_stretches: Float[Array, " stretches"]
+    # Polynomial of the accelerations; rad/s^2, m/s^2
     accelerations: Float[Array, "degrees free"]
+    # Polynomial of the mid-frame translations; m
     stretches: Float[Array, "degrees stretches"]
+    # Polynomial of the constraint forces; N m, N
     multipliers: Float[Array, "degrees entries"]
-    step: Scalar
+    step: Scalar  # Length of the step; s
 
     @classmethod
     def constant(
@@ -105,23 +102,17 @@ class DenseOutput(dfx.AbstractLocalInterpolation):
 
     The accelerations are the polynomial of the collocation method. Rates and
     displacements are its integrals.
-
-    Args:
-        t0: Time at the start of the step; s.
-        t1: Time at the end of the step; s.
-        y0: State at the start.
-        y1: State at the end.
-        accelerations: Coefficients of the polynomial of the accelerations, lowest power
-            first; rad/s^2, m/s^2.
-        powers: Coefficients of the polynomials of the dissipated power and of the powers
-            of loads and prescribed motions; W.
     """
 
-    t0: Scalar
-    t1: Scalar
-    y0: State
-    y1: State
+    t0: Scalar  # Time at the start of the step; s
+    t1: Scalar  # Time at the end of the step; s
+    y0: State  # State at the start
+    y1: State  # State at the end
+    # Coefficients of the polynomial of the accelerations, lowest power first; rad/s^2,
+    # m/s^2
     accelerations: Float[Array, "degrees free"]
+    # Coefficients of the polynomials of the dissipated power and of the powers of loads
+    # and prescribed motions; W
     powers: Float[Array, "degrees works"]
 
     def evaluate(self, t0, t1=None, left=True) -> State:

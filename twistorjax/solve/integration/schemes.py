@@ -14,28 +14,21 @@ class Scheme(NamedTuple):
     basis of the eigenvectors of A, the stages of an implicit step decouple. The
     components in this basis are that of the real eigenvalue, if there is one, then the
     real and the imaginary part of that of the complex eigenvalue.
-
-    Args:
-        nodes: Times of the stages.
-        matrix: The matrix A.
-        weights: Weights that integrate the polynomial to the end of the step.
-        real_eigenvalue: The real eigenvalue of A, if the number of stages is odd.
-        complex_eigenvalue: The eigenvalue with a positive imaginary part.
-        to_components: Transformation from the stages to the components.
-        to_coefficients: Transformation from values at the nodes to coefficients of the
-            polynomial, lowest power first.
-        history_to_coefficients: The same transformation for the values from which the
-            next step is extrapolated. They are those at the nodes and, if the last stage
-            is the end of a step, also the value at the start.
     """
 
-    nodes: np.ndarray
+    nodes: np.ndarray  # Times of the stages
     matrix: np.ndarray
-    weights: np.ndarray
+    weights: np.ndarray  # Weights that integrate the polynomial to the end of the step
+    # The real eigenvalue of A, if the number of stages is odd
     real_eigenvalue: float | None
-    complex_eigenvalue: complex
-    to_components: np.ndarray
+    complex_eigenvalue: complex  # The eigenvalue with a positive imaginary part
+    to_components: np.ndarray  # Transformation from the stages to the components
+    # Transformation from values at the nodes to coefficients of the polynomial, lowest
+    # power first
     to_coefficients: np.ndarray
+    # The same transformation for the values from which the next step is extrapolated.
+    # They are those at the nodes and, if the last stage is the end of a step, also the
+    # value at the start.
     history_to_coefficients: np.ndarray
 
     @property
@@ -84,10 +77,6 @@ def collocation_scheme(family: str, stages: int) -> Scheme:
     Args:
         family: "gauss" for the nodes of Gauss; "radau" for those of Radau, the last of
             which is the end of the step.
-        stages: Number of stages, 2 or 3.
-
-    Returns:
-        The coefficients.
 
     Source:
         Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and

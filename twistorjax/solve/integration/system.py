@@ -23,70 +23,52 @@ from ..equations.tangent import add_load_stiffness
 
 
 class State(NamedTuple):
-    """State of a motion.
+    """State of a motion."""
 
-    Args:
-        position: Displacements of the free degrees of freedom; rad, m.
-        rate: Their rates; rad/s, m/s.
-        work: Dissipated energy, work of loads, work of prescribed motions, and work of
-            strokes and temperatures that change; empty if they are not computed; J.
-    """
-
+    # Displacements of the free degrees of freedom; rad, m
     position: Float[Array, " free"]
-    rate: Float[Array, " free"]
+    rate: Float[Array, " free"]  # Their rates; rad/s, m/s
+    # Dissipated energy, work of loads, work of prescribed motions, and work of strokes
+    # and temperatures that change; empty if they are not computed; J
     work: Float[Array, " works"]
 
 
 class Forces(NamedTuple):
-    """Forces on the free degrees of freedom at an instant.
+    """Forces on the free degrees of freedom at an instant."""
 
-    Args:
-        net: Net force; N m, N.
-        excess: Difference between the translations of the hinges in their mid-frames and
-            those for which their forces were computed; m.
-        violation: Violation of the constraints; rad, m.
-    """
-
-    net: Float[Array, " free"]
+    net: Float[Array, " free"]  # Net force; N m, N
+    # Difference between the translations of the hinges in their mid-frames and those for
+    # which their forces were computed; m
     excess: Float[Array, " stretches"]
-    violation: Entries
+    violation: Entries  # Violation of the constraints; rad, m
 
 
 class MotionTangent(NamedTuple):
-    """Derivatives of `Forces` with respect to the free degrees of freedom.
+    """Derivatives of `Forces` with respect to the free degrees of freedom."""
 
-    Args:
-        stiffness: Negative derivative of the net forces with respect to displacements;
-            N m/rad, N/rad, N/m.
-        damping: Negative derivative of the net forces with respect to rates.
-        stretch_by_displacement: Derivative of the mid-frame translations.
-        force_by_stretch: Negative derivative of the net forces with respect to these
-            translations.
-        jacobian: Derivative of the violations with respect to displacements.
-    """
-
+    # Negative derivative of the net forces with respect to displacements; N m/rad, N/rad,
+    # N/m
     stiffness: Float[Array, "free free"]
+    # Negative derivative of the net forces with respect to rates
     damping: Float[Array, "free free"]
+    # Derivative of the mid-frame translations
     stretch_by_displacement: Float[Array, "free stretches"]
+    # Negative derivative of the net forces with respect to these translations
     force_by_stretch: Float[Array, "free stretches"]
+    # Derivative of the violations with respect to displacements
     jacobian: Float[Array, "entries free"]
 
 
 class Instant(NamedTuple):
-    """Accelerations, forces, and powers at an instant.
+    """Accelerations, forces, and powers at an instant."""
 
-    Args:
-        acceleration: Acceleration of the free degrees of freedom; rad/s^2, m/s^2.
-        multipliers: Constraint forces; N m, N.
-        reactions: External wrench on fixed and prescribed degrees of freedom; N m, N, N.
-        powers: Dissipated power, power of the loads, power of prescribed motions and
-            time-dependent constraints, and power of strokes and temperatures that
-            change; W.
-    """
-
+    # Acceleration of the free degrees of freedom; rad/s^2, m/s^2
     acceleration: Float[Array, " free"]
-    multipliers: Entries
+    multipliers: Entries  # Constraint forces; N m, N
+    # External wrench on fixed and prescribed degrees of freedom; N m, N, N
     reactions: Wrenches
+    # Dissipated power, power of the loads, power of prescribed motions and time-dependent
+    # constraints, and power of strokes and temperatures that change; W
     powers: Float[Array, " powers"]
 
 
@@ -94,32 +76,25 @@ class MotionSystem(eqx.Module):
     """Equations of motion of a mechanism.
 
     They are the `args` of `diffrax.diffeqsolve`, and `equation` is its term.
-
-    Args:
-        mechanism: The mechanism.
-        loads: The loads, or a function of time that returns them.
-        drives: Prescribed displacements, or a function of time that returns them.
-        changes: Strokes and temperatures as functions of time; None if there are none.
-        constraints: Its constraints.
-        inertia: Inertia of each degree of freedom, zero for fixed bodies; kg m^2, kg, kg.
-        length: Length of the mechanism by which displacements are scaled; m.
-        period: Period of its slowest vibration, divided by two pi, by which rates are
-            scaled; s.
-        start: Displacements at the start, which are those of the fixed degrees of freedom
-            at any time; rad, m, m.
-        dofs: Partition of the degrees of freedom.
     """
 
     mechanism: Mechanism
+    # The loads, or a function of time that returns them
     loads: LoadSet | Callable[[Scalar], Sequence[Load]]
+    # Prescribed displacements, or a function of time that returns them
     drives: Sequence[Drive] | Callable[[Scalar], Sequence[Drive]]
+    # Strokes and temperatures as functions of time; None if there are none
     changes: HingeChanges | None
     constraints: ConstraintSet
+    # Inertia of each degree of freedom, zero for fixed bodies; kg m^2, kg, kg
     inertia: Float[Array, " dofs"]
-    length: Scalar
+    length: Scalar  # Length of the mechanism by which displacements are scaled; m
+    # Period of its slowest vibration, divided by two pi, by which rates are scaled; s
     period: Scalar
+    # Displacements at the start, which are those of the fixed degrees of freedom at any
+    # time; rad, m, m
     start: Poses
-    dofs: DofPartition = eqx.field(static=True)
+    dofs: DofPartition = eqx.field(static=True)  # Partition of the degrees of freedom
 
     @property
     def free(self) -> np.ndarray:

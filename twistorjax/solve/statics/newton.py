@@ -15,21 +15,14 @@ RUNNING, CONVERGED, NOT_FINITE, UNSTABLE, STUCK, USED_UP, INCONSISTENT = range(7
 
 
 class NewtonSolution(NamedTuple):
-    """The last equilibrium that Newton's method found.
+    """The last equilibrium that Newton's method found."""
 
-    Args:
-        displacements: Displacement of each body from its reference pose; rad, m, m.
-        multipliers: Constraint forces; None without constraints; N m, N.
-        fraction: Fraction of the loads and prescribed displacements.
-        steps: Number of Newton steps.
-        status: Reason why the iteration stopped: one of the constants above.
-            `INCONSISTENT` is set outside of the iteration, which does not check it.
-    """
-
-    displacements: Poses
-    multipliers: Entries | None
-    fraction: Scalar
-    steps: Count
+    displacements: Poses  # Displacement of each body from its reference pose; rad, m, m
+    multipliers: Entries | None  # Constraint forces; None without constraints; N m, N
+    fraction: Scalar  # Fraction of the loads and prescribed displacements
+    steps: Count  # Number of Newton steps
+    # Reason why the iteration stopped: one of the constants above. `INCONSISTENT` is set
+    # outside of the iteration, which does not check it.
     status: Count
 
 
@@ -68,46 +61,31 @@ class _State(NamedTuple):
 
     A vector of unknowns has the displacements of the free degrees of freedom (rad, m),
     then the constraint forces (N m, N).
-
-    Args:
-        displacements: Displacements at the current iterate; rad, m, m.
-        multipliers: Constraint forces at the current iterate; N m, N.
-        predicted: Generalized stress of the hinges that the last step predicted; N m, N,
-            N.
-        converged: The first three at the last fraction that converged.
-        fraction: Last fraction that converged.
-        increment: Increment of the fraction that is being tried.
-        tries: Number of Newton steps in this increment.
-        energies: Energy change of the last step, for each unknown; J.
-        energy_scale: Energy change of the first step of this increment; J.
-        first_correction: Norm of the first correction of this increment.
-        last_correction: Norm of the last correction.
-        imbalance: Residual at the start of this increment, with the misfits there, and
-            with the opposite sign.
-        response: Response to this imbalance, to the change of misfits, and to the
-            prescribed displacements, by the tangent at the start of the increment.
-        nonlinearity: Largest nonlinearity that was observed in this increment, as a
-            fraction of its bound.
-        steps: Total number of Newton steps.
-        status: Reason to stop, or `RUNNING`.
     """
 
-    displacements: Poses
-    multipliers: Array | None
+    displacements: Poses  # Displacements at the current iterate; rad, m, m
+    multipliers: Array | None  # Constraint forces at the current iterate; N m, N
+    # Generalized stress of the hinges that the last step predicted; N m, N, N
     predicted: Array
+    # The first three at the last fraction that converged
     converged: tuple[Poses, Array | None, Array]
-    fraction: Scalar
-    increment: Scalar
-    tries: Count
-    energies: Array
-    energy_scale: Scalar
-    first_correction: Scalar
-    last_correction: Scalar
+    fraction: Scalar  # Last fraction that converged
+    increment: Scalar  # Increment of the fraction that is being tried
+    tries: Count  # Number of Newton steps in this increment
+    energies: Array  # Energy change of the last step, for each unknown; J
+    energy_scale: Scalar  # Energy change of the first step of this increment; J
+    first_correction: Scalar  # Norm of the first correction of this increment
+    last_correction: Scalar  # Norm of the last correction
+    # Residual at the start of this increment, with the misfits there, and with the
+    # opposite sign
     imbalance: Array
+    # Response to this imbalance, to the change of misfits, and to the prescribed
+    # displacements, by the tangent at the start of the increment
     response: Array
+    # Largest nonlinearity that was observed in this increment, as a fraction of its bound
     nonlinearity: Scalar
-    steps: Count
-    status: Count
+    steps: Count  # Total number of Newton steps
+    status: Count  # Reason to stop, or `RUNNING`
 
 
 def solve_in_increments(
@@ -139,7 +117,6 @@ def solve_in_increments(
 
     Args:
         system: The equations.
-        start: Displacements at which the iteration starts; rad, m, m.
         tolerance: Relative tolerance on the square root of the Newton energy decrement.
         max_steps: Largest total number of Newton steps.
 
@@ -278,36 +255,22 @@ def solve_in_increments(
 
 
 class _Step(NamedTuple):
-    """Result of one Newton step.
+    """Result of one Newton step."""
 
-    Args:
-        displacements: Displacements after the step; rad, m, m.
-        multipliers: Constraint forces after the step; N m, N.
-        predicted: Generalized stress of the hinges that the step predicts; N m, N, N.
-        change: Change of the displacements; rad, m, m.
-        energies: Energy change for each unknown; J.
-        work: Sum of the absolute values of force times displacement of the hinges before
-            the step; J.
-        imbalance: Residual at the start of the increment, as in `_State`.
-        response: Response to the whole increment by the tangent before the step.
-        goal: Fraction at the end of the increment.
-        stable: Whether the tangent stiffness indicates a stable equilibrium.
-        finite: Whether residual and tangent are finite.
-        prescribed_imposed: Whether the prescribed displacements and misfits had their
-            values already.
-    """
-
-    displacements: Poses
-    multipliers: Array | None
-    predicted: Array
-    change: Poses
-    energies: Array
+    displacements: Poses  # Displacements after the step; rad, m, m
+    multipliers: Array | None  # Constraint forces after the step; N m, N
+    predicted: Array  # Generalized stress of the hinges that the step predicts; N m, N, N
+    change: Poses  # Change of the displacements; rad, m, m
+    energies: Array  # Energy change for each unknown; J
+    # Sum of the absolute values of force times displacement of the hinges before the
+    # step; J
     work: Scalar
-    imbalance: Array
-    response: Array
-    goal: Scalar
-    stable: Flag
-    finite: Flag
+    imbalance: Array  # Residual at the start of the increment, as in `_State`
+    response: Array  # Response to the whole increment by the tangent before the step
+    goal: Scalar  # Fraction at the end of the increment
+    stable: Flag  # Whether the tangent stiffness indicates a stable equilibrium
+    finite: Flag  # Whether residual and tangent are finite
+    # Whether the prescribed displacements and misfits had their values already
     prescribed_imposed: Flag
 
 

@@ -57,7 +57,6 @@ def create_store(path: Path, identity: Mapping[str, Any], layout: Layout) -> boo
     same store at the same time, exactly one of them succeeds, and no locks are needed.
 
     Args:
-        path: Folder of the store.
         identity: Entries that identify the sweep.
         layout: Names, axes and units of all variables of the store.
 

@@ -37,9 +37,6 @@ def write_manifest(folder: Path, contents: Mapping[str, Any]) -> None:
 def read_manifest(folder: Path) -> dict[str, Any] | None:
     """Read the manifest of a store.
 
-    Args:
-        folder: Folder of the store.
-
     Returns:
         The entries of the manifest, or `None` if there is no manifest.
 
@@ -88,12 +85,8 @@ def damage_error(folder: Path, what: str, remedy: str) -> OSError:
     """Create the error for a store with a damaged file.
 
     Args:
-        folder: Folder of the store.
         what: What is damaged, such as "its file 'zarr.json'".
         remedy: What the user can do; a sentence.
-
-    Returns:
-        The error.
     """
     return OSError(
         errno.EIO,

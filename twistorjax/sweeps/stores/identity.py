@@ -64,7 +64,6 @@ def sweep_identity(
 
     Args:
         study: Function of one design.
-        designs: Designs of the sweep.
         program: Compiled program of the study.
         units: Units of parameters and outputs, by name.
         settings: Further entries, which JSON can represent.

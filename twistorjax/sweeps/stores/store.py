@@ -135,9 +135,8 @@ class Store:
         """Read an output of all designs.
 
         Args:
-            name: Name of the output.
-            chunks: Whether each chunk is read. Other chunks are filled with the value
-                of an output that has not been computed.
+            chunks: Whether each chunk is read. Other chunks are filled with the value of
+                an output that has not been computed.
 
         Returns:
             The output, with the axes of the array in the store.
@@ -166,7 +165,6 @@ class Store:
         """Write a chunk, and then its checksum.
 
         Args:
-            chunk: Number of the chunk.
             values: Outputs of its designs, by name.
 
         Raises:

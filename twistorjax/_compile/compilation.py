@@ -45,7 +45,6 @@ def fast_compile(
     differentiates or vectorizes the function, the settings have no effect.
 
     Args:
-        function: Function of pytrees.
         optimize: Whether XLA optimizes the program. Without optimization, the compilation
             of a simulation takes half the time, and a run at least twice the time, which
             pays off for a program that runs once.

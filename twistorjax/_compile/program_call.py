@@ -29,9 +29,6 @@ _call.multiple_results = True
 def call_program(program: jax.export.Exported, inputs: Sequence[Any]) -> Sequence[Any]:
     """Call a program while JAX traces another one.
 
-    Args:
-        inputs: Its arguments.
-
     Returns:
         Its results, whose types are not weak.
     """

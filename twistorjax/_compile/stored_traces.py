@@ -47,7 +47,6 @@ def store_traces_in(
     """Choose the folder of the traces.
 
     Args:
-        path: The folder, or None if no traces are stored.
         size: Largest total size of its files, by default without a limit; bytes. The
             traces that have not been used for the longest time are deleted first.
         shared: Whether traces are loaded that other users may have stored.

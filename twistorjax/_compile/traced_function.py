@@ -70,7 +70,6 @@ def traced(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
     """Trace a function of the user, with the values that it uses at this time.
 
     Args:
-        function: Function of pytrees.
         examples: Its arguments; a number of type float without any.
 
     Returns:

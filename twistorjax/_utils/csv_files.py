@@ -40,8 +40,6 @@ def unit_factor(
 
     Args:
         source: Name of the file or the dataset, for messages.
-        header: Name of the column, for messages.
-        quantity: Quantity of the column, for messages.
 
     Raises:
         ValueError: The unit is not one of the quantity.
@@ -121,11 +119,7 @@ class CsvFile:
         """Return the numbers of a column.
 
         Args:
-            factor: Factor by which the numbers are multiplied.
             allow_empty: Whether entries may be empty; these are NaN.
-
-        Returns:
-            The numbers, multiplied by `factor`.
 
         Raises:
             ValueError: Two columns have this name, a row is too short or too long, or an

@@ -103,9 +103,6 @@ def write_json(path: str | Path, tree: Any) -> None:
 def find_invalid_entry(tree: Any) -> str | None:
     """Find the first entry that is invalid in a file of any layout.
 
-    Args:
-        tree: Objects, lists and values.
-
     Returns:
         A sentence that names the entry; `None` if there is no such entry.
     """
@@ -152,9 +149,6 @@ def entry_name(keys: Sequence[str | int]) -> str:
 
 def describe_value(value: Any) -> str:
     """Describe a value of a file in a few words, for messages.
-
-    Args:
-        value: An object, a list or a value.
 
     Returns:
         The JSON text of a value, shortened; the number of entries of a list.

@@ -11,7 +11,6 @@ def require_memory(count: int, needed: int) -> None:
     The check is skipped if the system does not report its memory.
 
     Args:
-        count: Number of designs.
         needed: Size of the arrays that are held in memory; bytes.
 
     Raises:

@@ -54,12 +54,6 @@ def stop_gradient(tree: Any) -> Any:
 
     It is for values that change how a result is computed, but not the result. Apply it to
     the inputs of a computation: JAX traces tangents also if they are dropped at its end.
-
-    Args:
-        tree: A pytree with leaves of any type.
-
-    Returns:
-        The same pytree, with the gradients of its arrays stopped.
     """
     arrays, others = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.lax.stop_gradient(arrays), others)
@@ -96,8 +90,6 @@ def jvp_of_varied(
     """Compute a function, and its derivative in the direction of tangents.
 
     Args:
-        function: Function of pytrees of arrays.
-        primals: Its arguments.
         tangents: Their tangents, some of which may be symbolic zeros; see `is_zero`.
 
     Returns:

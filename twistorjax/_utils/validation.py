@@ -66,7 +66,6 @@ def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
     """Return the index of a name in a list of names.
 
     Args:
-        where: The argument that has the name, for the message.
         noun: What is named: a key of `PLURAL`.
 
     Raises:
@@ -116,7 +115,6 @@ def require_package(name: str, feature: str, extra: str) -> ModuleType:
 
     Args:
         feature: What needs the package, as a plural noun for the message.
-        extra: Extra of twistorjax that installs the package.
 
     Raises:
         ImportError: The package is not installed. The message says how to install it.
@@ -160,7 +158,6 @@ def compilation_error(name: str, subject: str, error: Exception) -> ValueError:
 
     Args:
         subject: What `if` must not depend on, as words that follow it: "about the time".
-        error: The error that JAX raised.
 
     Returns:
         The error. Its message says how to write the function.
@@ -197,8 +194,6 @@ def require_interval(
     """Require a number above `low` and not above `high`.
 
     Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
         low: Lower limit, which is excluded.
         high: Upper limit, which is included.
         requirement: Words of the message that follow "but".
@@ -260,8 +255,6 @@ def require_shape(
     """Require an array of a given shape.
 
     Args:
-        name: Name of the argument, for the message.
-        value: Value of the argument.
         shape: The shape; None for an axis of any length.
         requirement: Words of the message that follow "but must", such as "have a row
             (angle, x, y) for each trial".
@@ -373,12 +366,8 @@ def require_deviations(
     """Require positive, finite standard deviations.
 
     Args:
-        name: Name of the argument, for the message.
         value: Standard deviations, in an array that can be broadcast to `shape`.
         shape: Shape of the values to which they belong.
-
-    Returns:
-        The standard deviations, with this shape.
 
     Raises:
         ValueError: The shape is wrong, or a known entry is not positive and finite.

@@ -272,8 +272,6 @@ class HingeAssembly(eqx.Module):
         """Compute elastic and viscous forces on each body, and two powers.
 
         Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
-            rates: Rates of the displacements; rad/s, m/s, m/s.
             stretches: Mid-frame translations for which the forces are computed, in the
                 order of the members; by default those of the displacements; m.
 

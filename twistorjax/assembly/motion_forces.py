@@ -40,10 +40,6 @@ def forces_in_motion(
     """Compute elastic and viscous forces, the dissipated power, and that of the stroke.
 
     Args:
-        energy: Energy of the hinge.
-        damping: Damping of the hinge, if any.
-        first: End on body A.
-        second: End on body B.
         axis: Axis of the hinge in the reference configuration, its misfit, and the rate
             of this misfit.
         rates: Rates of (angle, x, y) of both bodies; rad/s, m/s, m/s.

@@ -113,8 +113,6 @@ def matrix_entries(
     Args:
         ends: Indices of the two bodies of each hinge.
         order: Index of the hinge of each 6 by 6 matrix.
-        rows: Degrees of freedom of the rows of the matrix of the mechanism.
-        columns: Degrees of freedom of its columns.
 
     Returns:
         The indices of the entries that are used, in the flat array of shape (6, 6,

@@ -158,9 +158,6 @@ class DesignSpace(NamedTuple):
     def sampled(self, count: int, seed: int) -> Float[np.ndarray, "designs numbers"]:
         """Sample designs whose variables lie evenly between their bounds.
 
-        Args:
-            seed: Seed of the random number generator.
-
         Raises:
             ValueError: A variable lacks a bound.
         """

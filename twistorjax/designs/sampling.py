@@ -123,11 +123,6 @@ class DistributionSet:
     ) -> Float[np.ndarray, "designs variables"]:
         """Sample the random variables.
 
-        Args:
-            count: Number of designs.
-            method: Sampling method; see `sample_designs`.
-            seed: Seed of the random number generator.
-
         Raises:
             ValueError: `count` is not a positive integer, the method is unknown, or the
                 samples do not fit into the memory of the machine.
@@ -179,9 +174,6 @@ class DistributionSet:
     def designs(self, samples: Float[np.ndarray, "designs variables"]) -> Any:
         """Assemble designs for a sweep.
 
-        Args:
-            samples: Value of each random variable for each design.
-
         Returns:
             The pytree of all parameters, with one entry for each design along the first
             axis of each array.
@@ -195,9 +187,6 @@ class DistributionSet:
 
     def design(self, parameters: Mapping[str, Array]) -> Any:
         """Assemble one design.
-
-        Args:
-            parameters: Values of the uncertain parameters, by name.
 
         Returns:
             The pytree of all parameters, as the study takes it.

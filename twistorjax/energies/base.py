@@ -245,9 +245,6 @@ class HasValidityRange(Protocol):
     def out_of_range(self, displacement: Displacement) -> Flag | None:
         """Decide whether a displacement is outside the validity range.
 
-        Args:
-            displacement: Displacement of frame b relative to frame a.
-
         Returns:
             True outside the range; None if the energy is valid everywhere.
         """
@@ -255,9 +252,6 @@ class HasValidityRange(Protocol):
 
     def range_message(self, displacement: Displacement) -> str:
         """Describe a displacement and the range.
-
-        Args:
-            displacement: Displacement of frame b relative to frame a.
 
         Returns:
             Text that follows the name of the hinge in a message, without a period.
@@ -271,9 +265,6 @@ class HasRangeShare(Protocol):
 
     def range_share(self, displacement: Displacement) -> Scalar | None:
         """Compute the share of a displacement, or of its axial force, in the largest one.
-
-        Args:
-            displacement: Displacement of frame b relative to frame a.
 
         Returns:
             1 where the error is 5 %; None if the energy is accurate everywhere.

@@ -60,10 +60,6 @@ class ViscousDamping(eqx.Module):
     def __call__(self, pose: Pose, rate: Pose) -> Scalar:
         """Compute the dissipation function, half the dissipated power.
 
-        Args:
-            pose: Pose of frame b relative to frame a; rad, m, m.
-            rate: Time derivative of the pose; rad/s, m/s, m/s.
-
         Returns:
             Half the dissipated power; W.
         """

@@ -66,13 +66,9 @@ def polynomial_derivatives(
     further partial derivatives, which share these sums, too.
 
     Args:
-        powers: Powers of each term.
         coefficients: Coefficients of the terms, in any unit.
         continued: Indices of the variables whose powers are continued outside of the
             interval from -1 to 1, by their second-order Taylor polynomials.
-
-    Returns:
-        The derivatives, in the unit of the coefficients.
     """
     return _evaluate(powers, orders, coefficients, variables, continued)
 
@@ -231,7 +227,6 @@ def term_wrenches(
     Args:
         poses: Poses of frame b relative to frame a; rad, m, m.
         scale: Length by which the translations are divided; m.
-        coordinates: "twist" or "twistor".
 
     Returns:
         The wrenches about frame b in its axes (N m, N, N), and the energies (J), for
@@ -258,7 +253,6 @@ def term_stiffnesses(
 
     Args:
         scale: Length by which the translations are divided; m.
-        coordinates: "twist" or "twistor".
 
     Returns:
         The second derivatives with respect to the pose (N m/rad, N/rad, N/m), for

@@ -26,9 +26,6 @@ class HasTranslationScale(Protocol):
     def translation_scale(self, displacement: Displacement) -> Scalar:
         """Compute the factor by which mid-frame translations are multiplied.
 
-        Args:
-            displacement: Displacement of frame b relative to frame a.
-
         Returns:
             The dimensionless factor, a function of the angle only.
         """
@@ -77,7 +74,6 @@ class HasResistedRates(Protocol):
         """Return the part of the strain rates that the energy resists.
 
         Args:
-            displacement: Displacement of frame b relative to frame a.
             rates: Rates of the twist; rad/s, m/s, m/s.
 
         Returns:

@@ -41,7 +41,6 @@ class AbstractStressModel(eqx.Module):
         """Compute the normal stress at points of the surface.
 
         Args:
-            displacement: Displacement of frame b relative to frame a.
             wrench: Moment about the point halfway between the two frames, axial force,
                 and transverse force, in the mid-frame; N m, N, N.
 

@@ -80,8 +80,6 @@ def inner_displacements(mechanism: Mechanism, second: str, pose: Pose) -> Poses:
 
     Args:
         mechanism: The mechanism of a sub-mechanism, without validity ranges.
-        second: Name of body B.
-        pose: Pose of frame b relative to frame a; rad, m, m.
 
     Returns:
         The displacements of all bodies of the sub-mechanism, in its frame; NaN if there
@@ -111,12 +109,6 @@ def drawn_displacements(part: SubMechanism, pose: Pose) -> Poses:
 
     The linear one is for drawings of magnified displacements, for which there may be no
     equilibrium.
-
-    Args:
-        pose: Pose of frame b relative to frame a; rad, m, m.
-
-    Returns:
-        The displacements of all bodies of the sub-mechanism, in its frame; rad, m, m.
     """
     exact = inner_displacements(part.without_ranges(), part.second, pose)
     block, coupling, _ = _blocks(part)

@@ -45,9 +45,6 @@ def search_with_progress(
     """Run one search in a Python loop, so that it can be watched and interrupted.
 
     Args:
-        problem: Problem to solve.
-        start: Normalized parameters at the start.
-        max_steps: Largest number of evaluations.
         forward: Whether derivatives are computed in forward mode.
         progress: Whether to show a progress bar.
 
@@ -80,9 +77,6 @@ def search_compiled(
     """Run searches from one or several starts in one compiled program.
 
     Args:
-        problem: Problem to solve.
-        starts: Normalized parameters at each start.
-        max_steps: Largest number of evaluations of each search.
         forward: Whether derivatives are computed in forward mode.
 
     Returns:

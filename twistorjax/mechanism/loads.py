@@ -277,10 +277,8 @@ def _load_sums(
     """Compute the sums of a `LoadSet` by `numpy` or `jax.numpy`.
 
     Args:
-        xp: The module.
         poses: Reference poses of all bodies; rad, m, m.
         actions: Wrench and point of application of each load; N m, N, N, m, m.
-        bodies: Row of the body of each load.
         followers: Whether each load rotates with its body.
     """
     moment, fx, fy = xp.stack(actions[::2], axis=1)

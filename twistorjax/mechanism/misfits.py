@@ -121,11 +121,8 @@ def expanded(
     """Expand bodies and hinges; see `Mechanism.at_temperature`.
 
     Args:
-        assembly: The hinges at the temperature without expansion.
         at: Poses of the hinges in the world; rad, m, m.
         bodies: Coefficients of expansion by names of bodies; 1/K.
-        hinges: Expansions by names of hinges.
-        temperature: Changes of the temperature.
 
     Returns:
         The hinges and their poses at the other temperature.

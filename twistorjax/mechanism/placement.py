@@ -23,7 +23,6 @@ def warn_if_misplaced(
     length. Bodies without an outline, and flexures of unknown length, are not checked.
 
     Args:
-        bodies: The two bodies of each hinge.
         frames: Pose of each hinge in the reference configuration; rad, m, m.
     """
     for hinge, pair, (angle, *center) in zip(hinges, bodies, frames, strict=True):

@@ -23,9 +23,6 @@ def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
             or two parameters.
         outputs: Names of outputs that are numbers. Each has its own axes.
 
-    Returns:
-        A figure with one panel for each output.
-
     Raises:
         ValueError: An output is not one number for each design, or the designs differ in
             more than two parameters.

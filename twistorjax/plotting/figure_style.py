@@ -54,10 +54,6 @@ def new_axes(size: tuple[float | int, float | int]) -> "Axes":
 def prefixed_unit(unit: str, largest: float) -> tuple[float, str]:
     """Choose the SI prefix with which the largest number is between 1 and 1000.
 
-    Args:
-        unit: SI unit of the numbers, without a prefix.
-        largest: Largest absolute value of the numbers.
-
     Returns:
         The factor by which the numbers are multiplied, and the unit with its prefix. The
         factor is 1 if no prefix fits or if the unit takes none.

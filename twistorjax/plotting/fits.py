@@ -29,7 +29,6 @@ def draw_ranked(
     lie outside.
 
     Args:
-        data: Exact or measured energy of each trial.
         fitted: Predictions by each fit, by its name. The first fit is drawn on top.
     """
     order = np.argsort(data)
@@ -55,11 +54,7 @@ def draw_ranked(
 def draw_distribution(
     axes: "Axes", errors: Mapping[str, Float[np.ndarray, " trials"]], unit: str
 ) -> None:
-    """Draw the share of trials whose absolute error exceeds each value.
-
-    Args:
-        errors: Errors of each fit, by its name.
-    """
+    """Draw the share of trials whose absolute error exceeds each value."""
     for (name, values), color in zip(errors.items(), _FIT_COLORS, strict=False):
         sizes = np.sort(np.abs(values))[::-1]
         shares = np.arange(1, len(sizes) + 1) / len(sizes)
@@ -80,10 +75,6 @@ def draw_numbers(
 
     The scale is linear up to the power of ten above the data and logarithmic above it, so
     that predictions with large errors are visible, too.
-
-    Args:
-        data: Measured number of each trial.
-        fitted: Predictions by each fit, by its name.
     """
     trials = np.arange(1, len(data) + 1)
     axes.axhline(0, color="#d5d5d5", linewidth=0.8, zorder=0)

@@ -75,11 +75,7 @@ class Labels(Artist):
         self._labels.append((label, np.asarray(direction, float)))
 
     def draw(self, renderer: "RendererBase") -> None:
-        """Place the labels. Matplotlib draws their texts afterwards.
-
-        Args:
-            renderer: Renderer of the figure.
-        """
+        """Place the labels. Matplotlib draws their texts afterwards."""
         axes = cast("Axes", self.axes)
         pixels = float(np.asarray(renderer.points_to_pixels(1.0)))
         # All lengths below are in points.

@@ -89,7 +89,6 @@ def mark_wrenches(
 
     Args:
         size: Size of the mechanism; m.
-        unit: Number of units of the axes in a meter.
         hinge_forces: Wrenches of the hinges on each body, which also count as effects on
             the mechanism; N m, N, N.
     """

@@ -165,7 +165,6 @@ def hinge_frames(
 
     Args:
         poses: Poses of its bodies; rad, m, m.
-        hinge: Index of the hinge.
 
     Returns:
         The pose of the frame on the first body and that on the second body; rad, m, m.
@@ -182,7 +181,6 @@ def attached_frame(
 
     Args:
         poses: Poses of its bodies; rad, m, m.
-        body: Index of the body.
         frame: Pose of the frame in the reference configuration; rad, m, m.
 
     Returns:

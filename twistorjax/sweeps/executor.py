@@ -37,7 +37,6 @@ def default_chunk_size(count: int, mesh: Mesh | None) -> int:
     """Choose the number of designs that each device evaluates in one call.
 
     Args:
-        count: Number of designs of the sweep.
         mesh: Devices of the sweep; `None` for the default device.
 
     Returns:
@@ -144,9 +143,6 @@ class Program:
         """Evaluate chunks of designs.
 
         The devices evaluate the next chunks while the caller uses the previous ones.
-
-        Args:
-            designs: Designs of the sweep.
 
         Yields:
             The number of each chunk that a device of this process has evaluated, and the
@@ -375,9 +371,6 @@ def gather(
         values: Arrays with one entry for each design along the first axis, by name. In
             each process, only the entries of its own designs are valid.
         owners: Index of the process that has computed each design.
-
-    Returns:
-        The arrays with all entries, in each process.
     """
     if jax.process_count() == 1:
         return values

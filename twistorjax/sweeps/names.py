@@ -13,7 +13,6 @@ def check_outputs(
     """Check that a dataset can hold the outputs of a study and their axes.
 
     Args:
-        parameters: Names of the parameters.
         grid: Names of the parameters that are axes of the dataset; empty if the designs
             are not a grid.
         outputs: Outputs for a batch of designs, by name.
@@ -96,9 +95,6 @@ def coordinate_names(parameters: Iterable[str], outputs: Columns) -> Mapping[str
     values along this axis. It becomes a coordinate of the dataset if it is the same for
     all designs. While the sweep runs, the values are stored for each design in
     `<axis>_coordinate`.
-
-    Args:
-        outputs: Outputs for a batch of designs, by name.
 
     Raises:
         ValueError: A parameter or another output has the name of such a variable.

@@ -35,7 +35,6 @@ def study_output(
     """Convert a study to a function of parameter arrays.
 
     Args:
-        study: Function of one design.
         derivatives: Names of the outputs that are differentiated with respect to each
             parameter.
 

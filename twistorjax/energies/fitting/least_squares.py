@@ -155,7 +155,6 @@ def solve_minimum_norm(
 
     Args:
         rows: Matrix of the problem, a column for each coefficient.
-        targets: Values to be fitted.
         normalize: Divide each column by its norm, so that the norm of the coefficients
             does not depend on their units.
 

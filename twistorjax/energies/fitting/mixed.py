@@ -40,10 +40,6 @@ def fit_mixed(
     """Fit a mixed energy to trials.
 
     Args:
-        trials: Trials with wrenches.
-        powers: Powers of the terms of W.
-        reference: Condition in the reference configuration; see `fit_energy`.
-        ridge: Ridge parameter; see `fit_energy`.
         scale: Reference length, by default the largest transverse displacement; m.
         max_steps: Largest number of Gauss-Newton steps.
 
@@ -161,10 +157,8 @@ def _gauss_newton(
     Args:
         solve: Solves the least-squares problem at given axial forces (N), with the
             weights of given coefficients (J).
-        predict: Predicts the measurements for given coefficients.
         solution: The start.
         measured: Measured axial forces; they replace predictions that do not exist; N.
-        max_steps: Largest number of steps.
 
     Returns:
         The prediction with the smallest errors, the last solution, and whether the

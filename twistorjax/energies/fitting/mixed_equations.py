@@ -70,9 +70,6 @@ def mixed_equations(
         axial_forces: Axial force of each trial, measured or predicted; N.
         length: Reference length; m.
         force: Reference force; N.
-
-    Returns:
-        The contributions of all terms at all trials.
     """
     xp, arrays = on_host(twists, axial_forces, length, force)
     twists, axial_forces, length, force = arrays
@@ -114,7 +111,6 @@ def weighted_equations(
     Gauss-Newton step for the errors of the predicted wrenches.
 
     Args:
-        equations: The equations at these trials.
         coefficients: Coefficients of the previous solution, or `None` at first; J.
 
     Returns:

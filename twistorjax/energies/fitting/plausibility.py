@@ -80,7 +80,6 @@ def better_conversion(
     """Find other units and signs of the trials for which a fit is much more accurate.
 
     Args:
-        trials: Trials with wrenches.
         error: Expected error in the given units, in standard deviations.
         quick_error: Estimates the expected error of trials by fits of an order.
 

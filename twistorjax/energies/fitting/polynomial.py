@@ -209,8 +209,6 @@ class _Candidate(NamedTuple):
         Args:
             averages: The averages of trials with the same pose, to which this is a fit.
             rows: Row of the average of each trial.
-            held_out: Errors of the check at held-out trials.
-            settings: Arguments of `fit_energy`.
         """
         solution = self.solution
         value_count = solution.residuals.size

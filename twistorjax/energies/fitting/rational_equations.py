@@ -94,7 +94,6 @@ def evaluate_terms(
 
     Args:
         poses: Sets of poses; rad, m, m.
-        base: Base of the denominator.
 
     Raises:
         ValueError: The base is not positive at a pose.
@@ -136,11 +135,6 @@ def rational_equations(
 
     The numerator minus the measured energy times the free part of the denominator equals
     the measured energy times the base. The derivatives of both sides are equal, too.
-
-    Args:
-        trials: Trials of the fit.
-        terms: Terms at the trials.
-        free: Whether each term is free in the denominator.
 
     Returns:
         The matrix of the least-squares problem and its right-hand side, in standard
@@ -188,11 +182,9 @@ def solve_rational(
     Args:
         rows: Matrix of the least-squares problem.
         targets: Measured values, in standard deviations.
-        free: Whether each term is free in the denominator.
         at_regular: Terms at the poses at which the energy must not be singular.
         ridge: First ridge parameter. It is tripled until the denominator is positive; if
             it is zero, it remains zero.
-        normalize_columns: See `solve_minimum_norm`.
 
     Returns:
         The coefficients, and the ridge parameter that was used.

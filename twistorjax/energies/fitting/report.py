@@ -199,10 +199,6 @@ def describe_direction(
 ) -> str:
     """Describe a linear combination of terms by its three largest terms.
 
-    Args:
-        direction: Coefficient of each term.
-        names: Names of the variables.
-
     Returns:
         A text such as "+1 xi^2 -0.5 x1 x2".
     """

@@ -205,9 +205,6 @@ def errors_of_predictions(
         wrenches: Predicted wrenches at the poses of the trials; N m, N, N.
         energies: Predicted energies at these poses; J.
 
-    Returns:
-        The rms errors and the largest errors.
-
     Example:
         >>> trials = Trials(poses=[[0.1, 0.0, 0.0]], energies=[2.0])
         >>> wrenches, energies = np.zeros((1, 3)), np.array([1.5])
@@ -232,9 +229,6 @@ def errors_of_residuals(
     Args:
         residuals: A row for each trial: the residuals of the wrench, then of the energy,
             as far as these were measured.
-
-    Returns:
-        The rms errors and the largest errors.
     """
     rms_wrench, largest_wrench, relative = (np.full(3, np.nan) for _ in range(3))
     rms_energy = largest_energy = np.nan

@@ -51,7 +51,6 @@ def section_strains(
     """Compute the strains and the energy density of a cross-section.
 
     Args:
-        law: Constitutive law; see `Beam`.
         forces: Axial force, shear force and bending moment, dimensionless.
 
     Returns:

@@ -238,7 +238,6 @@ def pose_and_wrench(
     Args:
         load: Load about the origin of frame a and in its axes; N m, N, N.
         end: State of the second end, dimensionless.
-        ends: Ends of the undeformed beam.
 
     Returns:
         The pose of frame b relative to frame a; rad, m, m. The wrench that body B exerts,

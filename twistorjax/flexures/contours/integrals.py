@@ -75,7 +75,6 @@ def quadratic_energy(
     """Create the energy of a flexure from the integrals over half of its length.
 
     Args:
-        material: Material of the plate.
         width: Out-of-plane width; m.
         theory: "euler-bernoulli" or "timoshenko".
     """
@@ -105,11 +104,9 @@ def beam_energy(
     """Create the energy of a flexure with the stress model of a beam.
 
     Args:
-        material: Material of the plate.
         length: Length; m.
         profile: Thickness (m) as a function of the position along axis 1 (m).
         width: Out-of-plane width; m.
-        half: Integrals over half of the length.
         theory: "euler-bernoulli" or "timoshenko".
     """
     require_instance("material", material, Material)

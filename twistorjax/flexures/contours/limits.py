@@ -59,7 +59,6 @@ def require_ratio(
     """Require a positive dimension that is at most a multiple of another dimension.
 
     Args:
-        name: Name of the ratio, for the message.
         part: The dimension; m.
         whole: The other dimension; m.
         limit: Largest ratio of the two, up to rounding.

@@ -182,9 +182,6 @@ def _determined_part(
     standard deviation, and if its residual is smaller than three standard deviations.
     Otherwise the errors of the readings would change the parameters by more than 100 %,
     and the optimizer would follow a long curve of nearly equal residuals.
-
-    Returns:
-        This part of the Jacobian, and the projection on its rows.
     """
     left, singular_values, right = jnp.linalg.svd(jacobian, full_matrices=False)
     largest = jnp.max(singular_values, initial=0.0)

@@ -52,9 +52,6 @@ class IdentificationProblem(eqx.Module):
 
         Args:
             forward: Mode of differentiation; see `AbstractTest.predict`.
-
-        Returns:
-            The residuals, in standard deviations.
         """
         mechanism = self.mechanism(normalized)
         tables = []
@@ -92,9 +89,6 @@ class IdentificationProblem(eqx.Module):
         self, evaluation: Evaluation
     ) -> Float[Array, "readings parameters"]:
         """Recover the Jacobian of the readings' residuals from that of Huber's loss.
-
-        Args:
-            evaluation: Residuals and their Jacobian, as returned by `evaluate`.
 
         Returns:
             Derivatives of the residuals, in standard deviations, with respect to the

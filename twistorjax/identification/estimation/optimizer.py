@@ -76,7 +76,6 @@ class AbstractOptimizer(eqx.Module):
         """Initial state of the optimizer.
 
         Args:
-            point: First point.
             evaluation: Evaluation with the right shapes; its values are not used.
 
         Returns:
@@ -90,9 +89,7 @@ class AbstractOptimizer(eqx.Module):
         """Choose the next point.
 
         Args:
-            point: Current point.
             evaluation: Residuals and derivatives at the current point.
-            state: State of the optimizer.
 
         Returns:
             The next point, the next state, and whether the optimizer has converged.

@@ -178,13 +178,8 @@ def follow(
     """Follow a path from one of its points.
 
     Args:
-        system: The equations.
-        metric: Units of the unknowns.
-        start: The first point and the direction of the path.
         limits: Interval of the load factor, outside of which the path ends.
-        largest_step: Largest step, in the units of the metric.
         event: Function of a point whose change of sign ends the path.
-        max_points: Largest number of points.
 
     Returns:
         The points. If the load factor leaves its interval, or the event occurs, the last

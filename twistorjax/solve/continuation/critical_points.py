@@ -153,9 +153,6 @@ def locate_points(
     eigenvalues of the stiffness changes. If they are not found, the path ends before.
 
     Args:
-        system: The equations.
-        metric: Units of the unknowns.
-        trace: The path, as found by `follow`.
         limits: Interval of the load factor.
         event: Function of a point whose change of sign ended the path.
 
@@ -455,7 +452,6 @@ def basis_of_null_space(
         matrix: The stiffness for displacements that the constraints allow.
         basis: These displacements.
         load: Forces that do work in the first vector only; zero at a branch point.
-        multiplicity: Dimension of the null space.
     """
     values, vectors = jnp.linalg.eigh(matrix)
     count = min(LARGEST_MULTIPLICITY, len(values))
@@ -558,9 +554,7 @@ def _extended_residual(
     limit point are not coupled with the one in which the load does work.
 
     Args:
-        metric: Units of the unknowns.
         borders: The left and the right null vectors near the point.
-        branch: Whether it is a branch point.
         unknowns: The point, divided by the units, and the unfolding.
     """
     left, right = borders

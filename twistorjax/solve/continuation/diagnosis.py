@@ -20,11 +20,6 @@ def describe_critical_point(
 ) -> str:
     """Describe the first critical point after the equilibrium that was reached.
 
-    Args:
-        problem: The mechanism and its loads.
-        start: State at which the search has started.
-        solution: The equilibrium, with the fraction of the loads that was reached.
-
     Returns:
         A sentence for an error message; empty if no critical point was found.
     """

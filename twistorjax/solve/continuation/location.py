@@ -76,8 +76,6 @@ def locate(
     interval, at the ends of which the function has different signs (Illinois method).
 
     Args:
-        system: The equations.
-        metric: Units of the unknowns.
         values: Values of the function at both ends, with different signs.
         more: Second result of the function at one of the ends.
         regular: Whether the equations of a correction are regular at the root. Otherwise

@@ -37,7 +37,6 @@ def require_equilibrium(
     """Check that a state about which a mechanism is linearized is an equilibrium.
 
     Args:
-        system: Its equations with the loads at this state.
         state: The argument `about`; None for the reference configuration.
         loads: Name of the argument with the loads, for the message.
         held: Degrees of freedom on which unknown constant forces may act.

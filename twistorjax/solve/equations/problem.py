@@ -44,7 +44,6 @@ class Problem(NamedTuple):
         """Check and convert the arguments of a user.
 
         Args:
-            drives: Its prescribed displacements.
             time: Time at which the constraints are evaluated; s.
             held: Further degrees of freedom whose displacements are prescribed, as zero.
             supported: Whether hinges or constraints must connect all bodies to the fixed

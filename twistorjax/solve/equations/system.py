@@ -204,7 +204,6 @@ class System(eqx.Module):
         """Compute the residual under a fraction of the loads, and its derivatives.
 
         Args:
-            displacements: Displacement of each body from its reference pose; rad, m, m.
             predicted: Generalized stress of the hinges that determines their geometric
                 stiffness; by default the stress at these displacements; N m, N, N.
             multipliers: Constraint forces, if there are constraints; N m, N.

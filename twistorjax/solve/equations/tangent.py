@@ -30,8 +30,6 @@ def add_load_stiffness(
             angle of its body, the only coordinate on which it depends; N m/rad, N/rad.
         conservative: Whether the loads have a potential, so that only their moments
             depend on the angle.
-        rows: Degrees of freedom of the rows.
-        columns: Degrees of freedom of the columns.
 
     Returns:
         The sum; N m/rad, N/rad, N/m.

@@ -24,14 +24,9 @@ def differentiable_root(
     long to compile, and 3 times as long for 4096 designs.
 
     Args:
-        system: The equations.
         root: The known solution: displacements of the free degrees of freedom, then
             constraint forces; rad, m, N m, N.
         start: Displacements, of which the fixed degrees of freedom are used; rad, m, m.
-        found: Whether `root` is a solution.
-
-    Returns:
-        The same values as `root`.
     """
     return _root(system, root, start, found)
 

@@ -116,9 +116,7 @@ def solve_in_increments(
     dominate all others.
 
     Args:
-        system: The equations.
         tolerance: Relative tolerance on the square root of the Newton energy decrement.
-        max_steps: Largest total number of Newton steps.
 
     Returns:
         The last equilibrium that was found.

@@ -21,7 +21,6 @@ def write_manifest(folder: Path, contents: Mapping[str, Any]) -> None:
     files of outputs are written later and have checksums of their own.
 
     Args:
-        folder: Folder of the store, which has no manifest yet.
         contents: Further entries; anything that JSON can represent.
     """
     files = {
@@ -58,13 +57,6 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 def damaged_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
     """List the files that are missing or have changed since they were written.
-
-    Args:
-        folder: Folder of the store.
-        digests: Digest of each file, by its path in the folder.
-
-    Returns:
-        The paths of the damaged files in the folder.
 
     Raises:
         OSError: A file cannot be read.

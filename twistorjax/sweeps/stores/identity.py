@@ -23,10 +23,7 @@ def open_store(
     """Create the store of a sweep, or prepare an existing one, and open it.
 
     Args:
-        path: Folder of the store.
-        identity: Entries by which sweeps are distinguished.
         layout: Names, axes and units of all variables of the store.
-        resume: Whether an existing store is continued.
 
     Returns:
         The store, open for reading and writing.
@@ -63,13 +60,8 @@ def sweep_identity(
     """Collect the entries by which sweeps are distinguished.
 
     Args:
-        study: Function of one design.
-        program: Compiled program of the study.
         units: Units of parameters and outputs, by name.
         settings: Further entries, which JSON can represent.
-
-    Returns:
-        The entries, by name.
 
     Raises:
         ValueError: JSON cannot represent the settings.

@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._compile.batching import computed_once
 from .._utils.host import as_float, on_host
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
 from ..energies.natural_curvature import NaturallyCurved
 from ..geometry.twistors import Displacement
+from ..linalg.sums import gather_entries, sum_entries
 from . import forces as hinge_forces, motion_forces
 from .groups import DampedEnergy, HingeGroup
 from .kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
-from .scatter import gather_entries, hinge_dofs, matrix_entries, row_entries, sum_entries
+from .scatter import hinge_dofs, matrix_entries, row_entries
 from .tangent import AssemblyMotionTangent, AssemblyTangent
 
 
@@ -359,8 +359,7 @@ class HingeAssembly(eqx.Module):
         members = np.array(group.members)
         first, second = np.array(self.ends)[members].T
         angle, x, y = displacements.T
-        # XLA would compute both for each end of a hinge, instead of each body.
-        cos, sin = computed_once((jnp.cos(angle / 2), jnp.sin(angle / 2)), angle)
+        cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
         arms, directions = self.arms[members], self.directions[members]
         numbers, rates = self.misfits, self.misfit_rates
         numbers = None if numbers is None else numbers[members]

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._compile.batching import computed_once
 from .._utils.types import Flag, Scalar
 from ..energies import protocols
 from ..energies.base import AbstractEnergy
@@ -92,8 +91,6 @@ def tangent(
     Meth. Eng. 109, 2017).
     """
     kinematics = HingeKinematics.of(first, second, axis)
-    angle = kinematics.middle.displacement.angle
-    kinematics = computed_once(kinematics, angle)
     at = kinematics.middle.displacement
     gradient, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
     one, zero = jnp.ones_like(gradient[0]), jnp.zeros_like(gradient[0])
@@ -101,9 +98,6 @@ def tangent(
         curvature_times(one, zero, zero),
         curvature_times(zero, one, zero),
         curvature_times(zero, zero, one),
-    )
-    gradient, (h00, h01, h02, h11, h12, h22) = computed_once(
-        (gradient, (h00, h01, h02, h11, h12, h22)), angle
     )
     y1, y2 = 2 * at.x1, 2 * at.x2
     work = jnp.abs(gradient[0] * at.angle)
@@ -130,7 +124,6 @@ def tangent(
     hessian = (h00, h01, h02), (h01, h11, h12), (h02, h12, h22)
     columns = kinematics.columns()
     products = [combine(hessian, column) for column in columns]
-    products = computed_once(products, angle)
     geometric = kinematics.geometric_stiffness(slopes)
     return HingeTangent(
         forces=of_motions(columns, gradient),

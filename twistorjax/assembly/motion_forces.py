@@ -106,8 +106,6 @@ def tangent_in_motion(
     uses scalars, because they reduce its run time in large batches by a fifth.
     """
     kinematics = HingeKinematics.of(first, second, axis)
-    angle = kinematics.middle.displacement.angle
-    kinematics = computed_once(kinematics, angle)
     at, _ = _with_stretch(kinematics.middle.displacement, stretch)
     columns = as_array(kinematics.columns())
     slopes, curvature_times = gradient_and_hessian(energy, at)

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Poses, Scalar
+from ..linalg.sums import sum_entries
 from .forces import FOUR_OF_SIX, HingeTangent, predicted_stress, UPPER_TRIANGLE
 from .motion_forces import HingeMotionTangent
-from .scatter import hinge_dofs, matrix_entries, row_entries, sum_entries
+from .scatter import hinge_dofs, matrix_entries, row_entries
 
 
 # Position of each entry of a 4 by 4 matrix of motions in the upper triangle.
@@ -51,15 +52,12 @@ class AssemblyTangent(eqx.Module):
         return _sum_entries(forces, places, motion, sign, (3 * self.bodies,))
 
     def matrix(
-        self, rows: tuple[int, ...], columns: tuple[int, ...], batch_last: bool = False
+        self, rows: tuple[int, ...], columns: tuple[int, ...]
     ) -> Float[Array, "rows columns"]:
-        """Sum the stiffness of all hinges among some degrees of freedom.
-
-        See `sum_entries` for `batch_last`.
-        """
+        """Sum the stiffness of all hinges among some degrees of freedom."""
         places = matrix_entries(self.ends, self.order, rows, columns)
         shape, of_pairs = (len(rows), len(columns)), _of_pairs(_SYMMETRIC)
-        return _sum_entries(self.stiffness, places, *of_pairs, shape, batch_last)
+        return _sum_entries(self.stiffness, places, *of_pairs, shape)
 
     def hinge_stiffness(self) -> Float[Array, "6 6 hinges"]:
         """Return the stiffness of each hinge with respect to its six displacements."""
@@ -104,7 +102,6 @@ def _sum_entries(
     position: np.ndarray,
     signs: np.ndarray,
     shape: tuple[int, ...],
-    batch_last: bool = False,
 ) -> Array:
     """Sum the entries of all hinges, which are given for the four motions.
 
@@ -117,7 +114,7 @@ def _sum_entries(
     entry, hinge = np.divmod(places[0], entries.shape[-1])
     source = position[entry] * entries.shape[-1] + hinge
     flat, size, signs = entries.reshape(-1), math.prod(shape), signs[entry]
-    return sum_entries(flat, source, places[1], size, signs, batch_last).reshape(shape)
+    return sum_entries(flat, source, places[1], size, signs).reshape(shape)
 
 
 class AssemblyMotionTangent(NamedTuple):

@@ -2,5 +2,6 @@
 
 Internal. Start reading in `factors`, which solves linear systems, also with constraints.
 `elimination` unrolls small systems, `block_factors` splits large ones into blocks that a
-tree connects, and `eigenvalues` computes natural modes with derivatives.
+tree connects, `eigenvalues` computes natural modes with derivatives, and `sums` adds
+chosen entries.
 """

@@ -9,7 +9,7 @@ from jaxtyping import Array, Inexact
 
 from ..._utils.host import concrete
 from ..._utils.types import Poses, PosesOrResult
-from ...assembly.scatter import gather_entries
+from ...linalg.sums import gather_entries
 from ...mechanism.mechanism import COORDINATES, Mechanism
 
 

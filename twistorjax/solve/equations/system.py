@@ -18,7 +18,7 @@ from ...assembly.assembly import HingeAssembly
 from ...assembly.tangent import AssemblyTangent
 from ...linalg.block_factors import block_layout
 from ...linalg.constraints import ConstrainedFactors
-from ...linalg.factors import Elimination, factorize, Factors, is_eliminated
+from ...linalg.factors import Elimination, factorize, Factors
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import LoadSet
 from .dofs import DofPartition
@@ -228,10 +228,7 @@ class System(eqx.Module):
             return hinges.forces() - applied, tangent, hinges
         columns = self.dofs.free + self.dofs.prescribed
         constrained = self.constraints.size > 0
-        batch_last = not constrained and is_eliminated(len(self.free), self.conservative)
-        residual, matrix = self.with_loads(
-            hinges, displacements, columns, fraction, batch_last
-        )
+        residual, matrix = self.with_loads(hinges, displacements, columns, fraction)
         if not constrained:
             return residual, DenseTangent(matrix), hinges
         assert multipliers is not None
@@ -243,15 +240,14 @@ class System(eqx.Module):
         displacements: Poses,
         columns: tuple[int, ...],
         fraction: Scalar | float = 1.0,
-        batch_last: bool = False,
     ) -> tuple[Float[Array, " dofs"], Float[Array, "free columns"]]:
         """Add a fraction of the loads to the forces of the hinges.
 
         The free forces are differentiated with respect to the degrees of freedom in
-        `columns`. See `sum_entries` for `batch_last`.
+        `columns`.
         """
         forces = hinges.forces()
-        matrix = hinges.matrix(self.dofs.free, columns, batch_last)
+        matrix = hinges.matrix(self.dofs.free, columns)
         loads = self.loads_at(fraction)
         if not loads.present:
             return forces, matrix

@@ -8,10 +8,10 @@ from jaxtyping import Array, Float
 
 from ..._utils.types import Flag
 from ...assembly.assembly import HingeAssembly
-from ...assembly.scatter import sum_entries
 from ...linalg.block_factors import BlockFactors, Layout
 from ...linalg.constraints import ConstrainedFactors
 from ...linalg.factors import Elimination, factorize, Factors, solve_once
+from ...linalg.sums import sum_entries
 from .dofs import DofPartition
 
 

@@ -451,3 +451,32 @@ def test_a_traced_function_is_differentiated_by_what_it_contains():
         return jnp.sum(result)
 
     assert jax.grad(slope)(2.0) == 6.0
+
+
+@pytest.mark.slow
+def test_a_breakpoint_in_mechanics_is_reached_in_each_call():
+    """With `debug`, no program is in between, so that the values are known there."""
+    code = """
+import jax.numpy as jnp
+import twistorjax as tj
+from jax.core import Tracer
+from twistorjax.assembly.assembly import HingeAssembly
+
+tj.configure(debug=True)
+seen, tangent = [], HingeAssembly.tangent
+
+def recorded(hinges, displacements, *predicted):
+    seen.append(isinstance(displacements, Tracer))
+    return tangent(hinges, displacements, *predicted)
+
+HingeAssembly.tangent = recorded
+spring = tj.Hinge("spring", "wall", "block", tj.Quadratic(jnp.eye(3)), at=(0, 0, 0))
+mechanism = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [spring], fixed=["wall"])
+counts = []
+for force in (0.1, 0.2):
+    found = tj.equilibrium(mechanism, loads=[tj.Load("block", force=(force, 0.0))])
+    assert abs(found.displacement("block")[1] - force) < 1e-12
+    counts.append(len(seen))
+assert not any(seen) and 0 < counts[0] < counts[1]
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -21,6 +21,7 @@ def configure(
     fast_compilation: bool = True,
     fast_loops: bool = True,
     progress: bool | None = None,
+    debug: bool = False,
 ) -> None:
     """Enable double precision, options of XLA, and a cache of programs on disk.
 
@@ -60,6 +61,10 @@ def configure(
         progress: Whether work that takes longer than two seconds is named in a line on
             the terminal or in the notebook, which disappears at its end. By default only
             if stderr is a terminal, or in a notebook.
+        debug: Whether the functions of this library run line by line in Python instead
+            of as compiled programs, so that a breakpoint in any of them is reached in
+            each call, and values can be printed. A call then takes seconds or minutes.
+            There is no cache. It ends with the process, or with `jax_disable_jit` of JAX.
 
     Raises:
         ValueError: The size is not positive.
@@ -73,6 +78,10 @@ def configure(
         raise ValueError(f"`cache_size` is {cache_size!r}, but must be positive; bytes.")
     jax.config.update("jax_enable_x64", True)
     set_enabled(progress)
+    if debug:
+        jax.config.update("jax_disable_jit", True)
+        store_traces_in(None)
+        return
     if fast_compilation:
         add_xla_option(FAST_COMPILATION)
     if fast_loops:

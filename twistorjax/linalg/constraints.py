@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Inexact
 
 from .elimination import inverse
 from .factors import Elimination, factorize, Factors
@@ -37,6 +37,45 @@ def null_space(
     return pseudo_inverse / size[None], basis
 
 
+class AllowedDisplacements(NamedTuple):
+    """Displacements that linear constraints allow, and those that violations impose."""
+
+    # The allowed displacements as columns, orthonormal in units; None without constraints
+    basis: Inexact[Array, "n allowed"] | None
+    # Pseudo-inverse of the constraint Jacobian in these units
+    pseudo_inverse: Inexact[Array, "n entries"]
+
+    @classmethod
+    def of(
+        cls, jacobian: Float[Array, "entries n"], units: Float[Array, " n"]
+    ) -> "AllowedDisplacements":
+        """Eliminate constraints whose violations have this Jacobian."""
+        if not len(jacobian):
+            return cls(None, jnp.zeros((len(units), 0)))
+        pseudo_inverse, basis = null_space(jacobian * units[None])
+        return cls(units[:, None] * basis, units[:, None] * pseudo_inverse)
+
+    def reduced(self, matrix: Inexact[Array, "n n"]) -> Inexact[Array, "allowed allowed"]:
+        """Return the stiffness against allowed displacements."""
+        return matrix if self.basis is None else self.basis.T @ matrix @ self.basis
+
+    def projected(self, force: Inexact[Array, " n"]) -> Inexact[Array, " allowed"]:
+        """Return the work of a force for a unit of each allowed displacement."""
+        return force if self.basis is None else self.basis.T @ force
+
+    def expanded(self, allowed: Inexact[Array, " allowed"]) -> Inexact[Array, " n"]:
+        """Return a sum of allowed displacements."""
+        return allowed if self.basis is None else self.basis @ allowed
+
+    def imposed(self, violation: Inexact[Array, " entries"]) -> Inexact[Array, " n"]:
+        """Return the smallest displacement that has a violation."""
+        return self.pseudo_inverse @ violation
+
+    def multipliers(self, force: Inexact[Array, " n"]) -> Inexact[Array, " entries"]:
+        """Return the constraint forces that balance a force without allowed work."""
+        return self.pseudo_inverse.T @ force
+
+
 class ConstrainedFactors(NamedTuple):
     """Factors of a stiffness on the displacements that constraints allow.
 
@@ -44,55 +83,49 @@ class ConstrainedFactors(NamedTuple):
     method (Nocedal and Wright, Numerical Optimization, 2006, section 16.2).
     """
 
-    units: Float[Array, " n"]  # Unit of each degree of freedom; rad, m
-    stiffness: Float[Array, "n n"]  # The stiffness K in these units
-    # Pseudo-inverse of the constraint Jacobian G in these units
-    pseudo_inverse: Float[Array, "n entries"]
-    # Orthonormal basis of the null space of G in these units
-    basis: Float[Array, "n allowed"]
-    reduced: Factors | Elimination  # Factors of the stiffness in this basis
+    stiffness: Float[Array, "n n"]
+    allowed: AllowedDisplacements
+    reduced: Factors | Elimination  # of the stiffness against allowed displacements
 
     @classmethod
     def of(
         cls,
         stiffness: Float[Array, "n n"],
-        jacobian: Float[Array, "entries n"],
-        units: Float[Array, " n"],
+        allowed: AllowedDisplacements,
         symmetric: bool,
     ) -> "ConstrainedFactors":
-        """Factorize a stiffness (N m/rad, N/rad, N/m) with a constraint Jacobian."""
-        scaled = units[:, None] * stiffness * units[None]
-        pseudo_inverse, basis = null_space(jacobian * units[None])
-        reduced = factorize(basis.T @ scaled @ basis, symmetric)
-        return cls(units, scaled, pseudo_inverse, basis, reduced)
+        """Factorize a stiffness; N m/rad, N/rad, N/m."""
+        return cls(stiffness, allowed, factorize(allowed.reduced(stiffness), symmetric))
 
     def solve(self, right: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
         """Solve for displacements, then constraint forces, of one right-hand side."""
         imposed, imbalance = self._reduce(right)
-        return self._expand(right, imposed + self.basis @ self.reduced.solve(imbalance))
+        return self._expand(right, imposed, self.reduced.solve(imbalance))
 
     def solve_and_check(
         self, right: Float[Array, " unknowns"]
     ) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
         """Solve, and decide whether the stiffness resists all allowed displacements."""
         imposed, imbalance = self._reduce(right)
-        allowed, stable = self.reduced.solve_and_check(imbalance)
-        solution = self._expand(right, imposed + self.basis @ allowed)
-        return solution, stable & jnp.all(jnp.isfinite(self.pseudo_inverse))
+        coordinates, stable = self.reduced.solve_and_check(imbalance)
+        stable &= jnp.all(jnp.isfinite(self.allowed.pseudo_inverse))
+        return self._expand(right, imposed, coordinates), stable
 
     def _reduce(
         self, right: Float[Array, " unknowns"]
     ) -> tuple[Float[Array, " n"], Float[Array, " allowed"]]:
         """Return the displacement that constraints impose, and the imbalance in it."""
-        count = len(self.units)
-        force, violation = self.units * right[:count], right[count:]
-        imposed = self.pseudo_inverse @ violation
-        return imposed, self.basis.T @ (force - self.stiffness @ imposed)
+        force, violation = jnp.split(right, [len(self.stiffness)])
+        imposed = self.allowed.imposed(violation)
+        return imposed, self.allowed.projected(force - self.stiffness @ imposed)
 
     def _expand(
-        self, right: Float[Array, " unknowns"], displacement: Float[Array, " n"]
+        self,
+        right: Float[Array, " unknowns"],
+        imposed: Float[Array, " n"],
+        coordinates: Float[Array, " allowed"],
     ) -> Float[Array, " unknowns"]:
-        """Add the constraint forces, and return to units of displacements."""
-        force = self.units * right[: len(self.units)]
-        multipliers = self.pseudo_inverse.T @ (force - self.stiffness @ displacement)
-        return jnp.concatenate([self.units * displacement, multipliers])
+        """Return the displacement, and the constraint forces that balance the rest."""
+        displacement = imposed + self.allowed.expanded(coordinates)
+        rest = right[: len(self.stiffness)] - self.stiffness @ displacement
+        return jnp.concatenate([displacement, self.allowed.multipliers(rest)])

@@ -11,7 +11,6 @@ from jaxtyping import Array, Complex, Float
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
-from ..linalg.constraints import null_space
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -176,15 +175,13 @@ def _frequency_response(
         force, force_by_omega = force - elastic, -1j * viscous
     amplitudes = jnp.array(targets, float).astype(complex)
     prescribed = dofs.expand(jnp.zeros(len(free), complex), amplitudes).reshape(-1)
-    jacobian = jacobian.astype(complex)
-    pseudo_inverse, basis = jnp.zeros((len(free), 0), complex), None
+    allowed = system.allowed_displacements(jacobian[:, free])
+    jacobian, allowed = jax.tree.map(
+        lambda array: array.astype(complex), (jacobian, allowed)
+    )
     if system.constraints.size:
-        units = system.free_units()
-        pseudo_inverse, basis = null_space(jnp.real(jacobian[:, free]) * units[None])
-        pseudo_inverse = (units[:, None] * pseudo_inverse).astype(complex)
-        basis = (units[:, None] * basis).astype(complex)
         # Constraints transmit prescribed displacements to the free coordinates.
-        prescribed = prescribed.at[free].set(-pseudo_inverse @ (jacobian @ prescribed))
+        prescribed = prescribed.at[free].set(-allowed.imposed(jacobian @ prescribed))
 
     def amplitudes_at(frequency: Array) -> tuple[Array, Array, Array]:
         """Compute displacements, reactions, and constraint forces at a frequency; Hz."""
@@ -192,29 +189,27 @@ def _frequency_response(
         real = stiffness - omega**2 * jnp.diag(inertia)
         matrix = jax.lax.complex(real, omega * damping)
         exciting = force + omega.astype(complex) * force_by_omega
-        right = (exciting - matrix @ prescribed)[free]
-        reduced = matrix[free[:, None], free]
+        right = allowed.projected((exciting - matrix @ prescribed)[free])
+        reduced = allowed.reduced(matrix[free[:, None], free])
         # Rows and columns are scaled by their sizes, so that units do not matter.
         size = (
             jnp.diagonal(stiffness) + omega**2 * inertia + omega * jnp.diagonal(damping)
         )[free]
-        if basis is not None:
-            right, reduced = basis.T @ right, basis.T @ reduced @ basis
-            size = jnp.sum(jnp.abs(basis) ** 2 * jnp.abs(size)[:, None], axis=0)
-        size = jnp.sqrt(jnp.abs(size))
+        size = jnp.abs(size)
+        if allowed.basis is not None:
+            size = jnp.sum(jnp.abs(allowed.basis) ** 2 * size[:, None], axis=0)
+        size = jnp.sqrt(size)
         size = jnp.where(size > 0, size, 1.0).astype(complex)
         scaled = reduced / (size[:, None] * size[None])
         inverse = jnp.linalg.inv(scaled)
         condition = jnp.linalg.norm(scaled) * jnp.linalg.norm(inverse)
         solved = inverse @ (right / size) / size
         solved = jnp.where(condition < _LARGEST_CONDITION, solved, jnp.nan)
-        if basis is not None:
-            solved = basis @ solved
-        amplitude = prescribed.at[free].add(solved)
+        amplitude = prescribed.at[free].add(allowed.expanded(solved))
         unbalanced = matrix @ amplitude - exciting
         multipliers = jnp.zeros(0, complex)
-        if basis is not None:
-            multipliers = pseudo_inverse.T @ unbalanced[free]
+        if system.constraints.size:
+            multipliers = allowed.multipliers(unbalanced[free])
             unbalanced = unbalanced - multipliers @ jacobian
         amplitude = amplitude.reshape(displacements.shape)
         return amplitude, dofs.reactions(unbalanced), multipliers

@@ -14,7 +14,6 @@ from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import index_of, require_package
-from ..linalg.constraints import null_space
 from ..linalg.elimination import inverse
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
@@ -377,7 +376,6 @@ def _excitation(
     imposed = jnp.array(column.prescribed, float)
     moved = dofs.expand(jnp.zeros(len(free)), imposed).reshape(-1)
     if system.constraints.size:
-        units = system.free_units()
-        pseudo_inverse, _ = null_space(jacobian[:, free] * units[None])
-        moved = moved.at[free].set(-units * (pseudo_inverse @ (jacobian @ moved)))
+        allowed = system.allowed_displacements(jacobian[:, free])
+        moved = moved.at[free].set(-allowed.imposed(jacobian @ moved))
     return force, viscous, moved

@@ -17,7 +17,7 @@ from ..._utils.types import Entries, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
 from ...assembly.tangent import AssemblyTangent
 from ...linalg.block_factors import block_layout
-from ...linalg.constraints import ConstrainedFactors
+from ...linalg.constraints import AllowedDisplacements, ConstrainedFactors
 from ...linalg.factors import Elimination, factorize, Factors
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import LoadSet
@@ -281,8 +281,14 @@ class System(eqx.Module):
         symmetric = self.loads.conservative
         if not self.constraints.size:
             return factorize(stiffness, symmetric)
-        units = self.free_units()
-        return ConstrainedFactors.of(stiffness, jacobian, units, symmetric)
+        allowed = self.allowed_displacements(jacobian)
+        return ConstrainedFactors.of(stiffness, allowed, symmetric)
+
+    def allowed_displacements(
+        self, jacobian: Float[Array, "entries free"]
+    ) -> AllowedDisplacements:
+        """Return the free displacements that the constraints allow."""
+        return AllowedDisplacements.of(jacobian, self.free_units())
 
     def _unbalanced(
         self, forces: Wrenches, displacements: Poses, multipliers: Entries

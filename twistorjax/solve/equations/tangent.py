@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..._utils.types import Flag
 from ...assembly.assembly import HingeAssembly
 from ...linalg.block_factors import BlockFactors, Layout
-from ...linalg.constraints import ConstrainedFactors
+from ...linalg.constraints import AllowedDisplacements, ConstrainedFactors
 from ...linalg.factors import Elimination, factorize, Factors, solve_once
 from ...linalg.sums import sum_entries
 from .dofs import DofPartition
@@ -101,9 +101,8 @@ class ConstrainedTangent(eqx.Module):
     def factors(self, symmetric: bool) -> ConstrainedFactors:
         """Factorize the stiffness on the displacements that the constraints allow."""
         count = len(self.stiffness)
-        return ConstrainedFactors.of(
-            self.stiffness[:, :count], self.jacobian[:, :count], self.units, symmetric
-        )
+        allowed = AllowedDisplacements.of(self.jacobian[:, :count], self.units)
+        return ConstrainedFactors.of(self.stiffness[:, :count], allowed, symmetric)
 
     def solve(
         self, rights: Float[Array, "rights unknowns"], symmetric: bool

@@ -104,11 +104,12 @@ def find_multipliers(problem: Problem, evaluation: Evaluation) -> Multipliers:
     if len(matrix):
         factors, norm = nnls(matrix.T, gradient)
         factors = np.where(factors > _ROUNDING * factors.max(), factors, 0.0)
-    by_margin = np.zeros(len(margins.names))
-    by_margin[active] = factors[: len(active)]
-    by_margin[equalities] -= factors[len(active) : len(active) + len(equalities)]
-    by_bound = np.zeros(len(point))
-    by_bound[at_bound] = factors[len(active) + len(equalities) :] * sides[at_bound]
+    ends = np.cumsum([len(active), len(equalities)])
+    positive, negative, of_bounds = np.split(factors, ends)
+    by_margin, by_bound = np.zeros(len(margins.names)), np.zeros(len(point))
+    by_margin[active] = positive
+    by_margin[equalities] -= negative
+    by_bound[at_bound] = of_bounds * sides[at_bound]
     return Multipliers(by_margin, by_bound, active, sides, norm)
 
 

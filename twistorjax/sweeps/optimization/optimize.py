@@ -205,6 +205,7 @@ def optimize_cases(
         [0.63, 0.794, 1.0]
     """
     options = {"throw": False, **options}
+    # The options that are left out have the defaults of `optimize`.
     call = inspect.signature(optimize).bind(study, parameters, **options)
     call.apply_defaults()
     arguments = call.arguments

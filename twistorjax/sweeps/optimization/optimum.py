@@ -259,26 +259,23 @@ class Optimum:
 
     def __repr__(self) -> str:
         how = "maximized" if self.maximized else "minimized"
-        count = len(self.searches.results)
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
+        counts = Counter(RESULT_NAMES[code] for code in self.searches.results)
+        ends = {name: f"{count} {name}" for name, count in counts.items()}
         if not self.succeeded:
-            names = Counter(RESULT_NAMES[code] for code in self.searches.results)
-            ends = ", ".join(f"{number} {name}" for name, number in names.items())
             violated = sorted((m, name) for name, m in self.margins.items() if m < -1e-6)
             texts = [f"{name} by {-100 * margin:.3g} %" for margin, name in violated[:5]]
             closest = f"; the closest end violates {', '.join(texts)}" if texts else ""
             return (
-                f"{self.name} {how}: no optimum within all limits; searches: {ends}"
-                f"{closest}"
+                f"{self.name} {how}: no optimum within all limits; searches: "
+                f"{', '.join(ends.values())}{closest}"
             )
-        here = len(self.local_optima[0].starts)
         lines = [
-            f"{self.name} {how}: {self.objective:.6g}{unit}; {here} of {count} searches "
-            "ended here"
+            f"{self.name} {how}: {self.objective:.6g}{unit}; "
+            f"{len(self.local_optima[0].starts)} of {counts.total()} searches ended here",
+            *self._variable_lines(),
+            *self._limit_lines(),
         ]
-        lines += self._variable_lines()
-        if self.active_limits:
-            lines += self._limit_lines()
         if self.sensitivities:
             width = max(8, *(len(each.name) for each in self.sensitivities))
             lines.append(f"{'constant':<{width}}  {'value':>11}  {'derivative':>11}")
@@ -296,14 +293,9 @@ class Optimum:
         if others:
             texts = [f"{objective} ({number})" for objective, number in others.items()]
             lines.append(f"other local optima (searches): {', '.join(texts)}")
-        found = sum(len(each.starts) for each in self.local_optima)
-        if found < count:
-            names = Counter(RESULT_NAMES[code] for code in self.searches.results)
-            ends = ", ".join(
-                f"{number} {name}" for name, number in names.items()
-                if name != "successful"
-            )  # fmt: skip
-            lines.append(f"searches without an optimum: {ends}")
+        ends.pop("successful")
+        if ends:
+            lines.append(f"searches without an optimum: {', '.join(ends.values())}")
         return "\n".join(lines)
 
     def _variable_lines(self) -> list[str]:
@@ -321,7 +313,9 @@ class Optimum:
         return lines
 
     def _limit_lines(self) -> list[str]:
-        """Lines with the multiplier of each active limit."""
+        """Lines with the multiplier of each active limit, if there is one."""
+        if not self.active_limits:
+            return []
         texts = [str(each) for each in self.active_limits]
         width = max(12, *map(len, texts))
         lines = [f"{'active limit':<{width}}  {'derivative':>11}  {'for 1 %':>10}"]
@@ -402,18 +396,16 @@ def summarize(
 
 def _local_optima(problem: Problem, searches: Searches) -> tuple[LocalOptimum, ...]:
     """Group the converged searches by their ends, the best optimum first."""
-    rows = [row for row, result in enumerate(searches.results) if result == 0]
-    rows.sort(key=lambda row: problem.sign * searches.objectives[row])
+    rows = np.flatnonzero(np.array(searches.results) == 0)
+    points = [problem.normalized(end) for end in searches.ends]
     groups: list[list[int]] = []
-    for row in rows:
-        point = problem.normalized(searches.ends[row])
+    for row in rows[np.argsort(problem.sign * searches.objectives[rows], kind="stable")]:
         for group in groups:
-            other = problem.normalized(searches.ends[group[0]])
-            if np.all(np.abs(point - other) < _SAME_POINT):
-                group.append(row)
+            if np.all(np.abs(points[row] - points[group[0]]) < _SAME_POINT):
+                group.append(int(row))
                 break
         else:
-            groups.append([row])
+            groups.append([int(row)])
     return tuple(
         LocalOptimum(
             objective=float(searches.objectives[group[0]]),

@@ -150,15 +150,12 @@ class Problem(NamedTuple):
             output = self._output(chunk)
             columns, parts, jacobians = output.columns, [], []
             for name in (self.objective_name, *self.limits):
-                values = columns[name].values
-                part = values.reshape(len(values), -1)
-                parts.append(part)
-                jacobians.append(
-                    [
-                        columns[f"{name}_by_{p}"].values.reshape(*part.shape, -1)
-                        for p in self.space.real_names
-                    ]
+                part = columns[name].values.reshape(len(output.result), -1)
+                by_parameter = (
+                    columns[f"{name}_by_{p}"].values for p in self.space.real_names
                 )
+                parts.append(part)
+                jacobians.append([j.reshape(*part.shape, -1) for j in by_parameter])
             values, jacobian = np.concatenate(parts, axis=1), np.block(jacobians)
             finite = np.isfinite(values).all(axis=1)
             finite &= np.isfinite(jacobian).all(axis=(1, 2))

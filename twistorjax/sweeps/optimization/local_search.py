@@ -130,7 +130,7 @@ def _improve(
             point = start
             continue
         steps += solution.nit
-        point = _restored(problem, evaluator(solution.x), solution.x)
+        point = _restored(evaluator, solution.x)
         end = evaluator(point)
         if is_optimum(problem, end) or steps >= max_steps:
             break
@@ -185,13 +185,14 @@ def _independent_limits(
 
 
 def _restored(
-    problem: Problem, evaluation: Evaluation, point: Float[np.ndarray, " variables"]
+    evaluator: "_Evaluator", point: Float[np.ndarray, " variables"]
 ) -> Float[np.ndarray, " variables"]:
     """Move a design onto the limits that it violates, by the shortest Newton step.
 
     The merit function of SLSQP has no descent direction at a stationary point that
     violates a limit only a little, so a search that begins there would end at once.
     """
+    problem, evaluation = evaluator.problem, evaluator(point)
     if not evaluation.succeeded:
         return point
     if not _ROUNDING < problem.violation(evaluation) < _LARGEST_CORRECTION:

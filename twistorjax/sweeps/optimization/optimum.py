@@ -217,9 +217,8 @@ class Optimum:
             entries = output_entry_names(
                 name, output.shape[1:], output.dims[1:], table.coords
             )
-            for side, bound, sign in zip(
-                ("lower", "upper"), limit.sides, (1, -1), strict=True
-            ):
+            sides = (("lower", limit.lower, 1), ("upper", limit.upper, -1))
+            for side, bound, sign in sides:
                 if bound is not None:
                     below = (sign * (output.values - bound) < 0).reshape(count, -1)
                     names = [f"{entry} {side}" for entry in entries]

@@ -128,10 +128,10 @@ class Margins(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """One optimization problem."""
+    """Objective, limits, and design space of an optimization, and its program."""
 
     study: Callable[[Any], Any]
-    program: Program  # Evaluates the study and the derivatives of the columns
+    program: Program  # Evaluates the study, and differentiates `columns`
     space: DesignSpace  # Numbers of the design
     objective_name: str
     sign: float  # 1 if the objective is minimized, -1 if it is maximized
@@ -151,12 +151,14 @@ class Problem(NamedTuple):
             columns, parts, jacobians = output.columns, [], []
             for name in (self.objective_name, *self.limits):
                 part = columns[name].values.reshape(len(output.result), -1)
-                by_parameter = (
-                    columns[f"{name}_by_{p}"].values for p in self.space.real_names
-                )
+                by_parameter = [
+                    columns[f"{name}_by_{p}"].values.reshape(*part.shape, -1)
+                    for p in self.space.real_names
+                ]
                 parts.append(part)
-                jacobians.append([j.reshape(*part.shape, -1) for j in by_parameter])
-            values, jacobian = np.concatenate(parts, axis=1), np.block(jacobians)
+                jacobians.append(np.concatenate(by_parameter, axis=2))
+            values = np.concatenate(parts, axis=1)
+            jacobian = np.concatenate(jacobians, axis=1)
             finite = np.isfinite(values).all(axis=1)
             finite &= np.isfinite(jacobian).all(axis=(1, 2))
             not_finite = RESULT_NAMES.index("not_finite")
@@ -187,9 +189,8 @@ class Problem(NamedTuple):
 
     def _output(self, vectors: Float[np.ndarray, "designs numbers"]) -> StudyOutput:
         """Call the program for a chunk, padded with copies of its last design."""
-        padding = self.program.chunk_size - len(vectors)
-        padded = np.pad(vectors, ((0, padding), (0, 0)), mode="edge")
-        return self.program.evaluate(self.space.program_input(padded))
+        rows = np.minimum(np.arange(self.program.chunk_size), len(vectors) - 1)
+        return self.program.evaluate(self.space.program_input(vectors[rows]))
 
     def scaled(self, start: Evaluation) -> "Problem":
         """Return the problem with scales that follow from a start.
@@ -249,10 +250,7 @@ class Problem(NamedTuple):
         return (jacobian * self.space.scales)[..., self.space.is_variable]
 
     def with_deviation_jacobian(
-        self,
-        evaluation: Evaluation,
-        rows: Int[np.ndarray, " k"],
-        evaluate: Evaluate,
+        self, evaluation: Evaluation, rows: Int[np.ndarray, " k"], evaluate: Evaluate
     ) -> Evaluation:
         """Add the derivatives of the standard deviations by some numbers of the design.
 
@@ -264,8 +262,7 @@ class Problem(NamedTuple):
 
         Args:
             rows: Rows of the numbers with respect to which to differentiate.
-            evaluate: Function that evaluates two neighbors of the design for each of
-                them.
+            evaluate: Function that evaluates two neighbors of the design for each row.
 
         Returns:
             The evaluation; it has not succeeded if the study fails for a neighbor.
@@ -296,10 +293,7 @@ class Problem(NamedTuple):
 
 
 def output_entry_names(
-    name: str,
-    shape: tuple[int, ...],
-    axes: Sequence[Any],
-    labels: Mapping[Any, Any],
+    name: str, shape: tuple[int, ...], axes: Sequence[Any], labels: Mapping[Any, Any]
 ) -> list[str]:
     """Return the names of the entries of an output, such as "stress[left]".
 

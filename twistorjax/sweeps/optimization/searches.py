@@ -8,7 +8,7 @@ call evaluates their designs.
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -138,7 +138,7 @@ class _Request(NamedTuple):
     """Request of a search for the outputs of designs."""
 
     vectors: Float[np.ndarray, "designs numbers"]
-    reply: "Future[list[Evaluation]]"
+    replies: "SimpleQueue[list[Evaluation] | None]"  # None cancels the search.
 
 
 def _run_side_by_side(
@@ -154,15 +154,18 @@ def _run_side_by_side(
     pending, running = deque(searches.items()), 0
     waiting: list[_Request] = []
 
-    def evaluate_together(vectors: np.ndarray) -> list[Evaluation]:
-        request = _Request(vectors, Future())
-        messages.put(request)
-        return request.reply.result()
-
-    def run(row: int, task: Callable[[Evaluate], SearchEnd]) -> None:
+    def run(row: int, run_search: Callable[[Evaluate], SearchEnd]) -> None:
+        replies: SimpleQueue[list[Evaluation] | None] = SimpleQueue()
         end: Future[SearchEnd] = Future()
+
+        def evaluate_together(vectors: np.ndarray) -> list[Evaluation]:
+            messages.put(_Request(vectors, replies))
+            if (evaluations := replies.get()) is None:
+                raise CancelledError
+            return evaluations
+
         try:
-            end.set_result(task(evaluate_together))
+            end.set_result(run_search(evaluate_together))
         except BaseException as error:
             end.set_exception(error)
         messages.put((row, end))
@@ -176,7 +179,7 @@ def _run_side_by_side(
                 vectors = np.concatenate([each.vectors for each in waiting])
                 evaluations = iter(evaluate(vectors))
                 for request in waiting:
-                    request.reply.set_result([next(evaluations) for _ in request.vectors])
+                    request.replies.put([next(evaluations) for _ in request.vectors])
                 waiting.clear()
             message = messages.get()
             if isinstance(message, _Request):
@@ -188,11 +191,11 @@ def _run_side_by_side(
     finally:
         # Searches run here only after an error, which cancels them.
         for request in waiting:
-            request.reply.cancel()
+            request.replies.put(None)
         while running:
             message = messages.get()
             if isinstance(message, _Request):
-                message.reply.cancel()
+                message.replies.put(None)
             else:
                 running -= 1
 
@@ -201,12 +204,6 @@ class SearchStore:
     """Folder in which the end of each search is saved as soon as it is known.
 
     It is also a store of a sweep over the starts.
-
-    Raises:
-        ImportError: xarray or zarr is not installed.
-        ValueError: The store exists and is not continued, it belongs to another
-            optimization, or it cannot hold a name.
-        OSError: The store cannot be read or written.
     """
 
     def __init__(

@@ -249,6 +249,8 @@ def test_cases_are_points_of_the_pareto_front():
     exact = [stiffest_leaf(modulus=modulus) for modulus in moduli]
     np.testing.assert_allclose([each.objective for each in front], exact, rtol=1e-6)
     assert [float(each.parameters["modulus"]) for each in front] == moduli
+    row = front[0].space.names.index("modulus")
+    assert [each.searches.starts[0, row] for each in front] == moduli
 
 
 def test_study_is_compiled_once_for_all_calls(compiled):

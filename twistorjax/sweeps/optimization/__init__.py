@@ -1,10 +1,10 @@
 """Optimization of designs within bounds and limits, by exact derivatives.
 
-Start reading in `optimize`. `designs.design_space` collects the variables and constants
-of a design, `setup` creates the compiled program that evaluates it, `problem` holds the
-objective and the limits in normalized form, and `deviations` differentiates standard
-deviations. `searches` runs the searches of `local_search` side by side, and
-`search_store` saves them. `summary` collects their ends in an `Optimum`.
+Start reading in `optimize`, which checks the arguments and compiles the study. The
+variables and constants of a design are the vector of `designs.design_space`. `problem`
+evaluates designs, and holds the objective and the margins of the `limits` in normalized
+form. `searches` runs the searches of `local_search` side by side and saves their ends.
+`conditions` has the multipliers of a design, and `optimum` the result.
 """
 
 import lazy_loader

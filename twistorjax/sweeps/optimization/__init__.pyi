@@ -1,11 +1,9 @@
-from .cases import optimize_cases as optimize_cases
+from .conditions import ActiveLimit as ActiveLimit, Sensitivity as Sensitivity
 from .limits import Limit as Limit
-from .optimize import optimize as optimize
+from .optimize import optimize as optimize, optimize_cases as optimize_cases
 from .optimum import (
-    ActiveLimit as ActiveLimit,
     LocalOptimum as LocalOptimum,
     Optimum as Optimum,
     Searches as Searches,
-    Sensitivity as Sensitivity,
+    Violations as Violations,
 )
-from .violations import Violations as Violations

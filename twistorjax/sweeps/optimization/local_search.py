@@ -7,17 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...results.codes import RESULT_NAMES
-from .conditions import find_multipliers
-from .deviations import neighbors, with_deviation_jacobian
-from .problem import Evaluation, Problem
-from .side_by_side import Evaluate
+from .conditions import FEASIBILITY_TOLERANCE, is_optimum, STATIONARITY_TOLERANCE
+from .problem import Evaluate, Evaluation, Problem
 
 
-# A limit may be violated by this part of its scale.
-FEASIBILITY_TOLERANCE = 1e-7
-# A gradient of the Lagrange function below this part of the gradient of the objective at
-# the start is zero.
-_STATIONARITY_TOLERANCE = 1e-5
 # Violations between these parts of the scale of a limit are corrected by a Newton step.
 _ROUNDING, _LARGEST_CORRECTION = 1e-12, 1e-2
 # Factors of the objective. SLSQP begins with a unit matrix as second derivatives, so its
@@ -40,17 +33,11 @@ _TOLERATED_RESIDUAL = 1e-3
 
 
 class SearchEnd(NamedTuple):
-    """End of a search.
+    """End of a search."""
 
-    Args:
-        vector: Numbers of the last design.
-        result: Number of the result; see `RESULTS`.
-        evaluations: Number of evaluated designs.
-    """
-
-    vector: Float[np.ndarray, " numbers"]
-    result: int
-    evaluations: int
+    vector: Float[np.ndarray, " numbers"]  # Numbers of the last design
+    result: int  # Number of the result; see `RESULTS`
+    evaluations: int  # Number of evaluated designs
 
 
 class _StudyFailed(Exception):
@@ -65,24 +52,13 @@ def search(
     tolerance: float,
     max_steps: int,
 ) -> SearchEnd:
-    """Search for a local optimum.
-
-    Args:
-        problem: The problem.
-        start: Evaluation of the first design.
-        evaluate: Function that evaluates a design.
-        tolerance: Tolerance of the objective; see `optimize`.
-        max_steps: Largest number of steps.
-
-    Returns:
-        The end of the search.
-    """
+    """Search for a local optimum; see `optimize` for the tolerance of the objective."""
     if not start.succeeded:
         return SearchEnd(start.vector, start.result, 1)
     point = problem.normalized(start.vector)
     evaluator = _Evaluator(problem, evaluate, point, start)
     end, factors, steps = start, _FACTORS, 0
-    tolerated = _STATIONARITY_TOLERANCE
+    tolerated = STATIONARITY_TOLERANCE
     while steps < max_steps:
         moved, new_steps = _improve(
             evaluator, point, factors, tolerance=tolerance, max_steps=max_steps - steps
@@ -100,12 +76,12 @@ def search(
         gradient = problem.gradient_size(end)
         if 0 < gradient < _SMALL_GRADIENT * problem.objective_scale:
             evaluator.problem = problem._replace(objective_scale=gradient)
-        elif is_continued or _is_optimum(problem, end):
+        elif is_continued or is_optimum(problem, end):
             break
     result = RESULT_NAMES.index("not_converged")
     if not end.succeeded:
         result = end.result
-    elif _is_optimum(problem, end, tolerated):
+    elif is_optimum(problem, end, tolerated):
         result = RESULT_NAMES.index("successful")
     elif problem.violation(end) > FEASIBILITY_TOLERANCE:
         result = RESULT_NAMES.index("no_feasible_design")
@@ -122,22 +98,13 @@ def _improve(
 ) -> tuple[Float[np.ndarray, " variables"], int]:
     """Run SLSQP, with one factor of the objective after the other until one succeeds.
 
-    Args:
-        evaluator: Values and gradients of the problem.
-        start: Normalized variables at the start.
-        factors: Factors by which the objective is multiplied.
-        tolerance: Tolerance of the objective; see `optimize`.
-        max_steps: Largest number of steps.
-
     Returns:
         The normalized variables at the end, and the number of steps.
     """
-    from scipy.optimize import minimize
+    from scipy.optimize import Bounds, minimize
 
     problem, point = evaluator.problem, start
-    first = evaluator(start)
-    lower, upper = problem.bounds
-    steps = 0
+    first, steps = evaluator(start), 0
     for factor in factors:
         try:
             point, rows = _independent_limits(evaluator, point)
@@ -154,21 +121,18 @@ def _improve(
                 lambda x, factor=factor: factor * evaluator.objective(x),
                 point,
                 jac=lambda x, factor=factor: factor * evaluator.gradient(x),
-                bounds=list(zip(lower, upper, strict=True)),
+                bounds=Bounds(*problem.bounds),
                 constraints=constraints,
                 method="SLSQP",
-                options={
-                    "ftol": tolerance * factor,
-                    "maxiter": max_steps - steps,
-                },
+                options={"ftol": tolerance * factor, "maxiter": max_steps - steps},
             )
         except _StudyFailed:
             point = start
             continue
         steps += solution.nit
-        point = _restored(problem, evaluator(solution.x), solution.x)
+        point = _restored(evaluator, solution.x)
         end = evaluator(point)
-        if _is_optimum(problem, end) or steps >= max_steps:
+        if is_optimum(problem, end) or steps >= max_steps:
             break
         # A long step may lead to a region without feasible designs.
         if not end.succeeded or problem.violation(end) > problem.violation(first):
@@ -220,27 +184,15 @@ def _independent_limits(
     return point, rows
 
 
-def _is_optimum(
-    problem: Problem, evaluation: Evaluation, tolerance: float = _STATIONARITY_TOLERANCE
-) -> bool:
-    """Decide whether a design fulfills the first-order conditions of an optimum.
-
-    `tolerance` is that of the gradient of the Lagrange function, as a part of the scale
-    of the objective.
-    """
-    if not evaluation.succeeded or problem.violation(evaluation) > FEASIBILITY_TOLERANCE:
-        return False
-    return bool(find_multipliers(problem, evaluation).residual < tolerance)
-
-
 def _restored(
-    problem: Problem, evaluation: Evaluation, point: Float[np.ndarray, " variables"]
+    evaluator: "_Evaluator", point: Float[np.ndarray, " variables"]
 ) -> Float[np.ndarray, " variables"]:
     """Move a design onto the limits that it violates, by the shortest Newton step.
 
     The merit function of SLSQP has no descent direction at a stationary point that
     violates a limit only a little, so a search that begins there would end at once.
     """
+    problem, evaluation = evaluator.problem, evaluator(point)
     if not evaluation.succeeded:
         return point
     if not _ROUNDING < problem.violation(evaluation) < _LARGEST_CORRECTION:
@@ -301,12 +253,10 @@ class _Evaluator:
         space = self.problem.space
         if space.is_robust and evaluation.deviation_jacobian is None:
             variables = np.flatnonzero(space.is_variable)
-            designs = neighbors(space, evaluation.vector, variables)
-            around = self._evaluate(designs)
-            self._last = evaluation = with_deviation_jacobian(
-                evaluation, around, variables
+            self._last = evaluation = self.problem.with_deviation_jacobian(
+                evaluation, variables, self._evaluate
             )
-            self.count += len(designs)
+            self.count += 2 * len(variables)
         if not evaluation.succeeded:
             raise _StudyFailed
         return evaluation

@@ -1,17 +1,31 @@
-"""Optimization of a design within limits."""
+"""Optimization of a design within limits, also for several cases."""
 
+import inspect
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 from ..._utils.progress import announced
 from ..._utils.types import NumbersLike
+from ..._utils.validation import compilation_error, quote, require_float64
+from ...designs.design_space import DesignSpace
+from ..executor import find_program
 from .limits import Limit
 from .optimum import Optimum
-from .options import Options
-from .searches import run_searches
-from .setup import Setup
-from .summary import summarize
+from .problem import Margins, Problem
+from .searches import run_searches, SearchOptions
+
+
+# Number of designs that one call of the program evaluates. It is the same for all
+# optimizations, so that they share the program. On a processor, the time for each design
+# is the same with 8 designs as with 64.
+_CPU_DESIGNS, _ACCELERATOR_DESIGNS = 8, 256
 
 
 @announced("optimization")
@@ -117,23 +131,223 @@ def optimize(
         >>> print(optimum)
         stiffness maximized: ...
     """
-    options = Options(
-        minimize=minimize,
-        maximize=maximize,
-        limits=limits,
+    search_options = SearchOptions(
         starts=starts,
         seed=seed,
-        standard_deviations=standard_deviations,
-        coverage_factor=coverage_factor,
-        units=units,
         tolerance=tolerance,
         max_steps=max_steps,
         store=store,
         resume=resume,
         progress=progress,
     )
-    setup = Setup.create(study, parameters, options)
-    vectors = options.start_vectors(setup.space)
-    ((problem, ends),) = run_searches([setup], [vectors], options)
-    optimum = summarize(setup, problem, vectors, ends)
+    problem = _create_problem(
+        study,
+        parameters,
+        minimize=minimize,
+        maximize=maximize,
+        limits=limits,
+        standard_deviations=standard_deviations,
+        coverage_factor=coverage_factor,
+        units=units,
+    )
+    (optimum,) = run_searches([problem], search_options)
     return optimum.succeeded_or_raise() if throw else optimum
+
+
+@announced("optimization")
+def optimize_cases(
+    study: Callable[[Any], Any],
+    parameters: Any,
+    cases: Mapping[str, NumbersLike],
+    **options: Any,
+) -> tuple[Optimum, ...]:
+    """Optimize a design for several values of a limit or of a constant.
+
+    All searches of all cases run side by side in one compiled program. With several
+    values of a limit, the optima are points of a Pareto front.
+
+    Args:
+        study: Function of one design, as for `optimize`.
+        parameters: One design, as for `optimize`.
+        cases: Values by name, one for each case: of a limited output, whose lower or
+            upper limit they replace, or of a constant among the parameters.
+        options: Further arguments of `optimize`. `throw` is False by default: a case
+            without an optimum has a `result` with the reason.
+
+    Returns:
+        The optimum of each case.
+
+    Raises:
+        ValueError: The cases are empty or have different lengths; a name is neither that
+            of a limited output nor of a constant number; the limit has two sides; or
+            `optimize` would raise an error.
+        RuntimeError: `throw` is True and a case has no optimum.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> def plate(design):
+        ...     return {
+        ...         "mass": design["thickness"] * design["width"],
+        ...         "stiffness": design["width"] * design["thickness"] ** 3,
+        ...     }
+        >>> start = {
+        ...     "thickness": tj.Parameter(1.0, lower=0.5, upper=2.0),
+        ...     "width": tj.Parameter(1.0, lower=0.5, upper=2.0),
+        ... }
+        >>> front = tj.sweeps.optimize_cases(
+        ...     plate,
+        ...     start,
+        ...     {"stiffness": [1.0, 2.0, 4.0]},
+        ...     minimize="mass",
+        ...     limits={"stiffness": tj.Limit(lower=1.0)},
+        ... )
+        >>> [round(optimum.objective, 3) for optimum in front]
+        [0.63, 0.794, 1.0]
+    """
+    options = {"throw": False, **options}
+    # The options that are left out have the defaults of `optimize`.
+    call = inspect.signature(optimize).bind(study, parameters, **options)
+    call.apply_defaults()
+    arguments = call.arguments
+    throw = arguments.pop("throw")
+    search_options = SearchOptions(
+        **{field.name: arguments.pop(field.name) for field in fields(SearchOptions)}
+    )
+    values = {name: np.asarray(array, float) for name, array in cases.items()}
+    shapes = [array.shape for array in values.values()]
+    if not shapes or len({*shapes}) > 1 or len(shapes[0]) != 1 or not shapes[0][0]:
+        raise ValueError(
+            f"`cases` has values of the shapes {shapes}, but needs one number for each "
+            "case, and at least one case."
+        )
+    common = _create_problem(**arguments)
+    problems = [
+        _with_values(common, dict(zip(values, case, strict=True)))
+        for case in zip(*values.values(), strict=True)
+    ]
+    optima = tuple(run_searches(problems, search_options))
+    return tuple(each.succeeded_or_raise() for each in optima) if throw else optima
+
+
+def _create_problem(
+    study: Callable[[Any], Any],
+    parameters: Any,
+    *,
+    minimize: str | None,
+    maximize: str | None,
+    limits: Mapping[str, Limit] | None,
+    standard_deviations: Mapping[str, NumbersLike] | None,
+    coverage_factor: float,
+    units: Mapping[str, str] | None,
+) -> Problem:
+    """Check the arguments of `optimize`, and trace the program of the study."""
+    require_float64(jnp.zeros(()))
+    objective = minimize if maximize is None else maximize
+    if objective is None or None not in (minimize, maximize):
+        raise ValueError(
+            f"`minimize` is {quote(minimize)} and `maximize` is {quote(maximize)}. Give "
+            "one of them: the name of an output."
+        )
+    mappings = {
+        "limits": limits, "standard_deviations": standard_deviations, "units": units
+    }  # fmt: skip
+    for name, given in mappings.items():
+        if given is not None and not isinstance(given, Mapping):
+            raise ValueError(
+                f"`{name}` is {quote(given)}, but must be a mapping from names to values."
+            )
+    limits, standard_deviations, units = (dict(each or {}) for each in mappings.values())
+    for name, limit in limits.items():
+        if not isinstance(limit, Limit):
+            raise ValueError(
+                f"`limits[{quote(name)}]` is {quote(limit)}, but must be a `Limit`: "
+                "`tj.Limit(upper=...)`."
+            )
+        if standard_deviations and np.any(limit.lower == limit.upper):
+            raise ValueError(
+                f"`limits` prescribes {quote(name)}, which is uncertain because of "
+                "`standard_deviations`. Give two different limits."
+            )
+    if not coverage_factor > 0:
+        raise ValueError(f"`coverage_factor` is {coverage_factor}, but must be positive.")
+    if not callable(study):
+        raise ValueError(f"`study` is {study!r}, but must be a function of one design.")
+    space = DesignSpace.from_tree(parameters, standard_deviations)
+    on_cpu = jax.default_backend() == "cpu"
+    size = _CPU_DESIGNS if on_cpu else _ACCELERATOR_DESIGNS
+    names = tuple(dict.fromkeys([objective, *limits]))
+    try:
+        program = find_program(study, space.structure, names, size, math.inf, None, True)
+    except jax.errors.JAXTypeError as error:
+        raise compilation_error("study", "about the design", error) from error
+    except ValueError as error:
+        message = str(error)
+        where = "`limits` names"
+        if f"names {quote(objective)}" in message:
+            where = f"`{'minimize' if maximize is None else 'maximize'}` is"
+        message = message.replace("`derivatives` names", where)
+        raise ValueError(message) from error
+    outputs = program.output.columns
+    if unknown := [name for name in units if name not in outputs]:
+        raise ValueError(
+            f"`units` names {quote(unknown[0])}, which is not an output of the study."
+        )
+    columns = {}
+    for name in names:
+        column = outputs[name]
+        if np.issubdtype(column.values.dtype, np.complexfloating):
+            raise ValueError(
+                f"The output {quote(name)} is complex, but an objective and a limited "
+                "output must be real. Return its magnitude, `jnp.abs(...)`, or its real "
+                "part."
+            )
+        unit = column.unit or units.get(name, "")
+        columns[name] = replace(column, unit=unit)
+    if shape := columns[objective].values.shape[1:]:
+        raise ValueError(
+            f"The objective {quote(objective)} has shape {shape}, but must be a scalar."
+        )
+    return Problem(
+        study=study,
+        program=program,
+        space=space,
+        objective_name=objective,
+        sign=1.0 if maximize is None else -1.0,
+        columns=columns,
+        limits=limits,
+        margins=Margins.of(limits, columns, float(coverage_factor)),
+        standard_deviations=standard_deviations,
+    )
+
+
+def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """Replace limits and constants of an optimization by other values."""
+    space, limits = problem.space, dict(problem.limits)
+    start = space.start.copy()
+    for name, value in values.items():
+        if name in limits:
+            limit = limits[name]
+            if limit.lower is not None and limit.upper is not None:
+                raise ValueError(
+                    f"`cases` has {quote(name)}, whose limit has two sides. Give "
+                    "`limits` with one side of it."
+                )
+            side = "lower" if limit.upper is None else "upper"
+            limits[name] = Limit(**{side: value})
+            continue
+        rows = [
+            row
+            for row, number in enumerate(space.names)
+            if number == name and not space.is_variable[row]
+        ]
+        if not rows:
+            raise ValueError(
+                f"`cases` has {quote(name)}, but must name a limited output or a "
+                "constant number among the parameters."
+            )
+        start[rows[0]] = value
+    return problem._replace(
+        space=space._replace(start=start),
+        limits=limits,
+        margins=Margins.of(limits, problem.columns, problem.margins.coverage_factor),
+    )

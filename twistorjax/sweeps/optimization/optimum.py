@@ -1,7 +1,7 @@
-"""Result of an optimization: optimum, active limits, and ends of all searches."""
+"""Result of an optimization: the best local optimum, and the ends of all searches."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TYPE_CHECKING
 
@@ -10,53 +10,34 @@ from jaxtyping import Float
 
 from ..._utils.types import NumbersLike
 from ...designs.design_space import DesignSpace
+from ...designs.sampling import sample_designs
 from ...results.codes import result_message, RESULT_NAMES, result_names, RESULTS
 from ...results.tables import Column, dataset
+from ..sweep import sweep
+from .conditions import (
+    active_limits,
+    ActiveLimit,
+    FEASIBILITY_TOLERANCE,
+    find_multipliers,
+    sensitivities,
+    Sensitivity,
+    without_effect,
+)
 from .limits import Limit
-from .violations import Violations, violations
+from .local_search import SearchEnd
+from .problem import Evaluation, output_entry_names, Problem
 
 
 if TYPE_CHECKING:
     import xarray
 
 
-class ActiveLimit(NamedTuple):
-    """Limit of an output, or bound of a variable, that determines the optimum.
-
-    Args:
-        name: Name of the output or of the variable, such as "stress[left]".
-        side: "lower", "upper", or "equal" for a prescribed output.
-        limit: The limit or the bound, in `unit`.
-        unit: Unit of the limit; empty if it is unknown.
-        derivative: Derivative of the optimal objective with respect to the limit, which
-            is its Lagrange multiplier, in the unit of the objective over `unit`.
-        is_bound: Whether it is a bound of a variable.
-    """
-
-    name: str
-    side: str
-    limit: float
-    unit: str
-    derivative: float
-    is_bound: bool
-
-    def __str__(self) -> str:
-        relation = {"lower": ">=", "upper": "<=", "equal": "="}[self.side]
-        return f"{self.name} {relation} {self.limit:.6g} {self.unit}".rstrip()
-
-
-class Sensitivity(NamedTuple):
-    """Derivative of the optimal objective with respect to a constant.
-
-    Args:
-        name: Name of the constant; "standard deviation of web[0]" for a tolerance.
-        value: The constant.
-        derivative: The derivative, in the unit of the objective over that of `value`.
-    """
-
-    name: str
-    value: float
-    derivative: float
+# Two searches ended at the same optimum if their normalized variables differ by less.
+_SAME_POINT = 1e-3
+# Number of starts at which a variable without effect is looked for
+_CHECKED_STARTS = 8
+# Largest number of limits that are printed
+_MOST_PRINTED = 10
 
 
 class LocalOptimum(NamedTuple):
@@ -91,6 +72,36 @@ class Searches(NamedTuple):
     violations: Float[np.ndarray, " starts"]
     results: tuple[int, ...]
     evaluations: tuple[int, ...]
+
+
+class Violations(NamedTuple):
+    """Shares of sampled designs that violate limits.
+
+    Args:
+        any_limit: Share of the designs that violate a limit, or for which the study
+            fails.
+        by_limit: Share of the designs that violate each limit, by the name of the entry
+            of the output and the side, such as "stress[left] upper".
+        failed: Share of the designs for which the study fails.
+        designs: Number of designs.
+    """
+
+    any_limit: float
+    by_limit: Mapping[str, float]
+    failed: float
+    designs: int
+
+    def __repr__(self) -> str:
+        ranked = sorted(self.by_limit.items(), key=lambda item: -item[1])
+        shares = {"any limit": self.any_limit, **dict(ranked[:_MOST_PRINTED])}
+        if self.failed:
+            shares["failed"] = self.failed
+        width = max(map(len, shares))
+        lines = [f"share of {self.designs:,} designs that violate a limit"]
+        lines += [
+            f"{name:<{width}}  {100 * share:7.2f} %" for name, share in shares.items()
+        ]
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, repr=False)
@@ -188,12 +199,33 @@ class Optimum:
             ValueError: There is no uncertain parameter, or a standard deviation is not
                 valid.
         """
-        given = self.standard_deviations
-        if standard_deviations is not None:
-            given = standard_deviations
-        return violations(
-            self.study, self.parameters, self.limits, given, count, seed, sweep_options
-        )
+        if standard_deviations is None:
+            standard_deviations = self.standard_deviations
+        if not standard_deviations:
+            raise ValueError(
+                "No parameter is uncertain. Give `standard_deviations` of some "
+                "parameters."
+            )
+        space = DesignSpace.from_tree(self.parameters, standard_deviations)
+        normal = space.normal_tree(space.start)
+        designs = sample_designs(normal, count, method="random", seed=seed)
+        table = sweep(self.study, designs, **sweep_options)
+        failed = ~np.asarray(table["succeeded"])
+        by_limit: dict[str, np.ndarray] = {}
+        for name, limit in self.limits.items():
+            output = table[name]
+            entries = output_entry_names(
+                name, output.shape[1:], output.dims[1:], table.coords
+            )
+            sides = (("lower", limit.lower, 1), ("upper", limit.upper, -1))
+            for side, bound, sign in sides:
+                if bound is not None:
+                    below = (sign * (output.values - bound) < 0).reshape(count, -1)
+                    names = [f"{entry} {side}" for entry in entries]
+                    by_limit.update(zip(names, below.T, strict=True))
+        violated = np.any([failed, *by_limit.values()], axis=0)
+        shares = {name: float(np.mean(each)) for name, each in by_limit.items()}
+        return Violations(float(np.mean(violated)), shares, float(np.mean(failed)), count)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Convert the starts and ends of all searches to an xarray dataset.
@@ -226,26 +258,23 @@ class Optimum:
 
     def __repr__(self) -> str:
         how = "maximized" if self.maximized else "minimized"
-        count = len(self.searches.results)
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
+        counts = Counter(RESULT_NAMES[code] for code in self.searches.results)
+        ends = {name: f"{count} {name}" for name, count in counts.items()}
         if not self.succeeded:
-            names = Counter(RESULT_NAMES[code] for code in self.searches.results)
-            ends = ", ".join(f"{number} {name}" for name, number in names.items())
             violated = sorted((m, name) for name, m in self.margins.items() if m < -1e-6)
             texts = [f"{name} by {-100 * margin:.3g} %" for margin, name in violated[:5]]
             closest = f"; the closest end violates {', '.join(texts)}" if texts else ""
             return (
-                f"{self.name} {how}: no optimum within all limits; searches: {ends}"
-                f"{closest}"
+                f"{self.name} {how}: no optimum within all limits; searches: "
+                f"{', '.join(ends.values())}{closest}"
             )
-        here = len(self.local_optima[0].starts)
         lines = [
-            f"{self.name} {how}: {self.objective:.6g}{unit}; {here} of {count} searches "
-            "ended here"
+            f"{self.name} {how}: {self.objective:.6g}{unit}; "
+            f"{len(self.local_optima[0].starts)} of {counts.total()} searches ended here",
+            *self._variable_lines(),
+            *self._limit_lines(),
         ]
-        lines += self._variable_lines()
-        if self.active_limits:
-            lines += self._limit_lines()
         if self.sensitivities:
             width = max(8, *(len(each.name) for each in self.sensitivities))
             lines.append(f"{'constant':<{width}}  {'value':>11}  {'derivative':>11}")
@@ -263,14 +292,9 @@ class Optimum:
         if others:
             texts = [f"{objective} ({number})" for objective, number in others.items()]
             lines.append(f"other local optima (searches): {', '.join(texts)}")
-        found = sum(len(each.starts) for each in self.local_optima)
-        if found < count:
-            names = Counter(RESULT_NAMES[code] for code in self.searches.results)
-            ends = ", ".join(
-                f"{number} {name}" for name, number in names.items()
-                if name != "successful"
-            )  # fmt: skip
-            lines.append(f"searches without an optimum: {ends}")
+        ends.pop("successful")
+        if ends:
+            lines.append(f"searches without an optimum: {', '.join(ends.values())}")
         return "\n".join(lines)
 
     def _variable_lines(self) -> list[str]:
@@ -288,7 +312,9 @@ class Optimum:
         return lines
 
     def _limit_lines(self) -> list[str]:
-        """Lines with the multiplier of each active limit."""
+        """Lines with the multiplier of each active limit, if there is one."""
+        if not self.active_limits:
+            return []
         texts = [str(each) for each in self.active_limits]
         width = max(12, *map(len, texts))
         lines = [f"{'active limit':<{width}}  {'derivative':>11}  {'for 1 %':>10}"]
@@ -296,3 +322,94 @@ class Optimum:
             change = 0.01 * abs(each.limit) * each.derivative
             lines.append(f"{text:<{width}}  {each.derivative:>11.5g}  {change:>+10.4g}")
         return lines
+
+
+def summarize(
+    problem: Problem, starts: Sequence[Evaluation], ends: Sequence[SearchEnd]
+) -> Optimum:
+    """Select the best end of all searches of a problem, and compute its multipliers.
+
+    If there is no optimum, the best end has the smallest violation of the limits.
+    """
+    evaluations = problem.evaluate(np.stack([end.vector for end in ends]))
+    succeeded = np.array([each.succeeded for each in evaluations])
+    objectives = np.array([each.values[0] for each in evaluations])
+    violations = np.array([problem.violation(each) for each in evaluations])
+    searches = Searches(
+        starts=np.stack([start.vector for start in starts]),
+        ends=np.stack([end.vector for end in ends]),
+        objectives=np.where(succeeded, objectives, np.nan),
+        violations=np.where(succeeded, violations, np.nan),
+        results=tuple(end.result for end in ends),
+        evaluations=tuple(end.evaluations for end in ends),
+    )
+    local_optima = _local_optima(problem, searches)
+    order = np.lexsort(
+        (
+            problem.sign * searches.objectives,
+            np.maximum(searches.violations, FEASIBILITY_TOLERANCE),
+            np.array(searches.results) != 0,
+        )
+    )  # NaN is last.
+    best = evaluations[order[0]]
+    if problem.space.is_robust:
+        numbers = np.arange(len(problem.space.names))
+        best = problem.with_deviation_jacobian(best, numbers, problem.evaluate)
+    multipliers = find_multipliers(problem, best)
+    result = RESULTS.successful
+    if not np.any(succeeded):
+        result = RESULTS.no_solution_at_start
+    elif not local_optima:
+        is_feasible = np.any(searches.violations <= FEASIBILITY_TOLERANCE)
+        result = RESULTS.not_converged if is_feasible else RESULTS.no_feasible_design
+    margins = problem.margins
+    return Optimum(
+        name=problem.objective_name,
+        objective=float(best.values[0]) if local_optima else float("nan"),
+        unit=problem.columns[problem.objective_name].unit,
+        maximized=problem.sign < 0,
+        parameters=problem.space.tree(best.vector),
+        outputs=problem.outputs(best.vector),
+        margins={
+            f"{name} {side}": float(value)
+            for name, side, value in zip(
+                margins.names, margins.sides, margins.values(best), strict=True
+            )
+        },
+        active_limits=active_limits(problem, multipliers),
+        sensitivities=sensitivities(problem, multipliers, best),
+        local_optima=local_optima,
+        without_effect=without_effect(
+            problem, multipliers, [best, *starts[:_CHECKED_STARTS]]
+        ),
+        residual=multipliers.residual,
+        searches=searches,
+        result=result,
+        study=problem.study,
+        space=problem.space,
+        limits=problem.limits,
+        standard_deviations=problem.standard_deviations,
+        coverage_factor=margins.coverage_factor,
+    )
+
+
+def _local_optima(problem: Problem, searches: Searches) -> tuple[LocalOptimum, ...]:
+    """Group the converged searches by their ends, the best optimum first."""
+    rows = np.flatnonzero(np.array(searches.results) == 0)
+    points = [problem.normalized(end) for end in searches.ends]
+    groups: list[list[int]] = []
+    for row in rows[np.argsort(problem.sign * searches.objectives[rows], kind="stable")]:
+        for group in groups:
+            if np.all(np.abs(points[row] - points[group[0]]) < _SAME_POINT):
+                group.append(int(row))
+                break
+        else:
+            groups.append([int(row)])
+    return tuple(
+        LocalOptimum(
+            objective=float(searches.objectives[group[0]]),
+            parameters=problem.space.tree(searches.ends[group[0]]),
+            starts=tuple(sorted(group)),
+        )
+        for group in groups
+    )

@@ -1,128 +1,45 @@
-"""Optimization problem in the normalized form that a solver takes."""
+"""Optimization problem: its compiled program, and the outputs in normalized form.
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+A solver sees the variables divided by their scales, the minimized objective divided by
+the norm of its gradient at the start, and the margins divided by the limits.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..._utils.pytrees import entry_names
+from ..._utils.types import NumbersLike
 from ..._utils.validation import quote
 from ...designs.design_space import DesignSpace
 from ...results.codes import RESULT_NAMES
-from ...results.tables import Column, Columns
+from ...results.tables import Columns
+from ..executor import Program
 from ..outputs import StudyOutput
 from .limits import Limit
 
 
+# Step of the differences of standard deviations, as a part of the scale of a number
+_STEP = 1e-4
+
+
 class Evaluation(NamedTuple):
-    """Outputs of a design, and their derivatives.
+    """Outputs of a design, and their derivatives with respect to all its real numbers."""
 
-    Args:
-        vector: Real numbers of the design.
-        values: The objective and the limited outputs.
-        jacobian: Derivatives with respect to all real numbers of the design.
-        succeeded: Whether the study succeeded, and values and derivatives are finite.
-        result: Number of its result; see `RESULTS`.
-        deviations: Standard deviations of the outputs, to first order.
-        deviation_jacobian: Derivatives of the standard deviations, if they are known.
-    """
-
-    vector: Float[np.ndarray, " numbers"]
-    values: Float[np.ndarray, " outputs"]
+    vector: Float[np.ndarray, " numbers"]  # Real numbers of the design
+    values: Float[np.ndarray, " outputs"]  # The objective, then the limited outputs
     jacobian: Float[np.ndarray, "outputs numbers"]
-    succeeded: bool
-    result: int
+    succeeded: bool  # Whether the study succeeded, and values and derivatives are finite
+    result: int  # Number of its result; see `RESULTS`
+    # Standard deviations of the outputs, to first order; their derivatives, if known
     deviations: Float[np.ndarray, " outputs"]
     deviation_jacobian: Float[np.ndarray, "outputs numbers"] | None = None
 
 
-class OutputVector(NamedTuple):
-    """Order of the objective and the limited outputs in one vector.
-
-    Args:
-        columns: The columns, by name; their values are shapes.
-        parameters: Names of the real parameters of a design.
-    """
-
-    columns: Columns
-    parameters: tuple[str, ...]
-
-    @classmethod
-    def of(
-        cls, output: StudyOutput, names: Sequence[str], space: DesignSpace
-    ) -> "OutputVector":
-        """Select outputs of a study from those of a chunk of designs."""
-        columns = {name: output.columns[name] for name in names}
-        return cls(columns, space.real_names)
-
-    def slice(self, name: str) -> slice:
-        """Return the range of an output in the vector."""
-        begin = 0
-        for other, column in self.columns.items():
-            size = int(np.prod(column.values.shape[1:], dtype=int))
-            if other == name:
-                return slice(begin, begin + size)
-            begin += size
-        raise KeyError(name)
-
-    def entry_names(self, name: str) -> list[str]:
-        """Return the names of the entries of an output, such as "stress[left]"."""
-        column: Column = self.columns[name]
-        shape = column.values.shape[1:]
-        labels = dict(column.labels)
-        if len(shape) == 1 and (entries := labels.get(column.axes[0])):
-            return [f"{name}[{entry}]" for entry in entries]
-        return entry_names(name, shape)
-
-    def evaluations(
-        self,
-        vectors: Float[np.ndarray, "designs numbers"],
-        deviations: Float[np.ndarray, " numbers"],
-        output: StudyOutput,
-    ) -> list[Evaluation]:
-        """Return the evaluation of each design of a chunk.
-
-        Args:
-            vectors: Numbers of each design.
-            deviations: Standard deviations of the numbers, which are independent.
-            output: Outputs of the study for the chunk.
-
-        Returns:
-            The evaluations.
-        """
-        count = len(output.succeeded)
-        values, jacobians = [], []
-        for name in self.columns:
-            value = np.asarray(output.columns[name].values).reshape(count, -1)
-            parts = [
-                np.asarray(output.columns[f"{name}_by_{parameter}"].values)
-                for parameter in self.parameters
-            ]
-            rows = [part.reshape(count, value.shape[1], -1) for part in parts]
-            values.append(value)
-            jacobians.append(np.concatenate(rows, axis=2))
-        value, jacobian = (
-            np.concatenate(values, axis=1),
-            np.concatenate(jacobians, axis=1),
-        )
-        finite = np.all(np.isfinite(value), axis=1)
-        finite &= np.all(np.isfinite(jacobian), axis=(1, 2))
-        succeeded = np.asarray(output.succeeded)
-        not_finite = RESULT_NAMES.index("not_finite")
-        results = np.where(succeeded & ~finite, not_finite, np.asarray(output.result))
-        return [
-            Evaluation(*row)
-            for row in zip(
-                vectors,
-                value,
-                jacobian,
-                (succeeded & finite).tolist(),
-                results.tolist(),
-                np.linalg.norm(jacobian * deviations, axis=2),
-                strict=True,
-            )
-        ]
+# A function that evaluates designs
+Evaluate = Callable[[Float[np.ndarray, "designs numbers"]], list[Evaluation]]
 
 
 class Margins(NamedTuple):
@@ -130,74 +47,51 @@ class Margins(NamedTuple):
 
     The margin of an output y with the standard deviation s is y - k s - lower, or upper -
     y - k s, with the coverage factor k.
-
-    Args:
-        names: Name of each limited entry.
-        units: Unit of each entry; empty if it is unknown.
-        rows: Row of each entry in the vector of outputs.
-        signs: 1 for a lower limit, -1 for an upper limit.
-        limits: The limits, in the units of the outputs.
-        scales: Numbers by which the margins are divided.
-        is_equality: Whether the output is prescribed.
-        coverage_factor: Number of standard deviations at which the limits must hold.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    rows: Int[np.ndarray, " margins"]
-    signs: Float[np.ndarray, " margins"]
-    limits: Float[np.ndarray, " margins"]
-    scales: Float[np.ndarray, " margins"]
-    is_equality: Bool[np.ndarray, " margins"]
+    names: tuple[str, ...]  # Name of each limited entry, such as "stress[left]"
+    units: tuple[str, ...]  # Unit of each entry; empty if it is unknown
+    rows: Int[np.ndarray, " margins"]  # Row of each entry in the values of an evaluation
+    signs: Float[np.ndarray, " margins"]  # 1 for a lower limit, -1 for an upper limit
+    limits: Float[np.ndarray, " margins"]  # The limits, in the units of the outputs
+    scales: Float[np.ndarray, " margins"]  # Numbers by which the margins are divided
+    is_equality: Bool[np.ndarray, " margins"]  # Whether the output is prescribed
     coverage_factor: float
 
     @classmethod
     def of(
-        cls,
-        limits: Mapping[str, Limit],
-        outputs: OutputVector,
-        units: Mapping[str, str],
-        coverage_factor: float,
+        cls, limits: Mapping[str, Limit], columns: Columns, coverage_factor: float
     ) -> "Margins":
-        """Collect the margins of all limited outputs.
-
-        Args:
-            limits: Limits of the outputs, by name.
-            outputs: Order of the outputs in their vector.
-            units: Units of outputs without a unit of their own, by name.
-            coverage_factor: Number of standard deviations at which the limits must hold.
-
-        Returns:
-            The margins.
+        """Collect the margins of limited outputs, whose columns have one row a design.
 
         Raises:
             ValueError: A limit has another shape than its output.
         """
-        entries = []
+        entries, begin = [], 1  # The first row is the objective.
         for name, limit in limits.items():
-            begin, names = outputs.slice(name).start, outputs.entry_names(name)
-            column = outputs.columns[name]
-            unit, shape = column.unit or units.get(name, ""), column.values.shape[1:]
-            lower = _broadcast(name, limit.lower, shape)
-            upper = _broadcast(name, limit.upper, shape)
-            for row, (entry, low, high) in enumerate(
-                zip(names, lower, upper, strict=True), start=begin
+            column = columns[name]
+            shape = column.values.shape[1:]
+            names = output_entry_names(name, shape, column.axes, dict(column.labels))
+            bounds = [_broadcast(name, bound, shape) for bound in limit.sides]
+            for row, (entry, lower, upper) in enumerate(
+                zip(names, *bounds, strict=True), start=begin
             ):
-                is_equality = bool(low == high)
-                if np.isfinite(low):
-                    entries.append((entry, unit, row, 1.0, low, is_equality))
-                if np.isfinite(high) and not is_equality:
-                    entries.append((entry, unit, row, -1.0, high, False))
-        columns = list(zip(*entries, strict=True)) or [()] * 6
-        bounds = np.array(columns[4], float)
+                is_equality = bool(lower == upper)
+                if np.isfinite(lower):
+                    entries.append((entry, column.unit, row, 1.0, lower, is_equality))
+                if np.isfinite(upper) and not is_equality:
+                    entries.append((entry, column.unit, row, -1.0, upper, False))
+            begin += len(names)
+        fields = list(zip(*entries, strict=True)) or [()] * 6
+        values = np.array(fields[4], float)
         return cls(
-            names=tuple(columns[0]),
-            units=tuple(columns[1]),
-            rows=np.array(columns[2], int),
-            signs=np.array(columns[3], float),
-            limits=bounds,
-            scales=np.where(bounds == 0, 1.0, np.abs(bounds)),
-            is_equality=np.array(columns[5], bool),
+            names=tuple(fields[0]),
+            units=tuple(fields[1]),
+            rows=np.array(fields[2], int),
+            signs=np.array(fields[3], float),
+            limits=values,
+            scales=np.where(values == 0, 1.0, np.abs(values)),
+            is_equality=np.array(fields[5], bool),
             coverage_factor=coverage_factor,
         )
 
@@ -234,19 +128,69 @@ class Margins(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """One optimization problem.
+    """Objective, limits, and design space of an optimization, and its program."""
 
-    Args:
-        space: Numbers of the design.
-        margins: Margins of the limits.
-        sign: 1 if the objective is minimized, -1 if it is maximized.
-        objective_scale: Number by which the objective is divided.
-    """
-
-    space: DesignSpace
+    study: Callable[[Any], Any]
+    program: Program  # Evaluates the study, and differentiates `columns`
+    space: DesignSpace  # Numbers of the design
+    objective_name: str
+    sign: float  # 1 if the objective is minimized, -1 if it is maximized
+    columns: Columns  # The objective and the limited outputs; their values are shapes
+    limits: Mapping[str, Limit]  # Limits of the outputs, by name
     margins: Margins
-    sign: float
-    objective_scale: float = 1.0
+    # Standard deviations of the uncertain parameters, by name
+    standard_deviations: Mapping[str, NumbersLike]
+    objective_scale: float = 1.0  # Number by which the objective is divided
+
+    def evaluate(self, vectors: Float[np.ndarray, "designs numbers"]) -> list[Evaluation]:
+        """Evaluate designs, in as many calls of the program as they need."""
+        evaluations: list[Evaluation] = []
+        for begin in range(0, len(vectors), self.program.chunk_size):
+            chunk = vectors[begin : begin + self.program.chunk_size]
+            output = self._output(chunk)
+            columns, parts, jacobians = output.columns, [], []
+            for name in (self.objective_name, *self.limits):
+                part = columns[name].values.reshape(len(output.result), -1)
+                by_parameter = [
+                    columns[f"{name}_by_{p}"].values.reshape(*part.shape, -1)
+                    for p in self.space.real_names
+                ]
+                parts.append(part)
+                jacobians.append(np.concatenate(by_parameter, axis=2))
+            values = np.concatenate(parts, axis=1)
+            jacobian = np.concatenate(jacobians, axis=1)
+            finite = np.isfinite(values).all(axis=1)
+            finite &= np.isfinite(jacobian).all(axis=(1, 2))
+            not_finite = RESULT_NAMES.index("not_finite")
+            results = np.where(output.succeeded & ~finite, not_finite, output.result)
+            rows = zip(
+                chunk,
+                values,
+                jacobian,
+                (output.succeeded & finite).tolist(),
+                results.tolist(),
+                np.linalg.norm(jacobian * self.space.deviations, axis=2),
+                strict=False,  # The last rows are padding.
+            )
+            evaluations += [Evaluation(*row) for row in rows]
+        return evaluations
+
+    def outputs(self, vector: Float[np.ndarray, " numbers"]) -> dict[str, np.ndarray]:
+        """Return all outputs of the study for one design, without derivatives."""
+        columns = self._output(vector[None]).columns
+        derivatives = {
+            f"{name}_by_{p}" for name in self.columns for p in self.space.real_names
+        }
+        return {
+            name: np.asarray(column.values[0])
+            for name, column in columns.items()
+            if name not in derivatives
+        }
+
+    def _output(self, vectors: Float[np.ndarray, "designs numbers"]) -> StudyOutput:
+        """Call the program for a chunk, padded with copies of its last design."""
+        rows = np.minimum(np.arange(self.program.chunk_size), len(vectors) - 1)
+        return self.program.evaluate(self.space.program_input(vectors[rows]))
 
     def scaled(self, start: Evaluation) -> "Problem":
         """Return the problem with scales that follow from a start.
@@ -265,9 +209,7 @@ class Problem(NamedTuple):
     @property
     def bounds(self) -> tuple[Float[np.ndarray, " variables"], ...]:
         """Lower and upper bounds of the normalized variables."""
-        variables = self.space.is_variable
-        scales = self.space.scales[variables]
-        return self.space.lower[variables] / scales, self.space.upper[variables] / scales
+        return self.normalized(self.space.lower), self.normalized(self.space.upper)
 
     def normalized(
         self, vector: Float[np.ndarray, " numbers"]
@@ -279,12 +221,9 @@ class Problem(NamedTuple):
         self, point: Float[np.ndarray, " variables"]
     ) -> Float[np.ndarray, " numbers"]:
         """Return the numbers of the design with these normalized variables."""
-        space = self.space
-        vector = space.start.copy()
-        values = point * space.scales[space.is_variable]
-        lower, upper = space.lower[space.is_variable], space.upper[space.is_variable]
-        vector[space.is_variable] = np.clip(values, lower, upper)
-        return vector
+        space, vector = self.space, self.space.start.copy()
+        vector[space.is_variable] = point * space.scales[space.is_variable]
+        return np.clip(vector, space.lower, space.upper)
 
     def objective(self, evaluation: Evaluation) -> float:
         """Return the objective to be minimized, divided by its scale."""
@@ -304,14 +243,66 @@ class Problem(NamedTuple):
     def violation(self, evaluation: Evaluation) -> float:
         """Return the largest violation of a limit, divided by its scale."""
         margins = self.margins.values(evaluation)
-        return float(np.max(self._violations(margins), initial=0.0))
-
-    def _violations(self, margins: np.ndarray) -> np.ndarray:
-        return np.where(self.margins.is_equality, np.abs(margins), -margins)
+        violations = np.where(self.margins.is_equality, np.abs(margins), -margins)
+        return float(np.max(violations, initial=0.0))
 
     def _by_variables(self, jacobian: np.ndarray) -> np.ndarray:
-        variables = self.space.is_variable
-        return jacobian[..., variables] * self.space.scales[variables]
+        return (jacobian * self.space.scales)[..., self.space.is_variable]
+
+    def with_deviation_jacobian(
+        self, evaluation: Evaluation, rows: Int[np.ndarray, " k"], evaluate: Evaluate
+    ) -> Evaluation:
+        """Add the derivatives of the standard deviations by some numbers of the design.
+
+        The standard deviation of an output contains its first derivatives, so that its
+        derivatives contain second ones. They are differences of the exact first
+        derivatives, with an error of about 1e-8. Exact second derivatives would need a
+        program whose compilation takes five times as long, and some solvers have first
+        derivatives only.
+
+        Args:
+            rows: Rows of the numbers with respect to which to differentiate.
+            evaluate: Function that evaluates two neighbors of the design for each row.
+
+        Returns:
+            The evaluation; it has not succeeded if the study fails for a neighbor.
+        """
+        vector, space = evaluation.vector, self.space
+        neighbors = np.repeat(vector[None], 2 * len(rows), axis=0)
+        for row, pair in zip(rows, neighbors.reshape(len(rows), 2, -1), strict=True):
+            step = _STEP * space.scales[row]
+            # Both are on the same side if there is a bound on the other side.
+            if vector[row] + step > space.upper[row]:
+                pair[:, row] += [-step, -2 * step]
+            elif vector[row] - step < space.lower[row]:
+                pair[:, row] += [step, 2 * step]
+            else:
+                pair[:, row] += [step, -step]
+        around = evaluate(neighbors)
+        jacobian = np.zeros_like(evaluation.jacobian)
+        for row, first, second in zip(rows, around[::2], around[1::2], strict=True):
+            # Derivative at zero of the parabola through the three values
+            a, b = first.vector[row] - vector[row], second.vector[row] - vector[row]
+            slope_a = (first.deviations - evaluation.deviations) / a
+            slope_b = (second.deviations - evaluation.deviations) / b
+            jacobian[:, row] = b / (b - a) * slope_a - a / (b - a) * slope_b
+        failed = next((each for each in around if not each.succeeded), evaluation)
+        return evaluation._replace(
+            deviation_jacobian=jacobian, succeeded=failed.succeeded, result=failed.result
+        )
+
+
+def output_entry_names(
+    name: str, shape: tuple[int, ...], axes: Sequence[Any], labels: Mapping[Any, Any]
+) -> list[str]:
+    """Return the names of the entries of an output, such as "stress[left]".
+
+    Args:
+        labels: Names of the entries along an axis, by the name of the axis.
+    """
+    if len(axes) == 1 and axes[0] in labels:
+        return [f"{name}[{label}]" for label in np.asarray(labels[axes[0]])]
+    return entry_names(name, shape)
 
 
 def _broadcast(

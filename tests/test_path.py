@@ -232,7 +232,7 @@ class TestVonMisesTruss:
         assert_close(height[0], first, digits=9)
 
     def test_other_numbers_of_strokes_are_arguments_of_the_same_program(self):
-        given = path_setup._changes({"left": (0.0, -0.05, 0.0)}, None)
+        given = path_setup.changes_by_factor({"left": (0.0, -0.05, 0.0)})
         assert len(list(filter(eqx.is_array, jax.tree.leaves(given)))) == 3
 
     @pytest.mark.slow

@@ -150,8 +150,8 @@ def _of_layout_5():
         strengths=STRENGTHS,
     )
     beam = BeamStress(
-        thickness=jnp.linspace(1e-3, 2e-3, 201),
-        curvature=jnp.linspace(0.0, 0.1, 201),
+        thickness=jnp.asarray(np.linspace(1e-3, 2e-3, 201)),
+        curvature=jnp.asarray(np.linspace(0.0, 0.1, 201)),
         length=COLUMN.length,
         width=COLUMN.width,
         modulus=COLUMN.modulus,
@@ -178,7 +178,7 @@ def _of_layout_6():
     thick = replace(COLUMN, thickness=jnp.asarray(1e-2), shear_ratio=jnp.asarray(0.32))
     pivot = MechanismStress(
         parts=(COLUMN, thick),
-        coefficients=jnp.arange(24.0).reshape(2, 6, 2) / 7,
+        coefficients=jnp.asarray(np.arange(24.0).reshape(2, 6, 2) / 7),
         length=jnp.asarray(0.4),
         force=jnp.asarray(3.0),
         strengths=STRENGTHS,

@@ -252,10 +252,11 @@ def require_positive_fields(part: Any, *names: str, or_zero: Sequence[str] = ())
             continue
         valid = np.isfinite(values) & ((values > 0) | ((values == 0) & (name in or_zero)))
         if not np.all(valid):
+            index = tuple(map(int, np.argwhere(~valid)[0]))
+            where = name + "".join(f"[{k}]" for k in index)
             requirement = "zero or positive" if name in or_zero else "positive"
             raise ValueError(
-                f"`{name}` is {values[~valid].flat[0]:g}, but must be {requirement} and "
-                "finite."
+                f"`{where}` is {values[index]:g}, but must be {requirement} and finite."
             )
 
 

@@ -2,7 +2,7 @@
 
 import warnings
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from .._utils.json_files import (
     describe_value,
@@ -133,7 +133,7 @@ def _save(name: str, kind: type[Model], model: Model, path: str | Path) -> None:
     write_json(path, {"twistorjax": VERSION, name: content})
 
 
-def _load(name: str, kind: type[Model], path: str | Path) -> Any:
+def _load(name: str, kind: type[Model], path: str | Path) -> Model:
     content = read_json(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path} is {describe_value(content)}, but must be an object.")

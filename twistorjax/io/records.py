@@ -69,15 +69,16 @@ _CLASSES = {
         MechanismStress,
     )
 }
+# Base classes of objects with the field `kind`, and their names in messages
 _NOUNS = {AbstractEnergy: "An energy", AbstractStressModel: "A stress model"}
 
-# A file has the pose `at` of a hinge, which its ports have in common.
+# A file has the pose `at` of a hinge instead of its ports.
 _NOT_IN_FILES = {"ports", "misfit_of_ports"}
 
 _JSON_TYPES = {
     NoneType: "null",
     bool: "true or false",
-    int: "a number",
+    int: "a whole number",
     float: "a number",
     str: "text",
     Literal: "text",
@@ -179,73 +180,69 @@ class Entry(NamedTuple):
     def name(self) -> str:
         return f"the entry `{entry_name(self.keys)}`"
 
+    def mismatch(self, expected: str) -> ValueError:
+        """Create the error for an entry that is not what is expected."""
+        value = describe_value(self.content)
+        return ValueError(f"{self.name} is {value}, but must be {expected}.")
+
     def require_type(self, expected: Collection[str]) -> str:
         """Return the JSON type of the entry, which must be one of those expected."""
         found = _JSON_TYPES[type(self.content)]
+        if found == "a whole number" and found not in expected:
+            found = "a number"
         if found not in expected:
-            raise ValueError(
-                f"{self.name} is {describe_value(self.content)}, but must be "
-                f"{' or '.join(expected)}."
-            )
+            raise self.mismatch(" or ".join(expected))
         return found
 
 
-def from_record(kind: Any, entry: Entry) -> Any:
-    """Create a value of a type, which is a class or another annotation, from an entry.
+def from_record(annotation: Any, entry: Entry) -> Any:
+    """Create a value of a type, such as a class, from its entry in a file.
 
     Raises:
         ValueError: The entry is of another type, lacks a field, or has an unknown or an
             invalid one. The message names the entry.
     """
-    options = {_json_type(option): option for option in _options(kind)}
+    options = {_json_type(option): option for option in _options(annotation)}
     json_type = entry.require_type(options)
-    option, content = options[json_type], entry.content
+    option = options[json_type]
     if json_type == "an object":
         return _object(option, entry)
     if _is_array(option):
         return _array(option, entry)
     if json_type == "a list":
-        item, _ = get_args(option)
-        return tuple(from_record(item, entry.part(k)) for k in range(len(content)))
-    expected = ""
-    if option is int and type(content) is not int:
-        expected = "a whole number"
-    if get_origin(option) is Literal and content not in get_args(option):
-        expected = f"one of {', '.join(get_args(option))}"
-    if expected:
-        raise ValueError(
-            f"{entry.name} is {describe_value(content)}, but must be {expected}."
-        )
-    return content
+        item, _ = get_args(option)  # of `tuple[item, ...]`
+        return tuple(from_record(item, entry.part(k)) for k in range(len(entry.content)))
+    if get_origin(option) is Literal and entry.content not in get_args(option):
+        raise entry.mismatch(f"one of {', '.join(get_args(option))}")
+    return entry.content
 
 
-def _options(kind: Any) -> list[Any]:
+def _options(annotation: Any) -> list[Any]:
     """List the types of a union."""
-    if isinstance(kind, TypeAliasType):
-        return _options(kind.__value__)
-    if get_origin(kind) in (Union, UnionType):
-        return [option for part in get_args(kind) for option in _options(part)]
-    return [kind]
+    if isinstance(annotation, TypeAliasType):
+        return _options(annotation.__value__)
+    if get_origin(annotation) in (Union, UnionType):
+        return [option for part in get_args(annotation) for option in _options(part)]
+    return [annotation]
 
 
-def _json_type(kind: Any) -> str:
-    if _is_array(kind):
-        return "a list" if kind.dim_str else "a number"
-    return _JSON_TYPES.get(get_origin(kind) or kind, "an object")
+def _json_type(annotation: Any) -> str:
+    if _is_array(annotation):
+        return "a list" if annotation.dim_str else "a number"
+    return _JSON_TYPES.get(get_origin(annotation) or annotation, "an object")
 
 
-def _is_array(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, AbstractArray)
+def _is_array(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, AbstractArray)
 
 
-def _array(kind: Any, entry: Entry) -> Array:
-    numbers = _numbers(kind.dim_str.split(), entry)
+def _array(annotation: Any, entry: Entry) -> Array:
+    numbers = _numbers(annotation.dim_str.split(), entry)
     try:
         return as_float(numbers)
     except ValueError:
         raise ValueError(
-            f"{entry.name} has rows of different lengths, but must have as many entries "
-            "in each."
+            f"{entry.name} has rows of different lengths, but must be an array."
         ) from None
 
 
@@ -256,28 +253,25 @@ def _numbers(axes: Sequence[str], entry: Entry) -> Any:
         return entry.content
     axis, *inner = axes
     if axis.isdigit() and len(entry.content) != int(axis):
-        raise ValueError(
-            f"{entry.name} is {describe_value(entry.content)}, but must be a list of "
-            f"{axis} entries."
-        )
+        raise entry.mismatch(f"a list of {axis} entries")
     return [_numbers(inner, entry.part(k)) for k in range(len(entry.content))]
 
 
-def _object(kind: Any, entry: Entry) -> Any:
+def _object(annotation: Any, entry: Entry) -> Any:
     content = entry.content
-    if get_origin(kind) is dict:
-        _, item = get_args(kind)
+    if get_origin(annotation) is dict:
+        _, item = get_args(annotation)
         return {name: from_record(item, entry.part(name)) for name in content}
-    if kind in _NOUNS:
-        kind = _class_of(kind, entry)
+    created = annotation
+    if annotation in _NOUNS:
+        created = _class_of(annotation, entry)
         content = {name: part for name, part in content.items() if name != "kind"}
-    create: Any = _CREATE.get(kind, kind)
+    create: Any = _CREATE.get(created, created)
     layout = _layout(create)
     for name in content:
         if name not in layout:
-            raise ValueError(
-                f"{entry.name} has the unknown field `{entry_name([name])}`."
-            )
+            unknown = entry_name([name])
+            raise ValueError(f"{entry.name} has the unknown field `{unknown}`.")
     for name, (_, is_required) in layout.items():
         if is_required and name not in content:
             raise ValueError(f"{entry.name} lacks the field `{name}`.")
@@ -293,15 +287,11 @@ def _object(kind: Any, entry: Entry) -> Any:
 
 def _class_of(base: type, entry: Entry) -> type:
     """Return the class of an energy or a stress model."""
-    kinds = _kinds(base)
     if "kind" not in entry.content:
         raise ValueError(f"{entry.name} lacks the field `kind`.")
-    kind = entry.part("kind")
+    kind, kinds = entry.part("kind"), _kinds(base)
     if kind.content not in kinds:
-        raise ValueError(
-            f"{kind.name} is {describe_value(kind.content)}, but must be one of "
-            f"{', '.join(kinds)}."
-        )
+        raise kind.mismatch(f"one of {', '.join(kinds)}")
     return _CLASSES[kind.content]
 
 
@@ -351,7 +341,7 @@ def _create_expansion(
     )
 
 
-# Functions for classes that are not created from their fields
+# What creates objects of classes that are not created from their own fields
 _CREATE: dict[type, Callable[..., Any]] = {
     AbstractOutline: SubMechanism,
     Expansion: _create_expansion,

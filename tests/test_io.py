@@ -18,12 +18,14 @@ import pytest
 import shapely
 from ezdxf.entities.lwpolyline import LWPolyline
 from helpers import assert_close, for_each
+from saved_models import saved_mechanism
 from shapely.geometry import Polygon
 
 import twistorjax as tj
 from twistorjax.examples import four_bar, stage
 
 
+LAYOUTS = pathlib.Path(__file__).parent / "reference" / "layouts"
 MECHANISMS = {
     "stage": stage.microstage,
     "linkage": lambda: four_bar.four_bar("leaves-and-notches", coordinates="twist"),
@@ -48,6 +50,49 @@ def test_a_mechanism_is_written_and_read_without_rounding(tmp_path, name):
     assert_same_mechanism(loaded, mechanism)
     tj.io.save_mechanism(loaded, second)
     assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("layout", [2, 3, 4, 5, 6])
+def test_files_of_all_layouts_are_read(layout):
+    """Each was written by the last version with its layout."""
+    loaded = tj.io.load_mechanism(LAYOUTS / f"{layout}.json")
+    expected = saved_mechanism(layout)
+    assert jax.tree.structure(loaded) == jax.tree.structure(expected)
+    leaves = zip(jax.tree.leaves(loaded), jax.tree.leaves(expected), strict=True)
+    for leaf, expected_leaf in leaves:
+        assert_close(leaf, expected_leaf, digits=15)
+
+
+def test_the_layout_of_files_does_not_change(tmp_path):
+    """The file has all energies and stress models of layout 6."""
+    tj.io.save_mechanism(saved_mechanism(6), tmp_path / "6.json")
+    assert (tmp_path / "6.json").read_bytes() == (LAYOUTS / "6.json").read_bytes()
+
+
+def test_equal_energies_of_hinges_are_one_object_when_they_are_read(tmp_path):
+    springs = [tj.Quadratic(np.eye(3)), tj.Quadratic(np.eye(3))]
+    hinges = [
+        tj.Hinge(name, "a", "b", energy, at=(0, 0, 0))
+        for name, energy in zip("gh", springs, strict=True)
+    ]
+    mechanism = tj.Mechanism([tj.Body("a"), tj.Body("b")], hinges, fixed=["a"])
+    tj.io.save_mechanism(mechanism, tmp_path / "springs.json")
+    loaded = tj.io.load_mechanism(tmp_path / "springs.json")
+    (separate,), (shared,) = (each.hinge_assembly.groups for each in (mechanism, loaded))
+    assert separate.batch_axes == (0,) and shared.batch_axes == (None,)
+
+
+class Unknown(tj.energies.AbstractEnergy):
+    def stored_energy(self, displacement):
+        return displacement.angle**2
+
+
+def test_an_energy_of_another_class_is_not_written(tmp_path):
+    path = tmp_path / "energy.json"
+    message = "An energy of the class Unknown cannot be saved. Classes that can be saved"
+    with pytest.raises(ValueError, match=f"energy.json is not written: {message}"):
+        tj.io.save_energy(2.0 * Unknown(), path)
+    assert not path.exists()
 
 
 def test_masses_and_outlines_are_optional(tmp_path):
@@ -97,7 +142,7 @@ def file_of_stage(tmp_path_factory):
         ),
         (
             lambda m: m["bodies"][1].update(outline=[[0, 1]]),
-            "outline` is a list of 1 entry, but must be a list of at least 3",
+            "`outline` of the body '2' has shape (1, 2), but must have a row (x, y) for",
         ),
         (
             lambda m: m["bodies"][1].update(outline=[[0, 0], [1, 1], [1, 0], [0, 1]]),
@@ -148,7 +193,11 @@ INVALID_TEXT = "a\\ud800"  # half of a surrogate pair, as JSON writes it
             f'"fixed": {{"{INVALID_TEXT}": ["x"], ',
             "`mechanism.fixed` has the text",
         ),
-        ('"fixed": {', '"fixed": {"c": 5, ', "`fixed.c` has 5, but must be a list"),
+        (
+            '"fixed": {',
+            '"fixed": {"c": 5, ',
+            "fixed.c` is 5, but must be a list",
+        ),
         ('"mass": 1.0', f'"mass": {"[" * 100_000}', "is nested too deeply"),
         ('"mass": 1.0', f'"mass": {"[" * 300 + "]" * 300}', "is nested too deeply"),
         ("[0.0, 3.0]", "[0.0, NaN]", "bodies[0].outline[2][1]` is NaN"),
@@ -163,14 +212,14 @@ INVALID_TEXT = "a\\ud800"  # half of a surrogate pair, as JSON writes it
         (
             "[2, 0, 0]",
             "[-2, 0, 0]",
-            "powers[0][0]` is -2, but must be a whole number, at",
+            "energy.parts[1]`: `powers[0]` is (-2, 0, 0), but must be 3 whole numbers",
         ),
         (
             "[2, 0, 0]",
             "[2000, 0, 0]",
-            "powers[0][0]` is 2000, but must be a whole number",
+            "`powers[0]` is (2000, 0, 0), but must be 3 whole numbers from 0 to 1000",
         ),
-        ("[2, 0, 0]", "[2, 0]", "hinges[0].energy.parts[1]`: `powers[0]` is [2, 0]"),
+        ("[2, 0, 0]", "[2, 0]", "hinges[0].energy.parts[1]`: `powers[0]` is (2, 0)"),
         ('"parts": [', '"parts": [3, ', "energy.parts[0]` is 3, but must be an object"),
         ('"parts": [', '"parts": [[], ', "energy.parts[0]` is a list of 0 entries, but"),
         ("[5.0, 0.0, 0.0]", "[-5.0, 0.0, 0.0]", "energy.parts[0]`: A `Quadratic` energy"),
@@ -260,6 +309,12 @@ def test_a_file_is_replaced_only_when_the_new_one_is_complete(tmp_path, monkeypa
     assert path.read_bytes() == before and set(tmp_path.iterdir()) == {path, link}
     tj.io.save_mechanism(body_on_a_spring(), "/dev/null")
     assert pathlib.Path("/dev/null").is_char_device()
+
+
+def test_a_warning_of_a_body_is_not_repeated_when_it_is_saved(tmp_path):
+    with pytest.warns(UserWarning, match="more than a full turn"):
+        mechanism = body_on_a_spring(pose=(90.0, 0.0, 0.0))
+    tj.io.save_mechanism(mechanism, tmp_path / "model.json")
 
 
 @pytest.mark.untyped

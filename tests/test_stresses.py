@@ -1,6 +1,7 @@
 """Stresses in hinges whose dimensions are known."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,8 @@ from helpers import mostly_slow, value_and_slopes, with_value
 import twistorjax as tj
 from twistorjax import flexures
 from twistorjax.energies.dilation import dilated
+from twistorjax.energies.stress_model import Strengths
+from twistorjax.flexures.beams.stress_models import MechanismStress
 
 
 STEEL = tj.Material(modulus=210e9, poisson=0.3, expansion=12e-6, strength=400e6)
@@ -293,10 +296,13 @@ def test_negative_dimensions_in_a_file_are_rejected(
         owner = owner[key]
     owner[entry[-1]] = value
     path.write_text(json.dumps(content))
-    limit = "at least 0" if entry[0] in ("arm", "ratio") else "above 0"
-    message = rf"stress_model\.{entry[0]}.*` is {value:g}.*, but must be .*, {limit}"
-    with pytest.raises(ValueError, match=message):
+    name = "thickness[7]" if entry == ("thickness", 7) else entry[-1]
+    requirement = "zero or positive" if name in ("arm", "ratio") else "positive"
+    with pytest.raises(ValueError) as error:
         tj.io.load_energy(path)
+    message = f"`{name}` is {value:g}, but must be {requirement} and finite."
+    assert str(error.value).startswith(f"{path}: the entry `energy.stress_model")
+    assert str(error.value).endswith(message)
 
 
 @pytest.mark.slow
@@ -306,8 +312,31 @@ def test_coefficients_of_another_shape_in_a_file_are_rejected(pivot, tmp_path):
     content = json.loads(path.read_text())
     content["energy"]["stress_model"]["coefficients"][1].pop()
     path.write_text(json.dumps(content))
-    with pytest.raises(ValueError, match=r"must have the shape \(2, 6, 104\)"):
+    message = r"coefficients\[1\]` is a list of 5 entries, but must be a list of 6"
+    with pytest.raises(ValueError, match=message):
         tj.io.load_energy(path)
+
+
+def test_stress_models_check_their_values():
+    with pytest.raises(ValueError, match="`arm` is -1, but must be zero or positive"):
+        replace(LEAF.stress_model, arm=jnp.asarray(-1.0))
+    with pytest.raises(ValueError, match="`ultimate` is 0, but must be positive and"):
+        Strengths(ultimate=jnp.asarray(0.0))
+    settings: dict[str, Any] = {
+        "parts": (LEAF.stress_model,),
+        "coefficients": jnp.zeros((1, 6, 2)),
+        "length": jnp.asarray(0.4),
+        "force": jnp.asarray(3.0),
+        "strengths": Strengths(),
+        "freedom": "rotation",
+    }
+    with pytest.raises(ValueError, match=r"must have the shape \(1, 6, 1\): six rows"):
+        MechanismStress(**settings, powers=((0, 0, 0),))
+    with pytest.raises(ValueError, match=r"\(0, 0\), but must be 3 whole numbers"):
+        MechanismStress(**settings, powers=((0, 0),))
+    settings |= {"parts": (), "coefficients": jnp.zeros((0, 6, 1))}
+    with pytest.raises(ValueError, match="`parts`, at least one"):
+        MechanismStress(**settings, powers=((0, 0, 0),))
 
 
 def test_errors():

@@ -7,6 +7,7 @@ import pytest
 from helpers import assert_close
 
 import twistorjax as tj
+from twistorjax.energies.base import Sum
 
 
 STEEL = tj.Material(modulus=210e9, poisson=0.3)
@@ -103,6 +104,11 @@ def test_validity_range_of_a_sum_is_checked():
     assert str(tj.result_names(solution.result)) == "out_of_range"
     with pytest.raises(RuntimeError, match=r"'left': its rotation is 0\.0002 rad"):
         tj.equilibrium(table(narrow), drives=drives)
+
+
+def test_a_sum_needs_a_term():
+    with pytest.raises(ValueError, match="`parts` is empty, but a sum needs"):
+        Sum(())
 
 
 def test_mechanism_with_sums_is_saved_and_loaded_unchanged(tmp_path):

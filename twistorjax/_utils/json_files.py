@@ -14,13 +14,10 @@ from .validation import shorten
 
 
 MAX_DEPTH = 200  # levels of lists and objects; a sum of energies needs two
+TOO_DEEP = f"is nested too deeply: at most {MAX_DEPTH} levels are allowed."
 _MAX_INTEGER_DIGITS = 18  # An integer with more digits is read as a float.
 
 Keys = tuple[str | int, ...]
-
-
-class EntryError(ValueError):
-    """Error of an entry of a file; the message names the entry."""
 
 
 class _ObjectWithDuplicateField(dict[str, Any]):
@@ -50,7 +47,7 @@ def read_json(path: str | Path) -> Any:
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is damaged or not a JSON file: {error}.") from error
     except RecursionError:
-        raise ValueError(f"{path} {_TOO_DEEP}") from None
+        raise ValueError(f"{path} {TOO_DEEP}") from None
     if problem := find_invalid_entry(tree):
         raise ValueError(f"{path}: {problem}")
     return tree
@@ -107,23 +104,27 @@ def find_invalid_entry(tree: Any) -> str | None:
         A sentence that names the entry; `None` if there is no such entry.
     """
     for keys, value in _entries(tree):
-        where = f"the entry `{entry_name(keys)}`" if keys else "the file"
-        if len(keys) > MAX_DEPTH:
-            return f"{where} {_TOO_DEEP}"
-        if isinstance(value, _ObjectWithDuplicateField):
-            return f"{where} has the field {describe_value(value.field)} more than once."
-        if isinstance(value, float) and not abs(value) < float("inf"):
+        if problem := _problem(keys, value):
+            where = f"the entry `{entry_name(keys)}`" if keys else "the file"
+            return f"{where} {problem}"
+    return None
+
+
+def _problem(keys: Keys, value: Any) -> str | None:
+    """Describe why an entry is invalid in a file of any layout; None if it is valid."""
+    if len(keys) > MAX_DEPTH:
+        return TOO_DEEP
+    if isinstance(value, _ObjectWithDuplicateField):
+        return f"has the field {describe_value(value.field)} more than once."
+    if isinstance(value, float) and not abs(value) < float("inf"):
+        return f"is {describe_value(value)}, but must be finite: at most 1.79e308."
+    strings = value if isinstance(value, dict) else (value,)
+    for text in strings:
+        if isinstance(text, str) and not _encodable(text):
             return (
-                f"{where} is {describe_value(value)}, but must be finite: at most "
-                "1.79e308."
+                f"has the text {describe_value(text)}, which has half of a surrogate "
+                "pair and cannot be written as UTF-8."
             )
-        strings = value if isinstance(value, dict) else (value,)
-        for text in strings:
-            if isinstance(text, str) and not _encodable(text):
-                return (
-                    f"{where} has the text {describe_value(text)}, which has half of a "
-                    "surrogate pair and cannot be written as UTF-8."
-                )
     return None
 
 
@@ -197,6 +198,3 @@ def _encodable(text: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-_TOO_DEEP = f"is nested too deeply: at most {MAX_DEPTH} levels are allowed."

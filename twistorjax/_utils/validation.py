@@ -240,6 +240,26 @@ def require_length(
     return length
 
 
+def require_positive_fields(part: Any, *names: str, or_zero: Sequence[str] = ()) -> None:
+    """Require positive, finite numbers in fields of a part that are known and not None.
+
+    The fields `or_zero` may also be zero.
+    """
+    for name in (*names, *or_zero):
+        value = getattr(part, name)
+        values = None if value is None else concrete(value)
+        if values is None:
+            continue
+        valid = np.isfinite(values) & ((values > 0) | ((values == 0) & (name in or_zero)))
+        if not np.all(valid):
+            index = tuple(map(int, np.argwhere(~valid)[0]))
+            where = name + "".join(f"[{k}]" for k in index)
+            requirement = "zero or positive" if name in or_zero else "positive"
+            raise ValueError(
+                f"`{where}` is {values[index]:g}, but must be {requirement} and finite."
+            )
+
+
 def require_finite(name: str, value: NumberLike) -> Numbers:
     """Require a finite number; NaN if it is traced and not finite."""
     largest = float(np.finfo(float).max)

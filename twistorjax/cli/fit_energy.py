@@ -87,7 +87,7 @@ def fit_energy(
     prepare_jax()
     from ..energies.fitting.polynomial import fit_energy as fit
     from ..energies.fitting.trials import read_trials
-    from ..io.energies import save_energy
+    from ..io import save_energy
 
     symmetries: Any = symmetry or ()
     if symmetries and symmetries != "leaf":

@@ -196,6 +196,10 @@ class Sum(AbstractEnergy):
 
     parts: tuple[AbstractEnergy, ...]
 
+    def __check_init__(self) -> None:
+        if not self.parts:
+            raise ValueError("`parts` is empty, but a sum needs at least one energy.")
+
     def stored_energy(self, displacement: Displacement) -> Scalar:
         energies = [part.stored_energy(displacement) for part in self.parts]
         return jnp.sum(jnp.stack(energies))

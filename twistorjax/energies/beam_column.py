@@ -73,8 +73,8 @@ class BeamColumn(AbstractMixedEnergy):
     length: Scalar
     bending_stiffness: Scalar
     axial_stiffness: Scalar
-    shear_stiffness: Scalar | None
-    stress_model: AbstractStressModel | None
+    shear_stiffness: Scalar | None = None
+    stress_model: AbstractStressModel | None = None
 
     def __init__(
         self,

@@ -156,8 +156,8 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
     length: Scalar
     force: Scalar
     powers: Powers = eqx.field(static=True)
-    flexure: bool = eqx.field(static=True)
-    stress_model: AbstractStressModel | None
+    flexure: bool = eqx.field(static=True, default=False)
+    stress_model: AbstractStressModel | None = None
 
     def __init__(
         self,

@@ -82,8 +82,8 @@ class Quadratic(CoordinateEnergy):
 
     stiffness: Matrix
     coordinates: Coordinates = eqx.field(static=True)
-    flexure: bool = eqx.field(static=True)
-    stress_model: AbstractStressModel | None
+    flexure: bool = eqx.field(static=True, default=False)
+    stress_model: AbstractStressModel | None = None
 
     def __init__(
         self,

@@ -1,13 +1,14 @@
 """Stress in a flexure as a function of its displacement and its wrench."""
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._utils.types import Scalar
+from .._utils.validation import require_positive_fields
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
 from .natural_curvature import NaturallyCurved
@@ -17,8 +18,8 @@ from .natural_curvature import NaturallyCurved
 MidWrench = tuple[Scalar, Scalar, Scalar]
 
 
-class Strengths(NamedTuple):
-    """Strengths of a material; None if they are not given."""
+class Strengths(eqx.Module):
+    """Strengths of a material, which are positive; None if they are not given."""
 
     # Largest allowable stress under static loads: the yield strength, or the fracture
     # strength of a brittle material; Pa
@@ -27,6 +28,9 @@ class Strengths(NamedTuple):
     # Endurance limit: largest amplitude of a stress that alternates about zero, for
     # infinite life; Pa
     endurance: Scalar | None = None
+
+    def __check_init__(self) -> None:
+        require_positive_fields(self, "static", "ultimate", "endurance")
 
 
 class AbstractStressModel(eqx.Module):

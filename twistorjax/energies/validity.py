@@ -55,8 +55,8 @@ class WithValidityRange(AbstractWrapper):
     rotation: Scalar
     force: Scalar
     error: Float[Array, "3"]
-    displacement: Scalar | None
-    stress_model: AbstractStressModel | None
+    displacement: Scalar | None = None
+    stress_model: AbstractStressModel | None = None
 
     def __init__(
         self,

@@ -1,422 +1,349 @@
-"""Records of energies and mechanisms in JSON files.
+"""Conversion of energies and mechanisms to the content of JSON files, and back.
 
-A record has the name and the fields of the class that is created from it. The types of
-the fields are the layout of the files, which is checked when a file is read or written.
-Properties of several entries together, such as the symmetry of a stiffness, are checked
-by the classes. This module is imported only where a file is read or written, because it
-imports msgspec.
+An object of a file has the fields of the class that is created from it. The annotation of
+a field is its type in the file, and a field with a default may be missing, as in files of
+earlier layouts. Energies and stress models also have the field `kind`, the name of their
+class. The values are checked by the classes.
 """
 
-# ruff: noqa: D101
+import json
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import fields, MISSING
+from functools import cache
+from inspect import Parameter, signature
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints, Literal, NamedTuple, Union
 
-import re
-from pathlib import Path
-from typing import Annotated, Any, get_args, Literal
-
-import msgspec
+import equinox as eqx
 import numpy as np
-from msgspec import Meta
+from jaxtyping import AbstractArray, Array, Float
+from typing_extensions import TypeAliasType
 
-from .._utils.json_files import (
-    describe_value,
-    entry_name,
-    find_invalid_entry,
-    read_json,
-    write_json,
+from .._utils.host import as_float
+from .._utils.json_files import describe_value, entry_name, Keys
+from .._utils.types import Point, Scalar
+from ..energies.axial_spring import AxialSpring
+from ..energies.base import AbstractEnergy, HasValidationError, Scaled, Sum
+from ..energies.beam_column import BeamColumn
+from ..energies.mixed import MixedEnergy
+from ..energies.one_freedom import OneFreedomEnergy
+from ..energies.point_charges import PointCharges
+from ..energies.polynomial import Polynomial, Rational, SumOfSquares
+from ..energies.quadratic import Quadratic
+from ..energies.stress_model import AbstractStressModel
+from ..energies.validity import WithValidityRange
+from ..flexures.beams.stress_models import (
+    BeamColumnStress,
+    BeamStress,
+    MechanismStress,
+    SectionStress,
 )
-from .._utils.validation import shorten
-from ..energies.polynomial import LARGEST_POWER
-
-
-VERSION = 6
-# Version 2 has neither misfits nor expansions, version 3 no sub-mechanisms, version 4 no
-# stress models, and version 5 no beam-columns.
-_READABLE_VERSIONS = (2, 3, 4, 5, VERSION)
-
-Pair = tuple[float, float]
-Triple = tuple[float, float, float]
-Matrix = tuple[Triple, Triple, Triple]
-Power = Annotated[int, Meta(ge=0, le=LARGEST_POWER)]
-Powers = list[list[Power]]
-Corners = Annotated[list[Pair], Meta(min_length=3)]
-_SECTIONS = Meta(min_length=201, max_length=201)
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
-
-
-class _Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base class of all objects in a file. Fields without a default are required."""
-
-
-class Strengths(_Record, frozen=True):
-    static: Positive | None
-    ultimate: Positive | None
-    endurance: Positive | None
-
-
-class _StressRecord(_Record, frozen=True, tag_field="kind", tag=True):
-    """Base class of stress models. The field `kind` holds the name of the class."""
-
-
-class SectionStress(_StressRecord, frozen=True):
-    arm: NotNegative
-    thickness: Positive
-    width: Positive
-    ratio: NotNegative
-    strengths: Strengths
-
-
-class BeamColumnStress(_StressRecord, frozen=True):
-    length: Positive
-    thickness: Positive
-    width: Positive
-    modulus: Positive
-    strengths: Strengths
-    shear_ratio: Positive | None = None
-
-
-class BeamStress(_StressRecord, frozen=True):
-    thickness: Annotated[list[Positive], _SECTIONS]
-    curvature: Annotated[list[float], _SECTIONS] | None
-    length: Positive
-    width: Positive
-    modulus: Positive
-    bending_factor: Positive
-    shear_ratio: Positive | None
-    strengths: Strengths
-    law: Literal["linear", "saint-venant-kirchhoff"]
-
-
-class MechanismStress(_StressRecord, frozen=True):
-    parts: Annotated[list["StressModel"], Meta(min_length=1)]
-    coefficients: list[list[list[float]]]
-    length: Positive
-    force: Positive
-    strengths: Strengths
-    powers: Powers
-    freedom: Literal["rotation", "transverse"]
-
-    def __post_init__(self) -> None:
-        shape = len(self.parts), 6, len(self.powers)
-        lengths = [len(self.coefficients), *map(len, self.coefficients)]
-        rows = [len(row) for part in self.coefficients for row in part]
-        if lengths != [shape[0]] + shape[0] * [6] or any(n != shape[2] for n in rows):
-            raise ValueError(
-                f"`coefficients` must have the shape {shape}: six rows for each of the "
-                "`parts`, with one coefficient for each of the `powers`."
-            )
-        if any(len(row) != 3 for row in self.powers):
-            raise ValueError("Each row of `powers` must have three entries.")
-
-
-StressModel = SectionStress | BeamColumnStress | BeamStress | MechanismStress
-
-
-class _EnergyRecord(_Record, frozen=True, tag_field="kind", tag=True):
-    """Base class of energies. The field `kind` holds the name of the class."""
-
-
-class Quadratic(_EnergyRecord, frozen=True):
-    stiffness: Matrix
-    coordinates: str
-    flexure: bool = False
-    stress_model: StressModel | None = None
-
-
-class Polynomial(_EnergyRecord, frozen=True):
-    coefficients: list[float]
-    scale: float
-    powers: Powers
-    coordinates: str
-
-
-class Rational(_EnergyRecord, frozen=True):
-    numerator: "Energy"
-    denominator: "Energy"
-
-
-class SumOfSquares(_EnergyRecord, frozen=True):
-    coefficients: list[list[float]]
-    scale: float
-    powers: Powers
-    coordinates: str
-
-    def __post_init__(self) -> None:
-        for k, row in enumerate(self.coefficients):
-            if len(row) != len(self.powers):
-                raise ValueError(
-                    f"`coefficients[{k}]` has {len(row)} entries, but there are "
-                    f"{len(self.powers)} `powers`. Give one coefficient for each of them."
-                )
-
-
-class MixedEnergy(_EnergyRecord, frozen=True):
-    coefficients: list[float]
-    length: float
-    force: float
-    powers: Powers
-    flexure: bool = False
-    stress_model: StressModel | None = None
-
-
-class BeamColumn(_EnergyRecord, frozen=True):
-    length: Positive
-    bending_stiffness: Positive
-    axial_stiffness: Positive
-    shear_stiffness: Positive | None = None
-    stress_model: StressModel | None = None
-
-
-class WithValidityRange(_EnergyRecord, frozen=True):
-    energy: "Energy"
-    rotation: float
-    force: float
-    error: Triple
-    displacement: float | None = None
-    stress_model: StressModel | None = None
-
-
-class OneFreedomEnergy(_EnergyRecord, frozen=True):
-    coefficients: list[float]
-    length: float
-    force: float
-    powers: Powers
-    freedom: str
-
-
-class Condensed(_EnergyRecord, frozen=True):
-    part: "SubMechanism"
-
-
-class PointCharges(_EnergyRecord, frozen=True):
-    charges_a: list[float]
-    sites_a: list[Pair]
-    charges_b: list[float]
-    sites_b: list[Pair]
-    constant: float
-
-
-class AxialSpring(_EnergyRecord, frozen=True):
-    stiffness: float
-    length: float
-
-
-class Sum(_EnergyRecord, frozen=True):
-    parts: Annotated[list["Energy"], Meta(min_length=1)]
-
-
-class Scaled(_EnergyRecord, frozen=True):
-    factor: float
-    energy: "Energy"
-
-
-Energy = (
-    Quadratic
-    | Polynomial
-    | Rational
-    | SumOfSquares
-    | MixedEnergy
-    | BeamColumn
-    | WithValidityRange
-    | OneFreedomEnergy
-    | Condensed
-    | PointCharges
-    | AxialSpring
-    | Sum
-    | Scaled
-)
-
-
-class Damping(_Record, frozen=True):
-    damping: Matrix
-    coordinates: str
-    resisted: bool
-
-
-class Body(_Record, frozen=True):
-    name: str
-    pose: Triple
-    mass: float | None
-    inertia: float | None
-    outline: Corners | None
-    expansion: float | None = None
-
-
-class Expansion(_Record, frozen=True):
-    coefficient: float
-    length: float | None = None
-    ends: Annotated[list[Pair], Meta(min_length=2, max_length=2)] | None = None
-    arc_length: float | None = None
-    centroid: Pair | None = None
-
-
-class Hinge(_Record, frozen=True):
-    name: str
-    first: str
-    second: str
-    at: Triple
-    energy: Energy
-    damping: float | Damping | None  # A number is a damping time; s.
-    outline: "Corners | SubMechanism | None"
-    misfit: Triple | None = None
-    expansion: Expansion | None = None
-
-
-class Mechanism(_Record, frozen=True):
-    bodies: list[Body]
-    hinges: list[Hinge]
-    fixed: dict[str, Any] | list[str]
-
-    def __post_init__(self) -> None:
-        # msgspec would not report the name of the body.
-        if not isinstance(self.fixed, dict):
-            return
-        for name, coordinates in self.fixed.items():
-            is_list = isinstance(coordinates, list)
-            listed = coordinates if is_list else [coordinates]
-            invalid = [value for value in listed if not isinstance(value, str)]
-            if invalid or not is_list:
-                raise ValueError(
-                    f"`{entry_name(['fixed', name])}` has "
-                    f"{describe_value((invalid or listed)[0])}, but must be a list of "
-                    "coordinates: 'angle', 'x' and 'y'."
-                )
-
-
-class SubMechanism(_Record, frozen=True):
-    mechanism: Mechanism
-    second: str
-
-
-_KINDS: dict[str, Any] = {"energy": Energy, "mechanism": Mechanism}
-
-
-def write_record(path: str | Path, kind: str, content: Any) -> None:
-    """Write a record to a JSON file, if it can be read again.
-
-    Args:
-        path: Path of the file.
-        kind: "energy" or "mechanism".
-        content: Content of the record: dictionaries, lists, arrays and values.
-
-    Raises:
-        ValueError: The record cannot be read again: a value is not finite, a text cannot
-            be encoded, or the layout is wrong. Nothing is written.
-        OSError: The file cannot be written.
-    """
-    content = msgspec.to_builtins(
-        content, enc_hook=lambda array: np.asarray(array).tolist()
+from ..flexures.condensed import Condensed
+from ..mechanism.body import Body
+from ..mechanism.hinge import AbstractOutline, Hinge
+from ..mechanism.material import Expansion
+from ..mechanism.mechanism import COORDINATES, Mechanism
+from ..mechanism.sub_mechanism import SubMechanism
+
+
+# Energies and stress models that can be saved
+_CLASSES = {
+    saved.__name__: saved
+    for saved in (
+        Quadratic,
+        Polynomial,
+        Rational,
+        SumOfSquares,
+        MixedEnergy,
+        BeamColumn,
+        WithValidityRange,
+        OneFreedomEnergy,
+        Condensed,
+        PointCharges,
+        AxialSpring,
+        Sum,
+        Scaled,
+        SectionStress,
+        BeamColumnStress,
+        BeamStress,
+        MechanismStress,
     )
-    try:
-        if error_message := find_invalid_entry({kind: content}):
-            raise ValueError(error_message)
-        _convert(content, kind)
-    except ValueError as error:
-        raise ValueError(f"{path} is not written: {error}") from None
-    write_json(path, {"twistorjax": VERSION, kind: content})
+}
+# Base classes of objects with the field `kind`, and their names in messages
+_NOUNS = {AbstractEnergy: "An energy", AbstractStressModel: "A stress model"}
 
+# A file has the pose `at` of a hinge instead of its ports.
+_NOT_IN_FILES = {"ports", "misfit_of_ports"}
 
-def read_record(path: str | Path, kind: str) -> Any:
-    """Read a record from a JSON file.
-
-    Args:
-        path: Path of the file.
-        kind: "energy" or "mechanism".
-
-    Returns:
-        The record, as an instance of its class in this module.
-
-    Raises:
-        ValueError: The file is damaged, of another version or of another kind, or has
-            another layout.
-        OSError: The file cannot be read.
-    """
-    content = read_json(path)
-    if not isinstance(content, dict):
-        raise ValueError(f"{path} is {describe_value(content)}, but must be an object.")
-    version = content.get("twistorjax")
-    if type(version) is not int or version not in _READABLE_VERSIONS:
-        raise ValueError(
-            f"{path} has a layout that this version of twistorjax cannot read: its field "
-            f"`twistorjax` is {describe_value(version)}, but must be "
-            f"one of {', '.join(map(str, _READABLE_VERSIONS))}."
-        )
-    if set(content) != {"twistorjax", kind}:
-        raise ValueError(
-            f"{path} has the fields {shorten(', '.join(content))}, but must have "
-            f"only `twistorjax` and `{kind}`."
-        )
-    try:
-        return _convert(content[kind], kind)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-
-
-def _convert(content: Any, kind: str) -> Any:
-    """Convert the content of a file into a record; a message names the invalid entry."""
-    try:
-        return msgspec.convert(content, _KINDS[kind], strict=True)
-    except msgspec.ValidationError as error:
-        raise ValueError(_message(str(error), content, kind)) from None
-
-
-_PATH = re.compile(r"(.*) - at `\$((?:\.\w+|\[\d+\])*)`", re.DOTALL)
-_TYPE = re.compile(
-    r"Expected `(?P<types>[^`]+)`(?: of length (?P<length>(?:>= )?\d+)"
-    r"| (?P<limit>[<>]=? [\d.]+))?(?:, got .+)?"
-)
-_TYPE_NAMES = {
-    "float": "a number",
-    "int": "a whole number",
-    "str": "text",
-    "bool": "true or false",
-    "array": "a list",
-    "object": "an object",
-    "null": "null",
+_JSON_TYPES = {
+    NoneType: "null",
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Literal: "text",
+    list: "a list",
+    tuple: "a list",
+    dict: "an object",
 }
 
 
-def _message(original: str, content: Any, kind: str) -> str:
-    """Convert a message of msgspec into one that names the entry and shows its value."""
-    match = _PATH.fullmatch(original)
-    problem, path = match.groups() if match else (original, "")
-    keys = [
-        int(key[1:-1]) if key[0] == "[" else key[1:]
-        for key in re.findall(r"\.\w+|\[\d+\]", path)
+def to_record(value: Any) -> Any:
+    """Convert a part of a model to the content of an entry: objects, lists, and values.
+
+    Raises:
+        ValueError: An energy or a stress model is of a class that cannot be saved, or the
+            mechanism is that at another temperature.
+    """
+    if isinstance(value, Mechanism):
+        value = _fields_of_mechanism(value)
+    elif isinstance(value, eqx.Module):
+        value = _fields(value)
+    if isinstance(value, dict):
+        return {name: to_record(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_record(part) for part in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _fields(part: eqx.Module) -> dict[str, Any]:
+    values = {field.name: getattr(part, field.name) for field in fields(part)}
+    name = type(part).__name__
+    for base, noun in _NOUNS.items():
+        if isinstance(part, base):
+            if _CLASSES.get(name) is not type(part):
+                raise ValueError(
+                    f"{noun} of the class {name} cannot be saved. Classes that can be "
+                    f"saved are {', '.join(_kinds(base))}."
+                )
+            return {"kind": name, **values}
+    return values
+
+
+def _kinds(base: type) -> list[str]:
+    """List the names of the subclasses that can be saved."""
+    return [name for name, saved in _CLASSES.items() if issubclass(saved, base)]
+
+
+def _fields_of_mechanism(mechanism: Mechanism) -> dict[str, Any]:
+    assembly = mechanism.hinge_assembly
+    if assembly.misfits is not None and np.any(np.asarray(assembly.misfits)[:, 3:]):
+        raise ValueError(
+            "The mechanism has been expanded by `at_temperature`, but a file contains a "
+            "mechanism before its expansion. Save that mechanism."
+        )
+    bodies = [
+        {
+            "name": name,
+            "pose": mechanism.reference[row],
+            "mass": mechanism.masses[row],
+            "inertia": mechanism.inertias[row],
+            "outline": mechanism.outlines[row],
+            "expansion": mechanism.expansions[row],
+        }
+        for row, name in enumerate(mechanism.names)
     ]
-    value: Any = content
+    hinges = []
+    for row, name in enumerate(mechanism.hinge_names):
+        first, second = assembly.ends[row]
+        energy, damping = assembly.energy_and_damping_of(row)
+        hinges.append(
+            {
+                "name": name,
+                "first": mechanism.names[first],
+                "second": mechanism.names[second],
+                "at": mechanism.at[row],
+                "energy": energy,
+                "damping": damping,
+                "outline": mechanism.hinge_outlines[row],
+                "misfit": mechanism.misfit_of(name),
+                "expansion": mechanism.hinge_expansions[row],
+            }
+        )
+    fixed: dict[str, list[str]] = {}
+    for dof in mechanism.fixed:
+        name = mechanism.names[dof // 3]
+        fixed.setdefault(name, []).append(COORDINATES[dof % 3])
+    return {"bodies": bodies, "hinges": hinges, "fixed": fixed}
+
+
+class Entry(NamedTuple):
+    """An entry of a file."""
+
+    content: Any
+    keys: Keys  # from the root of the file
+
+    def part(self, key: str | int) -> "Entry":
+        return Entry(self.content[key], (*self.keys, key))
+
+    @property
+    def name(self) -> str:
+        return f"the entry `{entry_name(self.keys)}`"
+
+    def mismatch(self, expected: str) -> ValueError:
+        """Create the error for an entry that is not what is expected."""
+        value = describe_value(self.content)
+        return ValueError(f"{self.name} is {value}, but must be {expected}.")
+
+    def require_type(self, expected: Collection[str]) -> str:
+        """Return the JSON type of the entry, which must be one of those expected."""
+        found = _JSON_TYPES[type(self.content)]
+        if found == "a whole number" and found not in expected:
+            found = "a number"
+        if found not in expected:
+            raise self.mismatch(" or ".join(expected))
+        return found
+
+
+def from_record(annotation: Any, entry: Entry) -> Any:
+    """Create a value of a type, such as a class, from its entry in a file.
+
+    Raises:
+        ValueError: The entry is of another type, lacks a field, or has an unknown or an
+            invalid one. The message names the entry.
+    """
+    options = {_json_type(option): option for option in _options(annotation)}
+    json_type = entry.require_type(options)
+    option = options[json_type]
+    if json_type == "an object":
+        return _object(option, entry)
+    if _is_array(option):
+        return _array(option, entry)
+    if json_type == "a list":
+        item, _ = get_args(option)  # of `tuple[item, ...]`
+        return tuple(from_record(item, entry.part(k)) for k in range(len(entry.content)))
+    if get_origin(option) is Literal and entry.content not in get_args(option):
+        raise entry.mismatch(f"one of {', '.join(get_args(option))}")
+    return entry.content
+
+
+def _options(annotation: Any) -> list[Any]:
+    """List the types of a union."""
+    if isinstance(annotation, TypeAliasType):
+        return _options(annotation.__value__)
+    if get_origin(annotation) in (Union, UnionType):
+        return [option for part in get_args(annotation) for option in _options(part)]
+    return [annotation]
+
+
+def _json_type(annotation: Any) -> str:
+    if _is_array(annotation):
+        return "a list" if annotation.dim_str else "a number"
+    return _JSON_TYPES.get(get_origin(annotation) or annotation, "an object")
+
+
+def _is_array(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, AbstractArray)
+
+
+def _array(annotation: Any, entry: Entry) -> Array:
+    numbers = _numbers(annotation.dim_str.split(), entry)
     try:
-        for key in keys:
-            value = value[key]
-    except (KeyError, IndexError, TypeError):
-        # The name of an unknown field can look like a path.
-        keys, problem = [], original
-    name = f"the entry `{entry_name([kind, *keys])}`"
-    if keys and keys[-1] == "kind":  # of an energy or a stress model
-        records = StressModel if "stress_model" in keys else Energy
-        kinds = ", ".join(record.__name__ for record in get_args(records))
-        return f"{name} is {describe_value(value)}, but must be one of {kinds}."
-    if match := _TYPE.fullmatch(problem):
-        return f"{name} is {describe_value(value)}, but must be {_expected(match)}."
-    for prefix, verb in (
-        ("Object missing required", "lacks the"),
-        ("Object contains unknown", "has the unknown"),
-    ):
-        if problem.startswith(prefix):
-            field = shorten(problem.removeprefix(prefix).strip(), 80)
-            return f"{name} {verb} {field}."
-    return f"{name}: {problem}"
+        return as_float(numbers)
+    except ValueError:
+        raise ValueError(
+            f"{entry.name} has rows of different lengths, but must be an array."
+        ) from None
 
 
-def _expected(match: re.Match[str]) -> str:
-    """Describe the type that a message of msgspec expects."""
-    words = " or ".join(
-        _TYPE_NAMES.get(name, name) for name in match["types"].split(" | ")
+def _numbers(axes: Sequence[str], entry: Entry) -> Any:
+    """Check nested lists of numbers; an axis is a name or, if it is fixed, a length."""
+    entry.require_type(["a list" if axes else "a number"])
+    if not axes:
+        return entry.content
+    axis, *inner = axes
+    if axis.isdigit() and len(entry.content) != int(axis):
+        raise entry.mismatch(f"a list of {axis} entries")
+    return [_numbers(inner, entry.part(k)) for k in range(len(entry.content))]
+
+
+def _object(annotation: Any, entry: Entry) -> Any:
+    content = entry.content
+    if get_origin(annotation) is dict:
+        _, item = get_args(annotation)
+        return {name: from_record(item, entry.part(name)) for name in content}
+    created = annotation
+    if annotation in _NOUNS:
+        created = _class_of(annotation, entry)
+        content = {name: part for name, part in content.items() if name != "kind"}
+    create: Any = _CREATE.get(created, created)
+    layout = _layout(create)
+    for name in content:
+        if name not in layout:
+            unknown = entry_name([name])
+            raise ValueError(f"{entry.name} has the unknown field `{unknown}`.")
+    for name, (_, is_required) in layout.items():
+        if is_required and name not in content:
+            raise ValueError(f"{entry.name} lacks the field `{name}`.")
+    arguments = {name: from_record(layout[name][0], entry.part(name)) for name in content}
+    try:
+        value = create(**arguments)
+        if isinstance(value, HasValidationError) and (error := value.validation_error()):
+            raise ValueError(error)
+    except ValueError as error:
+        raise ValueError(f"{entry.name}: {error}") from error
+    return value
+
+
+def _class_of(base: type, entry: Entry) -> type:
+    """Return the class of an energy or a stress model."""
+    if "kind" not in entry.content:
+        raise ValueError(f"{entry.name} lacks the field `kind`.")
+    kind, kinds = entry.part("kind"), _kinds(base)
+    if kind.content not in kinds:
+        raise kind.mismatch(f"one of {', '.join(kinds)}")
+    return _CLASSES[kind.content]
+
+
+@cache
+def _layout(create: Callable[..., Any]) -> dict[str, tuple[Any, bool]]:
+    """Return the type of each field of an object, and whether it is required.
+
+    They are those of the fields of a class, or of the parameters of a function.
+    """
+    types = get_type_hints(create)
+    if isinstance(create, type):
+        return {
+            field.name: (types[field.name], field.default is MISSING)
+            for field in fields(create)
+            if field.name not in _NOT_IN_FILES
+        }
+    return {
+        name: (types[name], parameter.default is Parameter.empty)
+        for name, parameter in signature(create).parameters.items()
+    }
+
+
+def _create_mechanism(
+    bodies: tuple[Body, ...],
+    hinges: tuple[Hinge, ...],
+    fixed: dict[str, tuple[str, ...]] | tuple[str, ...],
+) -> Mechanism:
+    """Create a mechanism in which equal energies of several hinges are one energy."""
+    energies: dict[str, AbstractEnergy] = {}
+    shared = []
+    for hinge in hinges:
+        content = json.dumps(to_record(hinge.energy))
+        energy = energies.setdefault(content, hinge.energy)
+        shared.append(eqx.tree_at(lambda hinge: hinge.energy, hinge, energy))
+    return Mechanism(bodies, shared, fixed)
+
+
+def _create_expansion(
+    coefficient: Scalar,
+    length: Scalar | None = None,
+    ends: Float[Array, "2 2"] | None = None,
+    arc_length: Scalar | None = None,
+    centroid: Point | None = None,
+) -> Expansion:
+    return Expansion(
+        coefficient, length=length, ends=ends, arc_length=arc_length, centroid=centroid
     )
-    if match["length"]:
-        return f"{words} of {match['length'].replace('>= ', 'at least ')} entries"
-    if match["limit"]:
-        sign, number = match["limit"].split()
-        relation = {">=": "at least", "<=": "at most", ">": "above"}[sign]
-        return f"{words}, {relation} {float(number):g}"
-    return words
+
+
+# What creates objects of classes that are not created from their own fields
+_CREATE: dict[type, Callable[..., Any]] = {
+    AbstractOutline: SubMechanism,
+    Expansion: _create_expansion,
+    Mechanism: _create_mechanism,
+}

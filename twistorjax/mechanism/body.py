@@ -41,7 +41,7 @@ class Body(eqx.Module):
     mass: Scalar | None
     inertia: Scalar | None
     outline: Corners | None
-    expansion: Scalar | None
+    expansion: Scalar | None = None
 
     def __init__(
         self,

@@ -83,10 +83,10 @@ class Hinge(eqx.Module):
     at: Pose | None
     ports: tuple[Pose, Pose] | None
     damping: ViscousDamping | Scalar | None
-    misfit: Pose | None
     misfit_of_ports: bool = eqx.field(static=True)
     outline: Corners | AbstractOutline | None
-    expansion: Expansion | None
+    misfit: Pose | None = None
+    expansion: Expansion | None = None
 
     def __init__(
         self,

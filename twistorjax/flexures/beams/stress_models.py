@@ -11,9 +11,11 @@ from jaxtyping import Array, Float
 from ..._utils.host import as_float, on_host
 from ..._utils.pytrees import group_by_structure
 from ..._utils.types import NumberLike, Pose, Scalar, Wrench
+from ..._utils.validation import require_positive_fields
 from ...energies.dilation import multiply_fields
 from ...energies.monomials import Powers
-from ...energies.one_freedom import Freedom
+from ...energies.one_freedom import Freedom, FREEDOM_VARIABLES
+from ...energies.polynomial import require_powers
 from ...energies.strains import strain
 from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ...geometry import se2
@@ -54,6 +56,9 @@ class SectionStress(AbstractStressModel):
     width: Scalar
     ratio: Scalar
     strengths: Strengths
+
+    def __check_init__(self) -> None:
+        require_positive_fields(self, "thickness", "width", or_zero=("arm", "ratio"))
 
     @classmethod
     def of_leaf(
@@ -151,7 +156,12 @@ class BeamColumnStress(AbstractStressModel):
     width: Scalar
     modulus: Scalar
     strengths: Strengths
-    shear_ratio: Scalar | None
+    shear_ratio: Scalar | None = None
+
+    def __check_init__(self) -> None:
+        require_positive_fields(
+            self, "length", "thickness", "width", "modulus", "shear_ratio"
+        )
 
     def surface_stresses(
         self, displacement: Displacement, wrench: MidWrench
@@ -210,8 +220,8 @@ class BeamStress(AbstractStressModel):
         23, 1972.
     """
 
-    thickness: Float[Array, " sections"]
-    curvature: Float[Array, " sections"] | None
+    thickness: Float[Array, "201"]
+    curvature: Float[Array, "201"] | None
     length: Scalar
     width: Scalar
     modulus: Scalar
@@ -219,6 +229,17 @@ class BeamStress(AbstractStressModel):
     shear_ratio: Scalar | None
     strengths: Strengths
     law: Law = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        require_positive_fields(
+            self,
+            "thickness",
+            "length",
+            "width",
+            "modulus",
+            "bending_factor",
+            "shear_ratio",
+        )
 
     @classmethod
     def of(cls, beam: Beam) -> "BeamStress":
@@ -364,6 +385,17 @@ class MechanismStress(AbstractStressModel):
     powers: Powers = eqx.field(static=True)
     # The compliant direction; see `OneFreedomEnergy`
     freedom: Freedom = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        require_positive_fields(self, "length", "force")
+        require_powers(self.powers, FREEDOM_VARIABLES[self.freedom])
+        shape = len(self.parts), 6, len(self.powers)
+        if self.coefficients.shape != shape or not self.parts:
+            raise ValueError(
+                f"`coefficients` has shape {self.coefficients.shape}, but must have the "
+                f"shape {shape}: six rows for each of the `parts`, at least one, with a "
+                "coefficient for each of the `powers`."
+            )
 
     def surface_stresses(
         self, displacement: Displacement, wrench: MidWrench

@@ -183,15 +183,17 @@ def mechanism_stress(
     powers = tuple(
         row for row in rows if sum(row) > 0 and row[1] + row[2] <= _FORCE_ORDER
     )
-    strengths = Strengths(
-        *map(_smallest, zip(*(m.strengths for m in models), strict=True))
-    )
+    strengths = [model.strengths for model in models]
     return MechanismStress(
         parts=models,
         coefficients=_fit_states(powers, freedom, samples),
         length=samples.length,
         force=samples.force,
-        strengths=strengths,
+        strengths=Strengths(
+            static=_smallest([each.static for each in strengths]),
+            ultimate=_smallest([each.ultimate for each in strengths]),
+            endurance=_smallest([each.endurance for each in strengths]),
+        ),
         powers=powers,
         freedom=freedom,
     )

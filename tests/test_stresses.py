@@ -15,7 +15,7 @@ import twistorjax as tj
 from twistorjax import flexures
 from twistorjax.energies.dilation import dilated
 from twistorjax.energies.stress_model import Strengths
-from twistorjax.flexures.beams.stress_models import MechanismStress
+from twistorjax.flexures.beams.stress_models import MechanismStress, SectionStress
 
 
 STEEL = tj.Material(modulus=210e9, poisson=0.3, expansion=12e-6, strength=400e6)
@@ -318,12 +318,14 @@ def test_coefficients_of_another_shape_in_a_file_are_rejected(pivot, tmp_path):
 
 
 def test_stress_models_check_their_values():
+    model = LEAF.stress_model
+    assert isinstance(model, SectionStress)
     with pytest.raises(ValueError, match="`arm` is -1, but must be zero or positive"):
-        replace(LEAF.stress_model, arm=jnp.asarray(-1.0))
+        replace(model, arm=jnp.asarray(-1.0))
     with pytest.raises(ValueError, match="`ultimate` is 0, but must be positive and"):
         Strengths(ultimate=jnp.asarray(0.0))
     settings: dict[str, Any] = {
-        "parts": (LEAF.stress_model,),
+        "parts": (model,),
         "coefficients": jnp.zeros((1, 6, 2)),
         "length": jnp.asarray(0.4),
         "force": jnp.asarray(3.0),

@@ -75,6 +75,7 @@ _NOUNS = {AbstractEnergy: "An energy", AbstractStressModel: "A stress model"}
 # A file has the pose `at` of a hinge instead of its ports.
 _NOT_IN_FILES = {"ports", "misfit_of_ports"}
 
+# Types of JSON in words, for annotations and for the content of entries
 _JSON_TYPES = {
     NoneType: "null",
     bool: "true or false",

@@ -292,6 +292,27 @@ def test_a_batch_and_a_failed_solution_are_rejected():
         tj.draw(linkage, np.full((4, 3), np.nan))
 
 
+def test_linear_responses_are_drawn_and_animated_as_their_poses():
+    linkage = four_bar.four_bar()
+    linear = tj.linearize(linkage, {"3": ["x"]})
+
+    @jax.vmap
+    def respond(travel):
+        return linear(drives=[tj.Drive("3", x=travel)], throw=False)
+
+    responses = respond(jnp.array([0.0, 1e-3]))
+    last = jax.tree.map(lambda values: values[1], responses)
+    drawn = polygons(tj.draw(linkage, last, reference=False, names=False))
+    expected = polygons(tj.draw(linkage, last.poses, reference=False, names=False))
+    animation = tj.animate(linkage, responses)
+    frames = animation._func(1)  # pyright: ignore[reportAttributeAccessIssue]
+    # This prevents the warning that it was not rendered.
+    animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
+    for shown in (drawn, frames):
+        for patch, other in zip(shown, expected, strict=True):
+            np.testing.assert_array_equal(patch.get_xy(), other.get_xy())
+
+
 @pytest.mark.slow
 def test_a_batch_of_equilibria_is_animated_in_sequence():
     linkage = four_bar.four_bar()

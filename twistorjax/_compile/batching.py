@@ -15,9 +15,9 @@ def computed_once(tree: Tree, finite: Inexact[Array, "*batch"]) -> Tree:
 
     XLA fuses each of many outputs with all that it depends on, and computes this again
     for each of them, except operations that it counts as expensive, such as a division.
-    All leaves are therefore divided by one. The `finite` values of the same shape hide
-    from XLA that it is one. A batch of motions takes 0.85 of the time, of which
-    equilibria gain nothing (`benchmarks.motion`).
+    All leaves are therefore divided by one, which is computed from `finite` values of the
+    same shape, so that XLA does not know it. Without this, a batch of motions takes up to
+    1.15 times as long (`benchmarks.motion`). Batches of equilibria gain nothing.
     """
     one = 1 + 0 * jax.lax.stop_gradient(finite)
     return jax.tree.map(lambda leaf: leaf / one, tree)

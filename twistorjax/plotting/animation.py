@@ -10,6 +10,7 @@ from typing_extensions import TypeAliasType
 from ..mechanism.mechanism import Mechanism
 from ..solve.continuation.solution import Path
 from ..solve.integration.solution import Motion
+from ..solve.linearization import LinearResponse
 from ..solve.statics.solution import Equilibrium
 from ..solve.vibrations import Vibrations
 from .drawing import draw, draw_reference, figure_size
@@ -39,7 +40,12 @@ class _Frames(NamedTuple):
 # What can be animated; poses in rad, m, m
 Animated = TypeAliasType(
     "Animated",
-    Motion | Vibrations | Equilibrium | Path | Float[ArrayLike, "frames bodies 3"],
+    Motion
+    | Vibrations
+    | Equilibrium
+    | LinearResponse
+    | Path
+    | Float[ArrayLike, "frames bodies 3"],
 )
 
 
@@ -150,8 +156,8 @@ def _frames(
     if isinstance(motion, Motion):
         times, poses = np.asarray(motion.times), np.asarray(motion.poses)
     else:
-        poses = motion.poses if isinstance(motion, Equilibrium | Path) else motion
-        poses = np.asarray(poses)
+        has_poses = isinstance(motion, Equilibrium | LinearResponse | Path)
+        poses = np.asarray(motion.poses if has_poses else motion)
     if poses.ndim > 3:
         raise ValueError(
             f"`motion` is a batch of motions, of shape {poses.shape[:-3]}. Animate one "

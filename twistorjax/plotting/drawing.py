@@ -12,8 +12,9 @@ from .._utils.validation import index_of
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from ..results.solutions import PoseSolution
 from ..solve.integration.solution import Motion
+from ..solve.linearization import LinearResponse
+from ..solve.statics.solution import Equilibrium
 from .figure_style import (
     FILLS,
     GRAY,
@@ -42,7 +43,7 @@ Color = tuple[float, ...]  # red, green, blue, opacity
 
 
 # What can be drawn; poses in rad, m, m
-Drawn = TypeAliasType("Drawn", PosesLike | PoseSolution)
+Drawn = TypeAliasType("Drawn", PosesLike | Equilibrium | LinearResponse | Motion)
 # The stored energy (J), or a number for each hinge
 HingeColors = TypeAliasType("HingeColors", Literal["energy"] | NamedNumbers)
 
@@ -195,7 +196,7 @@ def _displacements(mechanism: Mechanism, poses: Drawn | None) -> np.ndarray:
     """Return the displacements of the bodies that are drawn; rad, m, m."""
     if poses is None:
         return np.zeros(mechanism.reference.shape)
-    if isinstance(poses, PoseSolution):
+    if isinstance(poses, Equilibrium | LinearResponse | Motion):
         rows = poses.poses
         if (batch := rows.ndim - 2 - isinstance(poses, Motion)) > 0:
             raise ValueError(
@@ -216,7 +217,7 @@ def _reactions(poses: Drawn | None) -> np.ndarray:
     """Return the reactions on the bodies that are drawn; N m, N, N."""
     if isinstance(poses, Motion):
         return np.asarray(poses.reactions[-1])
-    if isinstance(poses, PoseSolution):
+    if isinstance(poses, Equilibrium | LinearResponse):
         return np.asarray(poses.reactions)
     raise ValueError(
         "`reactions` is True, but `poses` has no reactions. Give an equilibrium or a "

@@ -242,13 +242,10 @@ def result_error(name: str, batch_index: tuple[int, ...], more: str = "") -> Exc
 
     `more` follows the message of the result.
     """
-    error = ValueError if name in _INVALID_INPUT else RuntimeError
-    return error(f"{result_message(name)}{more}{_place(batch_index)}")
-
-
-def _place(batch_index: tuple[int, ...]) -> str:
     index = ", ".join(map(str, batch_index))
-    return f" (at index {index} of the batch)" if index else ""
+    place = f" (at index {index} of the batch)" if index else ""
+    error = ValueError if name in _INVALID_INPUT else RuntimeError
+    return error(f"{result_message(name)}{more}{place}")
 
 
 def finish(

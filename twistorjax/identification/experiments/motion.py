@@ -12,10 +12,11 @@ from ..._utils.host import as_float, concrete
 from ..._utils.types import NumberLike, Poses, Scalar, Table, TimesLike, VelocityLike
 from ...mechanism.constraints import AbstractConstraint
 from ...mechanism.mechanism import Mechanism
+from ...results.solutions import PoseSolution
 from ...solve.integration.arguments import check_times, explain_compilation
 from ...solve.integration.program import Driving, Loading
 from ...solve.simulate import simulate
-from ...solve.statics.solution import Equilibrium, StateLike
+from ...solve.statics.solution import StateLike
 from .measurement import as_pytree, require_sensors, SensorTest
 from .sensors import AbstractSensor
 
@@ -79,7 +80,7 @@ class MotionTest(SensorTest):
             self.loads = as_pytree(traced(loads)) if callable(loads) else tuple(loads)
             self.drives = as_pytree(traced(drives)) if callable(drives) else tuple(drives)
         self.constraints = tuple(constraints)
-        if isinstance(start, Equilibrium):
+        if isinstance(start, PoseSolution):
             start = start.poses
         self.start = None if start is None else as_float(start)
         self.velocities = None

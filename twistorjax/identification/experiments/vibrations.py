@@ -13,7 +13,8 @@ from ..._utils.types import NumbersLike, Poses, Table, TableDeviationsLike, Tabl
 from ..._utils.validation import require_deviations
 from ...mechanism.loads import Load
 from ...mechanism.mechanism import Mechanism
-from ...solve.statics.solution import Equilibrium, StateLike
+from ...results.solutions import PoseSolution
+from ...solve.statics.solution import StateLike
 from ...solve.vibrations import vibrations
 from .measurement import AbstractTest, Measurement
 
@@ -66,7 +67,7 @@ class VibrationTest(AbstractTest):
             if isinstance(prescribed, Mapping)
             else tuple(prescribed)
         )
-        if isinstance(about, Equilibrium):
+        if isinstance(about, PoseSolution):
             about = about.poses
         self.about = None if about is None else jnp.asarray(about, float)
         self.loads = tuple(loads)

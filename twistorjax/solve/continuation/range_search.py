@@ -116,7 +116,7 @@ def _end(
     fixed, limits = stop_gradient((system, allowable))
     search = _find(fixed, jax.lax.stop_gradient(start), limits, side)
     found = jnp.abs(search.excess) < _REACHED
-    point = _with_derivatives(system, allowable, search.point, found, start)
+    point = _differentiable_end(system, allowable, search.point, found, start)
     values = jax.tree.map(lambda array: array[0], point_values(system, point[None]))
     stresses = system.stresses(point)
     unstable = jnp.zeros((), bool)
@@ -140,7 +140,7 @@ def _end(
 
 
 @eqx.filter_custom_jvp
-def _with_derivatives(
+def _differentiable_end(
     system: PathSystem,
     allowable: Float[Array, " hinges"],
     point: Float[Array, " n"],
@@ -155,7 +155,7 @@ def _with_derivatives(
     return point
 
 
-@_with_derivatives.def_jvp
+@_differentiable_end.def_jvp
 def _(primals, tangents):
     system, allowable, point, by_stress, start = primals
     fixed = stop_gradient(system)

@@ -87,5 +87,5 @@ class Equilibrium(PoseSolution):
         return self._listed(title, "body", displacements)
 
 
-# An equilibrium, or poses of the bodies; rad, m, m
-StateLike = TypeAliasType("StateLike", PosesLike | Equilibrium)
+# An equilibrium, a linear response, or poses of the bodies; rad, m, m
+StateLike = TypeAliasType("StateLike", PosesLike | PoseSolution)

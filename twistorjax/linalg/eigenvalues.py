@@ -20,10 +20,7 @@ _ROUNDING, _LARGEST_ERROR = 16 * np.finfo(float).eps, 1e-11
 
 
 class Stiffness(NamedTuple):
-    """Mass-normalized stiffness in factors: `rows.T diag(weights) rows + remainder`.
-
-    Each displacement is multiplied by the square root of its inertia.
-    """
+    """Stiffness in factors: `rows.T diag(weights) rows + remainder`."""
 
     # Linear combinations of displacements against which hinges have stiffness
     rows: Float[Array, "rows n"]
@@ -32,13 +29,18 @@ class Stiffness(NamedTuple):
     # that is not positive semidefinite
     remainder: Float[Array, "n n"]
 
+    def reduced(self, basis: Float[Array, "n allowed"]) -> "Stiffness":
+        """Return the stiffness against the displacements in the columns of a basis."""
+        remainder = basis.T @ self.remainder @ basis
+        return Stiffness(self.rows @ basis, self.weights, remainder)
+
 
 def rounding_errors(
     stiffness: Stiffness, vectors: Float[Array, "n modes"]
 ) -> Float[Array, " modes"]:
-    """Bound the rounding errors of the stiffness of each eigenvector.
+    """Bound the rounding errors of the stiffness against each of several displacements.
 
-    An eigenvector may be softer than others by any factor, so the bound follows from the
+    A displacement may be softer than others by any factor, so the bound follows from the
     terms of its own stiffness, not from the largest eigenvalue.
     """
     rows, weights, remainder = stiffness
@@ -82,8 +84,7 @@ def modes(stiffness: Stiffness) -> Modes:
     # The basis is that of the eigenvectors, up to rounding errors of the assembled
     # matrix. If the factors are multiplied in this basis, small entries are as accurate
     # as large ones.
-    rows = rows @ basis
-    remainder = basis.T @ remainder @ basis
+    rows, _, remainder = stiffness.reduced(basis)
     matrix = rows.T @ (weights[:, None] * rows) + (remainder + remainder.T) / 2
     matrix = jnp.where(finite, matrix, jnp.eye(len(matrix)))
     squares, vectors = _jacobi_eigenvalues(matrix)

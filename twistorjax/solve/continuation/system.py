@@ -130,27 +130,23 @@ class PathSystem(eqx.Module):
         """
         system, displacements, multipliers = self.split(point)
         hinges = system.hinges.tangent(displacements, predicted)
-        count, columns = len(self.dofs.free), self.dofs.free + self.dofs.prescribed
-        forces, matrix = system.with_loads(hinges, displacements, columns)
+        count = len(self.dofs.free)
+        forces, *matrices = system.dense_tangent(
+            hinges, displacements, self.dofs.free + self.dofs.prescribed, multipliers
+        )
+        matrix = jnp.concatenate(matrices)
         applied, _ = self.loads.apply(displacements)
         by_factor = self._by_changes(point[-1], displacements) - applied.reshape(-1)
-        by_factor = by_factor[system.free]
-        if self.constraints.size:
-            whole = system.jacobian(displacements)
-            forces, rows = forces - multipliers @ whole, whole[:, np.array(columns, int)]
-            geometric = self.constraints.geometric_stiffness(
-                displacements, self.time, multipliers
-            )
-            matrix = matrix + geometric[system.free[:, None], np.array(columns, int)]
-            matrix = jnp.concatenate([matrix, rows])
-            by_factor = jnp.concatenate([by_factor, jnp.zeros(len(rows))])
+        by_factor = jnp.concatenate(
+            [by_factor[system.free], jnp.zeros(self.constraints.size)]
+        )
         if self.dofs.prescribed:
             by_factor = by_factor + matrix[:, count:] @ self.targets
         matrix = matrix[:, :count]
         if self.constraints.size:
             corner = jnp.zeros((self.constraints.size, self.constraints.size))
-            right = jnp.concatenate([-matrix[count:].T, corner])
-            matrix = jnp.concatenate([matrix, right], axis=1)
+            by_multipliers = jnp.concatenate([-matrix[count:].T, corner])
+            matrix = jnp.concatenate([matrix, by_multipliers], axis=1)
         return PathTangent(
             residual=system.equations(forces, displacements),
             jacobian=matrix,

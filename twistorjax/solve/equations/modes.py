@@ -29,28 +29,19 @@ def natural_modes(
 ) -> NaturalModes:
     """Compute the modes at given displacements (rad, m, m), without follower loads."""
     free = system.free
-    root = jnp.sqrt(mechanism.inertia().reshape(-1)[free])
+    units = 1 / jnp.sqrt(mechanism.inertia().reshape(-1)[free])
     rows, weights, remainder = system.hinges.factored(displacements, system.dofs.free)
     _, by_angle = system.loads.apply(displacements)
     # Without follower loads, only the moments of the loads depend on the angles.
     remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
-    basis = None
+    basis = jnp.diag(units)
     if system.constraints.size:
         geometric = system.constraint_stiffness(displacements)
         remainder = remainder + geometric[free[:, None], free]
         jacobian = system.jacobian(displacements)[:, free]
-        _, basis = null_space(jacobian / root[None])
-    stiffness = Stiffness(
-        rows / root[None], weights, remainder / (root[:, None] * root[None])
-    )
-    allowed = stiffness
-    if basis is not None:
-        remainder = basis.T @ stiffness.remainder @ basis
-        allowed = Stiffness(stiffness.rows @ basis, weights, remainder)
-    angular, vectors = modes(allowed)
-    angular = jnp.diagonal(angular)
-    if basis is not None:
-        vectors = basis @ vectors
-    errors = rounding_errors(*stop_gradient((stiffness, vectors)))
-    unstable = (angular < 0) & (angular**2 > errors)
-    return NaturalModes(angular, vectors / root[:, None], unstable)
+        basis = basis @ null_space(jacobian * units[None])[1]
+    stiffness = Stiffness(rows, weights, remainder)
+    root, vectors = modes(stiffness.reduced(basis))
+    angular, shapes = jnp.diagonal(root), basis @ vectors
+    errors = rounding_errors(*stop_gradient((stiffness, shapes)))
+    return NaturalModes(angular, shapes, (angular < 0) & (angular**2 > errors))

@@ -227,35 +227,52 @@ class System(eqx.Module):
             )
             return hinges.forces() - applied, tangent, hinges
         columns = self.dofs.free + self.dofs.prescribed
-        constrained = self.constraints.size > 0
-        residual, matrix = self.with_loads(hinges, displacements, columns, fraction)
-        if not constrained:
+        residual, matrix, jacobian = self.dense_tangent(
+            hinges, displacements, columns, multipliers, fraction
+        )
+        if not self.constraints.size:
             return residual, DenseTangent(matrix), hinges
-        assert multipliers is not None
-        return *self._constrained(displacements, residual, matrix, multipliers), hinges
+        tangent = ConstrainedTangent(matrix, jacobian, self.free_units())
+        return residual, tangent, hinges
 
-    def with_loads(
+    def dense_tangent(
         self,
         hinges: AssemblyTangent,
         displacements: Poses,
         columns: tuple[int, ...],
+        multipliers: Entries | None,
         fraction: Scalar | float = 1.0,
-    ) -> tuple[Float[Array, " dofs"], Float[Array, "free columns"]]:
-        """Add a fraction of the loads to the forces of the hinges.
+    ) -> tuple[
+        Float[Array, " dofs"],
+        Float[Array, "free columns"],
+        Float[Array, "entries columns"],
+    ]:
+        """Add a fraction of the loads, and the constraint forces, to a tangent of hinges.
 
-        The free forces are differentiated with respect to the degrees of freedom in
-        `columns`.
+        Returns:
+            The residual on all degrees of freedom, and the derivatives of the residual on
+            the free ones and of the violations by the degrees of freedom in `columns`.
         """
-        forces = hinges.forces()
-        matrix = hinges.matrix(self.dofs.free, columns)
+        forces, matrix = hinges.forces(), hinges.matrix(self.dofs.free, columns)
         loads = self.loads_at(fraction)
-        if not loads.present:
-            return forces, matrix
-        applied, by_angle = (value.reshape(-1) for value in loads.apply(displacements))
-        matrix = add_load_stiffness(
-            matrix, by_angle, loads.conservative, self.dofs.free, columns
+        if loads.present:
+            applied, by_angle = (
+                value.reshape(-1) for value in loads.apply(displacements)
+            )
+            forces = forces - applied
+            matrix = add_load_stiffness(
+                matrix, by_angle, loads.conservative, self.dofs.free, columns
+            )
+        if not self.constraints.size:
+            return forces, matrix, jnp.zeros((0, len(columns)))
+        assert multipliers is not None
+        jacobian, selected = self.jacobian(displacements), np.array(columns, int)
+        geometric = self.constraints.geometric_stiffness(
+            displacements, self.time, multipliers
         )
-        return forces - applied, matrix
+        forces = forces - multipliers @ jacobian
+        matrix = matrix + geometric[self.free[:, None], selected]
+        return forces, matrix, jacobian[:, selected]
 
     def whole_stiffness(
         self, displacements: Poses
@@ -266,13 +283,14 @@ class System(eqx.Module):
         constraint forces which are in equilibrium with them. The second matrix has the
         derivatives of the constraint violations.
         """
-        count = self.dofs.total
-        whole = replace(self, dofs=DofPartition(count, tuple(range(count))))
+        all_dofs = tuple(range(self.dofs.total))
+        whole = replace(self, dofs=DofPartition(len(all_dofs), all_dofs))
         hinges = self.hinges.tangent(displacements)
-        _, matrix = whole.with_loads(hinges, displacements, whole.dofs.free)
-        if self.constraints.size:
-            matrix += self.constraint_stiffness(displacements)
-        return matrix, self.jacobian(displacements)
+        multipliers = self.constraint_forces(displacements)
+        _, stiffness, jacobian = whole.dense_tangent(
+            hinges, displacements, all_dofs, multipliers
+        )
+        return stiffness, jacobian
 
     def factors(
         self, stiffness: Float[Array, "free free"], jacobian: Float[Array, "entries free"]
@@ -299,23 +317,3 @@ class System(eqx.Module):
         if not self.constraints.size:
             return residual
         return residual - self.constraints.forces(displacements, self.time, multipliers)
-
-    def _constrained(
-        self,
-        displacements: Poses,
-        residual: Float[Array, " dofs"],
-        matrix: Float[Array, "free columns"],
-        multipliers: Entries,
-    ) -> tuple[Float[Array, " dofs"], ConstrainedTangent]:
-        """Add the constraint forces to the residual, and their derivatives."""
-        columns = np.array(self.dofs.free + self.dofs.prescribed, int)
-        jacobian = self.jacobian(displacements)
-        geometric = self.constraints.geometric_stiffness(
-            displacements, self.time, multipliers
-        )
-        tangent = ConstrainedTangent(
-            stiffness=matrix + geometric[self.free[:, None], columns],
-            jacobian=jacobian[:, columns],
-            units=self.free_units(),
-        )
-        return residual - multipliers @ jacobian, tangent

@@ -35,9 +35,9 @@ from .continuation.points import negative_eigenvalues, on_path, point_values
 from .continuation.program import (
     path_result,
     PathRun,
-    refine_uncompiled,
+    refine_path,
+    run_path,
     run_refined,
-    run_uncompiled,
 )
 from .continuation.setup import assemble_path, check_settings, first_displacements
 from .continuation.solution import CriticalPoint
@@ -277,15 +277,17 @@ def bistability(
     return finish(found, throw, error)
 
 
-def _solve_uncompiled(
+@fast_compile
+def _solve(
     system: PathSystem, first: FirstPoint, by_drives: bool, *arguments: Any
 ) -> Bistability:
     """Compute the result of `bistability`, inside another program."""
-    run = refine_uncompiled(system, run_uncompiled(system, first, *arguments))
-    return _evaluate_uncompiled(system, run, first.direction, by_drives)
+    run = refine_path(system, run_path(system, first, *arguments))
+    return _evaluate(system, run, first.direction, by_drives)
 
 
-def _evaluate_uncompiled(
+@fast_compile
+def _evaluate(
     system: PathSystem, run: PathRun, direction: Scalar, by_drives: bool
 ) -> Bistability:
     """Compute the states and the loads of a path, and give them derivatives.
@@ -509,7 +511,3 @@ def _snap_factors(
     switched = jnp.isfinite(middle) & ~(found & (around * np.array([1.0, -1.0]) <= 0))
     factors = jnp.where(switched, middle, jnp.where(found, at[:, -1], jnp.nan))
     return factors, at_branch & ~switched
-
-
-_solve = fast_compile(_solve_uncompiled)
-_evaluate = fast_compile(_evaluate_uncompiled)

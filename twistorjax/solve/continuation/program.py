@@ -44,7 +44,8 @@ class PathRun(NamedTuple):
     criticals: Criticals  # The critical points
 
 
-def run_uncompiled(
+@fast_compile
+def run_path(
     system: PathSystem,
     first: FirstPoint,
     limits: Float[Array, "2"],
@@ -123,7 +124,8 @@ def _of_load_factor(point: Float[Array, " n"]) -> Float[Array, " n"]:
     return jnp.zeros_like(point).at[-1].set(1.0)
 
 
-def _evaluate_uncompiled(
+@fast_compile
+def evaluate_path(
     system: PathSystem, limits: Float[Array, "2"], until: Until | None, run: PathRun
 ) -> Path:
     """Compute the quantities at the points, and give them derivatives."""
@@ -219,7 +221,8 @@ def _masked(used: Bool[Array, " rows"], values: Array) -> Array:
     return jnp.where(used.reshape(-1, *(values.ndim - 1) * (1,)), values, jnp.nan)
 
 
-def _solve_uncompiled(
+@fast_compile
+def solve_path(
     system: PathSystem,
     first: FirstPoint,
     limits: Float[Array, "2"],
@@ -228,21 +231,16 @@ def _solve_uncompiled(
     *numbers: int,
 ) -> Path:
     """Follow the path and evaluate its points, inside another program."""
-    run = run_uncompiled(system, first, limits, largest_step, until, *numbers)
-    return _evaluate_uncompiled(system, limits, until, refine_uncompiled(system, run))
+    run = run_path(system, first, limits, largest_step, until, *numbers)
+    return evaluate_path(system, limits, until, refine_path(system, run))
 
 
-def refine_uncompiled(system: PathSystem, run: PathRun) -> PathRun:
+@fast_compile
+def refine_path(system: PathSystem, run: PathRun) -> PathRun:
     """Improve the branch points; see `refine_branch_points`."""
     fixed = stop_gradient(system)
     refined = refine_branch_points(fixed, run.metric, run.criticals)
     return run._replace(criticals=refined)
-
-
-solve_path = fast_compile(_solve_uncompiled)
-run_path = fast_compile(run_uncompiled)
-refine_path = fast_compile(refine_uncompiled)
-evaluate_path = fast_compile(_evaluate_uncompiled)
 
 
 def run_refined(system: PathSystem, *arguments: Any) -> PathRun:

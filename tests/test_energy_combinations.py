@@ -8,11 +8,11 @@ import pytest
 from helpers import assert_close, mostly_slow
 
 import twistorjax as tj
-from twistorjax.energies import protocols
 from twistorjax.energies.base import (
     AbstractEnergy,
     AbstractWrapper,
     out_of_range,
+    parallel_terms,
     validation_error,
 )
 from twistorjax.geometry.twistors import Displacement
@@ -141,12 +141,12 @@ def properties(energy, term, stress):
     """
     at = Displacement.from_pose(POSE)
     found = {
-        "scale": protocols.translation_scale(term, at),
-        "model": value(protocols.newton_model(term, tuple(stress))),
-        "rates": jnp.stack(protocols.resisted_rates(term, at, RATES)),
+        "scale": term.translation_scale(at),
+        "model": value(term.newton_model(tuple(stress))),
+        "rates": jnp.stack(term.resisted_rates(at, RATES)),
     }
     if not isinstance(energy, tj.energies.PointCharges):  # which are not in equilibrium
-        damping = protocols.proportional_damping(term, jnp.array(0.1)).damping
+        damping = term.proportional_damping(jnp.array(0.1)).damping
         found["damping"] = damping
     return found
 
@@ -154,7 +154,7 @@ def properties(energy, term, stress):
 @EACH_COMBINATION
 def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, name):
     """The stress, the model for Newton's method, and the damping are sums."""
-    terms = protocols.parallel_terms(combinations(energy)[name])
+    terms = parallel_terms(combinations(energy)[name])
     stress, (whole, _) = np.array([0.3, 2.5, -0.7]), value_and_gradient(energy)
     shares = [float(value_and_gradient(term)[0]) / float(whole) for term in terms]
     expected = properties(energy, energy, stress)
@@ -166,7 +166,7 @@ def test_the_terms_of_a_combination_keep_the_properties_of_the_energy(energy, na
         assert_close(found["scale"], expected["scale"])
         assert_close(found["rates"], expected["rates"])
         sums = {key: total + np.asarray(found[key]) for key, total in sums.items()}
-        assert protocols.has_resisted_rates(term) == protocols.has_resisted_rates(energy)
+        assert term.resists_all_rates == energy.resists_all_rates
     assert_close(sum(shares), 1.0)
     for key, total in sums.items():
         assert_close(total, expected[key])

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose as assert_close
 from scipy.optimize import minimize
 
 import twistorjax as tj
-from twistorjax.energies import protocols
 from twistorjax.geometry import se2
 from twistorjax.geometry.twistors import Displacement
 
@@ -79,8 +78,8 @@ class TestOneFreedomEnergy:
         @jax.jit
         def damping(twist, rates, time):
             at = Displacement.from_pose(se2.exp(twist))
-            resisted = protocols.resisted_rates(energy, at, tuple(rates))
-            matrix = protocols.proportional_damping(energy, time).damping
+            resisted = energy.resisted_rates(at, tuple(rates))
+            matrix = energy.proportional_damping(time).damping
             return jnp.stack(resisted), matrix
 
         resisted, matrix = map(np.asarray, damping(twist, rates, time))

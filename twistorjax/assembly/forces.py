@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Scalar
-from ..energies import protocols
 from ..energies.base import AbstractEnergy
 from ..geometry.twistors import Displacement, half_angle_cos_sin
 from ..linalg.products import as_array, product
@@ -42,7 +41,7 @@ def forces_and_stress(
     """Differentiate the energy with respect to displacements, and to its coordinates.
 
     The second result is the generalized stress, the derivative with respect to the
-    coordinates in which the energy is nearly quadratic; see `HasTranslationScale`. Both
+    coordinates in which the energy is nearly quadratic; see `AbstractEnergy`. Both
     are in N m, N, N.
     """
     kinematics = HingeKinematics.of(first, second, axis)
@@ -227,7 +226,7 @@ def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEn
     """Return the model of an energy for a Newton step, if a stress is predicted."""
     if predicted is None:
         return energy
-    return protocols.newton_model(energy, predicted)
+    return energy.newton_model(predicted)
 
 
 def energy_and_gradient(energy: AbstractEnergy, at: Displacement) -> tuple[Scalar, Three]:
@@ -274,7 +273,7 @@ def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:
 
     def scale(angle: Scalar) -> Scalar:
         displacement = displacement_at(at, (angle, 2 * at.x1, 2 * at.x2))
-        return protocols.translation_scale(energy, displacement)
+        return energy.translation_scale(displacement)
 
     def slope(angle: Scalar) -> tuple[Scalar, Scalar]:
         return jax.jvp(scale, (angle,), (jnp.ones_like(angle),))

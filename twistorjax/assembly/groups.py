@@ -12,11 +12,10 @@ from jaxtyping import Array, Float
 from .._utils.host import all_concrete, as_float
 from .._utils.pytrees import group_by_structure
 from .._utils.types import Scalar
-from ..energies.base import AbstractEnergy
+from ..energies.base import AbstractEnergy, parallel_terms
 from ..energies.damping import ViscousDamping
 from ..energies.dilation import dilated
 from ..energies.natural_curvature import curvature_loads
-from ..energies.protocols import has_resisted_rates, parallel_terms, proportional_damping
 
 
 class HingeGroup(eqx.Module):
@@ -119,7 +118,7 @@ def _distribute(
     """
     if not isinstance(damping, ViscousDamping):
         return [damping] * len(terms)
-    chosen = next((k for k, term in enumerate(terms) if has_resisted_rates(term)), 0)
+    chosen = next((k for k, term in enumerate(terms) if not term.resists_all_rates), 0)
     return [damping if k == chosen else None for k in range(len(terms))]
 
 
@@ -131,7 +130,7 @@ def _proportional(
     leaves, tree = jax.tree.flatten(energy)
 
     def damping(leaves, time):
-        return proportional_damping(jax.tree.unflatten(tree, leaves), time)
+        return jax.tree.unflatten(tree, leaves).proportional_damping(time)
 
     *of_energy, of_time = batch_axes
     if any(axis == 0 for axis in batch_axes):

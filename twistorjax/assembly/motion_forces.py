@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 
 from .._compile.batching import computed_once
 from .._utils.types import Scalar
-from ..energies import protocols
 from ..energies.base import AbstractEnergy
 from ..energies.damping import ViscousDamping
 from ..energies.natural_curvature import NaturallyCurved
@@ -177,7 +176,7 @@ def _viscous_slopes(
             point = resisted_at
             if point is None:
                 point = displacement_at(at, coordinates)
-            strain_rates = protocols.resisted_rates(energy, point, strain_rates)
+            strain_rates = energy.resisted_rates(point, strain_rates)
         return half_square(damping.damping, strain_rates)
 
     return jax.grad(half_power)(rates)

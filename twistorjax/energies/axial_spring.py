@@ -9,9 +9,8 @@ from .._utils.host import concrete
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy
+from .base import AbstractEnergy, Stress
 from .dilation import multiply_fields
-from .protocols import Stress
 
 
 class AxialSpring(AbstractEnergy):
@@ -66,7 +65,7 @@ class AxialSpring(AbstractEnergy):
         return along, 2 * displacement.x2
 
     def newton_model(self, stress: Stress) -> AbstractEnergy:
-        """Return the energy that replaces it in a Newton step; see `HasNewtonModel`."""
+        """Return the energy that replaces it in a Newton step; see `AbstractEnergy`."""
         return _NewtonModel(self, *stress[1:])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "AxialSpring":

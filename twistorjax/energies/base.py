@@ -8,29 +8,34 @@ dissertation.
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import fields
-from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.types import Flag, Matrix, NumberLike, Pose, Scalar, Twist, Wrench
 from ..geometry import se2
 from ..geometry.twistors import Displacement
+from .damping import ViscousDamping
+
+
+Rates = tuple[Scalar, Scalar, Scalar]  # rad/s, m/s, m/s
+Stress = tuple[Scalar, Scalar, Scalar]  # Moment, axial, and transverse force; N m, N, N
 
 
 class AbstractEnergy(eqx.Module):
     """Elastic energy of a hinge as a function of the displacement of b relative to a.
 
     A subclass implements one method, `stored_energy`. Wrench, stiffness, sums, and
-    multiples follow from it. Further methods are optional; they are those of the
-    protocols `HasValidityRange` and `HasValidationError`, and of the protocols in
-    `protocols`. The solvers also use the optional methods of an energy if it is a
-    term of a sum, is multiplied by a factor, or has a validity range.
+    multiples follow from it. A subclass may replace further methods: `out_of_range`
+    together with `range_message`, `validation_error`, `dilated`, `proportional_damping`,
+    `resisted_rates`, and `translation_scale` and `newton_model`, which only reduce the
+    number of solver steps. They are also used if the energy is a term of a sum, is
+    multiplied by a factor, or has a validity range.
 
     Example:
         >>> class QuarticSpring(AbstractEnergy):
@@ -124,6 +129,114 @@ class AbstractEnergy(eqx.Module):
         pose = jnp.zeros(3) if pose is None else pose
         return self._in_range(pose, *_evaluate(_tangent_stiffness, self, pose))
 
+    def out_of_range(self, displacement: Displacement) -> Flag | None:
+        """Decide whether a displacement is outside the validity range of this energy.
+
+        Returns:
+            True outside the range; None, the default, if the energy is valid everywhere.
+        """
+        del displacement
+
+    def range_message(self, displacement: Displacement) -> str:
+        """Describe a displacement outside the validity range, and the range.
+
+        Returns:
+            Text that follows the name of the hinge in a message, without a period.
+        """
+        del displacement
+        return "it is outside the validity range of its energy"
+
+    def range_share(self, displacement: Displacement) -> Scalar | None:
+        """Compute the share of a displacement, or of its axial force, in the largest one.
+
+        Returns:
+            1 where the error is 5 %; None, the default, if the energy is not limited to
+            small displacements and axial forces.
+        """
+        del displacement
+
+    def validation_error(self) -> str | None:
+        """Describe the first invalid value of the fields.
+
+        Returns:
+            The message; None, the default, if all values are valid.
+        """
+
+    @property
+    def flexure_length(self) -> Scalar | None:
+        """Length of the flexure along axis 1; None, the default, if it is unknown; m."""
+        return None
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> "AbstractEnergy":
+        """Return the energy if all dimensions of the hinge are multiplied.
+
+        The energy at a rotation and a translation becomes `scale^3` times that at the
+        rotation and the translation divided by `scale`.
+
+        Args:
+            scale: The factor; one for each energy if the energies are stacked.
+
+        Returns:
+            The energy of the larger hinge; by default the same object, if the dimensions
+            of the hinge are unknown.
+        """
+        del scale
+        return self
+
+    def proportional_damping(self, time: Scalar) -> ViscousDamping:
+        """Return the damping that is the stiffness times a time.
+
+        Args:
+            time: Factor of the stiffness in the reference configuration; s.
+
+        Returns:
+            The damping; N m s/rad, N s/rad, N s/m.
+        """
+        return ViscousDamping(time * self.tangent_stiffness())
+
+    def resisted_rates(self, displacement: Displacement, rates: Rates) -> Rates:
+        """Return the part of the strain rates that the energy resists.
+
+        Args:
+            rates: Rates of the strain; rad/s, m/s, m/s.
+
+        Returns:
+            The rates on which damping with `resisted` acts, by default all; rad/s, m/s,
+            m/s.
+        """
+        del displacement
+        return rates
+
+    @property
+    def resists_all_rates(self) -> bool:
+        """Whether the energy resists all strain rates."""
+        return type(self).resisted_rates is AbstractEnergy.resisted_rates
+
+    def translation_scale(self, displacement: Displacement) -> Scalar:
+        """Compute the factor by which mid-frame translations are multiplied.
+
+        Newton's method predicts the generalized stress of a hinge with respect to the
+        scaled translations. It takes few steps if the energy is nearly quadratic in them.
+
+        Returns:
+            The dimensionless factor, a function of the angle only; by default one.
+        """
+        return jnp.ones_like(displacement.angle)
+
+    def newton_model(self, stress: Stress) -> "AbstractEnergy":
+        """Return the energy that replaces this one in a Newton step.
+
+        Args:
+            stress: Predicted generalized stress: moment, axial force, and transverse
+                force; N m, N, N.
+
+        Returns:
+            An energy whose derivatives agree with those of this energy to first order,
+            near the predicted stress; by default this energy.
+        """
+        del stress
+        return self
+
     def __add__(self, other: "AbstractEnergy") -> "Sum":
         if not isinstance(other, AbstractEnergy):
             return NotImplemented
@@ -208,8 +321,8 @@ class Sum(AbstractEnergy):
 class AbstractWrapper(AbstractEnergy):
     """A multiple of another energy, or the same energy with additional methods.
 
-    `nested` and `protocols` find the optional methods of the wrapped energy
-    through `energy` and `multiple`, so a subclass does not implement them again.
+    The methods that describe a hinge in motion and in a Newton step are those of the
+    wrapped energy; `nested` finds the others.
     """
 
     energy: eqx.AbstractVar[AbstractEnergy]
@@ -222,6 +335,28 @@ class AbstractWrapper(AbstractEnergy):
     def stored_energy(self, displacement: Displacement) -> Scalar:
         energy = self.energy.stored_energy(displacement)
         return energy if self.multiple is None else self.multiple * energy
+
+    def proportional_damping(self, time: Scalar) -> ViscousDamping:
+        factor = 1.0 if self.multiple is None else self.multiple
+        return self.energy.proportional_damping(factor * time)
+
+    def resisted_rates(self, displacement: Displacement, rates: Rates) -> Rates:
+        return self.energy.resisted_rates(displacement, rates)
+
+    @property
+    def resists_all_rates(self) -> bool:
+        return self.energy.resists_all_rates
+
+    def translation_scale(self, displacement: Displacement) -> Scalar:
+        return self.energy.translation_scale(displacement)
+
+    def newton_model(self, stress: Stress) -> AbstractEnergy:
+        if self.multiple is None:
+            return self.energy.newton_model(stress)
+        positive = self.multiple > 0
+        multiple = jnp.where(positive, self.multiple, 1.0)
+        m, n1, n2 = (jnp.where(positive, part / multiple, 0.0) for part in stress)
+        return Scaled(factor=self.multiple, energy=self.energy.newton_model((m, n1, n2)))
 
 
 class Scaled(AbstractWrapper):
@@ -242,63 +377,6 @@ class Scaled(AbstractWrapper):
         return None
 
 
-@runtime_checkable
-class HasValidityRange(Protocol):
-    """An energy that is valid only in a range of displacements."""
-
-    def out_of_range(self, displacement: Displacement) -> Flag | None:
-        """Decide whether a displacement is outside the validity range.
-
-        Returns:
-            True outside the range; None if the energy is valid everywhere.
-        """
-        ...
-
-    def range_message(self, displacement: Displacement) -> str:
-        """Describe a displacement and the range.
-
-        Returns:
-            Text that follows the name of the hinge in a message, without a period.
-        """
-        ...
-
-
-@runtime_checkable
-class HasRangeShare(Protocol):
-    """An energy that is accurate for small displacements and axial forces only."""
-
-    def range_share(self, displacement: Displacement) -> Scalar | None:
-        """Compute the share of a displacement, or of its axial force, in the largest one.
-
-        Returns:
-            1 where the error is 5 %; None if the energy is accurate everywhere.
-        """
-        ...
-
-
-@runtime_checkable
-class HasFlexureLength(Protocol):
-    """An energy of a flexure along axis 1 whose length is known."""
-
-    @property
-    def flexure_length(self) -> Scalar | None:
-        """Length, or None if the energy is not that of a flexure; m."""
-        ...
-
-
-@runtime_checkable
-class HasValidationError(Protocol):
-    """An energy that checks whether its values are valid."""
-
-    def validation_error(self) -> str | None:
-        """Describe the first invalid value.
-
-        Returns:
-            The message; None if all values are valid.
-        """
-        ...
-
-
 def nested(energy: AbstractEnergy) -> Iterator[AbstractEnergy]:
     """Iterate over an energy and all energies in its fields, at any depth."""
     yield energy
@@ -314,11 +392,7 @@ def out_of_range(energy: AbstractEnergy, displacement: Displacement) -> Flag | N
 
     The ranges of all nested energies count. The result is None if there is no range.
     """
-    outside = [
-        part.out_of_range(displacement)
-        for part in nested(energy)
-        if isinstance(part, HasValidityRange)
-    ]
+    outside = [part.out_of_range(displacement) for part in nested(energy)]
     outside = [flag for flag in outside if flag is not None]
     return jnp.any(jnp.stack(outside)) if outside else None
 
@@ -326,10 +400,9 @@ def out_of_range(energy: AbstractEnergy, displacement: Displacement) -> Flag | N
 def range_message(energy: AbstractEnergy, displacement: Displacement) -> str:
     """Describe a displacement and the first validity range outside of which it is."""
     for part in nested(energy):
-        if isinstance(part, HasValidityRange):
-            outside = part.out_of_range(displacement)
-            if outside is not None and concrete(outside) is not None and outside:
-                return part.range_message(displacement)
+        outside = part.out_of_range(displacement)
+        if outside is not None and concrete(outside) is not None and outside:
+            return part.range_message(displacement)
     return "the energy is valid everywhere"
 
 
@@ -338,23 +411,42 @@ def range_share(energy: AbstractEnergy, displacement: Displacement) -> Scalar | 
 
     The result is None if no nested energy is that of a linear flexure or `quartic_leaf`.
     """
-    shares = [
-        part.range_share(displacement)
-        for part in nested(energy)
-        if isinstance(part, HasRangeShare)
-    ]
+    shares = [part.range_share(displacement) for part in nested(energy)]
     shares = [share for share in shares if share is not None]
     return jnp.max(jnp.stack(shares)) if shares else None
 
 
-def flexure_length(energy: AbstractEnergy) -> Scalar | None:
-    """Return the length of a flexure; None if it is not known; m."""
-    return energy.flexure_length if isinstance(energy, HasFlexureLength) else None
-
-
 def validation_error(energy: AbstractEnergy) -> str | None:
     """Describe the first invalid value of an energy; None if all are valid."""
-    for part in nested(energy):
-        if isinstance(part, HasValidationError) and (error := part.validation_error()):
-            return error
-    return None
+    errors = (part.validation_error() for part in nested(energy))
+    return next((error for error in errors if error), None)
+
+
+class _RangeOnly(AbstractEnergy):
+    """The validity range of a sum, without its energy."""
+
+    energy: AbstractEnergy
+
+    def stored_energy(self, displacement: Displacement) -> Scalar:
+        return jnp.zeros_like(displacement.angle)
+
+
+def parallel_terms(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
+    """Split an energy into the terms of its sum; itself, if it is not a sum.
+
+    A mechanism treats the terms as hinges in parallel, so that each term has its own
+    optional methods. If a sum has a validity range, an additional term without energy
+    checks this range.
+    """
+    if isinstance(energy, Sum):
+        return tuple(term for part in energy.parts for term in parallel_terms(part))
+    if not isinstance(energy, AbstractWrapper):
+        return (energy,)
+    terms = parallel_terms(energy.energy)
+    if len(terms) == 1:
+        return (energy,)
+    if energy.multiple is not None:
+        terms = tuple(Scaled(factor=energy.multiple, energy=term) for term in terms)
+    if type(energy).out_of_range is not AbstractEnergy.out_of_range:
+        terms = (*terms, _RangeOnly(energy))
+    return terms

@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 from operator import attrgetter
-from typing import Any, Protocol, runtime_checkable, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -16,32 +16,11 @@ from .stress_model import AbstractStressModel
 Part = TypeVar("Part", bound=AbstractEnergy | AbstractStressModel)
 
 
-@runtime_checkable
-class CanDilate(Protocol):
-    """An energy that knows that of a hinge whose dimensions are a multiple."""
-
-    def dilated(self, scale: Float[Array, "*batch"]) -> AbstractEnergy:
-        """Return the energy if all dimensions of the hinge are multiplied.
-
-        It is the same object if the dimensions of the hinge are unknown. Otherwise, the
-        energy at a rotation and a translation becomes `scale^3` times that at the
-        rotation and the translation divided by `scale`.
-
-        Args:
-            scale: The factor; one for each energy if the energies are stacked.
-
-        Returns:
-            The energy of the larger hinge.
-        """
-        ...
-
-
 def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEnergy:
     """Return an energy if all dimensions of its hinge are multiplied by a factor.
 
     It applies to all energies in sums, multiples, and other wrappers, and to their
-    validity ranges and stress models. An energy of unknown dimensions does not change:
-    one that is not `CanDilate`, or a `Quadratic` that is not that of a flexure.
+    validity ranges and stress models. An energy of unknown dimensions does not change.
     """
     new, is_wrapper = energy, False
     for field in fields(energy):
@@ -56,8 +35,7 @@ def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEn
             new = eqx.tree_at(attrgetter(field.name), new, larger)
     if is_wrapper and new is energy:
         return energy
-    if isinstance(new, CanDilate):
-        new = new.dilated(scale)
+    new = new.dilated(scale)
     model = getattr(new, "stress_model", None)
     if new is not energy and isinstance(model, AbstractStressModel):
         new = eqx.tree_at(attrgetter("stress_model"), new, model.dilated(scale))

@@ -6,8 +6,7 @@ from jaxtyping import Array, Float
 
 from .._utils.types import Pose, Scalar
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy, AbstractWrapper
-from .protocols import newton_model, Stress
+from .base import AbstractEnergy, AbstractWrapper, Stress
 
 
 class NaturallyCurved(AbstractWrapper):
@@ -29,7 +28,7 @@ class NaturallyCurved(AbstractWrapper):
         return energy - self.turn * self._work(displacement) + constant
 
     def newton_model(self, stress: Stress) -> AbstractEnergy:
-        model = newton_model(self.energy, self.without_curvature(stress))
+        model = self.energy.newton_model(self.without_curvature(stress))
         return NaturallyCurved(model, self.turn, self.loads)
 
     def without_curvature(self, stress: Stress) -> Stress:

@@ -24,7 +24,6 @@ from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, validation_error
 from .evaluation import evaluate_polynomial, polynomial_variables
 from .monomials import monomials, Powers, sigma_reduction, substitution_matrix, VARIABLES
-from .protocols import translation_scale
 from .quadratic import CoordinateEnergy
 from .strains import Coordinates
 
@@ -202,7 +201,7 @@ class Rational(AbstractEnergy):
 
     def translation_scale(self, displacement: Displacement) -> Scalar:
         """Return the translation scale of the numerator."""
-        return translation_scale(self.numerator, displacement)
+        return self.numerator.translation_scale(displacement)
 
 
 # A row of coefficients for each square

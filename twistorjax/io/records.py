@@ -23,7 +23,7 @@ from .._utils.host import as_float
 from .._utils.json_files import describe_value, entry_name, Keys
 from .._utils.types import Point, Scalar
 from ..energies.axial_spring import AxialSpring
-from ..energies.base import AbstractEnergy, HasValidationError, Scaled, Sum
+from ..energies.base import AbstractEnergy, Scaled, Sum
 from ..energies.beam_column import BeamColumn
 from ..energies.mixed import MixedEnergy
 from ..energies.one_freedom import OneFreedomEnergy
@@ -279,7 +279,7 @@ def _object(annotation: Any, entry: Entry) -> Any:
     arguments = {name: from_record(layout[name][0], entry.part(name)) for name in content}
     try:
         value = create(**arguments)
-        if isinstance(value, HasValidationError) and (error := value.validation_error()):
+        if isinstance(value, AbstractEnergy) and (error := value.validation_error()):
             raise ValueError(error)
     except ValueError as error:
         raise ValueError(f"{entry.name}: {error}") from error

@@ -15,7 +15,6 @@ from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wr
 from .._utils.validation import index_of, require_finite, require_pose, shorten, warn
 from ..assembly.assembly import HingeAssembly
 from ..assembly.groups import DampedEnergy, dilate_groups
-from ..energies.base import flexure_length
 from ..energies.dilation import dilated
 from .material import Expansion
 
@@ -232,7 +231,7 @@ def _require_expansions(
         if expansion is not None or not expands:
             continue
         energy = assembly.energy_of(row)
-        if flexure_length(energy) is not None:
+        if energy.flexure_length is not None:
             warn(
                 f"The hinge {name!r} is a flexure without an `expansion`. The bodies "
                 "move its middle instead of its clamped ends, and it does not expand. "

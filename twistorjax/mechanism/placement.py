@@ -7,7 +7,6 @@ from jaxtyping import Float
 
 from .._utils.host import all_concrete, concrete
 from .._utils.validation import warn
-from ..energies.base import flexure_length
 from .body import Body
 from .hinge import AbstractOutline, Hinge
 
@@ -53,7 +52,7 @@ def _length(hinge: Hinge) -> float | None:
     if hinge.expansion is not None:
         length = concrete(hinge.expansion.length)
         return None if length is None else float(length)
-    length = flexure_length(hinge.energy)
+    length = hinge.energy.flexure_length
     known = None if length is None else concrete(length)
     return None if known is None else float(known)
 

@@ -198,6 +198,7 @@ class AbstractEnergy(eqx.Module):
         """Return the part of the strain rates that the energy resists.
 
         Args:
+            displacement: Displacement of frame b relative to frame a.
             rates: Rates of the strain; rad/s, m/s, m/s.
 
         Returns:

@@ -106,13 +106,15 @@ def tangent(
     scale, growth, curvature = _translation_scale(energy, at)
     s1, s2 = gradient[1] / scale, gradient[2] / scale
     stress = gradient[0] - growth * (y1 * s1 + y2 * s2), s1, s2
-    of_s1 = (h01 - growth * s1) / scale, h11 / scale, h12 / scale
-    of_s2 = (h02 - growth * s2) / scale, h12 / scale, h22 / scale
-    of_s0 = (
-        h00 - curvature * (y1 * s1 + y2 * s2) - growth * (y1 * of_s1[0] + y2 * of_s2[0]),
-        h01 - growth * (s1 + y1 * of_s1[1] + y2 * of_s2[1]),
-        h02 - growth * (s2 + y1 * of_s1[2] + y2 * of_s2[2]),
+    # The derivatives of the stress by the coordinates of the hinge
+    rates_1 = (h01 - growth * s1) / scale, h11 / scale, h12 / scale
+    rates_2 = (h02 - growth * s2) / scale, h12 / scale, h22 / scale
+    moment = h00 - curvature * (y1 * s1 + y2 * s2), h01 - growth * s1, h02 - growth * s2
+    rates_0 = tuple(
+        direct - growth * (y1 * rate_1 + y2 * rate_2)
+        for direct, rate_1, rate_2 in zip(moment, rates_1, rates_2, strict=True)
     )
+    by_angle, by_y1, by_y2 = zip(rates_0, rates_1, rates_2, strict=True)
     slopes = gradient
     if predicted is not None:
         # Their second derivatives are multiplied by the predicted stress.
@@ -131,11 +133,7 @@ def tangent(
             for row, column in zip(*UPPER_TRIANGLE, strict=True)
         ),
         stress=stress,
-        stress_rates=(
-            (of_s0[0], of_s1[0], of_s2[0]),
-            (of_s0[1], of_s1[1], of_s2[1]),
-            (of_s0[2], of_s1[2], of_s2[2]),
-        ),
+        stress_rates=(by_angle, by_y1, by_y2),
         kinematics=kinematics,
         work=work,
     )

@@ -44,7 +44,7 @@ class System(eqx.Module):
     dofs: DofPartition = eqx.field(static=True)  # Partition of the degrees of freedom
     # Loads and misfits at the fraction zero of the loads. If it is None, there are no
     # loads at the fraction zero, and the misfits are always complete.
-    first: LoadState | None = None
+    at_start: LoadState | None = None
 
     @property
     def free(self) -> np.ndarray:
@@ -69,30 +69,32 @@ class System(eqx.Module):
     @property
     def conservative(self) -> bool:
         """Whether the loads have a potential at all fractions."""
-        first = self.first is None or self.first.loads.conservative
-        return first and self.loads.conservative
+        if self.at_start is not None and not self.at_start.loads.conservative:
+            return False
+        return self.loads.conservative
 
     @property
     def changes_misfits(self) -> bool:
         """Whether the misfits of the hinges depend on the fraction of the loads."""
-        if self.first is None:
+        if self.at_start is None:
             return False
-        return self.first.misfits is not None or self.hinges.misfits is not None
+        return self.at_start.misfits is not None or self.hinges.misfits is not None
 
     def loads_at(self, fraction: Scalar | float) -> LoadSet:
         """Return the loads at a fraction."""
         loads = self.loads.scaled(fraction)
-        if self.first is None or not self.first.loads.present:
+        if self.at_start is None or not self.at_start.loads.present:
             return loads
-        return loads.plus(self.first.loads.scaled(1 - fraction))
+        return loads.plus(self.at_start.loads.scaled(1 - fraction))
 
     def hinges_at(self, fraction: Scalar | float) -> HingeAssembly:
         """Return the hinges, with misfits between those of the start and their own."""
-        if self.first is None or not self.changes_misfits:
+        if self.at_start is None or not self.changes_misfits:
             return self.hinges
-        first, last = self.first.misfits, self.hinges.misfits
-        begin = jnp.zeros(()) if first is None else jnp.asarray(first)
-        end = jnp.zeros(()) if last is None else last
+        begin, end = (
+            jnp.zeros(()) if misfits is None else jnp.asarray(misfits)
+            for misfits in (self.at_start.misfits, self.hinges.misfits)
+        )
         return replace(self.hinges, misfits=begin + fraction * (end - begin))
 
     def misfit_response(
@@ -146,7 +148,7 @@ class System(eqx.Module):
         forces = self.hinges.forces(displacements)
         return self._unbalanced(forces, displacements, multipliers)
 
-    def first_residual(
+    def residual_at_start(
         self, forces: Wrenches, displacements: Poses
     ) -> Float[Array, " dofs"]:
         """Subtract the known loads at the fraction zero from the forces of the hinges.
@@ -154,13 +156,13 @@ class System(eqx.Module):
         The result, in N m and N, is zero if the mechanism is in equilibrium there.
         """
         residual = forces.reshape(-1)
-        if self.first is None:
+        if self.at_start is None:
             return residual
-        if self.first.loads.present:
-            residual = residual - self.first.loads.apply(displacements)[0].reshape(-1)
-        if self.first.constraint_forces is None:
+        if self.at_start.loads.present:
+            residual = residual - self.at_start.loads.apply(displacements)[0].reshape(-1)
+        if self.at_start.constraint_forces is None:
             return residual
-        multipliers = jnp.asarray(self.first.constraint_forces)
+        multipliers = jnp.asarray(self.at_start.constraint_forces)
         return residual - self.constraints.forces(displacements, self.time, multipliers)
 
     def reactions_and_energy(

@@ -124,10 +124,10 @@ def solve_in_increments(
     entries = system.constraints.size
     units, free_units = system.units(), system.free_units()
     forces, predicted = system.hinges_at(0.0).forces_and_stress(start)
-    initial_residual = system.equations(system.first_residual(forces, start), start)
+    initial_residual = system.equations(system.residual_at_start(forces, start), start)
     multipliers = jnp.zeros(entries) if entries else None
-    if system.first is not None and system.first.constraint_forces is not None:
-        multipliers = jnp.asarray(system.first.constraint_forces)
+    if system.at_start is not None and system.at_start.constraint_forces is not None:
+        multipliers = jnp.asarray(system.at_start.constraint_forces)
     largest_violation = jnp.zeros(0)
     if entries:
         jacobian = system.jacobian(start)[:, system.free] * free_units[None]
@@ -138,15 +138,15 @@ def solve_in_increments(
     def advance(state: _State) -> _State:
         """Take one Newton step, and accept, reject, or continue the increment."""
         step = _newton_step(system, start, initial_residual, state)
-        first = state.tries == 0
+        is_first = state.tries == 0
         error, energy, energy_scale = _predicted_error(step, state)
         length = _length(step.change, units)
-        longest = jnp.where(first, length, state.first_correction)
-        ratio = jnp.where(first, 0.0, length / state.last_correction)
+        longest = jnp.where(is_first, length, state.first_correction)
+        ratio = jnp.where(is_first, 0.0, length / state.last_correction)
         rounded = length <= _ROUNDING * _length(step.displacements, units)
         small = rounded | (length <= _SMALL_CORRECTION * longest) | (length <= floor)
         share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
-        response = jnp.where(first, step.response, state.response)
+        response = jnp.where(is_first, step.response, state.response)
         difference = (step.response - response)[: len(system.free)] / free_units
         difference = jnp.sqrt(jnp.sum(difference**2))
         difference /= jnp.where(longest > floor, longest, 1.0)
@@ -157,8 +157,8 @@ def solve_in_increments(
         # If misfits load the hinges and nothing moves, all corrections are rounding
         # errors.
         moves = jnp.maximum(energy_scale, energy) > _NO_MOTION * step.work
-        share = jnp.where(first | moves, share, 0.0)
-        nonlinearity = jnp.where(first, 0.0, jnp.maximum(share, state.nonlinearity))
+        share = jnp.where(is_first | moves, share, 0.0)
+        nonlinearity = jnp.where(is_first, 0.0, jnp.maximum(share, state.nonlinearity))
 
         contracts = share <= 1
         rotations = jnp.abs(step.displacements - state.converged[0])[:, 0]
@@ -167,7 +167,7 @@ def solve_in_increments(
         acceptable &= contracts
         # The first step of an increment with prescribed displacements or misfits used
         # only the tangent before them.
-        tangent_is_current = ~first | step.prescribed_imposed
+        tangent_is_current = ~is_first | step.prescribed_imposed
         # Intermediate increments are solved less accurately than the last one.
         goal_tolerance = jnp.where(step.goal < 1, jnp.sqrt(tolerance), tolerance)
         # In a mechanism of many bodies, corrections that are rounding errors do not
@@ -176,12 +176,12 @@ def solve_in_increments(
         rounded &= error <= jnp.sqrt(jnp.finfo(float).eps)
         small_error = (error <= goal_tolerance) | rounded
         if entries:
-            small_error |= ~first & (length <= floor)
+            small_error |= ~is_first & (length <= floor)
             violation = system.violation(step.displacements)
             violation -= (1 - step.goal) * initial_residual[len(system.free) :]
             small_error &= jnp.all(jnp.abs(violation) <= largest_violation)
             # The first tangent lacks the geometric stiffness of the constraint forces.
-            tangent_is_current &= ~first
+            tangent_is_current &= ~is_first
         converged = acceptable & tangent_is_current & small_error
         rejected = ~acceptable | (state.tries + 1 >= _STEPS_PER_INCREMENT)
         rejected &= ~converged
@@ -196,7 +196,7 @@ def solve_in_increments(
         status = jnp.where(steps >= max_steps, USED_UP, RUNNING)
         status = jnp.where(increment < smallest, STUCK, status)
         # The stiffness is singular or indefinite already at the smallest load.
-        singular = (state.fraction == 0) & first & ~step.stable
+        singular = (state.fraction == 0) & is_first & ~step.stable
         status = jnp.where((increment < smallest) & singular, UNSTABLE, status)
         status = jnp.where(converged & (step.goal >= 1), CONVERGED, status)
         status = jnp.where((state.steps == 0) & ~step.finite, NOT_FINITE, status)
@@ -277,8 +277,8 @@ def _newton_step(
 ) -> _Step:
     """Take one Newton step toward the end of the increment."""
     goal = state.fraction + state.increment
-    first = state.tries == 0
-    misfits = jnp.where(first, state.fraction, goal)
+    is_first = state.tries == 0
+    misfits = jnp.where(is_first, state.fraction, goal)
     forces, tangent, hinges = system.tangent(
         state.displacements, goal, state.predicted, state.multipliers, misfits
     )
@@ -293,8 +293,8 @@ def _newton_step(
         state.displacements, misfits, state.increment
     )
     right = -(residual + tangent.prescribed_forces(prescribed_change))
-    right = jnp.where(first, right - misfit_forces, right)
-    imbalance = jnp.where(first, -residual, state.imbalance)
+    right = jnp.where(is_first, right - misfit_forces, right)
+    imbalance = jnp.where(is_first, -residual, state.imbalance)
     whole_change = state.increment * (system.targets - begin)
     forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)
     rights = jax.lax.optimization_barrier(jnp.stack([right, forcing]))
@@ -306,7 +306,7 @@ def _newton_step(
     if multipliers is not None:
         multipliers = multipliers - step[len(system.free) :]
     change = displacements - state.displacements
-    predicted = hinges.predicted_stress(change) + jnp.where(first, misfit_stress, 0.0)
+    predicted = hinges.predicted_stress(change) + jnp.where(is_first, misfit_stress, 0.0)
     imposed = jnp.all(prescribed_change == 0)
     return _Step(
         displacements=displacements,
@@ -334,10 +334,10 @@ def _predicted_error(step: _Step, state: _State) -> tuple[Scalar, Scalar, Scalar
         Relative error, the square root of a ratio of energies; energy change of the step;
         and energy change of the first step of this increment; J.
     """
-    first = state.tries == 0
+    is_first = state.tries == 0
     energy = jnp.sum(step.energies)
-    scale = jnp.where(first, energy, state.energy_scale)
-    rates = jnp.where(first, 1.0, step.energies / state.energies)
+    scale = jnp.where(is_first, energy, state.energy_scale)
+    rates = jnp.where(is_first, 1.0, step.energies / state.energies)
     fast = rates < 0.0625  # the square of the ratio of errors
     remaining_share = rates / (1 - jnp.sqrt(jnp.where(fast, rates, 0.0))) ** 2
     remaining = jnp.where(fast, step.energies * remaining_share, step.energies)

@@ -59,7 +59,7 @@ def _solve(
     hinges: HingeAssembly,
     reference: Poses,
     start_displacements: Poses,
-    first: LoadState | None,
+    at_start: LoadState | None,
     loads: LoadSet,
     constraints: ConstraintSet,
     targets: tuple[Scalar, ...],
@@ -72,7 +72,9 @@ def _solve(
 ) -> Equilibrium:
     """Compute the equilibrium; see `equilibrium`."""
     system = System(hinges, loads, constraints, jnp.array(targets, float), time, dofs)
-    solution = find_equilibrium(system, start_displacements, first, tolerance, max_steps)
+    solution = find_equilibrium(
+        system, start_displacements, at_start, tolerance, max_steps
+    )
     return report_equilibrium(
         system, solution, reference, start_displacements, names=names
     )
@@ -81,15 +83,15 @@ def _solve(
 def find_equilibrium(
     system: System,
     start_displacements: Poses,
-    first: LoadState | None,
+    at_start: LoadState | None,
     tolerance: Scalar,
     max_steps: Count,
 ) -> newton.NewtonSolution:
     """Compute the displacements of the equilibrium, without derivatives."""
-    system, start, first = stop_gradient((system, start_displacements, first))
+    system, start, at_start = stop_gradient((system, start_displacements, at_start))
     consistent = independent(system, start)
     solution = newton.solve_in_increments(
-        replace(system, first=first), start, tolerance, max_steps
+        replace(system, at_start=at_start), start, tolerance, max_steps
     )
     failed = (solution.status != newton.NOT_FINITE) & ~consistent
     status = jnp.where(failed, newton.INCONSISTENT, solution.status)

@@ -47,17 +47,17 @@ class AssemblyTangent(eqx.Module):
         """Sum the forces of all hinges on each degree of freedom; N m, N."""
         motion, sign = FOUR_OF_SIX
         dofs = hinge_dofs(self.ends, self.order).reshape(-1)
-        places = np.arange(dofs.size), dofs
+        indices = np.arange(dofs.size), dofs
         forces = jnp.stack(self.hinges.forces)
-        return _sum_entries(forces, places, motion, sign, (3 * self.bodies,))
+        return _sum_entries(forces, indices, motion, sign, (3 * self.bodies,))
 
     def matrix(
         self, rows: tuple[int, ...], columns: tuple[int, ...]
     ) -> Float[Array, "rows columns"]:
         """Sum the stiffness of all hinges among some degrees of freedom."""
-        places = matrix_entries(self.ends, self.order, rows, columns)
+        indices = matrix_entries(self.ends, self.order, rows, columns)
         shape, of_pairs = (len(rows), len(columns)), _of_pairs(_SYMMETRIC)
-        return _sum_entries(self.stiffness, places, *of_pairs, shape)
+        return _sum_entries(self.stiffness, indices, *of_pairs, shape)
 
     def hinge_stiffness(self) -> Float[Array, "6 6 hinges"]:
         """Return the stiffness of each hinge with respect to its six displacements."""
@@ -98,7 +98,7 @@ def _of_rows(rows: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _sum_entries(
     entries: Float[Array, "*motions hinges"],
-    places: tuple[np.ndarray, np.ndarray],
+    indices: tuple[np.ndarray, np.ndarray],
     position: np.ndarray,
     signs: np.ndarray,
     shape: tuple[int, ...],
@@ -106,15 +106,15 @@ def _sum_entries(
     """Sum the entries of all hinges, which are given for the four motions.
 
     Args:
-        places: Index of each entry for the six displacements, and its index in the sum;
+        indices: Index of each entry for the six displacements, and its index in the sum;
             see `matrix_entries` and `row_entries`.
         position: Index among the motions, for each index among the displacements.
         signs: The sign with which this entry enters.
     """
-    entry, hinge = np.divmod(places[0], entries.shape[-1])
+    entry, hinge = np.divmod(indices[0], entries.shape[-1])
     source = position[entry] * entries.shape[-1] + hinge
     flat, size, signs = entries.reshape(-1), math.prod(shape), signs[entry]
-    return sum_entries(flat, source, places[1], size, signs).reshape(shape)
+    return sum_entries(flat, source, indices[1], size, signs).reshape(shape)
 
 
 class AssemblyMotionTangent(NamedTuple):

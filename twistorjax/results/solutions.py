@@ -125,8 +125,12 @@ class PoseSolution(BodySolution):
     @property
     def poses(self) -> Float[Array, "*batch bodies 3"]:
         """Poses of the bodies: reference poses plus displacements; rad, m, m."""
-        more = self.displacements.ndim - self.reference.ndim
-        shape = (*self.reference.shape[:-2], *more * (1,), *self.reference.shape[-2:])
+        batch_axes = self.displacements.ndim - self.reference.ndim
+        shape = (
+            *self.reference.shape[:-2],
+            *batch_axes * (1,),
+            *self.reference.shape[-2:],
+        )
         return self.reference.reshape(shape) + self.displacements
 
     def pose(self, body: str) -> Float[Array, "*batch 3"]:

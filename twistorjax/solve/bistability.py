@@ -31,7 +31,7 @@ from .continuation.arc_length import Metric, NOT_FINITE, Step
 from .continuation.critical_points import null_vectors, with_derivatives
 from .continuation.diagnosis import path_message
 from .continuation.location import locate, Segment
-from .continuation.points import negative_eigenvalues, on_path, point_values
+from .continuation.points import differentiable_points, negative_eigenvalues, point_values
 from .continuation.program import (
     path_result,
     PathRun,
@@ -303,7 +303,7 @@ def _evaluate(
         fixed, lost = stop_gradient(system), found[2] & ~converged[2]
         found &= converged
     at_zero_load = jnp.zeros_like(states).at[:, -1].set(1.0)
-    states = on_path(system, states, at_zero_load)
+    states = differentiable_points(system, states, at_zero_load)
     values = point_values(system, states)
     negative = negative_eigenvalues(fixed, metric, jax.lax.stop_gradient(states))
     work = jax.vmap(system.constant_loads.work)(values.displacements)

@@ -212,12 +212,12 @@ def buckling(
     solution, displacements = _buckling(system, modes)
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
-        more = ""
+        detail = ""
         if name == "out_of_range" and not batch_index:
-            more = f" {mechanism.range_messages(mechanism.reference + displacements)}"
+            detail = f" {mechanism.range_messages(mechanism.reference + displacements)}"
         if name == "unstable" and not batch_index:
-            more = describe_free_motions(mechanism, problem.system, state)
-        return result_error(name, batch_index, more)
+            detail = describe_free_motions(mechanism, problem.system, state)
+        return result_error(name, batch_index, detail)
 
     if throw:
         warn_outside_linear_range(mechanism, solution.range_shares)
@@ -301,8 +301,8 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     linear, stable, finite = _linearized(fixed, metric, point, tangent)
     count = min(modes, len(linear.factors))
     # Modes with the same load factor as the last one are needed as well.
-    more = min(count + LARGEST_MULTIPLICITY - 1, len(linear.factors))
-    rows = jnp.arange(more)
+    count_with_copies = min(count + LARGEST_MULTIPLICITY - 1, len(linear.factors))
+    rows = jnp.arange(count_with_copies)
     points, coupled, converged, outside = jax.lax.map(
         lambda row: _corrected(fixed, metric, linear, row), rows
     )
@@ -320,7 +320,7 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     missing |= ~jnp.all(followed)
     distances = jnp.abs(factors[:, None] - factors[None])
     same = distances <= _SAME_FACTOR * jnp.abs(factors)[:, None]
-    same = (same & valid[:, None] & valid[None]) | jnp.eye(more, dtype=bool)
+    same = (same & valid[:, None] & valid[None]) | jnp.eye(count_with_copies, dtype=bool)
     multiplicities = jnp.sum(same, axis=1)
     # Those with the same load factor are modes of one point.
     leading = jnp.argmax(same, axis=1)

@@ -65,8 +65,8 @@ class PortCompliance(eqx.Module):
         free = [k for k in range(3) if k not in chosen[1:]]
         # The compliance of the coordinates that are not held, while the others are held.
         stiffness = self.stiffness[..., np.array(free)[:, None], np.array(free)]
-        own = free.index(chosen[0])
-        return 1 / jnp.linalg.inv(stiffness)[..., own, own]
+        row = free.index(chosen[0])
+        return 1 / jnp.linalg.inv(stiffness)[..., row, row]
 
     @property
     def center(self) -> Float[Array, "*batch 2"]:

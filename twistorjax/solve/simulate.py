@@ -188,8 +188,10 @@ def simulate(
     pad = saveat is None and not is_traced((*arguments, tolerance))
     time_count = len(instants)
     solver = Radau() if solver is None else solver
-    own = all(setting is None for setting in (adjoint, controller, saveat, event))
-    stepwise = own and isinstance(solver, Radau | Gauss)
+    has_defaults = all(
+        setting is None for setting in (adjoint, controller, saveat, event)
+    )
+    stepwise = has_defaults and isinstance(solver, Radau | Gauss)
     if adjoint is None:
         adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
     solve = solve_with_gradient if stepwise else solve_with_any_derivatives

@@ -119,24 +119,24 @@ class _Search(NamedTuple):
         bent = curvature > 0
         curvature = jnp.where(bent, curvature, 1.0)
         begin = slope - curvature * length
-        places = -begin / (2 * curvature * length)
+        fractions = -begin / (2 * curvature * length)
         low = sizes[:-1, None] - begin**2 / (4 * curvature)
         dips = low < _DIP * jnp.minimum(sizes[:-1], sizes[1:])[:, None]
-        dips &= bent & (places > 0.02) & (places < 0.98)
+        dips &= bent & (fractions > 0.02) & (fractions < 0.98)
         used = (rows + 1 < trace.number) & (lengths > _SHORTEST_SEGMENT)
         used &= trace.orientations[:-1] != 0
         used &= trace.number < len(trace.points)
         known = jnp.stack([rows > 0, rows + 2 < trace.number], axis=1)
         known &= (self.numbers() == 0)[:, None]
-        places = jnp.max(jnp.where(dips & known, places, 0.0), axis=1)
+        fractions = jnp.max(jnp.where(dips & known, fractions, 0.0), axis=1)
         # Straight lines through the points before and behind the segment
         begin = -sizes[:-1] / (slopes[:, 0] * lengths)
         end = 1 - sizes[1:] / (slopes[:, 2] * lengths)
         crosses = (slopes[:, 0] < 0) & (slopes[:, 2] > 0) & (begin < end)
         crosses &= jnp.all(known, axis=1)
-        places = jnp.where(crosses & (places == 0), (begin + end) / 2, places)
-        places = jnp.where(self.between > 0, self.between, places)
-        return jnp.where(used, places, 0.0)
+        fractions = jnp.where(crosses & (fractions == 0), (begin + end) / 2, fractions)
+        fractions = jnp.where(self.between > 0, self.between, fractions)
+        return jnp.where(used, fractions, 0.0)
 
 
 def locate_points(
@@ -168,7 +168,7 @@ def locate_points(
         values, between, last = arrays
         current = _stability(system, metric, trace.points[row])
         segment = jnp.where(row > 0, row - 1, len(rows))
-        place = _place_between(last, current)
+        place = _fraction_between(last, current)
         return (
             values.at[row].set(current.values),
             between.at[segment].set(place, mode="drop"),
@@ -227,7 +227,7 @@ def locate_points(
         )  # fmt: skip
         point, rate = root.point, root.step.tangent[-1]
         size = jnp.max(jnp.abs(values[:, index]))
-        resolved = jnp.abs(root.more[index]) <= _SMALL_EIGENVALUE * size
+        resolved = jnp.abs(root.other_values[index]) <= _SMALL_EIGENVALUE * size
         resolved |= ~search.ended | finished | inserts | (change == 0)
 
         # The critical point, or one more eigenvalue that vanishes at the last one
@@ -276,7 +276,7 @@ def locate_points(
                 (trace.points, point),
                 (trace.tangents, root.step.tangent),
                 (trace.orientations, root.step.orientation),
-                (search.values, root.more),
+                (search.values, root.other_values),
             )
         ]
         # The two parts of a segment with a new point
@@ -288,10 +288,10 @@ def locate_points(
             jax.tree.map(lambda array, part=part: array[part], ends)
             for part in (slice(2), slice(1, 3))
         )
-        places = jax.vmap(_place_between)(first_ends, last_ends)
+        fractions = jax.vmap(_fraction_between)(first_ends, last_ends)
         between = search.between[source[:-1]]
         split = jnp.where(inserts, row, len(rows)) + np.arange(2)
-        between = between.at[split].set(places, mode="drop")
+        between = between.at[split].set(fractions, mode="drop")
         number = trace.number + inserts.astype(int)
         number = jnp.where(resolved, number, row + 1)
         undefined = jnp.any(jnp.isnan(root.values)) & ~search.ended & by_event
@@ -357,7 +357,7 @@ def _stability(
     return _Stability(values, basis @ vectors, stiffness, basis)
 
 
-def _place_between(first: _Stability, last: _Stability) -> Scalar:
+def _fraction_between(first: _Stability, last: _Stability) -> Scalar:
     """Find the place on a segment that separates opposite changes of stability.
 
     The stiffness at its last point is compared with that at its first one in each mode.
@@ -372,11 +372,12 @@ def _place_between(first: _Stability, last: _Stability) -> Scalar:
     before, modes = first.values, last.basis.T @ first.modes
     after = jnp.sum(modes * (last.stiffness @ modes), axis=0)
     changes = before * after < 0
-    places = before / jnp.where(changes, before - after, 1.0)
+    fractions = before / jnp.where(changes, before - after, 1.0)
     falls, rises = changes & (before > 0), changes & (before < 0)
     opposite = jnp.any(falls) & jnp.any(rises)
     fall, rise = (
-        jnp.mean(places, where=jnp.where(opposite, kind, True)) for kind in (falls, rises)
+        jnp.mean(fractions, where=jnp.where(opposite, kind, True))
+        for kind in (falls, rises)
     )
     opposite &= jnp.abs(fall - rise) > _SEPARATE
     return jnp.where(opposite, jnp.clip((fall + rise) / 2, 0.02, 0.98), 0.0)
@@ -578,21 +579,23 @@ def with_derivatives(
 
     Those of a multiple point are the mean of those of the points into which it separates.
     """
-    one = partial(_critical, system, metric)
+    one = partial(_differentiable_critical_point, system, metric)
     return jax.vmap(one)(points, is_branch, tuple(jax.lax.stop_gradient(null)))
 
 
 @eqx.filter_custom_jvp
-def _critical(system: PathSystem, metric: Metric, point, branch, borders) -> Array:
+def _differentiable_critical_point(
+    system: PathSystem, metric: Metric, point, branch, borders
+) -> Array:
     """Return the critical point; see `with_derivatives`."""
     del system, metric, branch, borders
     return point
 
 
-@_critical.def_jvp
+@_differentiable_critical_point.def_jvp
 def _(primals, tangents):
     system, metric, point, branch, borders = primals
-    point = _critical(*primals)
+    point = _differentiable_critical_point(*primals)
     found = jnp.all(jnp.isfinite(point))
     metric = jax.lax.stop_gradient(metric)
 
@@ -615,18 +618,20 @@ def null_vectors_with_derivatives(
     system: PathSystem, metric: Metric, points: Array, null: NullVectors
 ) -> Float[Array, "critical unknowns vectors"]:
     """Return the right null vectors with derivatives with respect to the system."""
-    one = partial(_null_vectors, system, metric)
+    one = partial(_differentiable_null_vectors, system, metric)
     return jax.vmap(one)(points, tuple(jax.lax.stop_gradient(null)))
 
 
 @eqx.filter_custom_jvp
-def _null_vectors(system: PathSystem, metric: Metric, point, borders) -> Array:
+def _differentiable_null_vectors(
+    system: PathSystem, metric: Metric, point, borders
+) -> Array:
     """Return the null vectors; see `null_vectors_with_derivatives`."""
     del system, metric, point
     return borders[1]
 
 
-@_null_vectors.def_jvp
+@_differentiable_null_vectors.def_jvp
 def _(primals, tangents):
     system, metric, point, borders = primals
 
@@ -637,4 +642,4 @@ def _(primals, tangents):
 
     changes = tangents[0], tangents[2]
     _, change = jvp_of_varied(vectors, (system, point), changes)
-    return _null_vectors(*primals), change
+    return _differentiable_null_vectors(*primals), change

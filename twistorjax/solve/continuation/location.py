@@ -39,7 +39,7 @@ class Root(NamedTuple):
 
     point: Float[Array, " n"]
     step: Step  # The step there or nearby
-    more: Float[Array, " m"]  # The second result of the function, there or nearby
+    other_values: Float[Array, " m"]  # The second result of the function, there or nearby
     values: Float[Array, "2"]  # Values of the function on both sides of the root
 
 
@@ -51,7 +51,9 @@ class _Search(NamedTuple):
     position: Scalar  # Position of the current point
     scaled: Float[Array, " n"]  # Current point, divided by the units
     step: Step  # Step at the last accurate point
-    more: Float[Array, " m"]  # Second result of the function at the last accurate point
+    other_values: Float[
+        Array, " m"
+    ]  # Second result of the function at the last accurate point
     last_position: Scalar  # Position of the last evaluation of the function
     base: Float[Array, " n"]  # Last corrected point, divided by the units
     base_position: Scalar
@@ -66,7 +68,7 @@ def locate(
     segment: Segment,
     function: SegmentFunction,
     values: Float[Array, "2"],
-    more: Float[Array, " m"],
+    other_values: Float[Array, " m"],
     regular: Flag,
     skip: Flag | bool = False,
 ) -> Root:
@@ -77,7 +79,7 @@ def locate(
 
     Args:
         values: Values of the function at both ends, with different signs.
-        more: Second result of the function at one of the ends.
+        other_values: Second result of the function at one of the ends.
         regular: Whether the equations of a correction are regular at the root. Otherwise
             the root is extrapolated from a point nearby.
         skip: Whether there is nothing to be found, so that the result has no meaning.
@@ -112,7 +114,7 @@ def locate(
         accurate = singular | (size <= _CORRECTED * length)
         accurate |= search.iterations % 6 == 5
 
-        value, more = function(metric.units * scaled, tangent, step)
+        value, other_values = function(metric.units * scaled, tangent, step)
         at_left = value * search.values[0] > 0
         last_end = jnp.where(at_left, search.ends[0], search.ends[1])
         # The value at an end that stays twice is halved.
@@ -144,8 +146,8 @@ def locate(
         finished = (jnp.abs(change) <= _ROUNDING * length) | (value == 0)
         finished |= ends[1] - ends[0] <= _ROUNDING * length
         moved = _Search(
-            ends, at_ends, root, ahead, step, more, search.position, base, base_position,
-            slope, finished, search.iterations + 1,
+            ends, at_ends, root, ahead, step, other_values, search.position, base,
+            base_position, slope, finished, search.iterations + 1,
         )  # fmt: skip
         corrected = search._replace(scaled=scaled, iterations=search.iterations + 1)
         return select(accurate, moved, corrected)
@@ -159,7 +161,7 @@ def locate(
         position=position,
         scaled=interpolate(position),
         step=nothing,
-        more=more,
+        other_values=other_values,
         last_position=-jnp.ones(()),
         base=first,
         base_position=zero,
@@ -172,7 +174,9 @@ def locate(
         improve,
         search,
     )
-    return Root(metric.units * search.scaled, search.step, search.more, search.values)
+    return Root(
+        metric.units * search.scaled, search.step, search.other_values, search.values
+    )
 
 
 def _secant(ends: Float[Array, "2"], values: Float[Array, "2"]) -> Scalar:

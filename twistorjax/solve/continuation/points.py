@@ -109,7 +109,7 @@ def count_of_values(system: PathSystem) -> int:
     return max(allowed, 1) if system.symmetric else 1
 
 
-def on_path(
+def differentiable_points(
     system: PathSystem,
     points: Float[Array, "points n"],
     normals: Float[Array, "points n"],
@@ -123,20 +123,22 @@ def on_path(
     """
     if conditions is None:
         conditions = jnp.zeros(len(points))
-    return jax.vmap(partial(_on_path, system))(points, normals, conditions)
+    return jax.vmap(partial(_differentiable_point, system))(points, normals, conditions)
 
 
 @eqx.filter_custom_jvp
-def _on_path(system: PathSystem, point: Array, normal: Array, condition: Array) -> Array:
-    """Return the point; see `on_path`."""
+def _differentiable_point(
+    system: PathSystem, point: Array, normal: Array, condition: Array
+) -> Array:
+    """Return the point; see `differentiable_points`."""
     del system, normal, condition
     return point
 
 
-@_on_path.def_jvp
+@_differentiable_point.def_jvp
 def _(primals, tangents):
     system, point, normal, condition = primals
-    point = _on_path(*primals)
+    point = _differentiable_point(*primals)
     normal = jax.lax.stop_gradient(normal)
     found = jnp.all(jnp.isfinite(point))
     at = jnp.where(found, point, 0.0)

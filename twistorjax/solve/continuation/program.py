@@ -24,7 +24,7 @@ from . import arc_length
 from .arc_length import follow, Metric, Trace
 from .branch_points import refine_branch_points
 from .critical_points import Criticals, locate_points, null_vectors, with_derivatives
-from .points import on_path, point_values
+from .points import differentiable_points, point_values
 from .solution import CriticalPoints, Path, PathPoint
 from .start import first_point, FirstPoint, start_at, start_on_branch
 from .system import PathSystem
@@ -145,7 +145,9 @@ def evaluate_path(
     # The first point stays at its load factor.
     normals = normals.at[0].set(_of_load_factor(known[0]))
     conditions = jnp.where(is_end, condition, 0.0)
-    values = point_values(system, on_path(system, known, normals, conditions))
+    values = point_values(
+        system, differentiable_points(system, known, normals, conditions)
+    )
     masked = jax.tree.map(lambda array: _masked(used, array), values)
 
     count = jnp.minimum(criticals.number, len(criticals.points))

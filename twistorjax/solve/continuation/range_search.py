@@ -21,7 +21,7 @@ from ..equations.load_state import LoadState
 from ..statics.solver import find_equilibrium, search_result
 from .arc_length import Metric
 from .critical_points import null_vectors_of, singular_vectors, with_derivatives
-from .points import on_path, point_values, PointValues, stability_values
+from .points import differentiable_points, point_values, PointValues, stability_values
 from .start import first_point, metric_of
 from .system import PathSystem, PathTangent
 
@@ -173,7 +173,9 @@ def _(primals, tangents):
             lambda at: _excess(system.stresses(at), allowable)
         )(point)
         gradient = jax.lax.stop_gradient(gradient)
-        by_excess = on_path(system, at_stress[None], gradient[None], excess[None])
+        by_excess = differentiable_points(
+            system, at_stress[None], gradient[None], excess[None]
+        )
         critical = with_derivatives(
             system, metric, at_critical[None], is_branch[None], null
         )

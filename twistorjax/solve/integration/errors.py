@@ -65,18 +65,18 @@ class StartOfMotion(NamedTuple):
 
         `batch_index` is its index in a batch; empty for a single motion.
         """
-        more = ""
+        detail = ""
         if batch_index or name in ("times_not_increasing", "damping_gives_energy"):
             pass
         elif name == "drive_jumps":
-            more = f" {self._jump_message()}"
+            detail = f" {self._jump_message()}"
         elif name == "inconsistent_constraints":
             message = self._constraint_message()
-            more = f" {message or 'The velocities at the start violate them.'}"
+            detail = f" {message or 'The velocities at the start violate them.'}"
         else:
-            more = _not_finite_message(self.mechanism) if name == "not_finite" else ""
-            more += f" {_stop_message(motion, self.mechanism)}"
-        return result_error(name, batch_index, more)
+            detail = _not_finite_message(self.mechanism) if name == "not_finite" else ""
+            detail += f" {_stop_message(motion, self.mechanism)}"
+        return result_error(name, batch_index, detail)
 
     def _jumps(self) -> list[tuple[int, float, float]] | None:
         """List the degree of freedom, the jump, and the target of each drive; rad, m."""

@@ -10,6 +10,7 @@ from ..._utils.types import Flag, Poses
 from ..equations.system import System
 
 
+@eqx.filter_custom_jvp
 def differentiable_root(
     system: System, root: Array, start: Poses, found: Flag
 ) -> Float[Array, " unknowns"]:
@@ -28,21 +29,15 @@ def differentiable_root(
             constraint forces; rad, m, N m, N.
         start: Displacements, of which the fixed degrees of freedom are used; rad, m, m.
     """
-    return _root(system, root, start, found)
-
-
-@eqx.filter_custom_jvp
-def _root(system: System, root: Array, start: Poses, found: Flag) -> Array:
-    """Return the root; see `differentiable_root`."""
     del system, start, found
     return root
 
 
-@_root.def_jvp
+@differentiable_root.def_jvp
 def _(primals, tangents):
     system, root, start, found = primals
     system_change, _, start_change, _ = tangents
-    root = _root(*primals)
+    root = differentiable_root(*primals)
     count = len(system.free)
 
     def residual(system: System, start: Poses) -> Array:

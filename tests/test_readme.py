@@ -118,6 +118,35 @@ def test_links_lead_to_files(path):
         assert (ROOT / target).exists(), target
 
 
+_ROWS = re.findall(
+    r"^\| an? [^|]+ \| `(\w+)` \| (.+) \|$", (ROOT / "CONTRIBUTING.md").read_text(), re.M
+)
+
+
+@pytest.mark.parametrize("example, files", _ROWS)
+def test_the_table_of_files_to_touch_is_true(example, files):
+    listed = set(re.findall(r"`(\S+\.\S+)`", files))
+    folders = ROOT / "twistorjax", ROOT / "notebooks" / "api"
+    paths = [path for folder in folders for path in folder.rglob("*.*")]
+    paths += [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "mkdocs.yml"]
+    naming = {
+        str(path.relative_to(ROOT))
+        for path in paths
+        if path.suffix in {".py", ".pyi", ".md", ".toml", ".yml"}
+        and re.search(rf"\b{example}\b", path.read_text())
+    }
+    assert listed <= naming
+    # Other modules only use what was added.
+    uses = {name for name in naming if re.fullmatch(r"twistorjax/(?!io/).*\.py", name)}
+    assert naming - uses <= listed
+
+
+def test_the_table_of_files_to_touch_has_four_rows():
+    assert [example for example, _ in _ROWS] == [
+        "PointCharges", "piezo_stack", "state_space", "range_shares",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "namespace",
     ["energies", "flexures", "solve", "identification", "sweeps", "plotting", "io"],

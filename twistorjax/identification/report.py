@@ -3,16 +3,16 @@
 from collections.abc import Callable, Sequence
 from functools import wraps
 from statistics import NormalDist
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._utils.host import all_concrete, as_float, on_host
-from .._utils.types import BatchFlag, BatchScalar, NumberLike, Parameters
-from ..results.codes import result_message, result_names, RESULTS
+from .._utils.host import as_float, on_host
+from .._utils.types import BatchScalar, NumberLike, Parameters
+from ..results.codes import result_message, result_names, RESULTS, Solution
 from .estimation.objective import IdentificationProblem
 from .estimation.optimizer import exceeds_rounding
 from .experiments.measurement import Measurement
@@ -39,7 +39,7 @@ def _for_each(method: _Method) -> _Method:
     return for_each  # pyright: ignore[reportReturnType]
 
 
-class Identification(eqx.Module):
+class Identification(Solution):
     """Estimated parameters of a mechanism, and their uncertainties.
 
     The uncertainties follow from the linearization of the model at the estimates. They
@@ -76,11 +76,7 @@ class Identification(eqx.Module):
     steps: Int[Array, "*batch"]
     result: RESULTS
     problem: IdentificationProblem
-
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether the search has converged."""
-        return self.result == RESULTS.successful
+    _plural: ClassVar[str] = "identifications"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -308,11 +304,8 @@ class Identification(eqx.Module):
                 f"`jax.tree.map(lambda array: array[0], batch).{name}`."
             )
 
-    def __repr__(self) -> str:
-        name = result_names(self.result)
-        arrays = [self.normalized, self.jacobian, *self.residuals]
-        if name is None or np.shape(name) or all_concrete(arrays) is None:
-            return eqx.tree_pformat(self)
+    def _summary(self, name: str) -> str:
+        del name
         return _summary(self)
 
 

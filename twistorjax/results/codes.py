@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, runtime_checkable, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._utils.host import concrete
+from .._utils.host import concrete, is_traced
 from .._utils.types import BatchFlag
 
 
@@ -214,18 +214,32 @@ def count_results(noun: str, names: np.ndarray) -> str:
     return f"{names.size:,} {noun}, of shape {names.shape}: {words}"
 
 
-@runtime_checkable
-class HasResult(Protocol):
-    """A solution that reports how it ended."""
+class Solution(eqx.Module):
+    """The solution of an analysis, which reports how it ended."""
+
+    result: eqx.AbstractVar[RESULTS]
+    _plural: eqx.AbstractClassVar[str]  # What several such solutions are called
 
     @property
-    def result(self) -> RESULTS: ...
+    def succeeded(self) -> BatchFlag:
+        """Whether the solve succeeded, or an event ended the motion or the path."""
+        return is_success(self.result)
 
-    @property
-    def succeeded(self) -> BatchFlag: ...
+    def _summary(self, name: str) -> str:
+        """Describe a single solution whose numbers are known, from its result's name."""
+        del name
+        return eqx.tree_pformat(self)
+
+    def __repr__(self) -> str:
+        names = result_names(self.result)
+        if names is None or is_traced(self):
+            return eqx.tree_pformat(self)
+        if names.shape:
+            return count_results(self._plural, names)
+        return self._summary(str(names))
 
 
-Solution = TypeVar("Solution", bound=HasResult)
+AnySolution = TypeVar("AnySolution", bound=Solution)
 
 
 # Results whose reason is in the arguments of the user
@@ -249,10 +263,10 @@ def result_error(name: str, batch_index: tuple[int, ...], more: str = "") -> Exc
 
 
 def finish(
-    solution: Solution,
+    solution: AnySolution,
     throw: bool,
     error: Callable[[str, tuple[int, ...]], Exception] = result_error,
-) -> Solution:
+) -> AnySolution:
     """Return a solution; if it may `throw`, raise the error of the first failed one.
 
     `error` returns this error from the name of the result and the index in the batch.

@@ -4,9 +4,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
-from .._utils.types import BatchFlag, Numbers
+from .._utils.types import Numbers
 from .._utils.validation import listing, quote
-from .codes import is_success, RESULTS
+from .codes import RESULTS, Solution
 from .tables import Column, Columns, columns, Tabular
 
 
@@ -18,7 +18,7 @@ def _pose_columns(prefix: str) -> tuple[tuple[str, str], ...]:
     return (f"{prefix}angle", "rad"), (f"{prefix}x", "m"), (f"{prefix}y", "m")
 
 
-class BodySolution(Tabular):
+class BodySolution(Solution, Tabular):
     """A solution with displacements and reactions of each body."""
 
     displacements: eqx.AbstractVar[Inexact[Array, "..."]]
@@ -27,11 +27,6 @@ class BodySolution(Tabular):
     result: eqx.AbstractVar[RESULTS]
     names: eqx.AbstractVar[tuple[str, ...]]
     constraint_names: eqx.AbstractVar[tuple[str, ...]]
-
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether the solve succeeded, or an event ended the motion or the path."""
-        return is_success(self.result)
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
         """Return the displacement of a body.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -11,21 +11,20 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._compile.compilation import fast_compile
-from .._utils.host import all_concrete, is_traced
+from .._utils.host import is_traced
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
-from .._utils.types import BatchFlag, Count, Flag, NumberLike, Pose, Scalar
+from .._utils.types import Count, Flag, NumberLike, Pose, Scalar
 from .._utils.validation import index_of, require_positive
 from ..linalg.elimination import solve
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
-    count_results,
     finish,
-    is_success,
     result_names,
     RESULTS,
+    Solution,
 )
 from .continuation.arc_length import Metric, NOT_FINITE, Step
 from .continuation.critical_points import null_vectors, with_derivatives
@@ -57,7 +56,7 @@ _SAME_STATE = 1e-6  # largest distance of states that are equal
 _FARTHER = 1 + 1e-6
 
 
-class Bistability(eqx.Module):
+class Bistability(Solution):
     """Equilibria without the multiplied loads, and the loads at which a mechanism snaps.
 
     The states are the first stable equilibrium, the unstable one, and the second stable
@@ -97,11 +96,7 @@ class Bistability(eqx.Module):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     range_shares: Float[Array, "*batch 3 hinges"] | None = None
-
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether the second state was found, or the path ended at the full loads."""
-        return is_success(self.result)
+    _plural: ClassVar[str] = "mechanisms"
 
     @property
     def barriers(self) -> Float[Array, "*batch 2"]:
@@ -129,24 +124,19 @@ class Bistability(eqx.Module):
         return self.displacements[..., 2, row, :] - self.displacements[..., 0, row, :]
 
     def __repr__(self) -> str:
-        known = all_concrete(
-            [
-                self.is_bistable,
-                self.snap_factors,
-                self.at_branch,
-                self.energies,
-                self.negative_eigenvalues,
-            ]
+        text, names = super().__repr__(), result_names(self.result)
+        if names is None or not names.shape or is_traced(self):
+            return text
+        return f"{text}, {np.sum(self.is_bistable):,} of them bistable"
+
+    def _summary(self, name: str) -> str:
+        bistable, at_branch, negative = (
+            np.asarray(values)
+            for values in (self.is_bistable, self.at_branch, self.negative_eigenvalues)
         )
-        names = result_names(self.result)
-        if known is None or names is None:
-            return eqx.tree_pformat(self)
-        bistable, factors, at_branch, energies, negative = known
-        if bistable.shape:
-            title = count_results("mechanisms", names)
-            return f"{title}, {np.sum(bistable):,} of them bistable"
+        factors, energies = np.asarray(self.snap_factors), np.asarray(self.energies)
         if not self.succeeded:
-            return f"no second stable state was found: {names}"
+            return f"no second stable state was found: {name}"
         if np.isnan(factors[0]):
             return "monostable up to the full loads and drives: no limit or branch point"
         forth, back = (

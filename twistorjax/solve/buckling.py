@@ -1,7 +1,7 @@
 """Buckling of a mechanism: critical points near those of the linearized equations."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,17 +13,16 @@ from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
-from .._utils.types import BatchFlag, Count, Flag, NumberLike, Poses, Scalar
+from .._utils.types import Count, Flag, NumberLike, Poses, Scalar
 from .._utils.validation import warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
-    count_results,
     finish,
     result_error,
-    result_names,
     RESULTS,
+    Solution,
 )
 from ..results.tables import Column, Columns, columns, Tabular
 from .continuation.arc_length import Metric
@@ -63,7 +62,7 @@ _EXPONENTS = -15.0, 15.0  # of ten, of load factors that may be out of a validit
 _TRIED_FACTORS = 301
 
 
-class Buckling(Tabular):
+class Buckling(Solution, Tabular):
     """Buckling loads and modes.
 
     Args:
@@ -89,11 +88,7 @@ class Buckling(Tabular):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     range_shares: Float[Array, "*batch hinges"] | None = None
-
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether the equilibrium about which the mechanism is linearized is stable."""
-        return self.result == RESULTS.successful
+    _plural: ClassVar[str] = "buckling analyses"
 
     def columns(self) -> Columns:
         entries = ("shape_angle", "rad"), ("shape_x", "m"), ("shape_y", "m")
@@ -102,17 +97,12 @@ class Buckling(Tabular):
             **columns(self.shapes, ("mode", "body"), *entries, body=self.names),
         }
 
-    def __repr__(self) -> str:
-        names = result_names(self.result)
-        if names is None:
-            return eqx.tree_pformat(self)
-        if names.shape:
-            return count_results("buckling analyses", names)
-        if not np.any(np.isfinite(self.load_factors)) and names == "successful":
-            return f"{names}: no mode buckles within the validity ranges of the energies"
+    def _summary(self, name: str) -> str:
+        if not np.any(np.isfinite(self.load_factors)) and name == "successful":
+            return f"{name}: no mode buckles within the validity ranges of the energies"
         finite = np.isfinite(self.load_factors)
         lines = [
-            f"{names}: {np.sum(finite)} modes within the validity ranges",
+            f"{name}: {np.sum(finite)} modes within the validity ranges",
             "load factor  largest translation",
         ]
         for row in np.flatnonzero(finite):

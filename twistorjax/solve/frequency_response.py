@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -55,6 +56,7 @@ class FrequencyResponse(BodySolution):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+    _plural: ClassVar[str] = "frequency responses"
 
     def columns(self) -> Columns:
         frequency = Column(self.frequencies, ("frequency",), "Hz")

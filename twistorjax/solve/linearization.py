@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
-from .._utils.host import all_concrete, concrete
+from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.types import Entries, Flag, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from ..linalg.constraints import ConstrainedFactors
@@ -19,9 +20,7 @@ from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
 from ..results.codes import (
-    count_results,
     finish,
-    result_names,
     RESULTS,
 )
 from ..results.solutions import PoseSolution
@@ -63,19 +62,14 @@ class LinearResponse(PoseSolution):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+    _plural: ClassVar[str] = "linear responses"
 
     def columns(self) -> Columns:
         return {**self._body_columns(), "energy": Column(self.energy, (), "J")}
 
-    def __repr__(self) -> str:
-        names = result_names(self.result)
-        values = all_concrete([self.displacements, self.energy])
-        if names is None or values is None:
-            return eqx.tree_pformat(self)
-        if names.shape:
-            return count_results("linear responses", names)
-        displacements, energy = values
-        return self._listed(f"{names}: {float(energy):.6g} J", "body", displacements)
+    def _summary(self, name: str) -> str:
+        title = f"{name}: {float(self.energy):.6g} J"
+        return self._listed(title, "body", np.asarray(self.displacements))
 
 
 class Linearization(eqx.Module):

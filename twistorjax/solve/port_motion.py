@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -14,7 +15,6 @@ from .._compile.compilation import fast_compile
 from .._utils.host import all_concrete, program_input
 from .._utils.progress import announced
 from .._utils.types import (
-    BatchFlag,
     BatchScalar,
     NumberLike,
     Numbers,
@@ -30,7 +30,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_rows
-from ..results.codes import is_success, RESULTS
+from ..results.codes import RESULTS, Solution
 from ..results.tables import Column, Columns, Tabular
 from .constraint_analysis import constraint_analysis
 from .equations.state import warn_outside_linear_range
@@ -42,7 +42,7 @@ from .statics.solution import Equilibrium
 _UNITS = {"angle": "rad", "x": "m", "y": "m"}
 
 
-class PortMotion(Tabular):
+class PortMotion(Solution, Tabular):
     """Motion of a port, a frame on a body, while an input moves through its travel.
 
     All quantities have one entry for each position of the input, from its start to its
@@ -70,11 +70,7 @@ class PortMotion(Tabular):
     body: str = eqx.field(static=True)
     direction: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
-
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether the equilibrium was found, at each position."""
-        return is_success(self.result)
+    _plural: ClassVar[str] = "positions of ports"
 
     @property
     def output(self) -> Numbers:

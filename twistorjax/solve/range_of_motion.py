@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.host import all_concrete, as_float
 from .._utils.progress import announced
-from .._utils.types import BatchFlag, NumberLike, PoseLike
+from .._utils.types import NumberLike, PoseLike
 from .._utils.validation import index_of, require_positive
 from ..assembly.stress import rows_with_stress, strengths
 from ..mechanism.constraints import AbstractConstraint
@@ -76,11 +77,7 @@ class RangeOfMotion(PoseSolution):
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether an end was found, one value for each side."""
-        return self.result == RESULTS.successful
+    _plural: ClassVar[str] = "ends of ranges of motion"
 
     def columns(self) -> Columns:
         axes, labels = ("side",), (("side", _SIDES),)

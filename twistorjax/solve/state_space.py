@@ -1,7 +1,7 @@
 """State-space model of a mechanism about an equilibrium, for control design."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -12,14 +12,14 @@ from typing_extensions import TypeAliasType
 
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
-from .._utils.types import BatchFlag, FrequenciesLike, NumberLike, PoseLike, Poses
+from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
 from .._utils.validation import index_of, require_package
 from ..linalg.elimination import inverse
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_forces, stroke_rows
-from ..results.codes import RESULTS
+from ..results.codes import RESULTS, Solution
 from .equations.consistency import consistent
 from .equations.dofs import DofPartition
 from .equations.modes import natural_modes
@@ -38,7 +38,7 @@ InputLike = TypeAliasType("InputLike", Load | Drive | Mapping[str, PoseLike])
 OutputLike = TypeAliasType("OutputLike", Sequence[str])
 
 
-class StateSpace(eqx.Module):
+class StateSpace(Solution):
     """Linear model `x' = A x + B u`, `y = C x + D u` of small motions of a mechanism.
 
     The states are the coordinates of the modes, and their rates. If an input prescribes
@@ -63,11 +63,7 @@ class StateSpace(eqx.Module):
     result: RESULTS
     inputs: tuple[str, ...] = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether the model exists."""
-        return self.result == RESULTS.successful
+    _plural: ClassVar[str] = "state-space models"
 
     @property
     def static_gain(self) -> Float[Array, "outputs inputs"]:
@@ -352,7 +348,8 @@ def _state_space(
     result = RESULTS.where(finite, RESULTS.successful, RESULTS.not_finite)
     is_consistent = consistent(system, displacements)
     result = RESULTS.where(is_consistent, result, RESULTS.inconsistent_constraints)
-    return StateSpace(a, b, c, d, result, *names)
+    inputs, outputs = names
+    return StateSpace(a=a, b=b, c=c, d=d, result=result, inputs=inputs, outputs=outputs)
 
 
 def _excitation(

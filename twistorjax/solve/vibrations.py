@@ -1,6 +1,7 @@
 """Natural vibrations of a mechanism about an equilibrium."""
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,11 +10,11 @@ from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
-from .._utils.types import BatchFlag, NumberLike, Poses
+from .._utils.types import NumberLike, Poses
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import count_results, result_names, RESULTS
+from ..results.codes import RESULTS, Solution
 from ..results.tables import Column, Columns, columns, Tabular
 from .equations.consistency import consistent
 from .equations.modes import natural_modes
@@ -22,7 +23,7 @@ from .equations.system import System
 from .statics.solution import StateLike
 
 
-class Vibrations(Tabular):
+class Vibrations(Solution, Tabular):
     """Natural frequencies and mode shapes of a mechanism.
 
     If the equilibrium is unstable with respect to a mode, the frequency of this mode is
@@ -40,6 +41,7 @@ class Vibrations(Tabular):
     shapes: Float[Array, "*batch modes bodies 3"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+    _plural: ClassVar[str] = "sets of vibrations"
 
     def columns(self) -> Columns:
         axes = ("mode", "body")
@@ -49,18 +51,8 @@ class Vibrations(Tabular):
             **columns(self.shapes, axes, *entries, body=self.names),
         }
 
-    @property
-    def succeeded(self) -> BatchFlag:
-        """Whether the equilibrium is stable, so that every mode has a frequency."""
-        return self.result == RESULTS.successful
-
-    def __repr__(self) -> str:
-        names = result_names(self.result)
-        if names is None:
-            return eqx.tree_pformat(self)
-        if names.shape:
-            return count_results("sets of vibrations", names)
-        title = f"{names}: {self.frequencies.size} vibrations"
+    def _summary(self, name: str) -> str:
+        title = f"{name}: {self.frequencies.size} vibrations"
         lines = [title, "frequency (Hz)  largest translations"]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
             travel = np.linalg.norm(np.asarray(shape)[:, 1:], axis=1)

@@ -1,16 +1,17 @@
 """Results of `path`: the path, its points, and its critical points."""
 
 from collections.abc import Iterable, Iterator
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._utils.host import all_concrete, concrete
+from ..._utils.host import concrete
 from ..._utils.types import Flag, NumberLike, Pose, Poses, Scalar
 from ..._utils.validation import index_of
-from ...results.codes import count_results, result_names, RESULTS
+from ...results.codes import RESULTS
 from ...results.solutions import PoseSolution
 from ...results.tables import Column, Columns
 from ..equations.stresses import Stresses
@@ -215,6 +216,7 @@ class Path(PoseSolution):
     constraint_names: tuple[str, ...] = eqx.field(static=True)
     range_shares: Float[Array, "*batch points hinges"] | None = None
     stresses: Stresses | None = None
+    _plural: ClassVar[str] = "paths"
 
     @property
     def stable(self) -> Bool[Array, "*batch points"]:
@@ -232,17 +234,12 @@ class Path(PoseSolution):
             "negative_eigenvalues": Column(self.negative_eigenvalues, axes, "1"),
         }
 
-    def __repr__(self) -> str:
-        names = result_names(self.result)
-        values = all_concrete([self.load_factors, self.negative_eigenvalues])
-        if names is None or values is None:
-            return eqx.tree_pformat(self)
-        if names.shape:
-            return count_results("paths", names)
-        factors, negative = values
+    def _summary(self, name: str) -> str:
+        factors = np.asarray(self.load_factors)
+        stable = np.mean(np.asarray(self.negative_eigenvalues) == 0)
         lines = [
-            f"{names}: {len(factors)} equilibria, load factor {factors[0]:.6g} to "
-            f"{factors[-1]:.6g}, {np.mean(negative == 0):.0%} stable, "
+            f"{name}: {len(factors)} equilibria, load factor {factors[0]:.6g} to "
+            f"{factors[-1]:.6g}, {stable:.0%} stable, "
             f"{int(self.steps)} steps"
         ]
         if len(self.critical_points):

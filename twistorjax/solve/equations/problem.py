@@ -12,7 +12,7 @@ from ..._utils.validation import require_float64
 from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
 from ...mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ...mechanism.mechanism import Mechanism
-from ...results.codes import finish, result_error, Solution
+from ...results.codes import AnySolution, finish, result_error
 from .consistency import constraint_error, require_equilibrium
 from .dofs import DofPartition, require_support
 from .state import state_in_range
@@ -115,11 +115,11 @@ class Problem(NamedTuple):
 
     def finish(
         self,
-        solution: Solution,
+        solution: AnySolution,
         throw: bool,
         state: Poses,
         messages: Mapping[str, str] = MappingProxyType({}),
-    ) -> Solution:
+    ) -> AnySolution:
         """Return a linearized solution; if it failed and may `throw`, raise its error.
 
         `state` is the state about which the equations are linearized; rad, m, m.

@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import diffrax as dfx
 import equinox as eqx
@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._utils.host import all_concrete, take_rows
+from ..._utils.host import take_rows
 from ..._utils.types import BatchScalar, NumberLike, Numbers, Poses
 from ...mechanism.misfits import Temperature
-from ...results.codes import count_results, result_names, RESULTS
+from ...results.codes import RESULTS
 from ...results.solutions import PoseSolution
 from ...results.tables import Column, Columns, columns
 from .system import MotionSystem
@@ -98,6 +98,7 @@ class Motion(PoseSolution):
     temperature: Temperature | None
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+    _plural: ClassVar[str] = "motions"
 
     def first_times(self, count: int) -> "Motion":
         """Return the motion at the first of its times; for a motion that is no batch."""
@@ -170,20 +171,14 @@ class Motion(PoseSolution):
             table[f"energy_{field.name}"] = Column(energy, ("time",), "J")
         return {**table, "steps": Column(self.steps), "rejected": Column(self.rejected)}
 
-    def __repr__(self) -> str:
-        names = result_names(self.result)
-        values = all_concrete([self.times, self.displacements, self.energies.dissipated])
-        if names is None or values is None:
-            return eqx.tree_pformat(self)
-        if names.shape:
-            return count_results("motions", names)
-        times, displacements, dissipated = values
+    def _summary(self, name: str) -> str:
+        times, displacements = map(np.asarray, (self.times, self.displacements))
         title = (
-            f"{names}: {float(times[0]):g} to {float(self.reached):.6g} s in "
+            f"{name}: {float(times[0]):g} to {float(self.reached):.6g} s in "
             f"{int(self.steps)} steps, {int(self.rejected)} rejected; "
             f"{times.size} saved times"
         )
-        if np.any(dissipated):
+        if np.any(self.energies.dissipated):
             imbalance = np.nanmax(np.abs(self.energies.imbalance))
             stored = np.nanmax(self.energies.elastic + self.energies.kinetic)
             title += f"\nerror of the energy: {imbalance:.2g} J of {stored:.3g} J"

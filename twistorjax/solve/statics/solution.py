@@ -1,14 +1,15 @@
 """Static equilibrium of a mechanism, and states that are given by one."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
-from ..._utils.host import all_concrete
 from ..._utils.types import Count, Entries, Poses, PosesLike, Scalar, Wrenches
 from ...mechanism.loads import LoadSet
-from ...results.codes import count_results, result_names, RESULTS
+from ...results.codes import RESULTS
 from ...results.solutions import PoseSolution
 from ...results.tables import Column, Columns
 from ..equations.stresses import Stresses
@@ -62,29 +63,23 @@ class Equilibrium(PoseSolution):
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
     stresses: Stresses | None = None
+    _plural: ClassVar[str] = "equilibria"
 
     def columns(self) -> Columns:
         energy = Column(self.energy, (), "J")
         stresses = {} if self.stresses is None else self.stresses.columns()
         return {**self._body_columns(), "energy": energy, **stresses}
 
-    def __repr__(self) -> str:
-        names = result_names(self.result)
-        values = all_concrete([self.reached, self.energy, self.fraction])
-        if names is None or values is None:
-            return eqx.tree_pformat(self)
-        if names.shape:
-            return count_results("equilibria", names)
-        displacements, energy, fraction = values
+    def _summary(self, name: str) -> str:
         title = (
-            f"{names}: {100 * float(fraction):.4g} % of loads and prescribed "
+            f"{name}: {100 * float(self.fraction):.4g} % of loads and prescribed "
             f"displacements, {int(self.steps)} Newton steps"
         )
-        if np.isfinite(energy):
-            title += f", {float(energy):.6g} J in the hinges"
+        if np.isfinite(self.energy):
+            title += f", {float(self.energy):.6g} J in the hinges"
         if self.stresses is not None:
             title += f"\n{self.stresses.summary()}"
-        return self._listed(title, "body", displacements)
+        return self._listed(title, "body", np.asarray(self.reached))
 
 
 # An equilibrium, a linear response, or poses of the bodies; rad, m, m

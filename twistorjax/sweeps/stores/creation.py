@@ -2,12 +2,9 @@
 
 import contextlib
 import errno
-import hashlib
 import os
-import platform
 import re
 import shutil
-import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,12 +15,10 @@ import numpy as np
 from ..._utils.validation import require_package
 from ...designs.designs import grid_chunk
 from ..dataset import Layout, NOT_COMPUTED, RESULT_FLAGS
-from .files import clear_errors, MANIFEST, write_manifest
+from .files import clear_errors, is_abandoned, MANIFEST, write_manifest
 
 
 FORMAT = 4  # version of the layout of the files
-# age at which the folder of an unfinished creation is removed in any case; s
-_ABANDONED_AFTER = 24 * 3600.0
 
 
 def require_writable(path: Path) -> None:
@@ -115,9 +110,7 @@ def _temporary_store(
     path: Path, identity: Mapping[str, Any], layout: Layout, block: Sequence[int] | None
 ) -> Iterator[Path]:
     """Create a store in a hidden folder, which is removed unless it is renamed."""
-    temporary = path.with_name(
-        f".{path.name}.{_machine_id()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-    )
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
     try:
         _write_store(temporary, identity, layout, block)
         yield temporary
@@ -189,40 +182,9 @@ def _write_static_array(
 def _remove_abandoned(path: Path) -> None:
     """Remove hidden folders of processes that were killed while they created a store.
 
-    The folder of a running process must stay. The name of a folder contains the number
-    of its process, which shows on the same machine whether the process still runs. On
-    other machines the age decides, because the creation of a store takes seconds.
+    A recent folder stays, because a process may still be creating the store.
     """
-    pattern = rf"\.{re.escape(path.name)}\.([0-9a-f]{{8}})-(\d+)-[0-9a-f]{{8}}"
+    pattern = rf"\.{re.escape(path.name)}\.[0-9a-f]{{8}}"
     for folder in path.parent.iterdir():
-        if not (match := re.fullmatch(pattern, folder.name)):
-            continue
-        with contextlib.suppress(OSError):  # another process removed or renamed it
-            old = time.time() - folder.stat().st_mtime > _ABANDONED_AFTER
-            if old or (match[1] == _machine_id() and not _is_running(int(match[2]))):
-                shutil.rmtree(folder, ignore_errors=True)
-
-
-def _machine_id() -> str:
-    """Compute an identifier of eight hexadecimal digits of this machine and container.
-
-    It distinguishes machines that share a folder, and containers on one machine.
-    """
-    namespace = ""
-    with contextlib.suppress(OSError):
-        namespace = os.readlink("/proc/self/ns/pid")
-    text = f"{platform.node()} {namespace}"
-    return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
-
-
-def _is_running(process: int) -> bool:
-    """Determine whether a process of this machine runs; True if this is unknown."""
-    if os.name != "posix":
-        return True  # On Windows, `os.kill` would end the process.
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:  # a process of another user
-        return True
-    return True
+        if re.fullmatch(pattern, folder.name) and is_abandoned(folder):
+            shutil.rmtree(folder, ignore_errors=True)

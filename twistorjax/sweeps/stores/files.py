@@ -4,6 +4,7 @@ import contextlib
 import errno
 import hashlib
 import json
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +13,8 @@ from typing import Any, Literal
 # The manifest is in the folder of an array, because zarr warns about unknown files in the
 # folders of its groups.
 MANIFEST = Path("finished", "sums", "manifest.json")
+# Age at which an incomplete file or folder is removed; writing one takes seconds; s
+_ABANDONED_AFTER = 3600.0
 
 
 def write_manifest(folder: Path, contents: Mapping[str, Any]) -> None:
@@ -85,6 +88,13 @@ def damage_error(folder: Path, what: str, remedy: str) -> OSError:
         f"The store {str(folder)!r} is damaged: {what} is missing, or has changed since "
         f"it was written. {remedy}",
     )
+
+
+def is_abandoned(path: Path) -> bool:
+    """Decide whether the process that wrote an incomplete file or folder is gone."""
+    with contextlib.suppress(OSError):  # Another process removed or renamed it.
+        return time.time() - path.stat().st_mtime > _ABANDONED_AFTER
+    return False
 
 
 @contextlib.contextmanager

@@ -3,7 +3,6 @@
 import contextlib
 import hashlib
 import math
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -13,12 +12,17 @@ from jaxtyping import Bool
 
 from ..._utils.validation import require_package
 from .creation import fill_value, FORMAT
-from .files import clear_errors, damage_error, damaged_files, MANIFEST, read_manifest
+from .files import (
+    clear_errors,
+    damage_error,
+    damaged_files,
+    is_abandoned,
+    MANIFEST,
+    read_manifest,
+)
 
 
 _FLAT_FORMAT = 3  # in which also the outputs of a grid have the axis `design`
-# age at which an incomplete file is removed; writing a file takes seconds; s
-_ABANDONED_AFTER = 3600.0
 
 
 class Store:
@@ -125,10 +129,8 @@ class Store:
         A recent file stays, because a process may still be writing it.
         """
         for path in self.path.rglob("*.partial"):
-            with contextlib.suppress(OSError):
-                if path.is_file() and (
-                    time.time() - path.stat().st_mtime > _ABANDONED_AFTER
-                ):
+            if is_abandoned(path):
+                with contextlib.suppress(OSError):
                     path.unlink()
 
     def read(self, name: str, chunks: Bool[np.ndarray, " chunks"]) -> np.ndarray:

@@ -21,7 +21,7 @@ from ..._compile.compilation import fast_compile
 from ..._utils.types import Count, NumberLike, Pose, Scalar, Wrench, WrenchLike
 from ..._utils.validation import require_positive, require_row
 from ...geometry import se2
-from .beam import Beam, is_constant, load_units, smallest_thickness
+from .beam import Beam, load_units, smallest_thickness, Uniform
 from .cross_section import section_of, section_strains, Strains
 
 
@@ -128,7 +128,7 @@ def state_under_load(beam: Beam, load: Wrench, sections: int | None) -> BeamSolu
     The state is then NaN; see `beam_under_load`.
     """
     if sections is None:
-        sections = 21 if is_constant(beam.profile) else 201
+        sections = 21 if isinstance(beam.profile, Uniform) else 201
     if sections < 2:
         raise ValueError(f"`sections` is {sections!r}, but must be 2 or more.")
     return _solve(beam, load, sections)

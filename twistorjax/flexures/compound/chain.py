@@ -36,7 +36,7 @@ from ...geometry import se2
 from ...mechanism.body import Body
 from ...mechanism.hinge import Hinge
 from ...mechanism.material import Expansion
-from ..beams.beam import arc_rotation, Beam, is_constant, is_uniform, load_units
+from ..beams.beam import arc_rotation, Beam, is_uniform, load_units, Uniform
 from ..beams.under_load import (
     beam_under_load,
     end_section,
@@ -293,7 +293,7 @@ def _segment(beam: Beam, shares: np.ndarray, k: int) -> Beam:
     middle = beam.length * float(np.sum(shares[:k]) + shares[k] / 2 - 0.5)
 
     def shifted(function):
-        if is_constant(function):
+        if isinstance(function, Uniform):
             return function
         return jax.tree_util.Partial(_shifted, function, middle)
 

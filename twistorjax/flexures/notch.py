@@ -18,7 +18,7 @@ from ..energies.strains import Coordinates
 from ..mechanism.material import Material
 from .beams.stress_models import SectionStress
 from .contours.contour import arc_integrals, Contour
-from .contours.notches import CircularNotch
+from .contours.notches import EllipticalNotch
 
 
 Stiffnesses = tuple[Any, Any, Any]  # arrays of NumPy or JAX
@@ -141,7 +141,9 @@ def notch_profile(*, hole: NumberLike, web: NumberLike) -> Contour:
         >>> thickness(jnp.array(0.0)), thickness(jnp.array(1.5e-3))
         (Array(0.00025, dtype=float64), Array(0.00325, dtype=float64))
     """
-    return CircularNotch(hole, web)
+    hole, web = require_length("`hole`", hole), require_length("`web`", web)
+    _, (diameter,) = on_host(hole)
+    return EllipticalNotch(hole, web, depth=as_float(diameter / 2))
 
 
 def notch_outline(

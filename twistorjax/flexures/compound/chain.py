@@ -559,8 +559,5 @@ def beam_expansion(beam: Beam) -> Expansion | None:
         return None
     if beam.curvature is None:
         return Expansion(beam.material, length=beam.length)
-    ends, centroid = _ends_and_centroid(beam)
+    ends, centroid = ends_and_centroid(beam)
     return Expansion(beam.material, ends=ends, arc_length=beam.length, centroid=centroid)
-
-
-_ends_and_centroid = jax.jit(ends_and_centroid)

@@ -51,7 +51,7 @@ class Contour(AbstractProfile):
             The smallest thickness, which is NaN if a traced dimension is out of range; m.
         """
 
-    def stress_model(self, material: Material, width: NumberLike) -> AbstractStressModel:
+    def stress_model(self, material: Material, width: Scalar) -> AbstractStressModel:
         """Create the stress model of a flexure with this contour and a width (m)."""
         beam = Beam(material, length=self.length, thickness=self, width=width)
         return BeamStress.of(beam)
@@ -66,9 +66,8 @@ class Contour(AbstractProfile):
         """Create the energy of a flexure with this contour and a width (m)."""
         thinnest = self.require_beam(theory)
         require_instance("material", material, Material)
-        stress_model = self.stress_model(material, width)
         width = require_length("`width`", width)
-        xp, (contour, modulus, poisson, width) = tree_on_host(
+        xp, (contour, modulus, poisson, host_width) = tree_on_host(
             (self, material.modulus, material.poisson, width)
         )
         half = contour.half_integrals(xp)
@@ -76,12 +75,12 @@ class Contour(AbstractProfile):
         if theory == "timoshenko":
             shear = 2 * (1 + poisson) / SHEAR_FACTOR * compliances[1]
             compliances[2] = compliances[2] + shear
-        stiffness = as_float(xp.diag(modulus * width / xp.stack(compliances)))
+        stiffness = as_float(xp.diag(modulus * host_width / xp.stack(compliances)))
         return Quadratic(
             nan_where_nan(thinnest, stiffness),
             coordinates,
             flexure=True,
-            stress_model=stress_model,
+            stress_model=self.stress_model(material, width),
         )
 
 

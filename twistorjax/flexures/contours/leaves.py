@@ -171,7 +171,7 @@ class ReinforcedLeaf(Contour):
         name = "`thickness / (length - reinforced_length)`"
         return require_slender(name, self.thickness, outer, theory)
 
-    def stress_model(self, material: Material, width: NumberLike) -> SectionStress:
+    def stress_model(self, material: Material, width: Scalar) -> SectionStress:
         # The stress is largest at the ends of the thin sections.
         strengths = material.strengths
         return SectionStress.of_leaf(strengths, self.length, self.thickness, width)

@@ -213,6 +213,11 @@ def load_units(beam: Beam) -> Float[Array, "3"]:
     return jnp.stack([moment, moment / beam.length, moment / beam.length])
 
 
+def pose_units(beam: Beam) -> Float[Array, "3"]:
+    """Return the units of a dimensionless pose, (1, L, L); rad, m, m."""
+    return jnp.stack([jnp.ones(()), beam.length, beam.length])
+
+
 def smallest_thickness(beam: Beam) -> Scalar:
     """Return the smallest of the thicknesses at 201 positions along a beam; m."""
     _, (length,) = on_host(beam.length)

@@ -36,7 +36,7 @@ from ...geometry import se2
 from ...mechanism.body import Body
 from ...mechanism.hinge import Hinge
 from ...mechanism.material import Expansion
-from ..beams.beam import arc_rotation, Beam, is_uniform, load_units, Uniform
+from ..beams.beam import arc_rotation, Beam, is_uniform, load_units, pose_units, Uniform
 from ..beams.under_load import (
     beam_under_load,
     end_section,
@@ -383,7 +383,7 @@ def _errors(
     def displace(wrench: Wrench, part: Beam) -> tuple[Wrench, tuple[Pose, Wrench]]:
         """Apply a wrench on the first end of a segment to the whole segment."""
         ends = reference_ends(part)
-        scale = jnp.stack([jnp.ones(()), part.length, part.length])
+        scale = pose_units(part)
         load = se2.transform_wrench(scale * ends.first, wrench)
         end = end_section(part, load / load_units(part), ends)
         pose, on_second = pose_and_wrench(part, load, end, ends)
@@ -413,8 +413,7 @@ def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list]:
     """Compute the poses of the middles of all segments, and of their second ends."""
 
     def in_meters(part: Beam) -> tuple[Pose, Pose]:
-        scale = jnp.stack([jnp.ones(()), part.length, part.length])
-        ends = reference_ends(part)
+        scale, ends = pose_units(part), reference_ends(part)
         return scale * ends.first, scale * ends.second
 
     end = se2.compose(at, in_meters(beam)[0])

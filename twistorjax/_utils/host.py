@@ -44,7 +44,7 @@ def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
 
 
 def tree_on_host(tree: Any) -> tuple[Any, Any]:
-    """Choose the module for a formula as `on_host` does, for the leaves of a pytree."""
+    """Return the module for a formula and its arrays, as `on_host`, for a pytree."""
     leaves, structure = jax.tree.flatten(tree)
     xp, arrays = on_host(*leaves)
     return xp, jax.tree.unflatten(structure, arrays)

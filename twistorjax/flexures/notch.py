@@ -207,6 +207,7 @@ def _fitted(r: Scalar) -> Stiffnesses:
 def _paros_weisbord(r: Scalar) -> Stiffnesses:
     """Integrate the compliances of a beam of variable height."""
     xp, (r,) = on_host(r)
+    # The compliances of an `EllipticalNotch` with the length 1 and the depth 1/2
     arc = arc_integrals(xp, r, xp.pi / 2)
     return 1 / (12 * arc.bending), 1 / arc.axial, 1 / (3 * arc.second)
 

@@ -25,7 +25,7 @@ from twistorjax._compile import stored_gradients, stored_traces, trace_folder
 from twistorjax._compile.result_structure import from_text, to_text
 from twistorjax._compile.trace_folder import TraceFolder
 from twistorjax._compile.trace_keys import canonical_text, NoCanonicalTextError
-from twistorjax.flexures.beams.beam import uniform
+from twistorjax.flexures.beams.beam import arc_rotation
 from twistorjax.mechanism.misfits import Temperature
 
 
@@ -270,7 +270,7 @@ def test_a_result_is_recovered_from_its_text():
     )
     temperature = Temperature(5.0, hinges={"heater": 200.0}, bodies={}, gradients={})
     placeholder = stored_traces._Placeholder(3, weak=True)
-    thickness = jax.tree_util.Partial(uniform, placeholder)
+    thickness = jax.tree_util.Partial(arc_rotation, placeholder)
     everything = value, tj.Load, temperature, [placeholder, thickness]
     recovered = from_text(to_text(everything))
     assert repr(recovered) == repr(everything)

@@ -43,6 +43,13 @@ def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
     return (jnp, values) if arrays is None else (np, arrays)
 
 
+def tree_on_host(tree: Any) -> tuple[Any, Any]:
+    """Return the module for a formula and its arrays, as `on_host`, for a pytree."""
+    leaves, structure = jax.tree.flatten(tree)
+    xp, arrays = on_host(*leaves)
+    return xp, jax.tree.unflatten(structure, arrays)
+
+
 def as_float(value: Any) -> Numbers:
     """Convert numbers, or lists of numbers, to a JAX array.
 

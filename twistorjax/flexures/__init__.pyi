@@ -27,18 +27,18 @@ from .compound.pivots import (
     cross_spring_pivot as cross_spring_pivot,
 )
 from .condensed import Condensed as Condensed
-from .contours.energies import (
-    elliptical_notch as elliptical_notch,
+from .contours.leaves import (
     filleted_leaf as filleted_leaf,
-    parabolic_notch as parabolic_notch,
-    reinforced_leaf as reinforced_leaf,
-    v_notch as v_notch,
-)
-from .contours.profiles import (
-    elliptical_notch_profile as elliptical_notch_profile,
     filleted_leaf_profile as filleted_leaf_profile,
-    power_law_notch_profile as power_law_notch_profile,
+    reinforced_leaf as reinforced_leaf,
     reinforced_leaf_profile as reinforced_leaf_profile,
+)
+from .contours.notches import (
+    elliptical_notch as elliptical_notch,
+    elliptical_notch_profile as elliptical_notch_profile,
+    parabolic_notch as parabolic_notch,
+    power_law_notch_profile as power_law_notch_profile,
+    v_notch as v_notch,
     v_notch_profile as v_notch_profile,
 )
 from .leaf import (

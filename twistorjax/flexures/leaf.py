@@ -1,28 +1,17 @@
 """Leaf hinges: slender straight beams of constant cross-section, cut from a plate."""
 
-from typing import Literal
-
 import numpy as np
 
 from .._utils.host import as_float, on_host
-from .._utils.types import Corners, NumberLike
-from .._utils.validation import (
-    require_choice,
-    require_instance,
-    require_interval,
-    require_length,
-)
+from .._utils.types import Corners, NumberLike, Scalar
+from .._utils.validation import require_choice, require_instance, require_length
 from ..energies.beam_column import BeamColumn
 from ..energies.mixed import MixedEnergy
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
 from .beams.stress_models import BeamColumnStress, SectionStress
-
-
-Theory = Literal["euler-bernoulli", "timoshenko"]
-
-_SHEAR_FACTOR = 5 / 6
+from .limits import require_slender, SHEAR_FACTOR, Theory
 
 
 def leaf(
@@ -80,9 +69,9 @@ def leaf(
         axial,
         shear if has_shear else None,
         stress_model=BeamColumnStress(
-            length=as_float(length),
-            thickness=as_float(thickness),
-            width=as_float(width),
+            length=length,
+            thickness=thickness,
+            width=width,
             modulus=material.modulus,
             strengths=material.strengths,
             shear_ratio=as_float(shear / axial) if has_shear else None,
@@ -229,37 +218,30 @@ def _require_dimensions(
     thickness: NumberLike,
     width: NumberLike,
     theory: Theory,
-) -> tuple[NumberLike, NumberLike, NumberLike]:
+) -> tuple[Scalar, Scalar, Scalar]:
     """Check the dimensions of a leaf and its theory, and return the dimensions; m."""
     modulus = require_instance("material", material, Material).modulus
-    require_choice("`theory`", theory, ("euler-bernoulli", "timoshenko"))
-    _, (length, thickness, width) = on_host(
-        require_length("`length`", length, modulus),
-        require_length("`thickness`", thickness, modulus),
-        require_length("`width`", width, modulus),
-    )
-    limit = 0.25 if theory == "timoshenko" else 0.1
-    slenderness = require_interval(
+    length = require_length("`length`", length, modulus)
+    other_theory = "" if theory == "timoshenko" else ', or theory="timoshenko"'
+    thickness = require_slender(
         "`thickness / length`",
-        thickness / length,
-        0.0,
-        limit * (1 + 1e-12),  # The quotient 0.3 mm / 3 mm is not exactly 0.1.
-        f"the theory {theory!r} is valid up to {limit:g}. Use a thinner or longer leaf"
-        + ("" if theory == "timoshenko" else ', or theory="timoshenko"'),
+        require_length("`thickness`", thickness, modulus),
+        length,
+        theory,
+        f". Use a thinner or longer leaf{other_theory}",
     )
-    _, (length, slenderness) = on_host(length, slenderness)
-    return length, slenderness * length, width
+    return length, thickness, require_length("`width`", width, modulus)
 
 
 def _section_stiffnesses(
-    material: Material, thickness: NumberLike, width: NumberLike
+    material: Material, thickness: Scalar, width: Scalar
 ) -> tuple[NumberLike, NumberLike, NumberLike]:
     """Compute the stiffnesses in bending, tension, and shear; N m^2, N, N."""
     _, (modulus, poisson, thickness, width) = on_host(
         material.modulus, material.poisson, thickness, width
     )
     axial = modulus * width * thickness
-    shear = _SHEAR_FACTOR * axial / (2 * (1 + poisson))
+    shear = SHEAR_FACTOR * axial / (2 * (1 + poisson))
     return axial * thickness**2 / 12, axial, shear
 
 

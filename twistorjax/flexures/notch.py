@@ -2,11 +2,10 @@
 
 from typing import Any, Literal
 
-import jax
 import numpy as np
 
 from .._utils.host import as_float, on_host
-from .._utils.types import Corners, NumberLike, Numbers, Scalar
+from .._utils.types import Corners, NumberLike, Scalar
 from .._utils.validation import (
     require_choice,
     require_instance,
@@ -17,8 +16,9 @@ from .._utils.validation import (
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
-from .beams.beam import elementwise
 from .beams.stress_models import SectionStress
+from .contours.contour import arc_integrals, Contour
+from .contours.notches import EllipticalNotch
 
 
 Stiffnesses = tuple[Any, Any, Any]  # arrays of NumPy or JAX
@@ -117,7 +117,7 @@ def notch(
     return Quadratic(stiffness, coordinates, flexure=True, stress_model=stress)
 
 
-def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial:
+def notch_profile(*, hole: NumberLike, web: NumberLike) -> Contour:
     """Return the thickness of the neck of a notch as a function of the position.
 
     Use it as the `thickness` of a `Beam` with the length `hole`. In a neck as short as
@@ -142,18 +142,8 @@ def notch_profile(*, hole: NumberLike, web: NumberLike) -> jax.tree_util.Partial
         (Array(0.00025, dtype=float64), Array(0.00325, dtype=float64))
     """
     hole, web = require_length("`hole`", hole), require_length("`web`", web)
-    return jax.tree_util.Partial(_neck_thickness, hole, web)
-
-
-@elementwise
-def _neck_thickness(hole: Scalar, web: Scalar, position: Numbers) -> Numbers:
-    """Compute the thickness of a neck at a position along its axis; all in m."""
-    xp, (hole, web, position) = on_host(hole, web, position)
-    square = hole**2 - (2 * position) ** 2
-    # Rounding may put the ends outside, where the square root has no derivative.
-    inside = square > 0
-    root = xp.where(inside, xp.sqrt(xp.where(inside, square, 1.0)), 0.0)
-    return as_float(web + hole - root)
+    _, (diameter,) = on_host(hole)
+    return EllipticalNotch(hole, web, depth=as_float(diameter / 2))
 
 
 def notch_outline(
@@ -215,24 +205,11 @@ def _fitted(r: Scalar) -> Stiffnesses:
 
 
 def _paros_weisbord(r: Scalar) -> Stiffnesses:
-    """Integrate the compliances of a beam of variable height.
-
-    The height is `hole (a - cos phi)` at the position `hole / 2 sin phi`.
-    """
+    """Integrate the compliances of a beam of variable height."""
     xp, (r,) = on_host(r)
-    # A_n is the integral of (a - cos phi)^-n over the half circle. Each A_n follows from
-    # the derivative of the previous one.
-    a = 1 + r
-    square = r * (2 + r)
-    first = 4 / xp.sqrt(square) * xp.arctan(xp.sqrt((2 + r) / r))
-    second = (a * first + 2 / a) / square
-    third = (3 * a * second - first + 2 / a**2) / (2 * square)
-    axial = (a * first - xp.pi) / 2
-    rotation = 6 * (a * third - second)
-    transverse = 1.5 * (
-        xp.pi - a * square * third + (3 * a**2 - 1) * second - 3 * a * first
-    )
-    return 1 / rotation, 1 / axial, 1 / transverse
+    # The compliances of an `EllipticalNotch` with the length 1 and the depth 1/2
+    arc = arc_integrals(xp, r, xp.pi / 2)
+    return 1 / (12 * arc.bending), 1 / arc.axial, 1 / (3 * arc.second)
 
 
 def _paros_weisbord_simplified(r: Scalar) -> Stiffnesses:

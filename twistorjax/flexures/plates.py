@@ -5,7 +5,7 @@ from typing import Literal
 from .._utils.host import as_float, on_host
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_choice, require_interval, require_positive
-from .contours.limits import nan_where_nan, require_ratio
+from .limits import nan_where_nan, require_ratio
 
 
 Shape = Literal["s-shaped", "circular"]

@@ -13,7 +13,7 @@ from ..._utils.validation import require_pose
 from ...energies.base import AbstractEnergy
 from ...geometry import se2
 from ...geometry.twistors import Displacement
-from .beam import Beam, is_uniform, load_units
+from .beam import Beam, is_uniform, load_units, pose_units
 from .stress_models import BeamStress
 from .under_load import (
     BeamSolution,
@@ -129,7 +129,7 @@ def _corrected_stress(
     Returns:
         The wrench in the mid-frame (N m, N, N), and the stiffness of the beam.
     """
-    forces, lengths = load_units(beam), _pose_units(beam)
+    forces, lengths = load_units(beam), pose_units(beam)
     target = coordinates / lengths
     ends = reference_ends(beam)
 
@@ -240,7 +240,7 @@ def _load(beam: Beam, pose: Pose) -> Float[Array, "3"]:
     The load is about the origin of frame a and in its axes, over `load_units`. It is NaN
     if no load is found.
     """
-    units = _pose_units(beam)
+    units = pose_units(beam)
     twist = se2.twist(pose)
     ends = reference_ends(beam)
     first_steps = -(-beam.steps // 4) if is_uniform(beam) else beam.steps
@@ -277,17 +277,12 @@ def _load_jvp(primals, tangents):
     derivative = jax.jacfwd(partial(_reached, beam, reference_ends(beam)))(load)
 
     def residual(beam: Beam, pose: Pose) -> Array:
-        return pose / _pose_units(beam) - _reached(beam, reference_ends(beam), load)
+        return pose / pose_units(beam) - _reached(beam, reference_ends(beam), load)
 
     _, rate = eqx.filter_jvp(residual, primals, tangents)
     if rate is None:
         return load, None
     return load, jnp.linalg.solve(derivative, rate)
-
-
-def _pose_units(beam: Beam) -> Float[Array, "3"]:
-    """Return the units of a dimensionless pose, (1, L, L); rad, m, m."""
-    return jnp.stack([jnp.ones(()), beam.length, beam.length])
 
 
 def _reached(
@@ -299,4 +294,4 @@ def _reached(
     """
     end = end_section(beam, load, ends, steps)
     pose, _ = pose_and_wrench(beam, load * load_units(beam), end, ends)
-    return pose / _pose_units(beam)
+    return pose / pose_units(beam)

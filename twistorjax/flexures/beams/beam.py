@@ -5,8 +5,9 @@ hinge with fillets, and an arch are the same model. `beam_under_load` computes t
 deformed state under a load, and `beam_at_pose` at a given displacement.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -16,7 +17,7 @@ from jaxtyping import Array, ArrayLike, Float
 from typing_extensions import TypeAliasType
 
 from ..._compile.traced_function import traced
-from ..._utils.host import as_float, on_host
+from ..._utils.host import as_float, on_host, tree_on_host
 from ..._utils.types import NumberLike, Numbers, Scalar
 from ..._utils.validation import (
     require_choice,
@@ -29,7 +30,6 @@ from ...mechanism.material import Material
 
 
 Law = Literal["linear", "saint-venant-kirchhoff"]
-Profile = TypeVar("Profile", bound=Callable[..., Any])
 
 
 # One number, or a function of the arc length; m
@@ -148,17 +148,35 @@ def _along_axis(
 ) -> Callable[[Scalar], Scalar]:
     """Return a function of the position; m."""
     if not callable(value):
-        return jax.tree_util.Partial(uniform, value)
+        return Uniform(value)
     function = traced(value)
     if isinstance(function, eqx.Module | jax.tree_util.Partial):
         return function  # pyright: ignore[reportReturnType]
     return jax.tree_util.Partial(function)
 
 
-def elementwise(function: Profile) -> Profile:
-    """Mark a profile that accepts an array of positions, without a compiled program."""
-    function.elementwise = True  # pyright: ignore[reportFunctionMemberAccess]
-    return function
+class AbstractProfile(eqx.Module):
+    """A function of the position along the axis that accepts an array of positions.
+
+    It is computed by NumPy, so it compiles no program, unless a number is traced.
+    """
+
+    @abstractmethod
+    def values(self, xp: Any, position: Any) -> Any:
+        """Compute the values at positions (m) with the functions of NumPy or JAX."""
+
+    def __call__(self, position: Numbers) -> Numbers:
+        xp, (profile, at) = tree_on_host((self, position))
+        return as_float(profile.values(xp, at))
+
+
+class Uniform(AbstractProfile):
+    """A value that is the same at any position."""
+
+    value: Scalar
+
+    def values(self, xp: Any, position: Any) -> Any:
+        return xp.broadcast_to(self.value, xp.shape(position))
 
 
 def values_along(
@@ -166,7 +184,7 @@ def values_along(
 ) -> Float[Array, " positions"]:
     """Evaluate a function of the position at many positions; m."""
     array = as_float(positions)
-    if getattr(getattr(function, "func", None), "elementwise", False):
+    if isinstance(function, AbstractProfile):
         return function(array)
     return _mapped(function, array)
 
@@ -179,18 +197,6 @@ def _mapped(
     return jax.vmap(function)(positions)
 
 
-@elementwise
-def uniform(value: Scalar, position: Numbers) -> Numbers:
-    """Return a value that is the same at any position."""
-    xp, (value, position) = on_host(value, position)
-    return as_float(xp.broadcast_to(value, xp.shape(position)))
-
-
-def is_constant(function: Callable[..., Numbers]) -> bool:
-    """Decide whether a function of the position is known to be constant."""
-    return getattr(function, "func", None) is uniform
-
-
 def functions_along(beam: Beam) -> list[Callable[[Scalar], Scalar]]:
     """List the functions of the position that describe a beam."""
     return [beam.profile] if beam.curvature is None else [beam.profile, beam.curvature]
@@ -198,13 +204,18 @@ def functions_along(beam: Beam) -> list[Callable[[Scalar], Scalar]]:
 
 def is_uniform(beam: Beam) -> bool:
     """Decide whether thickness and curvature of a beam are known to be constant."""
-    return all(map(is_constant, functions_along(beam)))
+    return all(isinstance(function, Uniform) for function in functions_along(beam))
 
 
 def load_units(beam: Beam) -> Float[Array, "3"]:
     """Return the units of a load, (E I / L, E I / L^2, E I / L^2); N m, N, N."""
     moment = beam.rotational_stiffness
     return jnp.stack([moment, moment / beam.length, moment / beam.length])
+
+
+def pose_units(beam: Beam) -> Float[Array, "3"]:
+    """Return the units of a dimensionless pose, (1, L, L); rad, m, m."""
+    return jnp.stack([jnp.ones(()), beam.length, beam.length])
 
 
 def smallest_thickness(beam: Beam) -> Scalar:

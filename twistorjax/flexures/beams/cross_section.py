@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from ..._utils.host import as_float, on_host
-from ..._utils.types import Scalar
+from ..._utils.types import Pose, Scalar, Wrench
 from .beam import Beam, Law
 
 
@@ -27,6 +28,7 @@ class CrossSection(NamedTuple):
     # Shear correction factor times shear modulus over Young's modulus; None to neglect
     # shear deformation
     shear_ratio: Scalar | None
+    curvature: Scalar  # Curvature of the undeformed beam times its length
 
 
 def section_of(beam: Beam, position: Scalar) -> CrossSection:
@@ -34,7 +36,11 @@ def section_of(beam: Beam, position: Scalar) -> CrossSection:
     middle = beam.profile(jnp.zeros(()))
     height = beam.profile(position * beam.length) / middle
     slenderness = middle / beam.length
-    return CrossSection(height, slenderness, beam.bending_factor, shear_ratio(beam))
+    curvature = jnp.zeros(())
+    if beam.curvature is not None:
+        curvature = beam.length * beam.curvature(position * beam.length)
+    factor = beam.bending_factor
+    return CrossSection(height, slenderness, factor, shear_ratio(beam), curvature)
 
 
 def shear_ratio(beam: Beam) -> Scalar | None:
@@ -45,7 +51,42 @@ def shear_ratio(beam: Beam) -> Scalar | None:
     return as_float(factor / (2 * (1 + poisson)))
 
 
-def section_strains(
+def section_rates(
+    section: CrossSection,
+    law: Law,
+    load: Wrench,
+    pose: Pose | tuple[Scalar, Scalar, Scalar],
+) -> tuple[Pose, Scalar, Strains]:
+    """Compute how the pose and the energy change along a beam at a cross-section.
+
+    The load and the pose of the cross-section are in frame a.
+
+    Returns:
+        The derivative of the pose along the axis, the energy density, and the strains.
+    """
+    angle, x, y = pose
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    moment = load[0] - (x * load[2] - y * load[1])
+    axial, transverse = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
+    strains, density = _section_strains(section, law, (axial, transverse, moment))
+    stretch, shear, curvature = strains
+    x_rate = cos * (1 + stretch) - sin * shear
+    y_rate = sin * (1 + stretch) + cos * shear
+    rates = jnp.stack([curvature + section.curvature, x_rate, y_rate])
+    return rates, density, strains
+
+
+def fiber_strains(section: CrossSection, law: Law, strains: Strains) -> Float[Array, "2"]:
+    """Compute the strains of the outermost fibers, first on the side of axis 2."""
+    stretch, shear, curvature = strains
+    half_height = section.height * section.slenderness / 2
+    fibers = stretch + jnp.stack([-half_height, half_height]) * curvature
+    if law == "saint-venant-kirchhoff":
+        fibers = fibers + (fibers**2 + shear**2) / 2
+    return fibers
+
+
+def _section_strains(
     section: CrossSection, law: Law, forces: tuple[Scalar, Scalar, Scalar]
 ) -> tuple[Strains, Scalar]:
     """Compute the strains and the energy density of a cross-section.
@@ -57,7 +98,7 @@ def section_strains(
         Stretch, shear and curvature, and the energy density, dimensionless.
     """
     axial_force, shear_force, moment = forces
-    height, slenderness, bending_factor, _ = section
+    height, slenderness, bending_factor = section[:3]
     axial_stiffness = 12 / (bending_factor * slenderness**2) * height
     bending_stiffness = height**3
     shear_stiffness = jnp.full_like(axial_stiffness, jnp.inf)

@@ -21,7 +21,7 @@ from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ...geometry import se2
 from ...geometry.twistors import Displacement
 from .beam import Beam, Law, values_along
-from .cross_section import CrossSection, section_strains, shear_ratio, Strains
+from .cross_section import CrossSection, fiber_strains, section_rates, shear_ratio
 
 
 # Positions along the axis over the length, at equal steps of a parameter. They are denser
@@ -29,8 +29,8 @@ from .cross_section import CrossSection, section_strains, shear_ratio, Strains
 _PARAMETERS = np.linspace(-np.pi / 2, np.pi / 2, 201)
 _POSITIONS = np.sin(_PARAMETERS) / 2
 _RATES = np.cos(_PARAMETERS) / 2
-# Axes of the fields of cross-sections that differ in their heights only
-_ALONG = CrossSection._make((0, None, None, None))
+# Axes of the fields of cross-sections that differ in height and curvature only
+_ALONG = CrossSection._make((0, None, None, None, 0))
 
 
 class SectionStress(AbstractStressModel):
@@ -281,39 +281,26 @@ class BeamStress(AbstractStressModel):
                 sin * force_1 + cos * force_2,
             ]
         )
+        curvature = jnp.zeros_like(height)
+        if self.curvature is not None:
+            curvature = self.length * self.curvature
         sections = CrossSection(
-            height / middle, middle, self.bending_factor, self.shear_ratio
+            height / middle, middle, self.bending_factor, self.shear_ratio, curvature
         )
-        start = self._first_end(sections)
-        states = self._integrate(sections, load, start)
-        stretch, shear, curvature = jax.vmap(
-            lambda section, state: self._strains(section, load, state)[1],
-            in_axes=(_ALONG, 0),
-        )(sections, states)
-        bending = height / 2 * curvature
-        strain = jnp.stack([stretch - bending, stretch + bending])
-        if self.law == "saint-venant-kirchhoff":
-            strain = strain + (strain**2 + shear[None] ** 2) / 2
-        return self.modulus * strain.reshape(-1)
+        poses = self._integrate(sections, load, self._first_end(sections))
+
+        def fibers(section: CrossSection, pose: Pose) -> Float[Array, "2"]:
+            _, _, strains = section_rates(section, self.law, load, pose)
+            return fiber_strains(section, self.law, strains)
+
+        along = jax.vmap(fibers, in_axes=(_ALONG, 0), out_axes=1)
+        return self.modulus * along(sections, poses).reshape(-1)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
         """Return the model if all dimensions of the flexure are multiplied."""
         return multiply_fields(
             self, scale, thickness=[1], curvature=[-1], length=1, width=1
         )
-
-    def _strains(
-        self, section: CrossSection, load: Wrench, pose: Pose
-    ) -> tuple[tuple[Scalar, Scalar], Strains]:
-        """Compute cosine and sine of the angle, and the strains of a cross-section.
-
-        All arguments are dimensionless.
-        """
-        moment = load[0] - (pose[1] * load[2] - pose[2] * load[1])
-        cos, sin = jnp.cos(pose[0]), jnp.sin(pose[0])
-        axial, shear = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
-        strains, _ = section_strains(section, self.law, (axial, shear, moment))
-        return (cos, sin), strains
 
     def _integrate(
         self, sections: CrossSection, load: Wrench, start: Pose
@@ -323,19 +310,13 @@ class BeamStress(AbstractStressModel):
         A step of the method of Runge and Kutta goes from one section to the next but one.
         The pose of the section between them is the mean of both.
         """
-        initial = jnp.zeros_like(self.thickness)
-        if self.curvature is not None:
-            initial = self.length * self.curvature
         step = 2 * (_PARAMETERS[1] - _PARAMETERS[0])
-        values = sections.height, initial, jnp.asarray(_RATES)
+        values = sections.height, sections.curvature, jnp.asarray(_RATES)
 
         def derivative(pose: Pose, at: tuple[Scalar, Scalar, Scalar]) -> Pose:
-            height, initial, rate = at
-            section = sections._replace(height=height)
-            (cos, sin), (stretch, shear, curvature) = self._strains(section, load, pose)
-            x_rate = cos * (1 + stretch) - sin * shear
-            y_rate = sin * (1 + stretch) + cos * shear
-            return rate * jnp.stack([curvature + initial, x_rate, y_rate])
+            height, curvature, rate = at
+            section = sections._replace(height=height, curvature=curvature)
+            return rate * section_rates(section, self.law, load, pose)[0]
 
         def advance(pose: Pose, at: tuple[Any, Any, Any]) -> tuple[Pose, Pose]:
             first, middle, last = at

@@ -21,8 +21,8 @@ from ..._compile.compilation import fast_compile
 from ..._utils.types import Count, NumberLike, Pose, Scalar, Wrench, WrenchLike
 from ..._utils.validation import require_positive, require_row
 from ...geometry import se2
-from .beam import Beam, is_constant, load_units, smallest_thickness
-from .cross_section import section_of, section_strains, Strains
+from .beam import Beam, load_units, smallest_thickness, Uniform
+from .cross_section import fiber_strains, section_of, section_rates
 
 
 # Poses of the cross sections; rad, m, m
@@ -128,7 +128,7 @@ def state_under_load(beam: Beam, load: Wrench, sections: int | None) -> BeamSolu
     The state is then NaN; see `beam_under_load`.
     """
     if sections is None:
-        sections = 21 if is_constant(beam.profile) else 201
+        sections = 21 if isinstance(beam.profile, Uniform) else 201
     if sections < 2:
         raise ValueError(f"`sections` is {sections!r}, but must be 2 or more.")
     return _solve(beam, load, sections)
@@ -201,6 +201,7 @@ def reference_ends(beam: Beam) -> ReferenceEnds:
     return ReferenceEnds(first, jnp.stack([end.angle, end.x, end.y]))
 
 
+@jax.jit
 def ends_and_centroid(beam: Beam) -> tuple[Float[Array, "2 2"], Float[Array, "2"]]:
     """Compute the ends of an undeformed curved beam, and the mean of its center line; m.
 
@@ -270,21 +271,6 @@ def position_of(parameter: Scalar) -> tuple[Scalar, Scalar]:
     return jnp.sin(half * parameter) / 2, half * jnp.cos(half * parameter) / 2
 
 
-def _section(
-    beam: Beam, load: Wrench, parameter: Scalar, state: SectionState
-) -> tuple[tuple[Scalar, Scalar], Strains, Scalar]:
-    """Compute (cos, sin) of the angle, strains and energy density of a cross-section.
-
-    Load, state and results are dimensionless. The strains are stretch, shear, curvature.
-    """
-    position, _ = position_of(parameter)
-    moment = load[0] - (state.x * load[2] - state.y * load[1])
-    cos, sin = jnp.cos(state.angle), jnp.sin(state.angle)
-    axial, shear = cos * load[1] + sin * load[2], cos * load[2] - sin * load[1]
-    section = section_of(beam, position)
-    return (cos, sin), *section_strains(section, beam.law, (axial, shear, moment))
-
-
 def _integrate(
     beam: Beam, load: Wrench, start: Pose, intervals: int, steps: Count | int
 ) -> SectionState:
@@ -303,17 +289,10 @@ def _integrate(
     coefficients, nodes = jnp.asarray(_COEFFICIENTS), jnp.asarray(_NODES)
 
     def derivative(parameter: Scalar, state: Float[Array, "4"]) -> Float[Array, "4"]:
-        _, rate = position_of(parameter)
-        (cos, sin), (stretch, shear, curvature), density = _section(
-            beam, load, parameter, SectionState(*state)
-        )
-        if beam.curvature is not None:
-            position, _ = position_of(parameter)
-            initial = beam.length * beam.curvature(position * beam.length)
-            curvature = curvature + initial
-        x_rate = cos * (1 + stretch) - sin * shear
-        y_rate = sin * (1 + stretch) + cos * shear
-        return rate * jnp.stack([curvature, x_rate, y_rate, density])
+        position, rate = position_of(parameter)
+        section = section_of(beam, position)
+        pose_rates, density, _ = section_rates(section, beam.law, load, state[:3])
+        return rate * jnp.append(pose_rates, density)
 
     def advance(state: Array, start: Scalar) -> Array:
         def stage(index: Array, slopes: Array) -> Array:
@@ -343,10 +322,6 @@ def _stress(
     beam: Beam, load: Wrench, parameter: Scalar, state: SectionState
 ) -> Float[Array, "2"]:
     """Compute the signed stress of the two outermost fibers of a cross-section; Pa."""
-    _, (stretch, shear, curvature), _ = _section(beam, load, parameter, state)
-    position, _ = position_of(parameter)
-    half_height = beam.profile(position * beam.length) / beam.length / 2
-    strain = stretch + jnp.stack([-half_height, half_height]) * curvature
-    if beam.law == "saint-venant-kirchhoff":
-        strain = strain + (strain**2 + shear**2) / 2
-    return beam.material.modulus * strain
+    section = section_of(beam, position_of(parameter)[0])
+    _, _, strains = section_rates(section, beam.law, load, state[:3])
+    return beam.material.modulus * fiber_strains(section, beam.law, strains)

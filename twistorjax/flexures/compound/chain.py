@@ -36,7 +36,7 @@ from ...geometry import se2
 from ...mechanism.body import Body
 from ...mechanism.hinge import Hinge
 from ...mechanism.material import Expansion
-from ..beams.beam import arc_rotation, Beam, is_constant, is_uniform, load_units
+from ..beams.beam import arc_rotation, Beam, is_uniform, load_units, pose_units, Uniform
 from ..beams.under_load import (
     beam_under_load,
     end_section,
@@ -293,7 +293,7 @@ def _segment(beam: Beam, shares: np.ndarray, k: int) -> Beam:
     middle = beam.length * float(np.sum(shares[:k]) + shares[k] / 2 - 0.5)
 
     def shifted(function):
-        if is_constant(function):
+        if isinstance(function, Uniform):
             return function
         return jax.tree_util.Partial(_shifted, function, middle)
 
@@ -383,7 +383,7 @@ def _errors(
     def displace(wrench: Wrench, part: Beam) -> tuple[Wrench, tuple[Pose, Wrench]]:
         """Apply a wrench on the first end of a segment to the whole segment."""
         ends = reference_ends(part)
-        scale = jnp.stack([jnp.ones(()), part.length, part.length])
+        scale = pose_units(part)
         load = se2.transform_wrench(scale * ends.first, wrench)
         end = end_section(part, load / load_units(part), ends)
         pose, on_second = pose_and_wrench(part, load, end, ends)
@@ -413,8 +413,7 @@ def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list]:
     """Compute the poses of the middles of all segments, and of their second ends."""
 
     def in_meters(part: Beam) -> tuple[Pose, Pose]:
-        scale = jnp.stack([jnp.ones(()), part.length, part.length])
-        ends = reference_ends(part)
+        scale, ends = pose_units(part), reference_ends(part)
         return scale * ends.first, scale * ends.second
 
     end = se2.compose(at, in_meters(beam)[0])
@@ -559,8 +558,5 @@ def beam_expansion(beam: Beam) -> Expansion | None:
         return None
     if beam.curvature is None:
         return Expansion(beam.material, length=beam.length)
-    ends, centroid = _ends_and_centroid(beam)
+    ends, centroid = ends_and_centroid(beam)
     return Expansion(beam.material, ends=ends, arc_length=beam.length, centroid=centroid)
-
-
-_ends_and_centroid = jax.jit(ends_and_centroid)

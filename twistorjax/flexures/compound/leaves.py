@@ -56,7 +56,6 @@ def assemble(
     """Connect body A, body B, and inner bodies by equal leaves.
 
     The frame of the flexure is that of the world.
-
     """
     outline = beam_outline(beam)
     hinges = [

@@ -25,7 +25,7 @@ from ...energies.monomials import monomials, Powers, Symmetry
 from ...energies.one_freedom import Freedom
 from ...energies.validity import WithValidityRange
 from ...mechanism.sub_mechanism import SubMechanism
-from ..beams.beam import arc_rotation, Beam, functions_along, is_constant
+from ..beams.beam import arc_rotation, Beam, functions_along, Uniform
 from ..beams.stress_models import BeamStress
 from .mechanisms import (
     fit_mechanism,
@@ -294,7 +294,7 @@ def _lowest_order(
 def _symmetry(beam: Beam) -> tuple[Symmetry, ...]:
     """Return the symmetries that a beam is known to have."""
     ends_equal = all(
-        is_constant(function) or _is_even(function, beam.length)
+        isinstance(function, Uniform) or _is_even(function, beam.length)
         for function in functions_along(beam)
     )
     if beam.curvature is None:

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float, Inexact
 
 from .._utils.types import Numbers
 from .._utils.validation import listing, quote
-from .codes import RESULTS, Solution
+from .codes import Solution
 from .tables import Column, Columns, columns, Tabular
 
 
@@ -18,15 +18,11 @@ def _pose_columns(prefix: str) -> tuple[tuple[str, str], ...]:
     return (f"{prefix}angle", "rad"), (f"{prefix}x", "m"), (f"{prefix}y", "m")
 
 
-class BodySolution(Solution, Tabular):
-    """A solution with displacements and reactions of each body."""
+class BodyDisplacements(eqx.Module):
+    """Displacements of bodies, which are found by their names."""
 
     displacements: eqx.AbstractVar[Inexact[Array, "..."]]
-    reactions: eqx.AbstractVar[Inexact[Array, "..."]]
-    constraint_forces: eqx.AbstractVar[Inexact[Array, "..."]]
-    result: eqx.AbstractVar[RESULTS]
     names: eqx.AbstractVar[tuple[str, ...]]
-    constraint_names: eqx.AbstractVar[tuple[str, ...]]
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
         """Return the displacement of a body.
@@ -47,6 +43,53 @@ class BodySolution(Solution, Tabular):
             ValueError: There is no body of this name.
         """
         return self.displacements[..., self._row(body), :]
+
+    def _row(self, body: str) -> int:
+        """Return the index of a body."""
+        if body not in self.names:
+            raise ValueError(
+                f"`body` is {quote(body)}, but the bodies are {listing(self.names)}."
+            )
+        return self.names.index(body)
+
+
+class BodyPoses(BodyDisplacements):
+    """Displacements of bodies from reference poses."""
+
+    reference: eqx.AbstractVar[Numbers]
+
+    @property
+    def poses(self) -> Float[Array, "*batch bodies 3"]:
+        """Poses of the bodies: reference poses plus displacements; rad, m, m."""
+        batch_axes = self.displacements.ndim - self.reference.ndim
+        shape = (
+            *self.reference.shape[:-2],
+            *batch_axes * (1,),
+            *self.reference.shape[-2:],
+        )
+        return self.reference.reshape(shape) + self.displacements
+
+    def pose(self, body: str) -> Float[Array, "*batch 3"]:
+        """Return the pose of a body.
+
+        Args:
+            body: Name of the body.
+
+        Returns:
+            Angle, x, and y; a motion has one row for each time; rad, m, m.
+
+        Raises:
+            ValueError: There is no body of this name.
+        """
+        return self.poses[..., self._row(body), :]
+
+
+class BodySolution(Solution, Tabular, BodyDisplacements):
+    """A solution with displacements and reactions of each body."""
+
+    reactions: eqx.AbstractVar[Inexact[Array, "..."]]
+    constraint_forces: eqx.AbstractVar[Inexact[Array, "..."]]
+    constraint_names: eqx.AbstractVar[tuple[str, ...]]
 
     def reaction(self, body: str) -> Inexact[Array, "*batch 3"]:
         """Return the external wrench on fixed and prescribed coordinates of a body.
@@ -103,44 +146,9 @@ class BodySolution(Solution, Tabular):
             table["constraint_force"] = Column(forces, (*axes, "entry"), labels=entries)
         return table
 
-    def _row(self, body: str) -> int:
-        """Return the index of a body."""
-        if body not in self.names:
-            raise ValueError(
-                f"`body` is {quote(body)}, but the bodies are {listing(self.names)}."
-            )
-        return self.names.index(body)
 
-
-class PoseSolution(BodySolution):
+class PoseSolution(BodySolution, BodyPoses):
     """A solution with the pose of each body."""
-
-    reference: eqx.AbstractVar[Numbers]
-
-    @property
-    def poses(self) -> Float[Array, "*batch bodies 3"]:
-        """Poses of the bodies: reference poses plus displacements; rad, m, m."""
-        batch_axes = self.displacements.ndim - self.reference.ndim
-        shape = (
-            *self.reference.shape[:-2],
-            *batch_axes * (1,),
-            *self.reference.shape[-2:],
-        )
-        return self.reference.reshape(shape) + self.displacements
-
-    def pose(self, body: str) -> Float[Array, "*batch 3"]:
-        """Return the pose of a body.
-
-        Args:
-            body: Name of the body.
-
-        Returns:
-            Angle, x, and y; a motion has one row for each time; rad, m, m.
-
-        Raises:
-            ValueError: There is no body of this name.
-        """
-        return self.poses[..., self._row(body), :]
 
     def _body_columns(self, *axes: str) -> Columns:
         poses = columns(self.poses, (*axes, "body"), *_pose_columns(""), body=self.names)

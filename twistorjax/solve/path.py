@@ -139,9 +139,12 @@ def path(
     _require_inside(first, load_factors)
     if until is not None:
         start_point = PathPoint(
-            first.factor, first.displacements, mechanism.reference, first.factor,
-            mechanism.names,
-        )  # fmt: skip
+            load_factor=first.factor,
+            displacements=first.displacements,
+            reference=mechanism.reference,
+            energy=first.factor,
+            names=mechanism.names,
+        )
         until = traced(until, start_point)
     limits = as_float(load_factors)
     arguments = system, first, limits, step, until

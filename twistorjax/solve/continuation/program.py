@@ -80,10 +80,15 @@ def _event(system: PathSystem, until: Until) -> arc_length.PathEvent:
 
     def event(point: Float[Array, " n"]) -> Scalar:
         equations, displacements, _ = system.split(point)
-        energy = equations.hinges.energy(displacements)
         mechanism = system.mechanism
-        reference, names = mechanism.reference, mechanism.names
-        value = until(PathPoint(point[-1], displacements, reference, energy, names))
+        on_path = PathPoint(
+            load_factor=point[-1],
+            displacements=displacements,
+            reference=mechanism.reference,
+            energy=equations.hinges.energy(displacements),
+            names=mechanism.names,
+        )
+        value = until(on_path)
         if jnp.shape(value) != ():
             raise TypeError(
                 f"`until` returns an array of shape {jnp.shape(value)}, but must return "

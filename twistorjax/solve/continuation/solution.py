@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._utils.host import concrete
-from ..._utils.types import Flag, NumberLike, Pose, Poses, Scalar
-from ..._utils.validation import index_of
+from ..._utils.types import Flag, NumberLike, Poses, Scalar
 from ...results.codes import RESULTS
-from ...results.solutions import PoseSolution
+from ...results.solutions import BodyPoses, PoseSolution
 from ...results.tables import Column, Columns
 from ..equations.stresses import Stresses
 
 
-class PathPoint(eqx.Module):
+class PathPoint(BodyPoses):
     """One equilibrium of a path.
 
     Args:
@@ -33,38 +32,6 @@ class PathPoint(eqx.Module):
     reference: Poses
     energy: Scalar
     names: tuple[str, ...] = eqx.field(static=True)
-
-    def displacement(self, body: str) -> Pose:
-        """Return the displacement of a body from its reference pose.
-
-        Args:
-            body: Name of the body.
-
-        Returns:
-            Angle, x, and y; rad, m, m.
-
-        Raises:
-            ValueError: There is no body of this name.
-        """
-        return self.displacements[self._row(body)]
-
-    def pose(self, body: str) -> Pose:
-        """Return the pose of a body.
-
-        Args:
-            body: Name of the body.
-
-        Returns:
-            Angle, x, and y; rad, m, m.
-
-        Raises:
-            ValueError: There is no body of this name.
-        """
-        return self.reference[self._row(body)] + self.displacement(body)
-
-    def _row(self, body: str) -> int:
-        """Return the index of a body."""
-        return index_of("`body`", "body", body, self.names)
 
 
 class CriticalPoint(PathPoint):
@@ -144,15 +111,15 @@ class CriticalPoints(eqx.Module):
         if not -len(self) <= index < len(self):
             raise IndexError(f"There are {len(self)} critical points.")
         return CriticalPoint(
-            self.load_factors[index],
-            self.displacements[index],
-            self.reference,
-            self.energies[index],
-            self.names,
-            self.modes[index],
-            self.is_branch[index],
-            self.length,
-            self.multiplicities[index],
+            load_factor=self.load_factors[index],
+            displacements=self.displacements[index],
+            reference=self.reference,
+            energy=self.energies[index],
+            names=self.names,
+            mode=self.modes[index],
+            is_branch=self.is_branch[index],
+            length=self.length,
+            multiplicity=self.multiplicities[index],
         )
 
     def __iter__(self) -> Iterator[CriticalPoint]:

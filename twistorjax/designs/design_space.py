@@ -50,9 +50,8 @@ class DesignSpace(NamedTuple):
             ValueError: There is no variable; a standard deviation belongs to no real
                 parameter, is negative, or has a wrong shape.
         """
-        design = as_parameters(parameters, _is_real)
         layout, leaves = VectorLayout.of(
-            design,
+            as_parameters(parameters, _is_real),
             lambda leaf: is_parameter(leaf) or _is_real(leaf),
             lambda leaf: np.shape(_value(leaf)),
         )
@@ -61,9 +60,6 @@ class DesignSpace(NamedTuple):
                 f"`parameters` is {quote(parameters)}, but needs a variable: a "
                 "`Parameter`, a float, or an array of floats."
             )
-        one_design = jax.tree.map(
-            lambda leaf: np.asarray(_value(leaf))[None], design, is_leaf=is_parameter
-        )
         shapes = dict(zip(layout.names, layout.shapes, strict=True))
         deviations = _check_deviations(shapes, standard_deviations)
         flags, start, lower, upper, scales = (
@@ -71,7 +67,7 @@ class DesignSpace(NamedTuple):
             for column in zip(*map(_numbers, leaves), strict=True)
         )
         return cls(
-            structure=Designs(one_design).structure,
+            structure=Designs(layout.designs(start[None])).structure,
             layout=layout,
             names=layout.entry_names,
             units=tuple(unit for leaf in leaves for unit in _units(leaf)),

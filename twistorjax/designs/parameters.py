@@ -204,13 +204,14 @@ class ParameterSet(eqx.Module):
         layout, parameters = VectorLayout.of(
             as_parameters(start, _is_number), is_parameter, lambda leaf: leaf.value.shape
         )
-        if not layout.entry_names:
+        names = layout.entry_names
+        if not names:
             raise ValueError(
                 f"`start` is {start!r}, but must have a parameter to identify: floats, "
                 "arrays of them, or `Parameter`s."
             )
         units = tuple(unit for each in parameters for unit in parameter_units(each))
-        return cls(parameters, layout, layout.entry_names, units)
+        return cls(parameters, layout, names, units)
 
     @property
     def bounds(

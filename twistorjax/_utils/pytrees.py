@@ -70,7 +70,7 @@ def split_last_axis(array: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
     """
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     return [
-        array[..., end - math.prod(shape) : end].reshape(*array.shape[:-1], *shape)
+        array[..., end - math.prod(shape) : end].reshape((*array.shape[:-1], *shape))
         for end, shape in zip(ends, shapes, strict=True)
     ]
 

@@ -3,24 +3,25 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._utils.pytrees import entry_names, path_name, split_last_axis
+from .._utils.pytrees import path_name
 from .._utils.types import NumbersLike
 from .._utils.validation import quote
 from .designs import Designs, DesignStructure
 from .distributions import Normal
-from .parameters import Parameter
+from .parameters import as_parameters, is_parameter, parameter_bounds, parameter_units
+from .vector_layout import VectorLayout
 
 
 class DesignSpace(NamedTuple):
     """All real numbers of a design as one vector, of which some are variables."""
 
     structure: DesignStructure
-    arrays: list[np.ndarray]  # Value of each parameter, in the order of the structure
-    rows: list[int]  # Rows of the real parameters in `arrays`
+    layout: VectorLayout  # Real parameters as a vector, and the other ones
     names: tuple[str, ...]  # Name of each real number
     units: tuple[str, ...]  # Unit of each real number; empty if it is unknown
     is_variable: Bool[np.ndarray, " numbers"]  # Whether each number is a variable
@@ -49,41 +50,33 @@ class DesignSpace(NamedTuple):
             ValueError: There is no variable; a standard deviation belongs to no real
                 parameter, is negative, or has a wrong shape.
         """
-        leaves = jax.tree_util.tree_leaves_with_path(parameters, is_leaf=_is_parameter)
-        tree = jax.tree.map(_value, parameters, is_leaf=_is_parameter)
-        if not any(_is_parameter(leaf) for _, leaf in leaves):
-            leaves = [(path, _as_parameter(leaf)) for path, leaf in leaves]
-        if not any(_is_parameter(leaf) for _, leaf in leaves):
+        layout, leaves = VectorLayout.of(
+            as_parameters(parameters, _is_real),
+            lambda leaf: is_parameter(leaf) or _is_real(leaf),
+            lambda leaf: np.shape(_value(leaf)),
+        )
+        if not any(map(is_parameter, leaves)):
             raise ValueError(
                 f"`parameters` is {quote(parameters)}, but needs a variable: a "
                 "`Parameter`, a float, or an array of floats."
             )
-        real = {path_name(path): leaf for path, leaf in leaves if _is_real(_value(leaf))}
-        deviations = _check_deviations(real, standard_deviations)
-        designs = Designs(jax.tree.map(lambda leaf: np.asarray(leaf)[None], tree))
-        names, units, entries = [], [], []
-        for name, leaf in real.items():
-            shape = np.shape(_value(leaf))
-            names += entry_names(name, shape)
-            units += [_unit(leaf, index) for index in np.ndindex(shape)]
-            deviation = np.broadcast_to(deviations.get(name, 0.0), shape)
-            entries.append([*_numbers(leaf), deviation])
-        flags, start, lower, upper, scales, deviation = (
-            np.concatenate([np.ravel(array) for array in arrays])
-            for arrays in zip(*entries, strict=True)
+        shapes = dict(zip(layout.names, layout.shapes, strict=True))
+        deviations = _check_deviations(shapes, standard_deviations)
+        flags, start, lower, upper, scales = (
+            np.concatenate([np.ravel(array) for array in column])
+            for column in zip(*map(_numbers, leaves), strict=True)
         )
         return cls(
-            structure=designs.structure,
-            arrays=[array[0] for array in designs.arrays],
-            rows=[designs.names.index(name) for name in real],
-            names=tuple(names),
-            units=tuple(units),
+            structure=Designs(layout.designs(start[None])).structure,
+            layout=layout,
+            names=layout.entry_names,
+            units=tuple(unit for leaf in leaves for unit in _units(leaf)),
             is_variable=flags,
             start=start,
             lower=lower,
             upper=upper,
             scales=scales,
-            deviations=deviation,
+            deviations=np.concatenate([np.ravel(each) for each in deviations.values()]),
         )
 
     @property
@@ -91,26 +84,15 @@ class DesignSpace(NamedTuple):
         """Whether a number is uncertain."""
         return bool(np.any(self.deviations))
 
-    @property
-    def real_names(self) -> tuple[str, ...]:
-        """Names of the real parameters."""
-        return tuple(self.structure.names[row] for row in self.rows)
-
     def program_input(
         self, vectors: Float[np.ndarray, "designs numbers"]
     ) -> list[np.ndarray]:
         """Return the array of each parameter, with one entry for each design."""
-        shapes = [self.arrays[row].shape for row in self.rows]
-        parts = dict(zip(self.rows, split_last_axis(vectors, shapes), strict=True))
-        return [
-            parts.get(row, np.broadcast_to(array, (len(vectors), *array.shape)))
-            for row, array in enumerate(self.arrays)
-        ]
+        return jax.tree.leaves(self.layout.designs(vectors))
 
     def tree(self, vector: Float[np.ndarray, " numbers"]) -> Any:
         """Return a design as the study takes it."""
-        arrays = [array[0] for array in self.program_input(vector[None])]
-        return jax.tree.unflatten(self.structure.tree, arrays)
+        return jax.tree.map(lambda array: array[0], self.layout.designs(vector[None]))
 
     def vector_of(self, design: Any) -> Float[np.ndarray, " numbers"]:
         """Return the real numbers of a design."""
@@ -129,19 +111,19 @@ class DesignSpace(NamedTuple):
                 different lengths or shapes, or a number is outside its bounds.
         """
         given = Designs(designs)
-        missing = sorted({*self.real_names} - {*given.names})
+        missing = sorted({*self.layout.names} - {*given.names})
         if missing:
             raise ValueError(
                 f"`starts` has {', '.join(map(repr, given.names))}, but needs also "
                 f"{', '.join(map(repr, missing))}: all real parameters."
             )
         arrays = []
-        for name, row in zip(self.real_names, self.rows, strict=True):
+        for name, shape in zip(self.layout.names, self.layout.shapes, strict=True):
             array = given.arrays[given.names.index(name)]
-            if array.shape[1:] != self.arrays[row].shape:
+            if array.shape[1:] != shape:
                 raise ValueError(
                     f"`starts` has {quote(name)} of shape {array.shape}, but needs one "
-                    f"entry of shape {self.arrays[row].shape} for each start."
+                    f"entry of shape {shape} for each start."
                 )
             arrays.append(array.reshape(len(given), -1).astype(float))
         vectors = np.concatenate(arrays, axis=1)
@@ -178,50 +160,39 @@ class DesignSpace(NamedTuple):
         vectors[:, variables] = lower + (upper - lower) * points
         return vectors
 
-    def normal_tree(self, vector: Float[np.ndarray, " numbers"]) -> Any:
-        """Return a design with the normal distribution of each uncertain parameter."""
-        arrays: list[Any] = [array[0] for array in self.program_input(vector[None])]
-        shapes = [self.arrays[row].shape for row in self.rows]
-        deviations = split_last_axis(self.deviations[None], shapes)
-        for row, deviation in zip(self.rows, deviations, strict=True):
-            if np.any(deviation):
-                arrays[row] = Normal(arrays[row], deviation[0])
-        return jax.tree.unflatten(self.structure.tree, arrays)
+    def normal_tree(self) -> Any:
+        """Return the start with the normal distribution of each uncertain parameter."""
+        parts = self.layout.split(self.deviations)
+        deviations = dict(zip(self.layout.names, parts, strict=True))
 
+        def distribution(path: Any, value: Any) -> Any:
+            deviation = deviations.get(path_name(path), 0.0)
+            return Normal(value, deviation) if np.any(deviation) else value
 
-def _is_parameter(leaf: Any) -> bool:
-    return isinstance(leaf, Parameter)
+        return jax.tree_util.tree_map_with_path(distribution, self.tree(self.start))
 
 
 def _value(leaf: Any) -> Any:
     """Value of a leaf of a design."""
-    return np.asarray(leaf.value) if _is_parameter(leaf) else leaf
+    return np.asarray(leaf.value) if is_parameter(leaf) else leaf
 
 
-def _is_real(value: Any) -> bool:
-    return np.issubdtype(np.asarray(value).dtype, np.floating)
+def _is_real(leaf: Any) -> bool:
+    return eqx.is_inexact_array_like(leaf) and not np.iscomplexobj(leaf)
 
 
-def _as_parameter(leaf: Any) -> Any:
-    """Return a variable for a leaf of real numbers, and other leaves unchanged."""
-    return Parameter(leaf) if _is_real(leaf) else leaf
-
-
-def _unit(leaf: Any, index: tuple[int, ...]) -> str:
-    """Unit of an entry of a leaf; empty if it is unknown."""
-    if not _is_parameter(leaf):
-        return ""
-    return leaf.unit if isinstance(leaf.unit, str) else leaf.unit[index[-1]]
+def _units(leaf: Any) -> list[str]:
+    """Unit of each entry of a leaf; empty if it is unknown."""
+    return parameter_units(leaf) if is_parameter(leaf) else np.size(leaf) * [""]
 
 
 def _numbers(leaf: Any) -> list[Any]:
     """Flags, start values, lower bounds, upper bounds, and scales of a leaf."""
     value = np.asarray(_value(leaf), float)
     full = np.ones_like(value)
-    if not _is_parameter(leaf):
+    if not is_parameter(leaf):
         return [0 * full > 1, value, -np.inf * full, np.inf * full, full]
-    lower = -np.inf if leaf.lower is None else leaf.lower
-    upper = np.inf if leaf.upper is None else leaf.upper
+    lower, upper = parameter_bounds(leaf)
     size = np.abs(value)
     size = np.where(size > 0, size, np.max(size, initial=0.0))
     scale = np.minimum(np.where(size > 0, size, np.inf), upper - lower)
@@ -232,17 +203,21 @@ def _numbers(leaf: Any) -> list[Any]:
 
 
 def _check_deviations(
-    real: Mapping[str, Any], standard_deviations: Mapping[str, NumbersLike]
+    shapes: Mapping[str, tuple[int, ...]], standard_deviations: Mapping[str, NumbersLike]
 ) -> dict[str, np.ndarray]:
-    """Return the standard deviation of each entry of the uncertain parameters."""
-    deviations = {}
+    """Return the standard deviation of each entry of the real parameters.
+
+    Args:
+        shapes: Shape of each real parameter, by name.
+    """
+    deviations = {name: np.zeros(shape) for name, shape in shapes.items()}
     for name, given in standard_deviations.items():
-        if name not in real:
+        if name not in shapes:
             raise ValueError(
                 f"`standard_deviations` has {quote(name)}, but the real parameters are "
-                f"{', '.join(map(repr, real))}."
+                f"{', '.join(map(repr, shapes))}."
             )
-        shape = np.shape(_value(real[name]))
+        shape = shapes[name]
         deviation = np.asarray(given, float)
         if deviation.shape not in ((), shape):
             raise ValueError(

@@ -12,11 +12,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._utils.host import as_float, concrete, on_host
-from .._utils.pytrees import entry_names, path_name
 from .._utils.types import ArrayOfNumbers, Numbers
+from .vector_layout import VectorLayout
 
 
 class Parameter(eqx.Module):
@@ -93,8 +93,7 @@ class Parameter(eqx.Module):
                 f"`lower` is {lower:g} and `upper` is {upper:g}, but `lower` must be "
                 "smaller: are the bounds exchanged?"
             )
-        low = -np.inf if self.lower is None else self.lower
-        high = np.inf if self.upper is None else self.upper
+        low, high = parameter_bounds(self)
         if not np.all((low < initial) & (initial < high)):
             raise ValueError(
                 f"The value of a `Parameter` is {initial.tolist()}, but must be"
@@ -186,14 +185,10 @@ class Parameter(eqx.Module):
 class ParameterSet(eqx.Module):
     """All parameters of a design function, in the form of one vector."""
 
-    # The argument of the design function, with a `Parameter` in place of each identified
-    # leaf and None in place of the others
-    parameters: Any
-    constants: Any  # The same pytree with the other leaves only
+    parameters: list[Parameter]
+    layout: VectorLayout
     names: tuple[str, ...] = eqx.field(static=True)  # Names of the entries of the vector
     units: tuple[str, ...] = eqx.field(static=True)  # Units of the entries of the vector
-    # Names of the entries that have a bound
-    bounded: frozenset[str] = eqx.field(static=True)
 
     @classmethod
     def from_tree(cls, start: Any) -> "ParameterSet":
@@ -206,50 +201,48 @@ class ParameterSet(eqx.Module):
         Raises:
             ValueError: The pytree contains neither parameters nor numbers.
         """
-        has_parameters = any(
-            map(_is_parameter, jax.tree.leaves(start, is_leaf=_is_parameter))
+        layout, parameters = VectorLayout.of(
+            as_parameters(start, _is_number), is_parameter, lambda leaf: leaf.value.shape
         )
-        is_identified = _is_parameter if has_parameters else _is_number
-        parameters, constants = eqx.partition(start, is_identified, is_leaf=_is_parameter)
-        if not has_parameters:
-            parameters = jax.tree.map(Parameter, parameters)
-        leaves = jax.tree_util.tree_leaves_with_path(parameters, is_leaf=_is_parameter)
-        names, units, bounded = [], [], []
-        for path, parameter in leaves:
-            entries = entry_names(path_name(path), parameter.value.shape)
-            names += entries
-            for index in np.ndindex(parameter.value.shape):
-                unit = parameter.unit
-                units.append(unit if isinstance(unit, str) else unit[index[-1]])
-            if parameter.lower is not None or parameter.upper is not None:
-                bounded += entries
+        names = layout.entry_names
         if not names:
             raise ValueError(
                 f"`start` is {start!r}, but must have a parameter to identify: floats, "
                 "arrays of them, or `Parameter`s."
             )
-        return cls(parameters, constants, tuple(names), tuple(units), frozenset(bounded))
-
-    def vector(
-        self, normalized: Float[Array, " parameters"]
-    ) -> Float[Array, " parameters"]:
-        """Values of the parameters as a vector, in their units."""
-        return _as_vector(self._map(Parameter.value_at, normalized))
+        units = tuple(unit for each in parameters for unit in parameter_units(each))
+        return cls(parameters, layout, names, units)
 
     @property
     def bounds(
         self,
     ) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
         """Lower and upper bounds of the values, infinite if there is none."""
-        leaves = jax.tree.leaves(self.parameters, is_leaf=_is_parameter)
-        counts = [leaf.value.size for leaf in leaves]
-        lower = [-np.inf if leaf.lower is None else leaf.lower for leaf in leaves]
-        upper = [np.inf if leaf.upper is None else leaf.upper for leaf in leaves]
+        counts = [each.value.size for each in self.parameters]
+        lower, upper = zip(*map(parameter_bounds, self.parameters), strict=True)
         return np.repeat(lower, counts), np.repeat(upper, counts)
+
+    @property
+    def is_bounded(self) -> Bool[np.ndarray, " parameters"]:
+        """Whether each value has a bound."""
+        lower, upper = self.bounds
+        return np.isfinite(lower) | np.isfinite(upper)
+
+    def vector(
+        self, normalized: Float[Array, " parameters"]
+    ) -> Float[Array, " parameters"]:
+        """Values of the parameters as a vector, in their units."""
+        return self._vector(Parameter.value_at, normalized)
+
+    def derivatives(
+        self, normalized: Float[Array, " parameters"]
+    ) -> Float[Array, " parameters"]:
+        """Derivative of each value with respect to its normalized parameter."""
+        return self._vector(Parameter.slope_at, normalized)
 
     def tree(self, normalized: Float[Array, " parameters"]) -> Any:
         """Argument of the design function: values of the parameters, and constants."""
-        return eqx.combine(self._map(Parameter.value_at, normalized), self.constants)
+        return self.layout.design(self._map(Parameter.value_at, normalized))
 
     def unflatten(self, vector: Float[Array, " parameters"]) -> Any:
         """Arrange one number for each parameter in a pytree.
@@ -260,14 +253,8 @@ class ParameterSet(eqx.Module):
         Returns:
             A pytree with the structure of `start`; None in place of the constants.
         """
-        leaves, tree = jax.tree.flatten(self.parameters, is_leaf=_is_parameter)
-        xp, (vector,) = on_host(vector)
-        parts = xp.split(vector, np.cumsum([leaf.value.size for leaf in leaves])[:-1])
-        numbers = [
-            as_float(part.reshape(leaf.value.shape))
-            for part, leaf in zip(parts, leaves, strict=True)
-        ]
-        return jax.tree.unflatten(tree, numbers)
+        leaves = map(as_float, self.layout.split(vector))
+        return jax.tree.unflatten(self.layout.structure, leaves)
 
     def scales(
         self, normalized: Float[Array, " parameters"]
@@ -278,42 +265,54 @@ class ParameterSet(eqx.Module):
             For a parameter with a bound, the distance to the bound; otherwise the larger
             one of the absolute value and the initial scale; in their units.
         """
-        is_free = np.array([name not in self.bounded for name in self.names])
         xp, (derivatives, values) = on_host(
             self.derivatives(normalized), self.vector(normalized)
         )
         derivatives = xp.abs(derivatives)
         largest = xp.maximum(derivatives, xp.abs(values))
-        return as_float(xp.where(is_free, largest, derivatives))
-
-    def derivatives(
-        self, normalized: Float[Array, " parameters"]
-    ) -> Float[Array, " parameters"]:
-        """Derivative of each value with respect to its normalized parameter."""
-        return _as_vector(self._map(Parameter.slope_at, normalized))
+        return as_float(xp.where(self.is_bounded, derivatives, largest))
 
     def _map(
         self,
         function: Callable[[Parameter, Numbers], Numbers],
         normalized: Float[Array, " parameters"],
-    ) -> Any:
+    ) -> list[Numbers]:
         """Call a function of each parameter and its normalized parameter."""
-        return jax.tree.map(
-            function,
-            self.parameters,
-            self.unflatten(normalized),
-            is_leaf=_is_parameter,
-        )
+        parts = map(as_float, self.layout.split(normalized))
+        return list(map(function, self.parameters, parts))
+
+    def _vector(
+        self,
+        function: Callable[[Parameter, Numbers], Numbers],
+        normalized: Float[Array, " parameters"],
+    ) -> Float[Array, " parameters"]:
+        """Join the results of a function of each parameter."""
+        xp, arrays = on_host(*self._map(function, normalized))
+        return as_float(xp.concatenate([xp.ravel(array) for array in arrays]))
 
 
-def _as_vector(tree: Any) -> Float[Array, " parameters"]:
-    """Join the numbers in the leaves of a pytree."""
-    xp, leaves = on_host(*jax.tree.leaves(tree))
-    return as_float(xp.concatenate([xp.ravel(leaf) for leaf in leaves]))
+def as_parameters(design: Any, is_number: Callable[[Any], bool]) -> Any:
+    """Replace each number by a `Parameter`, if a design has no `Parameter`."""
+    if any(map(is_parameter, jax.tree.leaves(design, is_leaf=is_parameter))):
+        return design
+    return jax.tree.map(lambda leaf: Parameter(leaf) if is_number(leaf) else leaf, design)
 
 
-def _is_parameter(leaf: Any) -> bool:
+def is_parameter(leaf: Any) -> bool:
+    """Whether a leaf is a `Parameter`."""
     return isinstance(leaf, Parameter)
+
+
+def parameter_bounds(parameter: Parameter) -> tuple[float, float]:
+    """Lower and upper bound, infinite if there is none."""
+    lower = -np.inf if parameter.lower is None else parameter.lower
+    upper = np.inf if parameter.upper is None else parameter.upper
+    return lower, upper
+
+
+def parameter_units(parameter: Parameter) -> list[str]:
+    """Unit of each entry of a parameter, in row-major order."""
+    return np.broadcast_to(parameter.unit, parameter.value.shape).ravel().tolist()
 
 
 def _is_number(leaf: Any) -> bool:

@@ -1,18 +1,15 @@
 """Designs that are sampled from the distributions of their parameters."""
 
-from collections.abc import Mapping
 from typing import Any, get_args, Literal
 
-import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from .._utils.memory import require_memory
-from .._utils.pytrees import entry_names, path_name, split_last_axis
 from .._utils.types import ArrayOfNumbers
 from .._utils.validation import require_choice
 from .distributions import AbstractDistribution, Uniform
+from .vector_layout import VectorLayout
 
 
 # Probabilities keep this distance from 0 and 1, where a normal quantile is infinite.
@@ -38,26 +35,16 @@ class DistributionSet:
     """
 
     def __init__(self, design: Any, correlation: ArrayOfNumbers | None = None):
-        uncertain, self._constants = eqx.partition(
-            design, _is_distribution, is_leaf=_is_distribution
+        self.layout, self._distributions = VectorLayout.of(
+            design, _is_distribution, lambda leaf: leaf.mean.shape
         )
-        leaves, self._structure = jax.tree_util.tree_flatten_with_path(
-            uncertain, is_leaf=_is_distribution
-        )
-        self._distributions: dict[str, AbstractDistribution] = {
-            path_name(path): leaf for path, leaf in leaves
-        }
-        self._shapes = [leaf.mean.shape for _, leaf in leaves]
-        names: list[str] = []
-        for name, distribution in self._distributions.items():
-            names += entry_names(name, distribution.mean.shape)
-        self.variable_names = tuple(names)
-        if not names:
+        self.variable_names = self.layout.entry_names
+        if not self.variable_names:
             raise ValueError(
                 "`design` has no uncertain parameter. Use a `Normal` or a `Uniform` for "
                 "at least one parameter."
             )
-        self._normal_correlation = np.eye(len(names))
+        self._normal_correlation = np.eye(len(self.variable_names))
         if correlation is not None:
             matrix = np.asarray(correlation, float)
             self._normal_correlation = self._checked_correlation(matrix)
@@ -91,7 +78,7 @@ class DistributionSet:
         uniform = np.concatenate(
             [
                 np.full(distribution.mean.size, isinstance(distribution, Uniform))
-                for distribution in self._distributions.values()
+                for distribution in self._distributions
             ]
         )
         both, one = uniform[:, None] & uniform[None], uniform[:, None] ^ uniform[None]
@@ -102,20 +89,15 @@ class DistributionSet:
         return matrix
 
     @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the uncertain parameters."""
-        return tuple(self._distributions)
-
-    @property
     def means(self) -> Float[np.ndarray, " variables"]:
         """Means of the random variables."""
-        return np.concatenate([np.ravel(d.mean) for d in self._distributions.values()])
+        return np.concatenate([np.ravel(d.mean) for d in self._distributions])
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, " variables"]:
         """Standard deviations of the random variables."""
         return np.concatenate(
-            [np.ravel(d.standard_deviation) for d in self._distributions.values()]
+            [np.ravel(d.standard_deviation) for d in self._distributions]
         )
 
     def sample(
@@ -154,45 +136,12 @@ class DistributionSet:
             root = eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))
             probabilities = _clip_probabilities(ndtr(ndtri(probabilities) @ root.T))
         values = [
-            self._distributions[name].quantile(probability)
-            for name, probability in self.parameters(probabilities).items()
+            distribution.quantile(probability)
+            for distribution, probability in zip(
+                self._distributions, self.layout.split(probabilities), strict=True
+            )
         ]
         return np.concatenate([value.reshape(count, -1) for value in values], axis=1)
-
-    def parameters(
-        self, samples: Float[np.ndarray, "designs variables"]
-    ) -> dict[str, Float[np.ndarray, "designs ..."]]:
-        """Collect the random variables of each uncertain parameter.
-
-        Returns:
-            An array for each uncertain parameter, by name, with one entry for each
-            design along the first axis.
-        """
-        values = split_last_axis(samples, self._shapes)
-        return dict(zip(self._distributions, values, strict=True))
-
-    def designs(self, samples: Float[np.ndarray, "designs variables"]) -> Any:
-        """Assemble designs for a sweep.
-
-        Returns:
-            The pytree of all parameters, with one entry for each design along the first
-            axis of each array.
-        """
-        constants = jax.tree.map(
-            lambda leaf: np.broadcast_to(leaf, (len(samples), *np.shape(leaf))),
-            self._constants,
-        )
-        values = self.parameters(samples).values()
-        return eqx.combine(jax.tree.unflatten(self._structure, values), constants)
-
-    def design(self, parameters: Mapping[str, Array]) -> Any:
-        """Assemble one design.
-
-        Returns:
-            The pytree of all parameters, as the study takes it.
-        """
-        values = [parameters[name] for name in self._distributions]
-        return eqx.combine(jax.tree.unflatten(self._structure, values), self._constants)
 
 
 def sample_designs(
@@ -241,7 +190,7 @@ def sample_designs(
         0.00025
     """
     distributions = DistributionSet(design, correlation)
-    return distributions.designs(distributions.sample(count, method, seed))
+    return distributions.layout.designs(distributions.sample(count, method, seed))
 
 
 def _is_distribution(leaf: Any) -> bool:

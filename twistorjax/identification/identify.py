@@ -194,13 +194,13 @@ def _choose_optimizer(
 ) -> tuple[AbstractOptimizer, int]:
     """Choose the optimizer, and its default for the largest number of evaluations."""
     if method is None:
-        bounded = [float(name in parameters.bounded) for name in parameters.names]
-        zeros = from_numpy(np.zeros(len(bounded)))
+        bounded = from_numpy(parameters.is_bounded.astype(float))
+        zeros = from_numpy(np.zeros(len(parameters.names)))
         _, (values, scales) = on_host(
             parameters.vector(zeros), parameters.derivatives(zeros)
         )
         offsets = as_float(values / scales)
-        return LevenbergMarquardt(tolerance, from_numpy(bounded), offsets), 100
+        return LevenbergMarquardt(tolerance, bounded, offsets), 100
     # Only other methods need these packages, which take time to load.
     import optax
     import optimistix as optx

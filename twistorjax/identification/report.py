@@ -132,10 +132,8 @@ class Identification(Solution):
         xp, (initial, final) = on_host(
             parameters.derivatives(start), parameters.derivatives(self.normalized)
         )
-        lower, upper = parameters.bounds
-        is_bounded = np.isfinite(lower) | np.isfinite(upper)
         ratios = initial / xp.maximum(final, 1e-100 * initial)
-        return as_float(xp.where(is_bounded, xp.maximum(ratios, 1.0), 1.0))
+        return as_float(xp.where(parameters.is_bounded, xp.maximum(ratios, 1.0), 1.0))
 
     @property
     @_for_each
@@ -573,9 +571,9 @@ def _describe_direction(identification: Identification, direction: np.ndarray) -
     names = np.delete(identification.names, at_bounds)
     parameters, normalized = identification.problem.parameters, identification.normalized
     scales = np.asarray(parameters.scales(normalized))
-    is_free = [name not in parameters.bounded for name in identification.names]
     estimates = np.abs(np.asarray(parameters.vector(normalized)))
-    sizes = np.where(is_free & (estimates > 0.01 * scales), estimates, scales)
+    is_relative = ~parameters.is_bounded & (estimates > 0.01 * scales)
+    sizes = np.where(is_relative, estimates, scales)
     changes = direction * np.delete(scales / sizes, at_bounds)
     changes = changes / changes[np.argmax(np.abs(changes))]
     texts = [

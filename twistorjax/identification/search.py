@@ -42,15 +42,7 @@ def search_with_progress(
     forward: bool,
     progress: bool,
 ) -> SearchState:
-    """Run one search in a Python loop, so that it can be watched and interrupted.
-
-    Args:
-        forward: Whether derivatives are computed in forward mode.
-        progress: Whether to show a progress bar.
-
-    Returns:
-        The state after the last step.
-    """
+    """Run one search in a Python loop, so that it can be watched and interrupted."""
     state, point = None, start
     with progress_bar(max_steps, "evaluation", progress, leave=False) as bar:
         for _ in range(max_steps):
@@ -74,14 +66,7 @@ def search_compiled(
     max_steps: int,
     forward: bool,
 ) -> SearchState:
-    """Run searches from one or several starts in one compiled program.
-
-    Args:
-        forward: Whether derivatives are computed in forward mode.
-
-    Returns:
-        The states after the last steps.
-    """
+    """Run searches from one or several starts in one compiled program."""
 
     def search(start: Array) -> SearchState:
         shapes = jax.eval_shape(lambda: problem.evaluate(start, forward=forward))
@@ -104,13 +89,15 @@ def _init(
     optimizer: AbstractOptimizer, point: Array, evaluation: Evaluation
 ) -> SearchState:
     """Create the state before the first step, with the shapes of an evaluation."""
-    zeros = jax.tree.map(lambda leaf: from_numpy(np.zeros(leaf.shape)), evaluation)
+    unknown = jax.tree.map(
+        lambda leaf: from_numpy(np.full(leaf.shape, np.nan)), evaluation
+    )
     return SearchState(
         point=point,
         best_point=point,
-        best=zeros,
+        best=unknown,
         residual_norm=from_numpy(0.0),
-        optimizer_state=optimizer.init(point, zeros),
+        optimizer_state=optimizer.init(point, unknown),
         done=from_numpy(False),
         steps=from_numpy(0),
     )

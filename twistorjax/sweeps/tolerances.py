@@ -18,6 +18,7 @@ from ..designs.distributions import (
     Uniform as Uniform,
 )
 from ..designs.sampling import DistributionSet, Method
+from ..designs.vector_layout import VectorLayout
 from .outputs import without_jit
 from .sweep import require_packages, sweep, warn_of_failures
 
@@ -232,14 +233,15 @@ def tolerances(
     # The first design has the means as parameters, so that one program serves for both
     # methods.
     samples_and_means = np.concatenate([distributions.means[None], samples])
-    sampled_study = _SampledStudy(study, distributions)
+    layout = distributions.layout
+    parameters = zip(layout.names, layout.split(samples_and_means), strict=True)
     try:
         with warnings.catch_warnings():
             # A warning without the first design follows below.
             warnings.filterwarnings("ignore", ".* designs failed")
             everything = sweep(
-                sampled_study,
-                distributions.parameters(samples_and_means),
+                _SampledStudy(study, layout),
+                dict(parameters),
                 derivatives=(output,),
                 **sweep_options,
             )
@@ -263,7 +265,7 @@ def tolerances(
 
     standard_deviations = distributions.standard_deviations
     derivatives = np.concatenate(
-        [np.ravel(nominal[f"{output}_by_{p}"]) for p in distributions.parameter_names]
+        [np.ravel(nominal[f"{output}_by_{p}"]) for p in layout.names]
     )
     effects = derivatives * standard_deviations
     variances = effects * (distributions.correlation @ effects)
@@ -313,12 +315,13 @@ def tolerances(
 class _SampledStudy:
     """A study as a function of its uncertain parameters."""
 
-    def __init__(self, study: Callable[[Any], Any], distributions: DistributionSet):
-        self._study, self._distributions = without_jit(study), distributions
+    def __init__(self, study: Callable[[Any], Any], layout: VectorLayout):
+        self._study, self._layout = without_jit(study), layout
         self.__qualname__ = getattr(study, "__qualname__", type(study).__qualname__)
 
     def __call__(self, parameters: Mapping[str, Array]) -> Any:
-        return self._study(self._distributions.design(parameters))
+        leaves = [parameters[name] for name in self._layout.names]
+        return self._study(self._layout.design(leaves))
 
 
 def _sampled_shares(

@@ -3,32 +3,19 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.types import Flag, Scalar
 from .optimizer import AbstractOptimizer, Evaluation, from_numpy, ROUNDING
 
 
-class _LinearModel(eqx.Module):
-    """Linear model of the residuals about a point, by a singular value decomposition.
-
-    Each column of the Jacobian is divided by its norm before the decomposition, so that a
-    badly scaled parameter is not damped more than the others.
-    """
-
-    # Point of the linearization, at which the last step was accepted
-    point: Float[Array, " parameters"]
-    loss: Scalar  # Loss at this point; infinite before the first step
-    # Components of the residuals along the left singular vectors
-    components: Float[Array, " rank"]
-    singular_values: Float[Array, " rank"]
-    # Right singular vectors, as changes of the normalized parameters
-    directions: Float[Array, "rank parameters"]
+class _State(eqx.Module):
+    point: Float[Array, " parameters"]  # Point at which the last step was accepted
+    evaluation: Evaluation  # Evaluation at this point; NaN before the first step
     damping: Scalar  # Levenberg-Marquardt parameter
     reduction: Scalar  # Factor of the damping after a step that agrees with the model
     has_failed: Flag  # Whether a solve has failed at a previous point
-    # Decrease of the loss that the model predicts for the step
+    # Decrease of the loss that the linear model predicts for the next step
     predicted_decrease: Scalar
 
 
@@ -38,8 +25,9 @@ class LevenbergMarquardt(AbstractOptimizer):
     Each step is the smallest change that solves the damped linear model. A parameter
     with a bound changes by a factor of e at most. Along directions that the readings do
     not determine, the parameters remain as they are. The method of the same name in
-    optimistix takes three times as long to compile and, if the residuals vanish at the
-    solution, four times as many steps, because it reduces the damping more slowly.
+    optimistix takes more than twice as long until its first step, with its import and its
+    compilation, and, if the residuals vanish at the solution, more than twice as many
+    steps, because it reduces the damping more slowly.
 
     The method has converged if one of three criteria is met. They use the decrease of the
     loss that the linear model predicts. The undamped step has the largest predicted
@@ -70,16 +58,10 @@ class LevenbergMarquardt(AbstractOptimizer):
     bounded: Float[Array, " parameters"]
     offsets: Float[Array, " parameters"]
 
-    def init(
-        self, point: Float[Array, " parameters"], evaluation: Evaluation
-    ) -> _LinearModel:
-        rank = min(evaluation.derivatives.shape)
-        return _LinearModel(
+    def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> _State:
+        return _State(
             point=point,
-            loss=from_numpy(np.inf),
-            components=from_numpy(np.zeros(rank)),
-            singular_values=from_numpy(np.zeros(rank)),
-            directions=from_numpy(np.zeros((rank, point.size))),
+            evaluation=evaluation,
             damping=from_numpy(1e-2),
             reduction=from_numpy(0.1),
             has_failed=from_numpy(False),
@@ -87,59 +69,64 @@ class LevenbergMarquardt(AbstractOptimizer):
         )
 
     def step(
-        self,
-        point: Float[Array, " parameters"],
-        evaluation: Evaluation,
-        state: _LinearModel,
-    ) -> tuple[Float[Array, " parameters"], _LinearModel, Flag]:
-        decrease = state.loss - evaluation.loss
+        self, point: Float[Array, " parameters"], evaluation: Evaluation, state: _State
+    ) -> tuple[Float[Array, " parameters"], _State, Flag]:
+        decrease = state.evaluation.loss - evaluation.loss
         accepted = jnp.isfinite(evaluation.loss)
+        has_failed = state.has_failed | ~accepted
         accepted &= decrease > 1e-3 * state.predicted_decrease
-        linearized = self._linearize(point, evaluation, state, decrease)
-        rejected = eqx.tree_at(
-            lambda model: (model.damping, model.reduction, model.has_failed),
-            state,
-            (
-                4 * state.damping,
-                from_numpy(0.5),
-                state.has_failed | ~jnp.isfinite(evaluation.loss),
-            ),
-        )
-        model = jax.tree.map(
-            lambda new, old: jnp.where(accepted, new, old), linearized, rejected
+        agrees = decrease > 0.5 * state.predicted_decrease
+        is_first = jnp.isinf(state.evaluation.loss)
+        factor = jnp.where(is_first | ~agrees, 1.0, state.reduction)
+        stronger = jnp.maximum(state.reduction / 2, 0.1)
+        reduction = jnp.where(agrees, stronger, state.reduction)
+        damping = jnp.where(accepted, factor, 4.0) * state.damping
+        reduction = jnp.where(accepted, reduction, 0.5)
+        point, evaluation = jax.tree.map(
+            lambda new, old: jnp.where(accepted, new, old),
+            (point, evaluation),
+            (state.point, state.evaluation),
         )
 
-        largest = jnp.max(model.singular_values, initial=0.0)
-        relevant = model.singular_values > ROUNDING * largest
-        components = jnp.where(relevant, model.components, 0.0)
-        damped = jnp.where(relevant, model.singular_values**2 + model.damping, 1.0)
-        change = -components * model.singular_values / damped
-        longest = jnp.max(jnp.abs(change @ model.directions) * self.bounded)
+        components, singular_values, directions = self._linearize(point, evaluation)
+        largest = jnp.max(singular_values, initial=0.0)
+        relevant = singular_values > ROUNDING * largest
+        components = jnp.where(relevant, components, 0.0)
+        damped = jnp.where(relevant, singular_values**2 + damping, 1.0)
+        change = -components * singular_values / damped
+        longest = jnp.max(jnp.abs(change @ directions) * self.bounded)
         change = change / jnp.maximum(1.0, longest)
-        remaining = components + model.singular_values * change
+        remaining = components + singular_values * change
         predicted_decrease = jnp.sum(components**2 - remaining**2) / 2
 
-        undamped = components / jnp.where(relevant, model.singular_values, 1.0)
+        undamped = components / jnp.where(relevant, singular_values, 1.0)
         largest_decrease = jnp.sum(components**2) / 2
-        step_converged = jnp.max(jnp.abs(undamped @ model.directions)) < self.tolerance
-        step_converged &= largest_decrease <= 1e-4 + 1e-6 * model.loss
-        per_reading = jnp.minimum(1.0, model.loss / evaluation.residuals.size)
+        step_converged = jnp.max(jnp.abs(undamped @ directions)) < self.tolerance
+        step_converged &= largest_decrease <= 1e-4 + 1e-6 * evaluation.loss
+        per_reading = jnp.minimum(1.0, evaluation.loss / evaluation.residuals.size)
         loss_converged = largest_decrease <= 1e-8 * per_reading
-        rounding_reached = ~accepted & (predicted_decrease < self.tolerance * model.loss)
-        rounding_reached &= ~model.has_failed
+        rounding_reached = predicted_decrease < self.tolerance * evaluation.loss
+        rounding_reached &= ~accepted & ~has_failed
         converged = step_converged | loss_converged | rounding_reached
-        model = eqx.tree_at(
-            lambda model: model.predicted_decrease, model, predicted_decrease
+        state = _State(
+            point, evaluation, damping, reduction, has_failed, predicted_decrease
         )
-        return model.point + change @ model.directions, model, converged
+        return point + change @ directions, state, converged
 
     def _linearize(
-        self, point: Array, evaluation: Evaluation, state: _LinearModel, decrease: Array
-    ) -> _LinearModel:
-        """Linearize the residuals about a new point, and adapt the damping.
+        self, point: Float[Array, " parameters"], evaluation: Evaluation
+    ) -> tuple[
+        Float[Array, " rank"], Float[Array, " rank"], Float[Array, "rank parameters"]
+    ]:
+        """Compute the singular value decomposition of the linear model about a point.
 
-        `state` is the model about the previous point, and `decrease` the decrease of the
-        loss from there to the new point.
+        Each column of the Jacobian is divided by its norm before the decomposition, so
+        that a badly scaled parameter is not damped more than the others.
+
+        Returns:
+            The components of the residuals along the left singular vectors, the singular
+            values, and the right singular vectors as changes of the normalized
+            parameters.
         """
         jacobian = jnp.where(
             jnp.isfinite(evaluation.derivatives), evaluation.derivatives, 0.0
@@ -154,22 +141,9 @@ class LevenbergMarquardt(AbstractOptimizer):
         left, singular_values, right = jnp.linalg.svd(
             jacobian / norms[None], full_matrices=False
         )
-        agrees = decrease > 0.5 * state.predicted_decrease
-        is_first = jnp.isinf(state.loss)
-        factor = jnp.where(is_first | ~agrees, 1.0, state.reduction)
-        stronger = jnp.maximum(state.reduction / 2, 0.1)
-        return _LinearModel(
-            point=point,
-            loss=evaluation.loss,
-            components=evaluation.residuals @ left,
-            singular_values=singular_values,
-            # The projection gives the shortest one of all steps with the same effect.
-            directions=(right / norms[None]) @ row_space * sizes[None],
-            damping=state.damping * factor,
-            reduction=jnp.where(agrees, stronger, state.reduction),
-            has_failed=state.has_failed,
-            predicted_decrease=state.predicted_decrease,
-        )
+        # The projection gives the shortest one of all steps with the same effect.
+        directions = (right / norms[None]) @ row_space * sizes[None]
+        return evaluation.residuals @ left, singular_values, directions
 
 
 def _determined_part(

@@ -71,14 +71,7 @@ class IdentificationProblem(eqx.Module):
     def untransformed_residuals(
         self, residuals: Float[Array, " readings"]
     ) -> Float[Array, " readings"]:
-        """Recover the residuals of the readings from those of Huber's loss.
-
-        Args:
-            residuals: Residuals as returned by `residuals`, in standard deviations.
-
-        Returns:
-            Differences between predicted and measured values, in standard deviations.
-        """
+        """Recover the residuals of the readings from those of Huber's loss."""
         if self.huber_threshold is None:
             return residuals
         is_large = jnp.abs(residuals) > self.huber_threshold
@@ -88,12 +81,7 @@ class IdentificationProblem(eqx.Module):
     def untransformed_jacobian(
         self, evaluation: Evaluation
     ) -> Float[Array, "readings parameters"]:
-        """Recover the Jacobian of the readings' residuals from that of Huber's loss.
-
-        Returns:
-            Derivatives of the residuals, in standard deviations, with respect to the
-            normalized parameters.
-        """
+        """Recover the Jacobian of the readings' residuals from that of Huber's loss."""
         if self.huber_threshold is None:
             return evaluation.derivatives
         magnitude = jnp.maximum(jnp.abs(evaluation.residuals), self.huber_threshold)
@@ -108,9 +96,6 @@ class IdentificationProblem(eqx.Module):
         Args:
             forward: Whether the Jacobian of the residuals is computed in forward mode. If
                 False, only the gradient of the loss is computed, in reverse mode.
-
-        Returns:
-            The residuals, and either their Jacobian or the gradient of the loss.
         """
         if forward:
             return Evaluation(*value_and_jacfwd(self.residuals, normalized))

@@ -73,27 +73,13 @@ class AbstractOptimizer(eqx.Module):
 
     @abstractmethod
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> Any:
-        """Initial state of the optimizer.
-
-        Args:
-            evaluation: Evaluation with the right shapes; its values are not used.
-
-        Returns:
-            The state, which the first call of `step` takes.
-        """
+        """Create the first state, from an evaluation whose values are NaN."""
 
     @abstractmethod
     def step(
         self, point: Float[Array, " parameters"], evaluation: Evaluation, state: Any
     ) -> tuple[Float[Array, " parameters"], Any, Flag]:
-        """Choose the next point.
-
-        Args:
-            evaluation: Residuals and derivatives at the current point.
-
-        Returns:
-            The next point, the next state, and whether the optimizer has converged.
-        """
+        """Return the next point, the next state, and whether the method has converged."""
 
 
 def from_numpy(value: Any) -> Array:

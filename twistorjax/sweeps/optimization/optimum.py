@@ -207,8 +207,7 @@ class Optimum:
                 "parameters."
             )
         space = DesignSpace.from_tree(self.parameters, standard_deviations)
-        normal = space.normal_tree(space.start)
-        designs = sample_designs(normal, count, method="random", seed=seed)
+        designs = sample_designs(space.normal_tree(), count, method="random", seed=seed)
         table = sweep(self.study, designs, **sweep_options)
         failed = ~np.asarray(table["succeeded"])
         by_limit: dict[str, np.ndarray] = {}

@@ -153,7 +153,7 @@ class Problem(NamedTuple):
                 part = columns[name].values.reshape(len(output.result), -1)
                 by_parameter = [
                     columns[f"{name}_by_{p}"].values.reshape(*part.shape, -1)
-                    for p in self.space.real_names
+                    for p in self.space.layout.names
                 ]
                 parts.append(part)
                 jacobians.append(np.concatenate(by_parameter, axis=2))
@@ -179,7 +179,7 @@ class Problem(NamedTuple):
         """Return all outputs of the study for one design, without derivatives."""
         columns = self._output(vector[None]).columns
         derivatives = {
-            f"{name}_by_{p}" for name in self.columns for p in self.space.real_names
+            f"{name}_by_{p}" for name in self.columns for p in self.space.layout.names
         }
         return {
             name: np.asarray(column.values[0])

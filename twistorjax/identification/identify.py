@@ -23,8 +23,9 @@ from .estimation.levenberg_marquardt import LevenbergMarquardt
 from .estimation.objective import IdentificationProblem
 from .estimation.optimizer import AbstractOptimizer, from_numpy
 from .experiments.measurement import as_pytree, Measurement, random_key
+from .padding import cut, pad
 from .report import Identification
-from .search import cut, pad, search_compiled, search_with_progress, SearchState
+from .search import search_compiled, search_with_progress, SearchState
 
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def identify(
         reverse = len(parameters.names) > _MOST_IN_FORWARD_MODE
     forward = optimizer.needs_jacobian or not reverse
     arrays = jax.tree.leaves(eqx.filter((problem, key), eqx.is_array))
-    given, problem = problem, pad(problem)
+    unpadded, problem = problem, pad(problem)
     try:
         if restarts:
             shape = (restarts, start_point.size)
@@ -183,9 +184,9 @@ def identify(
         raise compilation_error("design", "about the parameters", error) from error
     except ValueError:
         # An error describes a test, which should be the one that was given.
-        jax.eval_shape(given.residuals, start_point)
+        jax.eval_shape(unpadded.residuals, start_point)
         raise
-    identification = cut(_summarize(problem, state), given)
+    identification = cut(_summarize(problem, state), unpadded)
     return finish(identification, throw, partial(_failure, identification))
 
 

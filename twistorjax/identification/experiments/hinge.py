@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.host import as_float, on_host
@@ -81,12 +80,6 @@ class HingeTest(AbstractTest):
         """Standard deviations of the readings, equal in all trials; N m, N, N."""
         xp, (row,) = on_host(self.standard_deviation)
         return as_float(xp.broadcast_to(row, self.poses.shape))
-
-    def with_more_rows(self, count: int) -> "HingeTest":
-        poses = np.asarray(self.poses)
-        more = np.repeat(poses[-1:], count, axis=0)
-        poses = as_float(np.concatenate([poses, more]))
-        return eqx.tree_at(lambda test: test.poses, self, poses)
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True

@@ -58,21 +58,6 @@ class AbstractTest(eqx.Module):
     def standard_deviations(self) -> Table:
         """Standard deviations of the readings, in `units`."""
 
-    def with_more_rows(self, count: int) -> "AbstractTest | None":
-        """Add rows before the last one, which must not change the other rows.
-
-        `identify` then uses one compiled program for tests with different numbers of
-        readings. By default a test cannot be changed.
-
-        Args:
-            count: Number of additional rows.
-
-        Returns:
-            The changed test; None if the test cannot be changed.
-        """
-        del count
-        return None
-
     def measurement(
         self,
         values: TableLike,

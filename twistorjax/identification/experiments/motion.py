@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import diffrax as dfx
-import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -100,12 +99,6 @@ class MotionTest(SensorTest):
     def row_count(self) -> int:
         """Number of times."""
         return len(self.times)
-
-    def with_more_rows(self, count: int) -> "MotionTest":
-        times = np.asarray(self.times)
-        more = np.linspace(times[-2], times[-1], count + 2)[1:-1]
-        times = as_float(np.insert(times, -1, more))
-        return eqx.tree_at(lambda test: test.times, self, times)
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -65,10 +64,6 @@ class StaticTest(SensorTest):
     def row_count(self) -> int:
         """Number of load cases."""
         return len(self.load_cases)
-
-    def with_more_rows(self, count: int) -> "StaticTest":
-        load_cases = self.load_cases + count * self.load_cases[-1:]
-        return replace(self, load_cases=load_cases)
 
     def predict(
         self, mechanism: Mechanism, *, forward: bool = True, throw: bool = True

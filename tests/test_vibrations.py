@@ -173,6 +173,10 @@ def test_vibrations_with_follower_loads_are_an_error():
     follower = tj.Load("rod", force=(0, -1.0), follower=True)
     with pytest.raises(ValueError, match="follower load"):
         tj.vibrations(mechanism, loads=[follower])
+    with pytest.raises(ValueError, match="`loads` is one Load: put it in a list"):
+        tj.vibrations(mechanism, loads=follower)  # pyright: ignore
+    with pytest.raises(ValueError, match="`loads` is one Load: put it in a list"):
+        tj.buckling(mechanism, loads=follower)  # pyright: ignore
 
 
 def test_response_to_a_load_is_that_of_a_damped_oscillator():

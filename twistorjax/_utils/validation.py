@@ -172,8 +172,10 @@ def compilation_error(name: str, subject: str, error: Exception) -> ValueError:
 def require_instance(name: str, value: Any, kind: type[Kind]) -> Kind:
     """Require an instance of a class."""
     if not isinstance(value, kind):
+        noun = kind.__name__
+        article = "an" if noun[0] in "AEIOU" else "a"
         raise ValueError(
-            f"`{name}` is a {type(value).__name__}, but must be a {kind.__name__}."
+            f"`{name}` is a {type(value).__name__}, but must be {article} {noun}."
         )
     return value
 

@@ -219,6 +219,18 @@ class LoadSet(eqx.Module):
         sums = add(poses, actions, bodies, followers)
         return cls(sums, present=True, conservative=not followers.any())
 
+    def require_potential(self, instead: str) -> None:
+        """Refuse follower loads, and recommend what to use `instead`.
+
+        Raises:
+            ValueError: There is a follower load.
+        """
+        if not self.conservative:
+            raise ValueError(
+                "There is a follower load. It has no potential, so the stiffness is not "
+                f"symmetric: use {instead}."
+            )
+
     def zero(self) -> "LoadSet":
         """Return loads of zero of the same kind."""
         return _zero(self.sums.shape[0], self.present, self.conservative)

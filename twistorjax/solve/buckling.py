@@ -179,17 +179,17 @@ def buckling(
         raise ValueError(
             "Nothing is multiplied by the load factor. Give `loads` or `drives`."
         )
-    if any(load.follower for load in (*loads, *constant_loads)):
-        raise ValueError(
-            "There is a follower load. It has no potential, so the stiffness is not "
-            "symmetric: use `path`, which locates critical points under such loads."
-        )
     if modes < 1:
         raise ValueError(f"`modes` is {modes!r}, but must be at least 1.")
+    multiplied = LoadSet.of(mechanism, loads)
     held, targets = prescribed_dofs(mechanism, drives)
     problem = Problem.of(
         mechanism, constant_loads, (), constraints, time, held=held, supported=False
     )
+    for load_set in (multiplied, problem.loads):
+        load_set.require_potential(
+            "`path`, which locates critical points under such loads"
+        )
     if not problem.dofs.free:
         raise ValueError(
             "All bodies are fixed or driven, so none can buckle. Drive fewer "
@@ -197,7 +197,7 @@ def buckling(
             "buckle between its ends."
         )
     state = problem.state(about, "constant_loads")
-    scaled = problem._replace(loads=LoadSet.of(mechanism, loads), targets=targets)
+    scaled = problem._replace(loads=multiplied, targets=targets)
     system = PathSystem.of(scaled, problem.loads, state)
     solution, displacements = _buckling(system, modes)
 

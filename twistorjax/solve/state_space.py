@@ -201,11 +201,6 @@ def state_space(
                 f"`{name}` is {given!r}, but must be a mapping from names to {name}, "
                 "with at least one entry."
             )
-    if any(load.follower for load in loads):
-        raise ValueError(
-            "`loads` has a follower load, which has no potential. Use "
-            "`frequency_response`, or `simulate` the motion."
-        )
     held = mechanism.dofs_of("prescribed", prescribed)
     for name, given in inputs.items():
         if isinstance(given, Load | Drive):
@@ -217,6 +212,7 @@ def state_space(
     }
     held = sorted({*held, *(dof for row in moved.values() for dof in row)})
     problem = Problem.of(mechanism, loads, (), constraints, time, held=held)
+    problem.loads.require_potential("`frequency_response`, or `simulate` the motion")
     dofs = problem.dofs
     count = len(dofs.free) - problem.constraints.size
     if modes is not None and not (isinstance(modes, int) and 1 <= modes <= count):

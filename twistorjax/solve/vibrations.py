@@ -120,15 +120,11 @@ def vibrations(
         >>> 2 * jnp.pi * vibrations(mechanism).frequencies
         Array([ 3.16227766, 10.        , 20.        ], dtype=float64)
     """
-    if any(load.follower for load in loads):
-        raise ValueError(
-            "`loads` has a follower load. It has no potential, so natural vibrations may "
-            "not exist: use `frequency_response`, or `simulate` the motion."
-        )
     held = mechanism.dofs_of("prescribed", prescribed)
     problem = Problem.of(
         mechanism, loads, (), constraints, time, held=held, supported=False
     )
+    problem.loads.require_potential("`frequency_response`, or `simulate` the motion")
     if len(problem.dofs.free) <= problem.constraints.size:
         raise ValueError(
             "No coordinate can vibrate: all of them are fixed, prescribed, or determined "

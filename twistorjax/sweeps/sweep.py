@@ -248,7 +248,10 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
     opened = Store(store).open("r")
     with clear_errors(opened.path, "read"):
         table = xarray.open_zarr(opened.path, consolidated=False, chunks=None)
-    table = table[list(opened.output_names)].assign_coords(table.coords)
+    # The order in which zarr finds the arrays is that of the file system.
+    coordinates = {name: table.coords[name] for name in sorted(map(str, table.coords))}
+    outputs = {name: table[name].variable for name in opened.output_names}
+    table = xarray.Dataset(outputs, coordinates, table.attrs)
     available = opened.intact_chunks() if verify else opened.written_chunks()
     if not available.all():
         outputs = {

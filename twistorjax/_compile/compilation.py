@@ -20,8 +20,8 @@ _JAXLIB = tuple(map(int, jaxlib.version.__version__.split(".")[:2]))
 # The fusion emitters of XLA take 40 % of the time of the compilation of a motion, the
 # higher levels of optimization take 15 %, and these passes take 5 %, because they change
 # one operation after another and XLA simplifies the program again after each change. The
-# motion does not run faster with them (jaxlib 0.10.2). The emitters cannot be switched
-# off from jaxlib 0.11 on.
+# motion does not run faster with them (jaxlib 0.10.2; `benchmarks.first_calls`). The
+# emitters cannot be switched off from jaxlib 0.11 on.
 _FAST = {
     **({"xla_cpu_use_fusion_emitters": False} if _JAXLIB < (0, 11) else {}),
     "xla_backend_optimization_level": 1,
@@ -92,7 +92,7 @@ FAST_COMPILATION = "xla_cpu_use_fusion_emitters=false"
 # XLA calls one function for each operation, which takes longer than an operation with
 # small arrays. A loop whose operations read and write less than this number of bytes
 # becomes one function. Of a motion, these are the inner loops. With the outer loop as
-# well, its gradient would compile in up to twice the time.
+# well, its gradient would compile in up to twice the time (`benchmarks.motion`).
 FAST_LOOPS = "xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000"
 # Versions of jaxlib that have an option.
 _JAXLIB_WITH = {FAST_COMPILATION: {(0, 10)}, FAST_LOOPS: {(0, 10), (0, 11), (0, 12)}}

@@ -34,7 +34,8 @@ def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
     """Choose NumPy for a formula of concrete values, and `jax.numpy` if one is traced.
 
     An eager operation of `jax.numpy` compiles a program, so that a mechanism of concrete
-    values would compile dozens of programs before anything is solved.
+    values would compile dozens of programs before anything is solved
+    (`benchmarks.first_calls`).
 
     Returns:
         The module with the functions for the formula, and the values as its arrays.

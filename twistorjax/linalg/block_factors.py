@@ -13,7 +13,8 @@ from .._utils.types import Flag
 from .factors import diagonal_scale, Factors, is_stable
 
 
-# With fewer free degrees of freedom, or fewer blocks, a dense factorization is faster.
+# With fewer free degrees of freedom, or fewer blocks, a dense factorization is faster
+# (`benchmarks.chains`).
 _LEAST_DOFS = 120
 _LEAST_BLOCKS = 8
 # Smaller blocks take more time, because each block costs several calls of LAPACK.

@@ -1,7 +1,8 @@
 """Inverses of small matrices, and linear equations, without LAPACK.
 
 LAPACK takes longer for a small matrix, and the first program that calls it imports
-`scipy.linalg`, which takes a third of the time of `import jax`.
+`scipy.linalg`, which takes a third of the time of `import jax` (`benchmarks.sweeps`,
+`benchmarks.first_calls`).
 """
 
 from collections.abc import Callable, Sequence

@@ -68,7 +68,8 @@ def refine_branch_points(
         borders = singular_vectors(metric, system.tangent(point))
         equations = partial(_branch_residual, system, metric, borders)
 
-        # Exact derivatives of these conditions would take 40 s to compile.
+        # Exact derivatives of these conditions would take 40 s to compile
+        # (`benchmarks.analyses`).
         def improve(state: _Refinement) -> _Refinement:
             coordinates = state.coordinates
             offsets = _STEP * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])

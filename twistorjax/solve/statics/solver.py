@@ -36,8 +36,8 @@ def solve(
     begin = np.zeros(mechanism.reference.shape)
     if start is not None:
         begin = displacements_at_start(mechanism, start)
-    # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`, but
-    # constraints may contain functions.
+    # A call of a `jax.jit` function takes less time than one of `eqx.filter_jit`
+    # (`benchmarks.first_calls`), but constraints may contain functions.
     compiled = _solve_constrained if constraints.size else _solve_unconstrained
     return compiled(
         mechanism.hinge_assembly,

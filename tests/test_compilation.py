@@ -463,20 +463,32 @@ from jax.core import Tracer
 from twistorjax.assembly.assembly import HingeAssembly
 
 tj.configure(debug=True)
-seen, tangent = [], HingeAssembly.tangent
+seen, tangent, angles = [], HingeAssembly.tangent, []
+
+class Spring(tj.AbstractEnergy):
+    stiffness: jnp.ndarray
+
+    def stored_energy(self, displacement):
+        angles.append(str(displacement.angle))  # GradTracer(primal=0.05)
+        return self.stiffness * jnp.sum(jnp.stack(displacement.twist()) ** 2) / 2
 
 def recorded(hinges, displacements, *predicted):
     seen.append(isinstance(displacements, Tracer))
     return tangent(hinges, displacements, *predicted)
 
 HingeAssembly.tangent = recorded
-spring = tj.Hinge("spring", "wall", "block", tj.Quadratic(jnp.eye(3)), at=(0, 0, 0))
-mechanism = tj.Mechanism([tj.Body("wall"), tj.Body("block")], [spring], fixed=["wall"])
+bodies = [tj.Body("wall"), tj.Body("block"), tj.Body("end")]
+hinges = [
+    tj.Hinge("first", "wall", "block", Spring(jnp.array(1.0)), at=(0, 0, 0)),
+    tj.Hinge("second", "block", "end", Spring(jnp.array(1.0)), at=(0, 0, 0)),
+]
+mechanism = tj.Mechanism(bodies, hinges, fixed=["wall"])
 counts = []
 for force in (0.1, 0.2):
     found = tj.equilibrium(mechanism, loads=[tj.Load("block", force=(force, 0.0))])
     assert abs(found.displacement("block")[1] - force) < 1e-12
     counts.append(len(seen))
 assert not any(seen) and 0 < counts[0] < counts[1]
+assert angles and not any("batched" in angle for angle in angles)
 """
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,13 +1,41 @@
 """What keeps batches of mechanisms fast on a processor."""
 
 import re
-from typing import TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Inexact
+
+from .._utils.host import runs_line_by_line
 
 
 Tree = TypeVar("Tree")
+
+
+def map_rows(
+    function: Callable, leaves: Sequence[Any], axes: Sequence[int | None], *others: Any
+) -> Any:
+    """Call a function of leaves and other trees for each of their rows.
+
+    With `tj.configure(debug=True)`, it is called for one row after another, so that a
+    value in it can be printed.
+
+    Args:
+        axes: For each leaf, 0 if it has rows, or None if it is the same in all calls.
+        others: Trees of arrays with rows, which are further arguments of the function.
+    """
+    if not runs_line_by_line():
+        return jax.vmap(function, (list(axes), *len(others) * (0,)))(leaves, *others)
+
+    def call(row: int) -> Any:
+        pairs = zip(leaves, axes, strict=True)
+        own = [leaf if axis is None else leaf[row] for leaf, axis in pairs]
+        return function(own, *jax.tree.map(lambda values: values[row], others))
+
+    count = len(jax.tree.leaves(others)[0])
+    return jax.tree.map(lambda *rows: jnp.stack(rows), *map(call, range(count)))
 
 
 def computed_once(tree: Tree, finite: Inexact[Array, "*batch"]) -> Tree:

@@ -63,7 +63,9 @@ def configure(
             if stderr is a terminal, or in a notebook.
         debug: Whether the functions of this library run line by line in Python instead
             of as compiled programs, so that a breakpoint in any of them is reached in
-            each call, and values can be printed. A call then takes seconds or minutes.
+            each call, and values can be printed, also in the energy of one hinge, where
+            JAX prints a value as `GradTracer(primal=0.05)` if it differentiates. Each
+            operation is then compiled on its own, and a call takes seconds or minutes.
             There is no cache. It ends with the process, or with `jax_disable_jit` of JAX.
 
     Raises:

@@ -30,6 +30,12 @@ def is_traced(tree: Any) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
+def runs_line_by_line() -> bool:
+    """Decide whether JAX compiles no functions, as with `tj.configure(debug=True)`."""
+    config: Any = jax.config
+    return config.jax_disable_jit
+
+
 def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
     """Choose NumPy for a formula of concrete values, and `jax.numpy` if one is traced.
 

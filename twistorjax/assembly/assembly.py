@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._compile.batching import map_rows
 from .._utils.host import as_float, on_host
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
@@ -113,8 +114,8 @@ class HingeAssembly(eqx.Module):
     ) -> "HingeAssembly":
         """Add to the six numbers of the misfits, and set their time derivatives."""
         if self.misfits is not None:
-            _, (old, optional) = on_host(self.misfits, numbers)
-            numbers = as_float(old + optional)
+            _, (old, added) = on_host(self.misfits, numbers)
+            numbers = as_float(old + added)
         return replace(self, misfits=numbers, misfit_rates=rates)
 
     def displacement_of(
@@ -208,9 +209,9 @@ class HingeAssembly(eqx.Module):
         A `predicted` stress determines the geometric stiffness, by default the stress at
         these displacements; N m, N, N.
         """
-        optional = () if predicted is None else (tuple(predicted),)
+        per_member = () if predicted is None else (tuple(predicted),)
         function = _elastic(hinge_forces.tangent)
-        local = self._evaluate(function, displacements, *optional)
+        local = self._evaluate(function, displacements, *per_member)
         return AssemblyTangent(local, self.bodies, self.ends, self._order())
 
     def multiply_stiffness(
@@ -279,9 +280,9 @@ class HingeAssembly(eqx.Module):
             The forces; N m, N, N. The mid-frame translations of the displacements minus
             the stretches; m. The power that is dissipated, and that of strokes; W.
         """
-        optional = self._motion_arguments(rates, stretches)
+        per_member = self._motion_arguments(rates, stretches)
         local, excess, (dissipated, by_strokes) = self._evaluate(
-            motion_forces.forces_in_motion, displacements, *optional
+            motion_forces.forces_in_motion, displacements, *per_member
         )
         forces = self._gather(local).reshape(displacements.shape)
         powers = jnp.sum(dissipated), jnp.sum(by_strokes)
@@ -295,8 +296,10 @@ class HingeAssembly(eqx.Module):
         stretches: Float[Array, "hinges 2"] | None = None,
     ) -> AssemblyMotionTangent:
         """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
-        optional = self._motion_arguments(rates, stretches)
-        local = self._evaluate(motion_forces.tangent_in_motion, displacements, *optional)
+        per_member = self._motion_arguments(rates, stretches)
+        local = self._evaluate(
+            motion_forces.tangent_in_motion, displacements, *per_member
+        )
         return AssemblyMotionTangent.of(local, self.ends, self._order(), free)
 
     def stretches(self, displacements: Poses) -> Float[Array, "hinges 2"]:
@@ -338,23 +341,23 @@ class HingeAssembly(eqx.Module):
         """Return the six degrees of freedom of each member."""
         return hinge_dofs(self.ends, self._order())
 
-    def _evaluate(self, function, displacements: Poses, *optional):
+    def _evaluate(self, function, displacements: Poses, *per_member):
         """Evaluate a function of one hinge for all members.
 
-        The arguments of the function are energy, damping, both ends, axis, and `more`,
-        which has a row for each member.
+        The arguments of the function are energy, damping, both ends, axis, and
+        `per_member`, each of which has a row for each member.
         """
         parts, start = [], 0
         for group in self.groups:
             rows = slice(start, start + len(group.members))
-            of_group = jax.tree.map(lambda values, rows=rows: values[rows], optional)
+            of_group = jax.tree.map(lambda values, rows=rows: values[rows], per_member)
             parts.append(self.map_members(function, group, displacements, *of_group))
             start = rows.stop
         if len(parts) == 1:
             return parts[0]
         return jax.tree.map(lambda *values: jnp.concatenate(values), *parts)
 
-    def map_members(self, function, group: HingeGroup, displacements: Poses, *optional):
+    def map_members(self, function, group: HingeGroup, displacements: Poses, *per_member):
         """Evaluate a function of one hinge for all members of a group."""
         members = np.array(group.members)
         first, second = np.array(self.ends)[members].T
@@ -371,21 +374,20 @@ class HingeAssembly(eqx.Module):
 
         leaves, tree = jax.tree.flatten((group.energy, group.damping))
 
-        def one_hinge(leaves, loads, first, second, axis, *optional):
+        def one_hinge(leaves, loads, first, second, axis, *per_member):
             energy, damping = jax.tree.unflatten(tree, leaves)
             if loads is not None:
                 energy = NaturallyCurved(energy, axis.misfit.turn, loads)
-            return function(energy, damping, first, second, axis, *optional)
+            return function(energy, damping, first, second, axis, *per_member)
 
-        in_axes = (list(group.batch_axes), *(4 + len(optional)) * (0,))
-        return jax.vmap(one_hinge, in_axes=in_axes)(
-            leaves,
+        others = (
             group.curvature_loads,
             end(first, arms[:, 0]),
             end(second, arms[:, 1]),
             Axis(directions[:, 0], directions[:, 1], *Misfit.with_rate(numbers, rates)),
-            *optional,
+            *per_member,
         )
+        return map_rows(one_hinge, leaves, group.batch_axes, *others)
 
 
 def _elastic(function):

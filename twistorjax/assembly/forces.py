@@ -1,9 +1,9 @@
 """Elastic forces of one hinge on its two bodies, and their derivatives.
 
-JAX differentiates the energy and the dissipation with respect to the three coordinates of
-the hinge. The derivatives of these coordinates with respect to the six displacements of
-the bodies are written out here, because with JAX a sweep of stages would take twice the
-time to compile and 1.5 to 2 times the time to run.
+JAX differentiates the energy with respect to the three coordinates of the hinge. The
+derivatives of these coordinates with respect to the six displacements of the bodies are
+written out here, because with JAX a sweep of stages would take twice the time to compile
+and 1.5 to 2 times the time to run.
 
 In all functions, `first` and `second` are the ends of the hinge on bodies A and B, and
 `axis` is its axis in the reference configuration, with its misfit.

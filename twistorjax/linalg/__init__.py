@@ -1,7 +1,8 @@
 """Matrices without mechanics: factorizations, eliminations, and eigenvalues.
 
-Internal. Start reading in `factors`, which solves linear systems, also with constraints.
-`elimination` unrolls small systems, `block_factors` splits large ones into blocks that a
-tree connects, `eigenvalues` computes natural modes with derivatives, and `sums` adds
-chosen entries.
+Internal. Start reading in `factors`, which solves linear systems of a stiffness.
+`elimination` solves small ones without LAPACK, `constraints` those with constraints, and
+`block_factors` large ones that are block tridiagonal. `eigenvalues` computes natural
+modes with derivatives, `products` multiplies small matrices, and `sums` adds chosen
+entries.
 """

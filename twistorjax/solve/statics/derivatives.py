@@ -16,9 +16,11 @@ def differentiable_root(
 ) -> Float[Array, " unknowns"]:
     """Return the solution of a system, with derivatives with respect to the system.
 
-    The derivative follows from the implicit function theorem, and has derivatives of
-    every order itself. If no equilibrium was found, the derivative is zero instead of
-    NaN, because NaN could not be masked in a sum over a batch.
+    By the implicit function theorem, the change dq of the unknowns follows from
+    `K dq = -dr`: K is the tangent, and dr the change of the residual at the fixed
+    solution. It has derivatives of every order itself. If no equilibrium was found, the
+    derivative is zero instead of NaN, because NaN could not be masked in a sum over a
+    batch.
 
     `optimistix.root_find` with its implicit adjoint would differentiate the residual to
     obtain the matrix. For the gain of the stage and its derivative it takes 1.4 times as

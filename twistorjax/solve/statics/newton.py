@@ -39,6 +39,12 @@ _LARGEST_CONTRACTION = 0.35
 _LARGEST_DIFFERENCE = 0.4
 # The next increment is chosen such that it reaches this fraction of both bounds.
 _GOOD_SHARE = 0.6
+# Bounds of the ratio of two successive increments. An increment whose corrections
+# contract, and which fails for another reason, says nothing about the next one.
+_SHORTER, _BLIND_REDUCTION, _LONGER = (0.1, 0.5), 0.25, (0.5, 4.0)
+# The last increment may be longer by this factor, so that it is not so short that it
+# consists of rounding errors.
+_LONGER_AT_THE_END = 1.05
 # Corrections below this fraction of the first one cannot lead to another branch.
 _SMALL_CORRECTION = 1e-6
 # Corrections below this fraction of the displacements may consist of rounding errors.
@@ -68,7 +74,7 @@ class _State(NamedTuple):
     # Generalized stress of the hinges that the last step predicted; N m, N, N
     predicted: Array
     # The first three at the last fraction that converged
-    converged: tuple[Poses, Array | None, Array]
+    last_equilibrium: tuple[Poses, Array | None, Array]
     fraction: Scalar  # Last fraction that converged
     increment: Scalar  # Increment of the fraction that is being tried
     tries: Count  # Number of Newton steps in this increment
@@ -109,7 +115,8 @@ def solve_in_increments(
     increment, together with the first response of the free degrees of freedom.
 
     Convergence is measured by the energy change of a Newton step, relative to the sum of
-    the absolute values of force times displacement of the hinges. The observed
+    the absolute values of force times displacement of the hinges, or to the energy change
+    of the first step of the increment if it is larger. The observed
     convergence rate predicts the next error, which saves the last step. Contraction is
     measured in displacements: rotations, and translations divided by a length of the
     mechanism. In the energy, a stiff hinge that is stretched during one step would
@@ -145,7 +152,7 @@ def solve_in_increments(
         ratio = jnp.where(is_first, 0.0, length / state.last_correction)
         rounded = length <= _ROUNDING * _length(step.displacements, units)
         small = rounded | (length <= _SMALL_CORRECTION * longest) | (length <= floor)
-        share = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
+        over_bound = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
         response = jnp.where(is_first, step.response, state.response)
         difference = (step.response - response)[: len(system.free)] / free_units
         difference = jnp.sqrt(jnp.sum(difference**2))
@@ -153,15 +160,17 @@ def solve_in_increments(
         if system.changes_misfits:
             # After the first step, a stiff hinge that turns by its misfit is stretched.
             difference = jnp.where(state.tries == 1, 0.0, difference)
-        share = jnp.maximum(share, difference / _LARGEST_DIFFERENCE)
+        over_bound = jnp.maximum(over_bound, difference / _LARGEST_DIFFERENCE)
         # If misfits load the hinges and nothing moves, all corrections are rounding
         # errors.
         moves = jnp.maximum(energy_scale, energy) > _NO_MOTION * step.work
-        share = jnp.where(is_first | moves, share, 0.0)
-        nonlinearity = jnp.where(is_first, 0.0, jnp.maximum(share, state.nonlinearity))
+        over_bound = jnp.where(is_first | moves, over_bound, 0.0)
+        nonlinearity = jnp.where(
+            is_first, 0.0, jnp.maximum(over_bound, state.nonlinearity)
+        )
 
-        contracts = share <= 1
-        rotations = jnp.abs(step.displacements - state.converged[0])[:, 0]
+        contracts = over_bound <= 1
+        rotations = jnp.abs(step.displacements - state.last_equilibrium[0])[:, 0]
         rotation = jnp.max(rotations, initial=0.0)
         acceptable = step.stable & jnp.isfinite(energy) & (rotation <= _LARGEST_ROTATION)
         acceptable &= contracts
@@ -188,7 +197,7 @@ def solve_in_increments(
 
         # Both measures of nonlinearity are proportional to the increment.
         factor = _GOOD_SHARE / jnp.where(nonlinearity > 0, nonlinearity, 1.0)
-        reduction = jnp.where(contracts, 0.25, jnp.clip(factor, 0.1, 0.5))
+        reduction = jnp.where(contracts, _BLIND_REDUCTION, jnp.clip(factor, *_SHORTER))
         increment = jnp.where(rejected, reduction * state.increment, state.increment)
         smallest = jnp.maximum(_SMALLEST_INCREMENT, _SMALLEST_SHARE * state.fraction)
         steps = state.steps + 1
@@ -202,9 +211,8 @@ def solve_in_increments(
         status = jnp.where((state.steps == 0) & ~step.finite, NOT_FINITE, status)
         fraction = jnp.where(converged, step.goal, state.fraction)
         remaining = 1 - fraction
-        growth = jnp.where(nonlinearity > 0, jnp.clip(factor, 0.5, 4.0), 4.0)
-        # The last increment is not so short that it consists of rounding errors.
-        is_last = 1.05 * growth * increment > remaining
+        growth = jnp.where(nonlinearity > 0, jnp.clip(factor, *_LONGER), _LONGER[1])
+        is_last = _LONGER_AT_THE_END * growth * increment > remaining
         longer = jnp.where(is_last, remaining, growth * increment)
         current = step.displacements, step.multipliers, step.predicted
 
@@ -212,8 +220,8 @@ def solve_in_increments(
             return jax.tree.map(lambda a, b: jnp.where(flag, a, b), chosen, other)
 
         return _State(
-            *select(rejected, state.converged, current),
-            converged=select(converged, current, state.converged),
+            *select(rejected, state.last_equilibrium, current),
+            last_equilibrium=select(converged, current, state.last_equilibrium),
             fraction=fraction,
             increment=jnp.where(converged, longer, increment),
             tries=jnp.where(converged | rejected, 0, state.tries + 1),
@@ -234,7 +242,7 @@ def solve_in_increments(
         displacements=start,
         multipliers=multipliers,
         predicted=predicted,
-        converged=(start, multipliers, predicted),
+        last_equilibrium=(start, multipliers, predicted),
         fraction=zero,
         increment=zero + 1,
         tries=no_steps,
@@ -249,7 +257,9 @@ def solve_in_increments(
         status=jnp.zeros((), int),
     )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
-    return NewtonSolution(*state.converged[:2], state.fraction, state.steps, state.status)
+    return NewtonSolution(
+        *state.last_equilibrium[:2], state.fraction, state.steps, state.status
+    )
 
 
 class _Step(NamedTuple):
@@ -278,9 +288,9 @@ def _newton_step(
     """Take one Newton step toward the end of the increment."""
     goal = state.fraction + state.increment
     is_first = state.tries == 0
-    misfits = jnp.where(is_first, state.fraction, goal)
+    misfit_fraction = jnp.where(is_first, state.fraction, goal)
     forces, tangent, hinges = system.tangent(
-        state.displacements, goal, state.predicted, state.multipliers, misfits
+        state.displacements, goal, state.predicted, state.multipliers, misfit_fraction
     )
     flat = state.displacements.reshape(-1)
     begin = start.reshape(-1)[system.prescribed]
@@ -290,7 +300,7 @@ def _newton_step(
     residual = residual - (1 - goal) * initial_residual
     # The forces due to misfits and prescribed displacements follow from the tangent.
     misfit_forces, misfit_stress = system.misfit_response(
-        state.displacements, misfits, state.increment
+        state.displacements, misfit_fraction, state.increment
     )
     right = -(residual + tangent.prescribed_forces(prescribed_change))
     right = jnp.where(is_first, right - misfit_forces, right)

@@ -9,7 +9,7 @@ import numpy as np
 from ..._compile.compilation import fast_compile
 from ..._utils.host import program_input
 from ..._utils.pytrees import stop_gradient
-from ..._utils.types import Count, Poses, Scalar
+from ..._utils.types import Count, Entries, Poses, Scalar
 from ...assembly.assembly import HingeAssembly
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import LoadSet
@@ -122,20 +122,13 @@ def report_equilibrium(
     names: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> Equilibrium:
     """Compute all results of an equilibrium that was found, with their derivatives."""
-    hinges, flat = system.hinges, solution.displacements.reshape(-1)
-    converged = solution.status == newton.CONVERGED
-    root, multipliers = flat[system.free], jnp.zeros(0)
-    if solution.multipliers is not None:
-        root = jnp.concatenate([root, solution.multipliers])
-    root = differentiable_root(system, root, start_displacements, converged)
-    free = root
-    if solution.multipliers is not None:
-        free, multipliers = jnp.split(root, [len(system.free)])
-    prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
-    displacements = system.dofs.expand(free, prescribed, start_displacements)
+    hinges = system.hinges
+    displacements, multipliers = _differentiable_state(
+        system, solution, start_displacements
+    )
     reactions, energy = system.reactions_and_energy(displacements, multipliers)
     result = search_result(system, solution)
-    # Newton's method does not evaluate forces at prescribed displacements alone.
+    # If all displacements are prescribed, Newton's method does not evaluate the forces.
     finite = jnp.isfinite(energy) & jnp.all(jnp.isfinite(reactions))
     undefined = is_success(result) & ~finite
     result = RESULTS.where(undefined, RESULTS.not_finite, result)
@@ -159,6 +152,21 @@ def report_equilibrium(
         constraint_names=system.constraints.names(),
         stresses=report_stresses(hinges, displacements, names[1], valid),
     )
+
+
+def _differentiable_state(
+    system: System, solution: newton.NewtonSolution, start_displacements: Poses
+) -> tuple[Poses, Entries]:
+    """Return displacements and constraint forces, with derivatives by the system."""
+    flat, count = solution.displacements.reshape(-1), len(system.free)
+    converged = solution.status == newton.CONVERGED
+    root = flat[system.free]
+    if solution.multipliers is not None:
+        root = jnp.concatenate([root, solution.multipliers])
+    root = differentiable_root(system, root, start_displacements, converged)
+    prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
+    displacements = system.dofs.expand(root[:count], prescribed, start_displacements)
+    return displacements, root[count:]
 
 
 _solve_unconstrained = fast_compile(

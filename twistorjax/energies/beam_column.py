@@ -14,7 +14,7 @@ from .base import Rates
 from .dilation import multiply_fields
 from .evaluation import Orders
 from .mixed import AbstractMixedEnergy
-from .potentials import AbstractPotential, SquareMatrix, Variables
+from .potentials import AbstractPotential, Rows, Variables
 from .strains import strain
 from .stress_model import AbstractStressModel
 
@@ -203,7 +203,7 @@ class BeamColumnPotential(AbstractPotential):
     shear: Scalar | None
 
     @property
-    def reference_curvature(self) -> SquareMatrix:
+    def reference_curvature(self) -> Rows:
         return ((-self.bending * self.stretch,),)
 
     @property

@@ -31,9 +31,9 @@ from .potentials import (
     maximum_over_forces,
     OneForcePotential,
     PotentialDerivatives,
-    product,
     resisted_stretch_rates,
     sums,
+    times,
     transposed,
     variable_units,
     Variables,
@@ -74,7 +74,7 @@ class AbstractMixedEnergy(AbstractEnergy):
         """Return rotation, axial, and transverse displacement; rad, m, m."""
 
     @property
-    def units(self) -> Variables:
+    def units(self) -> tuple[Scalar | float, ...]:
         """Reference values of coordinates and forces; see `variable_units`."""
         return variable_units(self.stiff, self.length, self.reference_force)
 
@@ -339,7 +339,7 @@ def _model_gradient(
     """
     at = PotentialDerivatives.of(potential, compliant, forces)
     step = at.force_step(sums(stretches, at.by_forces))
-    return sums(at.by_compliant, product(at.mixed, step)), sums(forces, step)
+    return sums(at.by_compliant, times(at.mixed, step)), sums(forces, step)
 
 
 @_model_gradient.defjvp
@@ -348,8 +348,8 @@ def _(primals, tangents):
     _, _, compliant_rates, stretch_rates = tangents
     at = PotentialDerivatives.of(potential, compliant, forces)
     step = at.force_step(
-        sums(stretch_rates, product(transposed(at.mixed), compliant_rates))
+        sums(stretch_rates, times(transposed(at.mixed), compliant_rates))
     )
-    slopes = product(at.by_compliant_twice, compliant_rates)
-    rates = sums(slopes, product(at.mixed, step)), step
+    slopes = times(at.by_compliant_twice, compliant_rates)
+    rates = sums(slopes, times(at.mixed, step)), step
     return _model_gradient(*primals), rates

@@ -11,6 +11,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import partial, reduce
+from itertools import product
 from operator import add, mul
 from typing import NamedTuple
 
@@ -26,20 +27,22 @@ from .monomials import Powers
 
 
 Variables = tuple[Scalar, ...]  # coordinates, forces, or stretches; or their rates
-SquareMatrix = tuple[Variables, ...]  # its rows
+Rows = tuple[Variables, ...]  # of a matrix
 
 # Orders of the first derivatives by the three variables
 _UNITS = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 _STEPS = 6  # of Newton's method
 
 
-def variable_units(stiff: tuple[int, ...], length: Scalar, force: Scalar) -> Variables:
+def variable_units(
+    stiff: tuple[int, ...], length: Scalar | float, force: Scalar | float
+) -> tuple[Scalar | float, ...]:
     """Return the values by which coordinates and forces are divided.
 
     They are in the order rotation, axial, transverse. `stiff` lists the directions in
     which it is a moment or a force (N m, N), and not an angle or a length (rad, m).
     """
-    coordinates = jnp.ones_like(length), length, length
+    coordinates = 1.0, length, length
     forces = force * length, force, force
     return tuple(forces[k] if k in stiff else coordinates[k] for k in range(3))
 
@@ -49,7 +52,7 @@ class AbstractPotential(eqx.Module):
 
     @property
     @abstractmethod
-    def reference_curvature(self) -> SquareMatrix:
+    def reference_curvature(self) -> Rows:
         """Second derivatives by the forces, in the reference configuration; J."""
 
     @abstractmethod
@@ -61,6 +64,7 @@ class AbstractPotential(eqx.Module):
         The orders (0, 0, 0) are those of W itself. The sum of the orders is at most two.
         """
 
+    @abstractmethod
     def forces_at(self, compliant: Variables, stretches: Variables) -> Variables:
         """Find the forces at stretches by Newton's method.
 
@@ -71,15 +75,6 @@ class AbstractPotential(eqx.Module):
         run (100,000 values and derivatives), so the small Newton iterations of this
         library are loops of fixed length.
         """
-
-        def newton_step(_, forces: Variables) -> Variables:
-            at = PotentialDerivatives.of(self, compliant, forces)
-            return sums(forces, at.force_step(sums(stretches, at.by_forces)))
-
-        zeros = tuple(map(jnp.zeros_like, stretches))
-        forces = jax.lax.fori_loop(0, _STEPS, newton_step, zeros)
-        is_maximum = PotentialDerivatives.of(self, compliant, forces).is_maximum
-        return tuple(jnp.where(is_maximum, force, jnp.nan) for force in forces)
 
 
 class AbstractPolynomialPotential(AbstractPotential):
@@ -103,7 +98,7 @@ class OneForcePotential(AbstractPolynomialPotential):
     """
 
     @property
-    def reference_curvature(self) -> SquareMatrix:
+    def reference_curvature(self) -> Rows:
         return ((self.reference_derivative((0, 0, 2)),),)
 
     def derivatives(
@@ -146,7 +141,7 @@ class TwoForcePotential(AbstractPolynomialPotential):
     """
 
     @property
-    def reference_curvature(self) -> SquareMatrix:
+    def reference_curvature(self) -> Rows:
         first, both, second = map(
             self.reference_derivative, ((0, 2, 0), (0, 1, 1), (0, 0, 2))
         )
@@ -178,6 +173,18 @@ class TwoForcePotential(AbstractPolynomialPotential):
             for rule in chain_rules
         )
 
+    def forces_at(self, compliant: Variables, stretches: Variables) -> Variables:
+        def newton_step(_, forces: Variables) -> Variables:
+            at = PotentialDerivatives.of(self, compliant, forces)
+            return sums(forces, at.force_step(sums(stretches, at.by_forces)))
+
+        zeros = tuple(map(jnp.zeros_like, stretches))
+        forces = jax.lax.fori_loop(0, _STEPS, newton_step, zeros)
+        at = PotentialDerivatives.of(self, compliant, forces)
+        (first, both), (_, second) = at.by_forces_twice
+        is_maximum = (first < 0) & (first * second > both**2)
+        return tuple(jnp.where(is_maximum, force, jnp.nan) for force in forces)
+
 
 def _saturate(force: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Limit a relative force to the interval from -2 to 2, with two derivatives.
@@ -196,42 +203,31 @@ class PotentialDerivatives(NamedTuple):
     value: Scalar  # W
     by_compliant: Variables
     by_forces: Variables
-    by_compliant_twice: SquareMatrix
-    mixed: tuple[Variables, ...]  # by each coordinate (rows) and each force
-    by_forces_twice: SquareMatrix
+    by_compliant_twice: Rows
+    mixed: Rows  # by each coordinate (rows) and each force
+    by_forces_twice: Rows
 
     @classmethod
     def of(
         cls, potential: AbstractPotential, compliant: Variables, forces: Variables
     ) -> "PotentialDerivatives":
         """Evaluate them together, so that they share their sums."""
-        pairs = {
-            (i, j): sums(_UNITS[i], _UNITS[j]) for i in range(3) for j in range(i + 1)
-        }
-        orders = ((0, 0, 0), *_UNITS, *pairs.values())
-        value, *others = potential.derivatives(orders, compliant, forces)
-        gradient, second = others[:3], dict(zip(pairs, others[3:], strict=True))
-        hessian = [[second[max(i, j), min(i, j)] for j in range(3)] for i in range(3)]
-        n = len(compliant)
+        orders = tuple(row for row in product(range(3), repeat=3) if sum(row) <= 2)
+        values = potential.derivatives(orders, compliant, forces)
+        value_of = dict(zip(orders, values, strict=True))
 
-        def block(rows: slice, columns: slice) -> tuple[Variables, ...]:
-            return tuple(tuple(row[columns]) for row in hessian[rows])
+        def twice(rows: tuple[Orders, ...], columns: tuple[Orders, ...]) -> Rows:
+            return tuple(tuple(value_of[sums(i, j)] for j in columns) for i in rows)
 
-        c, f = slice(n), slice(n, 3)
+        c, f = _UNITS[: len(compliant)], _UNITS[len(compliant) :]
         return cls(
-            value, tuple(gradient[c]), tuple(gradient[f]), block(c, c), block(c, f),
-            block(f, f),
-        )  # fmt: skip
-
-    @property
-    def is_maximum(self) -> Array:
-        """Whether the second derivatives by the forces are negative definite."""
-        matrix = self.by_forces_twice
-        is_negative = matrix[0][0] < 0
-        if len(matrix) == 1:
-            return is_negative
-        (first, both), (_, second) = matrix
-        return is_negative & (first * second > both**2)
+            value=value_of[0, 0, 0],
+            by_compliant=tuple(value_of[row] for row in c),
+            by_forces=tuple(value_of[row] for row in f),
+            by_compliant_twice=twice(c, c),
+            mixed=twice(c, f),
+            by_forces_twice=twice(f, f),
+        )
 
     def force_step(self, residual: Variables) -> Variables:
         """Return the change of the forces that eliminates a residual; J."""
@@ -256,12 +252,12 @@ def sums(first: Sequence, second: Sequence) -> tuple:
     return tuple(map(add, first, second))
 
 
-def product(rows: Sequence[Variables], vector: Variables) -> Variables:
+def times(rows: Rows, vector: Variables) -> Variables:
     """Multiply a matrix by a vector."""
     return tuple(dot(row, vector) for row in rows)
 
 
-def transposed(rows: Sequence[Variables]) -> Sequence[Variables]:
+def transposed(rows: Rows) -> Rows:
     """Transpose a matrix."""
     return tuple(zip(*rows, strict=True))
 
@@ -336,7 +332,7 @@ def resisted_stretch_rates(
     forces = force_ratios(potential, compliant, stretches)
     state = PotentialDerivatives.of(potential, compliant, forces)
     compliant_rates, stretch_rates = rates
-    elastic = sums(stretch_rates, product(transposed(state.mixed), compliant_rates))
+    elastic = sums(stretch_rates, times(transposed(state.mixed), compliant_rates))
     now, reference = state.by_forces_twice, potential.reference_curvature
     # L^-T is the upper triangular factor U of the compliance U U^T.
     if len(elastic) == 1:
@@ -346,7 +342,7 @@ def resisted_stretch_rates(
     return a0 * (elastic[0] - b * second) / a + b0 * second, d0 * second
 
 
-def _upper_factor(curvature: SquareMatrix) -> tuple[Scalar, Scalar, Scalar]:
+def _upper_factor(curvature: Rows) -> tuple[Scalar, Scalar, Scalar]:
     """Factorize the compliance, minus the second derivatives by two forces."""
     (first, both), (_, second) = curvature
     d = jnp.sqrt(-second)

@@ -314,7 +314,7 @@ def _power_tables(
 
 def partial_derivative(
     tables: list[list[Any]], variables: tuple[int, ...]
-) -> Float[np.ndarray, "trials terms"]:
+) -> Float[AnyArray, "trials terms"]:
     """Differentiate each term once with respect to each of some variables."""
     return reduce(mul, [table[variables.count(k)] for k, table in enumerate(tables)])
 

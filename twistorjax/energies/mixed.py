@@ -8,7 +8,6 @@ any slenderness.
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Self
 
 import equinox as eqx
 import jax
@@ -82,7 +81,7 @@ class AbstractMixedEnergy(AbstractEnergy):
         self, displacement: Displacement
     ) -> tuple[Variables, Variables]:
         """Return the compliant coordinates (-) and the stretches (J)."""
-        return self._divided(self.coordinates_at(displacement))
+        return self._scaled(self.coordinates_at(displacement))
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         return maximum_over_forces(
@@ -103,12 +102,12 @@ class AbstractMixedEnergy(AbstractEnergy):
     def resisted_rates(self, displacement: Displacement, rates: Rates) -> Rates:
         """Return the rates of the compliant coordinates and of the elastic stretches.
 
-        A stretch is the displacement in a stiff direction without the part that belongs
-        to the compliant coordinates. The rates are multiplied by the square root of the
-        ratio of the stiffness to that in the reference configuration. A damping
-        proportional to the stiffness in the reference configuration then acts like one
-        proportional to the stiffness at this displacement, as in a solid with one damping
-        time for all strains.
+        An elastic stretch is the displacement in a stiff direction without the part that
+        belongs to the compliant coordinates. Its rate is multiplied by the square root of
+        the ratio of the stiffness to that in the reference configuration. A damping
+        proportional to the reference stiffness then acts like one proportional to the
+        stiffness at this displacement, as in a solid with one damping time for all
+        strains.
 
         Args:
             displacement: Displacement of frame b relative to frame a.
@@ -118,15 +117,15 @@ class AbstractMixedEnergy(AbstractEnergy):
             The rates; rad/s, m/s, m/s.
         """
         at = self.potential_variables(displacement)
-        stretch_rates = resisted_stretch_rates(self.potential, at, self._divided(rates))
+        stretch_rates = resisted_stretch_rates(self.potential, at, self._scaled(rates))
         resisted = list(rates)
         for k, rate in zip(self.stiff, stretch_rates, strict=True):
             resisted[k] = rate / self.units[k]
         rotation, axial, transverse = resisted
         return rotation, axial, transverse
 
-    def _divided(self, coordinates: Rates) -> tuple[Variables, Variables]:
-        """Divide compliant coordinates by units, and multiply those of stretches."""
+    def _scaled(self, coordinates: Rates) -> tuple[Variables, Variables]:
+        """Divide compliant coordinates by `units`, and multiply the others by them."""
         units = self.units
         return (
             tuple(coordinates[k] / units[k] for k in range(3) if k not in self.stiff),
@@ -176,19 +175,20 @@ class AbstractPolynomialMixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
             return error
         values = concrete(self.coefficients)
         squares = ((0, 2, 0), (0, 0, 2))[-len(self.stiff) :]
-        kinds = "compliance in a stiff direction", "axial compliance"
+        kind = "axial compliance"
+        if len(squares) == 2:
+            kind = "compliance in a stiff direction"
         for row in squares:
             if row not in self.powers or (
                 values is not None and values[self.powers.index(row)] >= 0
             ):
                 return (
                     f"the coefficient of the term with powers {row} is missing or not "
-                    "negative. It must be negative, so that the "
-                    f"{kinds[len(squares) == 1]} is positive."
+                    f"negative. It must be negative, so that the {kind} is positive."
                 )
         return None
 
-    def dilated(self, scale: Float[Array, "*batch"]) -> Self:
+    def dilated(self, scale: Float[Array, "*batch"]) -> AbstractEnergy:
         """Return the energy if all dimensions of the hinge are multiplied."""
         return multiply_fields(self, scale, coefficients=[3], length=1, force=2)
 

@@ -71,20 +71,17 @@ def mixed_equations(
         length: Reference length; m.
         force: Reference force; N.
     """
-    xp, (twists, forces, length, force) = on_host(twists, forces, length, force)
     compliant = [k for k in range(3) if k not in stiff]
     units = variable_units(stiff, length, force)
     units = [units[k] for k in (*compliant, *stiff)]
+    xp, (twists, forces, *units) = on_host(twists, forces, *units)
     columns = [*(twists[:, k] for k in compliant), *forces.T]
     variables = [column / unit for column, unit in zip(columns, units, strict=True)]
     exponents = np.array(powers)
-    tables = [power_derivatives(variables[k], exponents[:, k]) for k in range(3)]
-    if len(stiff) == 1:
-        # Outside of the reference force, W is continued by a parabola; see `MixedEnergy`.
-        inside = xp.clip(variables[2], -1.0, 1.0)
-        outside = (variables[2] - inside)[:, None]
-        n, dn, ddn = power_derivatives(inside, exponents[:, 2])
-        tables[2] = [n + outside * (dn + outside * ddn / 2), dn + outside * ddn, ddn]
+    of_coordinates, of_forces = range(len(compliant)), range(len(compliant), 3)
+    powers_of_force = power_derivatives if len(stiff) == 2 else _continued_powers
+    tables = [power_derivatives(variables[k], exponents[:, k]) for k in of_coordinates]
+    tables += [powers_of_force(variables[k], exponents[:, k]) for k in of_forces]
 
     def derivative(*indices: int) -> Float[AnyArray, "trials terms"]:
         """Differentiate the terms with respect to some of the variables."""
@@ -94,8 +91,6 @@ def mixed_equations(
         blocks = [[derivative(i, j) for j in columns] for i in rows]
         return xp.stack([xp.stack(row, axis=1) for row in blocks], axis=1)
 
-    count = len(compliant)
-    of_coordinates, of_forces = range(count), range(count, 3)
     gradient = [derivative(k) for k in of_coordinates]
     gradient += [-derivative(k) for k in of_forces]
     return MixedEquations(
@@ -107,6 +102,21 @@ def mixed_equations(
         compliance=-derivatives(of_forces, of_forces),
         energy=derivative(),
     )
+
+
+def _continued_powers(
+    values: Float[AnyArray, " trials"], exponents: np.ndarray
+) -> list[AnyArray]:
+    """Compute powers of the only relative force, with two derivatives.
+
+    Outside of the reference force, they are continued by parabolas; see `MixedEnergy`.
+    """
+    xp, (values,) = on_host(values)
+    inside = xp.clip(values, -1.0, 1.0)
+    outside = (values - inside)[:, None]
+    power, slope, curvature = power_derivatives(inside, exponents)
+    continued = power + outside * (slope + outside * curvature / 2)
+    return [continued, slope + outside * curvature, curvature]
 
 
 def weighted_equations(

@@ -63,17 +63,16 @@ def _quadratic_coefficients(
 ) -> dict[tuple[int, ...], Scalar]:
     """Return the coefficients that follow from the stiffness, and are not fitted; J."""
     compliant = [k for k in range(3) if k not in stiff]
-    units = variable_units(stiff, *references)
+    count, order = len(compliant), [*compliant, *stiff]
+    stiffness = stiffness[np.ix_(order, order)]
     # The displacements in the stiff directions are replaced by the forces.
-    of_forces = -jnp.linalg.inv(stiffness[np.ix_(stiff, stiff)])
-    transfer = -of_forces @ stiffness[np.ix_(stiff, compliant)]
-    of_coordinates = (
-        stiffness[np.ix_(compliant, compliant)]
-        - stiffness[np.ix_(compliant, stiff)] @ transfer
-    )
-    matrix = jnp.block([[of_coordinates, transfer.T], [transfer, of_forces]])
-    scale = jnp.stack([jnp.asarray(units[k]) for k in (*compliant, *stiff)])
-    matrix = matrix * scale[:, None] * scale
+    compliance = jnp.linalg.inv(stiffness[count:, count:])
+    transfer = compliance @ stiffness[count:, :count]
+    remaining = stiffness[:count, :count] - stiffness[:count, count:] @ transfer
+    matrix = jnp.block([[remaining, transfer.T], [transfer, -compliance]])
+    units = variable_units(stiff, *references)
+    scale = jnp.stack([jnp.asarray(units[k]) for k in order])
+    matrix = matrix * jnp.outer(scale, scale)
     coefficients = {}
     for i in range(3):
         for j in range(i + 1):

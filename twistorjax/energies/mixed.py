@@ -27,6 +27,7 @@ from .potentials import (
     AbstractPotential,
     dot,
     force_ratios,
+    force_step,
     maximum_over_forces,
     OneForcePotential,
     PotentialDerivatives,
@@ -309,7 +310,7 @@ def _model_energy(
     """Compute the energy (J) after one Newton step from predicted forces."""
     at = PotentialDerivatives.of(potential, compliant, forces)
     residual = sums(stretches, at.by_forces)
-    half = dot(residual, at.force_step(residual)) / 2
+    half = dot(residual, force_step(at.by_forces_twice, residual)) / 2
     return dot(stretches, forces) + at.value + half
 
 
@@ -338,7 +339,7 @@ def _model_gradient(
     are neglected.
     """
     at = PotentialDerivatives.of(potential, compliant, forces)
-    step = at.force_step(sums(stretches, at.by_forces))
+    step = force_step(at.by_forces_twice, sums(stretches, at.by_forces))
     return sums(at.by_compliant, times(at.mixed, step)), sums(forces, step)
 
 
@@ -347,9 +348,8 @@ def _(primals, tangents):
     potential, forces, compliant, _ = primals
     _, _, compliant_rates, stretch_rates = tangents
     at = PotentialDerivatives.of(potential, compliant, forces)
-    step = at.force_step(
-        sums(stretch_rates, times(transposed(at.mixed), compliant_rates))
-    )
+    elastic_rates = sums(stretch_rates, times(transposed(at.mixed), compliant_rates))
+    step = force_step(at.by_forces_twice, elastic_rates)
     slopes = times(at.by_compliant_twice, compliant_rates)
     rates = sums(slopes, times(at.mixed, step)), step
     return _model_gradient(*primals), rates

@@ -30,7 +30,7 @@ Variables = tuple[Scalar, ...]  # coordinates, forces, or stretches; or their ra
 Rows = tuple[Variables, ...]  # of a matrix
 
 # Orders of the first derivatives by the three variables
-_UNITS = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+_FIRST_ORDERS = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 _STEPS = 6  # of Newton's method
 
 
@@ -176,12 +176,12 @@ class TwoForcePotential(AbstractPolynomialPotential):
     def forces_at(self, compliant: Variables, stretches: Variables) -> Variables:
         def newton_step(_, forces: Variables) -> Variables:
             at = PotentialDerivatives.of(self, compliant, forces)
-            return sums(forces, at.force_step(sums(stretches, at.by_forces)))
+            step = force_step(at.by_forces_twice, sums(stretches, at.by_forces))
+            return sums(forces, step)
 
         zeros = tuple(map(jnp.zeros_like, stretches))
         forces = jax.lax.fori_loop(0, _STEPS, newton_step, zeros)
-        at = PotentialDerivatives.of(self, compliant, forces)
-        (first, both), (_, second) = at.by_forces_twice
+        _, ((first, both), (_, second)) = mixed_and_curvature(self, compliant, forces)
         is_maximum = (first < 0) & (first * second > both**2)
         return tuple(jnp.where(is_maximum, force, jnp.nan) for force in forces)
 
@@ -219,7 +219,7 @@ class PotentialDerivatives(NamedTuple):
         def twice(rows: tuple[Orders, ...], columns: tuple[Orders, ...]) -> Rows:
             return tuple(tuple(value_of[sums(i, j)] for j in columns) for i in rows)
 
-        c, f = _UNITS[: len(compliant)], _UNITS[len(compliant) :]
+        c, f = _FIRST_ORDERS[: len(compliant)], _FIRST_ORDERS[len(compliant) :]
         return cls(
             value=value_of[0, 0, 0],
             by_compliant=tuple(value_of[row] for row in c),
@@ -229,17 +229,29 @@ class PotentialDerivatives(NamedTuple):
             by_forces_twice=twice(f, f),
         )
 
-    def force_step(self, residual: Variables) -> Variables:
-        """Return the change of the forces that eliminates a residual; J."""
-        matrix = self.by_forces_twice
-        if len(matrix) == 1:
-            return (-residual[0] / matrix[0][0],)
-        (first, both), (_, second) = matrix
-        determinant = first * second - both**2
-        return (
-            (both * residual[1] - second * residual[0]) / determinant,
-            (both * residual[0] - first * residual[1]) / determinant,
-        )
+
+def mixed_and_curvature(
+    potential: AbstractPotential, compliant: Variables, forces: Variables
+) -> tuple[Rows, Rows]:
+    """Evaluate second derivatives by each coordinate and force, and by two forces; J."""
+    count = len(forces)
+    by_forces = _FIRST_ORDERS[-count:]
+    orders = tuple(sums(i, j) for i in _FIRST_ORDERS for j in by_forces)
+    values = potential.derivatives(orders, compliant, forces)
+    rows = tuple(values[k : k + count] for k in range(0, len(values), count))
+    return rows[:-count], rows[-count:]
+
+
+def force_step(curvature: Rows, residual: Variables) -> Variables:
+    """Return the change of the forces that eliminates a residual (J)."""
+    if len(curvature) == 1:
+        return (-residual[0] / curvature[0][0],)
+    (first, both), (_, second) = curvature
+    determinant = first * second - both**2
+    return (
+        (both * residual[1] - second * residual[0]) / determinant,
+        (both * residual[0] - first * residual[1]) / determinant,
+    )
 
 
 def dot(first: Variables, second: Variables) -> Scalar:
@@ -300,7 +312,7 @@ def force_ratios(
 @partial(force_ratios.defjvp, symbolic_zeros=True)
 def _(primals, tangents):
     forces = force_ratios(*primals)
-    by_forces = _UNITS[-len(forces) :]
+    by_forces = _FIRST_ORDERS[-len(forces) :]
 
     def residual(
         potential: AbstractPotential, compliant: Variables, stretches: Variables
@@ -309,8 +321,8 @@ def _(primals, tangents):
 
     _, residual_rates = jvp_of_varied(residual, primals, tangents)
     potential, compliant, _ = primals
-    at = PotentialDerivatives.of(potential, compliant, forces)
-    return forces, at.force_step(residual_rates)
+    _, curvature = mixed_and_curvature(potential, compliant, forces)
+    return forces, force_step(curvature, residual_rates)
 
 
 def resisted_stretch_rates(
@@ -330,10 +342,10 @@ def resisted_stretch_rates(
     """
     compliant, stretches = at
     forces = force_ratios(potential, compliant, stretches)
-    state = PotentialDerivatives.of(potential, compliant, forces)
+    mixed, now = mixed_and_curvature(potential, compliant, forces)
+    reference = potential.reference_curvature
     compliant_rates, stretch_rates = rates
-    elastic = sums(stretch_rates, times(transposed(state.mixed), compliant_rates))
-    now, reference = state.by_forces_twice, potential.reference_curvature
+    elastic = sums(stretch_rates, times(transposed(mixed), compliant_rates))
     # L^-T is the upper triangular factor U of the compliance U U^T.
     if len(elastic) == 1:
         return (jnp.sqrt(reference[0][0] / now[0][0]) * elastic[0],)

@@ -131,8 +131,8 @@ def test_a_guide_buckles_at_the_load_of_euler():
 @partial(jax.vmap, in_axes=(None, 0, 0))
 def forces_again(leaf, bending, force):
     """Compute axial forces from the axial displacements that they cause."""
-    (shortening,) = leaf.potential.derivatives(((0, 0, 1),), bending, force)
-    return leaf.potential.force_ratio(bending, -shortening)
+    (shortening,) = leaf.potential.derivatives(((0, 0, 1),), bending, (force,))
+    return leaf.potential.forces_at(bending, (-shortening,))[0]
 
 
 @pytest.mark.parametrize("slenderness", [1e3, 1e5, 1e7])

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -10,6 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
+
+
+Tree = TypeVar("Tree")
 
 
 def group_by_structure(trees: Sequence[Any]) -> list[list[int]]:
@@ -85,8 +88,8 @@ def is_zero(tangent: Any) -> bool:
 
 
 def jvp_of_varied(
-    function: Callable[..., Array], primals: tuple, tangents: tuple
-) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    function: Callable[..., Tree], primals: tuple, tangents: tuple
+) -> tuple[Tree, Tree]:
     """Compute a function, and its derivative in the direction of tangents.
 
     Args:
@@ -98,7 +101,11 @@ def jvp_of_varied(
     """
     rates = jax.tree.map(lambda rate: None if is_zero(rate) else rate, tangents)
     value, derivative = eqx.filter_jvp(function, primals, rates)
-    return value, jnp.zeros_like(value) if derivative is None else derivative
+
+    def materialized(part: Array, rate: Array | None) -> Array:
+        return jnp.zeros_like(part) if rate is None else rate
+
+    return value, jax.tree.map(materialized, value, derivative)
 
 
 def value_and_jacfwd(

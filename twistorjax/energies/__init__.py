@@ -3,13 +3,13 @@
 Start reading in `base`. A new energy is a subclass of `AbstractEnergy` with one method,
 `stored_energy(displacement)`, and may be defined in any file. The energy is written with
 `jax.numpy`, is twice differentiable, and its gradient is zero in the reference
-configuration. `base` and `protocols` contain the optional methods.
+configuration. The other methods of `AbstractEnergy` are optional.
 
-`quadratic`, `polynomial` (also rational energies), `mixed` (flexures), and
-`point_charges` contain the energies of this library. `damping` contains viscous damping,
-and `validity` the range in which an energy is valid. The package `fitting` determines
-energies from measured wrenches. The other files contain the coordinates and polynomials
-that they share.
+`quadratic`, `polynomial` (also rational energies), `mixed`, `one_freedom`, and
+`beam_column` (flexures), and `point_charges` contain the energies of this library.
+`damping` contains viscous damping, and `validity` the range in which an energy is valid.
+The package `fitting` determines energies from measured wrenches. The other files contain
+the coordinates, polynomials, and potentials that they share.
 """
 
 import lazy_loader

@@ -10,10 +10,11 @@ from .._utils.types import Flag, NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry import se2
 from ..geometry.twistors import Displacement
+from .base import Rates
 from .dilation import multiply_fields
 from .evaluation import Orders
 from .mixed import AbstractMixedEnergy
-from .potentials import AbstractPotential, Bending
+from .potentials import AbstractPotential, Rows, Variables
 from .strains import strain
 from .stress_model import AbstractStressModel
 
@@ -114,14 +115,10 @@ class BeamColumn(AbstractMixedEnergy):
         """The force E I / length^2; N."""
         return self.bending_stiffness / self.length**2
 
-    def potential_variables(self, displacement: Displacement) -> tuple[Bending, Scalar]:
-        transverse = 2 * displacement.x2 / self.length
-        axial = self.reference_force * 2 * displacement.x1
-        return (displacement.angle, transverse), axial
+    def coordinates_at(self, displacement: Displacement) -> Rates:
+        return displacement.angle, 2 * displacement.x1, 2 * displacement.x2
 
-    def resisted_rates(
-        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
-    ) -> tuple[Scalar, Scalar, Scalar]:
+    def resisted_rates(self, displacement: Displacement, rates: Rates) -> Rates:
         def in_mid_frame(rotation: Scalar, axial: Scalar, transverse: Scalar):
             scale = se2.sinc(rotation / 2)
             return rotation, scale * axial, scale * transverse
@@ -138,12 +135,12 @@ class BeamColumn(AbstractMixedEnergy):
 
     def out_of_range(self, displacement: Displacement) -> Flag:
         """Decide whether bending, buckling, or the axial strain is out of range."""
-        variables, axial = self.potential_variables(displacement)
+        variables, (axial,) = self.potential_variables(displacement)
         bending = self._square_in_ellipse(displacement)
         # The derivative of the energy by the axial force decreases with it. So the force
         # is above its limit if the derivative at the limit is positive.
         lowest = (1 + 1e-9) * self._lowest_force_ratio(bending)
-        (slope,) = self.potential.derivatives(((0, 0, 1),), variables, lowest)
+        (slope,) = self.potential.derivatives(((0, 0, 1),), variables, (lowest,))
         stretch = axial / self.bending_stiffness * self.length
         return (bending > 1 + 1e-9) | (axial + slope < 0) | (stretch > _STRAIN)
 
@@ -206,8 +203,8 @@ class BeamColumnPotential(AbstractPotential):
     shear: Scalar | None
 
     @property
-    def reference_curvature(self) -> Scalar:
-        return -self.bending * self.stretch
+    def reference_curvature(self) -> Rows:
+        return ((-self.bending * self.stretch,),)
 
     @property
     def buckling_ratio(self) -> Scalar:
@@ -220,10 +217,11 @@ class BeamColumnPotential(AbstractPotential):
         return 2 * _EULER / (1 + jnp.sqrt(1 + 4 * _EULER * (self.shear - self.stretch)))
 
     def derivatives(
-        self, orders: tuple[Orders, ...], bending: Bending, force_ratio: Scalar
-    ) -> tuple[Scalar, ...]:
-        rotation, transverse = bending
-        p, one = force_ratio, jnp.ones_like(force_ratio)
+        self, orders: tuple[Orders, ...], compliant: Variables, forces: Variables
+    ) -> Variables:
+        rotation, transverse = compliant
+        (p,) = forces
+        one = jnp.ones_like(p)
         r, s, quartic = self._functions(p)
         a, b = rotation**2, transverse**2
         slope_a, slope_b, slope = _quartic_slopes(a, b)
@@ -250,15 +248,15 @@ class BeamColumnPotential(AbstractPotential):
         }
         return tuple(self.bending * values[order] for order in orders)
 
-    def force_ratio(self, bending: Bending, axial: Scalar) -> Scalar:
+    def forces_at(self, compliant: Variables, stretches: Variables) -> Variables:
         # The derivative of `p axial + W` is convex and decreasing. So Newton's iterations
         # increase monotonically to its zero if they start below, as they do after a step
         # from p = 0. If this step passes the pole of the derivative, a lower bound of the
         # zero follows from the pole alone, or is the force below which W is continued:
         # there, the derivative is not convex. Ten steps reach rounding errors for axial
         # displacements up to a tenth of the length, and any slenderness.
-        axial = axial / self.bending
-        a, b = bending[0] ** 2, bending[1] ** 2
+        axial = stretches[0] / self.bending
+        a, b = compliant[0] ** 2, compliant[1] ** 2
         _, _, slope = _quartic_slopes(a, b)
 
         def excess_and_slope(p: Scalar) -> tuple[Scalar, Scalar]:
@@ -283,7 +281,7 @@ class BeamColumnPotential(AbstractPotential):
         buckled, _ = excess_and_slope(continued_below)
         lowest = jnp.maximum(lowest, continued_below)
         lowest = jnp.where(buckled > 0, lowest, -jnp.inf)
-        return jax.lax.fori_loop(0, 11, newton_step, jnp.zeros_like(axial))
+        return (jax.lax.fori_loop(0, 11, newton_step, jnp.zeros_like(axial)),)
 
     def _functions(self, p: Scalar) -> tuple[list[Scalar], ...]:
         """Evaluate the functions of the relative axial force, with two derivatives."""

@@ -238,8 +238,8 @@ def term_wrenches(
     energies = reduce(mul, [power for power, *_ in tables])
     gradients = np.zeros((len(poses), 3, len(powers)))
     for k in range(len(tables)):
-        partial_derivative = _partial_derivative(tables, (k,))
-        gradients += slopes[:, k, :, None] * partial_derivative[:, None]
+        by_variable = partial_derivative(tables, (k,))
+        gradients += slopes[:, k, :, None] * by_variable[:, None]
     c, s = np.cos(poses[:, :1]), np.sin(poses[:, :1])
     moment, force_x, force_y = np.moveaxis(gradients, 1, 0)
     wrenches = moment, c * force_x + s * force_y, c * force_y - s * force_x
@@ -262,10 +262,10 @@ def term_stiffnesses(
     tables = _power_tables(values, powers)
     stiffnesses = np.zeros((3, 3, len(powers)))
     for k in range(len(tables)):
-        stiffnesses += curvatures[0, k, :, :, None] * _partial_derivative(tables, (k,))
+        stiffnesses += curvatures[0, k, :, :, None] * partial_derivative(tables, (k,))
         for other in range(len(tables)):
             product = np.outer(slopes[0, k], slopes[0, other])
-            stiffnesses += product[..., None] * _partial_derivative(tables, (k, other))
+            stiffnesses += product[..., None] * partial_derivative(tables, (k, other))
     return stiffnesses
 
 
@@ -312,9 +312,9 @@ def _power_tables(
     ]
 
 
-def _partial_derivative(
+def partial_derivative(
     tables: list[list[Any]], variables: tuple[int, ...]
-) -> Float[np.ndarray, "trials terms"]:
+) -> Float[AnyArray, "trials terms"]:
     """Differentiate each term once with respect to each of some variables."""
     return reduce(mul, [table[variables.count(k)] for k, table in enumerate(tables)])
 

@@ -1,13 +1,13 @@
-"""Energy of flexures that are compliant in two directions and stiff along their axis.
+"""Energy of flexures with one or two stiff directions.
 
 The energy of such a flexure is hard to approximate as a function of its displacement: a
 small axial displacement causes a large force, and the axial shortening by bending depends
-on all coordinates. As a function of the axial force it is smooth for any slenderness.
+on all coordinates. As a function of the forces in the stiff directions it is smooth for
+any slenderness.
 """
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,18 +18,25 @@ from .._utils.host import as_float, concrete
 from .._utils.types import CoefficientsLike, NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy
+from .base import AbstractEnergy, Rates, Stress
 from .damping import ViscousDamping
 from .dilation import multiply_fields
 from .monomials import Powers, VARIABLES
 from .polynomial import coefficients_error, require_coefficients, require_powers
 from .potentials import (
     AbstractPotential,
-    AXIAL_COMPLIANCE,
-    axial_force_ratio,
-    Bending,
-    maximum_over_force,
-    PolynomialPotential,
+    dot,
+    force_ratios,
+    force_step,
+    maximum_over_forces,
+    OneForcePotential,
+    PotentialDerivatives,
+    resisted_stretch_rates,
+    sums,
+    times,
+    transposed,
+    variable_units,
+    Variables,
 )
 from .quadratic import CoordinateEnergy
 from .strains import Coordinates, strain
@@ -37,53 +44,71 @@ from .stress_model import AbstractStressModel
 
 
 class AbstractMixedEnergy(AbstractEnergy):
-    """Energy of a flexure that is stiff along its axis, from a potential W.
+    """Energy of a flexure that is stiff in one or two directions, from a potential W.
 
-    `W(tau, t2, n)` is a function of the rotation `tau`, the transverse displacement `t2`
-    and the axial force `n`. The energy of the displacement `(tau, t1, t2)` is the maximum
-    of `n t1 + W(tau, t2, n)` over `n`, and the maximizing `n` is the axial force.
+    `W(c, f)` is a function of the coordinates `c` in the compliant directions and of the
+    forces `f` in the stiff ones. The energy is the maximum of `f . s + W(c, f)` over f,
+    where `s` are the displacements in the stiff directions, and the maximizing f are the
+    forces.
     """
 
-    length: eqx.AbstractVar[Scalar]  # by which `t2` is divided; m
+    length: eqx.AbstractVar[Scalar]  # Reference length; m
+
+    @property
+    def stiff(self) -> tuple[int, ...]:
+        """The stiff directions: 0 for rotation, 1 for axial, and 2 for transverse."""
+        return (1,)
 
     @property
     @abstractmethod
     def potential(self) -> AbstractPotential:
-        """The potential W of `tau`, `t2 / length` and `n / reference_force`."""
+        """The potential W of the coordinates and forces, divided by `units`."""
 
     @property
     @abstractmethod
     def reference_force(self) -> Scalar:
-        """Force by which the axial force is divided; N."""
+        """Reference force; N."""
 
     @abstractmethod
-    def potential_variables(self, displacement: Displacement) -> tuple[Bending, Scalar]:
-        """Return `(tau, t2 / length)` of a displacement, and `t1 reference_force`; J."""
+    def coordinates_at(self, displacement: Displacement) -> Rates:
+        """Return rotation, axial, and transverse displacement; rad, m, m."""
+
+    @property
+    def units(self) -> tuple[Scalar | float, ...]:
+        """Reference values of coordinates and forces; see `variable_units`."""
+        return variable_units(self.stiff, self.length, self.reference_force)
+
+    def potential_variables(
+        self, displacement: Displacement
+    ) -> tuple[Variables, Variables]:
+        """Return the compliant coordinates (-) and the stretches (J)."""
+        return self._scaled(self.coordinates_at(displacement))
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        return maximum_over_force(self.potential, *self.potential_variables(displacement))
+        return maximum_over_forces(
+            self.potential, *self.potential_variables(displacement)
+        )
 
     def axial_force(self, displacement: Displacement) -> Scalar:
         """Compute the axial force at a displacement; N."""
-        variables = self.potential_variables(displacement)
-        return self.reference_force * axial_force_ratio(self.potential, *variables)
+        ratios = force_ratios(self.potential, *self.potential_variables(displacement))
+        return self.reference_force * ratios[self.stiff.index(1)]
 
-    def newton_model(self, stress: tuple[Scalar, Scalar, Scalar]) -> "AbstractEnergy":
-        return _NewtonModel(self, stress[1] / self.reference_force)
+    def newton_model(self, stress: Stress) -> AbstractEnergy:
+        return _NewtonModel(self, tuple(stress[k] / self.units[k] for k in self.stiff))
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
         return ViscousDamping(time * self.tangent_stiffness(), "twist", resisted=True)
 
-    def resisted_rates(
-        self, displacement: Displacement, rates: tuple[Scalar, Scalar, Scalar]
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        """Return the rates of rotation, axial stretch, and transverse displacement.
+    def resisted_rates(self, displacement: Displacement, rates: Rates) -> Rates:
+        """Return the rates of the compliant coordinates and of the elastic stretches.
 
-        The axial stretch is the axial displacement without the part due to bending. Its
-        rate is multiplied by `sqrt(k / k0)`, where k is the axial stiffness at this
-        displacement and k0 that in the reference configuration. A damping proportional to
-        k0 then acts like one proportional to k, as in a solid with one damping time for
-        all strains.
+        An elastic stretch is the displacement in a stiff direction without the part that
+        belongs to the compliant coordinates. Its rate is multiplied by the square root of
+        the ratio of the stiffness to that in the reference configuration. A damping
+        proportional to the reference stiffness then acts like one proportional to the
+        stiffness at this displacement, as in a solid with one damping time for all
+        strains.
 
         Args:
             displacement: Displacement of frame b relative to frame a.
@@ -92,21 +117,84 @@ class AbstractMixedEnergy(AbstractEnergy):
         Returns:
             The rates; rad/s, m/s, m/s.
         """
-        potential = self.potential
-        bending, axial = self.potential_variables(displacement)
-        by_rotation, by_transverse, curvature = potential.derivatives(
-            ((1, 0, 1), (0, 1, 1), (0, 0, 2)),
-            bending,
-            axial_force_ratio(potential, bending, axial),
+        at = self.potential_variables(displacement)
+        stretch_rates = resisted_stretch_rates(self.potential, at, self._scaled(rates))
+        resisted = list(rates)
+        for k, rate in zip(self.stiff, stretch_rates, strict=True):
+            resisted[k] = rate / self.units[k]
+        rotation, axial, transverse = resisted
+        return rotation, axial, transverse
+
+    def _scaled(self, coordinates: Rates) -> tuple[Variables, Variables]:
+        """Divide compliant coordinates by `units`, and multiply the others by them."""
+        units = self.units
+        return (
+            tuple(coordinates[k] / units[k] for k in range(3) if k not in self.stiff),
+            tuple(coordinates[k] * units[k] for k in self.stiff),
         )
-        transverse_rate = rates[2] / self.length
-        bending_rate = by_rotation * rates[0] + by_transverse * transverse_rate
-        rate = rates[1] + bending_rate / self.reference_force
-        growth = jnp.sqrt(potential.reference_curvature / curvature)
-        return rates[0], rate * growth, rates[2]
 
 
-class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
+class AbstractPolynomialMixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
+    """A mixed energy whose potential is a polynomial of components of the twist."""
+
+    coefficients: Float[Array, " terms"]
+    length: Scalar
+    force: Scalar
+    powers: Powers = eqx.field(static=True)
+
+    def _set(
+        self,
+        coefficients: CoefficientsLike,
+        powers: Sequence[Sequence[int]],
+        names: Sequence[str],
+        length: NumberLike,
+        force: NumberLike,
+    ) -> None:
+        """Check the fields that all these energies have, and set them."""
+        self.powers = require_powers(powers, names)
+        self.coefficients = as_float(coefficients)
+        self.length = require_positive("`length`", length)
+        self.force = require_positive("`force`", force)
+        require_coefficients(self, self.coefficients, self.powers)
+
+    @property
+    def reference_force(self) -> Scalar:
+        """Reference force; N."""
+        return self.force
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """All coordinates are components of the twist."""
+        return "twist"
+
+    def coordinates_at(self, displacement: Displacement) -> Rates:
+        return strain(displacement, "twist")
+
+    def validation_error(self) -> str | None:
+        """Describe an invalid coefficient; None if all are valid."""
+        if error := coefficients_error(self.coefficients, self.powers):
+            return error
+        values = concrete(self.coefficients)
+        squares = ((0, 2, 0), (0, 0, 2))[-len(self.stiff) :]
+        kind = "axial compliance"
+        if len(squares) == 2:
+            kind = "compliance in a stiff direction"
+        for row in squares:
+            if row not in self.powers or (
+                values is not None and values[self.powers.index(row)] >= 0
+            ):
+                return (
+                    f"the coefficient of the term with powers {row} is missing or not "
+                    f"negative. It must be negative, so that the {kind} is positive."
+                )
+        return None
+
+    def dilated(self, scale: Float[Array, "*batch"]) -> AbstractEnergy:
+        """Return the energy if all dimensions of the hinge are multiplied."""
+        return multiply_fields(self, scale, coefficients=[3], length=1, force=2)
+
+
+class MixedEnergy(AbstractPolynomialMixedEnergy):
     """Energy of a flexure, from a polynomial of rotation, displacement and axial force.
 
     `W(tau, t2, n)` is a polynomial of the rotation `tau`, the transverse displacement
@@ -152,10 +240,6 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
         Array([6.  , 1.92], dtype=float64)
     """
 
-    coefficients: Float[Array, " terms"]
-    length: Scalar
-    force: Scalar
-    powers: Powers = eqx.field(static=True)
     flexure: bool = eqx.field(static=True, default=False)
     stress_model: AbstractStressModel | None = None
 
@@ -171,11 +255,7 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
     ):
         self.flexure = flexure
         self.stress_model = stress_model
-        self.powers = require_powers(powers, VARIABLES["mixed"])
-        self.coefficients = as_float(coefficients)
-        self.length = require_positive("`length`", length)
-        self.force = require_positive("`force`", force)
-        require_coefficients(self, self.coefficients, self.powers)
+        self._set(coefficients, powers, VARIABLES["mixed"], length, force)
 
     @property
     def order(self) -> int:
@@ -183,37 +263,9 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
         return max(row[0] + row[1] for row in self.powers)
 
     @property
-    def potential(self) -> PolynomialPotential:
+    def potential(self) -> OneForcePotential:
         """The polynomial W."""
-        return PolynomialPotential(self.coefficients, self.powers)
-
-    @property
-    def reference_force(self) -> Scalar:
-        """Reference force; N."""
-        return self.force
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """Rotation and displacements are components of the twist."""
-        return "twist"
-
-    def potential_variables(self, displacement: Displacement) -> tuple[Bending, Scalar]:
-        rotation, axial, transverse = strain(displacement, "twist")
-        return (rotation, transverse / self.length), self.force * axial
-
-    def validation_error(self) -> str | None:
-        """Describe an invalid coefficient; None if all are valid."""
-        if error := coefficients_error(self.coefficients, self.powers):
-            return error
-        values = concrete(self.coefficients)
-        if AXIAL_COMPLIANCE not in self.powers or (
-            values is not None and values[self.powers.index(AXIAL_COMPLIANCE)] >= 0
-        ):
-            return (
-                "the coefficient of the term with powers (0, 0, 2) is missing or not "
-                "negative. It must be negative, so that the axial compliance is positive."
-            )
-        return None
+        return OneForcePotential(self.coefficients, self.powers)
 
     def range_share(self, displacement: Displacement) -> Scalar | None:
         """Compute the share of a displacement in that at which it errs by 5 %.
@@ -229,134 +281,75 @@ class MixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
         ratio = self.axial_force(displacement) / self.force
         return jnp.maximum(bending, jnp.maximum(ratio / 84.3, -ratio / 8.17))
 
-    def dilated(self, scale: Float[Array, "*batch"]) -> "MixedEnergy":
-        """Return the energy if all dimensions of the hinge are multiplied."""
-        return multiply_fields(self, scale, coefficients=[3], length=1, force=2)
-
 
 class _NewtonModel(AbstractEnergy):
-    """Replacement of a mixed energy in Newton's method, near a predicted axial force.
+    """Replacement of a mixed energy in Newton's method, near predicted forces.
 
-    The axial displacement and the axial force are independent unknowns, and the residual
-    of their relation is eliminated to first order. With the energy itself, a transverse
-    Newton step would stretch the flexure, because the axial shortening by bending is of
-    second order. The large axial force of this stretch would slow down Newton's method.
+    The displacements and the forces in the stiff directions are independent unknowns, and
+    the residual of their relation is eliminated to first order. With the energy itself, a
+    transverse Newton step would stretch the flexure, because the axial shortening by
+    bending is of second order. The large axial force of this stretch would slow down
+    Newton's method.
     """
 
     energy: AbstractMixedEnergy
-    # Predicted axial force divided by the reference force, `n / force`
-    force_ratio: Scalar
+    forces: Variables  # Predicted forces, over their reference values
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        energy = self.energy
-        bending, axial = energy.potential_variables(displacement)
-        return _model_energy(energy.potential, self.force_ratio, axial, *bending)
+        variables = self.energy.potential_variables(displacement)
+        return _model_energy(self.energy.potential, self.forces, *variables)
 
 
 @jax.custom_jvp
 def _model_energy(
     potential: AbstractPotential,
-    force_ratio: Scalar,
-    axial: Scalar,
-    rotation: Scalar,
-    transverse: Scalar,
+    forces: Variables,
+    compliant: Variables,
+    stretches: Variables,
 ) -> Scalar:
-    """Compute the energy (J) after one Newton step from a predicted axial force.
-
-    The last three arguments are the axial displacement times the reference force (J), the
-    rotation (rad), and the relative transverse displacement.
-    """
-    at = _PotentialAt.of(potential, (rotation, transverse), force_ratio)
-    residual = axial + at.by_force
-    return axial * force_ratio + at.value - residual**2 / (2 * at.by_force_twice)
+    """Compute the energy (J) after one Newton step from predicted forces."""
+    at = PotentialDerivatives.of(potential, compliant, forces)
+    residual = sums(stretches, at.by_forces)
+    half = dot(residual, force_step(at.by_forces_twice, residual)) / 2
+    return dot(stretches, forces) + at.value + half
 
 
-# Derivatives with respect to the potential and the predicted force are not implemented:
+# Derivatives with respect to the potential and the predicted forces are not implemented:
 # Newton's method calls these functions on a system without derivatives (`stop_gradient`
 # in `solve.statics`).
 @_model_energy.defjvp
 def _(primals, tangents):
-    by_axial, by_rotation, by_transverse = _model_gradient(*primals)
-    axial, rotation, transverse = tangents[2:]
-    rate = by_axial * axial + by_rotation * rotation + by_transverse * transverse
+    by_compliant, forces = _model_gradient(*primals)
+    _, _, compliant_rates, stretch_rates = tangents
+    rate = dot(by_compliant, compliant_rates) + dot(forces, stretch_rates)
     return _model_energy(*primals), rate
 
 
 @jax.custom_jvp
 def _model_gradient(
     potential: AbstractPotential,
-    force_ratio: Scalar,
-    axial: Scalar,
-    rotation: Scalar,
-    transverse: Scalar,
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Compute the gradient of the model energy with respect to its last three arguments.
+    forces: Variables,
+    compliant: Variables,
+    stretches: Variables,
+) -> tuple[Variables, Variables]:
+    """Compute the gradient of the model energy with respect to its last two arguments.
 
-    The gradient is correct to first order in the residual, `axial` plus the derivative of
-    W with respect to the force. In its derivative, terms of this order are neglected.
+    The gradient is correct to first order in the residual, the stretches plus the
+    derivatives of W with respect to the forces. In its derivative, terms of this order
+    are neglected.
     """
-    at = _PotentialAt.of(potential, (rotation, transverse), force_ratio)
-    return at.corrected_gradient(force_ratio, axial)
+    at = PotentialDerivatives.of(potential, compliant, forces)
+    step = force_step(at.by_forces_twice, sums(stretches, at.by_forces))
+    return sums(at.by_compliant, times(at.mixed, step)), sums(forces, step)
 
 
 @_model_gradient.defjvp
 def _(primals, tangents):
-    potential, force_ratio, axial, rotation, transverse = primals
-    axial_rate, rotation_rate, transverse_rate = tangents[2:]
-    at = _PotentialAt.of(potential, (rotation, transverse), force_ratio)
-    residual_rate = axial_rate + (
-        at.mixed[0] * rotation_rate + at.mixed[1] * transverse_rate
-    )
-    force_rate = -residual_rate / at.by_force_twice
-    h11, h12, h22 = at.by_bending_twice
-    moment_rate = h11 * rotation_rate + h12 * transverse_rate
-    shear_rate = h12 * rotation_rate + h22 * transverse_rate
-    rates = (
-        force_rate,
-        moment_rate + force_rate * at.mixed[0],
-        shear_rate + force_rate * at.mixed[1],
-    )
-    return at.corrected_gradient(force_ratio, axial), rates
-
-
-class _PotentialAt(NamedTuple):
-    """W and its derivatives by bending and by the relative axial force; J."""
-
-    value: Scalar  # W
-    by_force: Scalar  # Derivative by the force
-    by_force_twice: Scalar  # Second derivative by the force
-    # Derivatives by the rotation and the transverse displacement
-    by_bending: tuple[Scalar, Scalar]
-    mixed: tuple[Scalar, Scalar]  # Derivatives by each of these two and the force
-    # Second derivatives by these two: 11, 12, 22
-    by_bending_twice: tuple[Scalar, Scalar, Scalar]
-
-    @classmethod
-    def of(
-        cls,
-        potential: AbstractPotential,
-        bending: Bending,
-        force_ratio: Scalar,
-    ) -> "_PotentialAt":
-        """Evaluate them together, so that they share their sums."""
-        orders = (
-            (0, 0, 0), (0, 0, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0),
-            (1, 0, 1), (0, 1, 1), (2, 0, 0), (1, 1, 0), (0, 2, 0),
-        )  # fmt: skip
-        value, by_force, by_force_twice, *others = potential.derivatives(
-            orders, bending, force_ratio
-        )
-        r, t, rn, tn, rr, rt, tt = others
-        return cls(value, by_force, by_force_twice, (r, t), (rn, tn), (rr, rt, tt))
-
-    def corrected_gradient(
-        self, force_ratio: Scalar, axial: Scalar
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        """Correct the gradient to first order in the residual; see `_model_gradient`."""
-        correction = -(axial + self.by_force) / self.by_force_twice
-        by_rotation, by_transverse = self.by_bending
-        return (
-            force_ratio + correction,
-            by_rotation + correction * self.mixed[0],
-            by_transverse + correction * self.mixed[1],
-        )
+    potential, forces, compliant, _ = primals
+    _, _, compliant_rates, stretch_rates = tangents
+    at = PotentialDerivatives.of(potential, compliant, forces)
+    elastic_rates = sums(stretch_rates, times(transposed(at.mixed), compliant_rates))
+    step = force_step(at.by_forces_twice, elastic_rates)
+    slopes = times(at.by_compliant_twice, compliant_rates)
+    rates = sums(slopes, times(at.mixed, step)), step
+    return _model_gradient(*primals), rates

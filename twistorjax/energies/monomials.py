@@ -31,11 +31,12 @@ VARIABLES = {
     "mixed": ("tau", "t2", "n"),
 }
 
-# The variables whose sign changes under the symmetry operation
+# The variables whose sign changes under the symmetry operation; m and n2 are those of a
+# `OneFreedomEnergy`
 _ODD_VARIABLES = {
-    "mirror": {"xi", "x2", "tau", "t2"},
-    "ends": {"xi", "tau"},
-    "arch": {"x2", "t2"},
+    "mirror": {"xi", "x2", "tau", "t2", "m", "n2"},
+    "ends": {"xi", "tau", "m"},
+    "arch": {"x2", "t2", "n2"},
     "exchange": {"xi", "x1", "x2", "tau", "t1", "t2", "n"},
     "sign": {"sigma", "xi", "x1", "x2"},
 }
@@ -112,7 +113,6 @@ def monomials(
                 f"it for the coordinates {coordinates!r}."
             )
         kinds.extend(leaf if kind == "leaf" else (kind,))
-    odd = [[name in _ODD_VARIABLES[kind] for name in names] for kind in kinds]
     largest_powers = [order] * len(names)
     if coordinates == "twistor" and not redundant:
         largest_powers[0] = min(order, 1)
@@ -122,12 +122,17 @@ def monomials(
     # The power of the last variable varies most slowly.
     rows = product(*(range(largest + 1) for largest in reversed(largest_powers)))
     powers = (tuple(reversed(row)) for row in rows)
+    limited_powers = [row for row in powers if sum(row[limited]) <= order]
+    return symmetric_terms(limited_powers, names, kinds)
 
-    def is_symmetric(row: tuple[int, ...]) -> bool:
-        return all(np.dot(row, parity) % 2 == 0 for parity in odd)
 
+def symmetric_terms(
+    powers: Sequence[tuple[int, ...]], names: Sequence[str], symmetries: Sequence[str]
+) -> Powers:
+    """Select the monomials of named variables that have all symmetries."""
+    odd = [[name in _ODD_VARIABLES[kind] for name in names] for kind in symmetries]
     return tuple(
-        row for row in powers if sum(row[limited]) <= order and is_symmetric(row)
+        row for row in powers if all(np.dot(row, parity) % 2 == 0 for parity in odd)
     )
 
 

@@ -24,7 +24,8 @@ from .mixed_equations import (
 from .trials import Trials
 
 
-_AXIAL_STEPS = 6  # of Newton's method for the axial force; see `axial_force_ratio`
+_AXIAL = (1,)  # the stiff directions; see `AbstractMixedEnergy.stiff`
+_AXIAL_STEPS = 6  # of Newton's method for the axial force; see `OneForcePotential`
 _RELATIVE_TOLERANCE = 1e-9  # on the change of the predictions in a step
 
 
@@ -80,7 +81,9 @@ def fit_mixed(
     ) -> ConstrainedSolution:
         """Solve with the weights of a previous solution."""
         with np.errstate(all="ignore"):  # implausible trials may overflow
-            equations = mixed_equations(powers, data.twists, axial_forces, length, force)
+            equations = mixed_equations(
+                powers, _AXIAL, data.twists, axial_forces[:, None], length, force
+            )
             weighted = weighted_equations(data, equations, coefficients)
             rows, targets = map(np.asarray, weighted)
         if trials.energies is not None:
@@ -212,9 +215,9 @@ def _predict(
             ratios = inside - residual / polyval(inside, curvature, tensor=False)
         is_maximum = polyval(np.clip(ratios, -1.0, 1.0), curvature, tensor=False) < 0
         forces = np.where(is_maximum, force * ratios, np.nan)
-        at = mixed_equations(powers, data.twists, forces, length, force)
-        transverse_forces = at.transverse_force @ coefficients
-        stresses = np.stack([at.moment @ coefficients, forces, transverse_forces], axis=1)
+        at = mixed_equations(powers, _AXIAL, data.twists, forces[:, None], length, force)
+        moments, transverse_forces, _ = (at.conjugates @ coefficients).T
+        stresses = np.stack([moments, forces, transverse_forces], axis=1)
         residuals = np.einsum("sij,sj->si", data.to_wrenches, stresses - data.stresses)
         if trials.energies is not None:
             energies = forces * axial + at.energy @ coefficients

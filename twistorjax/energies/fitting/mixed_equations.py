@@ -1,11 +1,12 @@
-"""Equations for the coefficients of a `MixedEnergy`; see `fit_mixed`.
+"""Equations for the coefficients of the potential W of a mixed energy.
 
-The moment, the transverse force and the axial displacement are derivatives of the mixed
-potential W, so they are linear in its coefficients if the axial force is given. NumPy
-evaluates them for measured trials, because a program of JAX for each order would compile
-for longer than the fit takes.
+The forces in the compliant directions and the displacements in the stiff directions are
+derivatives of W, so they are linear in its coefficients if the forces in the stiff
+directions are given. NumPy evaluates them for measured trials, because a program of JAX
+for each order would compile for longer than the fit takes.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -16,8 +17,9 @@ from jaxtyping import Array, Float
 from ..._utils.host import on_host
 from ..._utils.types import Matrix, Pose, Scalar, Twist
 from ...geometry import se2
-from ..evaluation import AnyArray, power_derivatives
+from ..evaluation import AnyArray, partial_derivative, power_derivatives
 from ..monomials import Powers
+from ..potentials import variable_units
 
 
 class MixedTrials(NamedTuple):
@@ -36,64 +38,85 @@ class MixedEquations(NamedTuple):
     The contributions of a term are those for a coefficient of one joule.
     """
 
-    # Axial force at which the terms are evaluated; N
-    axial_forces: Float[AnyArray, " trials"]
-    # Contributions to the derivative with respect to the rotation; N m
-    moment: Float[AnyArray, "trials terms"]
-    # Contributions to the derivative with respect to the transverse displacement; N
-    transverse_force: Float[AnyArray, "trials terms"]
-    # Contributions to the axial displacement; m
-    axial_displacement: Float[AnyArray, "trials terms"]
-    # Contributions to the derivative of the axial displacement with respect to the axial
-    # force; m/N
-    axial_compliance: Float[AnyArray, "trials terms"]
-    # Derivatives of `moment` with respect to the axial force; m
-    moment_sensitivity: Float[AnyArray, "trials terms"]
-    # Derivatives of `transverse_force` with respect to the axial force; dimensionless
-    transverse_sensitivity: Float[AnyArray, "trials terms"]
+    # The compliant directions, and the stiff ones, in the order of the variables of W
+    compliant: np.ndarray
+    stiff: np.ndarray
+    # Forces in the stiff directions at which the terms are evaluated; N m, N
+    forces: Float[AnyArray, "trials stiff"]
+    # Contributions to the forces in the compliant directions, and to the displacements in
+    # the stiff ones
+    conjugates: Float[AnyArray, "trials 3 terms"]
+    # Derivatives of the forces in the compliant directions by those in the stiff ones
+    coupling: Float[AnyArray, "trials compliant stiff terms"]
+    # Derivatives of the displacements in the stiff directions by the forces in them
+    compliance: Float[AnyArray, "trials stiff stiff terms"]
     energy: Float[AnyArray, "trials terms"]  # Contributions to W; J
 
 
 def mixed_equations(
     powers: Powers,
+    stiff: tuple[int, ...],
     twists: Float[AnyArray, "trials 3"],
-    axial_forces: Float[AnyArray, " trials"],
+    forces: Float[AnyArray, "trials stiff"],
     length: Scalar | float,
     force: Scalar | float,
 ) -> MixedEquations:
-    """Evaluate each term of W and its derivatives at many twists and axial forces.
+    """Evaluate each term of W and its derivatives at many twists and forces.
 
     Args:
-        powers: Powers of rotation, transverse displacement over `length`, and axial force
-            over `force`.
+        powers: Powers of the variables of W in each term.
+        stiff: The stiff directions; see `AbstractMixedEnergy.stiff`.
         twists: Twist of each trial; rad, m, m.
-        axial_forces: Axial force of each trial, measured or predicted; N.
+        forces: Forces in the stiff directions, measured or predicted; N m, N.
         length: Reference length; m.
         force: Reference force; N.
     """
-    xp, arrays = on_host(twists, axial_forces, length, force)
-    twists, axial_forces, length, force = arrays
-    rotations, _, transverse = twists.T
+    compliant = [k for k in range(3) if k not in stiff]
+    units = variable_units(stiff, length, force)
+    units = [units[k] for k in (*compliant, *stiff)]
+    xp, (twists, forces, *units) = on_host(twists, forces, *units)
+    columns = [*(twists[:, k] for k in compliant), *forces.T]
+    variables = [column / unit for column, unit in zip(columns, units, strict=True)]
     exponents = np.array(powers)
-    force_ratios = axial_forces / force
-    inside = xp.clip(force_ratios, -1.0, 1.0)
-    variables = rotations, transverse / length, inside
-    (t, dt, _), (y, dy, _), (n, dn, ddn) = (
-        power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
-    )
-    # Outside of the reference force, W is continued by a parabola; see `MixedEnergy`.
-    outside = (force_ratios - inside)[:, None]
-    n, dn = n + outside * (dn + outside * ddn / 2), dn + outside * ddn
+    of_coordinates, of_forces = range(len(compliant)), range(len(compliant), 3)
+    powers_of_force = power_derivatives if len(stiff) == 2 else _continued_powers
+    tables = [power_derivatives(variables[k], exponents[:, k]) for k in of_coordinates]
+    tables += [powers_of_force(variables[k], exponents[:, k]) for k in of_forces]
+
+    def derivative(*indices: int) -> Float[AnyArray, "trials terms"]:
+        """Differentiate the terms with respect to some of the variables."""
+        return partial_derivative(tables, indices) / math.prod(units[k] for k in indices)
+
+    def derivatives(rows: range, columns: range) -> Float[AnyArray, "trials i j terms"]:
+        blocks = [[derivative(i, j) for j in columns] for i in rows]
+        return xp.stack([xp.stack(row, axis=1) for row in blocks], axis=1)
+
+    gradient = [derivative(k) for k in of_coordinates]
+    gradient += [-derivative(k) for k in of_forces]
     return MixedEquations(
-        axial_forces,
-        moment=dt * y * n,
-        transverse_force=t * dy * n / length,
-        axial_displacement=-t * y * dn / force,
-        axial_compliance=-t * y * ddn / force**2,
-        moment_sensitivity=dt * y * dn / force,
-        transverse_sensitivity=t * dy * dn / (length * force),
-        energy=t * y * n,
+        np.array(compliant),
+        np.array(stiff),
+        forces,
+        conjugates=xp.stack(gradient, axis=1),
+        coupling=derivatives(of_coordinates, of_forces),
+        compliance=-derivatives(of_forces, of_forces),
+        energy=derivative(),
     )
+
+
+def _continued_powers(
+    values: Float[AnyArray, " trials"], exponents: np.ndarray
+) -> list[AnyArray]:
+    """Compute powers of the only relative force, with two derivatives.
+
+    Outside of the reference force, they are continued by parabolas; see `MixedEnergy`.
+    """
+    xp, (values,) = on_host(values)
+    inside = xp.clip(values, -1.0, 1.0)
+    outside = (values - inside)[:, None]
+    power, slope, curvature = power_derivatives(inside, exponents)
+    continued = power + outside * (slope + outside * curvature / 2)
+    return [continued, slope + outside * curvature, curvature]
 
 
 def weighted_equations(
@@ -103,48 +126,50 @@ def weighted_equations(
 ) -> tuple[Float[AnyArray, "trials 3 terms"], Float[AnyArray, "trials 3"]]:
     """Weight the equations so that their residuals are errors of the wrench.
 
-    An error of the axial displacement is equivalent to an error of the axial force, by
-    the axial compliance, and through it to errors of the moment and the transverse force.
-    The compliance and these errors depend on the coefficients, so the least-squares
-    problem is solved again with the coefficients of the previous solution. If the terms
-    are evaluated at the axial forces that these coefficients predict, this is a
-    Gauss-Newton step for the errors of the predicted wrenches.
+    An error of the displacements in the stiff directions is equivalent to an error of the
+    forces in them, by the stiffness, and through it to errors of the other forces. The
+    stiffness and these errors depend on the coefficients, so the least-squares problem is
+    solved again with the coefficients of the previous solution. If the terms are
+    evaluated at the forces that these coefficients predict, this is a Gauss-Newton step
+    for the errors of the predicted wrenches.
 
     Args:
-        coefficients: Coefficients of the previous solution, or `None` at first; J.
+        coefficients: Coefficients of the previous solution; J. `None` at first, if there
+            is one stiff direction.
 
     Returns:
         The matrix and the right-hand side of the least-squares problem.
     """
-    xp, _ = on_host(equations.moment)
-    axial_displacements, axial_forces = trials.twists[:, 1], equations.axial_forces
+    xp, _ = on_host(equations.conjugates)
+    compliant, stiff = equations.compliant, equations.stiff
+    forces, displacements = equations.forces, trials.twists[:, stiff]
     if coefficients is None:
-        rms = xp.sqrt(xp.mean(axial_forces**2))
-        estimate = xp.std(axial_displacements) / xp.where(rms > 0, rms, 1.0)
+        rms = xp.sqrt(xp.mean(forces**2))
+        estimate = xp.std(displacements) / xp.where(rms > 0, rms, 1.0)
         estimate = xp.where(estimate > 0, estimate, 1.0)
-        compliance = xp.full_like(axial_forces, estimate)
-        by_moment = by_transverse_force = xp.zeros_like(axial_forces)
+        compliance = xp.full_like(forces[:, :, None], estimate)
+        coupling = xp.zeros_like(equations.coupling[..., 0])
     else:
-        compliance = equations.axial_compliance @ coefficients
-        compliance = xp.maximum(compliance, 1e-3 * xp.median(xp.abs(compliance)))
-        by_moment = equations.moment_sensitivity @ coefficients
-        by_transverse_force = equations.transverse_sensitivity @ coefficients
-    axial_rows = -equations.axial_displacement / compliance[:, None]
-    axial_targets = -axial_displacements / compliance
-    rows = [
-        equations.moment + by_moment[:, None] * axial_rows,
-        axial_rows,
-        equations.transverse_force + by_transverse_force[:, None] * axial_rows,
-    ]
-    targets = [
-        trials.stresses[:, 0] + by_moment * axial_targets,
-        trials.stresses[:, 1] - axial_forces + axial_targets,
-        trials.stresses[:, 2] + by_transverse_force * axial_targets,
-    ]
-    return (
-        trials.to_wrenches @ xp.stack(rows, axis=1),
-        xp.einsum("sij,sj->si", trials.to_wrenches, xp.stack(targets, axis=1)),
-    )
+        compliance = equations.compliance @ coefficients
+        coupling = equations.coupling @ coefficients
+    if len(stiff) == 1:
+        smallest = 1e-3 * xp.median(xp.abs(compliance))
+        stiffness = 1 / xp.maximum(compliance, smallest)
+    else:
+        stiffness = xp.linalg.inv(compliance)
+
+    def equivalent_stresses(conjugates: AnyArray) -> AnyArray:
+        # A displacement that is too large corresponds to a force that is too small.
+        in_stiff = -stiffness @ conjugates[:, len(compliant) :]
+        in_compliant = conjugates[:, : len(compliant)] + coupling @ in_stiff
+        return xp.concatenate([in_compliant, in_stiff], axis=1)
+
+    measured = xp.concatenate([trials.stresses[:, compliant], displacements], axis=1)
+    to_wrenches = trials.to_wrenches[:, :, np.append(compliant, stiff)]
+    targets = to_wrenches @ equivalent_stresses(measured[..., None])
+    excess = (trials.stresses[:, stiff] - forces)[..., None]
+    targets = targets + trials.to_wrenches[:, :, stiff] @ excess
+    return to_wrenches @ equivalent_stresses(equations.conjugates), targets[..., 0]
 
 
 @jax.jit

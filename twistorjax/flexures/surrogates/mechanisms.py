@@ -14,10 +14,13 @@ from ..._compile.compilation import fast_compile
 from ..._utils.host import concrete
 from ..._utils.types import Matrix, Pose, Scalar, Twist, Wrench
 from ...assembly.stress import member_models, member_states
-from ...energies.evaluation import power_derivatives
-from ...energies.fitting.mixed_equations import twists_and_stresses
-from ...energies.monomials import Powers
-from ...energies.one_freedom import Freedom, FREEDOM_VARIABLES, OneFreedomEnergy
+from ...energies.monomials import Powers, symmetric_terms
+from ...energies.one_freedom import (
+    Freedom,
+    FREEDOM_VARIABLES,
+    OneFreedomEnergy,
+    STIFF,
+)
 from ...energies.strains import strain
 from ...energies.stress_model import Strengths
 from ...energies.validity import WithValidityRange
@@ -29,17 +32,13 @@ from ...results.codes import RESULTS
 from ...solve.equilibrium import equilibrium
 from ..beams.stress_models import MechanismStress, terms_of_state
 from ..condensed import Condensed, reference_stiffness
-from .samples import least_squares, low_discrepancy_points, relative_errors, SAMPLES
+from .fit import fit_coefficients, least_squares, relative_errors
+from .samples import low_discrepancy_points, SAMPLES
 
 
 _FORCE_ORDER = 4  # largest sum of the powers of both forces
 _STRESS_ORDER = 6  # largest power of the compliant coordinate in a `MechanismStress`
-# The variables whose sign changes under a symmetry operation; see `monomials`
-_ODD_VARIABLES = {
-    "mirror": {"tau", "t2", "m", "n2"},
-    "ends": {"tau", "m"},
-    "arch": {"t2", "n2"},
-}
+# Signs of the twist under a symmetry operation; see `monomials`
 _SIGNS = {"mirror": (-1, 1, -1), "ends": (-1, 1, 1), "arch": (1, 1, -1)}
 
 
@@ -121,18 +120,14 @@ def mechanism_symmetries(part: SubMechanism, samples: MechanismSamples) -> list[
 
 def mechanism_powers(symmetries: list[str], order: int, freedom: Freedom) -> Powers:
     """List the powers of the terms of a sub-mechanism with some symmetries."""
-    names = FREEDOM_VARIABLES[freedom]
-    odd = [
-        [name in _ODD_VARIABLES[symmetry] for name in names] for symmetry in symmetries
-    ]
+    rows = [row for row in _all_powers(order) if sum(row) > 1]
+    return symmetric_terms(rows, FREEDOM_VARIABLES[freedom], symmetries)
+
+
+def _all_powers(order: int) -> Powers:
+    """List the powers of the coordinate up to an order, and of both forces."""
     rows = product(range(order + 1), *2 * (range(_FORCE_ORDER + 1),))
-    return tuple(
-        row
-        for row in rows
-        if sum(row) > 1
-        and row[1] + row[2] <= _FORCE_ORDER
-        and all(np.dot(row, parity) % 2 == 0 for parity in odd)
-    )
+    return tuple(row for row in rows if row[1] + row[2] <= _FORCE_ORDER)
 
 
 @jax.jit
@@ -157,7 +152,11 @@ def fit_mechanism(
     powers: Powers, freedom: Freedom, size: Scalar, samples: MechanismSamples
 ) -> WithValidityRange:
     """Fit an energy, and estimate its error on the samples that are not fitted."""
-    coefficients = _coefficients(powers, freedom, samples)
+    references = samples.length, samples.force
+    for_fit = samples.poses[:SAMPLES], samples.wrenches[:SAMPLES]
+    coefficients = fit_coefficients(
+        powers, STIFF[freedom], references, samples.stiffness, for_fit
+    )
     energy = OneFreedomEnergy(
         coefficients,
         powers,
@@ -179,10 +178,7 @@ def mechanism_stress(
     models = member_models(part.mechanism.hinge_assembly)
     if not models:
         return None
-    rows = product(range(_STRESS_ORDER + 1), *2 * (range(_FORCE_ORDER + 1),))
-    powers = tuple(
-        row for row in rows if sum(row) > 0 and row[1] + row[2] <= _FORCE_ORDER
-    )
+    powers = tuple(row for row in _all_powers(_STRESS_ORDER) if any(row))
     strengths = [model.strengths for model in models]
     return MechanismStress(
         parts=models,
@@ -224,106 +220,3 @@ def _fit_states(
     columns = states.reshape(SAMPLES, -1).T
     found = jax.vmap(lambda column: least_squares(rows, column))(columns)
     return found.reshape(*states.shape[1:], len(powers))
-
-
-def _coefficients(
-    powers: Powers, freedom: Freedom, samples: MechanismSamples
-) -> Float[Array, " terms"]:
-    """Fit the coefficients (J) that do not follow from the stiffness.
-
-    The moment and the displacements in the stiff directions are derivatives of W at given
-    forces, so the equations are linear. An error of the displacements is equivalent to
-    errors of the forces, by the stiffness, and through them to one of the compliant
-    component. Both are weighted by the coefficients of the previous solution. All
-    components of the wrench have the same relative weight.
-    """
-    poses, wrenches = samples.poses[:SAMPLES], samples.wrenches[:SAMPLES]
-    rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))
-    deviations = jnp.broadcast_to(rms, wrenches.shape)
-    twists, stresses, to_wrenches = twists_and_stresses(poses, wrenches, deviations)
-    order = (0, 1, 2) if freedom == "rotation" else (2, 0, 1)  # compliant, stiff, stiff
-    moment = samples.force * samples.length
-    force = samples.force
-    units = jnp.stack([jnp.ones(()), force, force])
-    if freedom == "transverse":
-        units = jnp.stack([samples.length, moment, force])
-    columns = np.array(order)
-    variables = [
-        twists[:, columns[0]] / units[0],
-        stresses[:, columns[1]] / units[1],
-        stresses[:, columns[2]] / units[2],
-    ]
-    exponents = np.array(powers)
-    (c, dc, _), (p, dp, ddp), (r, dr, ddr) = (
-        power_derivatives(values, exponents[:, k]) for k, values in enumerate(variables)
-    )
-    # Contributions of the terms to the compliant component and to both displacements
-    parts = jnp.stack(
-        [dc * p * r / units[0], -c * dp * r / units[1], -c * p * dr / units[2]], axis=1
-    )
-    targets = jnp.stack(
-        [stresses[:, columns[0]], twists[:, columns[1]], twists[:, columns[2]]], axis=1
-    )
-    coupling = jnp.stack(
-        [dc * dp * r / (units[0] * units[1]), dc * p * dr / (units[0] * units[2])], axis=1
-    )
-    compliance = -jnp.stack(
-        [
-            c * ddp * r / units[1] ** 2,
-            c * dp * dr / (units[1] * units[2]),
-            c * p * ddr / units[2] ** 2,
-        ],
-        axis=1,
-    )
-    # The rows of errors of the generalized stress, in the order of the twist
-    back = np.argsort(columns)
-
-    quadratic = _quadratic_coefficients(samples.stiffness[columns][:, columns], units)
-    zero = jnp.zeros(())
-    start = jnp.stack([quadratic.get(row, zero) for row in powers])
-    free = np.array([k for k, row in enumerate(powers) if row not in quadratic])
-
-    def solve(previous: Float[Array, " terms"]) -> Float[Array, " terms"]:
-        """Solve with the weights of a previous solution."""
-        f11, f12, f22 = jnp.moveaxis(compliance @ previous, -1, 0)
-        matrix = jnp.stack([jnp.stack([f11, f12], -1), jnp.stack([f12, f22], -1)], -1)
-        stiffness = jnp.linalg.inv(matrix)
-        mixed = coupling @ previous
-        # A displacement that is too large corresponds to a force that is too small.
-        to_force = -stiffness
-        to_compliant = jnp.einsum("sk,skl->sl", mixed, to_force)
-        one = jnp.ones((len(mixed), 1, 1))
-        upper = jnp.concatenate([one, to_compliant[:, None]], axis=2)
-        lower = jnp.concatenate([jnp.zeros((len(mixed), 2, 1)), to_force], axis=2)
-        to_stress = jnp.concatenate([upper, lower], axis=1)[:, back]
-        weights = to_wrenches @ to_stress
-        rows = (weights @ parts).reshape(-1, len(powers))
-        right = jnp.einsum("sij,sj->si", weights, targets).reshape(-1)
-        found = least_squares(rows[:, free], right - rows @ start)
-        return start.at[free].set(found)
-
-    coefficients = solve(start)
-    for _ in range(3):
-        coefficients = solve(coefficients)
-    return coefficients
-
-
-def _quadratic_coefficients(
-    stiffness: Matrix, units: Float[Array, "3"]
-) -> dict[tuple[int, ...], Scalar]:
-    """Return the coefficients that follow from the stiffness, and are not fitted; J.
-
-    The first row and column of the stiffness belong to the compliant coordinate.
-    """
-    compliance = jnp.linalg.inv(stiffness[1:, 1:])
-    transfer = compliance @ stiffness[1:, 0]
-    alone = stiffness[0, 0] - stiffness[0, 1:] @ transfer
-    c, p, r = units
-    return {
-        (2, 0, 0): alone * c**2 / 2,
-        (1, 1, 0): transfer[0] * c * p,
-        (1, 0, 1): transfer[1] * c * r,
-        (0, 2, 0): -compliance[0, 0] * p**2 / 2,
-        (0, 1, 1): -compliance[0, 1] * p * r,
-        (0, 0, 2): -compliance[1, 1] * r**2 / 2,
-    }

@@ -6,12 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
 from ..._utils.types import Matrix, Pose, Scalar, Wrench
-from ...energies.base import AbstractEnergy
 from ..beams.beam import Beam, load_units
 from ..beams.under_load import end_section, pose_and_wrench, reference_ends
 
@@ -103,29 +101,3 @@ def low_discrepancy_points(count: int, start: float = 0.0) -> np.ndarray:
     golden = 1.2207440846057596  # the root of x^4 = x + 1
     steps = golden ** -np.arange(1.0, 4.0)
     return (start + np.arange(1, count + 1)[:, None] * steps) % 1
-
-
-def least_squares(
-    rows: Float[Array, "equations terms"], targets: Float[Array, " equations"]
-) -> Float[Array, " terms"]:
-    """Solve linear least squares by normal equations of columns of unit norm.
-
-    Normal equations are easy to differentiate.
-    """
-    norms = jnp.sqrt(jnp.sum(rows**2, axis=0))
-    scaled = rows / norms[None]
-    factor = cho_factor(scaled.T @ scaled)
-    return cho_solve(factor, scaled.T @ targets) / norms
-
-
-def relative_errors(
-    energy: AbstractEnergy,
-    poses: Float[Array, "samples 3"],
-    wrenches: Float[Array, "samples 3"],
-) -> Wrench:
-    """Compute the rms error of each component of the wrench over its rms value.
-
-    The wrenches are in frame b (N m, N, N), at the poses of frame b (rad, m, m).
-    """
-    change = jax.vmap(energy.wrench)(poses) - wrenches
-    return jnp.sqrt(jnp.mean(change**2, axis=0) / jnp.mean(wrenches**2, axis=0))

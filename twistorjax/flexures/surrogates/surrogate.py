@@ -8,18 +8,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
 from ..._utils.host import all_concrete, concrete
 from ..._utils.progress import announced
 from ..._utils.types import NumberLike, Scalar
 from ..._utils.validation import require_float64, require_interval, require_positive
-from ...energies.fitting.mixed_equations import (
-    mixed_equations,
-    twists_and_stresses,
-    weighted_equations,
-)
 from ...energies.mixed import MixedEnergy
 from ...energies.monomials import monomials, Powers, Symmetry
 from ...energies.one_freedom import Freedom
@@ -27,6 +21,7 @@ from ...energies.validity import WithValidityRange
 from ...mechanism.sub_mechanism import SubMechanism
 from ..beams.beam import arc_rotation, Beam, functions_along, Uniform
 from ..beams.stress_models import BeamStress
+from .fit import fit_coefficients, relative_errors
 from .mechanisms import (
     fit_mechanism,
     mechanism_powers,
@@ -34,7 +29,7 @@ from .mechanisms import (
     mechanism_symmetries,
     sample_mechanism,
 )
-from .samples import least_squares, relative_errors, sample_beam, SAMPLES, Samples
+from .samples import sample_beam, SAMPLES, Samples
 
 
 _ORDERS = (4, 6, 8, 10)
@@ -324,57 +319,9 @@ def _fit(
     powers: Powers, length: Scalar, rotation: Scalar, samples: Samples
 ) -> WithValidityRange:
     """Fit an energy, and estimate its error on the samples that are not fitted."""
-    coefficients = _fit_coefficients(powers, length, samples)
+    references = length, samples.force
+    for_fit = samples.poses[:SAMPLES], samples.wrenches[:SAMPLES]
+    coefficients = fit_coefficients(powers, (1,), references, samples.stiffness, for_fit)
     energy = MixedEnergy(coefficients, powers, length=length, force=samples.force)
     error = relative_errors(energy, samples.poses[SAMPLES:], samples.wrenches[SAMPLES:])
     return WithValidityRange(energy, rotation, samples.force, error)
-
-
-def _fit_coefficients(
-    powers: Powers, length: Scalar, samples: Samples
-) -> Float[Array, " terms"]:
-    """Fit the coefficients (J) that do not follow from the stiffness.
-
-    All components of the wrench have the same relative weight.
-    """
-    poses, wrenches = samples.poses[:SAMPLES], samples.wrenches[:SAMPLES]
-    rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))
-    deviations = jnp.broadcast_to(rms, wrenches.shape)
-    trials = twists_and_stresses(poses, wrenches, deviations)
-    equations = mixed_equations(
-        powers, trials.twists, trials.stresses[:, 1], length, samples.force
-    )
-    quadratic = _quadratic_coefficients(length, samples)
-    zero = jnp.zeros(())
-    start = jnp.stack([quadratic.get(row, zero) for row in powers])
-    free = np.array([k for k, row in enumerate(powers) if row not in quadratic])
-
-    def solve(coefficients: Float[Array, " terms"] | None) -> Float[Array, " terms"]:
-        """Solve with the weights of a previous solution."""
-        weighted = weighted_equations(trials, equations, coefficients)
-        rows, targets = map(jnp.asarray, weighted)
-        rows, targets = rows.reshape(-1, len(powers)), targets.reshape(-1)
-        found = least_squares(rows[:, free], targets - rows @ start)
-        return start.at[free].set(found)
-
-    coefficients = solve(None)
-    for _ in range(3):
-        coefficients = solve(coefficients)
-    return coefficients
-
-
-def _quadratic_coefficients(
-    length: Scalar, samples: Samples
-) -> dict[tuple[int, ...], Scalar]:
-    """Return the coefficients that follow from the stiffness, and are not fitted; J."""
-    (k00, k01, k02), (_, k11, k12), (_, _, k22) = samples.stiffness
-    force = samples.force
-    # The axial displacement is replaced by the axial force.
-    return {
-        (2, 0, 0): (k00 - k01**2 / k11) / 2,
-        (1, 1, 0): (k02 - k01 * k12 / k11) * length,
-        (0, 2, 0): (k22 - k12**2 / k11) * length**2 / 2,
-        (1, 0, 1): force * k01 / k11,
-        (0, 1, 1): force * length * k12 / k11,
-        (0, 0, 2): -(force**2) / (2 * k11),
-    }

@@ -15,6 +15,7 @@ from twistorjax.energies.base import (
     parallel_terms,
     validation_error,
 )
+from twistorjax.energies.dilation import dilated
 from twistorjax.geometry.twistors import Displacement
 
 
@@ -186,6 +187,35 @@ def test_the_validity_range_is_that_of_the_energy_and_of_the_combination(energy,
     for rotation in (0.5, 1.5, 7.0):
         found, expected = outside(rotation)
         assert found == (expected | ("range" in name and rotation > 1.0))
+
+
+def test_the_length_of_a_flexure_is_that_of_its_combinations():
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=0.05, thickness=0.5e-3, width=0.01)
+    for combined in (2 * leaf, leaf / 2, leaf + leaf, tj.Quadratic(STIFFNESS) + leaf):
+        assert combined.flexure_length == 0.05
+    assert (2 * tj.Quadratic(STIFFNESS)).flexure_length is None
+
+
+class Assembled(tj.AbstractEnergy):
+    """The sum of energies in a container."""
+
+    parts: dict[str, tj.AbstractEnergy]
+
+    def stored_energy(self, displacement):
+        energies = [part.stored_energy(displacement) for part in self.parts.values()]
+        return jnp.sum(jnp.stack(energies))
+
+
+def test_energies_in_a_container_are_dilated_and_keep_their_ranges():
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=0.05, thickness=0.5e-3, width=0.01)
+    pair = Assembled({"first": leaf, "second": leaf})
+    small, large = (np.array([0.01, -2e-6, 2e-4]) * [1, scale, scale] for scale in (1, 2))
+    grown = dilated(pair, jnp.array(2.0))
+    assert_close(value(grown, jnp.array(large)), 8 * value(pair, jnp.array(small)))
+    far = Displacement.from_pose(jnp.array([2.0, 0.0, 0.0]))
+    assert bool(out_of_range(pair, far))
 
 
 def test_an_invalid_value_is_found_at_any_depth():

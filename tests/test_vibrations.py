@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+import scipy.linalg
 from helpers import assert_close
 from motion_helpers import oscillator
 
@@ -166,6 +167,29 @@ def test_prescribed_coordinates_that_are_not_names_are_reported():
         tj.vibrations(mechanism, 5)  # pyright: ignore
     with pytest.raises(ValueError, match="`prescribed` of the body 'rod' is 'x', but"):
         tj.linearize(mechanism, {"rod": "x"})
+
+
+class Preloaded(tj.AbstractEnergy):
+    """A spring that is loaded by 3 N in its reference configuration."""
+
+    def stored_energy(self, displacement):
+        angle, x, y = displacement.twist()
+        return 50 * angle**2 + 500 * (x**2 + y**2) + 3 * x
+
+
+def test_a_preloaded_hinge_is_not_linearized_where_it_is_no_equilibrium():
+    bodies = [tj.Body("wall"), tj.Body("block", mass=1.0, inertia=0.1)]
+    hinge = tj.Hinge("spring", "wall", "block", 2 * Preloaded(), at=(0, 0, 0))
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    for analysis in (tj.vibrations, tj.linearize):
+        with pytest.raises(ValueError, match="a force of -6 N along x is not balanced"):
+            analysis(mechanism)
+    state = tj.equilibrium(mechanism)
+    assert_close(state.displacement("block"), [0.0, -0.003, 0.0], digits=12)
+    squares = (2 * np.pi * tj.vibrations(mechanism, about=state).frequencies) ** 2
+    stiffness = jax.hessian(2 * Preloaded())(state.displacement("block"))
+    inertia = np.diag([0.1, 1.0, 1.0])
+    assert_close(squares, scipy.linalg.eigvalsh(stiffness, inertia), digits=9)
 
 
 def test_vibrations_with_follower_loads_are_an_error():

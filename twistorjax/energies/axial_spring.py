@@ -54,6 +54,10 @@ class AxialSpring(AbstractEnergy):
                 return f"`{name}` must be positive and finite, but is {value}."
         return None
 
+    @property
+    def is_unloaded(self) -> bool:
+        return True
+
     def stored_energy(self, displacement: Displacement) -> Scalar:
         along, across = self.ends_apart(displacement)
         stretch = jnp.sqrt(along**2 + across**2) - self.length

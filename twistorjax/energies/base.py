@@ -8,6 +8,7 @@ dissertation.
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import fields
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -31,11 +32,12 @@ class AbstractEnergy(eqx.Module):
     """Elastic energy of a hinge as a function of the displacement of b relative to a.
 
     A subclass implements one method, `stored_energy`. Wrench, stiffness, sums, and
-    multiples follow from it. A subclass may replace further methods: `out_of_range`
-    together with `range_message`, `validation_error`, `dilated`, `proportional_damping`,
-    `resisted_rates`, and `translation_scale` and `newton_model`, which only reduce the
-    number of solver steps. They are also used if the energy is a term of a sum, is
-    multiplied by a factor, or has a validity range.
+    multiples follow from it. A subclass may replace further methods and properties:
+    `out_of_range` together with `range_message`, `range_share`, `validation_error`,
+    `flexure_length`, `dilated`, `is_unloaded`, `proportional_damping`, `resisted_rates`,
+    and `translation_scale` and `newton_model`, which change the number of solver steps
+    but no result. They describe this object alone. The library also finds those of the
+    terms of a sum, of a multiple, and of an energy with a validity range.
 
     Example:
         >>> class QuarticSpring(AbstractEnergy):
@@ -51,14 +53,17 @@ class AbstractEnergy(eqx.Module):
     def stored_energy(self, displacement: Displacement) -> Scalar:
         """Compute the energy that is stored at a displacement.
 
-        A subclass writes it with `jax.numpy`. The energy must be twice differentiable,
-        and its gradient must be zero in the reference configuration. Its constants are
-        fields: a compiled program keeps the values of other variables.
+        A subclass writes it with `jax.numpy`. The energy must be twice differentiable. If
+        it has a validity range, it is continued beyond it, best convexly. Its constants
+        are fields: a compiled program keeps the values of other variables.
 
         Args:
             displacement: Displacement of frame b relative to frame a, with `twist()`
                 (rad, m, m), `strain()` (twice the vector part of the twistor; -, m, m),
-                `angle` (rad), `sigma`, `xi` (-), `x1`, and `x2` (m).
+                the `angle` (rad), the cosine `sigma` and the sine `xi` of half of it, and
+                `x1` and `x2`, half of the translation in the frame in the middle between
+                both (m). In it, the vector between the ends of a flexure of length L,
+                whose frames are in its middle, is `(2 x1 + L sigma, 2 x2)`.
 
         Returns:
             The energy; J.
@@ -132,6 +137,8 @@ class AbstractEnergy(eqx.Module):
     def out_of_range(self, displacement: Displacement) -> Flag | None:
         """Decide whether a displacement is outside the validity range of this energy.
 
+        Nested energies do not count.
+
         Returns:
             True outside the range; None, the default, if the energy is valid everywhere.
         """
@@ -144,7 +151,7 @@ class AbstractEnergy(eqx.Module):
             Text that follows the name of the hinge in a message, without a period.
         """
         del displacement
-        return "it is outside the validity range of its energy"
+        return f"`{type(self).__name__}` does not describe its range"
 
     def range_share(self, displacement: Displacement) -> Scalar | None:
         """Compute the share of a displacement, or of its axial force, in the largest one.
@@ -156,22 +163,39 @@ class AbstractEnergy(eqx.Module):
         del displacement
 
     def validation_error(self) -> str | None:
-        """Describe the first invalid value of the fields.
+        """Describe the first invalid value of the fields, which JAX does not trace.
+
+        A mechanism with this energy, and a file with it, are refused with this message.
 
         Returns:
-            The message; None, the default, if all values are valid.
+            The rest of a sentence, with a period; None, the default, if all values are
+            valid.
         """
 
     @property
     def flexure_length(self) -> Scalar | None:
-        """Length of the flexure along axis 1; None, the default, if it is unknown; m."""
+        """Length of the flexure along axis 1; None, the default, if it is unknown; m.
+
+        If it is known, warnings are given of a flexure that is far from the outlines of
+        its bodies, and of one without `expansion` whose temperature changes.
+        """
         return None
+
+    @property
+    def is_unloaded(self) -> bool:
+        """Whether the wrench is known to be zero in the reference configuration.
+
+        If it is False, the default, analyses of a mechanism in this configuration check
+        that it is an equilibrium.
+        """
+        return False
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "AbstractEnergy":
         """Return the energy if all dimensions of the hinge are multiplied.
 
         The energy at a rotation and a translation becomes `scale^3` times that at the
-        rotation and the translation divided by `scale`.
+        rotation and the translation divided by `scale`. Nested energies and a stress
+        model are dilated beside it.
 
         Args:
             scale: The factor; one for each energy if the energies are stacked.
@@ -232,8 +256,12 @@ class AbstractEnergy(eqx.Module):
                 force; N m, N, N.
 
         Returns:
-            An energy whose derivatives agree with those of this energy to first order,
-            near the predicted stress; by default this energy.
+            An energy with the same gradient where the stress is the predicted one, and
+            with a similar one near it; by default this energy. A flexure that is stiff
+            along its axis and shortens if it bends needs another one: otherwise
+            `equilibrium` takes hundreds of steps at moderate rotations. The gradient and
+            the second derivatives of the model may neglect what vanishes there, so that
+            they need not be derivatives of one another.
         """
         del stress
         return self
@@ -251,6 +279,12 @@ class AbstractEnergy(eqx.Module):
                 "factor must be one number; for many of them use `jax.vmap`."
             )
         return Scaled(factor=array, energy=self)
+
+    def __mul__(self, factor: NumberLike) -> "Scaled":
+        return self.__rmul__(factor)
+
+    def __truediv__(self, divisor: NumberLike) -> "Scaled":
+        return self.__rmul__(1 / jnp.asarray(divisor, float))
 
     def _in_range(self, pose: Pose, value: Array, outside: Flag | None) -> Array:
         """Return a value at a pose, or raise an error if the pose is out of range.
@@ -314,6 +348,15 @@ class Sum(AbstractEnergy):
         if not self.parts:
             raise ValueError("`parts` is empty, but a sum needs at least one energy.")
 
+    @property
+    def flexure_length(self) -> Scalar | None:
+        lengths = (part.flexure_length for part in self.parts)
+        return next((length for length in lengths if length is not None), None)
+
+    @property
+    def is_unloaded(self) -> bool:
+        return all(part.is_unloaded for part in self.parts)
+
     def stored_energy(self, displacement: Displacement) -> Scalar:
         energies = [part.stored_energy(displacement) for part in self.parts]
         return jnp.sum(jnp.stack(energies))
@@ -336,6 +379,14 @@ class AbstractWrapper(AbstractEnergy):
     def stored_energy(self, displacement: Displacement) -> Scalar:
         energy = self.energy.stored_energy(displacement)
         return energy if self.multiple is None else self.multiple * energy
+
+    @property
+    def flexure_length(self) -> Scalar | None:
+        return self.energy.flexure_length
+
+    @property
+    def is_unloaded(self) -> bool:
+        return self.energy.is_unloaded
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
         factor = 1.0 if self.multiple is None else self.multiple
@@ -383,9 +434,14 @@ def nested(energy: AbstractEnergy) -> Iterator[AbstractEnergy]:
     yield energy
     for field in fields(energy):
         value = getattr(energy, field.name, None)
-        for part in value if isinstance(value, tuple | list) else (value,):
-            if isinstance(part, AbstractEnergy):
+        for part in jax.tree.leaves(value, is_leaf=is_energy):
+            if is_energy(part):
                 yield from nested(part)
+
+
+def is_energy(value: Any) -> bool:
+    """Decide whether a value is an energy."""
+    return isinstance(value, AbstractEnergy)
 
 
 def out_of_range(energy: AbstractEnergy, displacement: Displacement) -> Flag | None:

@@ -106,6 +106,10 @@ class BeamColumn(AbstractMixedEnergy):
         )
 
     @property
+    def is_unloaded(self) -> bool:
+        return True
+
+    @property
     def flexure_length(self) -> Scalar:
         """Length; m."""
         return self.length

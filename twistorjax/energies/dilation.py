@@ -5,11 +5,12 @@ from operator import attrgetter
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, on_host
-from .base import AbstractEnergy
+from .base import AbstractEnergy, is_energy
 from .stress_model import AbstractStressModel
 
 
@@ -22,18 +23,17 @@ def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEn
     It applies to all energies in sums, multiples, and other wrappers, and to their
     validity ranges and stress models. An energy of unknown dimensions does not change.
     """
-    new, is_wrapper = energy, False
+    new, has_parts = energy, False
     for field in fields(energy):
-        value: Any = getattr(energy, field.name, None)
-        parts = value if isinstance(value, tuple) else (value,)
-        if not any(isinstance(part, AbstractEnergy) for part in parts):
+        parts, tree = jax.tree.flatten(getattr(energy, field.name, None), is_energy)
+        if not any(map(is_energy, parts)):
             continue
-        is_wrapper = True
-        larger = tuple(dilated(part, scale) for part in parts)
+        has_parts = True
+        larger = [dilated(part, scale) if is_energy(part) else part for part in parts]
         if any(part is not old for part, old in zip(larger, parts, strict=True)):
-            larger = larger if isinstance(value, tuple) else larger[0]
-            new = eqx.tree_at(attrgetter(field.name), new, larger)
-    if is_wrapper and new is energy:
+            value = jax.tree.unflatten(tree, larger)
+            new = eqx.tree_at(attrgetter(field.name), new, value)
+    if has_parts and new is energy:
         return energy
     new = new.dilated(scale)
     model = getattr(new, "stress_model", None)

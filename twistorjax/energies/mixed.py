@@ -62,7 +62,7 @@ class AbstractMixedEnergy(AbstractEnergy):
     @property
     @abstractmethod
     def potential(self) -> AbstractPotential:
-        """The potential W of the coordinates and forces, divided by `units`."""
+        """The potential W of the coordinates and forces, divided by `_units`."""
 
     @property
     @abstractmethod
@@ -74,7 +74,7 @@ class AbstractMixedEnergy(AbstractEnergy):
         """Return rotation, axial, and transverse displacement; rad, m, m."""
 
     @property
-    def units(self) -> tuple[Scalar | float, ...]:
+    def _units(self) -> tuple[Scalar | float, ...]:
         """Reference values of coordinates and forces; see `variable_units`."""
         return variable_units(self.stiff, self.length, self.reference_force)
 
@@ -95,7 +95,7 @@ class AbstractMixedEnergy(AbstractEnergy):
         return self.reference_force * ratios[self.stiff.index(1)]
 
     def newton_model(self, stress: Stress) -> AbstractEnergy:
-        return _NewtonModel(self, tuple(stress[k] / self.units[k] for k in self.stiff))
+        return _NewtonModel(self, tuple(stress[k] / self._units[k] for k in self.stiff))
 
     def proportional_damping(self, time: Scalar) -> ViscousDamping:
         return ViscousDamping(time * self.tangent_stiffness(), "twist", resisted=True)
@@ -121,13 +121,13 @@ class AbstractMixedEnergy(AbstractEnergy):
         stretch_rates = resisted_stretch_rates(self.potential, at, self._scaled(rates))
         resisted = list(rates)
         for k, rate in zip(self.stiff, stretch_rates, strict=True):
-            resisted[k] = rate / self.units[k]
+            resisted[k] = rate / self._units[k]
         rotation, axial, transverse = resisted
         return rotation, axial, transverse
 
     def _scaled(self, coordinates: Rates) -> tuple[Variables, Variables]:
-        """Divide compliant coordinates by `units`, and multiply the others by them."""
-        units = self.units
+        """Divide compliant coordinates by `_units`, and multiply the others by them."""
+        units = self._units
         return (
             tuple(coordinates[k] / units[k] for k in range(3) if k not in self.stiff),
             tuple(coordinates[k] * units[k] for k in self.stiff),
@@ -166,6 +166,10 @@ class AbstractPolynomialMixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
     def coordinates(self) -> Coordinates:
         """All coordinates are components of the twist."""
         return "twist"
+
+    @property
+    def is_unloaded(self) -> bool:
+        return all(sum(row) != 1 for row in self.powers)
 
     def coordinates_at(self, displacement: Displacement) -> Rates:
         return strain(displacement, "twist")

@@ -22,6 +22,10 @@ class NaturallyCurved(AbstractWrapper):
     # Loads by which the turn is prevented, divided by it; see `curvature_loads`
     loads: Float[Array, "4"]
 
+    @property
+    def is_unloaded(self) -> bool:
+        return False
+
     def stored_energy(self, displacement: Displacement) -> Scalar:
         energy = self.energy.stored_energy(displacement)
         constant = self.turn**2 * self.loads[3] / 2  # The free flexure stores no energy.

@@ -57,6 +57,13 @@ class _MonomialEnergy(CoordinateEnergy):
         self.scale = require_positive("`scale`", scale)
         require_coefficients(self, self.coefficients, self.powers, dimensions)
 
+    @property
+    def is_unloaded(self) -> bool:
+        # A linear term of sigma has no slope at its largest value.
+        return self.coefficients.ndim == 1 and all(
+            sum(row[-3:]) != 1 for row in self.powers
+        )
+
     def validation_error(self) -> str | None:
         """Describe the first coefficient that is not finite; None if all are finite."""
         return coefficients_error(self.coefficients, self.powers)

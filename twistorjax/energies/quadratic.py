@@ -130,6 +130,10 @@ class Quadratic(CoordinateEnergy):
         return jnp.maximum(bending, jnp.abs(force) * length / (0.5 * rotational))
 
     @property
+    def is_unloaded(self) -> bool:
+        return True
+
+    @property
     def flexure_length(self) -> Scalar | None:
         """Length of a leaf with the same ratio of stiffnesses; None if no flexure; m."""
         if not self.flexure:

@@ -44,6 +44,9 @@ class AbstractStressModel(eqx.Module):
     ) -> Float[Array, " points"]:
         """Compute the normal stress at points of the surface.
 
+        The strain must follow from the wrench, which is without natural curvature; the
+        displacement gives the arms of the forces only.
+
         Args:
             wrench: Moment about the point halfway between the two frames, axial force,
                 and transverse force, in the mid-frame; N m, N, N.

@@ -70,9 +70,8 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
         "give a `start` that is closer to the equilibrium."
     )
     out_of_range = (
-        "The displacement of a hinge is outside the validity range of its energy. Its "
-        "rotation or its force exceeds the limits of this range. Create the energy for a "
-        "larger range, or reduce the loads."
+        "The displacement of a hinge is outside the validity range of its energy. Create "
+        "the energy for a larger range, or reduce the loads."
     )
 
     event_occurred = "The motion or the path ended at an event."

@@ -58,6 +58,10 @@ class ExactBeam(AbstractEnergy):
         self.beam = beam
         self.stress_model = BeamStress.of(beam)
 
+    @property
+    def is_unloaded(self) -> bool:
+        return True
+
     def stored_energy(self, displacement: Displacement) -> Scalar:
         return _energy(self.beam, displacement.pose())
 

@@ -100,11 +100,17 @@ class Problem(NamedTuple):
                 of its energy, and the state is not traced.
         """
         displacements = state_in_range(self.mechanism, "about", about)
-        if about is None and not self.loads.present:
+        if about is None and not self.loads.present and self._is_unloaded:
             return displacements
         return require_equilibrium(
             self.mechanism, self.system, displacements, about, loads, held
         )
+
+    @property
+    def _is_unloaded(self) -> bool:
+        """Whether all hinges are known to be unloaded in the reference configuration."""
+        groups = self.mechanism.hinge_assembly.groups
+        return all(group.energy.is_unloaded for group in groups)
 
     def inconsistency(self, displacements: Poses) -> Exception:
         """Return the error of constraints that are not consistent with displacements."""

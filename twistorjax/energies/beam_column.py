@@ -140,33 +140,33 @@ class BeamColumn(AbstractMixedEnergy):
     def out_of_range(self, displacement: Displacement) -> Flag:
         """Decide whether bending, buckling, or the axial strain is out of range."""
         variables, (axial,) = self.potential_variables(displacement)
-        bending = self._square_in_ellipse(displacement)
+        ellipse = self._square_in_ellipse(displacement)
         # The derivative of the energy by the axial force decreases with it. So the force
         # is above its limit if the derivative at the limit is positive.
-        lowest = (1 + 1e-9) * self._lowest_force_ratio(bending)
+        lowest = (1 + 1e-9) * self._lowest_force_ratio(ellipse)
         (slope,) = self.potential.derivatives(((0, 0, 1),), variables, (lowest,))
-        stretch = axial / self.bending_stiffness * self.length
-        return (bending > 1 + 1e-9) | (axial + slope < 0) | (stretch > _STRAIN)
+        elongation = axial / self.bending_stiffness * self.length
+        return (ellipse > 1 + 1e-9) | (axial + slope < 0) | (elongation > _STRAIN)
 
     def range_message(self, displacement: Displacement) -> str:
         """Describe the displacement, the axial force, and the validity range."""
         rotation, transverse = displacement.angle, 2 * displacement.x2
         force = self.axial_force(displacement)
-        bending = self._square_in_ellipse(displacement)
-        lowest = self.reference_force * self._lowest_force_ratio(bending)
-        values = all_concrete([rotation, transverse, force, self.length, bending, lowest])
+        ellipse = self._square_in_ellipse(displacement)
+        lowest = self.reference_force * self._lowest_force_ratio(ellipse)
+        values = all_concrete([rotation, transverse, force, self.length, ellipse, lowest])
         advice = (
             "Use `flexures.surrogate` of a `flexures.Beam` for large rotations, and "
             "`flexures.chain` for a leaf that buckles between its ends"
         )
         if values is None:
             return f"it is a leaf outside of its validity range. {advice}"
-        rotation, transverse, force, length, bending, lowest = map(float, values)
+        rotation, transverse, force, length, ellipse, lowest = map(float, values)
         return (
             f"its rotation is {rotation:.4g} rad, its transverse displacement "
             f"{transverse:.4g} m, and its axial force {force:.4g} N. The energy of a "
             f"leaf is valid if (rotation / {_ROTATION} rad)^2 + (transverse displacement "
-            f"/ {_TRANSVERSE * length:.4g} m)^2 is at most 1 (it is {bending:.3g}), for "
+            f"/ {_TRANSVERSE * length:.4g} m)^2 is at most 1 (it is {ellipse:.3g}), for "
             f"axial forces above {lowest:.4g} N at this displacement, and elongations up "
             f"to {_STRAIN * length:.4g} m. {advice}"
         )
@@ -176,39 +176,39 @@ class BeamColumn(AbstractMixedEnergy):
         (rotation, transverse), _ = self.potential_variables(displacement)
         return (rotation / _ROTATION) ** 2 + (transverse / _TRANSVERSE) ** 2
 
-    def _lowest_force_ratio(self, bending: Scalar) -> Scalar:
+    def _lowest_force_ratio(self, ellipse: Scalar) -> Scalar:
         """Return the relative axial force of the largest valid compression.
 
-        `bending` is the result of `_square_in_ellipse`. A force p increases the
+        `ellipse` is the result of `_square_in_ellipse`. A force p increases the
         deflection in proportion to `1 / x`, where `x = 1 + p / buckling`, and the
         relative error in proportion to the square of the deflection over x. On the
         ellipse, half of the buckling load is valid, and inside the force with the same
         error.
         """
         potential = self.potential
-        share = 1 - jnp.cbrt(jnp.minimum(bending, 1.0)) / 2
+        share = 1 - jnp.cbrt(jnp.minimum(ellipse, 1.0)) / 2
         buckling = jnp.minimum(_NEARLY, share) * potential.buckling_ratio
-        return -jnp.minimum(buckling, _STRAIN / potential.stretch)
+        return -jnp.minimum(buckling, _STRAIN / potential.axial_compliance)
 
 
 class BeamColumnPotential(AbstractPotential):
     """The potential of a beam-column.
 
     With the relative axial force p, and `a = tau^2`, `b = (t2 / length)^2`, it is
-    `W = bending ((r(p) a + s(p) b - stretch p^2) / 2 + 108/35 b^2 + 3/10 a b
+    `W = stiffness ((r(p) a + s(p) b - compliance p^2) / 2 + 108/35 b^2 + 3/10 a b
     + (36/175 b^2 + 9/1400 a b + a^2 / 480) p / (1 + 3/616 p))`. Above 0.999 times the
     buckling load, the functions of p are continued linearly.
     """
 
-    bending: Scalar  # E I / length; J
-    stretch: Scalar  # E I / (E A length^2)
+    stiffness: Scalar  # E I / length; J
+    axial_compliance: Scalar  # E I / (E A length^2)
     # E I / (G A length^2), with the shear correction factor of G A; None without shear
     # deformation
-    shear: Scalar | None
+    shear_compliance: Scalar | None
 
     @property
     def reference_curvature(self) -> Rows:
-        return ((-self.bending * self.stretch,),)
+        return ((-self.stiffness * self.axial_compliance,),)
 
     @property
     def buckling_ratio(self) -> Scalar:
@@ -216,9 +216,18 @@ class BeamColumnPotential(AbstractPotential):
 
         With shear, it is the root of `p - d p^2 = -4 pi^2`; see `_functions_of_force`.
         """
-        if self.shear is None:
-            return jnp.full_like(self.stretch, _EULER)
-        return 2 * _EULER / (1 + jnp.sqrt(1 + 4 * _EULER * (self.shear - self.stretch)))
+        if self.shear_compliance is None:
+            return jnp.full_like(self.axial_compliance, _EULER)
+        return (
+            2
+            * _EULER
+            / (
+                1
+                + jnp.sqrt(
+                    1 + 4 * _EULER * (self.shear_compliance - self.axial_compliance)
+                )
+            )
+        )
 
     def derivatives(
         self, orders: tuple[Orders, ...], compliant: Variables, forces: Variables
@@ -228,10 +237,11 @@ class BeamColumnPotential(AbstractPotential):
         one = jnp.ones_like(p)
         r, s, quartic = self._functions(p)
         a, b = rotation**2, transverse**2
-        slope_a, slope_b, slope = _quartic_slopes(a, b)
+        slope_a, slope_b, quartic_factor = _quartic_slopes(a, b)
         by_force = [
-            (r[k] * a + s[k] * b - self.stretch * stretch) / 2 + slope * quartic[k]
-            for k, stretch in enumerate((p**2, 2 * p, 2 * one))
+            (r[k] * a + s[k] * b - self.axial_compliance * square) / 2
+            + quartic_factor * quartic[k]
+            for k, square in enumerate((p**2, 2 * p, 2 * one))
         ]
         constant = (108 / 35 * b + 3 / 10 * a) * b
         of_rotation = [r[k] + 2 * slope_a * quartic[k] for k in (0, 1)]
@@ -250,7 +260,7 @@ class BeamColumnPotential(AbstractPotential):
             (1, 1, 0): rotation * transverse * (6 / 5 + 9 / 350 * quartic[0]),
             (0, 2, 0): of_transverse[0] + b * (864 / 35 + 288 / 175 * quartic[0]),
         }
-        return tuple(self.bending * values[order] for order in orders)
+        return tuple(self.stiffness * values[order] for order in orders)
 
     def forces_at(self, compliant: Variables, stretches: Variables) -> Variables:
         # The derivative of `p axial + W` is convex and decreasing. So Newton's iterations
@@ -259,17 +269,20 @@ class BeamColumnPotential(AbstractPotential):
         # zero follows from the pole alone, or is the force below which W is continued:
         # there, the derivative is not convex. Ten steps reach rounding errors for axial
         # displacements up to a tenth of the length, and any slenderness.
-        axial = stretches[0] / self.bending
+        axial = stretches[0] / self.stiffness
         a, b = compliant[0] ** 2, compliant[1] ** 2
-        _, _, slope = _quartic_slopes(a, b)
+        _, _, quartic_factor = _quartic_slopes(a, b)
 
         def excess_and_slope(p: Scalar) -> tuple[Scalar, Scalar]:
             r, s, quartic = self._functions(p)
             first, second = (
-                (r[order] * a + s[order] * b) / 2 + slope * quartic[order]
+                (r[order] * a + s[order] * b) / 2 + quartic_factor * quartic[order]
                 for order in (1, 2)
             )
-            return axial + first - self.stretch * p, second - self.stretch
+            return (
+                axial + first - self.axial_compliance * p,
+                second - self.axial_compliance,
+            )
 
         def newton_step(_, p: Scalar) -> Scalar:
             excess, decrease = excess_and_slope(p)
@@ -278,7 +291,7 @@ class BeamColumnPotential(AbstractPotential):
         buckling = self.buckling_ratio
         continued_below = -_NEARLY * buckling
         # Residue of the pole, for any shear stiffness
-        residue = (_EULER if self.shear is None else buckling / 2) * a
+        residue = (_EULER if self.shear_compliance is None else buckling / 2) * a
         drop = a / 8 - b / 2 - axial
         above = jnp.sqrt(residue / jnp.where(drop > 0, drop, jnp.inf))
         lowest = jnp.where(drop > 0, jnp.minimum(above - buckling, 0.0), 0.0)
@@ -290,11 +303,13 @@ class BeamColumnPotential(AbstractPotential):
     def _functions(self, p: Scalar) -> tuple[list[Scalar], ...]:
         """Evaluate the functions of the relative axial force, with two derivatives."""
         lowest = -_NEARLY * self.buckling_ratio
-        return _functions_of_force(p, self.shear, self.stretch, lowest)
+        return _functions_of_force(
+            p, self.shear_compliance, self.axial_compliance, lowest
+        )
 
 
 def _quartic_slopes(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Compute the factor of `p / (1 + 3/616 p)`, and its derivatives by a and b."""
+    """Differentiate the factor of `p / (1 + 3/616 p)` by a and b, and compute it."""
     by_a, by_b = a / 240 + 9 / 1400 * b, 72 / 175 * b + 9 / 1400 * a
     return by_a, by_b, (by_a * a + by_b * b) / 2
 
@@ -324,7 +339,7 @@ def _bessel_ratio(q: Scalar) -> Scalar:
     return jnp.where(q < _LARGE, below, (y2 - 5) / large)
 
 
-@jax.jit
+@jax.jit  # traced once for all its calls in a program
 def _functions_of_force(
     p: Scalar, shear: Scalar | None, stretch: Scalar, lowest: Scalar
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:

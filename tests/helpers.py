@@ -59,6 +59,13 @@ def some_stiffness(seed):
     return root @ root.T + np.eye(3)
 
 
+def one_slow(cases):
+    """Mark the first case of a parametrized test as slow, and the others as release."""
+    first, *others = cases
+    slow = pytest.param(first, marks=pytest.mark.slow)
+    return [slow, *(pytest.param(case, marks=pytest.mark.release) for case in others)]
+
+
 def mostly_slow(cases, fast=1):
     """Mark all cases of a parametrized test as slow, except for the first ones."""
     return [

@@ -109,7 +109,7 @@ def test_stressed_resonator():
     np.testing.assert_allclose(np.asarray(found.frequencies)[0], exact, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_guide_buckles_at_the_load_of_euler():
     """Under `equilibrium` and `path`; each leaf bears pi^2 E I / L^2."""
     guide = tj.Mechanism(

@@ -26,6 +26,7 @@ from twistorjax.examples.truss import von_mises_truss
 
 
 PUSH = tj.Load("apex", force=(0.0, -20.0))
+REVERSE = pytest.param(jax.jacrev, marks=pytest.mark.release)
 
 
 def supported_truss(rise=0.3, spring=1e-12, foot=(0.0, -10.0)):
@@ -106,7 +107,7 @@ class TestBistability:
         assert_close(found.barriers, np.full(2, exact), digits=9)
         assert_close(found.travel("lever"), np.array([2 * angle, 0.0, 0.0]), digits=9)
 
-    @pytest.mark.parametrize("derivative", mostly_slow([jax.jacfwd, jax.jacrev]))
+    @pytest.mark.parametrize("derivative", [jax.jacfwd, REVERSE])
     def test_barrier_and_snap_force_have_derivatives(self, derivative):
         def quantities(rise):
             truss = von_mises_truss(rise)
@@ -332,7 +333,7 @@ class TestBuckling:
         exact = np.array([3 - np.sqrt(5), 3 + np.sqrt(5)]) / 2 * 2.0 / 0.5
         np.testing.assert_allclose(found.load_factors, exact, rtol=1e-9)
 
-    @pytest.mark.slow
+    @pytest.mark.release
     def test_derivatives_by_the_stiffness(self):
         """The factors are proportional to the stiffness, so the second ones are zero."""
 
@@ -373,7 +374,7 @@ class TestBuckling:
             found.load_factors[0], self.exact()[0] - 0.1, rtol=1e-5
         )
 
-    @pytest.mark.parametrize("derivative", mostly_slow([jax.jacfwd, jax.jacrev]))
+    @pytest.mark.parametrize("derivative", [jax.jacfwd, REVERSE])
     def test_a_link_on_a_pin_and_its_derivatives(self, derivative):
         """A rotational spring k and a link of length 1: the buckling load is k."""
         bodies = [tj.Body("base"), tj.Body("link", pose=(0.0, 0.0, 0.5))]

@@ -85,7 +85,7 @@ class TestExact:
         _, wrench, _ = exact_guide(1.0)
         assert_close(wrench, expected, rtol=1e-9)
 
-    @pytest.mark.slow
+    @pytest.mark.release
     def test_third_derivatives_agree_with_differences_of_the_second_ones(self):
         hessian = jax.hessian(Condensed(guide_of_quadratic_leaves()))
         direction = jnp.array([0.0, 0.0, 1.0])

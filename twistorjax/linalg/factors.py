@@ -203,17 +203,18 @@ def is_stable(
     if pivots is None:
         # The diagonal of a Cholesky factor has the square roots of the pivots.
         return jnp.all(diagonal > np.sqrt(_SMALLEST_PIVOT))
-    rows = np.arange(pivots.shape[-1], dtype=np.int32)
-    exchanges = jnp.sum(pivots != jnp.broadcast_to(rows, pivots.shape))
-    determinant_positive = (exchanges + jnp.sum(diagonal < 0)) % 2 == 0
-    return determinant_positive & jnp.all(jnp.abs(diagonal) > _SMALLEST_PIVOT)
+    large = jnp.all(jnp.abs(diagonal) > _SMALLEST_PIVOT)
+    return (determinant_sign(triangle, pivots) > 0) & large
 
 
 def determinant_sign(
-    triangle: Float[Array, "n n"], pivots: Int[Array, " n"]
+    triangle: Float[Array, "*blocks n n"], pivots: Int[Array, "*blocks n"]
 ) -> Float[Array, ""]:
-    """Return the sign of a determinant from the factors of Gaussian elimination."""
+    """Return the sign of a determinant from the factors of Gaussian elimination.
+
+    That of several blocks is the sign of the product of their determinants.
+    """
     rows = np.arange(pivots.shape[-1], dtype=np.int32)
-    exchanges = jnp.sum(pivots != jnp.asarray(rows))
-    negative = jnp.sum(jnp.diagonal(triangle) < 0)
+    exchanges = jnp.sum(pivots != jnp.broadcast_to(rows, pivots.shape))
+    negative = jnp.sum(jnp.diagonal(triangle, axis1=-2, axis2=-1) < 0)
     return jnp.where((exchanges + negative) % 2 == 0, 1.0, -1.0)

@@ -7,6 +7,8 @@ from .._utils.types import NumberLike
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
+
+# These names are in `tj.solve`, whose stub can only import from files of its own folder.
 from ..results.codes import result_names as result_names, RESULTS as RESULTS
 from ..results.tables import Column as Column
 from .equations.problem import Problem

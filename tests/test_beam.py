@@ -253,7 +253,7 @@ def test_an_exact_beam_is_a_hinge_of_a_mechanism():
         assert int(solution.steps) < 60
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_guide_of_exact_beams_needs_few_steps():
     """Without the rotation of the table, the force is twice that of one beam."""
     thin = leaf(thickness=0.1e-3)

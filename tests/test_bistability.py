@@ -226,7 +226,7 @@ class TestPrescribedDisplacements:
         found = tj.bistability(supported_truss(spring=200.0), drives=push)
         assert not bool(found.is_bistable) and "monostable" in repr(found)
 
-    @pytest.mark.slow
+    @pytest.mark.release
     def test_a_lift_that_almost_makes_the_truss_monostable(self):
         lift = [tj.Load("apex", force=(0.0, von_mises_limit_force() * (1 - 1e-3)))]
         truss, drive = von_mises_truss(), tj.Drive("apex", y=-1.2)
@@ -402,7 +402,7 @@ class TestBuckling:
         shapes = np.asarray(found.shapes).reshape(4, -1)
         assert_close(shapes @ shapes.T, np.eye(4), digits=9)
 
-    @pytest.mark.slow
+    @pytest.mark.release
     def test_derivatives_of_equal_load_factors(self):
         def factors(stiffness):
             links, forces = parallel_links([stiffness, stiffness, 1.5 * stiffness, 9.0])
@@ -428,7 +428,7 @@ class TestBuckling:
         assert other == np.inf
         assert_close(double, factor / 2, digits=4)
 
-    @pytest.mark.slow
+    @pytest.mark.release
     def test_derivatives_beside_estimates_without_an_equilibrium(self):
         slopes = jax.jacfwd(with_value(self.factors_of_a_stage), has_aux=True)
         (change, _), (factor, other) = map(np.asarray, jax.jit(slopes)(-100.0))

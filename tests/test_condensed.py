@@ -109,7 +109,7 @@ class TestExact:
         difference = np.asarray(above) - np.asarray(below)
         assert_close(slope, difference / 0.002, rtol=1e-6)
 
-    @pytest.mark.slow
+    @pytest.mark.release
     def test_a_hinge_with_it_moves_as_the_whole_mechanism(self):
         part = guide_of_quadratic_leaves()
         hinge = tj.Hinge("guide", "A", "B", Condensed(part), at=(0.5, 0.01, 0.02))

@@ -155,7 +155,7 @@ def test_a_general_constraint_depends_on_the_time():
     assert_close(found.displacement("arm"), [0.0, 0.02, 0.0])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_stage_of_rigid_levers_on_pins_has_the_gain_of_the_levers():
     """The gain is 328 / 9 for any stiffness of the pivots.
 

@@ -540,7 +540,7 @@ class TestEqualBucklingLoads:
         assert_close(slopes[:2], np.array([1.0, 1.5]), digits=9)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_both_columns_of_a_table_buckle():
     """Two links of length a with a spring k between them buckle at 2 k / a."""
     stiff, side = tj.Quadratic(np.diag([0.0, 1e7, 1e7])), np.pi / 2
@@ -630,7 +630,7 @@ def test_follower_load_on_a_single_link_has_no_limit_point():
     assert set(np.asarray(found.negative_eigenvalues)) == {0}
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_pins_instead_of_stiff_hinges():
     """A link on a pin with a rotational spring, pulled by a force on its end."""
     spring = tj.Quadratic(np.diag([1.0, 0.0, 0.0]), coordinates="twist")

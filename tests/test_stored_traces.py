@@ -521,7 +521,7 @@ def test_the_gradient_of_a_motion_is_the_difference_quotient():
     assert float(by_force) == pytest.approx(float(more - less) / 0.02, rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_functions_of_time_may_contain_what_is_differentiated():
     """An undamped oscillator under a constant force, and a linear rise of temperature.
 

@@ -197,10 +197,15 @@ def test_vibrations_with_follower_loads_are_an_error():
     follower = tj.Load("rod", force=(0, -1.0), follower=True)
     with pytest.raises(ValueError, match="follower load"):
         tj.vibrations(mechanism, loads=[follower])
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize("analysis", [tj.vibrations, tj.buckling, tj.linearize])
+def test_one_load_instead_of_a_list_is_an_error(analysis):
+    mechanism, _ = column(1.0)
+    load = tj.Load("rod", force=(0, -1.0))
     with pytest.raises(ValueError, match="`loads` is one Load: put it in a list"):
-        tj.vibrations(mechanism, loads=follower)  # pyright: ignore
-    with pytest.raises(ValueError, match="`loads` is one Load: put it in a list"):
-        tj.buckling(mechanism, loads=follower)  # pyright: ignore
+        analysis(mechanism, loads=load)
 
 
 def test_response_to_a_load_is_that_of_a_damped_oscillator():

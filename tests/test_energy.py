@@ -142,6 +142,16 @@ def test_dissipated_power_is_positive(coordinates):
     assert np.all(for_each(power, some_poses(1)[1:], some_poses(2)[1:]) > 0)
 
 
+def test_a_pose_may_be_a_list_and_has_three_numbers():
+    energy = tj.Quadratic(np.diag([2.0, 300.0, 40.0]), "twist")
+    pose = [0.2, 1e-3, 0.05]
+    assert_close(energy.wrench(pose), energy.wrench(jnp.array(pose)), digits=15)
+    assert_close((energy * 3)(pose), 3 * energy(pose), digits=12)
+    for wrong in ([0.1, 0.2], [0.1, 0.0, np.nan]):
+        with pytest.raises(ValueError, match="`pose`"):
+            energy.tangent_stiffness(wrong)
+
+
 @every_energy
 def test_energy_does_not_change_if_its_frames_are_exchanged(energy):
     poses = some_poses(0)

@@ -18,7 +18,17 @@ from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
-from .._utils.types import Flag, Matrix, NumberLike, Pose, Scalar, Twist, Wrench
+from .._utils.types import (
+    Flag,
+    Matrix,
+    NumberLike,
+    Pose,
+    PoseLike,
+    Scalar,
+    Twist,
+    Wrench,
+)
+from .._utils.validation import require_row
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .damping import ViscousDamping
@@ -69,7 +79,7 @@ class AbstractEnergy(eqx.Module):
             The energy; J.
         """
 
-    def __call__(self, pose: Pose) -> Scalar:
+    def __call__(self, pose: PoseLike) -> Scalar:
         """Compute the energy that is stored at a pose of frame b relative to frame a.
 
         Returns:
@@ -79,9 +89,9 @@ class AbstractEnergy(eqx.Module):
             ValueError: The pose is outside the validity range. If the pose is traced, no
                 error is raised and the result is NaN.
         """
-        return self._in_range(pose, *_evaluate(_energy, self, pose))
+        return self._value_at(pose, _energy)
 
-    def wrench(self, pose: Pose) -> Wrench:
+    def wrench(self, pose: PoseLike) -> Wrench:
         """Compute the wrench that body B exerts on the hinge, about frame b, in its axes.
 
         It is the derivative of the energy with respect to infinitesimal displacements of
@@ -107,9 +117,9 @@ class AbstractEnergy(eqx.Module):
             >>> leaf.wrench(jnp.array([0.0, 0.0, 0.5]))
             Array([0., 0., 5.], dtype=float64)
         """
-        return self._in_range(pose, *_evaluate(_wrench, self, pose))
+        return self._value_at(pose, _wrench)
 
-    def tangent_stiffness(self, pose: Pose | None = None) -> Matrix:
+    def tangent_stiffness(self, pose: PoseLike = (0.0, 0.0, 0.0)) -> Matrix:
         """Compute the derivative of the wrench.
 
         It is the derivative with respect to infinitesimal displacements of frame b along
@@ -131,8 +141,7 @@ class AbstractEnergy(eqx.Module):
                    [0., 2., 0.],
                    [0., 0., 2.]], dtype=float64)
         """
-        pose = jnp.zeros(3) if pose is None else pose
-        return self._in_range(pose, *_evaluate(_tangent_stiffness, self, pose))
+        return self._value_at(pose, _tangent_stiffness)
 
     def out_of_range(self, displacement: Displacement) -> Flag | None:
         """Decide whether a displacement is outside the validity range of this energy.
@@ -286,11 +295,15 @@ class AbstractEnergy(eqx.Module):
     def __truediv__(self, divisor: NumberLike) -> "Scaled":
         return self.__rmul__(1 / jnp.asarray(divisor, float))
 
-    def _in_range(self, pose: Pose, value: Array, outside: Flag | None) -> Array:
-        """Return a value at a pose, or raise an error if the pose is out of range.
+    def _value_at(
+        self, pose: PoseLike, function: Callable[["AbstractEnergy", Pose], Array]
+    ) -> Array:
+        """Evaluate a function at a pose, or raise an error if the pose is out of range.
 
         If the pose is traced, the value is NaN instead.
         """
+        pose = require_row("`pose`", pose, "three numbers: angle, x, and y")
+        value, outside = _evaluate(function, self, pose)
         if outside is None:
             return value
         decided = concrete(outside)

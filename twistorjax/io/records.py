@@ -113,9 +113,12 @@ def _fields(part: eqx.Module) -> dict[str, Any]:
     for base, noun in _NOUNS.items():
         if isinstance(part, base):
             if _CLASSES.get(name) is not type(part):
+                advice = ""
+                if base is AbstractEnergy:
+                    advice = " Sample an energy of your own, and fit it by `fit_energy`."
                 raise ValueError(
                     f"{noun} of the class {name} cannot be saved. Classes that can be "
-                    f"saved are {', '.join(_kinds(base))}."
+                    f"saved are {', '.join(_kinds(base))}.{advice}"
                 )
             return {"kind": name, **values}
     return values

@@ -147,9 +147,8 @@ def test_a_pose_may_be_a_list_and_has_three_numbers():
     pose = [0.2, 1e-3, 0.05]
     assert_close(energy.wrench(pose), energy.wrench(jnp.array(pose)), digits=15)
     assert_close((energy * 3)(pose), 3 * energy(pose), digits=12)
-    for wrong in ([0.1, 0.2], [0.1, 0.0, np.nan]):
-        with pytest.raises(ValueError, match="`pose`"):
-            energy.tangent_stiffness(wrong)
+    with pytest.raises(ValueError, match=r"`pose` has shape .* three numbers"):
+        energy.tangent_stiffness([0.1, 0.2])
 
 
 @every_energy

@@ -28,7 +28,7 @@ from .._utils.types import (
     Twist,
     Wrench,
 )
-from .._utils.validation import require_row
+from .._utils.validation import require_shape
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .damping import ViscousDamping
@@ -86,8 +86,8 @@ class AbstractEnergy(eqx.Module):
             The energy; J.
 
         Raises:
-            ValueError: The pose is outside the validity range. If the pose is traced, no
-                error is raised and the result is NaN.
+            ValueError: The pose does not have three numbers, or is outside the validity
+                range. If the pose is traced, the result is NaN out of the range.
         """
         return self._value_at(pose, _energy)
 
@@ -104,8 +104,8 @@ class AbstractEnergy(eqx.Module):
             Moment, and force along axes 1 and 2 of frame b; N m, N, N.
 
         Raises:
-            ValueError: The pose is outside the validity range. If the pose is traced, no
-                error is raised and the result is NaN.
+            ValueError: The pose does not have three numbers, or is outside the validity
+                range. If the pose is traced, the result is NaN out of the range.
 
         Source:
             Equations 3.52 and 4.34 of the dissertation; 3.53 and 4.35 are the closed
@@ -302,7 +302,7 @@ class AbstractEnergy(eqx.Module):
 
         If the pose is traced, the value is NaN instead.
         """
-        pose = require_row("`pose`", pose, "three numbers: angle, x, and y")
+        pose = require_shape("`pose`", pose, (3,), "be three numbers: angle, x, and y")
         value, outside = _evaluate(function, self, pose)
         if outside is None:
             return value

@@ -302,8 +302,8 @@ class Identification(Solution):
                 f"`jax.tree.map(lambda array: array[0], batch).{name}`."
             )
 
-    def _summary(self, name: str) -> str:
-        del name
+    def _summary(self, names: np.ndarray) -> str:
+        del names
         return _summary(self)
 
 

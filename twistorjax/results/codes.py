@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax
@@ -218,24 +218,29 @@ class Solution(eqx.Module):
 
     result: eqx.AbstractVar[RESULTS]
     _plural: eqx.AbstractClassVar[str]  # What several such solutions are called
+    _result_axes: ClassVar[int] = 0  # Axes of the result of a single solution
 
     @property
     def succeeded(self) -> BatchFlag:
         """Whether the solve succeeded, or an event ended the motion or the path."""
         return is_success(self.result)
 
-    def _summary(self, name: str) -> str:
-        """Describe a single solution whose numbers are known, from its result's name."""
-        del name
+    def _summary(self, names: np.ndarray) -> str:
+        """Describe a single solution that is not traced; `names` are of its result."""
+        del names
         return eqx.tree_pformat(self)
+
+    def _batch_summary(self, names: np.ndarray) -> str:
+        """Describe several solutions, from the names of their results."""
+        return count_results(self._plural, names)
 
     def __repr__(self) -> str:
         names = result_names(self.result)
         if names is None or is_traced(self):
             return eqx.tree_pformat(self)
-        if names.shape:
-            return count_results(self._plural, names)
-        return self._summary(str(names))
+        if names.ndim > self._result_axes:
+            return self._batch_summary(names)
+        return self._summary(names)
 
 
 AnySolution = TypeVar("AnySolution", bound=Solution)

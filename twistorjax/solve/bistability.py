@@ -15,19 +15,15 @@ from .._utils.host import is_traced
 from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import Count, Flag, NumberLike, Pose, Scalar
-from .._utils.validation import index_of, require_positive
+from .._utils.validation import require_positive
 from ..linalg.elimination import solve
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import (
-    finish,
-    result_names,
-    RESULTS,
-    Solution,
-)
+from ..results.codes import finish, RESULTS, Solution
+from ..results.solutions import BodyDisplacements
 from .continuation.arc_length import Metric, NOT_FINITE, Step
-from .continuation.critical_points import null_vectors, with_derivatives
+from .continuation.critical_points import differentiable_critical_points, null_vectors
 from .continuation.diagnosis import path_message
 from .continuation.location import locate, Segment
 from .continuation.points import differentiable_points, negative_eigenvalues, point_values
@@ -56,7 +52,7 @@ _SAME_STATE = 1e-6  # largest distance of states that are equal
 _FARTHER = 1 + 1e-6
 
 
-class Bistability(Solution):
+class Bistability(Solution, BodyDisplacements):
     """Equilibria without the multiplied loads, and the loads at which a mechanism snaps.
 
     The states are the first stable equilibrium, the unstable one, and the second stable
@@ -120,23 +116,21 @@ class Bistability(Solution):
         Raises:
             ValueError: There is no body of this name.
         """
-        row = index_of("`body`", "body", body, self.names)
-        return self.displacements[..., 2, row, :] - self.displacements[..., 0, row, :]
+        states = self.displacement(body)
+        return states[..., 2, :] - states[..., 0, :]
 
-    def __repr__(self) -> str:
-        text, names = super().__repr__(), result_names(self.result)
-        if names is None or not names.shape or is_traced(self):
-            return text
-        return f"{text}, {np.sum(self.is_bistable):,} of them bistable"
+    def _batch_summary(self, names: np.ndarray) -> str:
+        count = np.sum(self.is_bistable)
+        return f"{super()._batch_summary(names)}, {count:,} of them bistable"
 
-    def _summary(self, name: str) -> str:
+    def _summary(self, names: np.ndarray) -> str:
         bistable, at_branch, negative = (
             np.asarray(values)
             for values in (self.is_bistable, self.at_branch, self.negative_eigenvalues)
         )
         factors, energies = np.asarray(self.snap_factors), np.asarray(self.energies)
         if not self.succeeded:
-            return f"no second stable state was found: {name}"
+            return f"no second stable state was found: {names}"
         if np.isnan(factors[0]):
             return "monostable up to the full loads and drives: no limit or branch point"
         forth, back = (
@@ -496,7 +490,7 @@ def _snap_factors(
     null = null_vectors(
         stop_gradient(system), run.metric, at, at_branch, criticals.multiplicities[chosen]
     )
-    at = with_derivatives(system, run.metric, at, at_branch, null)
+    at = differentiable_critical_points(system, run.metric, at, at_branch, null)
     around = rows[chosen] - states[0]
     switched = jnp.isfinite(middle) & ~(found & (around * np.array([1.0, -1.0]) <= 0))
     factors = jnp.where(switched, middle, jnp.where(found, at[:, -1], jnp.nan))

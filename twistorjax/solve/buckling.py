@@ -18,19 +18,14 @@ from .._utils.validation import warn
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import (
-    finish,
-    result_error,
-    RESULTS,
-    Solution,
-)
+from ..results.codes import finish, result_error, RESULTS, Solution
 from ..results.tables import Column, Columns, columns, Tabular
 from .continuation.arc_length import Metric
 from .continuation.critical_points import (
+    differentiable_critical_points,
+    differentiable_null_vectors,
     LARGEST_MULTIPLICITY,
     null_vectors,
-    null_vectors_with_derivatives,
-    with_derivatives,
 )
 from .continuation.points import allowed_stiffness
 from .continuation.start import first_point, metric_of
@@ -97,12 +92,12 @@ class Buckling(Solution, Tabular):
             **columns(self.shapes, ("mode", "body"), *entries, body=self.names),
         }
 
-    def _summary(self, name: str) -> str:
-        if not np.any(np.isfinite(self.load_factors)) and name == "successful":
-            return f"{name}: no mode buckles within the validity ranges of the energies"
+    def _summary(self, names: np.ndarray) -> str:
+        if not np.any(np.isfinite(self.load_factors)) and names == "successful":
+            return f"{names}: no mode buckles within the validity ranges of the energies"
         finite = np.isfinite(self.load_factors)
         lines = [
-            f"{name}: {np.sum(finite)} modes within the validity ranges",
+            f"{names}: {np.sum(finite)} modes within the validity ranges",
             "load factor  largest translation",
         ]
         for row in np.flatnonzero(finite):
@@ -318,9 +313,9 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     known = jnp.where(valid[:, None], points, linear.point[None])
     is_branch = ~coupled[leading]
     null = null_vectors(fixed, metric, known, is_branch, multiplicities)
-    at = with_derivatives(system, metric, points, is_branch, null)
+    at = differentiable_critical_points(system, metric, points, is_branch, null)
     known = jnp.where(valid[:, None], at, linear.point[None])
-    null = null_vectors_with_derivatives(system, metric, known, null)
+    null = differentiable_null_vectors(system, metric, known, null)
     places = jnp.sum(same & (rows[None] < rows[:, None]), axis=1)
     vectors = jax.vmap(lambda vectors, place: vectors[:, place])(null, places)
     vectors = vectors[:, : len(linear.basis)]

@@ -67,8 +67,8 @@ class LinearResponse(PoseSolution):
     def columns(self) -> Columns:
         return {**self._body_columns(), "energy": Column(self.energy, (), "J")}
 
-    def _summary(self, name: str) -> str:
-        title = f"{name}: {float(self.energy):.6g} J"
+    def _summary(self, names: np.ndarray) -> str:
+        title = f"{names}: {float(self.energy):.6g} J"
         return self._listed(title, "body", np.asarray(self.displacements))
 
 

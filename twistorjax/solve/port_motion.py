@@ -71,6 +71,7 @@ class PortMotion(Solution, Tabular):
     direction: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
     _plural: ClassVar[str] = "positions of ports"
+    _result_axes: ClassVar[int] = 1
 
     @property
     def output(self) -> Numbers:
@@ -138,11 +139,11 @@ class PortMotion(Solution, Tabular):
     def _force_unit(self) -> str:
         return "N m" if self.unit == "rad" else "N"
 
-    def __repr__(self) -> str:
-        known = all_concrete([self.travel, self.displacement, self.rate])
-        if known is None or known[0].ndim > 1:
-            return eqx.tree_pformat(self)
-        travel, displacement, rate = known
+    def _summary(self, names: np.ndarray) -> str:
+        del names
+        travel, displacement, rate = map(
+            np.asarray, (self.travel, self.displacement, self.rate)
+        )
         index = COORDINATES.index(self.direction)
         first, last = rate[0, index], rate[-1, index]
         title = (

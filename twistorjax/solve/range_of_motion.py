@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.host import all_concrete, as_float
+from .._utils.host import as_float
 from .._utils.progress import announced
 from .._utils.types import NumberLike, PoseLike
 from .._utils.validation import index_of, require_positive
@@ -20,10 +20,8 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
-    count_results,
     finish,
     result_message,
-    result_names,
     RESULTS,
 )
 from ..results.solutions import PoseSolution
@@ -78,6 +76,7 @@ class RangeOfMotion(PoseSolution):
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
     _plural: ClassVar[str] = "ends of ranges of motion"
+    _result_axes: ClassVar[int] = 1
 
     def columns(self) -> Columns:
         axes, labels = ("side",), (("side", _SIDES),)
@@ -88,13 +87,10 @@ class RangeOfMotion(PoseSolution):
             **self.stresses.columns(*axes),
         }
 
-    def __repr__(self) -> str:
-        names = result_names(self.result)
-        values = all_concrete([self.factors, self.by_stress, self.stresses.utilization])
-        if names is None or values is None:
-            return eqx.tree_pformat(self)
-        if names.ndim > 1:
-            return count_results("ends of ranges of motion", names)
+    def _summary(self, names: np.ndarray) -> str:
+        values = map(
+            np.asarray, (self.factors, self.by_stress, self.stresses.utilization)
+        )
         lines = ["side      factor of the input  limit"]
         for side, name, factor, by_stress, utilization in zip(
             _SIDES, names, *values, strict=True

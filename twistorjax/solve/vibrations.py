@@ -51,8 +51,8 @@ class Vibrations(Solution, Tabular):
             **columns(self.shapes, axes, *entries, body=self.names),
         }
 
-    def _summary(self, name: str) -> str:
-        title = f"{name}: {self.frequencies.size} vibrations"
+    def _summary(self, names: np.ndarray) -> str:
+        title = f"{names}: {self.frequencies.size} vibrations"
         lines = [title, "frequency (Hz)  largest translations"]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
             travel = np.linalg.norm(np.asarray(shape)[:, 1:], axis=1)

@@ -572,7 +572,7 @@ def _extended_residual(
     return jnp.concatenate([residual, mean[None], closing])
 
 
-def with_derivatives(
+def differentiable_critical_points(
     system: PathSystem, metric: Metric, points: Array, is_branch: Array, null: NullVectors
 ) -> Float[Array, "critical n"]:
     """Return critical points with derivatives with respect to the system.
@@ -587,7 +587,7 @@ def with_derivatives(
 def _differentiable_critical_point(
     system: PathSystem, metric: Metric, point, branch, borders
 ) -> Array:
-    """Return the critical point; see `with_derivatives`."""
+    """Return the critical point; see `differentiable_critical_points`."""
     del system, metric, branch, borders
     return point
 
@@ -614,7 +614,7 @@ def _(primals, tangents):
     return point, change
 
 
-def null_vectors_with_derivatives(
+def differentiable_null_vectors(
     system: PathSystem, metric: Metric, points: Array, null: NullVectors
 ) -> Float[Array, "critical unknowns vectors"]:
     """Return the right null vectors with derivatives with respect to the system."""
@@ -626,7 +626,7 @@ def null_vectors_with_derivatives(
 def _differentiable_null_vectors(
     system: PathSystem, metric: Metric, point, borders
 ) -> Array:
-    """Return the null vectors; see `null_vectors_with_derivatives`."""
+    """Return the null vectors; see `differentiable_null_vectors`."""
     del system, metric, point
     return borders[1]
 

@@ -51,9 +51,8 @@ class _Search(NamedTuple):
     position: Scalar  # Position of the current point
     scaled: Float[Array, " n"]  # Current point, divided by the units
     step: Step  # Step at the last accurate point
-    other_values: Float[
-        Array, " m"
-    ]  # Second result of the function at the last accurate point
+    # Second result of the function at the last accurate point
+    other_values: Float[Array, " m"]
     last_position: Scalar  # Position of the last evaluation of the function
     base: Float[Array, " n"]  # Last corrected point, divided by the units
     base_position: Scalar

@@ -23,7 +23,12 @@ from ..equations.stresses import select_stresses
 from . import arc_length
 from .arc_length import follow, Metric, Trace
 from .branch_points import refine_branch_points
-from .critical_points import Criticals, locate_points, null_vectors, with_derivatives
+from .critical_points import (
+    Criticals,
+    differentiable_critical_points,
+    locate_points,
+    null_vectors,
+)
 from .points import differentiable_points, point_values
 from .solution import CriticalPoints, Path, PathPoint
 from .start import first_point, FirstPoint, start_at, start_on_branch
@@ -159,7 +164,7 @@ def evaluate_path(
     found = jnp.asarray(np.arange(len(criticals.points))) < count
     at = jnp.where(found[:, None], criticals.points, trace.points[:1])
     null = null_vectors(fixed, metric, at, criticals.is_branch, criticals.multiplicities)
-    at = with_derivatives(system, metric, at, criticals.is_branch, null)
+    at = differentiable_critical_points(system, metric, at, criticals.is_branch, null)
     critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
     modes = jax.vmap(system.mode_displacements)(null.right[..., 0])
     length = fixed.length()

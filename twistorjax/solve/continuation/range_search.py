@@ -20,7 +20,11 @@ from ...results.codes import is_success, RESULTS
 from ..equations.load_state import LoadState
 from ..statics.solver import find_equilibrium, search_result
 from .arc_length import Metric
-from .critical_points import null_vectors_of, singular_vectors, with_derivatives
+from .critical_points import (
+    differentiable_critical_points,
+    null_vectors_of,
+    singular_vectors,
+)
 from .points import differentiable_points, point_values, PointValues, stability_values
 from .start import first_point, metric_of
 from .system import PathSystem, PathTangent
@@ -176,7 +180,7 @@ def _(primals, tangents):
         by_excess = differentiable_points(
             system, at_stress[None], gradient[None], excess[None]
         )
-        critical = with_derivatives(
+        critical = differentiable_critical_points(
             system, metric, at_critical[None], is_branch[None], null
         )
         return jnp.where(by_stress, by_excess, critical)[0]

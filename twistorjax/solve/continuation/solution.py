@@ -201,11 +201,11 @@ class Path(PoseSolution):
             "negative_eigenvalues": Column(self.negative_eigenvalues, axes, "1"),
         }
 
-    def _summary(self, name: str) -> str:
+    def _summary(self, names: np.ndarray) -> str:
         factors = np.asarray(self.load_factors)
         stable = np.mean(np.asarray(self.negative_eigenvalues) == 0)
         lines = [
-            f"{name}: {len(factors)} equilibria, load factor {factors[0]:.6g} to "
+            f"{names}: {len(factors)} equilibria, load factor {factors[0]:.6g} to "
             f"{factors[-1]:.6g}, {stable:.0%} stable, "
             f"{int(self.steps)} steps"
         ]

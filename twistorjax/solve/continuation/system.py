@@ -131,15 +131,15 @@ class PathSystem(eqx.Module):
         system, displacements, multipliers = self.split(point)
         hinges = system.hinges.tangent(displacements, predicted)
         count = len(self.dofs.free)
-        forces, *matrices = system.dense_tangent(
+        forces, matrix, jacobian = system.dense_tangent(
             hinges, displacements, self.dofs.free + self.dofs.prescribed, multipliers
         )
-        matrix = jnp.concatenate(matrices)
         applied, _ = self.loads.apply(displacements)
         by_factor = self._by_changes(point[-1], displacements) - applied.reshape(-1)
-        by_factor = jnp.concatenate(
-            [by_factor[system.free], jnp.zeros(self.constraints.size)]
-        )
+        by_factor = by_factor[system.free]
+        if self.constraints.size:  # no array of size zero; see `System.equations`
+            matrix = jnp.concatenate([matrix, jacobian])
+            by_factor = jnp.concatenate([by_factor, jnp.zeros(self.constraints.size)])
         if self.dofs.prescribed:
             by_factor = by_factor + matrix[:, count:] @ self.targets
         matrix = matrix[:, :count]

@@ -171,10 +171,10 @@ class Motion(PoseSolution):
             table[f"energy_{field.name}"] = Column(energy, ("time",), "J")
         return {**table, "steps": Column(self.steps), "rejected": Column(self.rejected)}
 
-    def _summary(self, name: str) -> str:
+    def _summary(self, names: np.ndarray) -> str:
         times, displacements = map(np.asarray, (self.times, self.displacements))
         title = (
-            f"{name}: {float(times[0]):g} to {float(self.reached):.6g} s in "
+            f"{names}: {float(times[0]):g} to {float(self.reached):.6g} s in "
             f"{int(self.steps)} steps, {int(self.rejected)} rejected; "
             f"{times.size} saved times"
         )

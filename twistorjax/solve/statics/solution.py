@@ -70,9 +70,9 @@ class Equilibrium(PoseSolution):
         stresses = {} if self.stresses is None else self.stresses.columns()
         return {**self._body_columns(), "energy": energy, **stresses}
 
-    def _summary(self, name: str) -> str:
+    def _summary(self, names: np.ndarray) -> str:
         title = (
-            f"{name}: {100 * float(self.fraction):.4g} % of loads and prescribed "
+            f"{names}: {100 * float(self.fraction):.4g} % of loads and prescribed "
             f"displacements, {int(self.steps)} Newton steps"
         )
         if np.isfinite(self.energy):

@@ -55,21 +55,21 @@ def forces_and_stress(
 
 
 class HingeTangent(NamedTuple):
-    """Forces of a hinge, and their derivatives with respect to its four motions.
+    """Forces of a hinge, and their derivatives by its four displacements.
 
-    The motions are those of `HingeKinematics`: rotation of A, rotation of B, and
-    translation of B relative to A along x and along y. A translation of A is the opposite
+    They are those of `HingeKinematics`: rotation of A, rotation of B, and translation of
+    B relative to A along x and along y. A translation of A is the opposite
     one of B, so the ten entries determine the stiffness of the six displacements; see
     `FOUR_OF_SIX`.
     """
 
-    forces: Four  # Derivatives of the energy with respect to the motions; N m, N m, N, N
+    forces: Four  # Derivatives of the energy by them; N m, N m, N, N
     # Upper triangle of the second derivatives, row by row; N m/rad, N/rad, N/m
     stiffness: tuple[Scalar, ...]
     stress: Three  # Generalized stress; N m, N, N
     # Derivatives of the stress with respect to each coordinate of the hinge
     stress_rates: tuple[Three, Three, Three]
-    # Derivatives of these coordinates with respect to the motions
+    # Derivatives of these coordinates by the four displacements
     kinematics: HingeKinematics
     work: Scalar  # Sum of the absolute values of force times coordinate; J
 
@@ -82,7 +82,7 @@ def tangent(
     axis: Axis,
     predicted: Three | None = None,
 ) -> HingeTangent:
-    """Compute the forces on the motions, their derivatives, and the generalized stress.
+    """Compute the forces on the four displacements, their derivatives, and the stress.
 
     If a generalized stress (N m, N, N) is `predicted`, it determines the geometric
     stiffness. Newton's method then takes as few steps for stiff hinges as for compliant
@@ -127,7 +127,7 @@ def tangent(
     products = [combine(hessian, column) for column in columns]
     geometric = kinematics.geometric_stiffness(slopes)
     return HingeTangent(
-        forces=of_motions(columns, gradient),
+        forces=of_four(columns, gradient),
         stiffness=tuple(
             dot(columns[row], products[column]) + geometric[row][column]
             for row, column in zip(*UPPER_TRIANGLE, strict=True)
@@ -145,11 +145,11 @@ def predicted_stress(hinge: HingeTangent, first: Three, second: Three) -> Three:
     return hinge.stress[0] + s0, hinge.stress[1] + s1, hinge.stress[2] + s2
 
 
-# Rows and columns of the entries of a symmetric matrix of four motions.
+# Rows and columns of the entries of a symmetric matrix of four displacements.
 UPPER_TRIANGLE = np.triu_indices(4)
 
-# The motion that each of the six displacements (angle, x, y of A and of B) causes, and
-# its sign.
+# The one of the four displacements that belongs to each of the six (angle, x, y of A and
+# of B), and its sign.
 FOUR_OF_SIX = np.array([0, 2, 3, 1, 2, 3]), np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 
 
@@ -185,9 +185,9 @@ def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Fac
     rows = jnp.stack([row1 + ba * row2 + ca * row3, row2 + eb * row3, row3])
     geometric = as_array(kinematics.geometric_stiffness(slopes))
     remainder = product(product(rows.T, left), rows) + geometric
-    motions = jnp.asarray(MOTIONS)
-    remainder = product(product(motions, remainder), motions.T)
-    return Factored(product(rows, motions.T), weights, remainder)
+    four = jnp.asarray(FOUR_FROM_SIX)
+    remainder = product(product(four.T, remainder), four)
+    return Factored(product(rows, four), weights, remainder)
 
 
 @jax.jit
@@ -201,7 +201,7 @@ def rows_and_stiffness(
     """
     kinematics = HingeKinematics.of(first, second, axis)
     _, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
-    rows = product(jnp.asarray(MOTIONS), as_array(kinematics.columns())).T
+    rows = product(as_array(kinematics.columns()).T, jnp.asarray(FOUR_FROM_SIX))
     return rows, as_matrix(curvature_times)
 
 
@@ -211,8 +211,8 @@ def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
     return jnp.where(valid, numerator / jnp.where(valid, denominator, 1.0), 0.0)
 
 
-# The motions for a unit of each of the six displacements, in rows.
-MOTIONS = np.eye(4)[FOUR_OF_SIX[0]] * FOUR_OF_SIX[1][:, None]
+# The matrix that multiplies the six displacements to give the four.
+FOUR_FROM_SIX = np.eye(4)[:, FOUR_OF_SIX[0]] * FOUR_OF_SIX[1]
 
 
 def as_matrix(times: Callable[..., Three]) -> Float[Array, "3 3"]:
@@ -299,14 +299,14 @@ def displacement_at(at: Displacement, coordinates: Three) -> Displacement:
 
 def on_bodies(kinematics: HingeKinematics, slopes: Three) -> Six:
     """Convert forces on the coordinates to forces on the displacements; N m, N, N."""
-    on_a, on_b, x, y = of_motions(kinematics.columns(), slopes)
+    on_a, on_b, x, y = of_four(kinematics.columns(), slopes)
     return on_a, -x, -y, on_b, x, y
 
 
-def of_motions(columns: tuple[Three, Three, Three, Three], slopes: Three) -> Four:
-    """Convert derivatives with respect to coordinates to those of the four motions.
+def of_four(columns: tuple[Three, Three, Three, Three], slopes: Three) -> Four:
+    """Convert derivatives by the coordinates to those by the four displacements.
 
-    `columns` are the derivatives of the coordinates with respect to the motions.
+    `columns` are the derivatives of the coordinates by the four displacements.
     """
     a, b, x, y = (dot(column, slopes) for column in columns)
     return a, b, x, y

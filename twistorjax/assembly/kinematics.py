@@ -177,9 +177,9 @@ class HingeKinematics(NamedTuple):
     """Derivatives of the coordinates of a hinge with respect to those of its bodies.
 
     The coordinates are the relative angle and the translation (y1, y2) in the mid-frame.
-    They depend on the translations of the bodies only through their difference, so there
-    are four motions instead of six displacements: rotation of A, rotation of B, and
-    translation of B relative to A along x and along y.
+    They depend on the translations of the bodies only through their difference, so four
+    displacements replace the six: rotation of A, rotation of B, and translation of B
+    relative to A along x and along y.
     """
 
     middle: MidFrame  # Displacement and mid-frame of the hinge
@@ -201,7 +201,7 @@ class HingeKinematics(NamedTuple):
         return cls(middle, *arms)
 
     def columns(self) -> tuple[Three, Three, Three, Three]:
-        """Compute the derivatives of the coordinates with respect to the motions."""
+        """Compute the derivatives of the coordinates by the four displacements."""
         c, s = self.middle.cos, self.middle.sin
         half_y1, half_y2 = self.middle.half
         one, zero = jnp.ones_like(c), jnp.zeros_like(c)
@@ -218,8 +218,8 @@ class HingeKinematics(NamedTuple):
 
         The misfit is taken as constant.
         """
-        motions = first[0], second[0], second[1] - first[1], second[2] - first[2]
-        return combine(self.columns(), motions)
+        four = first[0], second[0], second[1] - first[1], second[2] - first[2]
+        return combine(self.columns(), four)
 
     def with_drift(self, rates: Three) -> Three:
         """Add the rates that are due to the change of the misfit."""
@@ -232,7 +232,7 @@ class HingeKinematics(NamedTuple):
         """Compute the second derivatives of the coordinates times given forces.
 
         `slopes` are the derivatives of the energy with respect to the coordinates; N m,
-        N, N. The result is the stiffness with respect to the motions; N m/rad, N/rad.
+        N, N. The result is the stiffness against the four displacements; N m/rad, N/rad.
         """
         _, g1, g2 = slopes
         c, s = self.middle.cos, self.middle.sin
@@ -254,7 +254,7 @@ class HingeKinematics(NamedTuple):
     def rate_columns(
         self, rates: Three, mean: Scalar
     ) -> tuple[Three, Three, Three, Three]:
-        """Differentiate the rates of the coordinates with respect to the motions.
+        """Differentiate the rates of the coordinates by the four displacements.
 
         `rates` are those at a constant misfit; rad/s, m/s, m/s. `mean` is the mean
         angular velocity of the two bodies; rad/s.

@@ -72,17 +72,19 @@ def forces_in_motion(
 
 
 class HingeMotionTangent(NamedTuple):
-    """Derivatives of the forces of a hinge on its four motions.
+    """Derivatives of the forces of a hinge on its four displacements.
 
-    The motions are those of `HingeKinematics`. `FOUR_OF_SIX` relates them to the six
-    displacements of the bodies.
+    They are those of `HingeKinematics`. `FOUR_OF_SIX` relates them to the six of the
+    bodies.
     """
 
-    # Derivatives with respect to the motions, on which the stretch depends as well. It is
+    # Derivatives with respect to the displacements, on which the stretch depends as well;
     # not symmetric if a damped hinge moves, because the viscous forces depend on its
-    # rotation.
+    # rotation
     stiffness: Float[Array, "4 4"]
-    damping: Float[Array, "4 4"]  # Derivatives with respect to the rates of the motions
+    damping: Float[
+        Array, "4 4"
+    ]  # Derivatives with respect to the rates of the displacements
     # Derivatives of the mid-frame translation
     stretch_by_displacement: Float[Array, "2 4"]
     # Derivatives of the forces with respect to the mid-frame translation

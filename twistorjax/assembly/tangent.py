@@ -16,7 +16,7 @@ from .motion_forces import HingeMotionTangent
 from .scatter import hinge_dofs, matrix_entries, row_entries
 
 
-# Position of each entry of a 4 by 4 matrix of motions in the upper triangle.
+# Position of each entry of a 4 by 4 matrix of displacements in the upper triangle.
 _SYMMETRIC = np.zeros((4, 4), int)
 _SYMMETRIC[UPPER_TRIANGLE] = _SYMMETRIC.T[UPPER_TRIANGLE] = np.arange(10)
 # Its position in the whole matrix.
@@ -24,7 +24,7 @@ _WHOLE = np.arange(16).reshape(4, 4)
 
 
 class AssemblyTangent(eqx.Module):
-    """Forces and stiffness of all hinges with respect to their four motions."""
+    """Forces and stiffness of all hinges with respect to its four displacements."""
 
     hinges: HingeTangent  # The tangent of each hinge; its leaves have an axis of hinges
     bodies: int = eqx.field(static=True)
@@ -45,11 +45,11 @@ class AssemblyTangent(eqx.Module):
 
     def forces(self) -> Float[Array, " dofs"]:
         """Sum the forces of all hinges on each degree of freedom; N m, N."""
-        motion, sign = FOUR_OF_SIX
+        one_of_four, sign = FOUR_OF_SIX
         dofs = hinge_dofs(self.ends, self.order).reshape(-1)
         indices = np.arange(dofs.size), dofs
         forces = jnp.stack(self.hinges.forces)
-        return _sum_entries(forces, indices, motion, sign, (3 * self.bodies,))
+        return _sum_entries(forces, indices, one_of_four, sign, (3 * self.bodies,))
 
     def matrix(
         self, rows: tuple[int, ...], columns: tuple[int, ...]
@@ -77,38 +77,39 @@ class AssemblyTangent(eqx.Module):
 
 
 def _of_pairs(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the entry of two motions for each entry of a flat 6 by 6 matrix.
+    """Find the entry of two of the four for each entry of a flat 6 by 6 matrix.
 
-    `position` is that of each entry of the 4 by 4 matrix of motions. The second result is
+    `position` is that of each entry of the 4 by 4 matrix. The second result is
     the sign with which it enters.
     """
-    motion, sign = FOUR_OF_SIX
-    return position[motion][:, motion].reshape(-1), np.outer(sign, sign).reshape(-1)
+    one_of_four, sign = FOUR_OF_SIX
+    pairs = position[one_of_four][:, one_of_four]
+    return pairs.reshape(-1), np.outer(sign, sign).reshape(-1)
 
 
 def _of_rows(rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Find the entry of a motion for each entry of flat rows of six displacements.
+    """Find the entry of one of the four for each entry of flat rows of six.
 
     The second result is the sign with which it enters.
     """
-    motion, sign = FOUR_OF_SIX
-    position = 4 * np.arange(rows)[:, None] + motion
+    one_of_four, sign = FOUR_OF_SIX
+    position = 4 * np.arange(rows)[:, None] + one_of_four
     return position.reshape(-1), np.tile(sign, rows)
 
 
 def _sum_entries(
-    entries: Float[Array, "*motions hinges"],
+    entries: Float[Array, "*four hinges"],
     indices: tuple[np.ndarray, np.ndarray],
     position: np.ndarray,
     signs: np.ndarray,
     shape: tuple[int, ...],
 ) -> Array:
-    """Sum the entries of all hinges, which are given for the four motions.
+    """Sum the entries of all hinges, which are given for the four displacements.
 
     Args:
         indices: Index of each entry for the six displacements, and its index in the sum;
             see `matrix_entries` and `row_entries`.
-        position: Index among the motions, for each index among the displacements.
+        position: Index among the four displacements, for each index among the six.
         signs: The sign with which this entry enters.
     """
     entry, hinge = np.divmod(indices[0], entries.shape[-1])

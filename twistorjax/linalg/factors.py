@@ -1,6 +1,5 @@
 """Factors of a dense matrix, which solve linear systems with it."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -8,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .elimination import eliminate, eliminate_one
+from .elimination import eliminate
 
 
 # A resistance below this fraction of the diagonal may be a rounding error.
@@ -155,35 +154,10 @@ def _(primals, tangents):
     return (solutions, stable), (changes, no_change)
 
 
-@jax.custom_batching.custom_vmap
 def _eliminate_symmetric(matrix: Array, rights: Array) -> tuple[Array, Array]:
-    solutions, pivots = eliminate_one(matrix, rights.T)
-    return solutions.T, _are_stable(pivots, jnp.diagonal(matrix))
-
-
-@_eliminate_symmetric.def_vmap
-def _(axis_size: int, in_batched: Sequence[bool], matrices: Array, rights: Array):
-    if not in_batched[0]:
-        flat = rights.reshape(-1, len(matrices))
-        solutions, stable = _eliminate_symmetric(matrices, flat)
-        return (solutions.reshape(rights.shape), stable), (True, False)
-    matrices, rights = (
-        jnp.moveaxis(values, 0, -1)
-        if batched
-        else jnp.broadcast_to(values[..., None], (*values.shape, axis_size))
-        for values, batched in zip((matrices, rights), in_batched, strict=True)
-    )
-    solutions, pivots = eliminate(matrices, jnp.swapaxes(rights, 0, 1))
-    diagonals = jnp.stack([matrices[row, row] for row in range(len(matrices))])
-    stable = _are_stable(pivots, diagonals)
-    return (jnp.transpose(solutions, (2, 1, 0)), stable), (True, True)
-
-
-def _are_stable(
-    pivots: Float[Array, "n ..."], diagonals: Float[Array, "n ..."]
-) -> Bool[Array, "..."]:
-    """Decide whether all pivots of matrices with these diagonals are positive."""
-    return jnp.all(pivots > _SMALLEST_PIVOT * jnp.abs(diagonals), axis=0)
+    solutions, pivots = eliminate(matrix, rights)
+    diagonal = jnp.abs(jnp.diagonal(matrix))
+    return solutions, jnp.all(pivots > _SMALLEST_PIVOT * diagonal)
 
 
 def diagonal_scale(diagonal: Float[Array, "*blocks n"]) -> Float[Array, "*blocks n"]:

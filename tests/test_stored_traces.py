@@ -22,6 +22,7 @@ from jax.core import Tracer
 
 import twistorjax as tj
 from twistorjax._compile import stored_gradients, stored_traces, trace_folder
+from twistorjax._compile.compilation import fast_compile
 from twistorjax._compile.result_structure import from_text, to_text
 from twistorjax._compile.trace_folder import TraceFolder
 from twistorjax._compile.trace_keys import canonical_text, NoCanonicalTextError
@@ -507,7 +508,7 @@ def test_a_gradient_is_exact_if_the_residuals_are_of_another_trace(monkeypatch):
         return count * (jnp.sum(values**2) + last)
 
     inputs = jnp.asarray(1.3), jnp.asarray(0.4)
-    compiled = stored_gradients.fast_compile_with_gradient(iterate)
+    compiled = fast_compile(iterate)
     found = jax.grad(functools.partial(sum_of_results, compiled))(inputs)
     assert next(names, None) is None
     exact = jax.grad(functools.partial(sum_of_results, iterate))(inputs)

@@ -4,7 +4,7 @@ import contextlib
 import gc
 import os
 from collections.abc import Callable, Iterator
-from functools import wraps
+from functools import partial, wraps
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +13,7 @@ import jaxlib.version
 
 from .._utils.host import is_traced, runs_line_by_line
 from .._utils.progress import compiling
+from .stored_gradients import with_gradient
 from .stored_traces import stored
 
 
@@ -41,8 +42,9 @@ def fast_compile(
     """Compile a function with settings of XLA that reduce the compilation time.
 
     Its traces are stored on disk; see `stored`. An option in the environment variable
-    `XLA_FLAGS` is not replaced. Inside another compiled function, and while JAX
-    differentiates or vectorizes the function, the settings have no effect.
+    `XLA_FLAGS` is not replaced. This holds also for a gradient outside of compiled
+    functions; see `with_gradient`. Inside another compiled function, for other
+    derivatives, and while JAX vectorizes the function, the settings have no effect.
 
     Args:
         optimize: Whether XLA optimizes the program. Without optimization, the compilation
@@ -51,6 +53,26 @@ def fast_compile(
         store: Whether traces are stored. Those with callbacks to Python cannot be stored.
         jit: `equinox.filter_jit`, or `jax.jit`, whose calls take less time.
         settings: Arguments of `jit`.
+    """
+    function = _traced_quickly(function)
+    in_program = jit(function, **settings)
+    if store:
+        compile_part = partial(_compile, optimize=optimize)
+        in_program = with_gradient(function, in_program, compile_part)
+    return _compile(function, in_program, optimize, store, jit, **settings)
+
+
+def _compile(
+    function: Callable,
+    in_program: Callable | None = None,
+    optimize: bool = True,
+    store: bool = True,
+    jit: Callable[..., Any] = eqx.filter_jit,
+    **settings: Any,
+) -> Callable:
+    """Compile a function as `fast_compile` does.
+
+    `in_program` is called instead if JAX is tracing an argument.
     """
     options = _FAST if optimize else _NOT_OPTIMIZED
     given = os.environ.get("XLA_FLAGS", "")
@@ -61,8 +83,8 @@ def fast_compile(
         for name, value in options.items()
         if name not in given or f"{name}={value}".lower() in given
     }
-    function = _traced_quickly(function)
-    plain = jit(function, **settings)
+    if in_program is None:
+        in_program = jit(function, **settings)
     traced = stored(function) if store else function
     fast = jit(traced, compiler_options=options, **settings)
 
@@ -70,7 +92,7 @@ def fast_compile(
     def compiled(*arguments: Any, **static: Any) -> Any:
         nonlocal fast
         if is_traced((arguments, static)) or jax.default_backend() != "cpu":
-            return plain(*arguments, **static)
+            return in_program(*arguments, **static)
         try:
             return fast(*arguments, **static)
         except ValueError as error:  # inside another program, of constant arguments
@@ -80,8 +102,8 @@ def fast_compile(
             # The options are not a stable interface of XLA.
             if "No such compile option" not in str(error):
                 raise
-            fast = plain
-        return plain(*arguments, **static)
+            fast = in_program
+        return in_program(*arguments, **static)
 
     return compiled
 

@@ -9,10 +9,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array
 
-from .._utils.host import is_traced
-from .compilation import fast_compile
 from .trace_keys import canonical_text, NoCanonicalTextError
 
 
@@ -23,29 +22,30 @@ except ImportError:  # The internals of JAX have changed.
     ShapedArray = Zero = None
 
 
-def fast_compile_with_gradient(function: Callable) -> Callable:
-    """Compile a function that has derivatives in reverse mode only, and its gradient.
+def with_gradient(
+    function: Callable, in_program: Callable, compile_part: Callable[[Callable], Callable]
+) -> Callable:
+    """Return a function whose gradient is computed by two programs.
 
     JAX compiles a function that it differentiates without the settings of `fast_compile`,
     and traces it in each process. Here the value with its residuals, and the gradient,
-    are two functions of `fast_compile`.
+    are two functions that are compiled with these settings (`benchmarks.first_calls`).
 
     Args:
-        function: Function of pytrees, with positional arguments.
-
-    Returns:
-        The compiled function. It is `fast_compile(function)` if an argument contains a
-        function of the user, which may depend on values that JAX is tracing.
+        function: Function of pytrees.
+        in_program: The same function, which is called inside another program, for other
+            derivatives, and if an argument contains a function of the user, which may
+            depend on values that JAX is tracing.
+        compile_part: Function that compiles one of the programs.
     """
-    compiled = fast_compile(function)
 
-    @fast_compile
+    @compile_part
     def forward(perturbed: Any, arguments: tuple) -> tuple[Any, list[Array], str]:
         value, pullback = _linearize(function, perturbed, arguments)
         residuals, structure = jax.tree.flatten(pullback)
         return value, residuals, _identity(structure)
 
-    @fast_compile
+    @compile_part
     def backward(
         perturbed: Any,
         arguments: tuple,
@@ -64,7 +64,8 @@ def fast_compile_with_gradient(function: Callable) -> Callable:
 
     @eqx.filter_custom_vjp
     def differentiable(arguments: tuple) -> Any:
-        return compiled(*arguments)
+        positional, named = arguments
+        return in_program(*positional, **named)
 
     @differentiable.def_fwd
     def _value_and_residuals(perturbed: Any, arguments: tuple) -> tuple[Any, Any]:
@@ -77,12 +78,26 @@ def fast_compile_with_gradient(function: Callable) -> Callable:
         return backward(perturbed, arguments, arrays, identity, gradient)
 
     @wraps(function)
-    def call(*arguments: Any) -> Any:
-        if is_traced(arguments) and _has_text(arguments):
+    def call(*positional: Any, **named: Any) -> Any:
+        arguments = positional, named
+        if _is_gradient_of_known_values(arguments) and _has_text(arguments):
             return jax.tree.map(_without_tangent, differentiable(arguments))
-        return compiled(*arguments)
+        return in_program(*positional, **named)
 
     return call
+
+
+def _is_gradient_of_known_values(arguments: Any) -> bool:
+    """Decide whether JAX is tracing arguments only for a gradient, outside of programs.
+
+    The values of the arguments are then known.
+    """
+    tracers = [leaf for leaf in jax.tree.leaves(arguments) if isinstance(leaf, Tracer)]
+    return bool(tracers) and all(
+        getattr(tracer._trace, "is_vjp", False)
+        and not isinstance(getattr(tracer, "primal", tracer), Tracer)
+        for tracer in tracers
+    )
 
 
 @eqx.filter_jit  # traced once for both programs
@@ -91,7 +106,8 @@ def _linearize(function: Callable, perturbed: Any, arguments: tuple) -> tuple[An
     differentiated, constant = eqx.partition(arguments, perturbed)
 
     def value(differentiated: tuple) -> Any:
-        return function(*eqx.combine(differentiated, constant))
+        positional, named = eqx.combine(differentiated, constant)
+        return function(*positional, **named)
 
     return eqx.filter_vjp(value, differentiated)
 

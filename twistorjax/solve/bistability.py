@@ -245,9 +245,10 @@ def bistability(
     limits = np.array([-1.0, 1.0]) * (_FARTHER if by_drives else 1.0)
     arguments = system, first, jnp.asarray(limits), step
     numbers = None, max_points, _MAX_CRITICAL
-    if is_traced(arguments):
+    constants = stop_gradient(arguments)
+    if is_traced(constants):
         return _solve(system, first, by_drives, *arguments[2:], *numbers)
-    run = run_refined(*arguments, *numbers)
+    run = run_refined(*constants, *numbers)
     found = _evaluate(system, run, first.direction, by_drives)
     if throw:
         warn_outside_linear_range(mechanism, found.range_shares)
@@ -255,7 +256,7 @@ def bistability(
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
         return RuntimeError(
-            f"No second stable state was found. {path_message(item, system, run)}"
+            f"No second stable state was found. {path_message(item, constants[0], run)}"
         )
 
     return finish(found, throw, error)

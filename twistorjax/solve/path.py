@@ -10,6 +10,7 @@ import numpy as np
 from .._compile.traced_function import traced
 from .._utils.host import all_concrete, as_float, is_traced, padded_size, take_rows
 from .._utils.progress import announced
+from .._utils.pytrees import stop_gradient
 from .._utils.types import NumberLike, NumbersLike, PoseLike
 from .._utils.validation import require_positive, warn
 from ..mechanism.constraints import AbstractConstraint
@@ -148,9 +149,10 @@ def path(
         until = traced(until, start_point)
     limits = as_float(load_factors)
     arguments = system, first, limits, step, until
-    if is_traced(arguments):
+    constants = stop_gradient(arguments)
+    if is_traced(constants):
         return solve_path(*arguments, max_points, max_critical)
-    run = run_refined(*arguments, max_points, max_critical)
+    run = run_refined(*constants, max_points, max_critical)
     count = int(run.trace.number)
     rows = min(padded_size(count, 16), max_points)
     found = evaluate_path(system, limits, until, first_rows(run, rows))
@@ -161,11 +163,11 @@ def path(
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
-        text = path_message(item, system, run)
+        text = path_message(item, constants[0], run)
         if count > 1:
             text += (
                 f" ({count} points up to the load factor "
-                f"{float(found.load_factors[-1]):.6g} were found; `path(..., "
+                f"{float(run.trace.points[count - 1, -1]):.6g} were found; `path(..., "
                 "throw=False)` returns them.)"
             )
         return RuntimeError(text)

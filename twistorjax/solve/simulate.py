@@ -32,9 +32,8 @@ from .integration.errors import StartOfMotion
 from .integration.program import (
     Driving,
     Loading,
-    solve_with_any_derivatives,
+    solve_motion,
     solve_with_callbacks,
-    solve_with_gradient,
     Strokes,
 )
 from .integration.solution import Motion
@@ -194,9 +193,7 @@ def simulate(
     stepwise = has_defaults and isinstance(solver, Radau | Gauss)
     if adjoint is None:
         adjoint = StepwiseAdjoint() if stepwise else dfx.RecursiveCheckpointAdjoint()
-    solve = solve_with_gradient if stepwise else solve_with_any_derivatives
-    if progress_meter is not None:
-        solve = solve_with_callbacks
+    solve = solve_motion if progress_meter is None else solve_with_callbacks
     with explain_compilation(first, **functions):
         motion = solve(
             mechanism,

@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from ..._compile.compilation import fast_compile
-from ..._compile.stored_gradients import fast_compile_with_gradient
 from ..._utils.types import Count, PoseLike, Poses, Scalar
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
@@ -164,9 +163,7 @@ def _solve(
     )
 
 
-solve_with_gradient = fast_compile_with_gradient(_solve)
-
-solve_with_any_derivatives = fast_compile(_solve)
+solve_motion = fast_compile(_solve)
 
 solve_with_callbacks = fast_compile(_solve, store=False)
 

@@ -231,6 +231,23 @@ def test_center_shift_of_a_cross_spring_pivot_is_that_of_exact_beams(crossing, v
     validated("Surrogates of leaves", what, actual_shift, shift, "exact beams, by SciPy")
 
 
+def test_a_surrogate_has_the_same_order_and_limits_under_a_gradient():
+    def sum_of_coefficients(thickness):
+        hinge = tj.flexures.surrogate(beam(thickness), rotation=0.3, error=1e-2)
+        return jnp.sum(hinge.energy.coefficients)
+
+    value, _ = jax.value_and_grad(sum_of_coefficients)(5e-4)
+    assert float(value) == pytest.approx(float(sum_of_coefficients(5e-4)), rel=1e-9)
+    with pytest.raises(ValueError, match="The `error` of 1e-09 is not reached"):
+        jax.grad(
+            lambda thickness: (
+                tj.flexures.surrogate(
+                    beam(thickness), rotation=0.8, error=1e-9
+                ).energy.length
+            )
+        )(5e-4)
+
+
 @pytest.mark.release
 def test_derivatives_of_a_surrogate_by_the_dimensions_are_difference_quotients():
     """They agree to the error of the fit. The wrench is proportional to the width."""

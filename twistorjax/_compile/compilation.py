@@ -57,14 +57,20 @@ def fast_compile(
     function = _traced_quickly(function)
     in_program = jit(function, **settings)
     if store:
-        compile_part = partial(_compile, optimize=optimize)
-        in_program = with_gradient(function, in_program, compile_part)
+        in_program = with_gradient(
+            function, in_program, partial(_part, optimize=optimize)
+        )
     return _compile(function, in_program, optimize, store, jit, **settings)
+
+
+def _part(function: Callable, optimize: bool) -> Callable:
+    """Compile one of the two programs of a gradient."""
+    return _compile(function, eqx.filter_jit(function), optimize)
 
 
 def _compile(
     function: Callable,
-    in_program: Callable | None = None,
+    in_program: Callable,
     optimize: bool = True,
     store: bool = True,
     jit: Callable[..., Any] = eqx.filter_jit,
@@ -83,8 +89,6 @@ def _compile(
         for name, value in options.items()
         if name not in given or f"{name}={value}".lower() in given
     }
-    if in_program is None:
-        in_program = jit(function, **settings)
     traced = stored(function) if store else function
     fast = jit(traced, compiler_options=options, **settings)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -271,7 +272,7 @@ def _solve(
     return _evaluate(system, run, first.direction, by_drives)
 
 
-@fast_compile
+@partial(fast_compile, optimize=False)  # runs for milliseconds
 def _evaluate(
     system: PathSystem, run: PathRun, direction: Scalar, by_drives: bool
 ) -> Bistability:

@@ -230,7 +230,7 @@ def chain(
 
 def _count(relative_force: Scalar, rotation: Scalar, modes: int) -> int:
     """Choose the number of segments for a force (in E I / L^2), a rotation, and modes."""
-    values = all_concrete([relative_force, rotation])
+    values = all_concrete(jax.lax.stop_gradient([relative_force, rotation]))
     if values is None:
         raise ValueError(
             '`segments` is "auto", but the beam, the `force`, or the `rotation` is '

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..._compile.compilation import fast_compile
 from ..._utils.host import concrete
+from ..._utils.pytrees import stop_gradient
 from ..._utils.types import Matrix, Pose, Scalar, Twist, Wrench
 from ...assembly.stress import member_models, member_states
 from ...energies.monomials import Powers, symmetric_terms
@@ -112,7 +113,7 @@ def sample_mechanism(
 
 def mechanism_symmetries(part: SubMechanism, samples: MechanismSamples) -> list[str]:
     """List the symmetries that the energies of a few samples have; none if traced."""
-    changes = concrete(_symmetry_errors(part, samples.poses[:4]))
+    changes = concrete(_symmetry_errors(*stop_gradient((part, samples.poses[:4]))))
     if changes is None:
         return []
     return [name for name, change in zip(_SIGNS, changes, strict=True) if change < 1e-8]

@@ -12,6 +12,7 @@ import numpy as np
 from ..._compile.compilation import fast_compile
 from ..._utils.host import all_concrete, concrete
 from ..._utils.progress import announced
+from ..._utils.pytrees import stop_gradient
 from ..._utils.types import NumberLike, Scalar
 from ..._utils.validation import require_float64, require_interval, require_positive
 from ...energies.mixed import MixedEnergy
@@ -144,8 +145,7 @@ def _beam_surrogate(
     """Compute the surrogate of a beam; see `surrogate`."""
     require_float64(beam.length)
     symmetry = _symmetry(beam)
-    middle = beam.profile(jnp.zeros(()))
-    bending = concrete(beam.rotational_stiffness)
+    bending = concrete(jax.lax.stop_gradient(beam.rotational_stiffness))
     if bending is not None and not 0 < bending < np.inf:
         raise ValueError(
             f"E I / L of the beam is {bending:g} N m/rad. Its modulus, its dimensions, "
@@ -157,26 +157,32 @@ def _beam_surrogate(
         energy = _fit(_powers(order, symmetry), beam.length, rotation, samples)
         return replace(energy, stress_model=BeamStress.of(beam))
 
-    if all_concrete([middle, rotation, *jax.tree.leaves(samples)]) is None:
+    # Outside of programs, they are known also if JAX differentiates.
+    known = all_concrete(
+        stop_gradient(
+            [
+                rotation,
+                samples.force,
+                beam.rotational_stiffness / beam.length,
+                samples.rotation_error,
+                samples.least_failed_force,
+                beam.profile(jnp.zeros(())),
+            ]
+        )
+    )
+    if known is None:
         return fit(order or 6)
-    limits = (
-        f"a rotation of {float(rotation):.4g} rad and a force of "
-        f"{float(samples.force):.4g} N"
-    )
-    unit = float(beam.rotational_stiffness / beam.length)
-    parts = max(
-        2,
-        math.ceil(math.sqrt(float(samples.force) / unit / 5)),
-        math.ceil(rotation / 1.2),
-    )
+    angle, largest, unit, rotation_error, least_failed, _ = known
+    limits = f"a rotation of {angle:.4g} rad and a force of {largest:.4g} N"
+    parts = max(2, math.ceil(math.sqrt(largest / unit / 5)), math.ceil(angle / 1.2))
     advice = (
         f"Divide the beam into {parts}, by `twistorjax.flexures.chain(..., "
         f"segments={parts})`, or use a smaller `rotation` or `force`"
     )
-    if not float(jnp.max(samples.rotation_error)) < 1e-6:
+    if not np.max(rotation_error) < 1e-6:
         raise ValueError(
             f"The beam cannot be computed everywhere up to {limits}: from "
-            f"{float(samples.least_failed_force):.3g} N on, no equilibrium is found at "
+            f"{least_failed:.3g} N on, no equilibrium is found at "
             "some rotations. A beam in compression buckles between its ends at about "
             f"10 E I / L^2. {advice}."
         )
@@ -204,14 +210,18 @@ def _mechanism_surrogate(
     size = rotation if displacement is None else displacement
     assert size is not None
     samples = sample_mechanism(part, size, force, freedom=freedom)
-    known = all_concrete([size, force, samples.succeeded, samples.outside])
+    known = all_concrete(
+        stop_gradient(
+            [size, force, samples.succeeded, samples.outside, samples.stiffness]
+        )
+    )
     if known is None:
         symmetries = mechanism_symmetries(part, samples)
         powers = mechanism_powers(symmetries, order or 6, freedom)
         energy = fit_mechanism(powers, freedom, size, samples)
         return replace(energy, stress_model=mechanism_stress(part, freedom, samples))
     unit = "rad" if displacement is None else "m"
-    limits = f"{float(size):.4g} {unit} and {float(force):.4g} N"
+    limits = f"{known[0]:.4g} {unit} and {known[1]:.4g} N"
     name = "rotation" if displacement is None else "displacement"
     advice = f"Use a smaller `{name}` or `force`"
     outside, failed = np.mean(known[3]), np.mean(~known[2] & ~known[3])
@@ -220,7 +230,7 @@ def _mechanism_surrogate(
             f"The sub-mechanism cannot be computed everywhere up to {limits}: for "
             f"{100 * outside:.3g} % of the loads a hinge is outside its validity range, "
             f"and for {100 * failed:.3g} % no stable equilibrium is found. "
-            f"{_wrong_freedom(np.asarray(samples.stiffness), freedom)}{advice}, or "
+            f"{_wrong_freedom(known[4], freedom)}{advice}, or "
             "hinges with a larger validity range."
         )
 
@@ -274,7 +284,7 @@ def _lowest_order(
     errors = {}
     for tried in _ORDERS if order is None else (order,):
         energy = fit(tried)
-        errors[tried] = float(jnp.max(energy.error))
+        errors[tried] = float(np.max(jax.lax.stop_gradient(energy.error)))
         if errors[tried] <= error:
             return energy
     listed = ", ".join(
@@ -299,6 +309,7 @@ def _symmetry(beam: Beam) -> tuple[Symmetry, ...]:
 
 def _is_even(function: Callable[[Scalar], Scalar], length: Scalar) -> bool:
     """Decide whether a function of the position is even; false if it is traced."""
+    function, length = stop_gradient((function, length))
     positions = jnp.asarray(np.linspace(-0.5, 0.5, 101)) * length
     values = concrete(jax.vmap(function)(positions))
     return values is not None and np.allclose(values, values[::-1], rtol=1e-9, atol=0)

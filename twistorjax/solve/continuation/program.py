@@ -6,6 +6,7 @@ because the number of points is known only after the first. Inside `jax.jit` and
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -134,7 +135,7 @@ def _of_load_factor(point: Float[Array, " n"]) -> Float[Array, " n"]:
     return jnp.zeros_like(point).at[-1].set(1.0)
 
 
-@fast_compile
+@partial(fast_compile, optimize=False)  # runs for milliseconds
 def evaluate_path(
     system: PathSystem, limits: Float[Array, "2"], until: Until | None, run: PathRun
 ) -> Path:
@@ -155,17 +156,16 @@ def evaluate_path(
     # The first point stays at its load factor.
     normals = normals.at[0].set(_of_load_factor(known[0]))
     conditions = jnp.where(is_end, condition, 0.0)
-    values = point_values(
-        system, differentiable_points(system, known, normals, conditions)
-    )
-    masked = jax.tree.map(lambda array: _masked(used, array), values)
+    points = differentiable_points(system, known, normals, conditions)
 
     count = jnp.minimum(criticals.number, len(criticals.points))
     found = jnp.asarray(np.arange(len(criticals.points))) < count
     at = jnp.where(found[:, None], criticals.points, trace.points[:1])
     null = null_vectors(fixed, metric, at, criticals.is_branch, criticals.multiplicities)
     at = differentiable_critical_points(system, metric, at, criticals.is_branch, null)
-    critical = jax.tree.map(lambda array: _masked(found, array), point_values(system, at))
+    values = point_values(system, jnp.concatenate([points, at]))
+    masked = jax.tree.map(lambda array: _masked(used, array[: len(rows)]), values)
+    critical = jax.tree.map(lambda array: _masked(found, array[len(rows) :]), values)
     modes = jax.vmap(system.mode_displacements)(null.right[..., 0])
     length = fixed.length()
     stresses = None

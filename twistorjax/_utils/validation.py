@@ -31,7 +31,7 @@ Kind = TypeVar("Kind")
 _BETWEEN = {__name__.partition(".")[0], "equinox", "jax", "jaxtyping", "beartype", ""}
 
 _LONGEST_NAME = 200  # characters
-_LONGEST = 10.0  # dimension of a flexure; m
+_LONGEST = 1.0  # dimension of a flexure; m. Holes of 2 mm are not taken for 2 m.
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
 
@@ -236,8 +236,8 @@ def require_length(
     dimensionless = modulus is not None and np.all(concrete(modulus) == np.array(1.0))
     if known is not None and known > _LONGEST and not dimensionless:
         warn(
-            f"{name} is {float(known):g} m, which is longer than any flexure. Lengths "
-            "are in meters: 50 mm is 50e-3."
+            f"{name} is {float(known):g} m, which is large for a flexure. Lengths are "
+            "in meters: 50 mm is 50e-3."
         )
     return length
 

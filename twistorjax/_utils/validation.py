@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from types import FrameType, ModuleType
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -87,8 +88,16 @@ def shorten(text: str, length: int = 60) -> str:
 
 
 def quote(value: Any) -> str:
-    """Return the representation of a value for a message, without its middle if long."""
-    return shorten(repr(value), 100)
+    """Return the text of a value for a message; the type of an object of the library."""
+    text = repr(value)
+    if "\n" in text or isinstance(value, eqx.Module):
+        return _with_article(type(value).__name__)
+    return shorten(text, 100)
+
+
+def _with_article(noun: str) -> str:
+    """Return a noun with its indefinite article."""
+    return f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun}"
 
 
 def listing(names: Iterable[Any], none: str = "none") -> str:
@@ -172,10 +181,9 @@ def compilation_error(name: str, subject: str, error: Exception) -> ValueError:
 def require_instance(name: str, value: Any, kind: type[Kind]) -> Kind:
     """Require an instance of a class."""
     if not isinstance(value, kind):
-        noun = kind.__name__
-        article = "an" if noun[0] in "AEIOU" else "a"
         raise ValueError(
-            f"`{name}` is a {type(value).__name__}, but must be {article} {noun}."
+            f"`{name}` is a {type(value).__name__}, but must be "
+            f"{_with_article(kind.__name__)}."
         )
     return value
 

@@ -15,7 +15,7 @@ from .._utils.host import all_concrete, as_float, on_host
 from .._utils.progress import announced
 from .._utils.pytrees import split_last_axis
 from .._utils.types import KeyLike
-from .._utils.validation import compilation_error, require_float64, require_kind
+from .._utils.validation import compilation_error, quote, require_float64, require_kind
 from ..designs.parameters import Parameter as Parameter, ParameterSet
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import finish, result_message, RESULTS
@@ -213,8 +213,9 @@ def _choose_optimizer(
     if isinstance(method, optx.AbstractLeastSquaresSolver):
         return OptimistixSolver(method), 100
     raise ValueError(
-        f"`method` is {method!r}, but must be an optimizer of optax or a least-squares "
-        "solver of optimistix: `optax.sgd(0.5)`, `optimistix.Dogleg(1e-8, 1e-8)`."
+        f"`method` is {quote(method)}, but must be an optimizer of optax or a "
+        "least-squares solver of optimistix: `optax.sgd(0.5)`, "
+        "`optimistix.Dogleg(1e-8, 1e-8)`."
     )
 
 

@@ -6,10 +6,11 @@ for `require_instance` and `require_kind`, which add them. A value that JAX is t
 not known, so most functions return it unchanged.
 """
 
+import contextlib
 import importlib
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import FrameType, ModuleType
 from typing import Any, TypeVar
 
@@ -103,6 +104,17 @@ def _with_article(noun: str) -> str:
 def listing(names: Iterable[Any], none: str = "none") -> str:
     """List names for a message, without those in the middle of a long list."""
     return shorten(", ".join(map(quote, names)), 600) or none
+
+
+@contextlib.contextmanager
+def missing_parameters_noted(parameters: Any) -> Iterator[None]:
+    """List the given parameters if a function of the user reads another one."""
+    try:
+        yield
+    except KeyError as error:
+        if isinstance(parameters, Mapping):
+            error.add_note(f"The parameters are {listing(parameters)}.")
+        raise
 
 
 def require_text(name: str, value: Any) -> str:

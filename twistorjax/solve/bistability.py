@@ -134,7 +134,10 @@ class Bistability(Solution, BodyPoses):
         if not self.succeeded:
             return f"no second stable state was found: {names}"
         if np.isnan(factors[0]):
-            return "monostable up to the full loads and drives: no limit or branch point"
+            return (
+                "monostable up to the full loads and drives: no limit or branch point; "
+                "larger ones may show a second state"
+            )
         forth, back = (
             f"{factor:.6g}{' (branch point)' if branch else ''}"
             for factor, branch in zip(factors, at_branch, strict=True)

@@ -191,7 +191,7 @@ def test_equilibrium_is_accepted_instead_of_poses():
     )
     for wrong, message in (
         ("poses", "`start` is 'poses', but must be an equilibrium or poses"),
-        (tj.Load("a", moment=0.0), "`start` is a Load, but must be an equilibrium or poses"),
+        (STEEL, "`start` is a Material, but must be an equilibrium or poses"),
         (motion, r"`start` has shape \(1, 2, 3\), but"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -66,6 +66,14 @@ class TestBistability:
         assert_close(found.snap_factors, np.array([force, -force]), digits=9)
         lines = repr(found).splitlines()
         assert lines[0] == "bistable" and "1.9387 J" in lines[2]
+        assert_close(found.pose("apex")[2], np.array([0.0, 0.0, -0.3]), digits=9)
+        truss = supported_truss()
+        second = tj.equilibrium(truss, start=found.poses[2])
+        assert_close(second.displacements, found.displacements[2], digits=9)
+        with pytest.raises(ValueError, match=r"shape \(3, 2, 3\).* one of its `poses`"):
+            tj.equilibrium(truss, start=found)
+        with pytest.raises(ValueError, match="one of its `poses`"):
+            tj.draw(truss, found)
 
     def test_a_weight_makes_the_first_barrier_smaller(self):
         """Snap forces shift by the weight, and the energies include its work."""
@@ -133,6 +141,7 @@ class TestBistability:
             assert not bool(found.is_bistable)
             assert np.isnan(found.energies[2])
             assert ("monostable" in repr(found)) != snaps
+            assert ("larger ones may show a second state" in repr(found)) != snaps
 
     def test_a_weight_that_almost_makes_the_truss_monostable(self):
         """The second state is 3 mm from the unstable one."""

@@ -1,6 +1,7 @@
 """Curved beams against closed forms, Castigliano's theorem and integration with SciPy."""
 
 import functools
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,9 @@ ROUND = 2 * np.pi / LENGTH  # curvature of a beam whose ends meet; 1/m
 def curved(curvature, **settings):
     """Return a beam with a square section."""
     settings = {"thickness": 1.0, "width": 1.0, "steps": 12, **settings}
-    return tj.flexures.Beam(SOFT, length=LENGTH, curvature=curvature, **settings)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "`length` is 10 m")
+        return tj.flexures.Beam(SOFT, length=LENGTH, curvature=curvature, **settings)
 
 
 def linear(coefficients, position):

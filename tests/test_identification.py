@@ -305,6 +305,9 @@ def test_a_design_that_jax_cannot_compile_is_rejected():
         tj.identify(branching, start, data)
     with pytest.raises(ValueError, match="`design` returns a dict, but must return a"):
         tj.identify(lambda k: k, start, data)
+    with pytest.raises(KeyError) as error:
+        tj.identify(lambda k: spring({"along": k["across"]}), start, data)
+    assert "The parameters are 'along'." in error.value.__notes__
 
 
 def test_a_large_constant_residual_does_not_affect_the_other_residuals():

@@ -45,6 +45,7 @@ def test_linearization_about_a_loaded_equilibrium_is_its_derivative():
 
 def test_linearization_needs_the_drives_for_which_it_was_made():
     linearization = tj.linearize(stage.microstage(), {"6": ["x"]})
+    assert repr(linearization).startswith("linearization of: Mechanism of ")
     message = r"prescribes nothing, but this map .* for x of '6'"
     with pytest.raises(ValueError, match=message):
         linearization(loads=[tj.Load("4", force=(1.0, 0.0))])

@@ -191,6 +191,7 @@ def test_equilibrium_is_accepted_instead_of_poses():
     )
     for wrong, message in (
         ("poses", "`start` is 'poses', but must be an equilibrium or poses"),
+        (STEEL, "`start` is a Material, but must be an equilibrium or poses"),
         (motion, r"`start` has shape \(1, 2, 3\), but"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -523,6 +524,8 @@ def test_dimensions_in_millimeters_are_noticed():
     with pytest.warns(UserWarning) as found:
         flexures_of(1e6)
     names = [str(warning.message).split("`")[1] for warning in found]
+    with pytest.warns(UserWarning, match="`hole` is 3 m"):
+        tj.flexures.notch(STEEL, hole=3.0, web=0.4, width=1.0)
     assert len(names) > 15 and set(names) >= {"length", "hole", "width", "depth"}
     without_units = tj.Material(1.0, poisson=0.3)
     tj.flexures.Beam(without_units, length=10.0, thickness=1.0, width=1.0)

@@ -331,6 +331,8 @@ def test_a_batch_of_equilibria_is_animated_in_sequence():
     solution = tj.equilibrium(linkage, drives=[tj.Drive("3", x=1e-3)])
     with pytest.raises(ValueError, match="one equilibrium"):
         tj.animate(linkage, solution)
+    with pytest.raises(ValueError, match="`motion` is a Mechanism, but"):
+        tj.animate(linkage, linkage)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_vibration_is_animated_in_its_mode_shape():

@@ -155,7 +155,7 @@ def test_lost_motion_of_the_stage_is_the_loss_of_its_gain():
     np.testing.assert_allclose(motion.force[-1], 30.53, atol=5e-3)
     text = repr(motion)
     assert "gain of the rigid mechanism 36.4444" in text
-    assert len(text.splitlines()) == 2 + 1 + 11
+    assert len(text.splitlines()) == 2 + 1 + 11 + 1
     assert motion.to_xarray()["lost_motion"].attrs["units"] == "m"
     figure = tj.plotting.draw_port_motion(motion)
     plt.close(figure)
@@ -172,6 +172,17 @@ def tilted_lever(stiffness=50.0):
 
 PORT = (0.5, 0.3, -0.2)
 TURN = tj.Drive("lever", angle=0.4)
+
+
+def test_the_center_of_a_translation_is_not_printed():
+    spring = tj.Quadratic(np.diag([2.0, 50.0, 80.0]))
+    hinge = tj.Hinge("spring", "base", "table", spring, at=(0, 0, 0))
+    guide = tj.Mechanism([tj.Body("base"), tj.Body("table")], [hinge], fixed=["base"])
+    slide = tj.Drive("table", x=0.1)
+    *_, last, note = repr(
+        tj.port_motion(guide, "table", direction="x", drive=slide, positions=2)
+    ).splitlines()
+    assert last.split()[-2:] == ["-", "-"] and "in the axes of the port" in note
 
 
 @pytest.fixture(scope="module")

@@ -47,8 +47,16 @@ def test_block_without_stiffness_in_one_direction_has_no_equilibrium(traced):
 def test_largest_moment_of_a_twistor_spring_is_its_stiffness():
     """The moment is k sin(angle), at most k at 90 degrees."""
     mechanism, load = block_on_spring(np.eye(3)), tj.Load("block", moment=1.25)
-    with pytest.raises(RuntimeError, match="No equilibrium at the full loads"):
+    with pytest.raises(RuntimeError, match="No equilibrium at the full loads") as error:
         tj.equilibrium(mechanism, loads=[load])
+    assert "Check also the units" in str(error.value)
+    assert "Misfits" not in str(error.value)
+    spring = tj.Hinge("h", "wall", "block", tj.Quadratic(np.eye(3)), (0.0, 0.0, 0.0),
+                      misfit=(0.1, 0.0, 0.0))  # fmt: skip
+    bodies = [tj.Body("wall"), tj.Body("block")]
+    misfit = tj.Mechanism(bodies, [spring], fixed=["wall"])
+    with pytest.raises(RuntimeError, match="Misfits are applied in the same incr"):
+        tj.equilibrium(misfit, loads=[load])
     solution = tj.equilibrium(mechanism, loads=[load], throw=False)
     assert_close(solution.fraction, 0.8, digits=3)
     assert_close(np.asarray(solution.reached)[1, 0], np.pi / 2, digits=1)

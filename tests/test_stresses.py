@@ -172,6 +172,8 @@ def test_stresses_along_a_path_and_in_a_motion():
     in_motion = tj.stresses(mechanism, motion)
     assert in_motion.largest.shape == (3, 1) and float(in_motion.largest[0, 0]) == 0.0
     assert np.all(np.diff(in_motion.largest[:, 0]) > 0)
+    largest = f"largest {float(in_motion.largest[-1, 0]) / 1e6:.4g} MPa in"
+    assert f"shape (3, 1), the last axis for hinges; {largest}" in repr(in_motion)
 
 
 def test_the_derivative_of_the_safety_factor_of_a_leaf():

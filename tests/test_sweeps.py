@@ -376,6 +376,17 @@ def test_invalid_arguments_of_a_sweep_are_rejected(arguments, message):
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize("analyze", [
+    lambda study: tj.sweep(study, {"a": np.ones(2)}),
+    lambda study: tj.sweeps.tolerances(study, {"a": tj.sweeps.Normal(1.0, 0.1)}, "c"),
+    lambda study: tj.optimize(study, {"a": tj.Parameter(1.0)}, minimize="c"),
+])  # fmt: skip
+def test_a_parameter_that_is_missing_is_reported_with_those_given(analyze):
+    with pytest.raises(KeyError, match="b") as error:
+        analyze(lambda design: {"c": design["b"]})
+    assert "The parameters are 'a'." in error.value.__notes__
+
+
 @pytest.mark.untyped
 @pytest.mark.parametrize(
     ("values", "message"),

@@ -213,6 +213,7 @@ def test_response_to_a_load_is_that_of_a_damped_oscillator():
     frequencies = np.array([0.0, 0.5, 0.8, 3.0])
     load = tj.Load("block", force=(1.0, 0))
     response = tj.frequency_response(oscillator(time), frequencies, loads=[load])
+    assert repr(response) == "successful: 4 frequencies, 0 to 3 Hz"
     omega = 2 * np.pi * frequencies
     expected = 1 / (50 - 2 * omega**2 + 1j * omega * time * 50)
     displacement = np.asarray(response.displacement("block"))[:, 1]

@@ -6,13 +6,15 @@ for `require_instance` and `require_kind`, which add them. A value that JAX is t
 not known, so most functions return it unchanged.
 """
 
+import contextlib
 import importlib
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import FrameType, ModuleType
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +33,7 @@ Kind = TypeVar("Kind")
 _BETWEEN = {__name__.partition(".")[0], "equinox", "jax", "jaxtyping", "beartype", ""}
 
 _LONGEST_NAME = 200  # characters
-_LONGEST = 10.0  # dimension of a flexure; m
+_LONGEST = 1.0  # dimension of a flexure; m. Holes of 2 mm are not taken for 2 m.
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
 
@@ -87,13 +89,32 @@ def shorten(text: str, length: int = 60) -> str:
 
 
 def quote(value: Any) -> str:
-    """Return the representation of a value for a message, without its middle if long."""
-    return shorten(repr(value), 100)
+    """Return the text of a value for a message; the type of an object of the library."""
+    text = repr(value)
+    if "\n" in text or isinstance(value, eqx.Module):
+        return _with_article(type(value).__name__)
+    return shorten(text, 100)
+
+
+def _with_article(noun: str) -> str:
+    """Return a noun with its indefinite article."""
+    return f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun}"
 
 
 def listing(names: Iterable[Any], none: str = "none") -> str:
     """List names for a message, without those in the middle of a long list."""
     return shorten(", ".join(map(quote, names)), 600) or none
+
+
+@contextlib.contextmanager
+def missing_parameters_noted(parameters: Any) -> Iterator[None]:
+    """List the given parameters if a function of the user reads another one."""
+    try:
+        yield
+    except KeyError as error:
+        if isinstance(parameters, Mapping):
+            error.add_note(f"The parameters are {listing(parameters)}.")
+        raise
 
 
 def require_text(name: str, value: Any) -> str:
@@ -172,10 +193,9 @@ def compilation_error(name: str, subject: str, error: Exception) -> ValueError:
 def require_instance(name: str, value: Any, kind: type[Kind]) -> Kind:
     """Require an instance of a class."""
     if not isinstance(value, kind):
-        noun = kind.__name__
-        article = "an" if noun[0] in "AEIOU" else "a"
         raise ValueError(
-            f"`{name}` is a {type(value).__name__}, but must be {article} {noun}."
+            f"`{name}` is a {type(value).__name__}, but must be "
+            f"{_with_article(kind.__name__)}."
         )
     return value
 
@@ -236,8 +256,8 @@ def require_length(
     dimensionless = modulus is not None and np.all(concrete(modulus) == np.array(1.0))
     if known is not None and known > _LONGEST and not dimensionless:
         warn(
-            f"{name} is {float(known):g} m, which is longer than any flexure. Lengths "
-            "are in meters: 50 mm is 50e-3."
+            f"{name} is {float(known):g} m, which is large for a flexure. Lengths are "
+            "in meters: 50 mm is 50e-3."
         )
     return length
 

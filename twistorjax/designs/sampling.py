@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from .._utils.memory import require_memory
 from .._utils.types import ArrayOfNumbers
-from .._utils.validation import require_choice
+from .._utils.validation import quote, require_choice
 from .distributions import AbstractDistribution, Uniform
 from .vector_layout import VectorLayout
 
@@ -112,7 +112,7 @@ class DistributionSet:
         require_choice("`method`", method, get_args(Method))
         if not isinstance(count, int | np.integer) or count < 1:
             raise ValueError(
-                f"`count` is {count!r}, but must be an integer of at least 1."
+                f"`count` is {quote(count)}, but must be an integer of at least 1."
             )
         size = len(self.variable_names)
         require_memory(count, 8 * count * size)

@@ -15,7 +15,13 @@ from .._utils.host import all_concrete, as_float, on_host
 from .._utils.progress import announced
 from .._utils.pytrees import split_last_axis
 from .._utils.types import KeyLike
-from .._utils.validation import compilation_error, require_float64, require_kind
+from .._utils.validation import (
+    compilation_error,
+    missing_parameters_noted,
+    quote,
+    require_float64,
+    require_kind,
+)
 from ..designs.parameters import Parameter as Parameter, ParameterSet
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import finish, result_message, RESULTS
@@ -155,8 +161,10 @@ def identify(
         raise ValueError("`data` is empty, but must have at least one measurement.")
     require_float64(jax.tree.leaves(parameters)[0])
     start_point = from_numpy(np.zeros(len(parameters.names)))
+    shapes = eqx.filter_eval_shape(parameters.tree, start_point)
     try:
-        design = traced(design, eqx.filter_eval_shape(parameters.tree, start_point))
+        with missing_parameters_noted(shapes):
+            design = traced(design, shapes)
     except jax.errors.JAXTypeError as error:
         raise compilation_error("design", "about the parameters", error) from error
     problem = IdentificationProblem(
@@ -213,8 +221,9 @@ def _choose_optimizer(
     if isinstance(method, optx.AbstractLeastSquaresSolver):
         return OptimistixSolver(method), 100
     raise ValueError(
-        f"`method` is {method!r}, but must be an optimizer of optax or a least-squares "
-        "solver of optimistix: `optax.sgd(0.5)`, `optimistix.Dogleg(1e-8, 1e-8)`."
+        f"`method` is {quote(method)}, but must be an optimizer of optax or a "
+        "least-squares solver of optimistix: `optax.sgd(0.5)`, "
+        "`optimistix.Dogleg(1e-8, 1e-8)`."
     )
 
 

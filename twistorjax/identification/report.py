@@ -406,7 +406,9 @@ def _undetermined_directions(identification: Identification) -> tuple[str, ...]:
             effect = "no reading"
         elif 1 / singular_value > _UNDETERMINED:
             effect = 0.01 * singular_value / np.abs(direction).max()
-            effect = f"the readings by {effect:.1g} standard deviations"
+            # Smaller effects are rounding errors.
+            size = f"{effect:.1g}" if effect >= 1e-6 else "less than 1e-06"
+            effect = f"the readings by {size} standard deviations"
         else:
             continue
         change = _describe_direction(identification, direction)

@@ -22,6 +22,7 @@ from .._utils.types import (
 )
 from .._utils.validation import (
     index_of,
+    quote,
     require_kind,
     require_pose,
     require_row,
@@ -93,8 +94,8 @@ class Constraint(AbstractConstraint):
         self.bodies = tuple(bodies)
         if not callable(zero):
             raise ValueError(
-                f"`zero` of the constraint {name!r} is {zero!r}, but must be a function "
-                "of the poses of the bodies and the time."
+                f"`zero` of the constraint {name!r} is {quote(zero)}, but must be a "
+                "function of the poses of the bodies and the time."
             )
         self.zero = zero
 

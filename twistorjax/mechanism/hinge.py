@@ -12,6 +12,7 @@ from typing_extensions import TypeAliasType
 from .._utils.host import all_concrete, concrete
 from .._utils.types import Corners, CornersLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
+    quote,
     require_corners,
     require_interval,
     require_pose,
@@ -135,8 +136,8 @@ class Hinge(eqx.Module):
         if isinstance(misfit, str):
             if misfit != "ports" or ports is None:
                 raise ValueError(
-                    f"`misfit` {owner} is {misfit!r}, but must be a displacement (angle, "
-                    'x, y), or "ports" if `ports` are given.'
+                    f"`misfit` {owner} is {quote(misfit)}, but must be a displacement "
+                    '(angle, x, y), or "ports" if `ports` are given.'
                 )
         elif misfit is not None:
             self.misfit = require_pose(f"`misfit` {owner}", misfit)

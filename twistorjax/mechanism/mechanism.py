@@ -27,10 +27,10 @@ from .._utils.types import (
 from .._utils.validation import (
     index_of,
     PLURAL,
+    quote,
     require_distinct,
     require_kind,
     require_same_precision,
-    shorten,
 )
 from ..assembly.assembly import HingeAssembly
 from ..assembly.groups import group_hinges, sums_of
@@ -362,7 +362,7 @@ class Mechanism(eqx.Module):
             ValueError: `at` is neither a solution nor poses, or its shape does not match
                 the bodies.
         """
-        if isinstance(at, Displaced):
+        if isinstance(at, Displaced) and not isinstance(at, Mechanism):
             names = getattr(at, "names", self.names)
             if names != self.names:
                 raise ValueError(
@@ -384,7 +384,7 @@ class Mechanism(eqx.Module):
                 array = jnp.asarray(at, float)
             except (TypeError, ValueError):
                 raise ValueError(
-                    f"`{name}` is {shorten(repr(at))}, but must be an equilibrium or "
+                    f"`{name}` is {quote(at)}, but must be an equilibrium or "
                     "poses, a row (angle, x, y) for each body."
                 ) from None
             fits = array.shape == self.reference.shape
@@ -395,6 +395,7 @@ class Mechanism(eqx.Module):
                 f"`{name}` has shape {array.shape}, but a mechanism with the bodies "
                 f"{', '.join(self.names)} has poses of shape {self.reference.shape}: a "
                 "row (angle, x, y) for each body, in this order."
+                f"{' Give one of its `poses`.' if fits else ''}"
             )
         return jax.device_put(array) if isinstance(array, np.ndarray) else array
 
@@ -594,7 +595,7 @@ class Mechanism(eqx.Module):
             )
         if not isinstance(chosen, Iterable):
             raise ValueError(
-                f"`{argument}` is {shorten(repr(chosen))}, but must be a list of names "
+                f"`{argument}` is {quote(chosen)}, but must be a list of names "
                 "of bodies, or a mapping from names to some of 'angle', 'x', 'y'."
             )
         if not isinstance(chosen, Mapping):
@@ -606,7 +607,7 @@ class Mechanism(eqx.Module):
             where = f"`{argument}` of the body {body_name!r}"
             if isinstance(coordinates, str) or not isinstance(coordinates, Iterable):
                 raise ValueError(
-                    f"{where} is {shorten(repr(coordinates))}, but must be a list of "
+                    f"{where} is {quote(coordinates)}, but must be a list of "
                     "some of 'angle', 'x', 'y', such as ['x', 'y']."
                 )
             for name in coordinates:

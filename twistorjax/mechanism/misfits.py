@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
-from .._utils.validation import index_of, require_finite, require_pose, shorten, warn
+from .._utils.validation import index_of, quote, require_finite, require_pose, warn
 from ..assembly.assembly import HingeAssembly
 from ..assembly.groups import DampedEnergy, dilate_groups
 from ..energies.dilation import dilated
@@ -78,7 +78,7 @@ def stroke_rows(
     """
     if not isinstance(strokes, Mapping):
         raise ValueError(
-            f"`strokes` is {shorten(repr(strokes))}, but must be a mapping from names of "
+            f"`strokes` is {quote(strokes)}, but must be a mapping from names of "
             'hinges to displacements (angle, x, y), such as {"piezo": (0.0, 1e-6, 0.0)}.'
         )
     rows: list[Any] = [np.zeros(3) for _ in names]

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 from typing_extensions import TypeAliasType
 
+from .._utils.validation import quote
 from ..mechanism.mechanism import Mechanism
+from ..results.solutions import BodyPoses
 from ..solve.continuation.solution import Path
 from ..solve.integration.solution import Motion
-from ..solve.linearization import LinearResponse
-from ..solve.statics.solution import Equilibrium
 from ..solve.vibrations import Vibrations
 from .drawing import draw, draw_reference, figure_size
 from .figure_style import length_unit, new_axes
@@ -40,12 +40,7 @@ class _Frames(NamedTuple):
 # What can be animated; poses in rad, m, m
 Animated = TypeAliasType(
     "Animated",
-    Motion
-    | Vibrations
-    | Equilibrium
-    | LinearResponse
-    | Path
-    | Float[ArrayLike, "frames bodies 3"],
+    BodyPoses | Vibrations | Float[ArrayLike, "frames bodies 3"],
 )
 
 
@@ -66,9 +61,9 @@ def animate(
 
     Args:
         mechanism: The mechanism.
-        motion: A motion, vibrations, an equilibrium path, a batch of equilibria, or
-            poses; rad, m, m. One mode of the vibrations is shown. Its amplitude is 8 % of
-            the size of the mechanism.
+        motion: A motion, vibrations, an equilibrium path, states of a bistable mechanism,
+            a batch of equilibria, or poses; rad, m, m. One mode of the vibrations is
+            shown. Its amplitude is 8 % of the size of the mechanism.
         mode: Index of the vibration mode. Mode 0 has the lowest frequency.
         magnify: Factor on all displacements, including angles. It is stated in the title.
         slower: Factor by which the animation is slower than the motion.
@@ -152,12 +147,13 @@ def _frames(
     reference = np.asarray(mechanism.reference)
     if isinstance(motion, Vibrations):
         return _vibration_frames(mechanism, motion, mode, magnify, frames)
-    times = np.zeros(0)
-    if isinstance(motion, Motion):
-        times, poses = np.asarray(motion.times), np.asarray(motion.poses)
-    else:
-        has_poses = isinstance(motion, Equilibrium | LinearResponse | Path)
-        poses = np.asarray(motion.poses if has_poses else motion)
+    times = np.asarray(motion.times if isinstance(motion, Motion) else ())
+    poses = np.asarray(motion.poses if isinstance(motion, BodyPoses) else motion)
+    if not np.issubdtype(poses.dtype, np.number):
+        raise ValueError(
+            f"`motion` is {quote(motion)}, but must be a motion, vibrations, a path, or "
+            "a batch of equilibria or poses."
+        )
     if poses.ndim > 3:
         raise ValueError(
             f"`motion` is a batch of motions, of shape {poses.shape[:-3]}. Animate one "

@@ -8,7 +8,7 @@ import numpy as np
 from typing_extensions import TypeAliasType
 
 from .._utils.types import NamedNumbers, PosesLike
-from .._utils.validation import index_of
+from .._utils.validation import index_of, quote
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
@@ -204,7 +204,7 @@ def _displacements(mechanism: Mechanism, poses: Drawn | None) -> np.ndarray:
                 "of them, for example `jax.tree.map(lambda leaf: leaf[0], results)`."
             )
         poses = rows[-1] if isinstance(poses, Motion) else rows
-    displacements = np.asarray(mechanism.displacements(poses))
+    displacements = np.asarray(mechanism.displacements(poses, single=True))
     if not np.all(np.isfinite(displacements)):
         raise ValueError(
             "`poses` are not finite. The solve that computed them did not succeed; its "
@@ -237,8 +237,8 @@ def _hinge_values(
     if isinstance(color, str):
         if color != "energy":
             raise ValueError(
-                f"`color` is {color!r}, but must be 'energy' or a mapping from hinge "
-                "names to numbers."
+                f"`color` is {quote(color)}, but must be 'energy' or a mapping from "
+                "hinge names to numbers."
             )
         poses_array, energies = jnp.asarray(poses), {}
         for row, name in enumerate(mechanism.hinge_names):

@@ -62,12 +62,14 @@ class RESULTS(eqx.Enumeration):  # pyright: ignore[reportGeneralTypeIssues]
         "there the mechanism may buckle or snap through, or a hinge may leave the range "
         "of its energy. `path` follows the mechanism beyond such a point. Reduce the "
         "loads, prescribe a displacement instead of a load, or, if a symmetric mechanism "
-        "may buckle to either side, add a small load that selects a side."
+        "may buckle to either side, add a small load that selects a side. Check also the "
+        "units (m, Pa) and the positions of the hinges."
     )
     steps_used_up = (
         "The largest number of Newton steps was reached. `fraction` is the part of the "
-        "loads and prescribed displacements that was reached. Increase `max_steps`, or "
-        "give a `start` that is closer to the equilibrium."
+        "loads and prescribed displacements that was reached. Check the units (m, Pa) "
+        "and the positions of the hinges, increase `max_steps`, or give a `start` that "
+        "is closer to the equilibrium."
     )
     out_of_range = (
         "The displacement of a hinge is outside the validity range of its energy. Create "

@@ -22,7 +22,7 @@ from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import finish, RESULTS, Solution
-from ..results.solutions import BodyDisplacements
+from ..results.solutions import BodyPoses
 from .continuation.arc_length import Metric, NOT_FINITE, Step
 from .continuation.critical_points import differentiable_critical_points, null_vectors
 from .continuation.diagnosis import path_message
@@ -53,7 +53,7 @@ _SAME_STATE = 1e-6  # largest distance of states that are equal
 _FARTHER = 1 + 1e-6
 
 
-class Bistability(Solution, BodyDisplacements):
+class Bistability(Solution, BodyPoses):
     """Equilibria without the multiplied loads, and the loads at which a mechanism snaps.
 
     The states are the first stable equilibrium, the unstable one, and the second stable
@@ -65,6 +65,7 @@ class Bistability(Solution, BodyDisplacements):
             be one beyond the full loads, or on another path that crosses this one at a
             branch point.
         displacements: Displacements of the bodies in the three states; rad, m, m.
+        reference: Poses from which displacements are measured; rad, m, m.
         energies: Energies in the three states: those stored in the hinges, minus the work
             of the constant loads; J.
         negative_eigenvalues: Number of negative eigenvalues of the stiffness in the three
@@ -86,6 +87,7 @@ class Bistability(Solution, BodyDisplacements):
 
     is_bistable: Bool[Array, "*batch"]
     displacements: Float[Array, "*batch 3 bodies 3"]
+    reference: Float[Array, "*batch bodies 3"]
     energies: Float[Array, "*batch 3"]
     negative_eigenvalues: Int[Array, "*batch 3"]
     snap_factors: Float[Array, "*batch 2"]
@@ -133,7 +135,10 @@ class Bistability(Solution, BodyDisplacements):
         if not self.succeeded:
             return f"no second stable state was found: {names}"
         if np.isnan(factors[0]):
-            return "monostable up to the full loads and drives: no limit or branch point"
+            return (
+                "monostable up to the full loads and drives: no limit or branch point; "
+                "larger ones may show a second state"
+            )
         forth, back = (
             f"{factor:.6g}{' (branch point)' if branch else ''}"
             for factor, branch in zip(factors, at_branch, strict=True)
@@ -311,6 +316,7 @@ def _evaluate(
     return Bistability(
         is_bistable=bistable,
         displacements=jnp.where(known, values.displacements, jnp.nan),
+        reference=system.mechanism.reference,
         energies=jnp.where(found, energies, jnp.nan),
         negative_eigenvalues=jnp.where(found, negative, -1),
         snap_factors=snap_factors,

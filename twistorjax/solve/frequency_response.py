@@ -7,6 +7,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from .._compile.compilation import fast_compile
@@ -61,6 +62,13 @@ class FrequencyResponse(BodySolution):
     def columns(self) -> Columns:
         frequency = Column(self.frequencies, ("frequency",), "Hz")
         return {"frequency": frequency, **self._body_columns("frequency")}
+
+    def _summary(self, names: np.ndarray) -> str:
+        frequencies = np.asarray(self.frequencies)
+        return (
+            f"{names}: {len(frequencies)} frequencies, {frequencies.min():.6g} to "
+            f"{frequencies.max():.6g} Hz"
+        )
 
 
 @announced("frequency response")

@@ -103,6 +103,9 @@ class Linearization(eqx.Module):
     dofs: DofPartition = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
 
+    def __repr__(self) -> str:
+        return f"linearization of: {self.mechanism!r}"
+
     def __call__(
         self,
         *,

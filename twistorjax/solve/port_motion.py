@@ -40,6 +40,7 @@ from .statics.solution import Equilibrium
 
 
 _UNITS = {"angle": "rad", "x": "m", "y": "m"}
+_FARTHEST = 1e6  # printed center; the rotation about a farther one is a rounding error; m
 
 
 class PortMotion(Solution, Tabular):
@@ -167,7 +168,11 @@ class PortMotion(Solution, Tabular):
         force, center = np.asarray(self.force), np.asarray(self.center)
         for k in range(len(travel)):
             row = [travel[k], *displacement[k], rate[k, index], force[k], *center[k]]
-            lines.append(" ".join(f"{value:>13.6g}" for value in row))
+            cells = [f"{value:>13.6g}" for value in row]
+            if np.max(np.abs(center[k])) > _FARTHEST:
+                cells[-2:] = 2 * [f"{'-':>13}"]
+            lines.append(" ".join(cells))
+        lines.append("displacement and center in the axes of the port at its start")
         return "\n".join(lines)
 
 

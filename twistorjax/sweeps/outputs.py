@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Int
 
 from .._utils.pytrees import split_last_axis
-from .._utils.validation import quote
+from .._utils.validation import missing_parameters_noted, quote
 from ..designs.designs import DesignStructure
 from ..results.codes import is_success, RESULTS
 from ..results.tables import Column, Columns
@@ -46,7 +46,9 @@ def study_output(
     study = without_jit(study)
 
     def evaluate(parameters: list[Array]) -> tuple[Columns, list[RESULTS]]:
-        value = study(structure.design(parameters))
+        design = structure.design(parameters)
+        with missing_parameters_noted(design):
+            value = study(design)
         columns = dict(_columns(value, ""))
         if not columns:
             raise ValueError(

@@ -66,7 +66,7 @@ class Contour(AbstractProfile):
         """Create the energy of a flexure with this contour and a width (m)."""
         thinnest = self.require_beam(theory)
         require_instance("material", material, Material)
-        width = require_length("`width`", width)
+        width = require_length("`width`", width, material.modulus)
         xp, (contour, modulus, poisson, host_width) = tree_on_host(
             (self, material.modulus, material.poisson, width)
         )

@@ -15,7 +15,7 @@ from ..._utils.host import all_concrete, as_float, concrete, on_host
 from ..._utils.progress import announced
 from ..._utils.pytrees import group_by_structure
 from ..._utils.types import KeyLike, Table, TableDeviationsLike, TableLike
-from ..._utils.validation import require_deviations, require_kind, require_shape
+from ..._utils.validation import quote, require_deviations, require_kind, require_shape
 from ...mechanism.mechanism import Mechanism
 from .sensors import AbstractSensor
 
@@ -229,8 +229,8 @@ def random_key(key: KeyLike) -> Array:
     is_small = not isinstance(key, int) or -(2**63) <= key < 2**63
     if isinstance(key, bool) or not isinstance(key, int | Array) or not is_small:
         raise ValueError(
-            f"`key` is {key!r}, but must be an integer of at most 63 bits, or a random "
-            "key: jax.random.key(0)."
+            f"`key` is {quote(key)}, but must be an integer of at most 63 bits, or a "
+            "random key: jax.random.key(0)."
         )
     return jax.random.key(key) if isinstance(key, int) else key
 

@@ -74,9 +74,16 @@ class Stresses(Tabular):
 
     def __repr__(self) -> str:
         values = all_concrete([self.largest, self.strength])
-        if values is None or values[0].ndim > 1:
+        if values is None:
             return eqx.tree_pformat(self)
         largest, strength = values
+        if largest.ndim > 1:
+            index = int(np.argmax(np.nan_to_num(largest)))
+            return (
+                f"stresses of shape {largest.shape}, the last axis for hinges; largest "
+                f"{largest.flat[index] / 1e6:.4g} MPa in "
+                f"{self.names[index % len(self.names)]!r}"
+            )
         width = max(map(len, ("hinge", *self.names)))
         lines = [f"{'hinge':<{width}}  {'stress (MPa)':>12}  {'of the strength':>15}"]
         for name, stress, limit in zip(self.names, largest, strength, strict=True):

@@ -62,6 +62,8 @@ def finish_equilibrium(
                 description = first_critical_point()
                 if description:
                     text = result_message("no_equilibrium") + description
+            if ended and mechanism.hinge_assembly.misfits is not None:
+                text += " Misfits are applied in the same increments as the loads."
             if item == "unstable":
                 text += describe_free_motions(mechanism, problem.system, reached)
         return RuntimeError(

@@ -1,5 +1,7 @@
 """Bistable states, linearized buckling, and messages at critical points."""
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,9 +73,9 @@ class TestBistability:
         second = tj.equilibrium(truss, start=found.poses[2])
         assert_close(second.displacements, found.displacements[2], digits=9)
         with pytest.raises(ValueError, match=r"shape \(3, 2, 3\).* one of its `poses`"):
-            tj.equilibrium(truss, start=found)
+            tj.equilibrium(truss, start=cast(Any, found))
         with pytest.raises(ValueError, match="one of its `poses`"):
-            tj.draw(truss, found)
+            tj.draw(truss, cast(Any, found))
 
     def test_a_weight_makes_the_first_barrier_smaller(self):
         """Snap forces shift by the weight, and the energies include its work."""

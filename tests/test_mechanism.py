@@ -238,7 +238,7 @@ def test_mechanism_is_printed_in_one_line():
             lambda: mechanism_of(hinges=[hinge("h", "a", "c")]),
             "`second` of the hinge 'h' names the body 'c', but the bodies are 'a', 'b'",
         ),
-        (lambda: hinge("h", tj.Body("a"), "b"), "`first` of the hinge 'h' is Body"),
+        (lambda: hinge("h", tj.Body("a"), "b"), "`first` of the hinge 'h' is a Body"),
         (
             lambda: hinge("h", "a", "b", np.eye(3)),  # pyright: ignore[reportArgumentType]
             "`energy` of the hinge 'h' is a ndarray, but must be an energy",

@@ -2,6 +2,7 @@
 
 import json
 import pathlib
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -233,7 +234,7 @@ def test_center_shift_of_a_cross_spring_pivot_is_that_of_exact_beams(crossing, v
 
 def test_a_surrogate_has_the_same_order_and_limits_under_a_gradient():
     def sum_of_coefficients(thickness):
-        hinge = tj.flexures.surrogate(beam(thickness), rotation=0.3, error=1e-2)
+        hinge: Any = tj.flexures.surrogate(beam(thickness), rotation=0.3, error=1e-2)
         return jnp.sum(hinge.energy.coefficients)
 
     value, _ = jax.value_and_grad(sum_of_coefficients)(5e-4)

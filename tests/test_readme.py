@@ -46,7 +46,7 @@ def assert_same_output(printed: str, shown: str) -> None:
     for pair in pairs:
         value, expected = (Decimal(text.replace(",", "")) for text in pair)
         place = expected.as_tuple().exponent
-        tolerance = 2 * Decimal(10) ** place if place else 0
+        tolerance = 2 * Decimal(10) ** int(place) if place else 0
         assert abs(value - expected) <= tolerance, pair
 
 

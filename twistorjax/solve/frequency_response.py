@@ -65,10 +65,10 @@ class FrequencyResponse(BodySolution):
 
     def _summary(self, names: np.ndarray) -> str:
         frequencies = np.asarray(self.frequencies)
-        return (
-            f"{names}: {len(frequencies)} frequencies, {frequencies.min():.6g} to "
-            f"{frequencies.max():.6g} Hz"
-        )
+        text = f"{names}: {len(frequencies)} frequencies"
+        if not len(frequencies):
+            return text
+        return f"{text}, {frequencies.min():.6g} to {frequencies.max():.6g} Hz"
 
 
 @announced("frequency response")

@@ -239,7 +239,7 @@ def test_a_surrogate_has_the_same_order_and_limits_under_a_gradient():
 
     value, _ = jax.value_and_grad(sum_of_coefficients)(5e-4)
     assert float(value) == pytest.approx(float(sum_of_coefficients(5e-4)), rel=1e-9)
-    too_exact = {"rotation": 0.8, "error": 1e-9}
+    too_exact: Any = {"rotation": 0.8, "error": 1e-9}
     with pytest.raises(ValueError, match="The `error` of 1e-09 is not reached"):
         jax.grad(
             lambda thickness: jnp.max(

@@ -181,6 +181,23 @@ def test_another_number_of_designs_does_not_compile_again():
     assert counts[2][0] == 0
 
 
+@pytest.mark.slow
+def test_another_path_of_the_same_structure_does_not_compile_again():
+    setup = """
+from twistorjax.examples.truss import von_mises_truss
+push = [tj.Load("apex", force=(0.0, -40.0))]
+"""
+    counts = count_programs(
+        setup,
+        "tj.path(von_mises_truss(), loads=push, max_points=200)",
+        "tj.path(von_mises_truss(0.31), loads=push, max_points=150, largest_step=0.08)",
+        "tj.path(von_mises_truss(), loads=push, max_points=210, load_factors=(-1, 0.9))",
+        "tj.path(von_mises_truss(), loads=push, max_points=180, direction=-1)",
+    )
+    assert counts[1][0] > 0
+    assert [new for new, _ in counts[2:]] == [0, 0, 0]
+
+
 def solvers():
     """Return a function of each solver, and its argument."""
     loads = [tj.Load("4", force=(0.0, 1.0))]

@@ -249,12 +249,12 @@ def bistability(
         direction, time, begin,
     )  # fmt: skip
     limits = np.array([-1.0, 1.0]) * (_FARTHER if by_drives else 1.0)
-    arguments = system, first, jnp.asarray(limits), step
-    numbers = None, max_points, _MAX_CRITICAL
+    arguments = system, first, jnp.asarray(limits), step, None
     constants = stop_gradient(arguments)
     if is_traced(constants):
+        numbers = max_points, max_points, _MAX_CRITICAL
         return _solve(system, first, by_drives, *arguments[2:], *numbers)
-    run = run_refined(*constants, *numbers)
+    run = run_refined(*constants, max_points=max_points, max_critical=_MAX_CRITICAL)
     found = _evaluate(system, run, first.direction, by_drives)
     if throw:
         warn_outside_linear_range(mechanism, found.range_shares)

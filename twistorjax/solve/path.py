@@ -152,9 +152,9 @@ def path(
     constants = stop_gradient(arguments)
     if is_traced(constants):
         return solve_path(*arguments, max_points, max_critical)
-    run = run_refined(*constants, max_points, max_critical)
+    run = run_refined(*constants, max_points=max_points, max_critical=max_critical)
     count = int(run.trace.number)
-    rows = min(padded_size(count, 16), max_points)
+    rows = min(padded_size(count, 64), len(run.trace.points))
     found = evaluate_path(system, limits, until, first_rows(run, rows))
     found = _first_points(found, count)
     if throw:

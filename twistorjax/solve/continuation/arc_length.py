@@ -173,13 +173,15 @@ def follow(
     limits: Float[Array, "2"],
     largest_step: Scalar,
     event: PathEvent | None,
-    max_points: int,
+    max_points: Count,
+    rows: int,
 ) -> Trace:
     """Follow a path from one of its points.
 
     Args:
         limits: Interval of the load factor, outside of which the path ends.
         event: Function of a point whose change of sign ends the path.
+        rows: Number of rows for the points, at least `max_points`.
 
     Returns:
         The points. If the load factor leaves its interval, or the event occurs, the last
@@ -302,11 +304,9 @@ def follow(
         """Take several steps, and store the points that were found."""
         state, nodes = carry
         new, (kept, found) = jax.lax.scan(advance, state, length=_BLOCK)
-        rows = jnp.where(
-            kept, state.number + jnp.cumsum(kept.astype(int)) - 1, max_points
-        )
+        row = jnp.where(kept, state.number + jnp.cumsum(kept.astype(int)) - 1, rows)
         nodes = jax.tree.map(
-            lambda stored, values: stored.at[rows].set(values, mode="drop"), nodes, found
+            lambda stored, values: stored.at[row].set(values, mode="drop"), nodes, found
         )
         return new, nodes
 
@@ -332,7 +332,7 @@ def follow(
         status=jnp.where(finite, RUNNING, NOT_FINITE),
     )
     nodes = jax.tree.map(
-        lambda value: jnp.zeros((max_points, *value.shape)).at[0].set(value), start
+        lambda value: jnp.zeros((rows, *value.shape)).at[0].set(value), start
     )
     # Each iteration of a `while` loop of a batch copies all that it carries, so the
     # points are stored once for each block of steps.

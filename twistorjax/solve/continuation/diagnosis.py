@@ -30,7 +30,7 @@ def describe_critical_point(
     system = PathSystem.of(problem, LoadSet.of(mechanism, ()), begin)
     limits, step = jnp.array([-1.0, 1.0]), jnp.array(0.05)
     first = regular_point(solution.reached, solution.fraction)
-    criticals = run_path(system, first, limits, step, None, _POINTS, 1).criticals
+    criticals = run_path(system, first, limits, step, None, _POINTS, _POINTS, 1).criticals
     if not int(criticals.number):
         return ""
     fraction = float(criticals.points[0, -1])

@@ -7,7 +7,7 @@ because the number of points is known only after the first. Inside `jax.jit` and
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import TypeAliasType
 
 from ..._compile.compilation import fast_compile
-from ..._utils.host import take_rows
+from ..._utils.host import padded_size, program_input, take_rows
 from ..._utils.pytrees import stop_gradient
-from ..._utils.types import Scalar
+from ..._utils.types import Count, Scalar
 from ...results.codes import result_of_status, RESULTS
 from ..equations.stresses import select_stresses
 from . import arc_length
@@ -57,10 +57,11 @@ def run_path(
     limits: Float[Array, "2"],
     largest_step: Scalar,
     until: Until | None,
-    max_points: int,
+    max_points: Count,
+    rows: int,
     max_critical: int,
 ) -> PathRun:
-    """Follow the path, and locate its end and its critical points."""
+    """Follow the path, and locate its end and its critical points; see `follow`."""
     system, first, limits, until = stop_gradient((system, first, limits, until))
     event = None if until is None else _event(system, until)
     point = first_point(system, first.displacements, first.factor)
@@ -69,7 +70,7 @@ def run_path(
     metric, start, singular = start_at(system, point, first.direction)
     singular &= ~first.at_branch
     start = start_on_branch(metric, start, first.direction * mode, first.at_branch)
-    trace = follow(system, metric, start, limits, largest_step, event, max_points)
+    trace = follow(system, metric, start, limits, largest_step, event, max_points, rows)
     status = jnp.where(singular, arc_length.SINGULAR, trace.status)
     if event is not None:
         undefined = jnp.isnan(event(point)) & (status != arc_length.NOT_FINITE)
@@ -240,10 +241,13 @@ def solve_path(
     limits: Float[Array, "2"],
     largest_step: Scalar,
     until: Until | None,
-    *numbers: int,
+    max_points: int,
+    max_critical: int,
 ) -> Path:
     """Follow the path and evaluate its points, inside another program."""
-    run = run_path(system, first, limits, largest_step, until, *numbers)
+    run = run_path(
+        system, first, limits, largest_step, until, max_points, max_points, max_critical
+    )
     return evaluate_path(system, limits, until, refine_path(system, run))
 
 
@@ -255,9 +259,23 @@ def refine_path(system: PathSystem, run: PathRun) -> PathRun:
     return run._replace(criticals=refined)
 
 
-def run_refined(system: PathSystem, *arguments: Any) -> PathRun:
-    """Follow the path, and improve its branch points, outside of other programs."""
-    run = run_path(system, *arguments)
+def run_refined(
+    system: PathSystem,
+    first: FirstPoint,
+    limits: Float[Array, "2"],
+    largest_step: Scalar,
+    until: Until | None,
+    max_points: int,
+    max_critical: int,
+) -> PathRun:
+    """Follow the path, and improve its branch points, outside of other programs.
+
+    Many numbers of points share a program with the same number of rows.
+    """
+    run = run_path(
+        system, first, limits, largest_step, until,
+        program_input(max_points, int), padded_size(max_points, 16), max_critical,
+    )  # fmt: skip
     if np.any(run.criticals.is_branch & (run.criticals.multiplicities == 1)):
         run = refine_path(system, run)
     return run

@@ -33,7 +33,7 @@ Kind = TypeVar("Kind")
 _BETWEEN = {__name__.partition(".")[0], "equinox", "jax", "jaxtyping", "beartype", ""}
 
 _LONGEST_NAME = 200  # characters
-_LONGEST = 1.0  # dimension of a flexure; m. Holes of 2 mm are not taken for 2 m.
+_LONGEST = 2.0  # dimension of a flexure; m
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
 

@@ -250,6 +250,7 @@ def bistability(
     )  # fmt: skip
     limits = np.array([-1.0, 1.0]) * (_FARTHER if by_drives else 1.0)
     arguments = system, first, jnp.asarray(limits), step, None
+    # Outside of programs, their numbers are known also if JAX differentiates.
     constants = stop_gradient(arguments)
     if is_traced(constants):
         numbers = max_points, max_points, _MAX_CRITICAL

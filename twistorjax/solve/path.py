@@ -149,6 +149,7 @@ def path(
         until = traced(until, start_point)
     limits = as_float(load_factors)
     arguments = system, first, limits, step, until
+    # Outside of programs, their numbers are known also if JAX differentiates.
     constants = stop_gradient(arguments)
     if is_traced(constants):
         return solve_path(*arguments, max_points, max_critical)

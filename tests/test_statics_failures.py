@@ -8,6 +8,7 @@ from helpers import assert_close
 from statics_helpers import block_on_spring, cantilever
 
 import twistorjax as tj
+from twistorjax.examples.truss import von_mises_truss
 from twistorjax.results.codes import RESULTS
 from twistorjax.solve.statics.errors import finish_equilibrium
 
@@ -156,3 +157,13 @@ def test_unknown_body_is_reported():
     solution = tj.equilibrium(block_on_spring(np.eye(3)))
     with pytest.raises(ValueError, match="`body` is 'anvil', but the bodies are 'wall'"):
         solution.displacement("anvil")
+
+
+def test_a_failure_has_the_same_message_under_a_gradient():
+    def sinking(force):
+        loads = [tj.Load("apex", force=(0.0, -force))]
+        return tj.equilibrium(von_mises_truss(), loads=loads).displacement("apex")[2]
+
+    for function in (sinking, jax.grad(sinking)):
+        with pytest.raises(RuntimeError, match="There is a limit point at the fraction"):
+            function(40.0)

@@ -198,10 +198,12 @@ def buckling(
 
     def error(name: str, batch_index: tuple[int, ...]) -> Exception:
         detail = ""
+        known, at, reached = stop_gradient((problem, state, displacements))
+        mechanism = known.mechanism
         if name == "out_of_range" and not batch_index:
-            detail = f" {mechanism.range_messages(mechanism.reference + displacements)}"
+            detail = f" {mechanism.range_messages(mechanism.reference + reached)}"
         if name == "unstable" and not batch_index:
-            detail = describe_free_motions(mechanism, problem.system, state)
+            detail = describe_free_motions(mechanism, known.system, at)
         return result_error(name, batch_index, detail)
 
     if throw:

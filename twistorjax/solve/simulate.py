@@ -1,7 +1,6 @@
 """Motion of a mechanism under loads, prescribed motions, and constraints."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from types import MappingProxyType
 
 import diffrax as dfx
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 from .._compile.traced_function import traced
 from .._utils.host import as_float, is_traced, on_host, program_input
 from .._utils.progress import announced
+from .._utils.pytrees import stop_gradient
 from .._utils.types import NumberLike, TimesLike, VelocityLike
 from .._utils.validation import require_float64
 from ..mechanism.changes import HingeChanges, TemperatureInTime
@@ -219,4 +219,9 @@ def simulate(
         )
     if pad:
         motion = motion.first_times(time_count)
-    return finish(motion, throw, partial(start_of_motion.error, motion))
+
+    def error(name: str, batch_index: tuple[int, ...]) -> Exception:
+        start, known = stop_gradient((start_of_motion, motion))
+        return start.error(known, name, batch_index)
+
+    return finish(motion, throw, error)

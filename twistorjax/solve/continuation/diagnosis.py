@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from ..._utils.pytrees import stop_gradient
 from ...mechanism.loads import LoadSet
 from ...results.codes import result_message
 from ..equations.problem import Problem
@@ -23,6 +24,7 @@ def describe_critical_point(
     Returns:
         A sentence for an error message; empty if no critical point was found.
     """
+    problem, solution = stop_gradient((problem, solution))
     mechanism = problem.mechanism
     if start is not None or mechanism.hinge_assembly.misfits is not None:
         return ""  # The forces at the start, or the misfits, change along the path.

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._utils.host import as_float, on_host
+from ..._utils.pytrees import stop_gradient
 from ..._utils.types import NumberLike, Poses, PosesOrResult, Scalar
 from ..._utils.validation import require_float64
 from ...mechanism.constraints import AbstractConstraint, ConstraintSet, gather_constraints
@@ -134,7 +135,8 @@ class Problem(NamedTuple):
 
         def error(name: str, batch_index: tuple[int, ...]) -> Exception:
             if name == "inconsistent_constraints" and not batch_index:
-                return self.inconsistency(state)
+                known, at = stop_gradient((self, state))
+                return known.inconsistency(at)
             if name in messages:
                 return RuntimeError(messages[name])
             return result_error(name, batch_index)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..._utils.pytrees import stop_gradient
 from ..._utils.types import Poses
 from ...mechanism.mechanism import Mechanism
 from ...results.codes import finish, result_message
@@ -45,18 +46,19 @@ def finish_equilibrium(
     """
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
-        fraction = np.asarray(solution.fraction)[batch_index]
-        steps = np.asarray(solution.steps)[batch_index]
+        known, known_problem = stop_gradient((solution, problem))
+        fraction = np.asarray(known.fraction)[batch_index]
+        steps = np.asarray(known.steps)[batch_index]
         where = ""
         if batch_index:
             where = f" at index {', '.join(map(str, batch_index))} of the batch"
         text = result_message(item)
-        if problem is not None and not batch_index:
-            mechanism, reached = problem.mechanism, solution.reached
+        if known_problem is not None and not batch_index:
+            mechanism, reached = known_problem.mechanism, known.reached
             if item == "out_of_range":
                 text += f" {mechanism.range_messages(mechanism.reference + reached)}"
             if item == "inconsistent_constraints":
-                return problem.inconsistency(reached)
+                return known_problem.inconsistency(reached)
             ended = item in ("no_equilibrium", "steps_used_up")
             if ended and first_critical_point is not None:
                 description = first_critical_point()
@@ -65,7 +67,7 @@ def finish_equilibrium(
             if ended and mechanism.hinge_assembly.misfits is not None:
                 text += " Misfits are applied in the same increments as the loads."
             if item == "unstable":
-                text += describe_free_motions(mechanism, problem.system, reached)
+                text += describe_free_motions(mechanism, known_problem.system, reached)
         return RuntimeError(
             f"{text} (fraction {fraction:.4g}, {steps} Newton steps{where})"
         )

@@ -59,21 +59,9 @@ class AxialSpring(AbstractEnergy):
         return True
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        return self.stiffness * self.stretch(displacement) ** 2 / 2
-
-    def stretch(self, displacement: Displacement) -> Scalar:
-        """Compute the distance of the ends minus the length, also of tiny stretches; m.
-
-        It is the difference of the squares, divided by the sum, because the difference of
-        two almost equal lengths would lose its digits.
-        """
-        y1, y2 = 2 * displacement.x1, 2 * displacement.x2
         along, across = self.ends_apart(displacement)
-        squares = y1 * (y1 + 2 * self.length * displacement.sigma)
-        squares += (y2 - self.length * displacement.xi) * (
-            y2 + self.length * displacement.xi
-        )
-        return squares / (jnp.sqrt(along**2 + across**2) + self.length)
+        stretch = jnp.sqrt(along**2 + across**2) - self.length
+        return self.stiffness * stretch**2 / 2
 
     def ends_apart(self, displacement: Displacement) -> tuple[Scalar, Scalar]:
         """Compute the vector from one end to the other one in the mid-frame; m."""
@@ -108,7 +96,7 @@ class _NewtonModel(AbstractEnergy):
         distance = jnp.sqrt(along**2 + across**2)
         distance0 = jnp.sqrt(along0**2 + across0**2)
         predicted = (self.axial * along0 + self.transverse * across0) / distance0
-        force = spring.stiffness * spring.stretch(fixed)
+        force = spring.stiffness * (distance0 - spring.length)
         # The part of the distance that is not linear has no first derivatives.
         turn = displacement.angle - fixed.angle
         rate = along0 - spring.length * fixed.xi * turn / 2

@@ -72,10 +72,6 @@ class TestBistability:
         truss = supported_truss()
         second = tj.equilibrium(truss, start=found.poses[2])
         assert_close(second.displacements, found.displacements[2], digits=9)
-        with pytest.raises(ValueError, match=r"shape \(3, 2, 3\).* one of its `poses`"):
-            tj.equilibrium(truss, start=cast(Any, found))
-        with pytest.raises(ValueError, match="one of its `poses`"):
-            tj.draw(truss, cast(Any, found))
 
     def test_a_weight_makes_the_first_barrier_smaller(self):
         """Snap forces shift by the weight, and the energies include its work."""
@@ -511,6 +507,14 @@ class TestBuckling:
 
 
 class TestMessages:
+    @pytest.mark.untyped
+    def test_three_states_instead_of_one(self):
+        truss, found = supported_truss(), cast(Any, switch())
+        with pytest.raises(ValueError, match=r"shape \(3, 2, 3\).* one of its `poses`"):
+            tj.equilibrium(truss, start=found)
+        with pytest.raises(ValueError, match="one of its `poses`"):
+            tj.draw(truss, found)
+
     def test_the_fraction_of_a_limit_point(self):
         with pytest.raises(
             RuntimeError, match=r"limit point at the fraction 0\.49749585"

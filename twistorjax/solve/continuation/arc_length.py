@@ -173,7 +173,7 @@ def follow(
     limits: Float[Array, "2"],
     largest_step: Scalar,
     event: PathEvent | None,
-    max_points: Count,
+    max_points: Count | int,
     rows: int,
 ) -> Trace:
     """Follow a path from one of its points.

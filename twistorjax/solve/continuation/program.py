@@ -57,7 +57,7 @@ def run_path(
     limits: Float[Array, "2"],
     largest_step: Scalar,
     until: Until | None,
-    max_points: Count,
+    max_points: Count | int,
     rows: int,
     max_critical: int,
 ) -> PathRun:

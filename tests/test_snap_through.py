@@ -311,3 +311,25 @@ class TestStiffBarOnSoftSprings:
                 drive = tj.Drive("load", x=1.05 * largest)
                 tj.equilibrium(stiff, drives=[drive], max_steps=steps)
             assert str(error.value).startswith("No equilibrium at the full loads")
+
+
+def test_a_truss_moves_in_proportion_to_a_tiny_load():
+    """The stiffness is that of a truss of two bars, without prestress."""
+    length, rise, stiffness = np.hypot(1.0, 0.3), 0.3, 1000.0
+    bar = tj.energies.AxialSpring(stiffness, length=length)
+    feet, angle = (-0.5, 0.5), np.arctan2(rise, 1.0)
+    hinges = [
+        tj.Hinge(name, *bodies, bar, at=(turn, x, rise / 2))
+        for name, bodies, turn, x in (
+            ("left", ("wall", "apex"), angle, feet[0]),
+            ("right", ("apex", "wall"), -angle, feet[1]),
+        )
+    ]
+    bodies = [tj.Body("wall"), tj.Body("apex", pose=(0.0, 0.0, rise))]
+    fixed = {"wall": ["angle", "x", "y"], "apex": ["angle"]}
+    truss = tj.Mechanism(bodies, hinges, fixed=fixed)
+    for force in (1e-8, 1e-20):
+        loads = [tj.Load("apex", force=(0.0, -force))]
+        sinking = -tj.equilibrium(truss, loads=loads).displacement("apex")[2]
+        linear = force / (2 * stiffness * (rise / length) ** 2)
+        assert float(sinking) == pytest.approx(linear, rel=1e-9)

@@ -34,6 +34,7 @@ _BETWEEN = {__name__.partition(".")[0], "equinox", "jax", "jaxtyping", "beartype
 
 _LONGEST_NAME = 200  # characters
 _LONGEST = 2.0  # dimension of a flexure; m
+_FARTHEST = 1e100  # coordinate of a pose; m
 
 PLURAL = {"body": "bodies", "hinge": "hinges", "coordinate": "coordinates"}
 
@@ -347,6 +348,11 @@ def require_pose(name: str, value: NumbersLike) -> Float[Array, "3"]:
     known = concrete(pose)
     if known is not None:
         warn_if_degrees(f"The angle of {name}", known[0])
+        if np.max(np.abs(known[1:])) > _FARTHEST:
+            raise ValueError(
+                f"{name} is {quote(known.tolist())}, but x and y must be between "
+                f"-{_FARTHEST:g} and {_FARTHEST:g} m: powers of larger lengths overflow."
+            )
     return pose
 
 

@@ -59,9 +59,19 @@ class AxialSpring(AbstractEnergy):
         return True
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
-        along, across = self.ends_apart(displacement)
-        stretch = jnp.sqrt(along**2 + across**2) - self.length
-        return self.stiffness * stretch**2 / 2
+        return self.stiffness * self.stretch(displacement) ** 2 / 2
+
+    def stretch(self, displacement: Displacement) -> Scalar:
+        """Compute the distance of the ends minus the length, also of tiny stretches; m.
+
+        It is the difference of the squares, divided by the sum, because the difference of
+        two almost equal lengths would lose its digits.
+        """
+        sigma, xi = displacement.sigma, displacement.xi
+        y1, y2 = 2 * displacement.x1 / self.length, 2 * displacement.x2 / self.length
+        squares = y1 * (y1 + 2 * sigma) + (y2 - xi) * (y2 + xi)
+        distance = jnp.sqrt((y1 + sigma) ** 2 + y2**2)
+        return self.length * squares / (distance + 1)
 
     def ends_apart(self, displacement: Displacement) -> tuple[Scalar, Scalar]:
         """Compute the vector from one end to the other one in the mid-frame; m."""
@@ -96,7 +106,7 @@ class _NewtonModel(AbstractEnergy):
         distance = jnp.sqrt(along**2 + across**2)
         distance0 = jnp.sqrt(along0**2 + across0**2)
         predicted = (self.axial * along0 + self.transverse * across0) / distance0
-        force = spring.stiffness * (distance0 - spring.length)
+        force = spring.stiffness * spring.stretch(fixed)
         # The part of the distance that is not linear has no first derivatives.
         turn = displacement.angle - fixed.angle
         rate = along0 - spring.length * fixed.xi * turn / 2

@@ -18,6 +18,7 @@ _ROUNDING = 1e-12  # of the position on the segment, as a fraction of its length
 # At this distance from an accurate point, as a fraction of the segment, an extrapolation
 # is as accurate as a correction.
 _CLOSE = 1e-5
+_BESIDE = 0.02  # distance from a singular root of a point that can be corrected
 
 
 class Segment(NamedTuple):
@@ -114,6 +115,10 @@ def locate(
         accurate |= search.iterations % 6 == 5
 
         value, other_values = function(metric.units * scaled, tangent, step)
+        # The same is true if the root was found by chance, but then there is no corrected
+        # point nearby. It is looked for beside the root.
+        at_root = jnp.abs(value) <= _CLOSE * jnp.max(jnp.abs(values))
+        by_chance = ~regular & ~singular & at_root
         at_left = value * search.values[0] > 0
         last_end = jnp.where(at_left, search.ends[0], search.ends[1])
         # The value at an end that stays twice is halved.
@@ -149,7 +154,13 @@ def locate(
             base_position, slope, finished, search.iterations + 1,
         )  # fmt: skip
         corrected = search._replace(scaled=scaled, iterations=search.iterations + 1)
-        return select(accurate, moved, corrected)
+        left, right = search.ends - search.position
+        beside = search.position + _BESIDE * jnp.where(right > -left, right, left)
+        corrected = corrected._replace(
+            position=jnp.where(by_chance, beside, search.position),
+            scaled=jnp.where(by_chance, interpolate(beside), scaled),
+        )
+        return select(accurate & ~by_chance, moved, corrected)
 
     zero, ends = jnp.zeros(()), jnp.stack([jnp.zeros(()), length])
     position = _secant(ends, values)

@@ -217,7 +217,7 @@ class Program:
             lowered = self._traced.lower()
             text = lowered.as_text()
             batch_size = single_threaded_batch_size(text)
-            if batch_size >= self._batch_size:
+            if batch_size >= min(self._batch_size, self.chunk_size):
                 break
             self._batch_size = batch_size
             self._trace()
@@ -262,6 +262,10 @@ class Program:
     def _evaluate_chunk(self, parameters: list[jax.Array]) -> StudyOutput:
         """Evaluate a chunk of designs, in batches if it runs on a processor."""
         count = len(parameters[0])
+        if count == 1:
+            # A batch would compute both branches of each condition.
+            output = self._evaluate([parameter[0] for parameter in parameters])
+            return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], output)
         if self.platform != "cpu" or count <= self._batch_size:
             return jax.vmap(self._evaluate)(parameters)
         # The last batch is padded with the last design, because a shorter batch would

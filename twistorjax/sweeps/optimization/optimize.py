@@ -22,9 +22,9 @@ from .problem import Margins, Problem
 from .searches import run_searches, SearchOptions
 
 
-# Number of designs that one call of the program evaluates. It is the same for all
-# optimizations, so that they share the program. On a processor, the time for each design
-# is the same with 8 designs as with 64.
+# Number of designs that one call of the program evaluates if there are several searches.
+# It is the same for all of them, so that they share the program. On a processor, the time
+# for each design is the same with 8 designs as with 64.
 _CPU_DESIGNS, _ACCELERATOR_DESIGNS = 8, 256
 
 
@@ -149,6 +149,7 @@ def optimize(
         standard_deviations=standard_deviations,
         coverage_factor=coverage_factor,
         units=units,
+        alone=np.ndim(starts) == 0 and starts == 1,
     )
     (optimum,) = run_searches([problem], search_options)
     return optimum.succeeded_or_raise() if throw else optimum
@@ -220,7 +221,7 @@ def optimize_cases(
             f"`cases` has values of the shapes {shapes}, but needs one number for each "
             "case, and at least one case."
         )
-    common = _create_problem(**arguments)
+    common = _create_problem(**arguments, alone=False)
     problems = [
         _with_values(common, dict(zip(values, case, strict=True)))
         for case in zip(*values.values(), strict=True)
@@ -239,8 +240,13 @@ def _create_problem(
     standard_deviations: Mapping[str, NumbersLike] | None,
     coverage_factor: float,
     units: Mapping[str, str] | None,
+    alone: bool,
 ) -> Problem:
-    """Check the arguments of `optimize`, and trace the program of the study."""
+    """Check the arguments of `optimize`, and trace the program of the study.
+
+    Args:
+        alone: Whether there is one search, which evaluates one design at a time.
+    """
     require_float64(jnp.zeros(()))
     objective = minimize if maximize is None else maximize
     if objective is None or None not in (minimize, maximize):
@@ -274,7 +280,7 @@ def _create_problem(
         raise ValueError(f"`study` is {study!r}, but must be a function of one design.")
     space = DesignSpace.from_tree(parameters, standard_deviations)
     on_cpu = jax.default_backend() == "cpu"
-    size = _CPU_DESIGNS if on_cpu else _ACCELERATOR_DESIGNS
+    size = 1 if alone else _CPU_DESIGNS if on_cpu else _ACCELERATOR_DESIGNS
     names = tuple(dict.fromkeys([objective, *limits]))
     try:
         program = find_program(study, space.structure, names, size, math.inf, None, True)

@@ -348,7 +348,7 @@ def require_pose(name: str, value: NumbersLike) -> Float[Array, "3"]:
     known = concrete(pose)
     if known is not None:
         warn_if_degrees(f"The angle of {name}", known[0])
-        if np.max(np.abs(known[1:])) > _FARTHEST:
+        if float(np.max(np.abs(known[1:]))) > _FARTHEST:
             raise ValueError(
                 f"{name} is {quote(known.tolist())}, but x and y must be between "
                 f"-{_FARTHEST:g} and {_FARTHEST:g} m: powers of larger lengths overflow."

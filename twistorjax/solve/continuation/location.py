@@ -18,7 +18,8 @@ _ROUNDING = 1e-12  # of the position on the segment, as a fraction of its length
 # At this distance from an accurate point, as a fraction of the segment, an extrapolation
 # is as accurate as a correction.
 _CLOSE = 1e-5
-_BESIDE = 0.02  # distance from a singular root of a point that can be corrected
+# Part of the way back to the last corrected point, from a point that cannot be corrected
+_BACK = 0.1
 
 
 class Segment(NamedTuple):
@@ -98,6 +99,12 @@ def locate(
             + length * u * (1 - u) * ((1 - u) * slopes[0] - u * slopes[1])
         )
 
+    def predict(position: Scalar, base: Array, at: Scalar, slope: Array) -> Array:
+        """Extrapolate from the last corrected point, or interpolate if it is far away."""
+        ahead = position - at
+        near = jnp.abs(ahead) < 0.05 * length
+        return jnp.where(near, base + ahead * slope, interpolate(position))
+
     def improve(search: _Search) -> _Search:
         """Correct the point, or move it if it is accurate already."""
         tangent = system.tangent(metric.units * search.scaled)
@@ -115,10 +122,10 @@ def locate(
         accurate |= search.iterations % 6 == 5
 
         value, other_values = function(metric.units * scaled, tangent, step)
-        # The same is true if the root was found by chance, but then there is no corrected
-        # point nearby. It is looked for beside the root.
+        # So it would be at a branch point that is met by chance. As long as no corrected
+        # point is near enough for the extrapolation, one is sought closer to it.
         at_root = jnp.abs(value) <= _CLOSE * jnp.max(jnp.abs(values))
-        by_chance = ~regular & ~singular & at_root
+        too_far = ~regular & ~singular & at_root
         at_left = value * search.values[0] > 0
         last_end = jnp.where(at_left, search.ends[0], search.ends[1])
         # The value at an end that stays twice is halved.
@@ -138,29 +145,23 @@ def locate(
         root = jnp.where(value == 0, search.position, _secant(ends, at_ends))
         change = root - search.position
         slope = step.tangent / jnp.sum(border * step.tangent)
-        base, base_position, slope = select(
-            singular,
-            (search.base, search.base_position, search.slope),
-            (scaled, search.position, slope),
-        )
-        ahead = root - base_position
-        near = jnp.abs(ahead) < 0.05 * length
-        ahead = jnp.where(near, base + ahead * slope, interpolate(root))
-        ahead = jnp.where(value == 0, scaled, ahead)
+        last_base = (search.base, search.base_position, search.slope)
+        base = select(singular, last_base, (scaled, search.position, slope))
+        ahead = jnp.where(value == 0, scaled, predict(root, *base))
         finished = (jnp.abs(change) <= _ROUNDING * length) | (value == 0)
         finished |= ends[1] - ends[0] <= _ROUNDING * length
         moved = _Search(
-            ends, at_ends, root, ahead, step, other_values, search.position, base,
-            base_position, slope, finished, search.iterations + 1,
+            ends, at_ends, root, ahead, step, other_values, search.position, *base,
+            finished, search.iterations + 1,
         )  # fmt: skip
-        corrected = search._replace(scaled=scaled, iterations=search.iterations + 1)
-        left, right = search.ends - search.position
-        beside = search.position + _BESIDE * jnp.where(right > -left, right, left)
-        corrected = corrected._replace(
-            position=jnp.where(by_chance, beside, search.position),
-            scaled=jnp.where(by_chance, interpolate(beside), scaled),
+        back = search.position - _BACK * from_base
+        position, scaled = select(
+            too_far, (back, predict(back, *last_base)), (search.position, scaled)
         )
-        return select(accurate & ~by_chance, moved, corrected)
+        corrected = search._replace(
+            position=position, scaled=scaled, iterations=search.iterations + 1
+        )
+        return select(accurate & ~too_far, moved, corrected)
 
     zero, ends = jnp.zeros(()), jnp.stack([jnp.zeros(()), length])
     position = _secant(ends, values)

@@ -45,6 +45,14 @@ class Root(NamedTuple):
     values: Float[Array, "2"]  # Values of the function on both sides of the root
 
 
+class _Base(NamedTuple):
+    """Point of the path from which others are extrapolated."""
+
+    scaled: Float[Array, " n"]  # The point, divided by the units
+    position: Scalar  # Its position
+    slope: Float[Array, " n"]  # Rate of the path with the position, there
+
+
 class _Search(NamedTuple):
     """State of the search for a root on a segment."""
 
@@ -56,9 +64,7 @@ class _Search(NamedTuple):
     # Second result of the function at the last accurate point
     other_values: Float[Array, " m"]
     last_position: Scalar  # Position of the last evaluation of the function
-    base: Float[Array, " n"]  # Last corrected point, divided by the units
-    base_position: Scalar
-    slope: Float[Array, " n"]  # Rate of the path with the position, there
+    base: _Base  # Last corrected point
     finished: Flag  # Whether the root has been found
     iterations: Count  # Number of evaluations
 
@@ -99,11 +105,11 @@ def locate(
             + length * u * (1 - u) * ((1 - u) * slopes[0] - u * slopes[1])
         )
 
-    def predict(position: Scalar, base: Array, at: Scalar, slope: Array) -> Array:
-        """Extrapolate from the last corrected point, or interpolate if it is far away."""
-        ahead = position - at
+    def predict(position: Scalar, base: _Base) -> Float[Array, " n"]:
+        """Extrapolate from a corrected point, or interpolate if it is far away."""
+        ahead = position - base.position
         near = jnp.abs(ahead) < 0.05 * length
-        return jnp.where(near, base + ahead * slope, interpolate(position))
+        return jnp.where(near, base.scaled + ahead * base.slope, interpolate(position))
 
     def improve(search: _Search) -> _Search:
         """Correct the point, or move it if it is accurate already."""
@@ -113,7 +119,7 @@ def locate(
         size = metric.length(step.correction)
         # Near a branch point, only rounding errors would be corrected: the point is
         # extrapolated from the last corrected one.
-        from_base = search.position - search.base_position
+        from_base = search.position - search.base.position
         singular = ~regular & (jnp.abs(from_base) <= _CLOSE * length)
         singular |= ~(size <= jnp.where(regular, jnp.inf, 0.1 * length))
         scaled = search.scaled + jnp.where(singular, 0.0, step.correction)
@@ -145,18 +151,17 @@ def locate(
         root = jnp.where(value == 0, search.position, _secant(ends, at_ends))
         change = root - search.position
         slope = step.tangent / jnp.sum(border * step.tangent)
-        last_base = (search.base, search.base_position, search.slope)
-        base = select(singular, last_base, (scaled, search.position, slope))
-        ahead = jnp.where(value == 0, scaled, predict(root, *base))
+        base = select(singular, search.base, _Base(scaled, search.position, slope))
+        ahead = jnp.where(value == 0, scaled, predict(root, base))
         finished = (jnp.abs(change) <= _ROUNDING * length) | (value == 0)
         finished |= ends[1] - ends[0] <= _ROUNDING * length
         moved = _Search(
-            ends, at_ends, root, ahead, step, other_values, search.position, *base,
+            ends, at_ends, root, ahead, step, other_values, search.position, base,
             finished, search.iterations + 1,
         )  # fmt: skip
         back = search.position - _BACK * from_base
         position, scaled = select(
-            too_far, (back, predict(back, *last_base)), (search.position, scaled)
+            too_far, (back, predict(back, search.base)), (search.position, scaled)
         )
         corrected = search._replace(
             position=position, scaled=scaled, iterations=search.iterations + 1
@@ -174,9 +179,7 @@ def locate(
         step=nothing,
         other_values=other_values,
         last_position=-jnp.ones(()),
-        base=first,
-        base_position=zero,
-        slope=slopes[0],
+        base=_Base(first, zero, slopes[0]),
         finished=jnp.asarray(skip),
         iterations=jnp.zeros((), int),
     )

@@ -54,9 +54,9 @@ class HingeAssembly(eqx.Module):
         arbitrary.
         """
         moving = np.isin(np.array(self.ends), np.array(free, int) // 3)
-        numbers, (arms,) = on_host(jax.lax.stop_gradient(self.arms))
+        xp, (arms,) = on_host(jax.lax.stop_gradient(self.arms))
         arms = arms[moving]
-        return numbers.sqrt(numbers.sum(arms**2) / max(1, len(arms)))
+        return xp.sqrt(xp.sum(arms**2) / max(1, len(arms)))
 
     def energy_of(self, row: int) -> AbstractEnergy:
         """Return the energy of one hinge, by its index."""
@@ -70,13 +70,7 @@ class HingeAssembly(eqx.Module):
         if (given := self.sums[row]) is not None:
             return given
         group = next(group for group in self.groups if row in group.members)
-        member = group.members.index(row)
-        leaves, tree = jax.tree.flatten((group.energy, group.damping))
-        member_leaves = [
-            leaf if axis is None else leaf[member]
-            for leaf, axis in zip(leaves, group.batch_axes, strict=True)
-        ]
-        return jax.tree.unflatten(tree, member_leaves)
+        return group.of_member(group.members.index(row))
 
     def bent_energy_of(self, row: int) -> AbstractEnergy:
         """Return the energy of one hinge with its natural curvature, by its index."""
@@ -141,8 +135,7 @@ class HingeAssembly(eqx.Module):
     def energy(self, displacements: Poses) -> Scalar:
         """Compute the energy that is stored in all hinges; J."""
 
-        def stored_energy(energy, damping, first, second, axis):
-            del damping
+        def stored_energy(energy, first, second, axis):
             return energy.stored_energy(mid_frame(first, second, axis).displacement)
 
         parts = [
@@ -157,8 +150,7 @@ class HingeAssembly(eqx.Module):
 
     def energy_and_forces(self, displacements: Poses) -> tuple[Scalar, Wrenches]:
         """Compute the energy of all hinges (J), and the `forces`; N m, N, N."""
-        function = _elastic(hinge_forces.energy_and_forces)
-        energies, local = self._evaluate(function, displacements)
+        energies, local = self._evaluate(hinge_forces.energy_and_forces, displacements)
         forces = self._gather(local).reshape(displacements.shape)
         return jnp.sum(energies), forces
 
@@ -166,8 +158,7 @@ class HingeAssembly(eqx.Module):
         self, displacements: Poses
     ) -> tuple[Wrenches, Float[Array, "3 members"]]:
         """Compute the `forces`, and the generalized stress of each hinge; N m, N, N."""
-        function = _elastic(hinge_forces.forces_and_stress)
-        local, stress = self._evaluate(function, displacements)
+        local, stress = self._evaluate(hinge_forces.forces_and_stress, displacements)
         return self._gather(local).reshape(displacements.shape), jnp.stack(stress)
 
     def out_of_range(self, displacements: Poses) -> Bool[Array, " hinges"]:
@@ -189,8 +180,7 @@ class HingeAssembly(eqx.Module):
         It may return None, for which the result is zero, or None for all hinges.
         """
 
-        def of_hinge(energy, damping, first, second, axis):
-            del damping
+        def of_hinge(energy, first, second, axis):
             return function(energy, mid_frame(first, second, axis).displacement)
 
         values = None
@@ -206,12 +196,11 @@ class HingeAssembly(eqx.Module):
     ) -> AssemblyTangent:
         """Compute the forces, their derivatives, and the generalized stress.
 
-        A `predicted` stress determines the geometric stiffness, by default the stress at
-        these displacements; N m, N, N.
+        A stress that Newton's method has `predicted` replaces that at these displacements
+        (N m, N, N), as in the `tangent` of a hinge.
         """
         per_member = () if predicted is None else (tuple(predicted),)
-        function = _elastic(hinge_forces.tangent)
-        local = self._evaluate(function, displacements, *per_member)
+        local = self._evaluate(hinge_forces.tangent, displacements, *per_member)
         return AssemblyTangent(local, self.bodies, self.ends, self._order())
 
     def multiply_stiffness(
@@ -240,7 +229,7 @@ class HingeAssembly(eqx.Module):
             the remainder. The matrix of the `tangent` is
             `rows.T diag(stiffness) rows + remainder`.
         """
-        local = self._evaluate(_elastic(hinge_forces.factored), displacements)
+        local = self._evaluate(hinge_forces.factored, displacements)
         source, target = row_entries(self.ends, self._order(), free, 3)
         size = (len(free), 3 * len(self._order()))
         entries = jnp.moveaxis(local.rows, 0, -1).reshape(-1)
@@ -255,8 +244,7 @@ class HingeAssembly(eqx.Module):
 
         The coordinates are the rotation and the mid-frame translation; rad, m, m.
         """
-        function = _elastic(hinge_forces.rows_and_stiffness)
-        local, stiffness = self._evaluate(function, displacements)
+        local, stiffness = self._evaluate(hinge_forces.rows_and_stiffness, displacements)
         order, hinges = np.array(self._order()), len(self.ends)
         rows = jnp.zeros((hinges, 3, 3 * self.bodies))
         # The terms of a sum have the same coordinates.
@@ -282,7 +270,7 @@ class HingeAssembly(eqx.Module):
         """
         per_member = self._motion_arguments(rates, stretches)
         local, excess, (dissipated, by_strokes) = self._evaluate(
-            motion_forces.forces_in_motion, displacements, *per_member
+            motion_forces.forces_in_motion, displacements, *per_member, damped=True
         )
         forces = self._gather(local).reshape(displacements.shape)
         powers = jnp.sum(dissipated), jnp.sum(by_strokes)
@@ -298,19 +286,18 @@ class HingeAssembly(eqx.Module):
         """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
         per_member = self._motion_arguments(rates, stretches)
         local = self._evaluate(
-            motion_forces.tangent_in_motion, displacements, *per_member
+            motion_forces.tangent_in_motion, displacements, *per_member, damped=True
         )
         return AssemblyMotionTangent.of(local, self.ends, self._order(), free)
 
     def stretches(self, displacements: Poses) -> Float[Array, "hinges 2"]:
         """Compute the mid-frame translation of each member; m."""
 
-        def stretch(energy, damping, *hinge):
-            del energy, damping
-            at = mid_frame(*hinge).displacement
-            return 2 * at.x1, 2 * at.x2
+        def coordinates(_, *hinge):
+            return hinge_forces.hinge_coordinates(mid_frame(*hinge).displacement)
 
-        return jnp.stack(self._evaluate(stretch, displacements), axis=1)
+        _, *stretches = self._evaluate(coordinates, displacements)
+        return jnp.stack(stretches, axis=1)
 
     def _motion_arguments(self, rates: Poses, stretches: Array | None):
         """Arrange the rates of both bodies of each member, and the stretches."""
@@ -341,24 +328,37 @@ class HingeAssembly(eqx.Module):
         """Return the six degrees of freedom of each member."""
         return hinge_dofs(self.ends, self._order())
 
-    def _evaluate(self, function, displacements: Poses, *per_member):
+    def _evaluate(self, function, displacements: Poses, *per_member, damped=False):
         """Evaluate a function of one hinge for all members.
 
-        The arguments of the function are energy, damping, both ends, axis, and
-        `per_member`, each of which has a row for each member.
+        The arguments of the function are those of `map_members`; the arrays in
+        `per_member` have a row for each member of all groups.
         """
         parts, start = [], 0
         for group in self.groups:
             rows = slice(start, start + len(group.members))
             of_group = jax.tree.map(lambda values, rows=rows: values[rows], per_member)
-            parts.append(self.map_members(function, group, displacements, *of_group))
+            parts.append(
+                self.map_members(function, group, displacements, *of_group, damped=damped)
+            )
             start = rows.stop
         if len(parts) == 1:
             return parts[0]
         return jax.tree.map(lambda *values: jnp.concatenate(values), *parts)
 
-    def map_members(self, function, group: HingeGroup, displacements: Poses, *per_member):
-        """Evaluate a function of one hinge for all members of a group."""
+    def map_members(
+        self,
+        function,
+        group: HingeGroup,
+        displacements: Poses,
+        *per_member,
+        damped: bool = False,
+    ):
+        """Evaluate a function of one hinge for all members of a group.
+
+        The arguments of the function are energy, damping (if the hinges are `damped`),
+        both ends, axis, and `per_member`, which has a row for each member.
+        """
         members = np.array(group.members)
         first, second = np.array(self.ends)[members].T
         angle, x, y = displacements.T
@@ -378,7 +378,8 @@ class HingeAssembly(eqx.Module):
             energy, damping = jax.tree.unflatten(tree, leaves)
             if loads is not None:
                 energy = NaturallyCurved(energy, axis.misfit.turn, loads)
-            return function(energy, damping, first, second, axis, *per_member)
+            of_hinge = (energy, damping) if damped else (energy,)
+            return function(*of_hinge, first, second, axis, *per_member)
 
         others = (
             group.curvature_loads,
@@ -388,8 +389,3 @@ class HingeAssembly(eqx.Module):
             *per_member,
         )
         return map_rows(one_hinge, leaves, group.batch_axes, *others)
-
-
-def _elastic(function):
-    """Convert a function of an energy to one that also receives a damping."""
-    return lambda energy, _, *hinge: function(energy, *hinge)

@@ -41,17 +41,14 @@ def forces_and_stress(
     """Differentiate the energy with respect to displacements, and to its coordinates.
 
     The second result is the generalized stress, the derivative with respect to the
-    coordinates in which the energy is nearly quadratic; see `AbstractEnergy`. Both
-    are in N m, N, N.
+    coordinates in which the energy is nearly quadratic: the angle, and the mid-frame
+    translation times `AbstractEnergy.translation_scale`. Both are in N m, N, N.
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at = kinematics.middle.displacement
     slopes = energy_gradient(energy, at)
     scale, growth, _ = _translation_scale(energy, at)
-    g0, g1, g2 = slopes
-    s1, s2 = g1 / scale, g2 / scale
-    stress = g0 - growth * (2 * at.x1 * s1 + 2 * at.x2 * s2), s1, s2
-    return on_bodies(kinematics, slopes), stress
+    return on_bodies(kinematics, slopes), _stress(at, slopes, scale, growth)
 
 
 class HingeTangent(NamedTuple):
@@ -60,7 +57,7 @@ class HingeTangent(NamedTuple):
     They are those of `HingeKinematics`: rotation of A, rotation of B, and translation of
     B relative to A along x and along y. A translation of A is the opposite
     one of B, so the ten entries determine the stiffness of the six displacements; see
-    `FOUR_OF_SIX`.
+    `FOUR_INDEX_AND_SIGN`.
     """
 
     forces: Four  # Derivatives of the energy by them; N m, N m, N, N
@@ -85,31 +82,33 @@ def tangent(
     """Compute the forces on the four displacements, their derivatives, and the stress.
 
     If a generalized stress (N m, N, N) is `predicted`, it determines the geometric
-    stiffness. Newton's method then takes as few steps for stiff hinges as for compliant
-    ones (mixed integration point Newton; Magisano, Leonetti and Garcea, Int. J. Num.
-    Meth. Eng. 109, 2017).
+    stiffness, and all derivatives are those of the `newton_model` of the energy. Newton's
+    method then takes as few steps for stiff hinges as for compliant ones (mixed
+    integration point Newton; Magisano, Leonetti and Garcea, Int. J. Num. Meth. Eng. 109,
+    2017).
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at = kinematics.middle.displacement
-    gradient, curvature_times = gradient_and_hessian(_newton_model(energy, predicted), at)
+    model = energy if predicted is None else energy.newton_model(predicted)
+    gradient, hessian_times = gradient_and_hessian(model, at)
     one, zero = jnp.ones_like(gradient[0]), jnp.zeros_like(gradient[0])
     (h00, h01, h02), (_, h11, h12), (_, _, h22) = (
-        curvature_times(one, zero, zero),
-        curvature_times(zero, one, zero),
-        curvature_times(zero, zero, one),
+        hessian_times(one, zero, zero),
+        hessian_times(zero, one, zero),
+        hessian_times(zero, zero, one),
     )
-    y1, y2 = 2 * at.x1, 2 * at.x2
+    _, y1, y2 = hinge_coordinates(at)
     work = jnp.abs(gradient[0] * at.angle)
     work = work + jnp.abs(gradient[1] * y1) + jnp.abs(gradient[2] * y2)
     # The coordinates of the stress are nonlinear functions of those of the hinge; see
     # `forces_and_stress`.
-    scale, growth, curvature = _translation_scale(energy, at)
-    s1, s2 = gradient[1] / scale, gradient[2] / scale
-    stress = gradient[0] - growth * (y1 * s1 + y2 * s2), s1, s2
+    scale, growth, growth_rate = _translation_scale(energy, at)
+    stress = _stress(at, gradient, scale, growth)
+    _, s1, s2 = stress
     # The derivatives of the stress by the coordinates of the hinge
     rates_1 = (h01 - growth * s1) / scale, h11 / scale, h12 / scale
     rates_2 = (h02 - growth * s2) / scale, h12 / scale, h22 / scale
-    moment = h00 - curvature * (y1 * s1 + y2 * s2), h01 - growth * s1, h02 - growth * s2
+    moment = h00 - growth_rate * (y1 * s1 + y2 * s2), h01 - growth * s1, h02 - growth * s2
     rates_0 = tuple(
         direct - growth * (y1 * rate_1 + y2 * rate_2)
         for direct, rate_1, rate_2 in zip(moment, rates_1, rates_2, strict=True)
@@ -119,7 +118,7 @@ def tangent(
     if predicted is not None:
         # Their second derivatives are multiplied by the predicted stress.
         b0, b1, b2 = predicted
-        h00 = h00 + curvature * (y1 * (b1 - s1) + y2 * (b2 - s2))
+        h00 = h00 + growth_rate * (y1 * (b1 - s1) + y2 * (b2 - s2))
         h01, h02 = h01 + growth * (b1 - s1), h02 + growth * (b2 - s2)
         slopes = b0 + growth * (y1 * b1 + y2 * b2), scale * b1, scale * b2
     hessian = (h00, h01, h02), (h01, h11, h12), (h02, h12, h22)
@@ -150,7 +149,10 @@ UPPER_TRIANGLE = np.triu_indices(4)
 
 # The one of the four displacements that belongs to each of the six (angle, x, y of A and
 # of B), and its sign.
-FOUR_OF_SIX = np.array([0, 2, 3, 1, 2, 3]), np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+FOUR_INDEX_AND_SIGN = (
+    np.array([0, 2, 3, 1, 2, 3]),
+    np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0]),
+)
 
 
 class Factored(NamedTuple):
@@ -166,8 +168,8 @@ class Factored(NamedTuple):
 def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Factored:
     """Compute the stiffness of the `tangent` in factors with accurate small entries."""
     kinematics = HingeKinematics.of(first, second, axis)
-    slopes, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
-    hessian = as_matrix(curvature_times)
+    slopes, hessian_times = gradient_and_hessian(energy, kinematics.middle.displacement)
+    hessian = as_matrix(hessian_times)
     (a, b, c), (_, d, e), (_, _, f) = hessian
     # Gaussian elimination, as long as the stiffness is positive. The remaining matrix is
     # not eliminated, because it could lose digits.
@@ -185,7 +187,7 @@ def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Fac
     rows = jnp.stack([row1 + ba * row2 + ca * row3, row2 + eb * row3, row3])
     geometric = as_array(kinematics.geometric_stiffness(slopes))
     remainder = product(product(rows.T, left), rows) + geometric
-    four = jnp.asarray(FOUR_FROM_SIX)
+    four = jnp.asarray(FOUR_FROM_SIX_MATRIX)
     remainder = product(product(four.T, remainder), four)
     return Factored(product(rows, four), weights, remainder)
 
@@ -200,9 +202,9 @@ def rows_and_stiffness(
     N m/rad, N/rad, N/m.
     """
     kinematics = HingeKinematics.of(first, second, axis)
-    _, curvature_times = gradient_and_hessian(energy, kinematics.middle.displacement)
-    rows = product(as_array(kinematics.columns()).T, jnp.asarray(FOUR_FROM_SIX))
-    return rows, as_matrix(curvature_times)
+    _, hessian_times = gradient_and_hessian(energy, kinematics.middle.displacement)
+    rows = product(as_array(kinematics.columns()).T, jnp.asarray(FOUR_FROM_SIX_MATRIX))
+    return rows, as_matrix(hessian_times)
 
 
 def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
@@ -212,19 +214,12 @@ def _ratio(numerator: Scalar, denominator: Scalar, valid: Flag) -> Scalar:
 
 
 # The matrix that multiplies the six displacements to give the four.
-FOUR_FROM_SIX = np.eye(4)[:, FOUR_OF_SIX[0]] * FOUR_OF_SIX[1]
+FOUR_FROM_SIX_MATRIX = np.eye(4)[:, FOUR_INDEX_AND_SIGN[0]] * FOUR_INDEX_AND_SIGN[1]
 
 
 def as_matrix(times: Callable[..., Three]) -> Float[Array, "3 3"]:
     """Convert a function that multiplies a 3 by 3 matrix by a vector to the matrix."""
     return jnp.stack(jax.vmap(times)(*jnp.eye(3)), axis=1)
-
-
-def _newton_model(energy: AbstractEnergy, predicted: Three | None) -> AbstractEnergy:
-    """Return the model of an energy for a Newton step, if a stress is predicted."""
-    if predicted is None:
-        return energy
-    return energy.newton_model(predicted)
 
 
 def energy_and_gradient(energy: AbstractEnergy, at: Displacement) -> tuple[Scalar, Three]:
@@ -263,23 +258,36 @@ def _energy_function(energy: AbstractEnergy, at: Displacement) -> Callable[..., 
     return stored_energy
 
 
-def _translation_scale(energy: AbstractEnergy, at: Displacement) -> Three:
+def _stress(at: Displacement, slopes: Three, scale: Scalar, growth: Scalar) -> Three:
+    """Compute the generalized stress from the derivatives of the energy; N m, N, N.
+
+    `growth` is the derivative of the translation scale by the angle; 1/rad.
+    """
+    _, y1, y2 = hinge_coordinates(at)
+    s1, s2 = slopes[1] / scale, slopes[2] / scale
+    return slopes[0] - growth * (y1 * s1 + y2 * s2), s1, s2
+
+
+def _translation_scale(
+    energy: AbstractEnergy, at: Displacement
+) -> tuple[Scalar, Scalar, Scalar]:
     """Compute the translation scale, and its first and second derivative.
 
     The derivatives are those with respect to the rotation of the hinge; rad.
     """
 
     def scale(angle: Scalar) -> Scalar:
-        displacement = displacement_at(at, (angle, 2 * at.x1, 2 * at.x2))
+        _, y1, y2 = hinge_coordinates(at)
+        displacement = displacement_at(at, (angle, y1, y2))
         return energy.translation_scale(displacement)
 
     def slope(angle: Scalar) -> tuple[Scalar, Scalar]:
         return jax.jvp(scale, (angle,), (jnp.ones_like(angle),))
 
-    (value, growth), (_, curvature) = jax.jvp(
+    (value, growth), (_, growth_rate) = jax.jvp(
         slope, (at.angle,), (jnp.ones_like(at.angle),)
     )
-    return value, growth, curvature
+    return value, growth, growth_rate
 
 
 def hinge_coordinates(at: Displacement) -> Three:

@@ -35,6 +35,15 @@ class HingeGroup(eqx.Module):
     # there was no gradient of the temperature.
     curvature_loads: Float[Array, "members 4"] | None = None
 
+    def of_member(self, member: int) -> "DampedEnergy":
+        """Return the energy of one member and its damping."""
+        leaves, tree = jax.tree.flatten((self.energy, self.damping))
+        of_member = [
+            leaf if axis is None else leaf[member]
+            for leaf, axis in zip(leaves, self.batch_axes, strict=True)
+        ]
+        return jax.tree.unflatten(tree, of_member)
+
 
 # Energy and damping of a hinge
 DampedEnergy = tuple[AbstractEnergy, ViscousDamping | Scalar | None]

@@ -74,8 +74,8 @@ def forces_in_motion(
 class HingeMotionTangent(NamedTuple):
     """Derivatives of the forces of a hinge on its four displacements.
 
-    They are those of `HingeKinematics`. `FOUR_OF_SIX` relates them to the six of the
-    bodies.
+    They are those of `HingeKinematics`. `FOUR_INDEX_AND_SIGN` relates them to the six of
+    the bodies.
     """
 
     # Derivatives with respect to the displacements, on which the stretch depends as well;
@@ -109,8 +109,8 @@ def tangent_in_motion(
     kinematics = HingeKinematics.of(first, second, axis)
     at, _ = _with_stretch(kinematics.middle.displacement, stretch)
     columns = as_array(kinematics.columns())
-    slopes, curvature_times = gradient_and_hessian(energy, at)
-    hessian = as_matrix(curvature_times)
+    slopes, hessian_times = gradient_and_hessian(energy, at)
+    hessian = as_matrix(hessian_times)
     if damping is None:
         products, damping_matrix = product(columns, hessian), jnp.zeros((4, 4))
     else:

@@ -38,8 +38,7 @@ def member_stresses(
     Hinges whose dimensions are not known are left out.
     """
 
-    def of_hinge(energy, damping, first, second, axis):
-        del damping
+    def of_hinge(energy, first, second, axis):
         at = mid_frame(first, second, axis).displacement
         wrench = hinge_forces.energy_gradient(energy, at)
         return surface_stresses(energy, at, wrench)
@@ -61,8 +60,7 @@ def member_states(
     rad, m, m, N m, N, N.
     """
 
-    def of_hinge(energy, damping, first, second, axis):
-        del damping
+    def of_hinge(energy, first, second, axis):
         at = mid_frame(first, second, axis).displacement
         wrench = wrench_of_flexure(energy, hinge_forces.energy_gradient(energy, at))
         return jnp.concatenate([at.pose(), jnp.stack(wrench)])
@@ -79,13 +77,8 @@ def member_models(hinges: HingeAssembly) -> tuple[AbstractStressModel, ...]:
     """Return the stress models of all flexures, in the order of `member_states`."""
     models = []
     for group in hinges.groups:
-        leaves, tree = jax.tree.flatten((group.energy, group.damping))
         for member in range(len(group.members)):
-            values = [
-                leaf if axis is None else leaf[member]
-                for leaf, axis in zip(leaves, group.batch_axes, strict=True)
-            ]
-            model = stress_model(jax.tree.unflatten(tree, values)[0])
+            model = stress_model(group.of_member(member)[0])
             models += [] if model is None else [model]
     return tuple(models)
 

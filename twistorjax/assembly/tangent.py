@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Poses, Scalar
 from ..linalg.sums import sum_entries
-from .forces import FOUR_OF_SIX, HingeTangent, predicted_stress, UPPER_TRIANGLE
+from .forces import FOUR_INDEX_AND_SIGN, HingeTangent, predicted_stress, UPPER_TRIANGLE
 from .motion_forces import HingeMotionTangent
 from .scatter import hinge_dofs, matrix_entries, row_entries
 
@@ -24,9 +24,9 @@ _WHOLE = np.arange(16).reshape(4, 4)
 
 
 class AssemblyTangent(eqx.Module):
-    """Forces and stiffness of all hinges with respect to its four displacements."""
+    """Forces and stiffness of each hinge with respect to its four displacements."""
 
-    hinges: HingeTangent  # The tangent of each hinge; its leaves have an axis of hinges
+    each: HingeTangent  # The tangent of each hinge; its arrays have an axis of hinges
     bodies: int = eqx.field(static=True)
     # Indices of the two bodies of each hinge
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
@@ -36,19 +36,19 @@ class AssemblyTangent(eqx.Module):
     @property
     def stiffness(self) -> Float[Array, "10 hinges"]:
         """Upper triangle of the stiffness of each hinge; N m/rad, N/rad, N/m."""
-        return jnp.stack(self.hinges.stiffness)
+        return jnp.stack(self.each.stiffness)
 
     @property
     def work(self) -> Scalar:
         """Sum of the absolute values of force times coordinate; J."""
-        return jnp.sum(self.hinges.work)
+        return jnp.sum(self.each.work)
 
     def forces(self) -> Float[Array, " dofs"]:
         """Sum the forces of all hinges on each degree of freedom; N m, N."""
-        one_of_four, sign = FOUR_OF_SIX
+        one_of_four, sign = FOUR_INDEX_AND_SIGN
         dofs = hinge_dofs(self.ends, self.order).reshape(-1)
         indices = np.arange(dofs.size), dofs
-        forces = jnp.stack(self.hinges.forces)
+        forces = jnp.stack(self.each.forces)
         return _sum_entries(forces, indices, one_of_four, sign, (3 * self.bodies,))
 
     def matrix(
@@ -73,7 +73,7 @@ class AssemblyTangent(eqx.Module):
         """Predict the stress after small displacements of the bodies; rad, m, m."""
         first, second = np.array(self.ends).reshape(-1, 2)[list(self.order)].T
         of_bodies = tuple(change[first].T), tuple(change[second].T)
-        return jnp.stack(jax.vmap(predicted_stress)(self.hinges, *of_bodies))
+        return jnp.stack(jax.vmap(predicted_stress)(self.each, *of_bodies))
 
 
 def _of_pairs(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,7 +82,7 @@ def _of_pairs(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     `position` is that of each entry of the 4 by 4 matrix. The second result is
     the sign with which it enters.
     """
-    one_of_four, sign = FOUR_OF_SIX
+    one_of_four, sign = FOUR_INDEX_AND_SIGN
     pairs = position[one_of_four][:, one_of_four]
     return pairs.reshape(-1), np.outer(sign, sign).reshape(-1)
 
@@ -92,7 +92,7 @@ def _of_rows(rows: int) -> tuple[np.ndarray, np.ndarray]:
 
     The second result is the sign with which it enters.
     """
-    one_of_four, sign = FOUR_OF_SIX
+    one_of_four, sign = FOUR_INDEX_AND_SIGN
     position = 4 * np.arange(rows)[:, None] + one_of_four
     return position.reshape(-1), np.tile(sign, rows)
 

@@ -15,7 +15,7 @@ from .dilation import multiply_fields
 from .evaluation import Orders
 from .mixed import AbstractMixedEnergy
 from .potentials import AbstractPotential, Rows, Variables
-from .strains import strain
+from .strains import Strain, strain
 from .stress_model import AbstractStressModel
 
 
@@ -119,7 +119,7 @@ class BeamColumn(AbstractMixedEnergy):
         """The force E I / length^2; N."""
         return self.bending_stiffness / self.length**2
 
-    def coordinates_at(self, displacement: Displacement) -> Rates:
+    def coordinates_at(self, displacement: Displacement) -> Strain:
         return displacement.angle, 2 * displacement.x1, 2 * displacement.x2
 
     def resisted_rates(self, displacement: Displacement, rates: Rates) -> Rates:

@@ -39,7 +39,7 @@ from .potentials import (
     Variables,
 )
 from .quadratic import CoordinateEnergy
-from .strains import Coordinates, strain
+from .strains import Coordinates, Strain, strain
 from .stress_model import AbstractStressModel
 
 
@@ -70,7 +70,7 @@ class AbstractMixedEnergy(AbstractEnergy):
         """Reference force; N."""
 
     @abstractmethod
-    def coordinates_at(self, displacement: Displacement) -> Rates:
+    def coordinates_at(self, displacement: Displacement) -> Strain:
         """Return rotation, axial, and transverse displacement; rad, m, m."""
 
     @property
@@ -125,7 +125,7 @@ class AbstractMixedEnergy(AbstractEnergy):
         rotation, axial, transverse = resisted
         return rotation, axial, transverse
 
-    def _scaled(self, coordinates: Rates) -> tuple[Variables, Variables]:
+    def _scaled(self, coordinates: Strain | Rates) -> tuple[Variables, Variables]:
         """Divide compliant coordinates by `_units`, and multiply the others by them."""
         units = self._units
         return (
@@ -171,7 +171,7 @@ class AbstractPolynomialMixedEnergy(AbstractMixedEnergy, CoordinateEnergy):
     def is_unloaded(self) -> bool:
         return all(sum(row) != 1 for row in self.powers)
 
-    def coordinates_at(self, displacement: Displacement) -> Rates:
+    def coordinates_at(self, displacement: Displacement) -> Strain:
         return strain(displacement, "twist")
 
     def validation_error(self) -> str | None:

@@ -18,11 +18,10 @@ from ..geometry.twistors import Displacement
 
 
 Coordinates = Literal["twist", "twistor"]
+Strain = tuple[Scalar, Scalar, Scalar]  # For rotation, axis 1, and axis 2; rad, m, m
 
 
-def strain(
-    displacement: Displacement, coordinates: Coordinates
-) -> tuple[Scalar, Scalar, Scalar]:
+def strain(displacement: Displacement, coordinates: Coordinates) -> Strain:
     """Compute the strain of a hinge for the rotation, axis 1, and axis 2; rad, m, m.
 
     It is the twist, or `2 (xi, x1, x2)` for the twistor.

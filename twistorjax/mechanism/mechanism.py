@@ -635,6 +635,4 @@ def _hinge_pose(
     hinges: HingeAssembly, row: int, displacements: Poses, of_frames: bool = True
 ) -> Pose:
     """Compute the displacement of a hinge, of its frames or with its misfit."""
-    at = hinges.displacement_of(row, displacements, of_frames)
-    x, y = at.sigma * at.x1 - at.xi * at.x2, at.sigma * at.x2 + at.xi * at.x1
-    return jnp.stack([at.angle, 2 * x, 2 * y])
+    return hinges.displacement_of(row, displacements, of_frames).pose()

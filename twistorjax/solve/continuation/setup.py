@@ -74,7 +74,6 @@ def assemble_path(
             "`strokes`, or `temperature`."
         )
     problem = Problem.of(mechanism, loads, drives, constraints, time)
-    dofs = problem.dofs
     if isinstance(start, CriticalPoint):
         is_simple_limit = concrete(~start.is_branch & (start.multiplicity == 1))
         if is_simple_limit is not None and is_simple_limit:
@@ -82,7 +81,7 @@ def assemble_path(
                 "`start` is a limit point, but must be a branch point: no other path "
                 "leaves at a limit point."
             )
-        begin = dofs.fixed_part(start.displacements)
+        begin = jnp.zeros_like(mechanism.reference)
         first = FirstPoint(
             displacements=start.displacements,
             factor=as_float(start.load_factor),

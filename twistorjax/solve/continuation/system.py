@@ -109,14 +109,14 @@ class PathSystem(eqx.Module):
         """Return equations, displacements, and constraint forces of a point."""
         system = self.at(point[-1])
         count = len(self.dofs.free)
-        displacements = system.dofs.expand(point[:count], system.targets, self.start)
+        displacements = system.dofs.expand(point[:count], system.targets)
         return system, displacements, point[count:-1]
 
     def residual(self, point: Float[Array, " n"]) -> Float[Array, " unknowns"]:
         """Compute the forces on the free degrees of freedom, and the violations."""
         system, displacements, multipliers = self.split(point)
-        forces = system.residual(displacements, multipliers)
-        return system.equations(forces, displacements)
+        forces = system.unbalanced_forces(displacements, multipliers)
+        return system.residual(forces, displacements)
 
     def tangent(
         self,
@@ -125,8 +125,8 @@ class PathSystem(eqx.Module):
     ) -> PathTangent:
         """Compute the residual at a point, and its derivatives.
 
-        `predicted` is the stress of the hinges that determines their geometric stiffness,
-        by default the stress at this point; N m, N, N.
+        `predicted` is the generalized stress of the hinges for Newton's method, by
+        default that at this point; N m, N, N.
         """
         system, displacements, multipliers = self.split(point)
         hinges = system.hinges.tangent(displacements, predicted)
@@ -137,7 +137,7 @@ class PathSystem(eqx.Module):
         applied, _ = self.loads.apply(displacements)
         by_factor = self._by_changes(point[-1], displacements) - applied.reshape(-1)
         by_factor = by_factor[system.free]
-        if self.constraints.size:  # no array of size zero; see `System.equations`
+        if self.constraints.size:  # no array of size zero; see `System.residual`
             matrix = jnp.concatenate([matrix, jacobian])
             by_factor = jnp.concatenate([by_factor, jnp.zeros(self.constraints.size)])
         if self.dofs.prescribed:
@@ -148,7 +148,7 @@ class PathSystem(eqx.Module):
             by_multipliers = jnp.concatenate([-matrix[count:].T, corner])
             matrix = jnp.concatenate([matrix, by_multipliers], axis=1)
         return PathTangent(
-            residual=system.equations(forces, displacements),
+            residual=system.residual(forces, displacements),
             jacobian=matrix,
             by_factor=by_factor,
             hinges=hinges,

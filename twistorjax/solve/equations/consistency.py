@@ -89,7 +89,7 @@ def _imbalance(
     units = jnp.tile(system.units(), len(displacements))
     length = units[-1]
     scales = jnp.stack([jnp.ones(()), jnp.ones(()), length, length])  # of four motions
-    of_hinges = jnp.abs(jnp.stack(tangent.hinges.forces)) * scales[:, None]
+    of_hinges = jnp.abs(jnp.stack(tangent.each.forces)) * scales[:, None]
     largest = jnp.maximum(jnp.max(of_hinges), jnp.max(jnp.abs(applied) * units))
     magnitudes = jnp.abs(tangent.hinge_stiffness())
     stiffness = hinges.multiply_stiffness(magnitudes, units)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Inexact
 
-from ..._utils.host import concrete
+from ..._utils.host import as_float, on_host
 from ..._utils.types import Poses, PosesOrResult
 from ...linalg.sums import gather_entries
 from ...mechanism.mechanism import COORDINATES, Mechanism
@@ -39,24 +39,13 @@ class DofPartition(NamedTuple):
         self,
         free: Inexact[Array, " free"],
         prescribed: Inexact[Array, " prescribed"],
-        fixed: Inexact[Array, "bodies 3"] | None = None,
     ) -> Inexact[Array, "bodies 3"]:
-        """Arrange values by bodies.
-
-        Those of the fixed degrees of freedom are taken from `fixed`, by default zero.
-        """
+        """Arrange values by bodies; those of fixed degrees of freedom are zero."""
         dofs = (*self.free, *self.prescribed)
-        source = len(dofs) + np.arange(self.total)
+        source = np.full(self.total, len(dofs))
         source[list(dofs)] = np.arange(len(dofs))
-        others = jnp.zeros(self.total, free.dtype) if fixed is None else fixed.reshape(-1)
-        values = jnp.concatenate([free, prescribed, others])
+        values = jnp.concatenate([free, prescribed, jnp.zeros(1, free.dtype)])
         return gather_entries(values, source).reshape(-1, 3)
-
-    def fixed_part(self, displacements: Poses) -> Poses:
-        """Set all degrees of freedom to zero except the fixed ones."""
-        fixed = np.ones(self.total)
-        fixed[[*self.free, *self.prescribed]] = 0.0
-        return jnp.asarray(fixed.reshape(-1, 3)) * displacements
 
     def reactions(self, forces: Inexact[Array, " dofs"]) -> Inexact[Array, "bodies 3"]:
         """Set forces on the free degrees of freedom to zero and arrange by bodies."""
@@ -68,24 +57,30 @@ class DofPartition(NamedTuple):
 def displacements_at_start(mechanism: Mechanism, start: PosesOrResult) -> Poses:
     """Return the displacements of the bodies at a start; rad, m, m.
 
+    Fixed coordinates have no displacement. All displacements are NaN if the start is
+    traced, and displaces one of them.
+
     Raises:
         ValueError: The start is not that of the mechanism, or a fixed coordinate of a
             body is displaced.
     """
     displacements = mechanism.displacements(start, "start", single=True)
-    known = concrete(displacements)
-    if known is None:
-        return displacements
-    moved = [dof for dof in mechanism.fixed if abs(known.flat[dof]) > _FIXED]
-    if moved:
-        body, coordinate = divmod(moved[0], 3)
+    xp, (known,) = on_host(displacements)
+    fixed = np.zeros(displacements.size, bool)
+    fixed[list(mechanism.fixed)] = True
+    fixed = fixed.reshape(displacements.shape)
+    moved = fixed & (abs(known) > _FIXED)
+    if xp is np and np.any(moved):
+        dof = int(np.argmax(moved))
+        body, coordinate = divmod(dof, 3)
         raise ValueError(
             f"`start` displaces the {COORDINATES[coordinate]} of the body "
-            f"{mechanism.names[body]!r} by {known.flat[moved[0]]:.4g}, but it is fixed. "
+            f"{mechanism.names[body]!r} by {known.flat[dof]:.4g}, but it is fixed. "
             "Give a start in which it has its reference pose, or build the mechanism "
             "with another reference pose."
         )
-    return displacements
+    at_start = xp.where(xp.any(moved), xp.nan, xp.where(fixed, 0.0, known))
+    return as_float(at_start)
 
 
 def require_support(

@@ -111,7 +111,7 @@ class System(eqx.Module):
 
         def forces_and_stress(fraction: Scalar) -> tuple[Array, Array]:
             forces, stress = self.hinges_at(fraction).forces_and_stress(displacements)
-            return self.equations(forces.reshape(-1), displacements), stress
+            return self.residual(forces.reshape(-1), displacements), stress
 
         return jax.jvp(forces_and_stress, (fraction,), (increment,))[1]
 
@@ -123,21 +123,21 @@ class System(eqx.Module):
         """Differentiate the violation with respect to all degrees of freedom."""
         return self.constraints.jacobian(displacements, self.time)
 
-    def equations(
-        self, forces: Float[Array, " dofs"], displacements: Poses
-    ) -> Float[Array, " unknowns"]:
-        """Join the forces on free degrees of freedom (N m, N) and violations (rad, m).
-
-        Arrays of size zero are avoided, because with them XLA loses the type of LAPACK
-        calls in large programs (jaxlib 0.10.2: "No registered implementation for untyped
-        custom call").
-        """
-        forces = forces[self.free]
-        if not self.constraints.size:
-            return forces
-        return jnp.concatenate([forces, self.violation(displacements)])
-
     def residual(
+        self, unbalanced: Float[Array, " dofs"], displacements: Poses
+    ) -> Float[Array, " unknowns"]:
+        """Join unbalanced forces on free degrees of freedom (N m, N) and violations.
+
+        Without constraints, no empty array is joined, because with one XLA loses the type
+        of LAPACK calls in large programs (jaxlib 0.10.2: "No registered implementation
+        for untyped custom call").
+        """
+        unbalanced = unbalanced[self.free]
+        if not self.constraints.size:
+            return unbalanced
+        return jnp.concatenate([unbalanced, self.violation(displacements)])
+
+    def unbalanced_forces(
         self, displacements: Poses, multipliers: Entries
     ) -> Float[Array, " dofs"]:
         """Compute the forces of hinges, minus loads and constraint forces; N m, N.
@@ -148,22 +148,23 @@ class System(eqx.Module):
         forces = self.hinges.forces(displacements)
         return self._unbalanced(forces, displacements, multipliers)
 
-    def residual_at_start(
+    def unbalanced_at_start(
         self, forces: Wrenches, displacements: Poses
     ) -> Float[Array, " dofs"]:
         """Subtract the known loads at the fraction zero from the forces of the hinges.
 
         The result, in N m and N, is zero if the mechanism is in equilibrium there.
         """
-        residual = forces.reshape(-1)
+        unbalanced = forces.reshape(-1)
         if self.at_start is None:
-            return residual
+            return unbalanced
         if self.at_start.loads.present:
-            residual = residual - self.at_start.loads.apply(displacements)[0].reshape(-1)
+            applied, _ = self.at_start.loads.apply(displacements)
+            unbalanced = unbalanced - applied.reshape(-1)
         if self.at_start.constraint_forces is None:
-            return residual
+            return unbalanced
         multipliers = jnp.asarray(self.at_start.constraint_forces)
-        return residual - self.constraints.forces(displacements, self.time, multipliers)
+        return unbalanced - self.constraints.forces(displacements, self.time, multipliers)
 
     def reactions_and_energy(
         self, displacements: Poses, multipliers: Entries
@@ -173,8 +174,8 @@ class System(eqx.Module):
         The reactions are in N m, N, N; the energy that the hinges store is in J.
         """
         energy, forces = self.hinges.energy_and_forces(displacements)
-        residual = self._unbalanced(forces, displacements, multipliers)
-        return self.dofs.reactions(residual), energy
+        unbalanced = self._unbalanced(forces, displacements, multipliers)
+        return self.dofs.reactions(unbalanced), energy
 
     def constraint_forces(self, displacements: Poses) -> Entries:
         """Compute the constraint forces of an equilibrium by least squares; N m, N."""
@@ -183,11 +184,12 @@ class System(eqx.Module):
         # Only mechanisms with constraints need this package, which takes time to load.
         import lineax as lx
 
-        residual = self.residual(displacements, jnp.zeros(self.constraints.size))
+        no_forces = jnp.zeros(self.constraints.size)
+        unbalanced = self.unbalanced_forces(displacements, no_forces)
         units = self.free_units()
         scaled = self.jacobian(displacements)[:, self.free] * units[None]
         problem = lx.MatrixLinearOperator(scaled.T)
-        right = units * residual[self.free]
+        right = units * unbalanced[self.free]
         return lx.linear_solve(problem, right, lx.QR(), throw=False).value
 
     def constraint_stiffness(self, displacements: Poses) -> Float[Array, "dofs dofs"]:
@@ -203,21 +205,22 @@ class System(eqx.Module):
         multipliers: Entries | None = None,
         misfit_fraction: Scalar | None = None,
     ) -> tuple[Float[Array, " dofs"], Tangent, AssemblyTangent]:
-        """Compute the residual under a fraction of the loads, and its derivatives.
+        """Compute unbalanced forces at a fraction of the loads, and their derivatives.
 
         Args:
-            predicted: Generalized stress of the hinges that determines their geometric
-                stiffness; by default the stress at these displacements; N m, N, N.
+            predicted: Generalized stress of the hinges for Newton's method; see the
+                `tangent` of a hinge; by default that at these displacements; N m, N, N.
             multipliers: Constraint forces, if there are constraints; N m, N.
             misfit_fraction: Fraction of the misfits, by default that of the loads.
 
         Returns:
-            The residual, the tangent stiffness of the free degrees of freedom, and the
-            tangent of the hinges alone.
+            The unbalanced forces, the tangent stiffness of the free degrees of freedom,
+            and the tangent of the hinges alone.
         """
         if misfit_fraction is None:
             misfit_fraction = jnp.asarray(fraction)
-        hinges = self.hinges_at(misfit_fraction).tangent(displacements, predicted)
+        hinges = self.hinges_at(misfit_fraction)
+        hinge_tangents = hinges.tangent(displacements, predicted)
         layout = block_layout(self.hinges.ends, self.dofs.free)
         if not self.constraints.size and layout is not None:
             applied, by_angle = (
@@ -225,21 +228,25 @@ class System(eqx.Module):
                 for value in self.loads_at(fraction).apply(displacements)
             )
             tangent = BlockTangent(
-                self.hinges, hinges.hinge_stiffness(), by_angle, self.dofs, layout
+                self.hinges,
+                hinge_tangents.hinge_stiffness(),
+                by_angle,
+                self.dofs,
+                layout,
             )
-            return hinges.forces() - applied, tangent, hinges
+            return hinge_tangents.forces() - applied, tangent, hinge_tangents
         columns = self.dofs.free + self.dofs.prescribed
-        residual, matrix, jacobian = self.dense_tangent(
-            hinges, displacements, columns, multipliers, fraction
+        unbalanced, matrix, jacobian = self.dense_tangent(
+            hinge_tangents, displacements, columns, multipliers, fraction
         )
         if not self.constraints.size:
-            return residual, DenseTangent(matrix), hinges
+            return unbalanced, DenseTangent(matrix), hinge_tangents
         tangent = ConstrainedTangent(matrix, jacobian, self.free_units())
-        return residual, tangent, hinges
+        return unbalanced, tangent, hinge_tangents
 
     def dense_tangent(
         self,
-        hinges: AssemblyTangent,
+        hinge_tangents: AssemblyTangent,
         displacements: Poses,
         columns: tuple[int, ...],
         multipliers: Entries | None,
@@ -252,10 +259,11 @@ class System(eqx.Module):
         """Add a fraction of the loads, and the constraint forces, to a tangent of hinges.
 
         Returns:
-            The residual on all degrees of freedom, and the derivatives of the residual on
-            the free ones and of the violations by the degrees of freedom in `columns`.
+            The unbalanced forces on all degrees of freedom, and the derivatives of those
+            on the free ones and of the violations by the degrees of freedom in `columns`.
         """
-        forces, matrix = hinges.forces(), hinges.matrix(self.dofs.free, columns)
+        forces = hinge_tangents.forces()
+        matrix = hinge_tangents.matrix(self.dofs.free, columns)
         loads = self.loads_at(fraction)
         if loads.present:
             applied, by_angle = (
@@ -287,10 +295,9 @@ class System(eqx.Module):
         """
         all_dofs = tuple(range(self.dofs.total))
         whole = replace(self, dofs=DofPartition(len(all_dofs), all_dofs))
-        hinges = self.hinges.tangent(displacements)
         multipliers = self.constraint_forces(displacements)
         _, stiffness, jacobian = whole.dense_tangent(
-            hinges, displacements, all_dofs, multipliers
+            self.hinges.tangent(displacements), displacements, all_dofs, multipliers
         )
         return stiffness, jacobian
 
@@ -315,7 +322,7 @@ class System(eqx.Module):
     ) -> Float[Array, " dofs"]:
         """Subtract the loads and the constraint forces from the forces of the hinges."""
         applied, _ = self.loads.apply(displacements)
-        residual = (forces - applied).reshape(-1)
+        unbalanced = (forces - applied).reshape(-1)
         if not self.constraints.size:
-            return residual
-        return residual - self.constraints.forces(displacements, self.time, multipliers)
+            return unbalanced
+        return unbalanced - self.constraints.forces(displacements, self.time, multipliers)

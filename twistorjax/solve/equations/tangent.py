@@ -63,13 +63,13 @@ class DenseTangent(eqx.Module):
         """Factorize the stiffness of the free degrees of freedom."""
         return factorize(self.matrix[:, : len(self.matrix)], symmetric)
 
-    def solve(
+    def solve_and_check(
         self, rights: Float[Array, "rights free"], symmetric: bool
     ) -> tuple[Float[Array, "rights free"], Flag]:
         """Solve linear systems, and decide whether the stiffness is stable."""
         return solve_once(self.matrix[:, : len(self.matrix)], rights, symmetric)
 
-    def where(self, found: Flag) -> "DenseTangent":
+    def identity_unless(self, found: Flag) -> "DenseTangent":
         """Replace the matrix by an identity matrix if no solution was found."""
         return DenseTangent(jnp.where(found, self.matrix, _identity(self.matrix)))
 
@@ -104,13 +104,13 @@ class ConstrainedTangent(eqx.Module):
         allowed = AllowedDisplacements.of(self.jacobian[:, :count], self.units)
         return ConstrainedFactors.of(self.stiffness[:, :count], allowed, symmetric)
 
-    def solve(
+    def solve_and_check(
         self, rights: Float[Array, "rights unknowns"], symmetric: bool
     ) -> tuple[Float[Array, "rights unknowns"], Flag]:
         """Solve linear systems, and decide whether the stiffness is stable."""
         return _solve_with_factors(self.factors(symmetric), rights)
 
-    def where(self, found: Flag) -> "ConstrainedTangent":
+    def identity_unless(self, found: Flag) -> "ConstrainedTangent":
         """Replace both matrices by identity matrices if no solution was found."""
         stiffness, jacobian = (
             jnp.where(found, matrix, _identity(matrix))
@@ -150,13 +150,13 @@ class BlockTangent(eqx.Module):
         shape = (3, layout.blocks, layout.size, layout.size)
         return BlockFactors.of(blocks.reshape(shape), layout, symmetric)
 
-    def solve(
+    def solve_and_check(
         self, rights: Float[Array, "rights free"], symmetric: bool
     ) -> tuple[Float[Array, "rights free"], Flag]:
         """Solve linear systems, and decide whether the stiffness is stable."""
         return _solve_with_factors(self.factors(symmetric), rights)
 
-    def where(self, found: Flag) -> "BlockTangent":
+    def identity_unless(self, found: Flag) -> "BlockTangent":
         """Replace the stiffness of each hinge by an identity matrix if not `found`."""
         identity = jnp.asarray(np.eye(6)[:, :, None])
         stiffness = jnp.where(found, self.hinge_stiffness, identity)

@@ -75,7 +75,6 @@ def initial_value_problem(
         inertia=jnp.where(jnp.isinf(inertia), 0.0, inertia),
         length=jnp.ones(()),
         period=jnp.ones(()),
-        start=start,
         dofs=dofs,
     )
     position = start.reshape(-1)[system.free]

@@ -91,9 +91,6 @@ class MotionSystem(eqx.Module):
     length: Scalar  # Length of the mechanism by which displacements are scaled; m
     # Period of its slowest vibration, divided by two pi, by which rates are scaled; s
     period: Scalar
-    # Displacements at the start, which are those of the fixed degrees of freedom at any
-    # time; rad, m, m
-    start: Poses
     dofs: DofPartition = eqx.field(static=True)  # Partition of the degrees of freedom
 
     @property
@@ -139,7 +136,7 @@ class MotionSystem(eqx.Module):
     def expand(self, time: Scalar, position: Array, rate: Array) -> tuple[Poses, Poses]:
         """Compute displacements and velocities of all bodies; rad, m, m, per second."""
         targets, rates, _ = self.prescribed(time)
-        return self._displacements(position, targets), self.dofs.expand(rate, rates)
+        return self.dofs.expand(position, targets), self.dofs.expand(rate, rates)
 
     def forces(
         self,
@@ -269,7 +266,7 @@ class MotionSystem(eqx.Module):
         if not self.constraints.size:
             return jnp.zeros(0)
         targets, _, _ = self.prescribed(time)
-        return self.constraints.violation(self._displacements(position, targets), time)
+        return self.constraints.violation(self.dofs.expand(position, targets), time)
 
     def jacobian(self, time: Scalar, position: Array) -> Float[Array, "entries free"]:
         """Differentiate the violation with respect to the free degrees of freedom."""
@@ -294,10 +291,6 @@ class MotionSystem(eqx.Module):
         if isinstance(self.loads, LoadSet):
             return self.loads
         return LoadSet.of(self.mechanism, self.loads(time))
-
-    def _displacements(self, position: Array, targets: Array) -> Poses:
-        """Arrange displacements by bodies; the fixed ones are those at the start."""
-        return self.dofs.expand(position, targets, self.start)
 
 
 def _derivative(time: Any, state: State, system: MotionSystem) -> State:

@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.pytrees import jvp_of_varied
-from ..._utils.types import Flag, Poses
+from ..._utils.types import Flag
 from ..equations.system import System
 
 
 @eqx.filter_custom_jvp
 def differentiable_root(
-    system: System, root: Array, start: Poses, found: Flag
+    system: System, root: Array, found: Flag
 ) -> Float[Array, " unknowns"]:
     """Return the solution of a system, with derivatives with respect to the system.
 
@@ -29,30 +29,29 @@ def differentiable_root(
     Args:
         root: The known solution: displacements of the free degrees of freedom, then
             constraint forces; rad, m, N m, N.
-        start: Displacements, of which the fixed degrees of freedom are used; rad, m, m.
+        found: Whether it is one.
     """
-    del system, start, found
+    del system, found
     return root
 
 
 @differentiable_root.def_jvp
 def _(primals, tangents):
-    system, root, start, found = primals
-    system_change, _, start_change, _ = tangents
+    system, root, found = primals
     root = differentiable_root(*primals)
     count = len(system.free)
 
-    def residual(system: System, start: Poses) -> Array:
-        displacements = system.dofs.expand(root[:count], system.targets, start)
-        forces = system.residual(displacements, root[count:])
-        return system.equations(forces, displacements)
+    def residual(system: System) -> Array:
+        displacements = system.dofs.expand(root[:count], system.targets)
+        unbalanced = system.unbalanced_forces(displacements, root[count:])
+        return system.residual(unbalanced, displacements)
 
-    _, rate = jvp_of_varied(residual, (system, start), (system_change, start_change))
-    displacements = system.dofs.expand(root[:count], system.targets, start)
+    _, rate = jvp_of_varied(residual, (system,), tangents[:1])
+    displacements = system.dofs.expand(root[:count], system.targets)
     _, tangent, _ = system.tangent(displacements, multipliers=root[count:])
     rate = jnp.where(found, rate, 0.0)
-    step = tangent.where(found).factors(system.loads.conservative).solve(rate)
-    # `solve` returns the negative change of the constraint forces; see
+    factors = tangent.identity_unless(found).factors(system.loads.conservative)
+    # They solve for the negative change of the constraint forces; see
     # `ConstrainedTangent`.
     sign = jnp.where(np.arange(root.size) < count, -1.0, 1.0)
-    return root, sign * step
+    return root, sign * factors.solve(rate)

@@ -62,6 +62,15 @@ _SMALLEST_INCREMENT = 1e-7  # as a fraction of the full load
 _SMALLEST_SHARE = 1e-5  # as a fraction of the load that has been reached
 
 
+class _Iterate(NamedTuple):
+    """An approximation of the equilibrium at a fraction of the loads."""
+
+    displacements: Poses  # Displacement of each body from its reference pose; rad, m, m
+    multipliers: Array | None  # Constraint forces; None without constraints; N m, N
+    # Generalized stress of the hinges that the last step predicted; N m, N, N
+    predicted: Array
+
+
 class _State(NamedTuple):
     """State of the iteration.
 
@@ -69,12 +78,8 @@ class _State(NamedTuple):
     then the constraint forces (N m, N).
     """
 
-    displacements: Poses  # Displacements at the current iterate; rad, m, m
-    multipliers: Array | None  # Constraint forces at the current iterate; N m, N
-    # Generalized stress of the hinges that the last step predicted; N m, N, N
-    predicted: Array
-    # The first three at the last fraction that converged
-    last_equilibrium: tuple[Poses, Array | None, Array]
+    current: _Iterate
+    last_equilibrium: _Iterate  # At the last fraction that converged
     fraction: Scalar  # Last fraction that converged
     increment: Scalar  # Increment of the fraction that is being tried
     tries: Count  # Number of Newton steps in this increment
@@ -131,7 +136,8 @@ def solve_in_increments(
     entries = system.constraints.size
     units, free_units = system.units(), system.free_units()
     forces, predicted = system.hinges_at(0.0).forces_and_stress(start)
-    initial_residual = system.equations(system.residual_at_start(forces, start), start)
+    unbalanced = system.unbalanced_at_start(forces, start)
+    initial_residual = system.residual(unbalanced, start)
     multipliers = jnp.zeros(entries) if entries else None
     if system.at_start is not None and system.at_start.constraint_forces is not None:
         multipliers = jnp.asarray(system.at_start.constraint_forces)
@@ -150,7 +156,7 @@ def solve_in_increments(
         length = _length(step.change, units)
         longest = jnp.where(is_first, length, state.first_correction)
         ratio = jnp.where(is_first, 0.0, length / state.last_correction)
-        rounded = length <= _ROUNDING * _length(step.displacements, units)
+        rounded = length <= _ROUNDING * _length(step.reached.displacements, units)
         small = rounded | (length <= _SMALL_CORRECTION * longest) | (length <= floor)
         over_bound = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
         response = jnp.where(is_first, step.response, state.response)
@@ -170,8 +176,8 @@ def solve_in_increments(
         )
 
         contracts = over_bound <= 1
-        rotations = jnp.abs(step.displacements - state.last_equilibrium[0])[:, 0]
-        rotation = jnp.max(rotations, initial=0.0)
+        rotations = step.reached.displacements - state.last_equilibrium.displacements
+        rotation = jnp.max(jnp.abs(rotations[:, 0]), initial=0.0)
         acceptable = step.stable & jnp.isfinite(energy) & (rotation <= _LARGEST_ROTATION)
         acceptable &= contracts
         # The first step of an increment with prescribed displacements or misfits used
@@ -181,12 +187,12 @@ def solve_in_increments(
         goal_tolerance = jnp.where(step.goal < 1, jnp.sqrt(tolerance), tolerance)
         # In a mechanism of many bodies, corrections that are rounding errors do not
         # contract.
-        rounded &= ratio > _LARGEST_CONTRACTION
-        rounded &= error <= jnp.sqrt(jnp.finfo(float).eps)
-        small_error = (error <= goal_tolerance) | rounded
+        stalled = rounded & (ratio > _LARGEST_CONTRACTION)
+        stalled &= error <= jnp.sqrt(jnp.finfo(float).eps)
+        small_error = (error <= goal_tolerance) | stalled
         if entries:
             small_error |= ~is_first & (length <= floor)
-            violation = system.violation(step.displacements)
+            violation = system.violation(step.reached.displacements)
             violation -= (1 - step.goal) * initial_residual[len(system.free) :]
             small_error &= jnp.all(jnp.abs(violation) <= largest_violation)
             # The first tangent lacks the geometric stiffness of the constraint forces.
@@ -201,7 +207,7 @@ def solve_in_increments(
         increment = jnp.where(rejected, reduction * state.increment, state.increment)
         smallest = jnp.maximum(_SMALLEST_INCREMENT, _SMALLEST_SHARE * state.fraction)
         steps = state.steps + 1
-        # The first condition that holds decides. `jnp.select` would count the conditions.
+        # Each condition that holds replaces the earlier ones.
         status = jnp.where(steps >= max_steps, USED_UP, RUNNING)
         status = jnp.where(increment < smallest, STUCK, status)
         # The stiffness is singular or indefinite already at the smallest load.
@@ -214,14 +220,13 @@ def solve_in_increments(
         growth = jnp.where(nonlinearity > 0, jnp.clip(factor, *_LONGER), _LONGER[1])
         is_last = _LONGER_AT_THE_END * growth * increment > remaining
         longer = jnp.where(is_last, remaining, growth * increment)
-        current = step.displacements, step.multipliers, step.predicted
 
         def select(flag: Flag, chosen, other):
             return jax.tree.map(lambda a, b: jnp.where(flag, a, b), chosen, other)
 
         return _State(
-            *select(rejected, state.last_equilibrium, current),
-            last_equilibrium=select(converged, current, state.last_equilibrium),
+            current=select(rejected, state.last_equilibrium, step.reached),
+            last_equilibrium=select(converged, step.reached, state.last_equilibrium),
             fraction=fraction,
             increment=jnp.where(converged, longer, increment),
             tries=jnp.where(converged | rejected, 0, state.tries + 1),
@@ -238,11 +243,10 @@ def solve_in_increments(
 
     zero, no_steps = jnp.zeros(()), jnp.zeros((), int)
     unknowns = jnp.zeros(len(system.free) + entries)
+    at_start = _Iterate(start, multipliers, predicted)
     state = _State(
-        displacements=start,
-        multipliers=multipliers,
-        predicted=predicted,
-        last_equilibrium=(start, multipliers, predicted),
+        current=at_start,
+        last_equilibrium=at_start,
         fraction=zero,
         increment=zero + 1,
         tries=no_steps,
@@ -257,17 +261,16 @@ def solve_in_increments(
         status=jnp.zeros((), int),
     )
     state = jax.lax.while_loop(lambda state: state.status == RUNNING, advance, state)
+    displacements, multipliers, _ = state.last_equilibrium
     return NewtonSolution(
-        *state.last_equilibrium[:2], state.fraction, state.steps, state.status
+        displacements, multipliers, state.fraction, state.steps, state.status
     )
 
 
 class _Step(NamedTuple):
     """Result of one Newton step."""
 
-    displacements: Poses  # Displacements after the step; rad, m, m
-    multipliers: Array | None  # Constraint forces after the step; N m, N
-    predicted: Array  # Generalized stress of the hinges that the step predicts; N m, N, N
+    reached: _Iterate  # The iterate after the step
     change: Poses  # Change of the displacements; rad, m, m
     energies: Array  # Energy change for each unknown; J
     # Sum of the absolute values of force times displacement of the hinges before the
@@ -289,47 +292,45 @@ def _newton_step(
     goal = state.fraction + state.increment
     is_first = state.tries == 0
     misfit_fraction = jnp.where(is_first, state.fraction, goal)
-    forces, tangent, hinges = system.tangent(
-        state.displacements, goal, state.predicted, state.multipliers, misfit_fraction
+    begin, multipliers, predicted = state.current
+    unbalanced, tangent, hinge_tangents = system.tangent(
+        begin, goal, predicted, multipliers, misfit_fraction
     )
-    flat = state.displacements.reshape(-1)
-    begin = start.reshape(-1)[system.prescribed]
-    prescribed = begin + goal * (system.targets - begin)
+    flat = begin.reshape(-1)
+    at_start = start.reshape(-1)[system.prescribed]
+    prescribed = at_start + goal * (system.targets - at_start)
     prescribed_change = prescribed - flat[system.prescribed]
-    residual = system.equations(forces, state.displacements)
-    residual = residual - (1 - goal) * initial_residual
+    residual = system.residual(unbalanced, begin) - (1 - goal) * initial_residual
     # The forces due to misfits and prescribed displacements follow from the tangent.
     misfit_forces, misfit_stress = system.misfit_response(
-        state.displacements, misfit_fraction, state.increment
+        begin, misfit_fraction, state.increment
     )
     right = -(residual + tangent.prescribed_forces(prescribed_change))
     right = jnp.where(is_first, right - misfit_forces, right)
     imbalance = jnp.where(is_first, -residual, state.imbalance)
-    whole_change = state.increment * (system.targets - begin)
+    whole_change = state.increment * (system.targets - at_start)
     forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)
     rights = jax.lax.optimization_barrier(jnp.stack([right, forcing]))
     right, _ = rights
-    (step, response), stable = tangent.solve(rights, system.conservative)
+    (step, response), stable = tangent.solve_and_check(rights, system.conservative)
     free = flat[system.free] + step[: len(system.free)]
-    displacements = system.dofs.expand(free, prescribed, state.displacements)
-    multipliers = state.multipliers
+    displacements = system.dofs.expand(free, prescribed)
     if multipliers is not None:
         multipliers = multipliers - step[len(system.free) :]
-    change = displacements - state.displacements
-    predicted = hinges.predicted_stress(change) + jnp.where(is_first, misfit_stress, 0.0)
+    change = displacements - begin
+    predicted = hinge_tangents.predicted_stress(change)
+    predicted = predicted + jnp.where(is_first, misfit_stress, 0.0)
     imposed = jnp.all(prescribed_change == 0)
     return _Step(
-        displacements=displacements,
-        multipliers=multipliers,
-        predicted=predicted,
+        reached=_Iterate(displacements, multipliers, predicted),
         change=change,
         energies=jnp.abs(step * right),
-        work=hinges.work,
+        work=hinge_tangents.work,
         imbalance=imbalance,
         response=response,
         goal=goal,
         stable=stable,
-        finite=hinges.finite() & jnp.all(jnp.isfinite(right)),
+        finite=hinge_tangents.finite() & jnp.all(jnp.isfinite(right)),
         prescribed_imposed=imposed & (not system.changes_misfits),
     )
 

@@ -58,7 +58,7 @@ def solve(
 def _solve(
     hinges: HingeAssembly,
     reference: Poses,
-    start_displacements: Poses,
+    start: Poses,
     at_start: LoadState | None,
     loads: LoadSet,
     constraints: ConstraintSet,
@@ -72,23 +72,19 @@ def _solve(
 ) -> Equilibrium:
     """Compute the equilibrium; see `equilibrium`."""
     system = System(hinges, loads, constraints, jnp.array(targets, float), time, dofs)
-    solution = find_equilibrium(
-        system, start_displacements, at_start, tolerance, max_steps
-    )
-    return report_equilibrium(
-        system, solution, reference, start_displacements, names=names
-    )
+    solution = find_equilibrium(system, start, at_start, tolerance, max_steps)
+    return _report_equilibrium(system, solution, reference, names=names)
 
 
 def find_equilibrium(
     system: System,
-    start_displacements: Poses,
+    start: Poses,
     at_start: LoadState | None,
     tolerance: Scalar,
     max_steps: Count,
 ) -> newton.NewtonSolution:
     """Compute the displacements of the equilibrium, without derivatives."""
-    system, start, at_start = stop_gradient((system, start_displacements, at_start))
+    system, start, at_start = stop_gradient((system, start, at_start))
     consistent = independent(system, start)
     solution = newton.solve_in_increments(
         replace(system, at_start=at_start), start, tolerance, max_steps
@@ -113,19 +109,16 @@ def search_result(system: System, solution: newton.NewtonSolution) -> RESULTS:
     return RESULTS.where(outside, RESULTS.out_of_range, result)
 
 
-def report_equilibrium(
+def _report_equilibrium(
     system: System,
     solution: newton.NewtonSolution,
     reference: Poses,
-    start_displacements: Poses,
     *,
     names: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> Equilibrium:
     """Compute all results of an equilibrium that was found, with their derivatives."""
     hinges = system.hinges
-    displacements, multipliers = _differentiable_state(
-        system, solution, start_displacements
-    )
+    displacements, multipliers = _differentiable_state(system, solution)
     reactions, energy = system.reactions_and_energy(displacements, multipliers)
     result = search_result(system, solution)
     # If all displacements are prescribed, Newton's method does not evaluate the forces.
@@ -155,7 +148,7 @@ def report_equilibrium(
 
 
 def _differentiable_state(
-    system: System, solution: newton.NewtonSolution, start_displacements: Poses
+    system: System, solution: newton.NewtonSolution
 ) -> tuple[Poses, Entries]:
     """Return displacements and constraint forces, with derivatives by the system."""
     flat, count = solution.displacements.reshape(-1), len(system.free)
@@ -163,9 +156,9 @@ def _differentiable_state(
     root = flat[system.free]
     if solution.multipliers is not None:
         root = jnp.concatenate([root, solution.multipliers])
-    root = differentiable_root(system, root, start_displacements, converged)
+    root = differentiable_root(system, root, converged)
     prescribed = jnp.where(converged, system.targets, flat[system.prescribed])
-    displacements = system.dofs.expand(root[:count], prescribed, start_displacements)
+    displacements = system.dofs.expand(root[:count], prescribed)
     return displacements, root[count:]
 
 

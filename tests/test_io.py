@@ -2,9 +2,11 @@
 
 import errno
 import json
+import os
 import pathlib
 import subprocess
 import sys
+import threading
 from xml.etree import ElementTree
 
 import equinox as eqx
@@ -307,8 +309,19 @@ def test_a_file_is_replaced_only_when_the_new_one_is_complete(tmp_path, monkeypa
         tj.io.save_mechanism(body_on_a_spring("d"), path)
     assert error.value.filename == str(path)
     assert path.read_bytes() == before and set(tmp_path.iterdir()) == {path, link}
-    tj.io.save_mechanism(body_on_a_spring(), "/dev/null")
-    assert pathlib.Path("/dev/null").is_char_device()
+
+
+def test_what_is_no_regular_file_is_not_replaced(tmp_path):
+    pipe, written = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(
+        target=lambda: written.append(pipe.read_text()), daemon=True
+    )
+    reader.start()
+    tj.io.save_mechanism(body_on_a_spring(), pipe)
+    reader.join(timeout=10)
+    assert pipe.is_fifo()
+    assert json.loads(written[0])["mechanism"]["fixed"] == {"a": ["angle", "x", "y"]}
 
 
 def test_a_warning_of_a_body_is_not_repeated_when_it_is_saved(tmp_path):

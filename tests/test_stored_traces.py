@@ -581,6 +581,7 @@ def test_texts_of_values_that_lead_to_other_traces_differ():
         jax.ShapeDtypeStruct((2,), float), jax.ShapeDtypeStruct((2,), int), -0.0,
         jax.ShapeDtypeStruct((), float, weak_type=True), jnp.asarray(1.0), jnp.ones(()),
         np.dtype("int32"), frozenset("ab"), frozenset("ac"), -1, 0.0, float("nan"),
+        *map(jax.tree.structure, [{"a": 1}, {"b": 1}, [1, 2], [1, [2]], [1, None], None]),
     ]  # fmt: skip
     texts = [canonical_text(value) for value in values]
     assert len(set(texts)) == len(values)
@@ -598,6 +599,7 @@ def decorated(value):
         push, decorated, lambda: None, eqx.Partial(push, 1), functools.partial(push),
         jax.jit(push), Color.RED, object(), np.array([object()]), type("A", (), {})(),
         jax.random.key(0), np.ma.array([1.0]), np.dtype([("a", float)]),
+        jax.tree.structure(Softer(np.eye(3))),
     ],
 )  # fmt: skip
 def test_functions_and_objects_of_users_have_no_text(value):

@@ -113,6 +113,9 @@ class _Writer:
             self._write_all(type(value), (value.func, value.args, value.keywords))
         elif isinstance(value, types.MethodType):
             self._write_all(type(value), (value.__func__, value.__self__))
+        elif isinstance(value, jax.tree_util.PyTreeDef):
+            numbered = jax.tree.unflatten(value, range(value.num_leaves))
+            self._write_all(jax.tree_util.PyTreeDef, (numbered,))
         elif dataclasses.is_dataclass(value):
             fields = dataclasses.fields(value)
             values = [getattr(value, field.name, None) for field in fields]

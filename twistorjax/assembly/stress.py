@@ -141,11 +141,3 @@ def strengths(hinges: HingeAssembly, name: str) -> Float[Array, " hinges"] | Non
             result = jnp.full(len(hinges.ends), jnp.inf) if result is None else result
             result = result.at[np.array(group.members)].min(value)
     return result
-
-
-def has_strength(hinges: HingeAssembly) -> bool:
-    """Decide whether the strength of the material of a hinge is known."""
-    models = (stress_model(group.energy) for group in hinges.groups)
-    return any(
-        model is not None and model.strengths.static is not None for model in models
-    )

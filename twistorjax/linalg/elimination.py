@@ -74,7 +74,7 @@ def _gauss_jordan(matrices: _Parts) -> _Parts:
     """Invert matrices, which are given by their parts."""
     size = len(matrices[0])
 
-    def eliminate(k: Array, remaining: _Parts) -> _Parts:
+    def step(k: Array, remaining: _Parts) -> _Parts:
         """Eliminate one unknown, and write the inverse over its row and column."""
         row, column = (
             tuple(jax.lax.dynamic_index_in_dim(part, k, axis) for part in remaining)
@@ -93,7 +93,7 @@ def _gauss_jordan(matrices: _Parts) -> _Parts:
 
         return _combine(written, factor, row, scaled, remaining, products)
 
-    return jax.lax.fori_loop(0, size, eliminate, matrices)
+    return jax.lax.fori_loop(0, size, step, matrices)
 
 
 def _combine(function: Callable[..., Array], *numbers: _Parts) -> _Parts:
@@ -193,7 +193,7 @@ def pivoted_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     size = len(matrix)
     rows = jnp.arange(size)
 
-    def eliminate(k: Array, augmented: Array) -> Array:
+    def step(k: Array, augmented: Array) -> Array:
         column = augmented[:, k]
         pivot = jnp.argmax(jnp.where(rows >= k, jnp.abs(column), -1.0))
         chosen = augmented[pivot]
@@ -203,7 +203,7 @@ def pivoted_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
         return jnp.where((rows == k)[:, None], chosen[None], others)
 
     augmented = jnp.concatenate([matrix, jnp.eye(size)], axis=1)
-    return jax.lax.fori_loop(0, size, eliminate, augmented)[:, size:]
+    return jax.lax.fori_loop(0, size, step, augmented)[:, size:]
 
 
 @pivoted_inverse.defjvp

@@ -10,10 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from ..._utils.pytrees import jvp_of_varied
 from ..._utils.types import Count
+from ...assembly.stress import largest_stresses, rows_with_stress
 from ...linalg.constraints import null_space
 from ...linalg.elimination import solve
 from ...linalg.factors import determinant_sign
-from ..equations.stresses import reported_stresses
 from .arc_length import Metric
 from .system import PathSystem, PathTangent
 
@@ -39,14 +39,16 @@ def point_values(system: PathSystem, points: Float[Array, "points n"]) -> PointV
     def one(point: Float[Array, " n"]) -> PointValues:
         equations, displacements, multipliers = system.split(point)
         reactions, energy = equations.reactions_and_energy(displacements, multipliers)
+        hinges = equations.hinges
+        stressed = rows_with_stress(hinges, "static")
         return PointValues(
             point[-1],
             displacements,
             reactions,
             multipliers,
             energy,
-            reported_stresses(equations.hinges, displacements),
-            equations.hinges.range_shares(displacements),
+            largest_stresses(hinges, displacements) if stressed else None,
+            hinges.range_shares(displacements),
         )
 
     return jax.vmap(one)(points)

@@ -9,7 +9,7 @@ from ..._utils.host import all_concrete
 from ..._utils.types import BatchScalar, Flag, Poses
 from ..._utils.validation import index_of
 from ...assembly.assembly import HingeAssembly
-from ...assembly.stress import has_strength, largest_stresses, rows_with_stress, strengths
+from ...assembly.stress import largest_stresses, rows_with_stress, strengths
 from ...mechanism.mechanism import Mechanism
 from ...results.tables import Column, Columns, Tabular
 
@@ -94,18 +94,9 @@ class Stresses(Tabular):
         return "\n".join(lines)
 
 
-def reported_stresses(
-    hinges: HingeAssembly, displacements: Poses
-) -> Float[Array, " hinges"] | None:
-    """Compute the largest stress in each hinge (Pa), if a strength is known."""
-    if not has_strength(hinges):
-        return None
-    return largest_stresses(hinges, displacements)
-
-
 def reported_hinges(mechanism: Mechanism) -> tuple[str, ...]:
     """Return the names of all hinges if a strength is known, or else none."""
-    known = has_strength(mechanism.hinge_assembly)
+    known = rows_with_stress(mechanism.hinge_assembly, "static")
     return mechanism.hinge_names if known else ()
 
 

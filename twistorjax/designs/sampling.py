@@ -20,18 +20,10 @@ Method = Literal["sobol", "latin_hypercube", "random"]
 class DistributionSet:
     """Joint distribution of the uncertain parameters of a design.
 
-    Each entry of an uncertain parameter is one random variable.
-
-    Args:
-        design: One design as the study takes it, with a `Normal` or a `Uniform` in place
-            of each uncertain parameter.
-        correlation: Correlation matrix of the standard normal variables of the Gaussian
-            copula, in the order of `variable_names`; by default the random variables
-            are independent.
-
-    Raises:
-        ValueError: No parameter has a distribution, or `correlation` is not a
-            correlation matrix of the right size.
+    An uncertain parameter is a `Normal` or a `Uniform` in the design; each of its entries
+    is one random variable. `correlation` is that of the standard normal variables of the
+    Gaussian copula, in the order of `variable_names`; by default the random variables are
+    independent.
     """
 
     def __init__(self, design: Any, correlation: ArrayOfNumbers | None = None):
@@ -103,12 +95,7 @@ class DistributionSet:
     def sample(
         self, count: int, method: Method, seed: int
     ) -> Float[np.ndarray, "designs variables"]:
-        """Sample the random variables.
-
-        Raises:
-            ValueError: `count` is not a positive integer, the method is unknown, or the
-                samples do not fit into the memory of the machine.
-        """
+        """Sample the random variables."""
         require_choice("`method`", method, get_args(Method))
         if not isinstance(count, int | np.integer) or count < 1:
             raise ValueError(

@@ -125,11 +125,8 @@ def solve_once(
     """Solve linear systems with a stiffness that is not needed again.
 
     Systems with a small symmetric matrix are solved by elimination, which takes a third
-    of the time of LAPACK in a batch.
-
-    Returns:
-        The solutions, and whether the stiffness is stable; see `Factors.is_stable`. The
-        solutions with an unstable one have no meaning.
+    of the time of LAPACK in a batch. The second result is whether the stiffness is stable
+    (see `Factors.is_stable`); otherwise the solutions have no meaning.
     """
     if is_eliminated(len(matrix), symmetric):
         return _solve_symmetric(matrix, rights)

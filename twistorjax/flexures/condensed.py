@@ -78,12 +78,8 @@ class Condensed(AbstractEnergy):
 def inner_displacements(mechanism: Mechanism, second: str, pose: Pose) -> Poses:
     """Compute the equilibrium of the inner bodies at a displacement of body B.
 
-    Args:
-        mechanism: The mechanism of a sub-mechanism, without validity ranges.
-
-    Returns:
-        The displacements of all bodies of the sub-mechanism, in its frame; NaN if there
-        is no equilibrium; rad, m, m.
+    The mechanism is that of the sub-mechanism, without validity ranges, and displacements
+    are in its frame. They are NaN if there is no equilibrium.
     """
     if len(mechanism.names) == 2:
         row = mechanism.index(second)

@@ -206,9 +206,8 @@ class _Candidate(NamedTuple):
     ) -> EnergyFit:
         """Return the result of `fit_energy`.
 
-        Args:
-            averages: The averages of trials with the same pose, to which this is a fit.
-            rows: Row of the average of each trial.
+        This is a fit to the averages of trials with the same pose; each trial has the row
+        of its average.
         """
         solution = self.solution
         value_count = solution.residuals.size

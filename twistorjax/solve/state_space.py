@@ -251,11 +251,7 @@ class _Excitation(NamedTuple):
         dofs: DofPartition,
         moved: Mapping[int, Any],
     ) -> "_Excitation":
-        """Arrange an input.
-
-        Raises:
-            ValueError: It is neither a load, a drive, nor a mapping of strokes.
-        """
+        """Arrange an input, which is a load, a drive, or a mapping of strokes."""
         strokes = None
         if isinstance(given, Mapping):
             strokes = stroke_rows(mechanism.hinge_names, given)

@@ -178,14 +178,9 @@ def follow(
 ) -> Trace:
     """Follow a path from one of its points.
 
-    Args:
-        limits: Interval of the load factor, outside of which the path ends.
-        event: Function of a point whose change of sign ends the path.
-        rows: Number of rows for the points, at least `max_points`.
-
-    Returns:
-        The points. If the load factor leaves its interval, or the event occurs, the last
-        point is the first one behind.
+    The limits are those of the load factor. The path ends with the first point outside of
+    them, or behind a change of sign of the event, a function of a point. The trace has
+    space for `rows` points, at least `max_points`.
     """
     # The branches of a mechanism that is nearly symmetric do not quite meet.
     at_branch = start.orientation == 0

@@ -105,10 +105,8 @@ def find_ends(
 ) -> RangeEnd:
     """Compute both ends of the range, with one more axis in front.
 
-    Args:
-        system: The equations; the factor of the input is their load factor.
-        start: Displacements without the input; rad, m, m.
-        allowable: Allowable stress of each hinge; Pa.
+    The load factor is the factor of the input, `start` the displacements without it, and
+    the allowable stresses are in Pa.
     """
     return jax.vmap(partial(_end, system, start, allowable))(jnp.array([-1.0, 1.0]))
 

@@ -142,9 +142,8 @@ def _step(
 ) -> tuple[State, State | None, dict[str, Any], StepHistory, dfx.RESULTS]:
     """Advance a motion by one step, from the time `start`; s.
 
-    Returns:
-        The state at the end; its error estimate, if the method has one; the arguments of
-        the dense output; the history of this step; and the result for diffrax.
+    The results are the state at the end; its error estimate, if the method has one; the
+    arguments of the dense output; the history of this step; and the result for diffrax.
     """
     scheme = solver.scheme
     size, mass = state.position.size, system.mass

@@ -37,12 +37,9 @@ class SolveError(ClickException):
 def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
     """Select the platform, double precision, and a cache of compiled programs.
 
-    Args:
-        accelerator: Whether JAX may use an accelerator if there is one. Otherwise the
-            platform is the CPU, unless the environment variable `JAX_PLATFORMS` names
-            another one: a single mechanism is too small to benefit from an accelerator.
-        cpu_cores: Number of CPU cores that JAX uses as separate devices. A number above
-            one selects the CPU.
+    The platform is the CPU without `accelerator`, unless the environment variable
+    `JAX_PLATFORMS` names another one: a single mechanism is too small to benefit from an
+    accelerator. It is also the CPU if JAX uses several `cpu_cores` as separate devices.
     """
     import jax
 

@@ -199,11 +199,7 @@ def _report(
     as_json: bool,
     plot: Path | None,
 ) -> None:
-    """Print minimum, mean, and maximum of the outputs, and draw the outputs.
-
-    Raises:
-        SolveError: All designs failed.
-    """
+    """Print minimum, mean, and maximum of the outputs, and draw the outputs."""
     from ..results.codes import result_message
     from ..sweeps.sweep import failures
 

@@ -526,12 +526,9 @@ def _warnings_on_bounds(identification: Identification) -> list[str]:
 def _sensitivities(identification: Identification) -> tuple[np.ndarray, np.ndarray]:
     """Singular value decomposition of the derivatives with respect to relative changes.
 
+    The right singular vectors are rows, with one singular value for each parameter.
     Parameters at a bound are left out, because the readings do not depend on their
     normalized values.
-
-    Returns:
-        The singular values, one for each parameter; and the right singular vectors, one
-        in each row.
     """
     changes = _full_changes(identification)
     matrix = np.asarray(identification.jacobian) * changes[None]

@@ -21,18 +21,13 @@ class GradientDescent(AbstractOptimizer):
     small effect converge as fast as others. `optax.sgd(1.0)` is then the Gauss-Newton
     method, damped while the residuals are large.
 
-    Args:
-        optimizer: Optimizer of optax.
-        tolerance: The method has converged if a step changes each normalized parameter
-            by less.
-
     Source:
         Amari, Neural Computation 10, 1998; the damping of Yamashita and Fukushima,
         Computing Supplementum 15, 2001.
     """
 
     optimizer: optax.GradientTransformation = eqx.field(static=True)
-    tolerance: float
+    tolerance: float  # Converged if a step changes each normalized parameter by less
     needs_jacobian: ClassVar[bool] = False
 
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> Any:

@@ -237,9 +237,8 @@ def _read_file(path: Path) -> _Table:
 def _parse_header(source: str, header: str) -> tuple[bool, str, str, str, float]:
     """Parse the header of a column of a text file, such as "sd_hinge_a.force_1_mN".
 
-    Returns:
-        Whether the values are standard deviations, the role, the name of the body or
-        hinge, the quantity, and the factor of the unit to the SI unit.
+    The results are whether the values are standard deviations, the role, the name of the
+    body or hinge, the quantity, and the factor from its unit to the SI unit.
     """
     name = header.removeprefix("sd_")
     is_deviation = name != header

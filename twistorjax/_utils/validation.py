@@ -91,7 +91,6 @@ def quote(value: Any) -> str:
 
 
 def _with_article(noun: str) -> str:
-    """Return a noun with its indefinite article."""
     return f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun}"
 
 

@@ -221,7 +221,6 @@ def _require_matplotlib() -> None:
 
 
 def _check_suffix(path: Path, formats: list[str]) -> None:
-    """Check that the name of a file ends with one of some formats."""
     if path.suffix[1:].lower() not in formats:
         suffixes = ", ".join(f".{name}" for name in formats)
         raise typer.BadParameter(f"{path} must end with one of {suffixes}.")

@@ -219,7 +219,6 @@ class ParameterSet(eqx.Module):
 
     @property
     def is_bounded(self) -> Bool[np.ndarray, " parameters"]:
-        """Whether each value has a bound."""
         lower, upper = self.bounds
         return np.isfinite(lower) | np.isfinite(upper)
 

@@ -42,7 +42,6 @@ class DistributionSet:
             self._normal_correlation = self._checked_correlation(matrix)
 
     def _checked_correlation(self, matrix: np.ndarray) -> np.ndarray:
-        """Check that a matrix is a correlation matrix of the random variables."""
         size = len(self.variable_names)
         has_ones = matrix.shape == (size, size) and np.allclose(np.diagonal(matrix), 1)
         if not has_ones or not np.allclose(matrix, matrix.T):
@@ -82,12 +81,10 @@ class DistributionSet:
 
     @property
     def means(self) -> Float[np.ndarray, " variables"]:
-        """Means of the random variables."""
         return np.concatenate([np.ravel(d.mean) for d in self._distributions])
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, " variables"]:
-        """Standard deviations of the random variables."""
         return np.concatenate(
             [np.ravel(d.standard_deviation) for d in self._distributions]
         )
@@ -95,7 +92,6 @@ class DistributionSet:
     def sample(
         self, count: int, method: Method, seed: int
     ) -> Float[np.ndarray, "designs variables"]:
-        """Sample the random variables."""
         require_choice("`method`", method, get_args(Method))
         if not isinstance(count, int | np.integer) or count < 1:
             raise ValueError(

@@ -169,7 +169,6 @@ class _PowersOf:
         return lax.mul(value, self._derivatives[power, order])
 
     def _derivative(self, power: int, order: int) -> Scalar:
-        """Compute a derivative of a power."""
         total = self._derivative_inside(power, order)
         if self._outside is None:
             return total

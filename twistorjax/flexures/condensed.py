@@ -117,7 +117,6 @@ def drawn_displacements(part: SubMechanism, pose: Pose) -> Poses:
 
 
 def _inner_rows(part: SubMechanism) -> list[int]:
-    """List the rows of the inner bodies."""
     outer = part.first, part.second
     return [k for k, name in enumerate(part.mechanism.names) if name not in outer]
 

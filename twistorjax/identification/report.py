@@ -509,7 +509,6 @@ def _at_bounds(identification: Identification) -> Int[np.ndarray, " at_bound"]:
 
 
 def _warnings_on_bounds(identification: Identification) -> list[str]:
-    """Warnings on estimates at their bounds."""
     texts = []
     lower, upper = identification.problem.parameters.bounds
     for k in _at_bounds(identification):

@@ -280,7 +280,6 @@ def _object(annotation: Any, entry: Entry) -> Any:
 
 
 def _class_of(base: type, entry: Entry) -> type:
-    """Return the class of an energy or a stress model."""
     if "kind" not in entry.content:
         raise ValueError(f"{entry.name} lacks the field `kind`.")
     kind, kinds = entry.part("kind"), _kinds(base)

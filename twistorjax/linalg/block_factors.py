@@ -143,7 +143,6 @@ class BlockFactors(eqx.Module):
         return cls(layout, scale, below, triangles, pivots, above)
 
     def solve(self, right: Float[Array, " free"]) -> Float[Array, " free"]:
-        """Solve the linear system for one right-hand side."""
         layout, order = self.layout, np.array(self.layout.order)
         one = jnp.ones(layout.size)
 
@@ -174,7 +173,6 @@ class BlockFactors(eqx.Module):
     def solve_and_check(
         self, right: Float[Array, " free"]
     ) -> tuple[Float[Array, " free"], Flag]:
-        """Solve the linear system, and decide whether the stiffness is stable."""
         return self.solve(right), self.is_stable()
 
     def is_stable(self) -> Flag:

@@ -228,11 +228,9 @@ class LoadSet(eqx.Module):
         return _zero(self.sums.shape[0], self.present, self.conservative)
 
     def scaled(self, factor: Scalar | float) -> "LoadSet":
-        """Multiply all loads by a number."""
         return LoadSet(factor * jnp.asarray(self.sums), self.present, self.conservative)
 
     def plus(self, others: "LoadSet") -> "LoadSet":
-        """Add other loads on the same bodies."""
         _, (sums, more) = on_host(self.sums, others.sums)
         return LoadSet(
             sums + more,

@@ -272,7 +272,6 @@ class _Excitation(NamedTuple):
 
 
 def _output_dof(mechanism: Mechanism, name: str, given: Sequence[str]) -> int:
-    """Return the index of the degree of freedom of an output."""
     if isinstance(given, str) or len(given) != 2:
         raise ValueError(
             f"The output {name!r} is {given!r}, but must be the name of a body and of a "

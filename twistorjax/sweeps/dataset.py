@@ -70,7 +70,6 @@ class Layout:
         self._check_lengths()
 
     def check_storable(self) -> None:
-        """Check that a store can hold all variables."""
         columns = (self.parameters | self.outputs).values()
         labeled = [axis for column in columns for axis, _ in column.labels]
         axes = self.coordinates.values()
@@ -142,7 +141,6 @@ class Layout:
         return combined
 
     def _parameter_columns(self, units: Mapping[str, str]) -> Columns:
-        """Create the columns of the parameters, with their units."""
         columns = {}
         for name, array in zip(self.designs.names, self.designs.arrays, strict=True):
             axes = ("design", *(f"{name}_{k}" for k in range(array.ndim - 1)))

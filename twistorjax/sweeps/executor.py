@@ -109,7 +109,6 @@ class Program:
 
     @property
     def device_count(self) -> int:
-        """Number of devices."""
         return 1 if self.mesh is None else self.mesh.size
 
     @property
@@ -120,7 +119,6 @@ class Program:
         return self.mesh.devices.flat[0].platform
 
     def chunk_count(self, designs: Designs) -> int:
-        """Count the chunks into which designs are divided."""
         return -(-len(designs) // self.chunk_size)
 
     def run(

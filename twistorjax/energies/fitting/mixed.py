@@ -123,8 +123,6 @@ def _mixed_trials(trials: Trials) -> MixedTrials:
 
 
 class _Prediction(NamedTuple):
-    """Predictions of a mixed energy at the trials."""
-
     coefficients: np.ndarray  # Coefficients of the energy; J
     residuals: np.ndarray  # Predicted minus measured values in standard deviations
     axial_forces: np.ndarray  # Predicted axial forces; N

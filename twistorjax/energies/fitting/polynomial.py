@@ -428,7 +428,6 @@ def _equations(
 
 
 def _errors(energy: Polynomial | MixedEnergy, trials: Trials) -> Errors:
-    """Compute the errors of an energy at trials."""
     if isinstance(energy, MixedEnergy):
         return errors_of_residuals(trials, mixed_residuals(energy, trials))
     wrenches, energies = term_wrenches(

@@ -102,7 +102,6 @@ class SectionStress(AbstractStressModel):
         return jnp.stack(stresses)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         return multiply_fields(self, scale, arm=1, thickness=1, width=1)
 
 
@@ -175,7 +174,6 @@ class BeamColumnStress(AbstractStressModel):
         return axial / area + jnp.concatenate([-stress, stress])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         return multiply_fields(self, scale, length=1, thickness=1, width=1)
 
 
@@ -217,7 +215,6 @@ class BeamStress(AbstractStressModel):
 
     @classmethod
     def of(cls, beam: Beam) -> "BeamStress":
-        """Create the model of a beam."""
         _, (length,) = on_host(beam.length)
         positions, curvature = length * _POSITIONS, None
         if beam.curvature is not None:
@@ -271,7 +268,6 @@ class BeamStress(AbstractStressModel):
         return self.modulus * along(sections, poses).reshape(-1)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         return multiply_fields(
             self, scale, thickness=[1], curvature=[-1], length=1, width=1
         )
@@ -371,7 +367,6 @@ class MechanismStress(AbstractStressModel):
         return jnp.concatenate([stresses[row] for row in sorted(stresses)])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "MechanismStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         exponents = np.array([0, 1, 1, 3, 2, 2])[None, :, None]
         new = multiply_fields(self, scale, coefficients=exponents, length=1, force=2)
         parts = tuple(part.dilated(scale) for part in self.parts)

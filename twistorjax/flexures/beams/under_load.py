@@ -253,7 +253,6 @@ def pose_and_wrench(
 
 
 def _last(states: SectionState) -> SectionState:
-    """Return the last of several states."""
     return jax.tree.map(lambda values: values[-1], states)
 
 

@@ -32,7 +32,6 @@ class IdentificationProblem(eqx.Module):
     huber_threshold: float | None = eqx.field(static=True)
 
     def mechanism(self, normalized: Float[Array, " parameters"]) -> Mechanism:
-        """Build the mechanism from normalized parameters."""
         mechanism = self.design(self.parameters.tree(normalized))
         if not isinstance(mechanism, Mechanism):
             raise ValueError(

@@ -28,8 +28,6 @@ _GLOBAL_UNITS = {"time": "s", "frequency": "Hz"}
 
 
 class _Column(NamedTuple):
-    """One column of a file or a dataset."""
-
     role: str  # "body" or "hinge" for readings, "load", "drive", "time" or "frequency"
     subject: str  # Name of the body or hinge; empty for times and frequencies
     quantity: str  # Quantity, for example "force_x"
@@ -215,7 +213,6 @@ def _make_load_case(inputs: Sequence[_Column], row: int) -> list[Load | Drive]:
 
 
 def _read_file(path: Path) -> _Table:
-    """Read all columns of a text file."""
     file = CsvFile(path)
     if not len(file):
         raise ValueError(f"{path} has no readings: it has only the line of column names.")
@@ -268,7 +265,6 @@ def _unit_factor(source: str, header: str, quantity: str, unit: str) -> float:
 
 
 def _read_dataset(dataset: Any) -> _Table:
-    """Read all columns of an xarray dataset."""
     table = _Table("the dataset", [], {})
     if "time" in dataset.dims:
         values = np.asarray(dataset["time"].values, float)

@@ -114,8 +114,6 @@ class Trace(NamedTuple):
 
 
 class _State(NamedTuple):
-    """State of the continuation."""
-
     last: Node  # The last point that was found
     # The last point that was computed, also if it is out of range
     reached: Float[Array, " n"]

@@ -33,7 +33,6 @@ class Scheme(NamedTuple):
 
     @property
     def stages(self) -> int:
-        """Number of stages."""
         return len(self.nodes)
 
     @property

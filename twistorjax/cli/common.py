@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -125,17 +125,29 @@ PlotOption = Annotated[
 
 
 @contextlib.contextmanager
-def writing(option: str) -> Iterator[None]:
-    """Raise a `UsageError` if the file of an option cannot be written in this block."""
+def reporting_errors(context: str = "") -> Iterator[None]:
+    """Convert errors in this block to a `UsageError`, or to a `SolveError` of a solver.
+
+    Their messages start with the context.
+    """
     try:
         yield
     except (ImportError, OSError, ValueError) as error:
-        raise UsageError(f"{option} cannot be written: {error}") from None
+        raise UsageError(f"{context}{error}") from None
+    except RuntimeError as error:
+        if is_out_of_memory(error):
+            raise
+        raise SolveError(f"{context}{error}") from None
+
+
+def is_out_of_memory(error: RuntimeError) -> bool:
+    """Return whether JAX has no memory for an array, for which it has its own error."""
+    return "RESOURCE_EXHAUSTED" in str(error)
 
 
 def save_figure(path: Path, drawn: Any) -> None:
     """Write a figure, or the figure of some axes, to the file that --plot names."""
-    with writing("--plot"):
+    with reporting_errors("--plot cannot be written: "):
         getattr(drawn, "figure", drawn).savefig(path, dpi=160)
 
 
@@ -146,12 +158,15 @@ def print_result(
     *,
     out: Path | None = None,
     plot: Path | None = None,
+    draw: Callable[[], Any] = lambda: None,
 ) -> None:
-    """Print a result as a text or as a JSON record.
+    """Print a result as a text or as a JSON record, and save what `draw` draws.
 
     The text is followed by the paths of the files to which the result and its figure were
     saved, if there are any.
     """
+    if plot is not None:
+        save_figure(plot, draw())
     if as_json:
         print(to_json(record))
         return

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -53,6 +54,11 @@ def stop_gradient(tree: Any) -> Any:
     return eqx.combine(jax.lax.stop_gradient(arrays), others)
 
 
+def select(condition: Any, values: Tree, others: Tree) -> Tree:
+    """Return the first of two pytrees where a condition is true, and else the second."""
+    return jax.tree.map(partial(jnp.where, condition), values, others)
+
+
 def split_last_axis(array: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
     """Split the last axis of an array of JAX or NumPy into parts of the given shapes."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
@@ -86,6 +92,24 @@ def jvp_of_varied(
         return jnp.zeros_like(part) if rate is None else rate
 
     return value, jax.tree.map(materialized, value, derivative)
+
+
+@eqx.filter_custom_jvp
+def with_derivative(rule: Callable[..., Tree], value: Tree, *arguments: Any) -> Tree:
+    """Return a value that is known, with derivatives with respect to the arguments.
+
+    `rule(value, arguments, tangents)` returns its tangent, for example from equations
+    that the value solves. Tangents of arrays that do not vary are None.
+    """
+    del rule, arguments
+    return value
+
+
+@with_derivative.def_jvp
+def _(primals, tangents):
+    rule, _, *arguments = primals
+    value = with_derivative(*primals)
+    return value, rule(value, arguments, tangents[2:])
 
 
 def value_and_jacfwd(

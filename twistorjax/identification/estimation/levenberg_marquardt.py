@@ -1,10 +1,10 @@
 """Levenberg-Marquardt method for least squares, based on singular values."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._utils.pytrees import select
 from ..._utils.types import Flag, Scalar
 from .optimizer import AbstractOptimizer, Evaluation, from_numpy, ROUNDING
 
@@ -78,10 +78,8 @@ class LevenbergMarquardt(AbstractOptimizer):
         reduction = jnp.where(agrees, stronger, state.reduction)
         damping = jnp.where(accepted, factor, 4.0) * state.damping
         reduction = jnp.where(accepted, reduction, 0.5)
-        point, evaluation = jax.tree.map(
-            lambda new, old: jnp.where(accepted, new, old),
-            (point, evaluation),
-            (state.point, state.evaluation),
+        point, evaluation = select(
+            accepted, (point, evaluation), (state.point, state.evaluation)
         )
 
         components, singular_values, directions = self._linearize(point, evaluation)

@@ -9,6 +9,7 @@ import optax
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from ..._utils.pytrees import select
 from ..._utils.types import Flag, Scalar
 from .optimizer import AbstractOptimizer, Evaluation, from_numpy
 
@@ -59,11 +60,7 @@ class GradientDescent(AbstractOptimizer):
                 gradient, inner, point, value=evaluation.loss, grad=gradient
             )
         next_point = jnp.where(failed, (previous + point) / 2, point + change)
-        previous, inner = jax.tree.map(
-            lambda old, new: jnp.where(failed, old, new),
-            (previous, inner),
-            (point, updated),
-        )
+        previous, inner = select(failed, (previous, inner), (point, updated))
         converged = (jnp.max(jnp.abs(change)) < self.tolerance) & ~failed
         return next_point, (previous, inner, initial_norm), converged
 

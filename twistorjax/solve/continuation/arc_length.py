@@ -7,12 +7,13 @@ with a row and a column more, is regular at a limit point.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._utils.pytrees import select
 from ..._utils.types import Count, Flag, Scalar
 from ...linalg.factors import determinant_sign
 from .system import PathSystem, PathTangent
@@ -339,8 +340,3 @@ def follow(
         status=state.status,
         reached=state.reached,
     )
-
-
-def select(flag: Flag, chosen: Any, other: Any) -> Any:
-    """Choose between two pytrees."""
-    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), chosen, other)

@@ -6,16 +6,16 @@ and the condition that the stiffness is singular (Griewank and Reddien, Characte
 and computation of generalized turning points, SIAM J. Numer. Anal. 21, 1984).
 """
 
+from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._utils.pytrees import jvp_of_varied
+from ..._utils.pytrees import jvp_of_varied, with_derivative
 from ..._utils.types import Count, Flag, Scalar
 from ...linalg.elimination import pivoted_inverse, solve
 from .arc_length import (
@@ -563,23 +563,16 @@ def differentiable_critical_points(
 
     Those of a multiple point are the mean of those of the points into which it separates.
     """
-    one = partial(_differentiable_critical_point, system, metric)
-    return jax.vmap(one)(points, is_branch, tuple(jax.lax.stop_gradient(null)))
+
+    def one(point: Array, branch: Flag, borders: NullVectors) -> Array:
+        return with_derivative(_point_change, point, system, metric, branch, borders)
+
+    return jax.vmap(one)(points, is_branch, jax.lax.stop_gradient(null))
 
 
-@eqx.filter_custom_jvp
-def _differentiable_critical_point(
-    system: PathSystem, metric: Metric, point, branch, borders
-) -> Array:
-    """Return the critical point; see `differentiable_critical_points`."""
-    del system, metric, branch, borders
-    return point
-
-
-@_differentiable_critical_point.def_jvp
-def _(primals, tangents):
-    system, metric, point, branch, borders = primals
-    point = _differentiable_critical_point(*primals)
+def _point_change(point: Array, arguments: Sequence[Any], tangents: Any) -> Array:
+    """Differentiate the equations of a point; see `differentiable_critical_points`."""
+    system, metric, branch, borders = arguments
     found = jnp.all(jnp.isfinite(point))
     metric = jax.lax.stop_gradient(metric)
 
@@ -594,30 +587,24 @@ def _(primals, tangents):
     matrix = jax.jacfwd(partial(equations, system))(unknowns)
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
     change = -solve(matrix, rate)
-    change = jnp.where(found, metric.units * change[:-count], 0.0)
-    return point, change
+    return jnp.where(found, metric.units * change[:-count], 0.0)
 
 
 def differentiable_null_vectors(
     system: PathSystem, metric: Metric, points: Array, null: NullVectors
 ) -> Float[Array, "critical unknowns vectors"]:
     """Return the right null vectors with derivatives with respect to the system."""
-    one = partial(_differentiable_null_vectors, system, metric)
-    return jax.vmap(one)(points, tuple(jax.lax.stop_gradient(null)))
+
+    def one(point: Array, borders: NullVectors) -> Array:
+        arguments = system, metric, point, borders
+        return with_derivative(_null_vector_change, borders.right, *arguments)
+
+    return jax.vmap(one)(points, jax.lax.stop_gradient(null))
 
 
-@eqx.filter_custom_jvp
-def _differentiable_null_vectors(
-    system: PathSystem, metric: Metric, point, borders
-) -> Array:
-    """Return the null vectors; see `differentiable_null_vectors`."""
-    del system, metric, point
-    return borders[1]
-
-
-@_differentiable_null_vectors.def_jvp
-def _(primals, tangents):
-    system, metric, point, borders = primals
+def _null_vector_change(_: Array, arguments: Sequence[Any], tangents: Any) -> Array:
+    """Differentiate null vectors; see `differentiable_null_vectors`."""
+    system, metric, point, borders = arguments
 
     def vectors(system: PathSystem, point: Array) -> Array:
         matrix = scaled_jacobian(metric, system.tangent(point))
@@ -625,5 +612,4 @@ def _(primals, tangents):
         return bordered_inverse(matrix, *borders)[0][:size, size:]
 
     changes = tangents[0], tangents[2]
-    _, change = jvp_of_varied(vectors, (system, point), changes)
-    return _differentiable_null_vectors(*primals), change
+    return jvp_of_varied(vectors, (system, point), changes)[1]

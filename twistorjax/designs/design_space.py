@@ -158,7 +158,6 @@ class DesignSpace(NamedTuple):
 
 
 def _value(leaf: Any) -> Any:
-    """Value of a leaf of a design."""
     return np.asarray(leaf.value) if is_parameter(leaf) else leaf
 
 

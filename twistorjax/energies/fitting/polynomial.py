@@ -178,8 +178,6 @@ class _Settings(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """Fit of one order."""
-
     order: int
     energy: Polynomial | MixedEnergy
     solution: ConstrainedSolution

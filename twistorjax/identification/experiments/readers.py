@@ -42,8 +42,6 @@ class _Column(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """All columns of a file or a dataset."""
-
     source: str  # Name of the file or the dataset, for messages
     columns: list[_Column]  # Columns, without those of standard deviations
     # Standard deviations by role and name of the column; SI units

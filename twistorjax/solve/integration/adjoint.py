@@ -193,7 +193,6 @@ _while_loop = partial(eqxi.while_loop, kind="lax")
 
 @eqx.filter_custom_vjp
 def _solve(inputs: Inputs, constants: Any) -> Any:
-    """Return the result of diffrax."""
     return _solve_with(_while_loop, inputs, constants)
 
 

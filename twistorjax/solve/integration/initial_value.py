@@ -173,7 +173,6 @@ def _scales(
 
 
 def _all_finite(*values: Array) -> Flag:
-    """Decide whether all entries of all arrays are finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(value)) for value in values]))
 
 

@@ -125,7 +125,7 @@ def require_text(name: str, value: Any) -> str:
 
 
 def require_package(name: str, feature: str, extra: str) -> ModuleType:
-    """Import an optional package that a `feature`, a plural noun, needs."""
+    """Import an optional package; `feature` is a plural noun for what needs it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

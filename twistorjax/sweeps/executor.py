@@ -124,11 +124,12 @@ class Program:
     def run(
         self, designs: Designs, chunks: Sequence[int]
     ) -> Iterator[tuple[int, StudyOutput]]:
-        """Evaluate chunks of designs; yield numbers and outputs of those of this process.
+        """Evaluate chunks of designs, and yield those that this process has evaluated.
 
-        The devices evaluate the next chunks while the caller uses the previous ones. The
-        last chunk of a sweep is padded with copies of the last design. An error of a
-        solve in the study is raised as a `RuntimeError`.
+        A chunk has its number, and the outputs of its designs. The devices evaluate the
+        next chunks while the caller uses the previous ones. The last chunk of a sweep is
+        padded with copies of the last design. An error of a solve in the study is raised
+        as a `RuntimeError`.
         """
         if not chunks:
             return

@@ -148,9 +148,9 @@ def solve_minimum_norm(
 ) -> tuple[np.ndarray, int, float]:
     """Solve a linear least-squares problem; the solution has the smallest norm.
 
-    The columns of the matrix are normalized so that the norm of the coefficients does not
-    depend on their units. The other results are the rank of the matrix, and the ratio of
-    the largest singular value to the smallest significant one.
+    If `normalize` is true, each column is divided by its norm, so that the norm of the
+    coefficients does not depend on their units. The other results are the rank of the
+    matrix, and the ratio of its largest singular value to the smallest significant one.
 
     Example:
         >>> rows = np.array([[1.0, 0.0], [0.0, 2.0]])

@@ -50,8 +50,8 @@ class LevenbergMarquardt(AbstractOptimizer):
     tolerance: float  # Of the criteria 1 and 3
     # One for each parameter with a bound, zero for the others
     bounded: Float[Array, " parameters"]
-    # Initial value of each parameter, divided by its scale. The sum with the normalized
-    # parameter is the value of a parameter without bounds, divided by its scale.
+    # Initial value of each parameter, divided by its scale. The sum of the offset and the
+    # normalized parameter is the value of a parameter without bounds, over its scale.
     offsets: Float[Array, " parameters"]
 
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> _State:

@@ -38,11 +38,7 @@ def unit_factor(
 ) -> float:
     """Return the factor from the unit of a column to the SI unit of its quantity.
 
-    Args:
-        source: Name of the file or the dataset, for messages.
-
-    Raises:
-        ValueError: The unit is not one of the quantity.
+    `source` names the file or the dataset in messages.
     """
     factors = UNIT_FACTORS[si_unit]
     if (found := unit.translate(_SPELLINGS)) not in factors:
@@ -60,14 +56,6 @@ class CsvFile:
     Lines that start with `#` are comments. If the first other line has numbers only, the
     comment above it has the column names. The separator is a comma, a semicolon or a tab:
     the most frequent of these in the line of column names.
-
-    Args:
-        path: Path of the file.
-
-    Raises:
-        ValueError: The file is not UTF-8, or an entry has quotation marks that are not
-            closed or more than 131,072 characters. The message names the line.
-        OSError: The file cannot be read.
     """
 
     def __init__(self, path: str | Path):
@@ -116,16 +104,7 @@ class CsvFile:
     def numbers(
         self, name: str, *, factor: float = 1.0, allow_empty: bool = False
     ) -> np.ndarray:
-        """Return the numbers of a column.
-
-        Args:
-            allow_empty: Whether entries may be empty; these are NaN.
-
-        Raises:
-            ValueError: Two columns have this name, a row is too short or too long, or an
-                entry is not a finite number. The message names the line; the first line
-                is 1.
-        """
+        """Return the numbers of a column; empty entries are NaN if they are allowed."""
         if self.names.count(name) > 1:
             raise ValueError(
                 f"{self.path} has the column {shorten(name)} more than once."

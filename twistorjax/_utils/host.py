@@ -37,14 +37,11 @@ def runs_line_by_line() -> bool:
 
 
 def on_host(*values: Any) -> tuple[Any, Sequence[Any]]:
-    """Choose NumPy for a formula of concrete values, and `jax.numpy` if one is traced.
+    """Return NumPy, or `jax.numpy` if a value is traced, and the values as its arrays.
 
     An eager operation of `jax.numpy` compiles a program, so that a mechanism of concrete
     values would compile dozens of programs before anything is solved
     (`benchmarks.first_calls`).
-
-    Returns:
-        The module with the functions for the formula, and the values as its arrays.
     """
     arrays = all_concrete(values)
     return (jnp, values) if arrays is None else (np, arrays)
@@ -58,12 +55,9 @@ def tree_on_host(tree: Any) -> tuple[Any, Any]:
 
 
 def as_float(value: Any) -> Numbers:
-    """Convert numbers, or lists of numbers, to a JAX array.
+    """Convert real numbers, or lists of real numbers, to a JAX array.
 
     Values that are not traced are converted by NumPy, which compiles no program.
-
-    Raises:
-        TypeError: A value is complex.
     """
     if any(np.iscomplexobj(leaf) for leaf in jax.tree.leaves(value)):
         raise TypeError(f"{value!r} is complex, but real numbers are needed.")

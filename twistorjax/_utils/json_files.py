@@ -29,15 +29,8 @@ class _ObjectWithDuplicateField(dict[str, Any]):
 def read_json(path: str | Path) -> Any:
     """Read a JSON file and check that its numbers are finite and its text is valid.
 
-    Returns:
-        The objects, lists and values of the file. An integer of more than 18 digits is
-        a float.
-
-    Raises:
-        ValueError: The file is not text or not JSON, is nested too deeply, or has an
-            entry that is not finite, that cannot be encoded, or that occurs twice. The
-            message names the file and the entry.
-        OSError: The file cannot be read.
+    An integer of more than 18 digits becomes a float. Messages name the file and the
+    entry.
     """
     try:
         text = decode_text(Path(path).read_bytes())
@@ -57,9 +50,6 @@ def decode_text(data: bytes) -> str:
     """Decode the content of a text file: UTF-8, or UTF-16 with a byte order mark.
 
     Programs of Windows add a byte order mark; it is removed.
-
-    Raises:
-        UnicodeDecodeError: The content is no such text.
     """
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     return data.decode("utf-16" if is_utf16 else "utf-8-sig")
@@ -68,12 +58,7 @@ def decode_text(data: bytes) -> str:
 def write_json(path: str | Path, tree: Any) -> None:
     """Write a JSON file; replace an existing file only when the new one is complete.
 
-    Args:
-        tree: Objects, lists and values without an invalid entry; see
-            `find_invalid_entry`.
-
-    Raises:
-        OSError: The file cannot be written.
+    The tree has no invalid entry; see `find_invalid_entry`.
     """
     text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
     target = Path(os.path.realpath(path))
@@ -98,11 +83,7 @@ def write_json(path: str | Path, tree: Any) -> None:
 
 
 def find_invalid_entry(tree: Any) -> str | None:
-    """Find the first entry that is invalid in a file of any layout.
-
-    Returns:
-        A sentence that names the entry; `None` if there is no such entry.
-    """
+    """Return a sentence about the first entry that is invalid in a file of any layout."""
     for keys, value in _entries(tree):
         if problem := _problem(keys, value):
             where = f"the entry `{entry_name(keys)}`" if keys else "the file"
@@ -131,11 +112,7 @@ def _problem(keys: Keys, value: Any) -> str | None:
 def entry_name(keys: Sequence[str | int]) -> str:
     """Return the name of an entry, such as `bodies[0].reference[2]`.
 
-    Args:
-        keys: Keys and indices from the root of the file to the entry.
-
-    Returns:
-        The name. The middle part of a name of more than 16 keys is left out.
+    The middle part of a name of more than 16 keys is left out.
     """
     words = [
         f".{key}"
@@ -149,11 +126,7 @@ def entry_name(keys: Sequence[str | int]) -> str:
 
 
 def describe_value(value: Any) -> str:
-    """Describe a value of a file in a few words, for messages.
-
-    Returns:
-        The JSON text of a value, shortened; the number of entries of a list.
-    """
+    """Return the JSON text of a value, shortened, or the number of entries of a list."""
     if isinstance(value, list | tuple):
         return f"a list of {len(value)} {'entry' if len(value) == 1 else 'entries'}"
     if isinstance(value, dict):

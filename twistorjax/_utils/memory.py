@@ -6,15 +6,9 @@ from pathlib import Path
 
 
 def require_memory(count: int, needed: int) -> None:
-    """Check that the arrays of a dataset fit into the memory of the machine.
+    """Check that the machine has the memory for the arrays of a dataset; bytes.
 
     The check is skipped if the system does not report its memory.
-
-    Args:
-        needed: Size of the arrays that are held in memory; bytes.
-
-    Raises:
-        ValueError: The machine has less memory.
     """
     available = _machine_memory()
     if available is not None and needed > available:

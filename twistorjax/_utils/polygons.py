@@ -14,17 +14,11 @@ Pairs = Int[np.ndarray, "_ 2"]
 
 
 def crossing_edges(corners: Points) -> tuple[int, int] | None:
-    """Find two edges of a closed polygon that cross each other.
+    """Find two edges of a closed polygon that cross, by the corners at which they start.
 
     Corners may be repeated, edges may touch or cover each other, and the order of the
     corners may be clockwise or counterclockwise, as long as no part of the plane is
     encircled twice, or once in each direction.
-
-    Args:
-        corners: The corners; finite, m.
-
-    Returns:
-        The indices of the corners at which the two edges start; None if no edges cross.
     """
     size = np.max(np.abs(corners), initial=np.finfo(float).tiny)
     scaled = corners / size

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -16,11 +17,10 @@ Tree = TypeVar("Tree")
 
 
 def group_by_structure(trees: Sequence[Any]) -> list[list[int]]:
-    """Group pytrees that can be stacked.
+    """Return the indices of the pytrees of each group that can be stacked.
 
-    Returns:
-        For each group, the indices of its pytrees. All pytrees of a group have the same
-        structure, and their leaves have the same shapes and dtypes.
+    All pytrees of a group have the same structure, and their leaves have the same shapes
+    and dtypes.
     """
     groups: dict[Any, list[int]] = {}
     for index, tree in enumerate(trees):
@@ -31,22 +31,14 @@ def group_by_structure(trees: Sequence[Any]) -> list[list[int]]:
 
 
 def path_name(path: Sequence[Any]) -> str:
-    """Return the name of a leaf, such as "leaf.length".
-
-    Args:
-        path: Key path of the leaf, as `jax.tree_util.tree_flatten_with_path` returns it.
-
-    Returns:
-        The name; "value" if the tree is a single leaf.
-    """
+    """Return the name of a leaf, such as "leaf.length"; "value" if the path is empty."""
     return jax.tree_util.keystr(tuple(path), simple=True, separator=".") or "value"
 
 
 def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
     """Return the names of the entries of an array, such as "web[0]" and "web[1]".
 
-    Returns:
-        The names in row-major order; only `name` for a scalar.
+    They are in row-major order. A scalar has only `name`.
     """
     indices = (", ".join(map(str, index)) for index in np.ndindex(shape))
     return [f"{name}[{index}]" if index else name for index in indices]
@@ -62,15 +54,13 @@ def stop_gradient(tree: Any) -> Any:
     return eqx.combine(jax.lax.stop_gradient(arrays), others)
 
 
+def select(condition: Any, values: Tree, others: Tree) -> Tree:
+    """Return the first of two pytrees where a condition is true, and else the second."""
+    return jax.tree.map(partial(jnp.where, condition), values, others)
+
+
 def split_last_axis(array: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
-    """Split the last axis of an array of JAX or NumPy, and reshape the parts.
-
-    Args:
-        shapes: Shape into which the entries of each part are arranged.
-
-    Returns:
-        The parts, whose shapes follow the other axes of the array.
-    """
+    """Split the last axis of an array of JAX or NumPy into parts of the given shapes."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     return [
         array[..., end - math.prod(shape) : end].reshape((*array.shape[:-1], *shape))
@@ -92,12 +82,8 @@ def jvp_of_varied(
 ) -> tuple[Tree, Tree]:
     """Compute a function, and its derivative in the direction of tangents.
 
-    Args:
-        tangents: Their tangents, some of which may be symbolic zeros; see `is_zero`.
-
-    Returns:
-        The value, and the derivative. Only that with respect to arrays with a tangent is
-        computed.
+    If a tangent is a symbolic zero (see `is_zero`), the derivative with respect to its
+    array is not computed.
     """
     rates = jax.tree.map(lambda rate: None if is_zero(rate) else rate, tangents)
     value, derivative = eqx.filter_jvp(function, primals, rates)
@@ -108,13 +94,30 @@ def jvp_of_varied(
     return value, jax.tree.map(materialized, value, derivative)
 
 
+@eqx.filter_custom_jvp
+def with_derivative(rule: Callable[..., Tree], value: Tree, *arguments: Any) -> Tree:
+    """Return a value that is known, with derivatives with respect to the arguments.
+
+    `rule(value, arguments, tangents)` returns its tangent, for example from equations
+    that the value solves. Tangents of arrays that do not vary are None.
+    """
+    del rule, arguments
+    return value
+
+
+@with_derivative.def_jvp
+def _(primals, tangents):
+    rule, _, *arguments = primals
+    value = with_derivative(*primals)
+    return value, rule(value, arguments, tangents[2:])
+
+
 def value_and_jacfwd(
     function: Callable[[Array], Array], point: Float[Array, " entries"]
 ) -> tuple[Array, Array]:
     """Compute a function of a vector and its Jacobian in one pass, in forward mode.
 
-    Returns:
-        The value, and the Jacobian, whose last axis is that of the vector.
+    The last axis of the Jacobian is that of the vector.
     """
 
     def directional_derivative(direction: Array) -> tuple[Array, Array]:

@@ -66,14 +66,7 @@ def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
 
 
 def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
-    """Return the index of a name in a list of names.
-
-    Args:
-        noun: What is named: a key of `PLURAL`.
-
-    Raises:
-        ValueError: The name is not in the list.
-    """
+    """Return the index of a name in a list of names; `noun` is a key of `PLURAL`."""
     if name not in names:
         raise ValueError(
             f"{where} names the {noun} {quote(name)}, but the {PLURAL[noun]} are "
@@ -98,7 +91,6 @@ def quote(value: Any) -> str:
 
 
 def _with_article(noun: str) -> str:
-    """Return a noun with its indefinite article."""
     return f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun}"
 
 
@@ -133,14 +125,7 @@ def require_text(name: str, value: Any) -> str:
 
 
 def require_package(name: str, feature: str, extra: str) -> ModuleType:
-    """Import an optional package.
-
-    Args:
-        feature: What needs the package, as a plural noun for the message.
-
-    Raises:
-        ImportError: The package is not installed. The message says how to install it.
-    """
+    """Import an optional package; `feature` is a plural noun for what needs it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -178,11 +163,8 @@ def require_same_precision(name: str, part: Any) -> None:
 def compilation_error(name: str, subject: str, error: Exception) -> ValueError:
     """Create the error for a user's function that JAX cannot trace.
 
-    Args:
-        subject: What `if` must not depend on, as words that follow it: "about the time".
-
-    Returns:
-        The error. Its message says how to write the function.
+    The `subject` is what `if` must not depend on, as words that follow it: "about the
+    time".
     """
     return ValueError(
         f"`{name}` is a function that JAX cannot compile. Write it with jax.numpy "
@@ -216,17 +198,9 @@ def require_interval(
 ) -> Numbers:
     """Require a number above `low` and not above `high`.
 
-    Args:
-        low: Lower limit, which is excluded.
-        high: Upper limit, which is included.
-        requirement: Words of the message that follow "but".
-
-    Returns:
-        The value. A traced value outside the interval becomes NaN; a batched solve then
-        reports the failure in `result` for this design only.
-
-    Raises:
-        ValueError: The value is known and is not a number or is outside the interval.
+    The message ends with "but" and the `requirement`. A traced value outside the interval
+    becomes NaN; a batched solve then reports the failure in `result` for this design
+    only.
     """
     known = concrete(value)
     if known is None:
@@ -295,15 +269,10 @@ def require_shape(
     shape: tuple[int | None, ...],
     requirement: str,
 ) -> Numbers:
-    """Require an array of a given shape.
+    """Require an array of a given shape; None is an axis of any length.
 
-    Args:
-        shape: The shape; None for an axis of any length.
-        requirement: Words of the message that follow "but must", such as "have a row
-            (angle, x, y) for each trial".
-
-    Raises:
-        ValueError: The shape is wrong.
+    The message ends with "but must" and the `requirement`, such as "have a row (angle, x,
+    y) for each trial".
     """
     try:
         array = as_float(value)
@@ -385,11 +354,7 @@ def require_corners(
 
 
 def require_simple_polygon(name: str, corners: Float[np.ndarray, "corners 2"]) -> None:
-    """Require a polygon that does not cross itself; m.
-
-    Raises:
-        ValueError: Two edges cross; the message names them.
-    """
+    """Require a polygon that does not cross itself; m."""
     edges = crossing_edges(corners)
     if edges is not None:
         first, second = (
@@ -411,15 +376,7 @@ def _point(point: Float[np.ndarray, "2"]) -> str:
 def require_deviations(
     name: str, value: ArrayOfNumbers | Sequence[Any], shape: tuple[int, ...]
 ) -> Numbers:
-    """Require positive, finite standard deviations.
-
-    Args:
-        value: Standard deviations, in an array that can be broadcast to `shape`.
-        shape: Shape of the values to which they belong.
-
-    Raises:
-        ValueError: The shape is wrong, or a known entry is not positive and finite.
-    """
+    """Require positive, finite standard deviations that can be broadcast to a shape."""
     given = as_float(value)
     numbers, (values,) = on_host(given)
     try:

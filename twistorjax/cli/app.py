@@ -10,7 +10,7 @@ from typing import Annotated, no_type_check
 import typer
 
 from .._utils.validation import shorten
-from .common import ClickException
+from .common import ClickException, is_out_of_memory
 from .export import export
 from .fit_energy import fit_energy
 from .four_bar import four_bar
@@ -103,8 +103,7 @@ def _run() -> int:
     except OSError as error:
         return _report_os_error(error)
     except RuntimeError as error:
-        # JAX has its own type of error for an array that does not fit into the memory.
-        if "RESOURCE_EXHAUSTED" not in str(error):
+        if not is_out_of_memory(error):
             raise
         return _report(_OUT_OF_MEMORY, 1)
 

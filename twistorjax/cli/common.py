@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -37,12 +37,9 @@ class SolveError(ClickException):
 def prepare_jax(*, accelerator: bool = False, cpu_cores: int = 1) -> None:
     """Select the platform, double precision, and a cache of compiled programs.
 
-    Args:
-        accelerator: Whether JAX may use an accelerator if there is one. Otherwise the
-            platform is the CPU, unless the environment variable `JAX_PLATFORMS` names
-            another one: a single mechanism is too small to benefit from an accelerator.
-        cpu_cores: Number of CPU cores that JAX uses as separate devices. A number above
-            one selects the CPU.
+    The platform is the CPU without `accelerator`, unless the environment variable
+    `JAX_PLATFORMS` names another one: a single mechanism is too small to benefit from an
+    accelerator. It is also the CPU if JAX uses several `cpu_cores` as separate devices.
     """
     import jax
 
@@ -128,17 +125,29 @@ PlotOption = Annotated[
 
 
 @contextlib.contextmanager
-def writing(option: str) -> Iterator[None]:
-    """Raise a `UsageError` if the file of an option cannot be written in this block."""
+def reporting_errors(context: str = "") -> Iterator[None]:
+    """Convert errors in this block to a `UsageError`, or to a `SolveError` of a solver.
+
+    Their messages start with the context.
+    """
     try:
         yield
     except (ImportError, OSError, ValueError) as error:
-        raise UsageError(f"{option} cannot be written: {error}") from None
+        raise UsageError(f"{context}{error}") from None
+    except RuntimeError as error:
+        if is_out_of_memory(error):
+            raise
+        raise SolveError(f"{context}{error}") from None
+
+
+def is_out_of_memory(error: RuntimeError) -> bool:
+    """Return whether JAX has no memory for an array, for which it has its own error."""
+    return "RESOURCE_EXHAUSTED" in str(error)
 
 
 def save_figure(path: Path, drawn: Any) -> None:
     """Write a figure, or the figure of some axes, to the file that --plot names."""
-    with writing("--plot"):
+    with reporting_errors("--plot cannot be written: "):
         getattr(drawn, "figure", drawn).savefig(path, dpi=160)
 
 
@@ -149,12 +158,15 @@ def print_result(
     *,
     out: Path | None = None,
     plot: Path | None = None,
+    draw: Callable[[], Any] = lambda: None,
 ) -> None:
-    """Print a result as a text or as a JSON record.
+    """Print a result as a text or as a JSON record, and save what `draw` draws.
 
     The text is followed by the paths of the files to which the result and its figure were
     saved, if there are any.
     """
+    if plot is not None:
+        save_figure(plot, draw())
     if as_json:
         print(to_json(record))
         return
@@ -224,7 +236,6 @@ def _require_matplotlib() -> None:
 
 
 def _check_suffix(path: Path, formats: list[str]) -> None:
-    """Check that the name of a file ends with one of some formats."""
     if path.suffix[1:].lower() not in formats:
         suffixes = ", ".join(f".{name}" for name in formats)
         raise typer.BadParameter(f"{path} must end with one of {suffixes}.")

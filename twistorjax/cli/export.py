@@ -11,8 +11,8 @@ from .common import (
     JsonOption,
     prepare_jax,
     print_result,
+    reporting_errors,
     UsageError,
-    writing,
 )
 
 
@@ -62,7 +62,7 @@ def export(
     from ..io import exudyn_script, save_mechanism, save_outline
 
     model = _load(mechanism)
-    with writing("--out"):
+    with reporting_errors("--out cannot be written: "):
         if suffix == ".json":
             save_mechanism(model, out)
         elif suffix == ".py":
@@ -87,7 +87,5 @@ def _load(name: str) -> Any:
         return four_bar("identical")
     if name == "four-bar-leaves-and-notches":
         return four_bar("leaves-and-notches")
-    try:
+    with reporting_errors():
         return load_mechanism(name)
-    except (OSError, ValueError) as error:
-        raise UsageError(str(error)) from None

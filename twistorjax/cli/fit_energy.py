@@ -12,10 +12,9 @@ from .common import (
     JsonOption,
     prepare_jax,
     print_result,
+    reporting_errors,
     SeedOption,
     SolveError,
-    UsageError,
-    writing,
 )
 
 
@@ -92,27 +91,24 @@ def fit_energy(
     symmetries: Any = symmetry or ()
     if symmetries and symmetries != "leaf":
         symmetries = [part.strip() for part in symmetries.split(",")]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the result reports the warning
-            result = fit(
-                read_trials(trials),
-                order,
-                coordinates=coordinates,
-                symmetry=symmetries,
-                hold_out=hold_out,
-                seed=seed,
-                progress=sys.stderr.isatty(),
-            )
-    except (ValueError, OSError) as error:
-        raise UsageError(str(error)) from None
+    with reporting_errors(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the result reports the warning
+        result = fit(
+            read_trials(trials),
+            order,
+            coordinates=coordinates,
+            symmetry=symmetries,
+            hold_out=hold_out,
+            seed=seed,
+            progress=sys.stderr.isatty(),
+        )
     if result.warning and not accept:
         print_result(result, _record(result), as_json)
         raise SolveError(
             f"{result.warning} The energy is not saved. Use --accept to accept the fit."
         )
     if out is not None:
-        with writing("--out"):
+        with reporting_errors("--out cannot be written: "):
             energy = result.energy if without_range else result.with_validity_range
             save_energy(energy, out)
     print_result(result, _record(result), as_json, out=out)

@@ -17,10 +17,10 @@ from .common import (
     prepare_jax,
     print_result,
     progress_bar,
+    reporting_errors,
     require_success,
     save_figure,
     UsageError,
-    writing,
 )
 
 
@@ -184,7 +184,7 @@ def _save_animation(path: Path, mechanism: Any, motion: Any) -> None:
     from ..plotting.animation import animate
 
     animation = animate(mechanism, motion, slower=10)
-    with writing("--animate"):
+    with reporting_errors("--animate cannot be written: "):
         if path.suffix.lower() == ".html":
             path.write_text(animation.to_jshtml(), encoding="utf-8")
         else:

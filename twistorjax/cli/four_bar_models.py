@@ -9,7 +9,6 @@ from .common import (
     PlotOption,
     prepare_jax,
     print_result,
-    save_figure,
     SolveError,
 )
 
@@ -36,11 +35,10 @@ def four_bar_models(as_json: JsonOption = False, plot: PlotOption = None) -> Non
         comparison = example.compare(example.four_bar_models(hinges))
         _require_success(comparison)
         comparisons[hinges] = comparison
-    if plot is not None:
-        titled = {_TITLES[name]: part for name, part in comparisons.items()}
-        save_figure(plot, example.plot(titled))
+    titled = {_TITLES[name]: part for name, part in comparisons.items()}
     record = {name: _record(comparison) for name, comparison in comparisons.items()}
-    print_result(_table(comparisons), record, as_json, plot=plot)
+    text, draw = _table(comparisons), lambda: example.plot(titled)
+    print_result(text, record, as_json, plot=plot, draw=draw)
 
 
 def _require_success(comparison: Any) -> None:

@@ -11,9 +11,8 @@ from .common import (
     PlotOption,
     prepare_jax,
     print_result,
-    save_figure,
+    reporting_errors,
     SolveError,
-    UsageError,
 )
 
 
@@ -45,16 +44,12 @@ def parallelogram(
     from ..examples import parallelogram as example
     from ..results.codes import result_message
 
-    try:
+    with reporting_errors():
         loads = example.default_cases() if cases is None else example.read_cases(cases)
         study = example.study(loads, bending_factor)
-    except (ValueError, OSError) as error:
-        raise UsageError(str(error)) from None
-    if plot is not None:
-        save_figure(plot, example.plot(study))
     ux, uy, phi = study.displacements.T.tolist()
     record = {"ux_L": ux, "uy_L": uy, "phi_rad": phi, "result": study.names.tolist()}
-    print_result(study, record, as_json, plot=plot)
+    print_result(study, record, as_json, plot=plot, draw=lambda: example.plot(study))
     failed = [name for name in record["result"] if name != "successful"]
     if len(failed) == len(ux):
         raise SolveError(f"All load cases failed. {result_message(failed[0])}")

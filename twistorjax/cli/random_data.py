@@ -1,6 +1,6 @@
 """`twistorjax random-data`: overfitting study on random wrenches (section 7.1)."""
 
-from .common import JsonOption, PlotOption, prepare_jax, print_result, save_figure
+from .common import JsonOption, PlotOption, prepare_jax, print_result
 
 
 def random_data(as_json: JsonOption = False, plot: PlotOption = None) -> None:
@@ -15,8 +15,6 @@ def random_data(as_json: JsonOption = False, plot: PlotOption = None) -> None:
     from ..examples import random_data as example
 
     study = example.study()
-    if plot is not None:
-        save_figure(plot, example.plot(study))
     fit = study.fit
     record = {
         "order": fit.energy.order,
@@ -30,4 +28,4 @@ def random_data(as_json: JsonOption = False, plot: PlotOption = None) -> None:
         "relative_error_held_out": study.held_out.relative.tolist(),
         "warning": fit.warning,
     }
-    print_result(study, record, as_json, plot=plot)
+    print_result(study, record, as_json, plot=plot, draw=lambda: example.plot(study))

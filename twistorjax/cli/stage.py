@@ -14,12 +14,16 @@ from .common import (
     prepare_jax,
     print_result,
     progress_bar,
+    reporting_errors,
     require_finite_results,
     require_success,
-    save_figure,
     SolveError,
     UsageError,
 )
+
+
+# Context of the error for a web that the formula of the notches does not allow
+_UNUSABLE_WEB = "--web cannot be used with holes of 3 mm: "
 
 
 def stage(
@@ -101,10 +105,8 @@ def _static(
     deformed = result.equilibrium
     name = str(result_names(deformed.result))
     if name == "not_finite":
-        try:
+        with reporting_errors(_UNUSABLE_WEB):
             example.microstage(web)  # raises the error that explains the NaN
-        except ValueError as error:
-            raise _unusable_web(error) from None
     if name != "successful":
         reached = f"(fraction {float(deformed.fraction):.4g})"
         raise SolveError(f"--input {travel:g}: {RESULTS[deformed.result]} {reached}")
@@ -117,8 +119,6 @@ def _static(
         "dgain_dweb_per_m": float(slope),
     }
     require_finite_results(values)
-    if plot is not None:
-        save_figure(plot, example.plot(example.microstage(web), result))
     poses = np.asarray(deformed.reference) + np.asarray(deformed.displacements)
     by_body = dict(zip(deformed.names, poses.tolist(), strict=True))
     record = {**values, "poses": by_body, "result": name}
@@ -126,7 +126,11 @@ def _static(
     if temperature is not None:
         drift, lines = _drift(temperature, web, travel)
         record, text = {**record, "drift": drift}, f"{text}\n{lines}"
-    print_result(text, record, as_json, plot=plot)
+
+    def draw() -> Any:
+        return example.plot(example.microstage(web), result)
+
+    print_result(text, record, as_json, plot=plot, draw=draw)
 
 
 def _drift(temperature: float, web: float, travel: float) -> tuple[dict[str, Any], str]:
@@ -138,14 +142,10 @@ def _drift(temperature: float, web: float, travel: float) -> tuple[dict[str, Any
         (True, "guide_expands", "guide of the input expands"),
         (False, "guide_keeps_its_place", "guide keeps its place"),
     ):
-        try:
+        with reporting_errors(f"--temperature {temperature:g}: "):
             drift = thermal_drift(
                 temperature, web=web, travel=travel, guide_expands=expands
             )
-        except ValueError as error:
-            raise UsageError(f"--temperature {temperature:g}: {error}") from None
-        except RuntimeError as error:
-            raise SolveError(f"--temperature {temperature:g}: {error}") from None
         angle, x, y = (float(value) for value in drift.output)
         fields[key] = {
             "output_angle_rad": angle,
@@ -209,11 +209,10 @@ def _transient(
     prepare_jax()
     from ..examples import stage, stage_motion as example
 
-    try:
+    with reporting_errors(_UNUSABLE_WEB):
         mechanism = stage.microstage(web, coordinates=coordinates, damping=damping_time)
-    except ValueError as error:
-        raise _unusable_web(error) from None
-    try:
+    # An error here: there is no equilibrium at the end of the motion.
+    with reporting_errors(f"--input {travel:g}: "):
         response = example.transient_response(
             mechanism,
             travel=travel,
@@ -221,13 +220,9 @@ def _transient(
             throw=False,
             progress_meter=progress_bar(),
         )
-    except RuntimeError as error:  # there is no equilibrium at the end of the motion
-        raise SolveError(f"--input {travel:g}: {error}") from None
     motion, record = response.motion, _transient_record(response)
     require_success(motion)
     require_finite_results(record)
-    if plot is not None:
-        save_figure(plot, example.plot(response))
     kind = "step"
     if not step:
         kind = f"filtered with a time constant of {example.FILTER_TIME / 1e-3:g} ms"
@@ -239,7 +234,7 @@ def _transient(
         f"elongation of a    {float(response.elongation) / 1e-9:.2f} nm\n"
         f"steps              {int(motion.steps)}"
     )
-    print_result(text, record, as_json, plot=plot)
+    print_result(text, record, as_json, plot=plot, draw=lambda: example.plot(response))
 
 
 def _transient_record(response: Any) -> dict[str, Any]:
@@ -256,8 +251,3 @@ def _transient_record(response: Any) -> dict[str, Any]:
         "steps": int(response.motion.steps),
         "result": "successful",
     }
-
-
-def _unusable_web(error: ValueError) -> UsageError:
-    """Make the error for a web that the formula of the notches does not allow."""
-    return UsageError(f"--web cannot be used with holes of 3 mm: {error}")

@@ -16,7 +16,6 @@ from .common import (
     PlotOption,
     prepare_jax,
     print_result,
-    save_figure,
     SolveError,
     UsageError,
 )
@@ -199,19 +198,10 @@ def _report(
     as_json: bool,
     plot: Path | None,
 ) -> None:
-    """Print minimum, mean, and maximum of the outputs, and draw the outputs.
-
-    Raises:
-        SolveError: All designs failed.
-    """
+    """Print minimum, mean, and maximum of the outputs, and draw the outputs."""
     from ..results.codes import result_message
     from ..sweeps.sweep import failures
 
-    if plot is not None:
-        from ..plotting.charts import chart
-
-        constant = [name for name, values in ranges.items() if len(values) == 1]
-        save_figure(plot, chart(table.squeeze(constant), outputs))
     derivatives = [f"{output}_by_{name}" for output in outputs for name in ranges]
     names = [*outputs, *(name for name in derivatives if name in table)]
     summary = {name: _summary(table[name]) for name in names}
@@ -222,7 +212,15 @@ def _report(
         "failures": failed,
         "outputs": summary,
     }
-    print_result(_text(count, failed, summary), record, as_json, out=out, plot=plot)
+    text = _text(count, failed, summary)
+
+    def draw() -> Any:
+        from ..plotting.charts import chart
+
+        constant = [name for name, values in ranges.items() if len(values) == 1]
+        return chart(table.squeeze(constant), outputs)
+
+    print_result(text, record, as_json, out=out, plot=plot, draw=draw)
     if sum(failed.values()) == count:
         raise SolveError(f"All designs failed. {result_message(next(iter(failed)))}")
 

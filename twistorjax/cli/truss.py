@@ -10,10 +10,8 @@ from .common import (
     PlotOption,
     prepare_jax,
     print_result,
+    reporting_errors,
     require_finite_results,
-    save_figure,
-    SolveError,
-    UsageError,
 )
 
 
@@ -42,14 +40,8 @@ def truss(
     prepare_jax()
     from ..examples import truss as example
 
-    try:
+    with reporting_errors():
         found = example.study(rise, half_span, stiffness)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
-    except RuntimeError as error:
-        raise SolveError(str(error)) from None
     record = found.record()
     require_finite_results(record)
-    if plot is not None:
-        save_figure(plot, example.plot(found))
-    print_result(found, record, as_json, plot=plot)
+    print_result(found, record, as_json, plot=plot, draw=lambda: example.plot(found))

@@ -11,7 +11,6 @@ from .common import (
     PlotOption,
     prepare_jax,
     print_result,
-    save_figure,
     SeedOption,
     UsageError,
 )
@@ -56,9 +55,8 @@ def water(
     from ..examples import water as example
 
     study = example.study(order, min(angle_range, 2 * math.pi), points, [seed])
-    if plot is not None:
-        save_figure(plot, example.plot(study))
-    print_result(study, _record(study), as_json, plot=plot)
+    record = _record(study)
+    print_result(study, record, as_json, plot=plot, draw=lambda: example.plot(study))
 
 
 def _record(study: Any) -> dict[str, Any]:

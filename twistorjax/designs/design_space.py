@@ -39,16 +39,10 @@ class DesignSpace(NamedTuple):
     def from_tree(
         cls, parameters: Any, standard_deviations: Mapping[str, NumbersLike]
     ) -> "DesignSpace":
-        """Collect the numbers of a design.
+        """Collect the numbers of one design, as the study takes it.
 
-        Args:
-            parameters: One design, as the study takes it. Each `Parameter` in it is a
-                variable or, if there is none, each real number.
-            standard_deviations: Standard deviation of each uncertain parameter, by name.
-
-        Raises:
-            ValueError: There is no variable; a standard deviation belongs to no real
-                parameter, is negative, or has a wrong shape.
+        Each `Parameter` in it is a variable or, if there is none, each real number. The
+        standard deviations are those of the uncertain parameters.
         """
         layout, leaves = VectorLayout.of(
             as_parameters(parameters, _is_real),
@@ -101,14 +95,9 @@ class DesignSpace(NamedTuple):
         return np.concatenate(real)
 
     def vectors(self, designs: Any) -> Float[np.ndarray, "designs numbers"]:
-        """Convert designs to vectors.
+        """Convert designs to vectors, and check them.
 
-        Args:
-            designs: A tree of arrays, whose first axis has one entry for each design.
-
-        Raises:
-            ValueError: The tree has another structure than a design, the arrays have
-                different lengths or shapes, or a number is outside its bounds.
+        The first axis of each array has one entry for each design.
         """
         given = Designs(designs)
         missing = sorted({*self.layout.names} - {*given.names})
@@ -138,11 +127,7 @@ class DesignSpace(NamedTuple):
         return vectors
 
     def sampled(self, count: int, seed: int) -> Float[np.ndarray, "designs numbers"]:
-        """Sample designs whose variables lie evenly between their bounds.
-
-        Raises:
-            ValueError: A variable lacks a bound.
-        """
+        """Sample designs whose variables lie evenly between their bounds."""
         from scipy.stats import qmc
 
         variables = self.is_variable
@@ -173,7 +158,6 @@ class DesignSpace(NamedTuple):
 
 
 def _value(leaf: Any) -> Any:
-    """Value of a leaf of a design."""
     return np.asarray(leaf.value) if is_parameter(leaf) else leaf
 
 
@@ -205,11 +189,7 @@ def _numbers(leaf: Any) -> list[Any]:
 def _check_deviations(
     shapes: Mapping[str, tuple[int, ...]], standard_deviations: Mapping[str, NumbersLike]
 ) -> dict[str, np.ndarray]:
-    """Return the standard deviation of each entry of the real parameters.
-
-    Args:
-        shapes: Shape of each real parameter, by name.
-    """
+    """Return the standard deviation of each entry of the real parameters."""
     deviations = {name: np.zeros(shape) for name, shape in shapes.items()}
     for name, given in standard_deviations.items():
         if name not in shapes:

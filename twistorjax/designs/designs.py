@@ -82,13 +82,8 @@ class DesignStructure(NamedTuple):
 class Designs:
     """Designs of a sweep, numbered consecutively.
 
-    Args:
-        designs: A `Grid`, or a tree of arrays, such as a mapping from names to arrays.
-            The first axis of each array has one entry for each design.
-
-    Raises:
-        ValueError: There is no array; the arrays have different lengths; there are too
-            many designs; or a parameter has a reserved name.
+    They are a `Grid`, or a tree of arrays, such as a mapping from names to arrays. The
+    first axis of each array has one entry for each design.
     """
 
     structure: DesignStructure
@@ -173,14 +168,9 @@ class Designs:
 
 
 def grid_chunk(shape: Sequence[int], size: int) -> tuple[int, ...] | None:
-    """Find the block of a grid that holds so many consecutive designs.
+    """Return the shape of the block of a grid that holds `size` consecutive designs.
 
-    Args:
-        shape: Number of values of each parameter of the grid.
-        size: Number of designs of each chunk; the last one may have fewer.
-
-    Returns:
-        The shape of the block; None if a chunk of this size is not a block.
+    The last block may have fewer. The shape is None if so many are not a block.
     """
     inner = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
     axis = next(axis for axis, count in enumerate(inner) if count <= size)

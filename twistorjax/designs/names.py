@@ -12,11 +12,7 @@ RESERVED = ("succeeded", "result")
 
 
 def check_parameter_names(names: Sequence[Any]) -> None:
-    """Check that a dataset can hold parameters of these names.
-
-    Raises:
-        ValueError: A name is not a string, is empty, occurs twice, or is reserved.
-    """
+    """Check that a dataset can hold parameters of these names."""
     for name, count in Counter(names).items():
         if not isinstance(name, str) or not name:
             raise ValueError(

@@ -192,14 +192,9 @@ class ParameterSet(eqx.Module):
 
     @classmethod
     def from_tree(cls, start: Any) -> "ParameterSet":
-        """Collect the parameters of a pytree.
+        """Collect the parameters of the argument of a design function.
 
-        Args:
-            start: Argument of a design function. Each `Parameter` in it is identified or,
-                if there is none, each number.
-
-        Raises:
-            ValueError: The pytree contains neither parameters nor numbers.
+        Each `Parameter` in it is identified or, if there is none, each number.
         """
         layout, parameters = VectorLayout.of(
             as_parameters(start, _is_number), is_parameter, lambda leaf: leaf.value.shape
@@ -224,7 +219,6 @@ class ParameterSet(eqx.Module):
 
     @property
     def is_bounded(self) -> Bool[np.ndarray, " parameters"]:
-        """Whether each value has a bound."""
         lower, upper = self.bounds
         return np.isfinite(lower) | np.isfinite(upper)
 
@@ -245,13 +239,9 @@ class ParameterSet(eqx.Module):
         return self.layout.design(self._map(Parameter.value_at, normalized))
 
     def unflatten(self, vector: Float[Array, " parameters"]) -> Any:
-        """Arrange one number for each parameter in a pytree.
+        """Arrange one number for each parameter, such as its standard error, in a pytree.
 
-        Args:
-            vector: Number for each parameter, for example its standard error.
-
-        Returns:
-            A pytree with the structure of `start`; None in place of the constants.
+        It has the structure of `start`, with None in place of the constants.
         """
         leaves = map(as_float, self.layout.split(vector))
         return jax.tree.unflatten(self.layout.structure, leaves)
@@ -261,9 +251,8 @@ class ParameterSet(eqx.Module):
     ) -> Float[Array, " parameters"]:
         """Reference sizes with respect to which changes of the values are relative.
 
-        Returns:
-            For a parameter with a bound, the distance to the bound; otherwise the larger
-            one of the absolute value and the initial scale; in their units.
+        For a parameter with a bound, it is the distance to the bound; otherwise the
+        larger one of the absolute value and the initial scale.
         """
         xp, (derivatives, values) = on_host(
             self.derivatives(normalized), self.vector(normalized)

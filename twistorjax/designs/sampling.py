@@ -20,18 +20,10 @@ Method = Literal["sobol", "latin_hypercube", "random"]
 class DistributionSet:
     """Joint distribution of the uncertain parameters of a design.
 
-    Each entry of an uncertain parameter is one random variable.
-
-    Args:
-        design: One design as the study takes it, with a `Normal` or a `Uniform` in place
-            of each uncertain parameter.
-        correlation: Correlation matrix of the standard normal variables of the Gaussian
-            copula, in the order of `variable_names`; by default the random variables
-            are independent.
-
-    Raises:
-        ValueError: No parameter has a distribution, or `correlation` is not a
-            correlation matrix of the right size.
+    An uncertain parameter is a `Normal` or a `Uniform` in the design; each of its entries
+    is one random variable. `correlation` is that of the standard normal variables of the
+    Gaussian copula, in the order of `variable_names`; by default the random variables are
+    independent.
     """
 
     def __init__(self, design: Any, correlation: ArrayOfNumbers | None = None):
@@ -50,7 +42,6 @@ class DistributionSet:
             self._normal_correlation = self._checked_correlation(matrix)
 
     def _checked_correlation(self, matrix: np.ndarray) -> np.ndarray:
-        """Check that a matrix is a correlation matrix of the random variables."""
         size = len(self.variable_names)
         has_ones = matrix.shape == (size, size) and np.allclose(np.diagonal(matrix), 1)
         if not has_ones or not np.allclose(matrix, matrix.T):
@@ -90,12 +81,10 @@ class DistributionSet:
 
     @property
     def means(self) -> Float[np.ndarray, " variables"]:
-        """Means of the random variables."""
         return np.concatenate([np.ravel(d.mean) for d in self._distributions])
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, " variables"]:
-        """Standard deviations of the random variables."""
         return np.concatenate(
             [np.ravel(d.standard_deviation) for d in self._distributions]
         )
@@ -103,12 +92,6 @@ class DistributionSet:
     def sample(
         self, count: int, method: Method, seed: int
     ) -> Float[np.ndarray, "designs variables"]:
-        """Sample the random variables.
-
-        Raises:
-            ValueError: `count` is not a positive integer, the method is unknown, or the
-                samples do not fit into the memory of the machine.
-        """
         require_choice("`method`", method, get_args(Method))
         if not isinstance(count, int | np.integer) or count < 1:
             raise ValueError(

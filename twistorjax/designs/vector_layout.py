@@ -37,7 +37,6 @@ class VectorLayout(eqx.Module):
 
     @property
     def entry_names(self) -> tuple[str, ...]:
-        """Name of each entry of the vector."""
         pairs = zip(self.names, self.shapes, strict=True)
         return tuple(entry for pair in pairs for entry in entry_names(*pair))
 

@@ -435,7 +435,6 @@ class Scaled(AbstractWrapper):
         return self.factor
 
     def validation_error(self) -> str | None:
-        """Describe an invalid factor; None if it is valid."""
         factor = concrete(self.factor)
         if factor is not None and not np.all((factor >= 0) & np.isfinite(factor)):
             return f"its factor must be finite and not negative, but is {factor}."

@@ -43,17 +43,11 @@ def dilated(energy: AbstractEnergy, scale: Float[Array, "*batch"]) -> AbstractEn
 
 
 def multiply_fields(part: Part, scale: Float[Array, "*batch"], **exponents: Any) -> Part:
-    """Multiply fields of an energy or a stress model by powers of a factor.
+    """Multiply fields of an energy or a stress model by powers of the factor `scale`.
 
-    Args:
-        part: The energy or the stress model. Fields that are None stay None.
-        scale: The factor of all dimensions of the hinge; one for each energy if the
-            energies are stacked.
-        exponents: Exponent of the factor for each field, with as many axes as the field
-            of one energy has.
-
-    Returns:
-        The energy or the stress model of the larger hinge.
+    All dimensions of the hinge are multiplied by this factor; there is one for each
+    energy if energies are stacked. The exponent of a field has as many axes as the field
+    of one energy has. Fields that are None stay None.
     """
     names = [name for name in exponents if getattr(part, name) is not None]
     xp, (scale, *values) = on_host(scale, *(getattr(part, name) for name in names))

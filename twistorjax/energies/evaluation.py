@@ -63,12 +63,9 @@ def polynomial_derivatives(
     """Evaluate several partial derivatives of a polynomial.
 
     They share the sums over the last variables. JAX differentiates this function by
-    further partial derivatives, which share these sums, too.
-
-    Args:
-        coefficients: Coefficients of the terms, in any unit.
-        continued: Indices of the variables whose powers are continued outside of the
-            interval from -1 to 1, by their second-order Taylor polynomials.
+    further partial derivatives, which share these sums, too. Outside of the interval from
+    -1 to 1, the powers of the variables with the indices `continued` are continued by
+    their second-order Taylor polynomials.
     """
     return _evaluate(powers, orders, coefficients, variables, continued)
 
@@ -119,12 +116,8 @@ class PartialSums:
     """Sums of the terms of a polynomial, or of its derivatives, over the last variables.
 
     They are written out in scalars. XLA fuses a batch of them into one loop, which is a
-    hundred times as fast as a lookup of powers in a table.
-
-    Args:
-        terms: The coefficient, in any unit, for each combination of powers.
-        variables: The variables.
-        continued: See `polynomial_derivatives`.
+    hundred times as fast as a lookup of powers in a table. `terms` has the coefficient
+    for each combination of powers; for `continued`, see `polynomial_derivatives`.
     """
 
     def __init__(
@@ -141,12 +134,8 @@ class PartialSums:
     def over_last(self, orders: Orders) -> dict[tuple[int, ...], Scalar]:
         """Return the sums over as many of the last variables as there are `orders`.
 
-        Args:
-            orders: Orders of the derivative with respect to these variables.
-
-        Returns:
-            The sum of all terms that have the same powers of the other variables, for
-            each combination of these powers.
+        These are the orders of the derivative. The sums are those of all terms that have
+        the same powers of the other variables.
         """
         if orders not in self._sums:
             sums: dict[tuple[int, ...], Scalar] = {}
@@ -161,12 +150,7 @@ class PartialSums:
 
 
 class _PowersOf:
-    """Powers of one variable, and their derivatives.
-
-    Args:
-        variable: The variable.
-        continued: Whether the powers are continued outside of the interval from -1 to 1.
-    """
+    """Powers of one variable, and their derivatives; see `polynomial_derivatives`."""
 
     def __init__(self, variable: Scalar, continued: bool):
         self._inside, self._outside = variable, None
@@ -185,7 +169,6 @@ class _PowersOf:
         return lax.mul(value, self._derivatives[power, order])
 
     def _derivative(self, power: int, order: int) -> Scalar:
-        """Compute a derivative of a power."""
         total = self._derivative_inside(power, order)
         if self._outside is None:
             return total
@@ -222,15 +205,9 @@ def term_wrenches(
     """Compute the wrench and the energy of each term of a polynomial at many poses.
 
     JAX differentiates the variables, in a program that does not depend on the powers. A
-    program for each order would compile for longer than the whole fit takes.
-
-    Args:
-        poses: Poses of frame b relative to frame a; rad, m, m.
-        scale: Length by which the translations are divided; m.
-
-    Returns:
-        The wrenches about frame b in its axes (N m, N, N), and the energies (J), for
-        coefficients of 1 J.
+    program for each order would compile for longer than the whole fit takes. The
+    coefficients are 1 J. Translations are divided by the length `scale` (m). The wrenches
+    are about frame b in its axes (N m, N, N).
     """
     poses = np.asarray(poses)
     values, slopes, _ = _variables_at(poses, scale, coordinates)
@@ -251,12 +228,8 @@ def term_stiffnesses(
 ) -> Float[np.ndarray, "3 3 terms"]:
     """Compute the second derivatives of each term of a polynomial in the reference.
 
-    Args:
-        scale: Length by which the translations are divided; m.
-
-    Returns:
-        The second derivatives with respect to the pose (N m/rad, N/rad, N/m), for
-        coefficients of 1 J.
+    They are derivatives with respect to the pose (N m/rad, N/rad, N/m), for coefficients
+    of 1 J. Translations are divided by the length `scale` (m).
     """
     values, slopes, curvatures = _variables_at(np.zeros((1, 3)), scale, coordinates)
     tables = _power_tables(values, powers)

@@ -142,9 +142,8 @@ def substitution_matrix(
 ) -> Float[Array, "terms monomials"]:
     """Substitute the old variables of terms, which are `matrix @ new_variables`.
 
-    Returns:
-        The coefficients of each term in the monomials of the new variables. The columns
-        are in the order of `monomials(..., redundant=True)`.
+    The columns are the monomials of the new variables, in the order of `monomials(...,
+    redundant=True)`.
     """
     size, order = len(powers[0]), max(map(sum, powers))
     all_rows = _all_monomials(size, order)

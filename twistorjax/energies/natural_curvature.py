@@ -59,13 +59,10 @@ def curvature_loads(energy: AbstractEnergy, free: Float[Array, "3"]) -> Float[Ar
     For a prismatic leaf, also if it is curved, they are the moment E I / L and no force.
     For other flexures they are exact to first order.
 
-    Args:
-        free: Displacement of the free flexure, divided by its turn: 1, and the position
-            of the centroid of its center line, turned by -90 degrees; -, m, m.
-
-    Returns:
-        Moment, axial force, and transverse force, divided by the turn, and their work in
-        the displacement of the free flexure; N m/rad, N/rad, N/rad, J/rad^2.
+    `free` is the displacement of the free flexure, divided by its turn: 1, and the
+    position of the centroid of its center line, turned by -90 degrees (m). The result has
+    moment, axial force, and transverse force, divided by the turn, and their work in the
+    displacement of the free flexure; N m/rad, N/rad, N/rad, J/rad^2.
     """
 
     def stored_energy(pose: Pose) -> Scalar:

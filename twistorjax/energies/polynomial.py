@@ -255,10 +255,6 @@ def require_powers(powers: Sequence[Sequence[int]], names: Sequence[str]) -> Pow
     """Check the powers of each term and return them as tuples of integers.
 
     Each row must have one power for each of the `names` of the variables.
-
-    Raises:
-        ValueError: A row has the wrong length, a power is not a whole number from 0 to
-            1000, or a row is given twice.
     """
     rows = tuple(_require_row(index, row, names) for index, row in enumerate(powers))
     if len(set(rows)) < len(rows):
@@ -303,9 +299,6 @@ def require_coefficients(
 
     `dimensions` is the number of dimensions that the array of coefficients must have. All
     fields of the energy must be set.
-
-    Raises:
-        ValueError: The shape does not match, or the energy has a validation error.
     """
     shape = coefficients.shape
     if len(shape) != dimensions or shape[-1] != len(powers):

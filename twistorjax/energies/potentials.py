@@ -332,13 +332,9 @@ def resisted_stretch_rates(
 ) -> Variables:
     """Return the elastic stretch rates, scaled by the stiffness; J/s.
 
-    With the stiffness K and that of the reference configuration K0, both factorized as
-    L L^T, the elastic rates are multiplied by `L0^-T L^T`. Their power with K0 is then
-    that of the elastic rates with K.
-
-    Args:
-        at: Coordinates, and stretches (J).
-        rates: Their rates.
+    With the stiffness K and that of the reference configuration K0, both factorized as L
+    L^T, the elastic rates are multiplied by `L0^-T L^T`. Their power with K0 is then that
+    of the elastic rates with K. Stretches are in J.
     """
     compliant, stretches = at
     forces = force_ratios(potential, compliant, stretches)

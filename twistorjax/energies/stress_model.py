@@ -42,26 +42,17 @@ class AbstractStressModel(eqx.Module):
     def surface_stresses(
         self, displacement: Displacement, wrench: MidWrench
     ) -> Float[Array, " points"]:
-        """Compute the normal stress at points of the surface.
+        """Compute the normal stress at points of the surface; Pa, positive in tension.
 
-        The strain must follow from the wrench, which is without natural curvature; the
-        displacement gives the arms of the forces only.
-
-        Args:
-            wrench: Moment about the point halfway between the two frames, axial force,
-                and transverse force, in the mid-frame; N m, N, N.
-
-        Returns:
-            The stress, positive in tension, always at the same points; Pa.
+        The points are always the same. The strain must follow from the wrench, which is
+        without natural curvature; the displacement gives the arms of the forces only. The
+        wrench has the moment about the point halfway between the two frames, the axial
+        force, and the transverse force, in the mid-frame; N m, N, N.
         """
 
     @abstractmethod
     def dilated(self, scale: Float[Array, "*batch"]) -> "AbstractStressModel":
-        """Return the model if all dimensions of the flexure are multiplied.
-
-        Args:
-            scale: The factor; one for each model if the models are stacked.
-        """
+        """Return the model if all dimensions are multiplied by a factor."""
 
 
 def stress_model(energy: AbstractEnergy) -> AbstractStressModel | None:

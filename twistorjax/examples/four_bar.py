@@ -275,9 +275,8 @@ def plot(linkage: Mechanism, motion: Motion) -> "Figure":
 def _heights(*lengths: NumberLike) -> list[NumberLike]:
     """Compute the heights of parts of given lengths (m) that stand on link 1.
 
-    Returns:
-        The height of the center of each part, and of the upper end of the last part,
-        above the center line of link 1; m.
+    They are those of the center of each part, and of the upper end of the last part,
+    above the center line of link 1; m.
     """
     *lower_ends, top = accumulate(lengths, initial=_WIDTH / 2)
     centers = [end + length / 2 for end, length in zip(lower_ends, lengths, strict=True)]

@@ -78,12 +78,8 @@ class Condensed(AbstractEnergy):
 def inner_displacements(mechanism: Mechanism, second: str, pose: Pose) -> Poses:
     """Compute the equilibrium of the inner bodies at a displacement of body B.
 
-    Args:
-        mechanism: The mechanism of a sub-mechanism, without validity ranges.
-
-    Returns:
-        The displacements of all bodies of the sub-mechanism, in its frame; NaN if there
-        is no equilibrium; rad, m, m.
+    The mechanism is that of the sub-mechanism, without validity ranges, and displacements
+    are in its frame. They are NaN if there is no equilibrium.
     """
     if len(mechanism.names) == 2:
         row = mechanism.index(second)
@@ -121,7 +117,6 @@ def drawn_displacements(part: SubMechanism, pose: Pose) -> Poses:
 
 
 def _inner_rows(part: SubMechanism) -> list[int]:
-    """List the rows of the inner bodies."""
     outer = part.first, part.second
     return [k for k, name in enumerate(part.mechanism.names) if name not in outer]
 

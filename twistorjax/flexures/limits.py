@@ -30,12 +30,8 @@ def require_ratio(
 ) -> Scalar:
     """Require a positive dimension that is at most a multiple of another dimension.
 
-    Args:
-        limit: Largest ratio of the two, up to rounding.
-        requirement: Words of the message that follow "but".
-
-    Returns:
-        The first dimension. It is NaN if the ratio is traced and too large.
+    The message ends with "but" and the `requirement`. The first dimension is returned; it
+    is NaN if the ratio is traced and too large.
     """
     _, (numerator, denominator) = on_host(part, whole)
     # The quotient of rounded numbers may exceed the limit: 0.3 mm / 3 mm is not 0.1.

@@ -509,7 +509,6 @@ def _at_bounds(identification: Identification) -> Int[np.ndarray, " at_bound"]:
 
 
 def _warnings_on_bounds(identification: Identification) -> list[str]:
-    """Warnings on estimates at their bounds."""
     texts = []
     lower, upper = identification.problem.parameters.bounds
     for k in _at_bounds(identification):
@@ -526,12 +525,9 @@ def _warnings_on_bounds(identification: Identification) -> list[str]:
 def _sensitivities(identification: Identification) -> tuple[np.ndarray, np.ndarray]:
     """Singular value decomposition of the derivatives with respect to relative changes.
 
+    The right singular vectors are rows, with one singular value for each parameter.
     Parameters at a bound are left out, because the readings do not depend on their
     normalized values.
-
-    Returns:
-        The singular values, one for each parameter; and the right singular vectors, one
-        in each row.
     """
     changes = _full_changes(identification)
     matrix = np.asarray(identification.jacobian) * changes[None]

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._compile.compilation import fast_compile
 from .._utils.progress import progress_bar
+from .._utils.pytrees import select
 from .estimation.objective import IdentificationProblem
 from .estimation.optimizer import AbstractOptimizer, Evaluation, from_numpy
 
@@ -108,10 +109,8 @@ def _step(
         state.point, evaluation, state.optimizer_state
     )
     is_better = is_first | (evaluation.loss < state.best.loss)
-    best_point, best = jax.tree.map(
-        lambda new, old: jnp.where(is_better, new, old),
-        (state.point, evaluation),
-        (state.best_point, state.best),
+    best_point, best = select(
+        is_better, (state.point, evaluation), (state.best_point, state.best)
     )
     failed_at_start = is_first & ~jnp.isfinite(evaluation.loss)
     return SearchState(

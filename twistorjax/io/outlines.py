@@ -100,12 +100,7 @@ def save_outline(
 
 
 def _require_outline(owner: str, corners: np.ndarray) -> None:
-    """Check the outline of a body or a hinge in the world; m.
-
-    Raises:
-        ValueError: It is too small, too large, or not finite, encloses no area, or
-            crosses itself.
-    """
+    """Check the outline of a body or a hinge in the world; m."""
     name = f"The outline of the {owner}"
     size, far = np.max(np.ptp(corners, axis=0)), np.max(np.abs(corners))
     if not (size >= _SMALLEST and far <= _LARGEST):
@@ -178,17 +173,11 @@ def _with_arcs(corners: np.ndarray) -> Line:
 def _arc_angles(
     closed: np.ndarray, signs: np.ndarray, start: int, end: int
 ) -> np.ndarray | None:
-    """Return the angles (rad) of points of a closed line on a circle.
+    """Return the angles (rad) of points of a closed line about the center of a circle.
 
-    Args:
-        closed: Points of the line; the last one is the first one.
-        signs: Sign of the turn at each point, zero if it is the corner of an arc or of a
-            straight edge.
-        start: Index of the first point.
-        end: Index of the last point.
-
-    Returns:
-        The angles about the center; None if the points are not on one circle.
+    The last point of the line is the first one. The sign of the turn at a point is zero
+    at the corner of an arc or of a straight edge. The result is None if the points are
+    not on one circle.
     """
     if end >= len(closed) or abs(np.sum(signs[start + 1 : end])) < end - start - 1:
         return None

@@ -90,12 +90,7 @@ _JSON_TYPES = {
 
 
 def to_record(value: Any) -> Any:
-    """Convert a part of a model to the content of an entry: objects, lists, and values.
-
-    Raises:
-        ValueError: An energy or a stress model is of a class that cannot be saved, or the
-            mechanism is that at another temperature.
-    """
+    """Convert a part of a model to the content of an entry: objects, lists, values."""
     if isinstance(value, Mechanism):
         value = _fields_of_mechanism(value)
     elif isinstance(value, eqx.Module):
@@ -200,12 +195,7 @@ class Entry(NamedTuple):
 
 
 def from_record(annotation: Any, entry: Entry) -> Any:
-    """Create a value of a type, such as a class, from its entry in a file.
-
-    Raises:
-        ValueError: The entry is of another type, lacks a field, or has an unknown or an
-            invalid one. The message names the entry.
-    """
+    """Create a value of a type, such as a class, from its entry in a file."""
     options = {_json_type(option): option for option in _options(annotation)}
     json_type = entry.require_type(options)
     option = options[json_type]
@@ -290,7 +280,6 @@ def _object(annotation: Any, entry: Entry) -> Any:
 
 
 def _class_of(base: type, entry: Entry) -> type:
-    """Return the class of an energy or a stress model."""
     if "kind" not in entry.content:
         raise ValueError(f"{entry.name} lacks the field `kind`.")
     kind, kinds = entry.part("kind"), _kinds(base)

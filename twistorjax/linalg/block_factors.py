@@ -53,14 +53,8 @@ def block_layout(
     """Find an order in which the stiffness of a mechanism is block tridiagonal.
 
     Bodies are ordered by the reverse Cuthill-McKee method, so that the two bodies of a
-    hinge are close to each other in the order.
-
-    Args:
-        ends: Indices of the two bodies of each hinge.
-        free: The free degrees of freedom, of three for each body.
-
-    Returns:
-        The layout; None if a dense factorization is faster.
+    hinge (`ends`) are close to each other in the order. A body has three degrees of
+    freedom. The layout is None if a dense factorization is faster.
     """
     count = len(free)
     if count < _LEAST_DOFS:
@@ -102,24 +96,19 @@ def block_layout(
 class BlockFactors(eqx.Module):
     """Factors of a block tridiagonal matrix that is scaled by its diagonal.
 
-    Args:
-        layout: Layout of the blocks.
-        scale: Reciprocal square roots of the diagonal, in the order of the blocks.
-        below: Blocks below the diagonal, the first of which is zero.
-        triangles: Factors of each block on the diagonal after elimination.
-        pivots: Rows that Gaussian elimination exchanged; None for Cholesky factors.
-        above: Blocks above the diagonal after elimination: the negative derivatives of
-            the unknowns of the previous block with respect to those of this block.
-
     Source:
         Golub and Van Loan, Matrix Computations, section 4.5.
     """
 
     layout: Layout = eqx.field(static=True)
-    scale: Float[Array, "blocks size"]
-    below: Float[Array, "blocks size size"]
+    scale: Float[Array, "blocks size"]  # Reciprocal square roots of the diagonal
+    below: Float[Array, "blocks size size"]  # The first one is zero
+    # Factors of each block on the diagonal after elimination
     triangles: Float[Array, "blocks size size"]
+    # Rows that Gaussian elimination exchanged; None for Cholesky factors
     pivots: Int[Array, "blocks size"] | None
+    # Blocks above the diagonal after elimination: the negative derivatives of the
+    # unknowns of the previous block with respect to those of this block
     above: Float[Array, "blocks size size"]
 
     @classmethod
@@ -154,7 +143,6 @@ class BlockFactors(eqx.Module):
         return cls(layout, scale, below, triangles, pivots, above)
 
     def solve(self, right: Float[Array, " free"]) -> Float[Array, " free"]:
-        """Solve the linear system for one right-hand side."""
         layout, order = self.layout, np.array(self.layout.order)
         one = jnp.ones(layout.size)
 
@@ -185,7 +173,6 @@ class BlockFactors(eqx.Module):
     def solve_and_check(
         self, right: Float[Array, " free"]
     ) -> tuple[Float[Array, " free"], Flag]:
-        """Solve the linear system, and decide whether the stiffness is stable."""
         return self.solve(right), self.is_stable()
 
     def is_stable(self) -> Flag:

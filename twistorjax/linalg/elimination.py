@@ -124,9 +124,8 @@ def eliminate(
 ) -> tuple[Float[Array, "rights n"], Float[Array, " n"]]:
     """Solve linear systems by Gauss-Jordan elimination without pivoting.
 
-    Returns:
-        The solutions, and the pivots. Those of a symmetric matrix are positive if and
-        only if it is positive definite.
+    The second result contains the pivots. Those of a symmetric matrix are positive if and
+    only if it is positive definite.
 
     Example:
         >>> eliminate(jnp.array([[2.0, 1.0], [1.0, 1.0]]), jnp.array([[3.0, 2.0]]))

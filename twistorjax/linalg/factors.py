@@ -34,7 +34,6 @@ class Factors(NamedTuple):
 
     @classmethod
     def of(cls, matrix: Float[Array, "n n"], symmetric: bool) -> "Factors":
-        """Factorize a matrix."""
         scale = diagonal_scale(jnp.diagonal(matrix))
         return cls.of_scaled(scale[:, None] * matrix * scale[None], symmetric, scale)
 
@@ -48,7 +47,6 @@ class Factors(NamedTuple):
         return cls(scale, *jax.scipy.linalg.lu_factor(matrix))
 
     def solve(self, right: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Solve the linear system for one right-hand side."""
         return self.scale * self.solve_scaled(self.scale * right)
 
     def solve_scaled(self, right: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
@@ -84,8 +82,6 @@ class Elimination(NamedTuple):
     matrix: Float[Array, "n n"]
 
     def solve(self, right: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Solve the linear system for one right-hand side."""
-
         def solve(_, right: Array) -> Array:
             (solution,), stable = _eliminate_symmetric(self.matrix, right[None])
             return jnp.where(stable, solution, jnp.nan)
@@ -125,11 +121,8 @@ def solve_once(
     """Solve linear systems with a stiffness that is not needed again.
 
     Systems with a small symmetric matrix are solved by elimination, which takes a third
-    of the time of LAPACK in a batch.
-
-    Returns:
-        The solutions, and whether the stiffness is stable; see `Factors.is_stable`. The
-        solutions with an unstable one have no meaning.
+    of the time of LAPACK in a batch. The second result is whether the stiffness is stable
+    (see `Factors.is_stable`); otherwise the solutions have no meaning.
     """
     if is_eliminated(len(matrix), symmetric):
         return _solve_symmetric(matrix, rights)

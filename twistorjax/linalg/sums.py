@@ -34,11 +34,6 @@ def sum_entries(
 
     If there are few targets, each target gathers its entries, which are then processed in
     parallel. A scatter operation processes one entry after another.
-
-    Args:
-        source: Indices of the entries that are summed.
-        target: Index of each of them in the sum.
-        signs: Signs by which they are multiplied; all positive if None.
     """
     counts = np.bincount(target, minlength=size)
     largest = counts.max(initial=0)

@@ -262,12 +262,7 @@ class ConstraintSet(eqx.Module):
 def gather_constraints(
     mechanism: Mechanism, constraints: Sequence[AbstractConstraint]
 ) -> ConstraintSet:
-    """Gather constraints on the bodies of a mechanism.
-
-    Raises:
-        ValueError: A name of a body is unknown, two constraints have the same name, or an
-            element of the list is not a constraint.
-    """
+    """Gather constraints on the bodies of a mechanism."""
     require_kind("constraints", constraints, AbstractConstraint)
     given, bodies, sizes, names = [], [], [], set()
     for constraint in constraints:

@@ -152,11 +152,7 @@ class Hinge(eqx.Module):
 def _check_damping(
     name: str, damping: DampingLike | None
 ) -> ViscousDamping | Scalar | None:
-    """Check and return a damping, or the time of a proportional damping; s.
-
-    Raises:
-        ValueError: The time is negative or not finite.
-    """
+    """Check and return a damping, or the time of a proportional damping; s."""
     if damping is None or isinstance(damping, ViscousDamping):
         return damping
     requirement = "must be a `ViscousDamping`, or a time that is finite and not negative"
@@ -166,11 +162,7 @@ def _check_damping(
 
 
 def check_energy(hinge: Hinge) -> None:
-    """Check the values of the energy of a hinge.
-
-    Raises:
-        ValueError: A value is not finite, or the energy has a validation error.
-    """
+    """Check the values of the energy of a hinge."""
     if error := validation_error(hinge.energy):
         raise ValueError(
             f"The energy of the hinge {hinge.name!r} cannot be used: {error}"
@@ -189,14 +181,8 @@ def frame_and_misfit(
 ) -> tuple[Pose, Float[Array, "6"] | None]:
     """Compute the pose of both frames of a hinge in the reference configuration.
 
-    `first` and `second` are the reference poses of bodies A and B; rad, m, m.
-
-    Returns:
-        The pose; rad, m, m. The numbers of its `Misfit`, None if the hinge has none;
-        rad, m, m, m, m.
-
-    Raises:
-        ValueError: The two ports do not coincide, and their gap is not a misfit.
+    `first` and `second` are the reference poses of bodies A and B. The second result is
+    the array of numbers of the hinge's `Misfit`, if it has one; see `misfit_numbers`.
     """
     misfit = None if hinge.misfit is None else misfit_numbers(hinge.misfit)
     if hinge.ports is None:

@@ -204,11 +204,7 @@ class LoadSet(eqx.Module):
 
     @classmethod
     def of(cls, mechanism: Mechanism, loads: Sequence[Load]) -> "LoadSet":
-        """Sum up the loads on each body of a mechanism.
-
-        Raises:
-            ValueError: A name of a body is unknown, or an element is not a load.
-        """
+        """Sum up the loads on each body of a mechanism."""
         bodies, count = np.array(loaded_bodies(mechanism, loads)), len(mechanism.names)
         if not loads:
             return _zero(count, present=False, conservative=True)
@@ -220,11 +216,7 @@ class LoadSet(eqx.Module):
         return cls(sums, present=True, conservative=not followers.any())
 
     def require_potential(self, instead: str) -> None:
-        """Refuse follower loads, and recommend what to use `instead`.
-
-        Raises:
-            ValueError: There is a follower load.
-        """
+        """Refuse follower loads, and recommend what to use `instead`."""
         if not self.conservative:
             raise ValueError(
                 "There is a follower load. It has no potential, so the stiffness is not "
@@ -236,11 +228,9 @@ class LoadSet(eqx.Module):
         return _zero(self.sums.shape[0], self.present, self.conservative)
 
     def scaled(self, factor: Scalar | float) -> "LoadSet":
-        """Multiply all loads by a number."""
         return LoadSet(factor * jnp.asarray(self.sums), self.present, self.conservative)
 
     def plus(self, others: "LoadSet") -> "LoadSet":
-        """Add other loads on the same bodies."""
         _, (sums, more) = on_host(self.sums, others.sums)
         return LoadSet(
             sums + more,
@@ -249,12 +239,10 @@ class LoadSet(eqx.Module):
         )
 
     def apply(self, displacements: Poses) -> tuple[Wrenches, Wrenches]:
-        """Compute the wrench that the loads apply to each body.
+        """Compute the wrench of the loads on each body, and its derivative.
 
-        Returns:
-            The wrenches about the origins of the bodies, in world axes; N m, N, N. Their
-            derivatives with respect to the angle of the body, the only coordinate on
-            which they depend; N m/rad, N/rad, N/rad.
+        The wrenches are about the origins of the bodies, in world axes (N m, N, N). They
+        depend on the angle of the body only (N m/rad, N/rad, N/rad).
         """
         zero = jnp.zeros_like(displacements)
         if not self.present:
@@ -288,10 +276,7 @@ def _load_sums(
 ) -> Any:
     """Compute the sums of a `LoadSet` by `numpy` or `jax.numpy`.
 
-    Args:
-        poses: Reference poses of all bodies; rad, m, m.
-        actions: Wrench and point of application of each load; N m, N, N, m, m.
-        followers: Whether each load rotates with its body.
+    The action of a load is its wrench and point of application; N m, N, N, m, m.
     """
     moment, fx, fy = xp.stack(actions[::2], axis=1)
     x, y = xp.stack(actions[1::2], axis=1)
@@ -318,11 +303,7 @@ def _zero(bodies: int, present: bool, conservative: bool) -> LoadSet:
 
 
 def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...]:
-    """Find the index of the body of each load.
-
-    Raises:
-        ValueError: A name of a body is unknown, or an element is not a load.
-    """
+    """Find the index of the body of each load."""
     require_kind("loads", loads, Load)
     return tuple(
         index_of(f"`loads[{k}]`", "body", load.body, mechanism.names)
@@ -333,15 +314,9 @@ def loaded_bodies(mechanism: Mechanism, loads: Sequence[Load]) -> tuple[int, ...
 def prescribed_dofs(
     mechanism: Mechanism, drives: Sequence[Drive]
 ) -> tuple[tuple[int, ...], tuple[Scalar, ...]]:
-    """Find the prescribed degrees of freedom and their displacements.
+    """Find the prescribed degrees of freedom and their displacements; rad, m.
 
-    Returns:
-        The indices of the degrees of freedom, three for each body, and the displacement
-        of each; rad, m.
-
-    Raises:
-        ValueError: A name of a body is unknown, a coordinate is fixed or prescribed
-            twice, or an element is not a drive.
+    There are three degrees of freedom for each body.
     """
     require_kind("drives", drives, Drive)
     values: dict[int, Scalar] = {}

@@ -70,12 +70,7 @@ class HingeState(NamedTuple):
 def stroke_rows(
     names: Sequence[str], strokes: Mapping[str, PoseLike]
 ) -> Float[Array, "hinges 3"]:
-    """Arrange strokes (rad, m, m) in rows, which are zero for hinges without a stroke.
-
-    Raises:
-        ValueError: `strokes` is not a mapping, there is no hinge of a name, or a shape is
-            wrong.
-    """
+    """Arrange strokes (rad, m, m) in rows, which are zero for hinges without a stroke."""
     if not isinstance(strokes, Mapping):
         raise ValueError(
             f"`strokes` is {quote(strokes)}, but must be a mapping from names of "
@@ -94,10 +89,9 @@ def stroke_forces(
 ) -> tuple[Wrenches, Wrenches]:
     """Compute the forces of the hinges on the bodies due to small strokes.
 
-    Returns:
-        The elastic forces due to strokes (rad, m, m), and the viscous forces due to their
-        rates (rad/s, m/s, m/s), to be added to the forces that hinges resist with; N m,
-        N, N.
+    They are the elastic forces due to strokes (rad, m, m), and the viscous forces due to
+    their rates (rad/s, m/s, m/s), to be added to the forces that hinges resist with; N m,
+    N, N.
     """
     zero = jnp.zeros_like(strokes)
 
@@ -117,14 +111,10 @@ def expanded(
     hinges: Mapping[str, Expansion | None],
     temperature: Temperature,
 ) -> tuple[HingeAssembly, Float[Array, "hinges 3"]]:
-    """Expand bodies and hinges; see `Mechanism.at_temperature`.
+    """Expand bodies and hinges, and move hinges; see `Mechanism.at_temperature`.
 
-    Args:
-        at: Poses of the hinges in the world; rad, m, m.
-        bodies: Coefficients of expansion by names of bodies; 1/K.
-
-    Returns:
-        The hinges and their poses at the other temperature.
+    `at` are the poses of the hinges in the world (rad, m, m), and `bodies` coefficients
+    of expansion (1/K).
     """
     change, of_single_bodies, of_single_hinges, gradients = temperature
     _require_expansions(assembly, bodies, hinges, {**of_single_hinges, **gradients})
@@ -175,11 +165,7 @@ def expanded(
 
 
 def _require_small_strains(noun: str, names: Sequence[str], strains: Any) -> None:
-    """Check the thermal strains of bodies or hinges, for which expansion is linear.
-
-    Raises:
-        ValueError: The magnitude of a strain is more than 0.5.
-    """
+    """Check that thermal strains are at most 0.5, for which expansion is linear."""
     known = concrete(strains)
     if known is None or np.all(np.abs(known) <= _LARGEST_STRAIN):
         return
@@ -205,12 +191,7 @@ def _require_expansions(
     hinges: Mapping[str, Expansion | None],
     named: NamedNumbers,
 ) -> None:
-    """Check that parts can expand.
-
-    Raises:
-        ValueError: A hinge with a temperature or a gradient has no expansion, or neither
-            bodies nor hinges have one.
-    """
+    """Check that there are expansions, and one for each hinge with a temperature."""
     for name in named:
         if name in hinges and hinges[name] is None:
             raise ValueError(

@@ -20,9 +20,6 @@ def warn_if_misplaced(
 
     A flexure is reported if the distance of its ends from both outlines is more than its
     length. Bodies without an outline, and flexures of unknown length, are not checked.
-
-    Args:
-        frames: Pose of each hinge in the reference configuration; rad, m, m.
     """
     for hinge, pair, (angle, *center) in zip(hinges, bodies, frames, strict=True):
         if any(body.outline is None for body in pair):

@@ -16,16 +16,9 @@ if TYPE_CHECKING:
 def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
     """Draw outputs of a sweep as lines over one parameter, or as colors over two.
 
-    Designs that failed are left blank.
-
-    Args:
-        table: Result of a sweep, over `design` with one parameter, or over a grid of one
-            or two parameters.
-        outputs: Names of outputs that are numbers. Each has its own axes.
-
-    Raises:
-        ValueError: An output is not one number for each design, or the designs differ in
-            more than two parameters.
+    The parameters are the axes of a grid, or the one parameter of `design`. Each output,
+    which must be one number for each design, has its own axes. Designs that failed are
+    left blank.
     """
     for name in outputs:
         dims = table[name].dims if name in table else ()

@@ -27,17 +27,9 @@ _UNITS_WITH_PREFIX = ("m", "N", "N m", "J", "s", "Hz", "Pa")
 def subplots(
     rows: int = 1, columns: int = 1, *, size: tuple[float | int, float | int], **settings
 ) -> tuple["Figure", Any]:
-    """Create a figure and its axes, with a layout in which axes do not overlap.
+    """Create a figure of a size (inches), with a layout in which axes do not overlap.
 
-    Args:
-        size: Width and height of the figure; inches.
-        settings: Further arguments of `matplotlib.pyplot.subplots`.
-
-    Returns:
-        The figure, and its axes as `matplotlib.pyplot.subplots` returns them.
-
-    Raises:
-        ImportError: Matplotlib is not installed. The message says how to install it.
+    The further settings and the axes are those of `matplotlib.pyplot.subplots`.
 
     Example:
         >>> figure, axes = subplots(size=(5, 5))
@@ -54,9 +46,8 @@ def new_axes(size: tuple[float | int, float | int]) -> "Axes":
 def prefixed_unit(unit: str, largest: float) -> tuple[float, str]:
     """Choose the SI prefix with which the largest number is between 1 and 1000.
 
-    Returns:
-        The factor by which the numbers are multiplied, and the unit with its prefix. The
-        factor is 1 if no prefix fits or if the unit takes none.
+    The numbers are multiplied by the factor, which is 1 if no prefix fits or if the unit
+    takes none.
 
     Example:
         >>> prefixed_unit("m", 0.03)
@@ -72,13 +63,9 @@ def prefixed_unit(unit: str, largest: float) -> tuple[float, str]:
 
 
 def length_unit(size: float) -> tuple[float, str]:
-    """Choose the unit of the axes of a drawing.
+    """Choose the unit of the axes of a drawing, and the number of units in a meter.
 
-    Args:
-        size: Size of the mechanism; m.
-
-    Returns:
-        The number of units in a meter, and the unit. The unit is the millimeter for a
-        size from 1 mm to 10 m, and that of `prefixed_unit` otherwise.
+    The unit is the millimeter for a mechanism of 1 mm to 10 m, and that of
+    `prefixed_unit` otherwise.
     """
     return (1e3, "mm") if 1e-3 <= size < 10 else prefixed_unit("m", size)

@@ -26,10 +26,7 @@ def draw_ranked(
     """Draw energies in ascending order, and their predictions by fits.
 
     The limits of the axes follow from the data. The legend counts the predictions that
-    lie outside.
-
-    Args:
-        fitted: Predictions by each fit, by its name. The first fit is drawn on top.
+    lie outside. The first fit is drawn on top.
     """
     order = np.argsort(data)
     ranks = np.arange(1, len(data) + 1)

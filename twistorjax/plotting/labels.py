@@ -44,11 +44,7 @@ class Labels(Artist):
 
     @classmethod
     def of(cls, axes: "Axes") -> "Labels":
-        """Return the labels of the axes, which all drawings on these axes share.
-
-        Returns:
-            The labels. They are created if the axes have none.
-        """
+        """Return the labels of these axes, and create them if there are none."""
         for artist in axes.artists:
             if isinstance(artist, cls):
                 return artist
@@ -59,13 +55,10 @@ class Labels(Artist):
     def add(
         self, text: str, anchor: np.ndarray, direction: np.ndarray, **style: Any
     ) -> None:
-        """Add a label.
+        """Add a label to an anchor, in data coordinates.
 
-        Args:
-            anchor: The point that the label belongs to; data coordinates.
-            direction: Preferred direction from the anchor to the label. It is zero if the
-                label may cover its anchor.
-            style: Further arguments of `matplotlib.axes.Axes.annotate`.
+        The preferred direction from the anchor to the label is zero if the label may
+        cover its anchor. The style has arguments of `matplotlib.axes.Axes.annotate`.
         """
         label = cast("Axes", self.axes).annotate(
             text, tuple(anchor), xytext=(0, 0), textcoords="offset points", ha="center",
@@ -123,11 +116,8 @@ class _Counts:
     """Numbers of points in the cells of a grid, summed from the lower left corner.
 
     The sums give the number of points in any box at once, so that the time for a label
-    does not depend on the number of points. The cells are one point wide.
-
-    Args:
-        points: The positions; points.
-        frame: Lower left and upper right corner of the grid; points.
+    does not depend on the number of points. The cells are one point wide, and all
+    coordinates are in points. `frame` has two corners: lower left and upper right.
     """
 
     def __init__(self, points: np.ndarray, frame: np.ndarray) -> None:

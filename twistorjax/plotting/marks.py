@@ -82,15 +82,11 @@ def mark_wrenches(
 ) -> None:
     """Draw forces as straight arrows and moments as curved arrows, with their values.
 
-    The effect of a wrench is its moment, or its force times the size of the mechanism.
-    The length of a straight arrow is proportional to the effect of the force, down to a
-    shortest length. A force or moment is left out if its effect is below a thousandth of
-    the largest effect on the mechanism, because it may consist of rounding errors.
-
-    Args:
-        size: Size of the mechanism; m.
-        hinge_forces: Wrenches of the hinges on each body, which also count as effects on
-            the mechanism; N m, N, N.
+    The effect of a wrench is its moment, or its force times the size (m) of the
+    mechanism. The length of a straight arrow is proportional to the effect of the force,
+    down to a shortest length. A force or moment is left out if its effect is below a
+    thousandth of the largest effect on the mechanism, because it may consist of rounding
+    errors. The forces of hinges on bodies also count as effects.
     """
     effects = [_effects(group.wrenches, size) for group in groups]
     longest = np.max(np.concatenate(effects), initial=0.0)

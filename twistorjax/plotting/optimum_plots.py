@@ -53,7 +53,6 @@ def draw_optimum(optimum: Optimum) -> "Figure":
 
 
 def _draw_margins(left: "Axes", optimum: Optimum) -> None:
-    """Draw the margins of all limited outputs as bars."""
     names = list(optimum.margins)
     margins = 100 * np.array([optimum.margins[name] for name in names])
     colors = [ORANGE if abs(margin) < 1e-2 else DARK_BLUE for margin in margins]

@@ -33,11 +33,9 @@ class Shape(NamedTuple):
 
 
 def mechanism_size(mechanism: Mechanism) -> float:
-    """Compute the size of a mechanism in its reference configuration.
+    """Compute the longer side of the box around origins, hinges, and outlines; m.
 
-    Returns:
-        The longer side of the box around origins, hinges and outlines; m. It is 1 m if
-        all of them coincide.
+    It is 1 m if all of them coincide. The mechanism is in its reference configuration.
     """
     points = [np.concatenate([mechanism.reference, mechanism.at])[:, 1:]]
     for pose, outline in zip(
@@ -59,14 +57,7 @@ def mechanism_size(mechanism: Mechanism) -> float:
 
 
 def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
-    """Compute the outlines of all parts of a mechanism.
-
-    Args:
-        poses: Poses of its bodies; rad, m, m.
-
-    Returns:
-        The bodies, then the lines of bodies without an outline, then the hinges.
-    """
+    """Compute outlines: of bodies, then lines of bodies without one, then of hinges."""
     bodies, lines, hinges = [], [], []
     for body, outline in enumerate(mechanism.outlines):
         fixed = mechanism.is_fixed(body)
@@ -145,15 +136,7 @@ def _parts(
 
 
 def to_world(pose: np.ndarray, points: np.ndarray | Corners) -> np.ndarray:
-    """Transform points from a frame to world coordinates.
-
-    Args:
-        pose: Pose of the frame; rad, m, m.
-        points: Points in the frame, one in each row; m.
-
-    Returns:
-        The points in world coordinates; m.
-    """
+    """Transform points (m), one in each row, from a frame to world coordinates."""
     cos, sin = np.cos(pose[0]), np.sin(pose[0])
     return pose[1:] + np.asarray(points) @ np.array([[cos, sin], [-sin, cos]])
 
@@ -161,14 +144,7 @@ def to_world(pose: np.ndarray, points: np.ndarray | Corners) -> np.ndarray:
 def hinge_frames(
     mechanism: Mechanism, poses: np.ndarray, hinge: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the poses of the two frames of a hinge.
-
-    Args:
-        poses: Poses of its bodies; rad, m, m.
-
-    Returns:
-        The pose of the frame on the first body and that on the second body; rad, m, m.
-    """
+    """Compute the poses of the frames of a hinge on its first and on its second body."""
     ends, at = mechanism.hinge_assembly.ends[hinge], np.asarray(mechanism.at)[hinge]
     first, second = (attached_frame(mechanism, poses, body, at) for body in ends)
     return first, second
@@ -177,15 +153,7 @@ def hinge_frames(
 def attached_frame(
     mechanism: Mechanism, poses: np.ndarray, body: int, frame: np.ndarray | Pose
 ) -> np.ndarray:
-    """Compute the pose of a frame that is attached to a body.
-
-    Args:
-        poses: Poses of its bodies; rad, m, m.
-        frame: Pose of the frame in the reference configuration; rad, m, m.
-
-    Returns:
-        The pose of the frame; rad, m, m.
-    """
+    """Compute the pose of a frame that is attached to a body, from its reference pose."""
     reference, frame = np.asarray(mechanism.reference)[body], np.asarray(frame)
     motion = poses[body] - np.array([reference[0], 0.0, 0.0])
     (origin,) = to_world(motion, (frame[1:] - reference[1:])[None])

@@ -181,10 +181,8 @@ def result_of_status(
 ) -> RESULTS:
     """Convert the status of a solver to a result.
 
-    Args:
-        status: The status, a traced integer or a member of an enumeration of equinox.
-        results: Each status that has a result of its own, and this result.
-        default: The result of any other status.
+    The status is a traced integer or a member of an enumeration of equinox. Those that
+    are not in `results` get the default.
     """
     result = default
     for value, item in results:

@@ -45,7 +45,6 @@ class BodyDisplacements(eqx.Module):
         return self.displacements[..., self._row(body), :]
 
     def _row(self, body: str) -> int:
-        """Return the index of a body."""
         if body not in self.names:
             raise ValueError(
                 f"`body` is {quote(body)}, but the bodies are {listing(self.names)}."

@@ -85,13 +85,8 @@ def dataset(
 ) -> "xarray.Dataset":
     """Convert columns to an xarray dataset.
 
-    A column that has the name of its only axis becomes a coordinate.
-
-    Args:
-        attributes: Additional attributes of some variables, by name.
-
-    Raises:
-        ImportError: xarray is not installed.
+    A column that has the name of its only axis becomes a coordinate. Variables may have
+    additional attributes.
     """
     xarray = require_package("xarray", "Tables", "data")
     variables, coordinates = {}, {}

@@ -397,9 +397,8 @@ def _corrected(
     work in the mode, the mechanism snaps at a limit point: the load factor then follows
     from the equilibrium in this mode.
 
-    Returns:
-        The point; whether the load does work in the mode; whether the iteration has
-        converged; and whether a hinge is outside the validity range of its energy.
+    The flags tell whether the load does work in the mode, whether the iteration has
+    converged, and whether a hinge is outside the validity range of its energy.
     """
     free, units = len(linear.basis), metric.units[: len(linear.basis)]
     estimate = linear.factors[row]

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -137,16 +137,14 @@ def frequency_response(
             f"`frequencies` has shape {values.shape}, but must be a list or a "
             "one-dimensional array, such as [100.0] or jnp.linspace(0, 100, 11)."
         )
-    held, targets = prescribed_dofs(mechanism, drives)
+    held, prescribed = prescribed_dofs(mechanism, drives)
     problem = Problem.of(
         mechanism, static_loads, (), constraints, time, held=held, supported=False
     )
-    load_set = LoadSet.of(mechanism, loads)
     rows = stroke_rows(mechanism.hinge_names, strokes) if strokes else None
+    excitation = Excitation(LoadSet.of(mechanism, loads), prescribed, rows)
     state = problem.state(about, "static_loads")
-    response = _frequency_response(
-        mechanism, problem.system, values, load_set, rows, targets, state
-    )
+    response = _frequency_response(mechanism, problem.system, values, excitation, state)
     not_finite = (
         "At some frequency the response is not finite: there is a resonance without "
         "damping, or a value of the mechanism is not finite. Give the hinges `damping`, "
@@ -155,14 +153,44 @@ def frequency_response(
     return problem.finish(response, throw, state, {"not_finite": not_finite})
 
 
+class Excitation(NamedTuple):
+    """Loads, prescribed displacements, and strokes that excite small motions."""
+
+    loads: LoadSet  # Loads; N m, N
+    # Displacement of each prescribed degree of freedom; rad, m
+    prescribed: tuple[Any, ...]
+    # Strokes of all hinges; None if there are none; rad, m, m
+    strokes: Float[Array, "hinges 3"] | None
+
+    def at(
+        self, system: System, jacobian: Float[Array, "entries dofs"], displacements: Poses
+    ) -> tuple[Float[Array, " dofs"], Float[Array, " dofs"], Float[Array, " dofs"]]:
+        """Compute the forces, those by the rate, and the displacements that it imposes.
+
+        Constraints transmit prescribed displacements to free degrees of freedom; N m, N,
+        N m s, N s, rad, m.
+        """
+        applied, _ = self.loads.apply(displacements)
+        force = applied.reshape(-1)
+        viscous = jnp.zeros_like(force)
+        if self.strokes is not None:
+            elastic, by_rate = stroke_forces(system.hinges, displacements, self.strokes)
+            force, viscous = force - elastic.reshape(-1), -by_rate.reshape(-1)
+        dofs, free = system.dofs, system.free
+        imposed = jnp.array(self.prescribed, float)
+        moved = dofs.expand(jnp.zeros(len(free)), imposed).reshape(-1)
+        if system.constraints.size:
+            allowed = system.allowed_displacements(jacobian[:, free])
+            moved = moved.at[free].set(-allowed.imposed(jacobian @ moved))
+        return force, viscous, moved
+
+
 @fast_compile
 def _frequency_response(
     mechanism: Mechanism,
     system: System,
     frequencies: Array,
-    loads: LoadSet,
-    strokes: Float[Array, "hinges 3"] | None,
-    targets: tuple[Array, ...],
+    excitation: Excitation,
     displacements: Poses,
 ) -> FrequencyResponse:
     """Solve the harmonic equations; see `frequency_response`."""
@@ -174,32 +202,19 @@ def _frequency_response(
     stiffness, jacobian = system.whole_stiffness(displacements)
     inertia = mechanism.inertia().reshape(-1)
     inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
-    applied, _ = loads.apply(displacements)
-    force = applied.reshape(-1).astype(complex)
-    force_by_omega = jnp.zeros_like(force)
-    if strokes is not None:
-        elastic, viscous = (
-            forces.reshape(-1).astype(complex)
-            for forces in stroke_forces(system.hinges, displacements, strokes)
-        )
-        force, force_by_omega = force - elastic, -1j * viscous
-    amplitudes = jnp.array(targets, float).astype(complex)
-    prescribed = dofs.expand(jnp.zeros(len(free), complex), amplitudes).reshape(-1)
+    force, viscous, moved = excitation.at(system, jacobian, displacements)
     allowed = system.allowed_displacements(jacobian[:, free])
-    jacobian, allowed = jax.tree.map(
-        lambda array: array.astype(complex), (jacobian, allowed)
+    jacobian, allowed, moved = jax.tree.map(
+        lambda array: array.astype(complex), (jacobian, allowed, moved)
     )
-    if system.constraints.size:
-        # Constraints transmit prescribed displacements to the free coordinates.
-        prescribed = prescribed.at[free].set(-allowed.imposed(jacobian @ prescribed))
 
     def amplitudes_at(frequency: Array) -> tuple[Array, Array, Array]:
         """Compute displacements, reactions, and constraint forces at a frequency; Hz."""
         omega = 2 * jnp.pi * frequency
         real = stiffness - omega**2 * jnp.diag(inertia)
         matrix = jax.lax.complex(real, omega * damping)
-        exciting = force + omega.astype(complex) * force_by_omega
-        right = allowed.projected((exciting - matrix @ prescribed)[free])
+        exciting = jax.lax.complex(force, omega * viscous)
+        right = allowed.projected((exciting - matrix @ moved)[free])
         reduced = allowed.reduced(matrix[free[:, None], free])
         # Rows and columns are scaled by their sizes, so that units do not matter.
         size = (
@@ -215,7 +230,7 @@ def _frequency_response(
         condition = jnp.linalg.norm(scaled) * jnp.linalg.norm(inverse)
         solved = inverse @ (right / size) / size
         solved = jnp.where(condition < _LARGEST_CONDITION, solved, jnp.nan)
-        amplitude = prescribed.at[free].add(allowed.expanded(solved))
+        amplitude = moved.at[free].add(allowed.expanded(solved))
         unbalanced = matrix @ amplitude - exciting
         multipliers = jnp.zeros(0, complex)
         if system.constraints.size:

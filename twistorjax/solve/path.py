@@ -177,11 +177,7 @@ def path(
 
 
 def _require_inside(first: FirstPoint, load_factors: NumbersLike) -> None:
-    """Check that a path begins in the interval of its load factors.
-
-    Raises:
-        ValueError: It does not.
-    """
+    """Check that a path begins in the interval of its load factors."""
     known = all_concrete([first.factor, load_factors])
     if known is None:
         return

@@ -205,12 +205,7 @@ def range_of_motion(
 def _allowable(
     mechanism: Mechanism, stress: StressLimitLike | None
 ) -> Float[Array, " hinges"]:
-    """Return the allowable stress of each hinge, infinite if it is not limited; Pa.
-
-    Raises:
-        ValueError: There is none, it is not positive, or the dimensions of a hinge are
-            not known.
-    """
+    """Return the allowable stress of each hinge, infinite if it is not limited; Pa."""
     hinges, names = mechanism.hinge_assembly, mechanism.hinge_names
     known = [names[row] for row in rows_with_stress(hinges)]
     limits = strengths(hinges, "static")

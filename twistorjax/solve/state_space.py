@@ -1,7 +1,7 @@
 """State-space model of a mechanism about an equilibrium, for control design."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING
+from typing import Any, ClassVar, TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -18,13 +18,14 @@ from ..linalg.elimination import inverse
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
-from ..mechanism.misfits import stroke_forces, stroke_rows
+from ..mechanism.misfits import stroke_rows
 from ..results.codes import RESULTS, Solution
 from .equations.consistency import consistent
 from .equations.dofs import DofPartition
 from .equations.modes import natural_modes
 from .equations.problem import Problem
 from .equations.system import System
+from .frequency_response import Excitation
 from .statics.solution import StateLike
 
 
@@ -221,7 +222,7 @@ def state_space(
             f"from 1 to {count}."
         )
     columns = [
-        _Excitation.of(mechanism, name, given, dofs, moved.get(name, {}))
+        _excitation(mechanism, name, given, dofs, moved.get(name, {}))
         for name, given in inputs.items()
     ]
     rows = tuple(_output_dof(mechanism, name, given) for name, given in outputs.items())
@@ -233,50 +234,34 @@ def state_space(
     return problem.finish(model, throw, state)
 
 
-class _Excitation(NamedTuple):
-    """What an input does at the value 1."""
-
-    loads: LoadSet  # Loads; N m, N
-    # Displacement of each prescribed degree of freedom; rad, m
-    prescribed: tuple[Any, ...]
-    # Strokes of all hinges; None if there are none; rad, m, m
-    strokes: Float[Array, "hinges 3"] | None
-
-    @classmethod
-    def of(
-        cls,
-        mechanism: Mechanism,
-        name: str,
-        given: Any,
-        dofs: DofPartition,
-        moved: Mapping[int, Any],
-    ) -> "_Excitation":
-        """Arrange an input.
-
-        Raises:
-            ValueError: It is neither a load, a drive, nor a mapping of strokes.
-        """
-        strokes = None
-        if isinstance(given, Mapping):
-            strokes = stroke_rows(mechanism.hinge_names, given)
-        elif not isinstance(given, Load | Drive):
-            raise ValueError(
-                f"The input {name!r} is a {type(given).__name__}, but must be a `Load`, "
-                "a `Drive`, or a mapping from names of hinges to strokes."
-            )
-        elif isinstance(given, Load) and given.follower:
-            raise ValueError(
-                f"The input {name!r} is a follower load. Give a load of constant "
-                "direction; for small motions, the effect of its rotation is of second "
-                "order."
-            )
-        loads = [given] if isinstance(given, Load) else []
-        prescribed = tuple(moved.get(dof, 0.0) for dof in dofs.prescribed)
-        return cls(LoadSet.of(mechanism, loads), prescribed, strokes)
+def _excitation(
+    mechanism: Mechanism,
+    name: str,
+    given: Any,
+    dofs: DofPartition,
+    moved: Mapping[int, Any],
+) -> Excitation:
+    """Arrange an input, which is a load, a drive, or a mapping of strokes."""
+    strokes = None
+    if isinstance(given, Mapping):
+        strokes = stroke_rows(mechanism.hinge_names, given)
+    elif not isinstance(given, Load | Drive):
+        raise ValueError(
+            f"The input {name!r} is a {type(given).__name__}, but must be a `Load`, "
+            "a `Drive`, or a mapping from names of hinges to strokes."
+        )
+    elif isinstance(given, Load) and given.follower:
+        raise ValueError(
+            f"The input {name!r} is a follower load. Give a load of constant "
+            "direction; for small motions, the effect of its rotation is of second "
+            "order."
+        )
+    loads = [given] if isinstance(given, Load) else []
+    prescribed = tuple(moved.get(dof, 0.0) for dof in dofs.prescribed)
+    return Excitation(LoadSet.of(mechanism, loads), prescribed, strokes)
 
 
 def _output_dof(mechanism: Mechanism, name: str, given: Sequence[str]) -> int:
-    """Return the index of the degree of freedom of an output."""
     if isinstance(given, str) or len(given) != 2:
         raise ValueError(
             f"The output {name!r} is {given!r}, but must be the name of a body and of a "
@@ -291,7 +276,7 @@ def _output_dof(mechanism: Mechanism, name: str, given: Sequence[str]) -> int:
 def _state_space(
     mechanism: Mechanism,
     system: System,
-    columns: list[_Excitation],
+    columns: list[Excitation],
     rows: tuple[int, ...],
     modes: int,
     displacements: Poses,
@@ -312,12 +297,9 @@ def _state_space(
     )
     inertia = mechanism.inertia().reshape(-1)
     inertia = jnp.where(jnp.isinf(inertia), 0.0, inertia)
+    excitations = [column.at(system, jacobian, displacements) for column in columns]
     forces, viscous, moved = (
-        jnp.stack(parts, axis=1)
-        for parts in zip(
-            *(_excitation(system, column, jacobian, displacements) for column in columns),
-            strict=True,
-        )
+        jnp.stack(parts, axis=1) for parts in zip(*excitations, strict=True)
     )
     squares = jnp.abs(angular) * angular
     damping = modal.T @ tangent.damping @ modal
@@ -346,29 +328,3 @@ def _state_space(
     result = RESULTS.where(is_consistent, result, RESULTS.inconsistent_constraints)
     inputs, outputs = names
     return StateSpace(a=a, b=b, c=c, d=d, result=result, inputs=inputs, outputs=outputs)
-
-
-def _excitation(
-    system: System,
-    column: _Excitation,
-    jacobian: Float[Array, "entries dofs"],
-    displacements: Poses,
-) -> tuple[Float[Array, " dofs"], Float[Array, " dofs"], Float[Array, " dofs"]]:
-    """Compute the forces of an input and of its rate, and the displacements it imposes.
-
-    Constraints transmit prescribed displacements to free degrees of freedom; N m, N,
-    N m s, N s, rad, m.
-    """
-    applied, _ = column.loads.apply(displacements)
-    force = applied.reshape(-1)
-    viscous = jnp.zeros_like(force)
-    if column.strokes is not None:
-        elastic, by_rate = stroke_forces(system.hinges, displacements, column.strokes)
-        force, viscous = force - elastic.reshape(-1), -by_rate.reshape(-1)
-    dofs, free = system.dofs, system.free
-    imposed = jnp.array(column.prescribed, float)
-    moved = dofs.expand(jnp.zeros(len(free)), imposed).reshape(-1)
-    if system.constraints.size:
-        allowed = system.allowed_displacements(jacobian[:, free])
-        moved = moved.at[free].set(-allowed.imposed(jacobian @ moved))
-    return force, viscous, moved

@@ -37,20 +37,8 @@ RESULT_FLAGS = {
 class Layout:
     """Names, axes and units of all variables of a dataset.
 
-    Args:
-        designs: Designs of the sweep.
-        output: Shapes of the outputs of one chunk of designs.
-        units: Units of parameters, and of outputs without a unit of their own, by name.
-
-    Raises:
-        ValueError: A name is used twice or is unknown; a unit contradicts that of the
-            output; or an axis has two lengths.
-
-    Attributes:
-        parameters: Columns of the parameters.
-        outputs: Columns of the outputs of all designs, whose first axis is `design`.
-            Their values are shapes.
-        coordinates: Axis of each variable `<axis>_coordinate`; see `coordinate_names`.
+    `output` has the shapes of the outputs of one chunk of designs. `units` has those of
+    parameters, and of outputs without a unit of their own.
     """
 
     def __init__(self, designs: Designs, output: StudyOutput, units: Mapping[str, str]):
@@ -82,11 +70,6 @@ class Layout:
         self._check_lengths()
 
     def check_storable(self) -> None:
-        """Check that a store can hold all variables.
-
-        Raises:
-            ValueError: A store cannot hold a name; the message contains it.
-        """
         columns = (self.parameters | self.outputs).values()
         labeled = [axis for column in columns for axis, _ in column.labels]
         axes = self.coordinates.values()
@@ -158,7 +141,6 @@ class Layout:
         return combined
 
     def _parameter_columns(self, units: Mapping[str, str]) -> Columns:
-        """Create the columns of the parameters, with their units."""
         columns = {}
         for name, array in zip(self.designs.names, self.designs.arrays, strict=True):
             axes = ("design", *(f"{name}_{k}" for k in range(array.ndim - 1)))
@@ -185,14 +167,9 @@ def finish_dataset(
 ) -> "xarray.Dataset":
     """Reshape the outputs of a grid, and replace equal coordinates of all designs by one.
 
-    Args:
-        table: Dataset in which all outputs have the axis `design`, or the axes of a grid.
-        grid: Names of the parameters of a grid; empty if the designs are not a grid.
-        coordinates: Axis of each variable `<axis>_coordinate`; see `coordinate_names`.
-
-    Returns:
-        A dataset in which values along an axis that are the same for all designs are
-        coordinates, and in which the parameters of a grid are axes.
+    All outputs have the axis `design`, or the axes of a grid, whose parameters become
+    axes; `grid` is empty for other designs. `coordinates` has the axis of each variable
+    `<axis>_coordinate`; see `coordinate_names`.
     """
     for name, axis in coordinates.items():
         computed = np.asarray(table["result"]) != NOT_COMPUTED

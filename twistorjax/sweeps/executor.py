@@ -36,14 +36,10 @@ _MOST_PROGRAMS = 32  # that are kept
 def default_chunk_size(count: int, mesh: Mesh | None) -> int:
     """Choose the number of designs that each device evaluates in one call.
 
-    Args:
-        mesh: Devices of the sweep; `None` for the default device.
-
-    Returns:
-        The size of a chunk, which is a power of two, so that sweeps over other numbers of
-        designs use the same program. With more designs than the smallest chunk has, the
-        padding of the last chunk is at most a quarter of the designs on a processor, and
-        half of them on an accelerator, if possible.
+    It is a power of two, so that sweeps over other numbers of designs use the same
+    program. With more designs than the smallest chunk has, the padding of the last chunk
+    is at most a quarter of the designs on a processor, and half of them on an
+    accelerator, if possible.
     """
     devices = jax.devices()[:1] if mesh is None else list(mesh.devices.flat)
     per_device = -(-count // len(devices))
@@ -58,11 +54,7 @@ def default_chunk_size(count: int, mesh: Mesh | None) -> int:
 
 
 def default_memory(mesh: Mesh | None) -> float | int:
-    """Choose the memory that a chunk may use on each device; bytes.
-
-    Args:
-        mesh: Devices of the sweep; `None` for the default device.
-    """
+    """Choose the memory that a chunk may use on each device; bytes."""
     device = (jax.local_devices() if mesh is None else mesh.local_devices)[0]
     statistics = device.memory_stats() or {}  # a processor has none
     if "bytes_limit" not in statistics:
@@ -73,15 +65,9 @@ def default_memory(mesh: Mesh | None) -> float | int:
 class Program:
     """Compiled program that evaluates one chunk of designs on each device.
 
-    Args:
-        study: Function of one design.
-        structure: Structure of a design.
-        derivatives: Names of the outputs that are differentiated.
-        chunk_size: Number of designs that a device evaluates in one call.
-        memory: Memory that a chunk may use on a device; bytes.
-        mesh: Devices; `None` for the default device.
-        fixed_chunk_size: Whether the chunk size must stay as it is. Otherwise
-            `fit_memory` reduces it if a chunk needs more than `memory`.
+    A device evaluates `chunk_size` designs in one call. If they need more than `memory`
+    bytes, `fit_memory` reduces the size, unless it is fixed. `derivatives` are the names
+    of the outputs that are differentiated. Without a mesh, the default device is used.
     """
 
     def __init__(
@@ -123,7 +109,6 @@ class Program:
 
     @property
     def device_count(self) -> int:
-        """Number of devices."""
         return 1 if self.mesh is None else self.mesh.size
 
     @property
@@ -134,24 +119,17 @@ class Program:
         return self.mesh.devices.flat[0].platform
 
     def chunk_count(self, designs: Designs) -> int:
-        """Count the chunks into which designs are divided."""
         return -(-len(designs) // self.chunk_size)
 
     def run(
         self, designs: Designs, chunks: Sequence[int]
     ) -> Iterator[tuple[int, StudyOutput]]:
-        """Evaluate chunks of designs.
+        """Evaluate chunks of designs, and yield those that this process has evaluated.
 
-        The devices evaluate the next chunks while the caller uses the previous ones.
-
-        Yields:
-            The number of each chunk that a device of this process has evaluated, and the
-            outputs of its designs. The last chunk of a sweep is padded with copies of
-            the last design.
-
-        Raises:
-            ValueError: A chunk needs more than the memory.
-            RuntimeError: A solve in the study raised an error.
+        A chunk has its number, and the outputs of its designs. The devices evaluate the
+        next chunks while the caller uses the previous ones. The last chunk of a sweep is
+        padded with copies of the last design. An error of a solve in the study is raised
+        as a `RuntimeError`.
         """
         if not chunks:
             return
@@ -179,15 +157,7 @@ class Program:
     def evaluate(self, parameters: Sequence[np.ndarray]) -> StudyOutput:
         """Evaluate one chunk of designs on the default device.
 
-        Args:
-            parameters: Array of each parameter, in the order of the structure, with one
-                entry for each design of a chunk along the first axis.
-
-        Returns:
-            The outputs of the designs, as arrays of NumPy.
-
-        Raises:
-            RuntimeError: A solve in the study raised an error.
+        The first axis of each parameter has one entry for each design.
         """
         if self._compiled is None:
             self._compile()
@@ -355,11 +325,7 @@ def _clear_study_errors() -> Iterator[None]:
 
 
 def synchronize(step: str) -> None:
-    """Wait until all processes have reached a step.
-
-    Args:
-        step: Name of the step, which must be the same in all processes.
-    """
+    """Wait until all processes have reached a step, which has the same name in each."""
     if jax.process_count() > 1:
         from jax.experimental import multihost_utils
 
@@ -371,10 +337,8 @@ def gather(
 ) -> Mapping[str, np.ndarray]:
     """Combine the values that several processes have computed.
 
-    Args:
-        values: Arrays with one entry for each design along the first axis, by name. In
-            each process, only the entries of its own designs are valid.
-        owners: Index of the process that has computed each design.
+    The first axis of each array has one entry for each design. In each process, only the
+    entries of its own designs are valid; `owners` has the index of the process for each.
     """
     if jax.process_count() == 1:
         return values

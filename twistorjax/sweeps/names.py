@@ -12,13 +12,8 @@ def check_outputs(
 ) -> None:
     """Check that a dataset can hold the outputs of a study and their axes.
 
-    Args:
-        grid: Names of the parameters that are axes of the dataset; empty if the designs
-            are not a grid.
-        outputs: Outputs for a batch of designs, by name.
-
-    Raises:
-        ValueError: A name is used twice, or the labels of an axis do not fit it.
+    `grid` has the names of the parameters that are axes of the dataset; it is empty if
+    the designs are not a grid. `outputs` are those of a batch of designs.
     """
     parameters, design_axes = set(parameters), {"design", *grid}
     used = {*parameters, *design_axes, *RESERVED}
@@ -63,15 +58,7 @@ def check_outputs(
 
 
 def check_storable(names: Iterable[str]) -> None:
-    """Check that a store can hold variables of these names, each of which is a folder.
-
-    Args:
-        names: Names of parameters, outputs and labeled axes.
-
-    Raises:
-        ValueError: A name contains a space, a slash or a similar character, or is
-            reserved.
-    """
+    """Check that a store can hold variables of these names, each of which is a folder."""
     for name in names:
         if (
             not name.isprintable()
@@ -95,9 +82,6 @@ def coordinate_names(parameters: Iterable[str], outputs: Columns) -> Mapping[str
     values along this axis. It becomes a coordinate of the dataset if it is the same for
     all designs. While the sweep runs, the values are stored for each design in
     `<axis>_coordinate`.
-
-    Raises:
-        ValueError: A parameter or another output has the name of such a variable.
     """
     names: dict[str, str] = {}
     for axis, column in outputs.items():

@@ -32,16 +32,10 @@ class StudyOutput(eqx.Module):
 def study_output(
     study: Callable[[Any], Any], structure: DesignStructure, derivatives: Sequence[str]
 ) -> Callable[[list[Array]], StudyOutput]:
-    """Convert a study to a function of parameter arrays.
+    """Convert a study to a function of the parameters of one design, in their order.
 
-    Args:
-        derivatives: Names of the outputs that are differentiated with respect to each
-            parameter.
-
-    Returns:
-        A function that takes the parameters of one design, in the order of
-        `structure.names`, and returns its outputs. The outputs of a failed design are
-        NaN, except for integers and for values along an axis.
+    The outputs named by `derivatives` are differentiated with respect to each parameter.
+    Outputs of a failed design are NaN, except for integers and for values along an axis.
     """
     study = without_jit(study)
 

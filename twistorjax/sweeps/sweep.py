@@ -271,11 +271,7 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
 
 
 def require_packages(store: str | Path | None) -> None:
-    """Check that the packages for datasets and, with a store, for stores are installed.
-
-    Raises:
-        ImportError: A package is not installed; the message contains the pip command.
-    """
+    """Check that the packages for datasets, and for a store if given, are installed."""
     require_package("xarray", "Sweeps", "data")
     if store is not None:
         require_package("zarr", "Stores", "data")

@@ -44,18 +44,13 @@ def solve_constrained(
     solved again with the nearest positive definite matrix as a constraint.
 
     Args:
-        rows: Matrix of the problem, a block of rows for each trial and a column for each
-            coefficient.
+        rows: A block of rows for each trial and a column for each coefficient.
         targets: Measured values, a row for each trial, in standard deviations.
         ridge: Ridge parameter, relative to the square of the largest singular value. By
             default the one with the smallest leave-one-out error.
-        constraints: Matrix of linear combinations of the coefficients that must vanish.
-            By default there are none.
+        constraints: Linear combinations of the coefficients that must vanish.
         stiffness: Contribution of each coefficient to the stiffness matrix, in the last
             axis. By default the stiffness matrix may have any eigenvalues.
-
-    Raises:
-        ValueError: A row or a target is not finite.
     """
     if constraints is None:
         constraints = np.zeros((0, rows.shape[2]))
@@ -153,14 +148,9 @@ def solve_minimum_norm(
 ) -> tuple[np.ndarray, int, float]:
     """Solve a linear least-squares problem; the solution has the smallest norm.
 
-    Args:
-        rows: Matrix of the problem, a column for each coefficient.
-        normalize: Divide each column by its norm, so that the norm of the coefficients
-            does not depend on their units.
-
-    Returns:
-        The coefficients, the rank of the matrix, and the ratio of the largest singular
-        value to the smallest significant one.
+    If `normalize` is true, each column is divided by its norm, so that the norm of the
+    coefficients does not depend on their units. The other results are the rank of the
+    matrix, and the ratio of its largest singular value to the smallest significant one.
 
     Example:
         >>> rows = np.array([[1.0, 0.0], [0.0, 2.0]])

@@ -40,18 +40,9 @@ def fit_mixed(
 ) -> tuple[MixedEnergy, ConstrainedSolution, bool] | None:
     """Fit a mixed energy to trials.
 
-    Args:
-        scale: Reference length, by default the largest transverse displacement; m.
-        max_steps: Largest number of Gauss-Newton steps.
-
-    Returns:
-        The energy, the solution of the least-squares problem, and whether the iteration
-        converged. `None` if no energy with a positive axial compliance at all trials and
-        in the reference configuration was found.
-
-    Raises:
-        ValueError: The trials have no wrenches, no axial displacements, or no axial
-            forces.
+    The result tells whether the iteration converged. It is None if no energy with a
+    positive axial compliance at all trials and in the reference configuration was found.
+    The reference length `scale` (m) is by default the largest transverse displacement.
     """
     if trials.wrenches is None or trials.wrench_deviations is None:
         raise ValueError(
@@ -114,11 +105,10 @@ def fit_mixed(
 def mixed_residuals(
     energy: MixedEnergy, trials: Trials
 ) -> Float[np.ndarray, "trials values"]:
-    """Predict trials with wrenches by a mixed energy, and evaluate the errors.
+    """Compute the residuals of trials with wrenches, in standard deviations.
 
-    Returns:
-        Predicted minus measured values in standard deviations; see
-        `errors_of_residuals`. They are NaN at a trial without an axial force.
+    A residual is the predicted minus the measured value; see `errors_of_residuals`. It is
+    NaN at a trial without an axial force.
     """
     coefficients = np.asarray(energy.coefficients)
     length, force = float(energy.length), float(energy.force)
@@ -133,8 +123,6 @@ def _mixed_trials(trials: Trials) -> MixedTrials:
 
 
 class _Prediction(NamedTuple):
-    """Predictions of a mixed energy at the trials."""
-
     coefficients: np.ndarray  # Coefficients of the energy; J
     residuals: np.ndarray  # Predicted minus measured values in standard deviations
     axial_forces: np.ndarray  # Predicted axial forces; N
@@ -160,8 +148,7 @@ def _gauss_newton(
     Args:
         solve: Solves the least-squares problem at given axial forces (N), with the
             weights of given coefficients (J).
-        solution: The start.
-        measured: Measured axial forces; they replace predictions that do not exist; N.
+        measured: Axial forces (N), which replace predictions that do not exist.
 
     Returns:
         The prediction with the smallest errors, the last solution, and whether the

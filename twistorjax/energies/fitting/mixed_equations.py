@@ -61,15 +61,11 @@ def mixed_equations(
     length: Scalar | float,
     force: Scalar | float,
 ) -> MixedEquations:
-    """Evaluate each term of W and its derivatives at many twists and forces.
+    """Evaluate each term of W and its derivatives at many twists (rad, m, m) and forces.
 
-    Args:
-        powers: Powers of the variables of W in each term.
-        stiff: The stiff directions; see `AbstractMixedEnergy.stiff`.
-        twists: Twist of each trial; rad, m, m.
-        forces: Forces in the stiff directions, measured or predicted; N m, N.
-        length: Reference length; m.
-        force: Reference force; N.
+    The forces (N m, N) are those in the stiff directions (see
+    `AbstractMixedEnergy.stiff`), measured or predicted. `length` (m) and `force` (N) are
+    the references.
     """
     compliant = [k for k in range(3) if k not in stiff]
     units = variable_units(stiff, length, force)
@@ -129,16 +125,10 @@ def weighted_equations(
     An error of the displacements in the stiff directions is equivalent to an error of the
     forces in them, by the stiffness, and through it to errors of the other forces. The
     stiffness and these errors depend on the coefficients, so the least-squares problem is
-    solved again with the coefficients of the previous solution. If the terms are
-    evaluated at the forces that these coefficients predict, this is a Gauss-Newton step
-    for the errors of the predicted wrenches.
-
-    Args:
-        coefficients: Coefficients of the previous solution; J. `None` at first, if there
-            is one stiff direction.
-
-    Returns:
-        The matrix and the right-hand side of the least-squares problem.
+    solved again with the coefficients (J) of the previous solution; at first there are
+    none, if there is one stiff direction. If the terms are evaluated at the forces that
+    these coefficients predict, this is a Gauss-Newton step for the errors of the
+    predicted wrenches.
     """
     xp, _ = on_host(equations.conjugates)
     compliant, stiff = equations.compliant, equations.stiff
@@ -178,15 +168,10 @@ def twists_and_stresses(
     wrenches: Float[Array, "trials 3"],
     deviations: Float[Array, "trials 3"],
 ) -> MixedTrials:
-    """Convert poses and wrenches to twists and generalized stresses.
+    """Convert poses and wrenches of body B in frame b to twists and generalized stresses.
 
     The generalized stress is the derivative of the energy with respect to the twist. Its
-    second component is the axial force.
-
-    Args:
-        poses: Poses of frame b relative to frame a; rad, m, m.
-        wrenches: Wrenches that body B exerts, in frame b; N m, N, N.
-        deviations: Standard deviations of the wrenches; N m, N, N.
+    second component is the axial force. Standard deviations are those of the wrenches.
     """
 
     def twist_and_matrix(pose: Pose) -> tuple[Twist, Matrix]:

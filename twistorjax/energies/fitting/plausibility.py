@@ -77,14 +77,10 @@ def reversed_wrenches(trials: Trials) -> str | None:
 def better_conversion(
     trials: Trials, error: float, quick_error: Callable[[Trials, int], float]
 ) -> str | None:
-    """Find other units and signs of the trials for which a fit is much more accurate.
+    """Describe other units and signs of the trials for which a fit is much more accurate.
 
-    Args:
-        error: Expected error in the given units, in standard deviations.
-        quick_error: Estimates the expected error of trials by fits of an order.
-
-    Returns:
-        A sentence; `None` if no other units are much better.
+    `quick_error` estimates the expected error of trials by fits of an order. Errors are
+    in standard deviations.
     """
     poses, wrenches = np.asarray(trials.poses), np.asarray(trials.wrenches)
     found = []

@@ -178,8 +178,6 @@ class _Settings(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """Fit of one order."""
-
     order: int
     energy: Polynomial | MixedEnergy
     solution: ConstrainedSolution
@@ -206,9 +204,8 @@ class _Candidate(NamedTuple):
     ) -> EnergyFit:
         """Return the result of `fit_energy`.
 
-        Args:
-            averages: The averages of trials with the same pose, to which this is a fit.
-            rows: Row of the average of each trial.
+        This is a fit to the averages of trials with the same pose; each trial has the row
+        of its average.
         """
         solution = self.solution
         value_count = solution.residuals.size
@@ -429,7 +426,6 @@ def _equations(
 
 
 def _errors(energy: Polynomial | MixedEnergy, trials: Trials) -> Errors:
-    """Compute the errors of an energy at trials."""
     if isinstance(energy, MixedEnergy):
         return errors_of_residuals(trials, mixed_residuals(energy, trials))
     wrenches, energies = term_wrenches(

@@ -28,13 +28,7 @@ def require_base(
 ) -> Polynomial:
     """Check the base of the denominator, and rewrite it for another scale.
 
-    The arguments are those of `fit_rational`.
-
-    Returns:
-        The base, with the given scale or by default its own one.
-
-    Raises:
-        ValueError: The base has other coordinates, or a power of sigma above the first.
+    The arguments are those of `fit_rational`. By default the scale is that of the base.
     """
     if base is None:
         constant = (0,) * len(VARIABLES[coordinates])
@@ -90,14 +84,7 @@ class RationalTerms(NamedTuple):
 def evaluate_terms(
     poses: list[Array], powers: Powers, base: Polynomial
 ) -> list[RationalTerms]:
-    """Evaluate the terms and the base at several sets of poses.
-
-    Args:
-        poses: Sets of poses; rad, m, m.
-
-    Raises:
-        ValueError: The base is not positive at a pose.
-    """
+    """Evaluate the terms and the base, which must be positive, at sets of poses."""
     all_poses = np.concatenate(poses)
 
     def evaluate(powers: Powers) -> tuple[np.ndarray, np.ndarray]:
@@ -131,14 +118,10 @@ def largest_base_term(base: Polynomial, powers: Powers, at_trials: RationalTerms
 def rational_equations(
     trials: Trials, terms: RationalTerms, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Set up the linear equations for the coefficients.
+    """Set up the linear equations for the coefficients, in standard deviations.
 
     The numerator minus the measured energy times the free part of the denominator equals
     the measured energy times the base. The derivatives of both sides are equal, too.
-
-    Returns:
-        The matrix of the least-squares problem and its right-hand side, in standard
-        deviations.
     """
     energies = np.asarray(trials.energies)[:, None]
     weights = 1 / (terms.base[:, None] * np.asarray(trials.energy_deviations)[:, None])
@@ -179,15 +162,9 @@ def solve_rational(
 ) -> RationalSolution:
     """Solve the equations with the smallest ridge that keeps the denominator positive.
 
-    Args:
-        rows: Matrix of the least-squares problem.
-        targets: Measured values, in standard deviations.
-        at_regular: Terms at the poses at which the energy must not be singular.
-        ridge: First ridge parameter. It is tripled until the denominator is positive; if
-            it is zero, it remains zero.
-
-    Returns:
-        The coefficients, and the ridge parameter that was used.
+    The ridge parameter is tripled until the denominator is positive at the trials and at
+    the poses at which the energy must not be singular; if it is zero, it remains zero.
+    Targets are in standard deviations.
     """
     terms = len(free)
     penalty = (at_regular.energies / at_regular.base[:, None])[:, free]

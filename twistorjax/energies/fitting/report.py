@@ -197,11 +197,7 @@ def interpolation_warning(terms: int, value_count: int) -> str:
 def describe_direction(
     direction: np.ndarray, powers: Powers, names: Sequence[str]
 ) -> str:
-    """Describe a linear combination of terms by its three largest terms.
-
-    Returns:
-        A text such as "+1 xi^2 -0.5 x1 x2".
-    """
+    """Describe a linear combination by its three largest terms: "+1 xi^2 -0.5 x1 x2"."""
     relative = direction / np.abs(direction).max()
     largest = np.argsort(-np.abs(relative), kind="stable")[:3]
     parts = []

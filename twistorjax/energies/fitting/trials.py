@@ -197,13 +197,9 @@ def errors_of_predictions(
     wrenches: Float[np.ndarray, "trials 3"],
     energies: Float[np.ndarray, " trials"],
 ) -> Errors:
-    """Compare predicted wrenches and energies with trials.
+    """Compare predicted wrenches (N m, N, N) and energies (J) with trials.
 
     Predictions of quantities that were not measured are ignored.
-
-    Args:
-        wrenches: Predicted wrenches at the poses of the trials; N m, N, N.
-        energies: Predicted energies at these poses; J.
 
     Example:
         >>> trials = Trials(poses=[[0.1, 0.0, 0.0]], energies=[2.0])
@@ -226,9 +222,8 @@ def errors_of_residuals(
 ) -> Errors:
     """Convert residuals in standard deviations to errors.
 
-    Args:
-        residuals: A row for each trial: the residuals of the wrench, then of the energy,
-            as far as these were measured.
+    A row has the residuals of the wrench, then of the energy, as far as these were
+    measured.
     """
     rms_wrench, largest_wrench, relative = (np.full(3, np.nan) for _ in range(3))
     rms_energy = largest_energy = np.nan

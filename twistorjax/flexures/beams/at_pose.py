@@ -124,14 +124,12 @@ def _(primals, tangents):
 def _corrected_stress(
     beam: Beam, stress: Float[Array, "3"], coordinates: Float[Array, "3"]
 ) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
-    """Take one Newton step for the wrench at given coordinates (rad, m, m).
+    """Take one Newton step for the wrench and the stiffness at given coordinates.
 
-    The relation between wrench and coordinates is linearized at a deformed state whose
-    wrench is close to the predicted one. There its derivative is symmetric, which keeps
-    the much smaller stiffness in bending accurate.
-
-    Returns:
-        The wrench in the mid-frame (N m, N, N), and the stiffness of the beam.
+    The wrench is in the mid-frame (N m, N, N), the coordinates are in rad, m, m. The
+    relation between them is linearized at a deformed state whose wrench is close to the
+    predicted one. There its derivative is symmetric, which keeps the much smaller
+    stiffness in bending accurate.
     """
     forces, lengths = load_units(beam), pose_units(beam)
     target = coordinates / lengths

@@ -57,12 +57,9 @@ def section_rates(
     load: Wrench,
     pose: Pose | tuple[Scalar, Scalar, Scalar],
 ) -> tuple[Pose, Scalar, Strains]:
-    """Compute how the pose and the energy change along a beam at a cross-section.
+    """Compute the rates of pose and energy along the axis of a beam, and the strains.
 
     The load and the pose of the cross-section are in frame a.
-
-    Returns:
-        The derivative of the pose along the axis, the energy density, and the strains.
     """
     angle, x, y = pose
     cos, sin = jnp.cos(angle), jnp.sin(angle)
@@ -89,13 +86,9 @@ def fiber_strains(section: CrossSection, law: Law, strains: Strains) -> Float[Ar
 def _section_strains(
     section: CrossSection, law: Law, forces: tuple[Scalar, Scalar, Scalar]
 ) -> tuple[Strains, Scalar]:
-    """Compute the strains and the energy density of a cross-section.
+    """Compute stretch, shear, and curvature, and the energy density; dimensionless.
 
-    Args:
-        forces: Axial force, shear force and bending moment, dimensionless.
-
-    Returns:
-        Stretch, shear and curvature, and the energy density, dimensionless.
+    `forces` are axial force, shear force, and bending moment, dimensionless.
     """
     axial_force, shear_force, moment = forces
     height, slenderness, bending_factor = section[:3]

@@ -39,22 +39,15 @@ class SectionStress(AbstractStressModel):
     The stress is that of linear bending and tension under the wrench of the hinge, times
     the stress concentration factors of the curved surface of a notch.
 
-    Args:
-        arm: Distance from the middle to the section; zero for a notch; m.
-        thickness: In-plane thickness of the section; m.
-        width: Out-of-plane width; m.
-        ratio: Half the thickness over the radius of the surface; zero for a leaf.
-        strengths: Strengths of the material.
-
     Source:
         Stress concentration factors of deep hyperbolic notches: Neuber,
         Kerbspannungslehre (1937).
     """
 
-    arm: Scalar
-    thickness: Scalar
-    width: Scalar
-    ratio: Scalar
+    arm: Scalar  # From the middle to the section; zero for a notch; m
+    thickness: Scalar  # In-plane thickness of the section; m
+    width: Scalar  # Out-of-plane; m
+    ratio: Scalar  # Half the thickness over the radius of the surface; zero for a leaf
     strengths: Strengths
 
     def __check_init__(self) -> None:
@@ -109,7 +102,6 @@ class SectionStress(AbstractStressModel):
         return jnp.stack(stresses)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         return multiply_fields(self, scale, arm=1, thickness=1, width=1)
 
 
@@ -138,25 +130,16 @@ class BeamColumnStress(AbstractStressModel):
     It includes the moment of the axial force in the bent leaf, which is largest between
     the ends under compression. Stress concentrations at the ends are not included.
 
-    Args:
-        length: Free length; m.
-        thickness: In-plane thickness; m.
-        width: Out-of-plane width; m.
-        modulus: Young's modulus; Pa.
-        strengths: Strengths of the material.
-        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
-            None to neglect shear deformation.
-
     Source:
         Timoshenko and Gere, Theory of Elastic Stability, 1961, section 1.11.
     """
 
-    length: Scalar
-    thickness: Scalar
-    width: Scalar
-    modulus: Scalar
+    length: Scalar  # Free length; m
+    thickness: Scalar  # In-plane; m
+    width: Scalar  # Out-of-plane; m
+    modulus: Scalar  # Pa
     strengths: Strengths
-    shear_ratio: Scalar | None = None
+    shear_ratio: Scalar | None = None  # As in `BeamStress`
 
     def __check_init__(self) -> None:
         require_positive_fields(
@@ -191,7 +174,6 @@ class BeamColumnStress(AbstractStressModel):
         return axial / area + jnp.concatenate([-stress, stress])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         return multiply_fields(self, scale, length=1, thickness=1, width=1)
 
 
@@ -202,30 +184,20 @@ class BeamStress(AbstractStressModel):
     of the energy, so the stress of a surrogate has about the error of its wrench. Stress
     concentrations at notches, fillets, and sharp corners are not included.
 
-    Args:
-        thickness: Thickness at positions that are denser at the ends; m.
-        curvature: Curvature of the undeformed beam at these positions; None if it is
-            straight; 1/m.
-        length: Length; m.
-        width: Out-of-plane width; m.
-        modulus: Young's modulus; Pa.
-        bending_factor: Factor of the bending stiffness.
-        shear_ratio: Shear correction factor times shear modulus over Young's modulus;
-            None to neglect shear deformation.
-        strengths: Strengths of the material.
-        law: Constitutive law; see `Beam`.
-
     Source:
         Reissner, On one-dimensional finite-strain beam theory: the plane problem, ZAMP
         23, 1972.
     """
 
-    thickness: Float[Array, "201"]
+    thickness: Float[Array, "201"]  # At positions that are denser at the ends; m
+    # Of the undeformed beam at these positions; 1/m
     curvature: Float[Array, "201"] | None
-    length: Scalar
-    width: Scalar
-    modulus: Scalar
-    bending_factor: Scalar
+    length: Scalar  # m
+    width: Scalar  # Out-of-plane; m
+    modulus: Scalar  # Pa
+    bending_factor: Scalar  # Factor of the bending stiffness
+    # Shear correction factor times shear modulus over Young's modulus; None to neglect
+    # shear deformation
     shear_ratio: Scalar | None
     strengths: Strengths
     law: Law = eqx.field(static=True)
@@ -243,7 +215,6 @@ class BeamStress(AbstractStressModel):
 
     @classmethod
     def of(cls, beam: Beam) -> "BeamStress":
-        """Create the model of a beam."""
         _, (length,) = on_host(beam.length)
         positions, curvature = length * _POSITIONS, None
         if beam.curvature is not None:
@@ -297,7 +268,6 @@ class BeamStress(AbstractStressModel):
         return self.modulus * along(sections, poses).reshape(-1)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         return multiply_fields(
             self, scale, thickness=[1], curvature=[-1], length=1, width=1
         )
@@ -397,7 +367,6 @@ class MechanismStress(AbstractStressModel):
         return jnp.concatenate([stresses[row] for row in sorted(stresses)])
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "MechanismStress":
-        """Return the model if all dimensions of the flexure are multiplied."""
         exponents = np.array([0, 1, 1, 3, 2, 2])[None, :, None]
         new = multiply_fields(self, scale, coefficients=exponents, length=1, force=2)
         parts = tuple(part.dilated(scale) for part in self.parts)

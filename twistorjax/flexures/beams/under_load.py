@@ -234,15 +234,11 @@ def end_section(
 def pose_and_wrench(
     beam: Beam, load: Wrench, end: SectionState, ends: ReferenceEnds
 ) -> tuple[Pose, Wrench]:
-    """Compute the pose of frame b, and the wrench on the beam in frame b.
+    """Compute the pose of frame b, and the wrench that body B exerts on the beam.
 
-    Args:
-        load: Load about the origin of frame a and in its axes; N m, N, N.
-        end: State of the second end, dimensionless.
-
-    Returns:
-        The pose of frame b relative to frame a; rad, m, m. The wrench that body B exerts,
-        about the displaced origin of frame b and in its axes; N m, N, N.
+    The wrench is about the displaced origin of frame b and in its axes. The load (N m, N,
+    N) is about the origin of frame a and in its axes. `end` is the state of the second
+    end, dimensionless.
     """
     length = beam.length
     angle = end.angle - ends.second[0]
@@ -257,7 +253,6 @@ def pose_and_wrench(
 
 
 def _last(states: SectionState) -> SectionState:
-    """Return the last of several states."""
     return jax.tree.map(lambda values: values[-1], states)
 
 
@@ -281,9 +276,8 @@ def _integrate(
     each stage, and an equilibrium with an `ExactBeam` takes several times as long to
     compile.
 
-    Returns:
-        The states at the ends of equal intervals of the parameter, one more than their
-        number. Each interval has the given number of steps.
+    The states at the ends of equal intervals of the parameter are returned, one more than
+    their number. Each interval has the given number of steps.
     """
     step = 2.0 / (intervals * steps)
     coefficients, nodes = jnp.asarray(_COEFFICIENTS), jnp.asarray(_NODES)

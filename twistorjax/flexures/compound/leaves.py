@@ -22,11 +22,7 @@ FIRST, SECOND = "A", "B"  # names of the outer bodies of ready-made flexures
 
 
 def require_leaf(beam: Beam, energy: AbstractEnergy) -> None:
-    """Check a leaf of a ready-made flexure.
-
-    Raises:
-        ValueError: The beam is curved, or an argument has another type.
-    """
+    """Check a leaf of a ready-made flexure, which must be straight."""
     require_instance("beam", beam, Beam)
     if not isinstance(energy, AbstractEnergy):
         raise ValueError(

@@ -45,10 +45,9 @@ class Contour(AbstractProfile):
 
     @abstractmethod
     def require_beam(self, theory: Theory) -> Scalar:
-        """Require dimensions for which a theory of beams is valid.
+        """Return the smallest thickness; check that a theory of beams is valid for it; m.
 
-        Returns:
-            The smallest thickness, which is NaN if a traced dimension is out of range; m.
+        It is NaN if a traced dimension is out of range.
         """
 
     def stress_model(self, material: Material, width: Scalar) -> AbstractStressModel:

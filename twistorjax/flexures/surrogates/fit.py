@@ -26,14 +26,9 @@ def fit_coefficients(
 ) -> Float[Array, " terms"]:
     """Fit the coefficients (J) of W that do not follow from the stiffness.
 
-    All components of the wrench have the same relative weight.
-
-    Args:
-        powers: Powers of the variables of W in each term.
-        stiff: The stiff directions; see `AbstractMixedEnergy.stiff`.
-        references: Reference length and force; m, N.
-        stiffness: Stiffness in the reference configuration; N m/rad, N/rad, N/m.
-        samples: Poses (rad, m, m), and wrenches in frame b (N m, N, N).
+    All components of the wrench have the same relative weight. The references are a
+    length and a force (m, N). The samples are poses, and wrenches in frame b (N m, N, N).
+    For the stiff directions, see `AbstractMixedEnergy.stiff`.
     """
     poses, wrenches = samples
     rms = jnp.sqrt(jnp.mean(wrenches**2, axis=0))

@@ -1,10 +1,10 @@
 """Levenberg-Marquardt method for least squares, based on singular values."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._utils.pytrees import select
 from ..._utils.types import Flag, Scalar
 from .optimizer import AbstractOptimizer, Evaluation, from_numpy, ROUNDING
 
@@ -42,20 +42,16 @@ class LevenbergMarquardt(AbstractOptimizer):
        decrease of the next step is less than the tolerance times the loss. Rounding
        errors of the loss then prevent a further decrease.
 
-    Args:
-        tolerance: Tolerance of the criteria 1 and 3.
-        bounded: One for each parameter with a bound, zero for the others.
-        offsets: Initial value of each parameter, divided by its scale. The sum of the
-            offset and the normalized parameter is the value of a parameter without
-            bounds, divided by its scale.
-
     Source:
         Nocedal and Wright, Numerical Optimization, section 10.3; Moré, The
         Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630, 1978.
     """
 
-    tolerance: float
+    tolerance: float  # Of the criteria 1 and 3
+    # One for each parameter with a bound, zero for the others
     bounded: Float[Array, " parameters"]
+    # Initial value of each parameter, divided by its scale. The sum of the offset and the
+    # normalized parameter is the value of a parameter without bounds, over its scale.
     offsets: Float[Array, " parameters"]
 
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> _State:
@@ -82,10 +78,8 @@ class LevenbergMarquardt(AbstractOptimizer):
         reduction = jnp.where(agrees, stronger, state.reduction)
         damping = jnp.where(accepted, factor, 4.0) * state.damping
         reduction = jnp.where(accepted, reduction, 0.5)
-        point, evaluation = jax.tree.map(
-            lambda new, old: jnp.where(accepted, new, old),
-            (point, evaluation),
-            (state.point, state.evaluation),
+        point, evaluation = select(
+            accepted, (point, evaluation), (state.point, state.evaluation)
         )
 
         components, singular_values, directions = self._linearize(point, evaluation)
@@ -121,12 +115,9 @@ class LevenbergMarquardt(AbstractOptimizer):
         """Compute the singular value decomposition of the linear model about a point.
 
         Each column of the Jacobian is divided by its norm before the decomposition, so
-        that a badly scaled parameter is not damped more than the others.
-
-        Returns:
-            The components of the residuals along the left singular vectors, the singular
-            values, and the right singular vectors as changes of the normalized
-            parameters.
+        that a badly scaled parameter is not damped more than the others. The results are
+        the components of the residuals along the left singular vectors, the singular
+        values, and the right singular vectors as changes of the normalized parameters.
         """
         jacobian = jnp.where(
             jnp.isfinite(evaluation.derivatives), evaluation.derivatives, 0.0

@@ -32,11 +32,6 @@ class IdentificationProblem(eqx.Module):
     huber_threshold: float | None = eqx.field(static=True)
 
     def mechanism(self, normalized: Float[Array, " parameters"]) -> Mechanism:
-        """Build the mechanism from normalized parameters.
-
-        Raises:
-            ValueError: The design function does not return a mechanism.
-        """
         mechanism = self.design(self.parameters.tree(normalized))
         if not isinstance(mechanism, Mechanism):
             raise ValueError(
@@ -50,8 +45,7 @@ class IdentificationProblem(eqx.Module):
     ) -> Float[Array, " readings"]:
         """Compute the residuals of all tests, transformed if the loss is Huber's.
 
-        Args:
-            forward: Mode of differentiation; see `AbstractTest.predict`.
+        For `forward`, see `AbstractTest.predict`.
         """
         mechanism = self.mechanism(normalized)
         tables = []
@@ -93,9 +87,7 @@ class IdentificationProblem(eqx.Module):
     ) -> Evaluation:
         """Compute the residuals and their derivatives.
 
-        Args:
-            forward: Whether the Jacobian of the residuals is computed in forward mode. If
-                False, only the gradient of the loss is computed, in reverse mode.
+        If not `forward`, only the gradient of the loss is computed, in reverse mode.
         """
         if forward:
             return Evaluation(*value_and_jacfwd(self.residuals, normalized))

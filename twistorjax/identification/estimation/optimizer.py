@@ -27,14 +27,9 @@ def exceeds_rounding(
 ) -> Bool[Array | np.ndarray, " n"]:
     """Determine which sensitivities of the residuals are larger than rounding errors.
 
-    A sensitivity above 1 always counts: there a relative change of a parameter by 100 %
-    changes the readings by more than one standard deviation.
-
-    Args:
-        sensitivities: Singular values or column norms of the Jacobian of the residuals.
-
-    Returns:
-        Whether each sensitivity is larger.
+    They are singular values or column norms of the Jacobian of the residuals. One above 1
+    always counts: there a relative change of a parameter by 100 % changes the readings by
+    more than one standard deviation.
     """
     largest = sensitivities.max(initial=0.0)
     return (sensitivities > ROUNDING * largest) | (sensitivities > 1)

@@ -9,6 +9,7 @@ import optax
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from ..._utils.pytrees import select
 from ..._utils.types import Flag, Scalar
 from .optimizer import AbstractOptimizer, Evaluation, from_numpy
 
@@ -21,18 +22,13 @@ class GradientDescent(AbstractOptimizer):
     small effect converge as fast as others. `optax.sgd(1.0)` is then the Gauss-Newton
     method, damped while the residuals are large.
 
-    Args:
-        optimizer: Optimizer of optax.
-        tolerance: The method has converged if a step changes each normalized parameter
-            by less.
-
     Source:
         Amari, Neural Computation 10, 1998; the damping of Yamashita and Fukushima,
         Computing Supplementum 15, 2001.
     """
 
     optimizer: optax.GradientTransformation = eqx.field(static=True)
-    tolerance: float
+    tolerance: float  # Converged if a step changes each normalized parameter by less
     needs_jacobian: ClassVar[bool] = False
 
     def init(self, point: Float[Array, " parameters"], evaluation: Evaluation) -> Any:
@@ -64,11 +60,7 @@ class GradientDescent(AbstractOptimizer):
                 gradient, inner, point, value=evaluation.loss, grad=gradient
             )
         next_point = jnp.where(failed, (previous + point) / 2, point + change)
-        previous, inner = jax.tree.map(
-            lambda old, new: jnp.where(failed, old, new),
-            (previous, inner),
-            (point, updated),
-        )
+        previous, inner = select(failed, (previous, inner), (point, updated))
         converged = (jnp.max(jnp.abs(change)) < self.tolerance) & ~failed
         return next_point, (previous, inner, initial_norm), converged
 

@@ -210,22 +210,14 @@ _predict = fast_compile(
 
 
 def require_sensors(sensors: Sequence[AbstractSensor]) -> tuple[AbstractSensor, ...]:
-    """Check that there is at least one sensor and that every entry is a sensor.
-
-    Raises:
-        ValueError: The sequence is empty, or an entry is not a sensor.
-    """
+    """Check that there is at least one sensor and that every entry is a sensor."""
     if not (checked := require_kind("sensors", sensors, AbstractSensor)):
         raise ValueError("`sensors` is empty, but a test needs at least one sensor.")
     return checked
 
 
 def random_key(key: KeyLike) -> Array:
-    """Make a random key from an integer seed; a key is returned unchanged.
-
-    Raises:
-        ValueError: The argument is neither a key nor an integer of at most 63 bits.
-    """
+    """Make a random key from an integer of at most 63 bits; return a key unchanged."""
     is_small = not isinstance(key, int) or -(2**63) <= key < 2**63
     if isinstance(key, bool) or not isinstance(key, int | Array) or not is_small:
         raise ValueError(
@@ -236,14 +228,7 @@ def random_key(key: KeyLike) -> Array:
 
 
 def map_in_groups(function: Callable[[Any], Array], trees: Sequence[Any]) -> list[Array]:
-    """Apply a function to each tree; trees of equal structure are evaluated by `vmap`.
-
-    Args:
-        trees: Arguments; those of equal structure and equal shapes are stacked.
-
-    Returns:
-        The results, in the order of the arguments.
-    """
+    """Apply a function to each tree; trees of equal structure are evaluated by `vmap`."""
     results: dict[int, Array] = {}
     for indices in group_by_structure(trees):
         if len(indices) == 1:

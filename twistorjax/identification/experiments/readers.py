@@ -28,8 +28,6 @@ _GLOBAL_UNITS = {"time": "s", "frequency": "Hz"}
 
 
 class _Column(NamedTuple):
-    """One column of a file or a dataset."""
-
     role: str  # "body" or "hinge" for readings, "load", "drive", "time" or "frequency"
     subject: str  # Name of the body or hinge; empty for times and frequencies
     quantity: str  # Quantity, for example "force_x"
@@ -44,8 +42,6 @@ class _Column(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """All columns of a file or a dataset."""
-
     source: str  # Name of the file or the dataset, for messages
     columns: list[_Column]  # Columns, without those of standard deviations
     # Standard deviations by role and name of the column; SI units
@@ -215,7 +211,6 @@ def _make_load_case(inputs: Sequence[_Column], row: int) -> list[Load | Drive]:
 
 
 def _read_file(path: Path) -> _Table:
-    """Read all columns of a text file."""
     file = CsvFile(path)
     if not len(file):
         raise ValueError(f"{path} has no readings: it has only the line of column names.")
@@ -237,9 +232,8 @@ def _read_file(path: Path) -> _Table:
 def _parse_header(source: str, header: str) -> tuple[bool, str, str, str, float]:
     """Parse the header of a column of a text file, such as "sd_hinge_a.force_1_mN".
 
-    Returns:
-        Whether the values are standard deviations, the role, the name of the body or
-        hinge, the quantity, and the factor of the unit to the SI unit.
+    The results are whether the values are standard deviations, the role, the name of the
+    body or hinge, the quantity, and the factor from its unit to the SI unit.
     """
     name = header.removeprefix("sd_")
     is_deviation = name != header
@@ -269,7 +263,6 @@ def _unit_factor(source: str, header: str, quantity: str, unit: str) -> float:
 
 
 def _read_dataset(dataset: Any) -> _Table:
-    """Read all columns of an xarray dataset."""
     table = _Table("the dataset", [], {})
     if "time" in dataset.dims:
         values = np.asarray(dataset["time"].values, float)

@@ -127,15 +127,7 @@ class VibrationTest(AbstractTest):
 
 
 def require_ascending(frequencies: np.ndarray, row_name: Callable[[int], str]) -> None:
-    """Check that measured frequencies are not negative and in ascending order.
-
-    Args:
-        frequencies: Frequencies; NaN if a reading is missing; Hz.
-        row_name: Function that returns the name of a row, for the message.
-
-    Raises:
-        ValueError: A frequency is negative, or smaller than the one before.
-    """
+    """Check that frequencies are ascending and not negative; missing ones are NaN."""
     previous = 0.0
     for row, frequency in enumerate(np.asarray(frequencies).tolist()):
         if frequency < 0:

@@ -7,12 +7,13 @@ with a row and a column more, is regular at a limit point.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._utils.pytrees import select
 from ..._utils.types import Count, Flag, Scalar
 from ...linalg.factors import determinant_sign
 from .system import PathSystem, PathTangent
@@ -114,8 +115,6 @@ class Trace(NamedTuple):
 
 
 class _State(NamedTuple):
-    """State of the continuation."""
-
     last: Node  # The last point that was found
     # The last point that was computed, also if it is out of range
     reached: Float[Array, " n"]
@@ -178,14 +177,9 @@ def follow(
 ) -> Trace:
     """Follow a path from one of its points.
 
-    Args:
-        limits: Interval of the load factor, outside of which the path ends.
-        event: Function of a point whose change of sign ends the path.
-        rows: Number of rows for the points, at least `max_points`.
-
-    Returns:
-        The points. If the load factor leaves its interval, or the event occurs, the last
-        point is the first one behind.
+    The limits are those of the load factor. The path ends with the first point outside of
+    them, or behind a change of sign of the event, a function of a point. The trace has
+    space for `rows` points, at least `max_points`.
     """
     # The branches of a mechanism that is nearly symmetric do not quite meet.
     at_branch = start.orientation == 0
@@ -346,8 +340,3 @@ def follow(
         status=state.status,
         reached=state.reached,
     )
-
-
-def select(flag: Flag, chosen: Any, other: Any) -> Any:
-    """Choose between two pytrees."""
-    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), chosen, other)

@@ -111,10 +111,7 @@ def _branch_residual(
     The coordinates are the displacement along the right null vector, and the change of
     the load factor. The other displacements are in equilibrium (Lyapunov-Schmidt
     reduction). The stiffness is singular at a branch point, and the load does no work in
-    its null vector.
-
-    Returns:
-        The conditions, and the point at these coordinates, divided by the units.
+    its null vector. The second result is the point, divided by the units.
     """
     row_units, factor = metric.units[:-1], start[-1] + coordinates[1]
     left, right = borders

@@ -6,16 +6,16 @@ and the condition that the stiffness is singular (Griewank and Reddien, Characte
 and computation of generalized turning points, SIAM J. Numer. Anal. 21, 1984).
 """
 
+from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._utils.pytrees import jvp_of_varied
+from ..._utils.pytrees import jvp_of_varied, with_derivative
 from ..._utils.types import Count, Flag, Scalar
 from ...linalg.elimination import pivoted_inverse, solve
 from .arc_length import (
@@ -100,10 +100,8 @@ class _Search(NamedTuple):
         Two eigenvalues may change their signs in opposite directions, or the one closest
         to zero may vanish twice: its absolute value is extrapolated by parabolas through
         three points, of which one is in front of or behind the segment, and by straight
-        lines.
-
-        Returns:
-            The place on each segment, as a fraction of its length; zero if there is none.
+        lines. The place on each segment is a fraction of its length; zero if there is
+        none.
         """
         trace = self.trace
         steps = jnp.diff(trace.points, axis=0) / metric.units[None]
@@ -150,15 +148,9 @@ def locate_points(
     """Locate the end of a path and its critical points, between its points.
 
     On each segment, as many critical points are located as the number of negative
-    eigenvalues of the stiffness changes. If they are not found, the path ends before.
-
-    Args:
-        limits: Interval of the load factor.
-        event: Function of a point whose change of sign ended the path.
-
-    Returns:
-        The path up to its end, the critical points, and the number of negative
-        eigenvalues at each point.
+    eigenvalues of the stiffness changes, which is returned for each point. If they are
+    not found, the path ends before. The limits are those of the load factor; `event`
+    changed its sign at the end of the path.
     """
     rows = jnp.arange(len(trace.points))
 
@@ -362,10 +354,8 @@ def _fraction_between(first: _Stability, last: _Stability) -> Scalar:
 
     The stiffness at its last point is compared with that at its first one in each mode.
     If it has become negative in some of them and positive in others, the number of
-    negative eigenvalues changes by less than the number of critical points.
-
-    Returns:
-        The place as a fraction of the length; zero if there are no opposite changes.
+    negative eigenvalues changes by less than the number of critical points. The place is
+    a fraction of the length; zero if there are no opposite changes.
     """
     if not first.modes.size:
         return jnp.zeros(())
@@ -449,10 +439,8 @@ def basis_of_null_space(
 ) -> Float[Array, "free vectors"]:
     """Compute an orthonormal basis of a null space; see `null_vectors`.
 
-    Args:
-        matrix: The stiffness for displacements that the constraints allow.
-        basis: These displacements.
-        load: Forces that do work in the first vector only; zero at a branch point.
+    `matrix` is the stiffness for the displacements `basis`, which the constraints allow.
+    The `load`, which is zero at a branch point, does work in the first vector only.
     """
     values, vectors = jnp.linalg.eigh(matrix)
     count = min(LARGEST_MULTIPLICITY, len(values))
@@ -531,9 +519,8 @@ def bordered_inverse(
 ) -> tuple[Array, Float[Array, "vectors vectors"], Float[Array, "vectors n"]]:
     """Invert a matrix that is almost singular, with a border.
 
-    Returns:
-        The inverse of the bordered matrix, a small matrix that vanishes if all borders
-        are null vectors of `matrix`, and the left null vectors.
+    The second result is a small matrix that vanishes if all borders are null vectors of
+    `matrix`. The third result contains the left null vectors.
     """
     found, size = pivoted_inverse(_bordered(matrix, left, right)), len(matrix)
     return found, found[size:, size:], found[size:, :size]
@@ -548,15 +535,12 @@ def _extended_residual(
 ) -> Float[Array, " n_and_vectors"]:
     """Residual, condition of singularity, and closing conditions of a critical point.
 
-    The unknowns are a point and an unfolding: additional forces along the left null
-    vectors, by which the equations of a branch point are regular. They are zero at a
-    simple limit point. At a branch point, the load factor has no part in the left null
-    vectors. At a multiple point, the mean of the eigenvalues is zero, and those of a
-    limit point are not coupled with the one in which the load does work.
-
-    Args:
-        borders: The left and the right null vectors near the point.
-        unknowns: The point, divided by the units, and the unfolding.
+    The unknowns are a point, divided by the units, and an unfolding: additional forces
+    along the left null vectors, by which the equations of a branch point are regular.
+    They are zero at a simple limit point. At a branch point, the load factor has no part
+    in the left null vectors. At a multiple point, the mean of the eigenvalues is zero,
+    and those of a limit point are not coupled with the one in which the load does work.
+    The borders are the left and the right null vectors near the point.
     """
     left, right = borders
     count = left.shape[1]
@@ -579,23 +563,16 @@ def differentiable_critical_points(
 
     Those of a multiple point are the mean of those of the points into which it separates.
     """
-    one = partial(_differentiable_critical_point, system, metric)
-    return jax.vmap(one)(points, is_branch, tuple(jax.lax.stop_gradient(null)))
+
+    def one(point: Array, branch: Flag, borders: NullVectors) -> Array:
+        return with_derivative(_point_change, point, system, metric, branch, borders)
+
+    return jax.vmap(one)(points, is_branch, jax.lax.stop_gradient(null))
 
 
-@eqx.filter_custom_jvp
-def _differentiable_critical_point(
-    system: PathSystem, metric: Metric, point, branch, borders
-) -> Array:
-    """Return the critical point; see `differentiable_critical_points`."""
-    del system, metric, branch, borders
-    return point
-
-
-@_differentiable_critical_point.def_jvp
-def _(primals, tangents):
-    system, metric, point, branch, borders = primals
-    point = _differentiable_critical_point(*primals)
+def _point_change(point: Array, arguments: Sequence[Any], tangents: Any) -> Array:
+    """Differentiate the equations of a point; see `differentiable_critical_points`."""
+    system, metric, branch, borders = arguments
     found = jnp.all(jnp.isfinite(point))
     metric = jax.lax.stop_gradient(metric)
 
@@ -610,30 +587,24 @@ def _(primals, tangents):
     matrix = jax.jacfwd(partial(equations, system))(unknowns)
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
     change = -solve(matrix, rate)
-    change = jnp.where(found, metric.units * change[:-count], 0.0)
-    return point, change
+    return jnp.where(found, metric.units * change[:-count], 0.0)
 
 
 def differentiable_null_vectors(
     system: PathSystem, metric: Metric, points: Array, null: NullVectors
 ) -> Float[Array, "critical unknowns vectors"]:
     """Return the right null vectors with derivatives with respect to the system."""
-    one = partial(_differentiable_null_vectors, system, metric)
-    return jax.vmap(one)(points, tuple(jax.lax.stop_gradient(null)))
+
+    def one(point: Array, borders: NullVectors) -> Array:
+        arguments = system, metric, point, borders
+        return with_derivative(_null_vector_change, borders.right, *arguments)
+
+    return jax.vmap(one)(points, jax.lax.stop_gradient(null))
 
 
-@eqx.filter_custom_jvp
-def _differentiable_null_vectors(
-    system: PathSystem, metric: Metric, point, borders
-) -> Array:
-    """Return the null vectors; see `differentiable_null_vectors`."""
-    del system, metric, point
-    return borders[1]
-
-
-@_differentiable_null_vectors.def_jvp
-def _(primals, tangents):
-    system, metric, point, borders = primals
+def _null_vector_change(_: Array, arguments: Sequence[Any], tangents: Any) -> Array:
+    """Differentiate null vectors; see `differentiable_null_vectors`."""
+    system, metric, point, borders = arguments
 
     def vectors(system: PathSystem, point: Array) -> Array:
         matrix = scaled_jacobian(metric, system.tangent(point))
@@ -641,5 +612,4 @@ def _(primals, tangents):
         return bordered_inverse(matrix, *borders)[0][:size, size:]
 
     changes = tangents[0], tangents[2]
-    _, change = jvp_of_varied(vectors, (system, point), changes)
-    return _differentiable_null_vectors(*primals), change
+    return jvp_of_varied(vectors, (system, point), changes)[1]

@@ -19,10 +19,9 @@ _POINTS = 60  # of the path; the critical point is close to its start
 def describe_critical_point(
     problem: Problem, start: StateLike | None, solution: Equilibrium
 ) -> str:
-    """Describe the first critical point after the equilibrium that was reached.
+    """Return a sentence about the first critical point after the reached equilibrium.
 
-    Returns:
-        A sentence for an error message; empty if no critical point was found.
+    It is empty if no critical point was found.
     """
     problem, solution = stop_gradient((problem, solution))
     mechanism = problem.mechanism

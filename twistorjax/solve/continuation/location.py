@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._utils.pytrees import select
 from ..._utils.types import Count, Flag, Scalar
-from .arc_length import Metric, select, solve_step, Step
+from .arc_length import Metric, solve_step, Step
 from .system import PathSystem, PathTangent
 
 

@@ -1,14 +1,13 @@
 """Points of a path as displacements, reactions, energies, and stability."""
 
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..._utils.pytrees import jvp_of_varied
+from ..._utils.pytrees import jvp_of_varied, with_derivative
 from ..._utils.types import Count
 from ...assembly.stress import largest_stresses, rows_with_stress
 from ...linalg.constraints import null_space
@@ -125,22 +124,16 @@ def differentiable_points(
     """
     if conditions is None:
         conditions = jnp.zeros(len(points))
-    return jax.vmap(partial(_differentiable_point, system))(points, normals, conditions)
+
+    def one(point: Array, normal: Array, condition: Array) -> Array:
+        return with_derivative(_point_change, point, system, normal, condition)
+
+    return jax.vmap(one)(points, normals, conditions)
 
 
-@eqx.filter_custom_jvp
-def _differentiable_point(
-    system: PathSystem, point: Array, normal: Array, condition: Array
-) -> Array:
-    """Return the point; see `differentiable_points`."""
-    del system, normal, condition
-    return point
-
-
-@_differentiable_point.def_jvp
-def _(primals, tangents):
-    system, point, normal, condition = primals
-    point = _differentiable_point(*primals)
+def _point_change(point: Array, arguments: Sequence[Any], tangents: Any) -> Array:
+    """Differentiate the equations of a point; see `differentiable_points`."""
+    system, normal, condition = arguments
     normal = jax.lax.stop_gradient(normal)
     found = jnp.all(jnp.isfinite(point))
     at = jnp.where(found, point, 0.0)
@@ -148,9 +141,9 @@ def _(primals, tangents):
     def equations(system: PathSystem, condition: Array) -> Array:
         return jnp.append(system.residual(at), condition)
 
-    _, rate = jvp_of_varied(equations, (system, condition), (tangents[0], tangents[3]))
+    _, rate = jvp_of_varied(equations, (system, condition), (tangents[0], tangents[2]))
     tangent = system.tangent(at)
     rows = jnp.concatenate([tangent.jacobian, tangent.by_factor[:, None]], axis=1)
     matrix = jnp.concatenate([rows, normal[None]])
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
-    return point, jnp.where(found, -solve(matrix, rate), 0.0)
+    return jnp.where(found, -solve(matrix, rate), 0.0)

@@ -5,16 +5,16 @@ of the time of a path with an `until`, and half of its compilation
 (`benchmarks.analyses`).
 """
 
+from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..._compile.compilation import fast_compile
-from ..._utils.pytrees import jvp_of_varied, stop_gradient
+from ..._utils.pytrees import jvp_of_varied, stop_gradient, with_derivative
 from ..._utils.types import Count, Flag, Poses, Scalar
 from ...results.codes import is_success, RESULTS
 from ..equations.load_state import LoadState
@@ -105,10 +105,8 @@ def find_ends(
 ) -> RangeEnd:
     """Compute both ends of the range, with one more axis in front.
 
-    Args:
-        system: The equations; the factor of the input is their load factor.
-        start: Displacements without the input; rad, m, m.
-        allowable: Allowable stress of each hinge; Pa.
+    The load factor is the factor of the input, `start` the displacements without it, and
+    the allowable stresses are in Pa.
     """
     return jax.vmap(partial(_end, system, start, allowable))(jnp.array([-1.0, 1.0]))
 
@@ -120,7 +118,8 @@ def _end(
     fixed, limits = stop_gradient((system, allowable))
     search = _find(fixed, jax.lax.stop_gradient(start), limits, side)
     found = jnp.abs(search.excess) < _REACHED
-    point = _differentiable_end(system, allowable, search.point, found, start)
+    arguments = system, allowable, found, start
+    point = with_derivative(_end_change, search.point, *arguments)
     values = jax.tree.map(lambda array: array[0], point_values(system, point[None]))
     stresses = system.stresses(point)
     unstable = jnp.zeros((), bool)
@@ -143,25 +142,12 @@ def _end(
     return RangeEnd(factor, values, stresses, found, result)
 
 
-@eqx.filter_custom_jvp
-def _differentiable_end(
-    system: PathSystem,
-    allowable: Float[Array, " hinges"],
-    point: Float[Array, " n"],
-    by_stress: Flag,
-    start: Poses,
-) -> Float[Array, " n"]:
-    """Return an end of the range with its derivatives.
+def _end_change(point: Array, arguments: Sequence[Any], tangents: Any) -> Array:
+    """Return the change of an end of the range.
 
     It stays where the excess of the stress is zero, or where the stiffness is singular.
     """
-    del system, allowable, by_stress, start
-    return point
-
-
-@_differentiable_end.def_jvp
-def _(primals, tangents):
-    system, allowable, point, by_stress, start = primals
+    system, allowable, by_stress, start = arguments
     fixed = stop_gradient(system)
     # The other kind of end may not exist, and would have derivatives that are infinite.
     at_stress = jnp.where(by_stress, point, jnp.nan)
@@ -185,7 +171,7 @@ def _(primals, tangents):
         )
         return jnp.where(by_stress, by_excess, critical)[0]
 
-    return point, jvp_of_varied(moved, (system, allowable), tangents[:2])[1]
+    return jvp_of_varied(moved, (system, allowable), tangents[:2])[1]
 
 
 def _kind(

@@ -61,11 +61,7 @@ def assemble_path(
     """Check the arguments of `path`, and assemble the equations and the first point.
 
     If the first displacements (rad, m, m) are given by `begin`, those that are prescribed
-    are measured from them.
-
-    Raises:
-        ValueError: An argument is invalid; see `path`.
-        RuntimeError: There is no first equilibrium.
+    are measured from them. A `RuntimeError` is raised if there is no first equilibrium.
     """
     changes = changes_by_factor(strokes, temperature)
     if not loads and not drives and changes is None:
@@ -184,11 +180,7 @@ def check_settings(
     max_points: int,
     max_critical: int = 1,
 ) -> None:
-    """Check the settings of a path.
-
-    Raises:
-        ValueError: A setting is invalid.
-    """
+    """Check the settings of a path."""
     if not isinstance(direction, Mapping) and direction not in (1, -1):
         raise ValueError(f"`direction` is {direction!r}, but must be 1 or -1.")
     limits = concrete(load_factors)

@@ -215,7 +215,6 @@ class Path(PoseSolution):
 
 
 def _critical_lines(points: Iterable[CriticalPoint]) -> list[str]:
-    """Return the lines of a table of critical points."""
     lines = ["critical point   load factor  largest part of the mode"]
     for point in points:
         mode = np.asarray(point.mode)

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
+from ..._utils.pytrees import select
 from ..._utils.types import Count, Flag, Poses, Scalar
-from .arc_length import Metric, Node, select, solve_step
+from .arc_length import Metric, Node, solve_step
 from .critical_points import null_vectors
 from .system import PathSystem, PathTangent
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..._utils.pytrees import stop_gradient
+from ..._utils.pytrees import select, stop_gradient
 from ..._utils.types import Scalar
 
 
@@ -193,7 +193,6 @@ _while_loop = partial(eqxi.while_loop, kind="lax")
 
 @eqx.filter_custom_vjp
 def _solve(inputs: Inputs, constants: Any) -> Any:
-    """Return the result of diffrax."""
     return _solve_with(_while_loop, inputs, constants)
 
 
@@ -302,7 +301,7 @@ def _differentiate(
             get_row(segment, _remainder(previous, record.longest_stride)),
         )
         at_record = _remainder(index, record.stride) == 0
-        return _where(at_record, recorded(previous), in_segment)
+        return select(at_record, recorded(previous), in_segment)
 
     def go_back(carry: _Carry) -> _Carry:
         """Differentiate a step, or replay it if a later one is differentiated first."""
@@ -330,7 +329,7 @@ def _differentiate(
             by_times=by_times,
         )
         replayed = replace(carry, position=carry.position + 1, current=end, segment=None)
-        return replace(_where(replay, replayed, gone_back), segment=segment)
+        return replace(select(replay, replayed, gone_back), segment=segment)
 
     segment = None
     if record.longest_stride > 1:
@@ -355,11 +354,6 @@ def _differentiate(
     )
     by_step, by_args = carry.by_values
     return Inputs(by_step, by_args, carry.by_end, carry.by_shift, carry.by_times)
-
-
-def _where(condition: Any, values: Any, others: Any) -> Any:
-    """Select one of two pytrees."""
-    return jax.tree.map(partial(jnp.where, condition), values, others)
 
 
 def _or_zero(gradient: Any, values: Any) -> Any:

@@ -20,11 +20,7 @@ _SMALLEST_TIME_COUNT = 64  # of a compiled program
 
 
 def check_times(given: NumbersLike) -> Float[Array, " times"]:
-    """Convert the times of a motion (s) to an array.
-
-    Raises:
-        ValueError: There are fewer than two, they do not increase, or one is not finite.
-    """
+    """Convert the times of a motion (s), which must increase, to an array."""
     times = as_float(given)
     if times.ndim != 1 or len(times) < 2:
         raise ValueError(
@@ -96,11 +92,8 @@ def check_velocities(
 ) -> Poses | None:
     """Arrange the initial velocities of named bodies (rad/s, m/s, m/s) in rows.
 
-    They are zero for the other bodies. If none are `given`, the result is None.
-
-    Raises:
-        ValueError: `given` is not a mapping, a name is unknown, or a velocity is given to
-            a coordinate that is not free.
+    They are zero for the other bodies, and may be given for free coordinates only. If
+    none are `given`, the result is None.
     """
     if given is None:
         return None

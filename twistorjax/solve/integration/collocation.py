@@ -37,7 +37,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
-from ..._utils.pytrees import stop_gradient
+from ..._utils.pytrees import select, stop_gradient
 from ..._utils.types import Scalar
 from ...linalg.elimination import inverse
 from ...linalg.products import product
@@ -67,9 +67,7 @@ class _Collocation(dfx.AbstractSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         if made_jump is not False:
             restarted = self.init(terms, t0, t1, y0, args)
-            solver_state = jax.tree.map(
-                lambda new, old: jnp.where(made_jump, new, old), restarted, solver_state
-            )
+            solver_state = select(made_jump, restarted, solver_state)
         return _step(self, t0, t1 - t0, y0, args, solver_state)
 
 
@@ -142,9 +140,8 @@ def _step(
 ) -> tuple[State, State | None, dict[str, Any], StepHistory, dfx.RESULTS]:
     """Advance a motion by one step, from the time `start`; s.
 
-    Returns:
-        The state at the end; its error estimate, if the method has one; the arguments of
-        the dense output; the history of this step; and the result for diffrax.
+    The results are the state at the end; its error estimate, if the method has one; the
+    arguments of the dense output; the history of this step; and the result for diffrax.
     """
     scheme = solver.scheme
     size, mass = state.position.size, system.mass

@@ -96,9 +96,6 @@ class Projected(dfx.AbstractWrappedSolver):
     Therefore the displacements and velocities are projected after each step, in the
     metric of the inertia. The order of the solver does not change.
 
-    Args:
-        solver: A solver for ordinary differential equations.
-
     Source:
         Hairer, Lubich and Wanner, Geometric Numerical Integration, algorithm IV.4.2.
     """

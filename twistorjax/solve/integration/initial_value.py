@@ -173,7 +173,6 @@ def _scales(
 
 
 def _all_finite(*values: Array) -> Flag:
-    """Decide whether all entries of all arrays are finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(value)) for value in values]))
 
 
@@ -201,10 +200,6 @@ def _consistent(
 
     Displacements are divided by a length of the mechanism; see `consistent_rows`.
     Velocities that are `given` must satisfy the constraints; others are projected.
-
-    Returns:
-        Whether the state is consistent; the projected displacements (rad, m); and the
-        projected rates (rad/s, m/s).
     """
     jacobian = system.jacobian(time, position)
     violation = system.violation(time, position)

@@ -58,9 +58,8 @@ class StepHistory(NamedTuple):
     def extrapolate(self, scheme: Scheme, step: Scalar) -> tuple[Array, Array, Array]:
         """Extrapolate to the stages of the next step, of length `step`; s.
 
-        Returns:
-            Accelerations (rad/s^2, m/s^2), mid-frame translations (m), and constraint
-            forces (N m, N), with a row for each stage.
+        There are rows of accelerations (rad/s^2, m/s^2), mid-frame translations (m), and
+        constraint forces (N m, N).
         """
         times = 1 + jnp.asarray(scheme.nodes) * step / self.step
         degrees = np.arange(len(scheme.history_to_coefficients), dtype=float)

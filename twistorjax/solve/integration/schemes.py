@@ -33,7 +33,6 @@ class Scheme(NamedTuple):
 
     @property
     def stages(self) -> int:
-        """Number of stages."""
         return len(self.nodes)
 
     @property
@@ -72,11 +71,9 @@ class Scheme(NamedTuple):
 
 @lru_cache
 def collocation_scheme(family: str, stages: int) -> Scheme:
-    """Compute the coefficients of a collocation method.
+    """Compute the coefficients of a collocation method of the family "gauss" or "radau".
 
-    Args:
-        family: "gauss" for the nodes of Gauss; "radau" for those of Radau, the last of
-            which is the end of the step.
+    The last of the nodes of Radau is the end of the step.
 
     Source:
         Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and

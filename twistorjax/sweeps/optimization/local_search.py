@@ -98,8 +98,7 @@ def _improve(
 ) -> tuple[Float[np.ndarray, " variables"], int]:
     """Run SLSQP, with one factor of the objective after the other until one succeeds.
 
-    Returns:
-        The normalized variables at the end, and the number of steps.
+    The results are the normalized variables at the end, and the number of steps.
     """
     from scipy.optimize import Bounds, minimize
 
@@ -149,9 +148,8 @@ def _independent_limits(
     that are kept, or contradict them, which the violation at the end shows. If gradients
     are dependent at the start only, the search begins beside it.
 
-    Returns:
-        The normalized variables at which the search begins, the rows of the margins of
-        prescribed outputs, and those of the other limits.
+    The results are the normalized variables at which the search begins, the rows of the
+    margins of prescribed outputs, and those of the other limits.
     """
     from scipy.linalg import qr
 

@@ -244,8 +244,7 @@ def _create_problem(
 ) -> Problem:
     """Check the arguments of `optimize`, and trace the program of the study.
 
-    Args:
-        alone: Whether there is one search, which evaluates one design at a time.
+    A search that is `alone` evaluates one design at a time.
     """
     require_float64(jnp.zeros(()))
     objective = minimize if maximize is None else maximize

@@ -62,11 +62,7 @@ class Margins(NamedTuple):
     def of(
         cls, limits: Mapping[str, Limit], columns: Columns, coverage_factor: float
     ) -> "Margins":
-        """Collect the margins of limited outputs, whose columns have one row a design.
-
-        Raises:
-            ValueError: A limit has another shape than its output.
-        """
+        """Collect the margins of limited outputs, whose columns have one row a design."""
         entries, begin = [], 1  # The first row is the objective.
         for name, limit in limits.items():
             column = columns[name]
@@ -260,12 +256,9 @@ class Problem(NamedTuple):
         program whose compilation takes five times as long, and some solvers have first
         derivatives only.
 
-        Args:
-            rows: Rows of the numbers with respect to which to differentiate.
-            evaluate: Function that evaluates two neighbors of the design for each row.
-
-        Returns:
-            The evaluation; it has not succeeded if the study fails for a neighbor.
+        `evaluate` evaluates two neighbors of the design for each of the `rows`, which
+        are indices of numbers. If the study fails for a neighbor, the evaluation has not
+        succeeded.
         """
         vector, space = evaluation.vector, self.space
         neighbors = np.repeat(vector[None], 2 * len(rows), axis=0)
@@ -297,8 +290,7 @@ def output_entry_names(
 ) -> list[str]:
     """Return the names of the entries of an output, such as "stress[left]".
 
-    Args:
-        labels: Names of the entries along an axis, by the name of the axis.
+    `labels` has names of the entries along an axis, by the name of the axis.
     """
     if len(axes) == 1 and axes[0] in labels:
         return [f"{name}[{label}]" for label in np.asarray(labels[axes[0]])]

@@ -76,12 +76,6 @@ class SearchOptions:
             )
 
     def start_vectors(self, space: DesignSpace) -> Float[np.ndarray, "starts numbers"]:
-        """Return the numbers of the design at each start.
-
-        Raises:
-            ValueError: A variable lacks a bound for random starts, or the designs do not
-                fit.
-        """
         if not isinstance(self.starts, int | float | np.number):
             vectors = space.vectors(self.starts)
             return np.where(space.is_variable, vectors, space.start)

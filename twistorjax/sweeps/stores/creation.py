@@ -22,14 +22,7 @@ FORMAT = 4  # version of the layout of the files
 
 
 def require_writable(path: Path) -> None:
-    """Check, before any work is done, that a new store can be created.
-
-    Args:
-        path: Folder of the store, which does not exist.
-
-    Raises:
-        OSError: The parent folder is read-only or is not a folder.
-    """
+    """Check, before any work is done, that a new store can be created."""
     parent = next(parent for parent in path.absolute().parents if parent.exists())
     if not parent.is_dir():
         number, reason = errno.ENOTDIR, "is not a folder"
@@ -45,21 +38,11 @@ def require_writable(path: Path) -> None:
 
 
 def create_store(path: Path, identity: Mapping[str, Any], layout: Layout) -> bool:
-    """Create a store without outputs.
+    """Create a store without outputs; return False if another process has created it.
 
     The store is created in a hidden folder beside `path`, which is then renamed.
-    Therefore `path` never holds an incomplete store. If several processes create the
-    same store at the same time, exactly one of them succeeds, and no locks are needed.
-
-    Args:
-        identity: Entries that identify the sweep.
-        layout: Names, axes and units of all variables of the store.
-
-    Returns:
-        True, or False if another process has created `path` in the meantime.
-
-    Raises:
-        OSError: The store cannot be written.
+    Therefore `path` never holds an incomplete store. If several processes create the same
+    store at the same time, exactly one of them succeeds, and no locks are needed.
     """
     with clear_errors(path, "written"):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -85,9 +68,6 @@ def rewrite_static_files(
     The arguments are those of `create_store` for the sweep that created the store, and
     the shape of its chunks; see `Store`. Chunks of outputs stay unchanged. The manifest
     is replaced last, so that the store counts as damaged until all files are intact.
-
-    Raises:
-        OSError: The store cannot be written.
     """
     temporary = _temporary_store(path, identity, layout, block)
     with clear_errors(path, "written"), temporary as new:

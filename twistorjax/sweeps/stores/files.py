@@ -21,10 +21,8 @@ def write_manifest(folder: Path, contents: Mapping[str, Any]) -> None:
     """Write the manifest of a new store, with a digest of each file of the store.
 
     These files hold the coordinates, the labels and all metadata. They never change. The
-    files of outputs are written later and have checksums of their own.
-
-    Args:
-        contents: Further entries; anything that JSON can represent.
+    files of outputs are written later and have checksums of their own. JSON can represent
+    the contents.
     """
     files = {
         path.relative_to(folder).as_posix(): _file_digest(path)
@@ -37,14 +35,7 @@ def write_manifest(folder: Path, contents: Mapping[str, Any]) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Read the manifest of a store.
-
-    Returns:
-        The entries of the manifest, or `None` if there is no manifest.
-
-    Raises:
-        OSError: The manifest cannot be read, or is damaged.
-    """
+    """Read the entries of the manifest of a store; None if there is no manifest."""
     try:
         with clear_errors(folder, "read"):
             content = (folder / MANIFEST).read_bytes()
@@ -59,11 +50,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def damaged_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
-    """List the files that are missing or have changed since they were written.
-
-    Raises:
-        OSError: A file cannot be read.
-    """
+    """List the files that are missing or have changed since they were written."""
     damaged = []
     for name, digest in digests.items():
         try:
@@ -79,9 +66,7 @@ def damaged_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
 def damage_error(folder: Path, what: str, remedy: str) -> OSError:
     """Create the error for a store with a damaged file.
 
-    Args:
-        what: What is damaged, such as "its file 'zarr.json'".
-        remedy: What the user can do; a sentence.
+    `what` is damaged, such as "its file 'zarr.json'"; the remedy is a sentence.
     """
     return OSError(
         errno.EIO,

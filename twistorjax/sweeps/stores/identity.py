@@ -20,19 +20,7 @@ from .store import Store
 def open_store(
     path: Path, layout: Layout, identity: Mapping[str, Any], resume: bool
 ) -> Store:
-    """Create the store of a sweep, or prepare an existing one, and open it.
-
-    Args:
-        layout: Names, axes and units of all variables of the store.
-
-    Returns:
-        The store, open for reading and writing.
-
-    Raises:
-        ValueError: The store exists and `resume` is False, or it belongs to another
-            sweep.
-        OSError: The store cannot be read or written.
-    """
+    """Create the store of a sweep, or prepare an existing one, and open it."""
     if jax.process_index() == 0 and (
         path.exists() or not create_store(path, identity, layout)
     ):
@@ -57,15 +45,7 @@ def sweep_identity(
     units: Mapping[str, str] | None,
     settings: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """Collect the entries by which sweeps are distinguished.
-
-    Args:
-        units: Units of parameters and outputs, by name.
-        settings: Further entries, which JSON can represent.
-
-    Raises:
-        ValueError: JSON cannot represent the settings.
-    """
+    """Collect the entries by which sweeps are distinguished, which JSON can represent."""
     digest = hashlib.sha256()
     for name, array in zip(designs.names, designs.arrays, strict=True):
         digest.update(f"{name} {array.dtype} {array.shape};".encode())

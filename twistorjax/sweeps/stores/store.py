@@ -29,17 +29,8 @@ class Store:
     """A folder of compressed arrays in zarr format, which is written chunk by chunk.
 
     The checksum of a chunk is written after all of its values, and each file is replaced
-    as a whole. Therefore a process may be killed at any moment, and several processes
-    may write the same chunks.
-
-    Args:
-        path: Folder of the store. Only its manifest is read until `open` is called.
-
-    Raises:
-        ImportError: zarr is not installed.
-        FileNotFoundError: The folder does not exist.
-        ValueError: The folder is not a store of a sweep, or has another format.
-        OSError: The manifest cannot be read, or is damaged.
+    as a whole. Therefore a process may be killed at any moment, and several processes may
+    write the same chunks. Only the manifest is read until `open` is called.
     """
 
     def __init__(self, path: str | Path):
@@ -70,11 +61,7 @@ class Store:
         self._checksums: Any = None
 
     def damaged_files(self) -> list[str]:
-        """List the paths of damaged files of coordinates, labels and metadata.
-
-        Raises:
-            OSError: A file cannot be read.
-        """
+        """List the paths of damaged files of coordinates, labels and metadata."""
         return damaged_files(self.path, self._digests)
 
     def open(self, mode: Literal["r", "r+"] = "r+") -> "Store":
@@ -82,9 +69,6 @@ class Store:
 
         The mode is "r" for reading, and "r+" for reading and writing. The store itself is
         returned.
-
-        Raises:
-            OSError: A file is damaged or cannot be read.
         """
         if damaged := self.damaged_files():
             remedy = (
@@ -100,15 +84,7 @@ class Store:
         return self
 
     def check_identity(self, identity: Mapping[str, Any]) -> None:
-        """Check that this store belongs to a sweep.
-
-        Args:
-            identity: Entries that identify the sweep that is resumed.
-
-        Raises:
-            ValueError: Another sweep created the store; the message lists the
-                differences.
-        """
+        """Check that this store belongs to the sweep that is resumed."""
         differences = [
             f"the {name}"
             if _is_digest(stored)
@@ -134,14 +110,9 @@ class Store:
                     path.unlink()
 
     def read(self, name: str, chunks: Bool[np.ndarray, " chunks"]) -> np.ndarray:
-        """Read an output of all designs.
+        """Read an output of all designs, with the axes of the array in the store.
 
-        Args:
-            chunks: Whether each chunk is read. Other chunks are filled with the value of
-                an output that has not been computed.
-
-        Returns:
-            The output, with the axes of the array in the store.
+        Chunks that are not read have the value of an output that has not been computed.
         """
         array = self._arrays[name]
         values = np.full(array.shape, fill_value(name, array.dtype), array.dtype)
@@ -164,14 +135,7 @@ class Store:
         )
 
     def write(self, chunk: int, values: Mapping[str, np.ndarray]) -> None:
-        """Write a chunk, and then its checksum.
-
-        Args:
-            values: Outputs of its designs, by name.
-
-        Raises:
-            OSError: The store cannot be written.
-        """
+        """Write a chunk of outputs, and then its checksum."""
         part = self._part(chunk)
         shape = tuple(axis.stop - axis.start for axis in part)
         count = math.prod(shape)

@@ -135,7 +135,8 @@ def reporting_errors(context: str = "") -> Iterator[None]:
     except (ImportError, OSError, ValueError) as error:
         raise UsageError(f"{context}{error}") from None
     except RuntimeError as error:
-        if is_out_of_memory(error):
+        is_fault = isinstance(error, NotImplementedError | RecursionError)
+        if is_fault or is_out_of_memory(error):
             raise
         raise SolveError(f"{context}{error}") from None
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close, mostly_slow
+from saved_models import saved_mechanism
 
 import twistorjax as tj
 from twistorjax.energies.base import (
@@ -216,6 +217,25 @@ def test_energies_in_a_container_are_dilated_and_keep_their_ranges():
     assert_close(value(grown, jnp.array(large)), 8 * value(pair, jnp.array(small)))
     far = Displacement.from_pose(jnp.array([2.0, 0.0, 0.0]))
     assert bool(out_of_range(pair, far))
+
+
+def saved_energies():
+    """Return all energies that files may contain."""
+    mechanism = saved_mechanism(6)
+    assembly = mechanism.hinge_assembly
+    return [assembly.energy_of(k) for k in range(len(mechanism.hinge_names))]
+
+
+def test_the_energy_of_a_larger_hinge_grows_with_its_volume():
+    """At the same strains. An energy of unknown dimensions stays as it is."""
+    small, large = jnp.array([0.05, 1e-4, 1e-3]), jnp.array([0.05, 2e-4, 2e-3])
+    changed = set()
+    for energy in [*ENERGIES.values(), *saved_energies()]:
+        grown = dilated(energy, jnp.array(2.0))
+        if grown is not energy:
+            changed.add(type(energy).__name__)
+            assert_close(value(grown, large), 8 * value(energy, small))
+    assert changed >= {"AxialSpring", "BeamColumn", "MixedEnergy", "Quadratic"}
 
 
 def test_an_invalid_value_is_found_at_any_depth():

@@ -163,7 +163,7 @@ def test_the_table_of_files_to_touch_is_true(example, files):
 
 def test_the_table_of_files_to_touch_has_four_rows():
     assert [example for example, _ in _ROWS] == [
-        "PointCharges", "piezo_stack", "state_space", "range_shares",
+        "PointCharges", "linear_leaf", "state_space", "range_shares",
     ]  # fmt: skip
 
 

@@ -204,7 +204,7 @@ class HingeAssembly(eqx.Module):
         return AssemblyTangent(local, self.bodies, self.ends, self._order())
 
     def multiply_stiffness(
-        self, stiffness: Float[Array, "6 6 hinges"], vector: Float[Array, " dofs"]
+        self, stiffness: Float[Array, "6 6 members"], vector: Float[Array, " dofs"]
     ) -> Float[Array, " dofs"]:
         """Multiply an assembled stiffness and a vector of displacements; rad, m, m."""
         of_hinges = vector[self._dofs()]
@@ -256,19 +256,19 @@ class HingeAssembly(eqx.Module):
         self,
         displacements: Poses,
         rates: Poses,
-        stretches: Float[Array, "hinges 2"] | None = None,
-    ) -> tuple[Wrenches, Float[Array, "hinges 2"], tuple[Scalar, Scalar]]:
+        translations: Float[Array, "members 2"] | None = None,
+    ) -> tuple[Wrenches, Float[Array, "members 2"], tuple[Scalar, Scalar]]:
         """Compute elastic and viscous forces on each body, and two powers.
 
         Args:
-            stretches: Mid-frame translations for which the forces are computed, in the
+            translations: Mid-frame translations for which the forces are computed, in the
                 order of the members; by default those of the displacements; m.
 
         Returns:
             The forces; N m, N, N. The mid-frame translations of the displacements minus
-            the stretches; m. The power that is dissipated, and that of strokes; W.
+            the translations; m. The power that is dissipated, and that of strokes; W.
         """
-        per_member = self._motion_arguments(rates, stretches)
+        per_member = self._motion_arguments(rates, translations)
         local, excess, (dissipated, by_strokes) = self._evaluate(
             motion_forces.forces_in_motion, displacements, *per_member, damped=True
         )
@@ -281,29 +281,29 @@ class HingeAssembly(eqx.Module):
         displacements: Poses,
         rates: Poses,
         free: tuple[int, ...],
-        stretches: Float[Array, "hinges 2"] | None = None,
+        translations: Float[Array, "members 2"] | None = None,
     ) -> AssemblyMotionTangent:
         """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
-        per_member = self._motion_arguments(rates, stretches)
+        per_member = self._motion_arguments(rates, translations)
         local = self._evaluate(
             motion_forces.tangent_in_motion, displacements, *per_member, damped=True
         )
         return AssemblyMotionTangent.of(local, self.ends, self._order(), free)
 
-    def stretches(self, displacements: Poses) -> Float[Array, "hinges 2"]:
+    def translations(self, displacements: Poses) -> Float[Array, "members 2"]:
         """Compute the mid-frame translation of each member; m."""
 
         def coordinates(_, *hinge):
             return hinge_forces.hinge_coordinates(mid_frame(*hinge).displacement)
 
-        _, *stretches = self._evaluate(coordinates, displacements)
-        return jnp.stack(stretches, axis=1)
+        _, *translations = self._evaluate(coordinates, displacements)
+        return jnp.stack(translations, axis=1)
 
-    def _motion_arguments(self, rates: Poses, stretches: Array | None):
-        """Arrange the rates of both bodies of each member, and the stretches."""
+    def _motion_arguments(self, rates: Poses, translations: Array | None):
+        """Arrange the rates of both bodies of each member, and the translations."""
         ends = np.array(self.ends).reshape(-1, 2)[list(self._order())]
         both = tuple(tuple(rates[body].T) for body in ends.T)
-        return (both,) if stretches is None else (both, tuple(stretches.T))
+        return (both,) if translations is None else (both, tuple(translations.T))
 
     def _gather(self, forces) -> Float[Array, " dofs"]:
         """Sum the forces of all members on each degree of freedom; N m, N."""

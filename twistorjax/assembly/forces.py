@@ -30,8 +30,8 @@ def energy_and_forces(
 ) -> tuple[Scalar, Six]:
     """Compute the energy (J), and its derivatives by the six displacements; N m, N."""
     kinematics = HingeKinematics.of(first, second, axis)
-    value, slopes = energy_and_gradient(energy, kinematics.middle.displacement)
-    return value, on_bodies(kinematics, slopes)
+    value, gradient = energy_and_gradient(energy, kinematics.middle.displacement)
+    return value, on_bodies(kinematics, gradient)
 
 
 @jax.jit
@@ -46,9 +46,9 @@ def forces_and_stress(
     """
     kinematics = HingeKinematics.of(first, second, axis)
     at = kinematics.middle.displacement
-    slopes = energy_gradient(energy, at)
+    gradient = energy_gradient(energy, at)
     scale, growth, _ = _translation_scale(energy, at)
-    return on_bodies(kinematics, slopes), _stress(at, slopes, scale, growth)
+    return on_bodies(kinematics, gradient), _stress(at, gradient, scale, growth)
 
 
 class HingeTangent(NamedTuple):
@@ -114,17 +114,17 @@ def tangent(
         for direct, rate_1, rate_2 in zip(moment, rates_1, rates_2, strict=True)
     )
     by_angle, by_y1, by_y2 = zip(rates_0, rates_1, rates_2, strict=True)
-    slopes = gradient
+    geometric_forces = gradient
     if predicted is not None:
         # Their second derivatives are multiplied by the predicted stress.
         b0, b1, b2 = predicted
         h00 = h00 + growth_rate * (y1 * (b1 - s1) + y2 * (b2 - s2))
         h01, h02 = h01 + growth * (b1 - s1), h02 + growth * (b2 - s2)
-        slopes = b0 + growth * (y1 * b1 + y2 * b2), scale * b1, scale * b2
+        geometric_forces = b0 + growth * (y1 * b1 + y2 * b2), scale * b1, scale * b2
     hessian = (h00, h01, h02), (h01, h11, h12), (h02, h12, h22)
     columns = kinematics.columns()
     products = [combine(hessian, column) for column in columns]
-    geometric = kinematics.geometric_stiffness(slopes)
+    geometric = kinematics.geometric_stiffness(geometric_forces)
     return HingeTangent(
         forces=of_four(columns, gradient),
         stiffness=tuple(
@@ -168,7 +168,7 @@ class Factored(NamedTuple):
 def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Factored:
     """Compute the stiffness of the `tangent` in factors with accurate small entries."""
     kinematics = HingeKinematics.of(first, second, axis)
-    slopes, hessian_times = gradient_and_hessian(energy, kinematics.middle.displacement)
+    gradient, hessian_times = gradient_and_hessian(energy, kinematics.middle.displacement)
     hessian = as_matrix(hessian_times)
     (a, b, c), (_, d, e), (_, _, f) = hessian
     # Gaussian elimination, as long as the stiffness is positive. The remaining matrix is
@@ -185,7 +185,7 @@ def factored(energy: AbstractEnergy, first: End, second: End, axis: Axis) -> Fac
     left = as_array(((a, b, c), (b, d, e), (c, e, f)))
     row1, row2, row3 = as_array(kinematics.columns()).T
     rows = jnp.stack([row1 + ba * row2 + ca * row3, row2 + eb * row3, row3])
-    geometric = as_array(kinematics.geometric_stiffness(slopes))
+    geometric = as_array(kinematics.geometric_stiffness(gradient))
     remainder = product(product(rows.T, left), rows) + geometric
     four = jnp.asarray(FOUR_FROM_SIX_MATRIX)
     remainder = product(product(four.T, remainder), four)
@@ -258,14 +258,14 @@ def _energy_function(energy: AbstractEnergy, at: Displacement) -> Callable[..., 
     return stored_energy
 
 
-def _stress(at: Displacement, slopes: Three, scale: Scalar, growth: Scalar) -> Three:
+def _stress(at: Displacement, gradient: Three, scale: Scalar, growth: Scalar) -> Three:
     """Compute the generalized stress from the derivatives of the energy; N m, N, N.
 
     `growth` is the derivative of the translation scale by the angle; 1/rad.
     """
     _, y1, y2 = hinge_coordinates(at)
-    s1, s2 = slopes[1] / scale, slopes[2] / scale
-    return slopes[0] - growth * (y1 * s1 + y2 * s2), s1, s2
+    s1, s2 = gradient[1] / scale, gradient[2] / scale
+    return gradient[0] - growth * (y1 * s1 + y2 * s2), s1, s2
 
 
 def _translation_scale(
@@ -281,11 +281,11 @@ def _translation_scale(
         displacement = displacement_at(at, (angle, y1, y2))
         return energy.translation_scale(displacement)
 
-    def slope(angle: Scalar) -> tuple[Scalar, Scalar]:
+    def scale_and_growth(angle: Scalar) -> tuple[Scalar, Scalar]:
         return jax.jvp(scale, (angle,), (jnp.ones_like(angle),))
 
     (value, growth), (_, growth_rate) = jax.jvp(
-        slope, (at.angle,), (jnp.ones_like(at.angle),)
+        scale_and_growth, (at.angle,), (jnp.ones_like(at.angle),)
     )
     return value, growth, growth_rate
 
@@ -305,18 +305,18 @@ def displacement_at(at: Displacement, coordinates: Three) -> Displacement:
     return Displacement(angle, cos, sin, y1 / 2, y2 / 2)
 
 
-def on_bodies(kinematics: HingeKinematics, slopes: Three) -> Six:
+def on_bodies(kinematics: HingeKinematics, gradient: Three) -> Six:
     """Convert forces on the coordinates to forces on the displacements; N m, N, N."""
-    on_a, on_b, x, y = of_four(kinematics.columns(), slopes)
+    on_a, on_b, x, y = of_four(kinematics.columns(), gradient)
     return on_a, -x, -y, on_b, x, y
 
 
-def of_four(columns: tuple[Three, Three, Three, Three], slopes: Three) -> Four:
+def of_four(columns: tuple[Three, Three, Three, Three], gradient: Three) -> Four:
     """Convert derivatives by the coordinates to those by the four displacements.
 
     `columns` are the derivatives of the coordinates by the four displacements.
     """
-    a, b, x, y = (dot(column, slopes) for column in columns)
+    a, b, x, y = (dot(column, gradient) for column in columns)
     return a, b, x, y
 
 

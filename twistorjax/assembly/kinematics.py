@@ -115,8 +115,9 @@ class MidFrame(NamedTuple):
     sin: Scalar  # Sine of the angle of the mid-frame in the world
     # Derivative of the translation of `displacement` with respect to the rotation, at a
     # constant translation of frame b; None without misfit; m/rad
-    slope: Two | None = None
-    curvature: Two | None = None  # The second derivative; None without misfit; m/rad^2
+    misfit_slope: Two | None = None
+    # The second derivative; None without misfit; m/rad^2
+    misfit_curvature: Two | None = None
     # Rates of the coordinates of the hinge, minus that of its turn, at constant poses of
     # its bodies; None if its misfit is constant; rad/s, m/s, m/s
     drift: Three | None = None
@@ -161,15 +162,22 @@ def mid_frame(first: End, second: End, axis: Axis) -> MidFrame:
         x1 - free_1 / 2,
         x2 - free_2 / 2,
     )
-    slope = (xi * e1 - sigma * f1) / 2, (xi * e2 - sigma * f2) / 2
-    curvature = free_1 / 4, free_2 / 4
+    misfit_slope = (xi * e1 - sigma * f1) / 2, (xi * e2 - sigma * f2) / 2
+    misfit_curvature = free_1 / 4, free_2 / 4
     drift = drift_slope = None
     if axis.misfit_rate is not None:
         rate, _, _, e1, e2, f1, f2, turn_rate = axis.misfit_rate
         drift = -rate - turn_rate, -sigma * e1 - xi * f1, -sigma * e2 - xi * f2
         drift_slope = (xi * e1 - sigma * f1) / 2, (xi * e2 - sigma * f2) / 2
     return MidFrame(
-        displacement, (x1, x2), cos, sin, slope, curvature, drift, drift_slope
+        displacement,
+        (x1, x2),
+        cos,
+        sin,
+        misfit_slope,
+        misfit_curvature,
+        drift,
+        drift_slope,
     )
 
 
@@ -205,7 +213,7 @@ class HingeKinematics(NamedTuple):
         c, s = self.middle.cos, self.middle.sin
         half_y1, half_y2 = self.middle.half
         one, zero = jnp.ones_like(c), jnp.zeros_like(c)
-        k1, k2 = self.middle.slope or (zero, zero)
+        k1, k2 = self.middle.misfit_slope or (zero, zero)
         return (
             (-one, half_y2 + self.a2 - k1, -half_y1 - self.a1 - k2),
             (one, half_y2 - self.b2 + k1, -half_y1 + self.b1 + k2),
@@ -228,20 +236,23 @@ class HingeKinematics(NamedTuple):
             return rates
         return rates[0] + drift[0], rates[1] + drift[1], rates[2] + drift[2]
 
-    def geometric_stiffness(self, slopes: Three) -> list[list[Scalar]]:
+    def geometric_stiffness(self, forces: Three) -> list[list[Scalar]]:
         """Compute the second derivatives of the coordinates times given forces.
 
-        `slopes` are the derivatives of the energy with respect to the coordinates; N m,
+        `forces` are those on the coordinates: the derivatives of the energy; N m,
         N, N. The result is the stiffness against the four displacements; N m/rad, N/rad.
         """
-        _, g1, g2 = slopes
+        _, g1, g2 = forces
         c, s = self.middle.cos, self.middle.sin
         x, y = c * g1 - s * g2, s * g1 + c * g2  # the force in world axes
         half_y1, half_y2 = self.middle.half
         same = -(g1 * half_y1 + g2 * half_y2) / 2
         mixed = same + (g1 * (self.b1 - self.a1) + g2 * (self.b2 - self.a2)) / 2
-        if self.middle.curvature is not None:
-            of_misfit = g1 * self.middle.curvature[0] + g2 * self.middle.curvature[1]
+        if self.middle.misfit_curvature is not None:
+            of_misfit = (
+                g1 * self.middle.misfit_curvature[0]
+                + g2 * self.middle.misfit_curvature[1]
+            )
             same, mixed = same + of_misfit, mixed - of_misfit
         zero = jnp.zeros_like(same)
         return [
@@ -264,7 +275,7 @@ class HingeKinematics(NamedTuple):
         middle = self.middle
         (k1, k2), (p1, p2), (r1, r2) = (
             part or (zero, zero)
-            for part in (middle.slope, middle.curvature, middle.drift_slope)
+            for part in (middle.misfit_slope, middle.misfit_curvature, middle.drift_slope)
         )
         rotation, along, across = (rate / 2 for rate in rates)
         along, across = along - k1 * rotation, across - k2 * rotation

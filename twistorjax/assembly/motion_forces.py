@@ -34,7 +34,7 @@ def forces_in_motion(
     second: End,
     axis: Axis,
     rates: tuple[Three, Three],
-    stretch: Two | None = None,
+    translation: Two | None = None,
 ) -> tuple[Six, Two, Two]:
     """Compute elastic and viscous forces, the dissipated power, and that of the stroke.
 
@@ -42,32 +42,32 @@ def forces_in_motion(
         axis: Axis of the hinge in the reference configuration, its misfit, and the rate
             of this misfit.
         rates: Rates of (angle, x, y) of both bodies; rad/s, m/s, m/s.
-        stretch: Mid-frame translation for which the forces are computed; by default that
-            of the displacement. A solver may predict it, as Newton's method predicts the
-            generalized stress; m.
+        translation: Mid-frame translation for which the forces are computed; by default
+            that of the displacement. A solver may predict it, as Newton's method predicts
+            the generalized stress; m.
 
     Returns:
-        The forces (N m, N); the translation of the displacement minus the `stretch` (m);
+        The forces (N m, N); the translation of the displacement minus the given one (m);
         and the powers (W).
     """
     kinematics = HingeKinematics.of(first, second, axis)
     angle = kinematics.middle.displacement.angle
     kinematics = computed_once(kinematics, angle)
-    at, excess = _with_stretch(kinematics.middle.displacement, stretch)
-    slopes = elastic = energy_gradient(energy, at)
-    dissipated = by_stroke = jnp.zeros_like(slopes[0])
+    at, excess = _with_translation(kinematics.middle.displacement, translation)
+    total = elastic = energy_gradient(energy, at)
+    dissipated = by_stroke = jnp.zeros_like(elastic[0])
     if damping is not None:
         hinge_rates = kinematics.with_drift(kinematics.rates(*rates))
-        viscous = _viscous_slopes(energy, damping, at, hinge_coordinates(at), hinge_rates)
+        viscous = _viscous_forces(energy, damping, at, hinge_coordinates(at), hinge_rates)
         dissipated = dot(viscous, hinge_rates)
-        slopes = _sum(slopes, viscous)
+        total = _sum(total, viscous)
     if kinematics.middle.drift is not None:
-        by_stroke = dot(slopes, kinematics.middle.drift)
+        by_stroke = dot(total, kinematics.middle.drift)
         if isinstance(energy, NaturallyCurved) and axis.misfit_rate is not None:
             # The drift contains the rate of the turn, which is not one of a coordinate.
             by_turn = energy.slope_by_turn(at) + elastic[0]
             by_stroke = by_stroke + by_turn * axis.misfit_rate.turn
-    forces = on_bodies(kinematics, computed_once(slopes, angle))
+    forces = on_bodies(kinematics, computed_once(total, angle))
     return forces, excess, (dissipated, by_stroke)
 
 
@@ -78,17 +78,17 @@ class HingeMotionTangent(NamedTuple):
     the bodies.
     """
 
-    # Derivatives with respect to the displacements, on which the stretch depends as well;
-    # not symmetric if a damped hinge moves, because the viscous forces depend on its
-    # rotation
+    # Derivatives with respect to the displacements, on which the translation depends as
+    # well; not symmetric if a damped hinge moves, because the viscous forces depend on
+    # its rotation
     stiffness: Float[Array, "4 4"]
     damping: Float[
         Array, "4 4"
     ]  # Derivatives with respect to the rates of the displacements
     # Derivatives of the mid-frame translation
-    stretch_by_displacement: Float[Array, "2 4"]
+    translation_by_displacement: Float[Array, "2 4"]
     # Derivatives of the forces with respect to the mid-frame translation
-    force_by_stretch: Float[Array, "2 4"]
+    force_by_translation: Float[Array, "2 4"]
 
 
 @jax.jit
@@ -99,7 +99,7 @@ def tangent_in_motion(
     second: End,
     axis: Axis,
     rates: tuple[Three, Three],
-    stretch: Two | None = None,
+    translation: Two | None = None,
 ) -> HingeMotionTangent:
     """Compute the derivatives of `forces_in_motion`, for the same arguments.
 
@@ -107,16 +107,16 @@ def tangent_in_motion(
     uses scalars, because they reduce its run time in large batches by a fifth.
     """
     kinematics = HingeKinematics.of(first, second, axis)
-    at, _ = _with_stretch(kinematics.middle.displacement, stretch)
+    at, _ = _with_translation(kinematics.middle.displacement, translation)
     columns = as_array(kinematics.columns())
-    slopes, hessian_times = gradient_and_hessian(energy, at)
+    total, hessian_times = gradient_and_hessian(energy, at)
     hessian = as_matrix(hessian_times)
     if damping is None:
         products, damping_matrix = product(columns, hessian), jnp.zeros((4, 4))
     else:
         constant_misfit = kinematics.rates(*rates)
         viscous, derivative = jax.linearize(
-            lambda coordinates, rates: _viscous_slopes(
+            lambda coordinates, rates: _viscous_forces(
                 energy, damping, at, coordinates, rates, at
             ),
             hinge_coordinates(at),
@@ -130,27 +130,29 @@ def tangent_in_motion(
         rate_columns = as_array(kinematics.rate_columns(constant_misfit, mean))
         products = product(columns, hessian) + product(rate_columns, by_both[3:])
         damping_matrix = product(columns, product(columns, by_both[3:]).T)
-        slopes = _sum(slopes, viscous)
-    geometric = as_array(kinematics.geometric_stiffness(slopes))
+        total = _sum(total, viscous)
+    geometric = as_array(kinematics.geometric_stiffness(total))
     return HingeMotionTangent(
         stiffness=product(columns, products.T) + geometric,
         damping=damping_matrix,
-        stretch_by_displacement=columns[:, 1:].T,
-        force_by_stretch=product(hessian[1:], columns.T),
+        translation_by_displacement=columns[:, 1:].T,
+        force_by_translation=product(hessian[1:], columns.T),
     )
 
 
-def _with_stretch(at: Displacement, stretch: Two | None) -> tuple[Displacement, Two]:
+def _with_translation(
+    at: Displacement, translation: Two | None
+) -> tuple[Displacement, Two]:
     """Replace the translation of a displacement, and return the difference; m."""
-    if stretch is None:
+    if translation is None:
         zero = jnp.zeros_like(at.x1)
         return at, (zero, zero)
-    y1, y2 = stretch
+    y1, y2 = translation
     replaced = Displacement(at.angle, at.sigma, at.xi, y1 / 2, y2 / 2)
     return replaced, (2 * at.x1 - y1, 2 * at.x2 - y2)
 
 
-def _viscous_slopes(
+def _viscous_forces(
     energy: AbstractEnergy,
     damping: ViscousDamping,
     at: Displacement,

@@ -26,7 +26,7 @@ _WHOLE = np.arange(16).reshape(4, 4)
 class AssemblyTangent(eqx.Module):
     """Forces and stiffness of each hinge with respect to its four displacements."""
 
-    each: HingeTangent  # The tangent of each hinge; its arrays have an axis of hinges
+    each: HingeTangent  # The tangent of each member; its arrays have an axis of members
     bodies: int = eqx.field(static=True)
     # Indices of the two bodies of each hinge
     ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
@@ -34,7 +34,7 @@ class AssemblyTangent(eqx.Module):
     order: tuple[int, ...] = eqx.field(static=True)
 
     @property
-    def stiffness(self) -> Float[Array, "10 hinges"]:
+    def stiffness(self) -> Float[Array, "10 members"]:
         """Upper triangle of the stiffness of each hinge; N m/rad, N/rad, N/m."""
         return jnp.stack(self.each.stiffness)
 
@@ -59,7 +59,7 @@ class AssemblyTangent(eqx.Module):
         shape, of_pairs = (len(rows), len(columns)), _of_pairs(_SYMMETRIC)
         return _sum_entries(self.stiffness, indices, *of_pairs, shape)
 
-    def hinge_stiffness(self) -> Float[Array, "6 6 hinges"]:
+    def hinge_stiffness(self) -> Float[Array, "6 6 members"]:
         """Return the stiffness of each hinge with respect to its six displacements."""
         entry, signs = _of_pairs(_SYMMETRIC)
         entries = self.stiffness[entry] * jnp.asarray(signs)[:, None]
@@ -98,7 +98,7 @@ def _of_rows(rows: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sum_entries(
-    entries: Float[Array, "*four hinges"],
+    entries: Float[Array, "*four members"],
     indices: tuple[np.ndarray, np.ndarray],
     position: np.ndarray,
     signs: np.ndarray,
@@ -126,9 +126,9 @@ class AssemblyMotionTangent(NamedTuple):
     # Derivatives with respect to rates; N m s/rad, N s/rad, N s/m
     damping: Float[Array, "free free"]
     # Derivatives of the mid-frame translations; m/rad, -
-    stretch_by_displacement: Float[Array, "free stretches"]
+    translation_by_displacement: Float[Array, "free translations"]
     # Derivatives of the forces with respect to the mid-frame translations; N, N/m
-    force_by_stretch: Float[Array, "free stretches"]
+    force_by_translation: Float[Array, "free translations"]
 
     @classmethod
     def of(
@@ -144,19 +144,21 @@ class AssemblyMotionTangent(NamedTuple):
         """
         pairs = matrix_entries(ends, order, free, free)
         lines = row_entries(ends, order, free)
-        count, stretches = len(free), 2 * len(order)
+        count, translations = len(free), 2 * len(order)
 
         def by_dofs(entries: Array) -> Float[Array, "free free"]:
             entries = jnp.moveaxis(entries, 0, -1)
             return _sum_entries(entries, pairs, *_of_pairs(_WHOLE), (count, count))
 
-        def by_stretches(entries: Array) -> Float[Array, "free stretches"]:
+        def by_translations(entries: Array) -> Float[Array, "free translations"]:
             entries = jnp.moveaxis(entries, 0, -1)
-            return _sum_entries(entries, lines, *_of_rows(2), (count, stretches))
+            return _sum_entries(entries, lines, *_of_rows(2), (count, translations))
 
         return cls(
             stiffness=by_dofs(tangent.stiffness),
             damping=by_dofs(tangent.damping),
-            stretch_by_displacement=by_stretches(tangent.stretch_by_displacement),
-            force_by_stretch=by_stretches(tangent.force_by_stretch),
+            translation_by_displacement=by_translations(
+                tangent.translation_by_displacement
+            ),
+            force_by_translation=by_translations(tangent.force_by_translation),
         )

@@ -2,11 +2,12 @@
 
 Start reading in `base`. A new energy is a subclass of `AbstractEnergy` with one method,
 `stored_energy(displacement)`, and may be defined in any file. The energy is written with
-`jax.numpy`, is twice differentiable, and its gradient is zero in the reference
-configuration. The other methods of `AbstractEnergy` are optional.
+`jax.numpy` and is twice differentiable. Its gradient should be zero in the reference
+configuration; then `is_unloaded` says so. The other methods of `AbstractEnergy` are
+optional.
 
-`quadratic`, `polynomial` (also rational energies), `mixed`, `one_freedom`, and
-`beam_column` (flexures), and `point_charges` contain the energies of this library.
+`quadratic`, `polynomial` (also rational energies), `mixed`, `one_freedom`, `beam_column`
+(flexures), `axial_spring`, and `point_charges` contain the energies of this library.
 `damping` contains viscous damping, and `validity` the range in which an energy is valid.
 The package `fitting` determines energies from measured wrenches. The other files contain
 the coordinates, polynomials, and potentials that they share.

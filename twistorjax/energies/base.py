@@ -46,8 +46,9 @@ class AbstractEnergy(eqx.Module):
     `out_of_range` together with `range_message`, `range_share`, `validation_error`,
     `flexure_length`, `dilated`, `is_unloaded`, `proportional_damping`, `resisted_rates`,
     and `translation_scale` and `newton_model`, which change the number of solver steps
-    but no result. They describe this object alone. The library also finds those of the
-    terms of a sum, of a multiple, and of an energy with a validity range.
+    but no result. With a field `stress_model`, the stress in the hinge is known. All of
+    these describe this object alone. The library also finds those of the terms of a sum,
+    of a multiple, and of an energy with a validity range.
 
     Example:
         >>> class QuarticSpring(AbstractEnergy):

@@ -34,7 +34,11 @@ class Strengths(eqx.Module):
 
 
 class AbstractStressModel(eqx.Module):
-    """Normal stress at some points of the surface of a flexure."""
+    """Stress at some points of the surface of a flexure.
+
+    It is the normal stress. For a flexure under shear, it may be an equivalent stress,
+    with a sign that changes with the load.
+    """
 
     strengths: eqx.AbstractVar[Strengths]
 

@@ -29,10 +29,8 @@ def save_energy(energy: AbstractEnergy, path: str | Path) -> None:
     """Write an energy to a JSON file without rounding.
 
     Args:
-        energy: Energy of one of the classes `Quadratic`, `Polynomial`, `Rational`,
-            `SumOfSquares`, `MixedEnergy`, `BeamColumn`, `OneFreedomEnergy`,
-            `WithValidityRange`, `Condensed`, `PointCharges` and `AxialSpring`, or a sum
-            or a multiple of such energies.
+        energy: Energy of a class of the library except `ExactBeam`, or a sum or a
+            multiple of such energies.
         path: Path of the file. A file that exists is replaced once the new one is
             complete.
 

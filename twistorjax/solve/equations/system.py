@@ -91,11 +91,11 @@ class System(eqx.Module):
         """Return the hinges, with misfits between those of the start and their own."""
         if self.at_start is None or not self.changes_misfits:
             return self.hinges
-        begin, end = (
+        first, last = (
             jnp.zeros(()) if misfits is None else jnp.asarray(misfits)
             for misfits in (self.at_start.misfits, self.hinges.misfits)
         )
-        return replace(self.hinges, misfits=begin + fraction * (end - begin))
+        return replace(self.hinges, misfits=first + fraction * (last - first))
 
     def misfit_response(
         self, displacements: Poses, fraction: Scalar, increment: Scalar

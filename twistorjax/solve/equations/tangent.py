@@ -125,7 +125,7 @@ class BlockTangent(eqx.Module):
     hinges: HingeAssembly
     # Stiffness of each hinge with respect to the six degrees of freedom of its two
     # bodies; N m/rad, N/rad, N/m
-    hinge_stiffness: Float[Array, "6 6 hinges"]
+    hinge_stiffness: Float[Array, "6 6 members"]
     # Derivatives of the loads with respect to the angle of their body; N m/rad, N/rad
     by_angle: Float[Array, " dofs"]
     dofs: DofPartition = eqx.field(static=True)  # Partition of the degrees of freedom

@@ -6,17 +6,17 @@ surface: it stretches the hinges, which causes large, spurious forces. If the hi
 rotated, these forces also act along the surface. For this reason Rosenbrock methods need
 short steps, and Newton's method fails in ordinary implicit Runge-Kutta methods.
 
-Here the mid-frame translations of the hinges, called stretches, are additional unknowns.
-The forces of the hinges are computed for these stretches and not for those that follow
-from the displacements. One linear solve corrects displacements and stretches together,
+Here the mid-frame translations of the hinges are additional unknowns.
+The forces of the hinges are computed for these translations and not for those that follow
+from the displacements. One linear solve corrects displacements and translations together,
 such that they agree to first order. The forces then remain smooth functions of the
 unknowns for any stiffness of the hinges. In statics, the generalized stress has the same
 purpose (Magisano, Leonetti and Garcea, Int. J. Num. Meth. Eng. 109, 2017).
 
 A step has four parts:
 
-1. Accelerations, stretches, and constraint forces at the stages are extrapolated from the
-   last step; see `StepHistory`.
+1. Accelerations, translations, and constraint forces at the stages are extrapolated from
+   the last step; see `StepHistory`.
 2. The equations of motion are linearized once, at the extrapolated middle stage. In the
    basis of the eigenvectors of the collocation matrix, the stages decouple. One matrix of
    the size of the free degrees of freedom is inverted for each eigenvalue.
@@ -148,7 +148,7 @@ def _step(
     matrix = step * jnp.asarray(scheme.matrix)
     matrix_squared = step**2 * jnp.asarray(scheme.matrix @ scheme.matrix)
     times = start + step * jnp.asarray(scheme.nodes)
-    accelerations, stretches, multipliers = history.extrapolate(scheme, step)
+    accelerations, translations, multipliers = history.extrapolate(scheme, step)
 
     def positions_and_rates(accelerations: Array) -> tuple[Array, Array]:
         rates = state.rate[None] + product(matrix, accelerations)
@@ -159,7 +159,7 @@ def _step(
     positions, rates = positions_and_rates(accelerations)
     middle = scheme.stages // 2
     frozen, *stages = stop_gradient(
-        (system, times, positions, rates, stretches, multipliers)
+        (system, times, positions, rates, translations, multipliers)
     )
     tangent = frozen.tangent(*(values[middle] for values in stages))
     frozen_step = jax.lax.stop_gradient(step)
@@ -171,26 +171,33 @@ def _step(
 
     def iterate(_, unknowns: tuple[Array, ...]) -> tuple[Array, ...]:
         """Correct the stages once; the last result is the correction."""
-        accelerations, stretches, multipliers, _ = unknowns
+        accelerations, translations, multipliers, _ = unknowns
         positions, rates = positions_and_rates(accelerations)
-        forces = jax.vmap(system.forces)(times, positions, rates, stretches, multipliers)
+        forces = jax.vmap(system.forces)(
+            times, positions, rates, translations, multipliers
+        )
         residual = forces.net - mass[None] * accelerations
-        residual = residual - product(forces.excess, tangent.force_by_stretch.T)
+        residual = residual - product(forces.excess, tangent.force_by_translation.T)
         right = product(to_components, residual)
         if multipliers.size:
             removal = product(from_violation, forces.violation)
             right = jnp.concatenate([right, removal], axis=1)
         solution = product(from_components, inverses.solve(right))
         change, multiplier_change = solution[:, :size], solution[:, size:]
-        stretch_change = product(
-            product(matrix_squared, change), tangent.stretch_by_displacement
+        translation_change = product(
+            product(matrix_squared, change), tangent.translation_by_displacement
         )
-        stretches = stretches + forces.excess + stretch_change
-        return accelerations + change, stretches, multipliers + multiplier_change, change
+        translations = translations + forces.excess + translation_change
+        return (
+            accelerations + change,
+            translations,
+            multipliers + multiplier_change,
+            change,
+        )
 
-    unknowns = accelerations, stretches, multipliers, jnp.zeros_like(accelerations)
+    unknowns = accelerations, translations, multipliers, jnp.zeros_like(accelerations)
     unknowns = jax.lax.fori_loop(0, solver.iterations, iterate, unknowns)
-    accelerations, stretches, multipliers, change = unknowns
+    accelerations, translations, multipliers, change = unknowns
     positions, rates = positions_and_rates(accelerations)
 
     weights = step * jnp.asarray(scheme.weights)
@@ -202,7 +209,7 @@ def _step(
         powers = jax.vmap(system.instant)(times, positions, rates).powers
     end = State(position, rate, state.work + weights @ powers)
 
-    new_history = history.next(scheme, accelerations, stretches, multipliers, step)
+    new_history = history.next(scheme, accelerations, translations, multipliers, step)
     to_coefficients = jnp.asarray(scheme.to_coefficients)
     dense = {
         "y0": state,

@@ -146,9 +146,11 @@ def _scales(
     system, start, time, duration = stop_gradient((system, start, time, duration))
     # The steps of the solver call the same function, so that it is traced once.
     hinges, mass = system.hinges(time), system.mass
-    stretches = hinges.stretches(start)
+    translations = hinges.translations(start)
     no_velocities = jnp.zeros_like(start)
-    tangent = hinges.tangent_in_motion(start, no_velocities, system.dofs.free, stretches)
+    tangent = hinges.tangent_in_motion(
+        start, no_velocities, system.dofs.free, translations
+    )
     diagonal = jnp.diagonal(tangent.stiffness)
     rotations = system.free % 3 == 0
     rotational, translational = (

@@ -24,11 +24,11 @@ class StepHistory(NamedTuple):
     # Accelerations at the end of the step; rad/s^2, m/s^2
     last_acceleration: Float[Array, " free"]
     # Mid-frame translations of the hinges at the end of the step; m
-    last_stretches: Float[Array, " stretches"]
+    last_translations: Float[Array, " translations"]
     # Polynomial of the accelerations; rad/s^2, m/s^2
     accelerations: Float[Array, "degrees free"]
     # Polynomial of the mid-frame translations; m
-    stretches: Float[Array, "degrees stretches"]
+    translations: Float[Array, "degrees translations"]
     # Polynomial of the constraint forces; N m, N
     multipliers: Float[Array, "degrees entries"]
     step: Scalar  # Length of the step; s
@@ -40,7 +40,7 @@ class StepHistory(NamedTuple):
         """Return the history for the first step, with constant polynomials."""
         now = system.instant(time, state.position, state.rate)
         displacements, _ = system.expand(time, state.position, state.rate)
-        stretches = system.hinges(time).stretches(displacements).reshape(-1)
+        translations = system.hinges(time).translations(displacements).reshape(-1)
 
         def constant(value: Array) -> Float[Array, "degrees values"]:
             degrees = len(scheme.history_to_coefficients)
@@ -48,9 +48,9 @@ class StepHistory(NamedTuple):
 
         return cls(
             last_acceleration=now.acceleration,
-            last_stretches=stretches,
+            last_translations=translations,
             accelerations=constant(now.acceleration),
-            stretches=constant(stretches),
+            translations=constant(translations),
             multipliers=constant(now.multipliers)[: scheme.stages],
             step=jnp.ones_like(time),
         )
@@ -66,7 +66,7 @@ class StepHistory(NamedTuple):
         powers = times[:, None] ** degrees[None]
         return (
             product(powers, self.accelerations),
-            product(powers, self.stretches),
+            product(powers, self.translations),
             product(powers[:, : scheme.stages], self.multipliers),
         )
 
@@ -74,23 +74,23 @@ class StepHistory(NamedTuple):
         self,
         scheme: Scheme,
         accelerations: Float[Array, "stages free"],
-        stretches: Float[Array, "stages stretches"],
+        translations: Float[Array, "stages translations"],
         multipliers: Float[Array, "stages entries"],
         step: Scalar,
     ) -> "StepHistory":
         """Return the history of the next step, from the values at its stages."""
-        values = accelerations, stretches
+        values = accelerations, translations
         if scheme.stiffly_accurate:
             values = (
                 jnp.concatenate([self.last_acceleration[None], accelerations]),
-                jnp.concatenate([self.last_stretches[None], stretches]),
+                jnp.concatenate([self.last_translations[None], translations]),
             )
         to_coefficients = jnp.asarray(scheme.history_to_coefficients)
         return StepHistory(
             last_acceleration=accelerations[-1],
-            last_stretches=stretches[-1],
+            last_translations=translations[-1],
             accelerations=to_coefficients @ values[0],
-            stretches=to_coefficients @ values[1],
+            translations=to_coefficients @ values[1],
             multipliers=jnp.asarray(scheme.to_coefficients) @ multipliers,
             step=step,
         )

@@ -39,7 +39,7 @@ class Forces(NamedTuple):
     net: Float[Array, " free"]  # Net force; N m, N
     # Difference between the translations of the hinges in their mid-frames and those for
     # which their forces were computed; m
-    excess: Float[Array, " stretches"]
+    excess: Float[Array, " translations"]
     violation: Entries  # Violation of the constraints; rad, m
 
 
@@ -52,9 +52,9 @@ class MotionTangent(NamedTuple):
     # Negative derivative of the net forces with respect to rates
     damping: Float[Array, "free free"]
     # Derivative of the mid-frame translations
-    stretch_by_displacement: Float[Array, "free stretches"]
+    translation_by_displacement: Float[Array, "free translations"]
     # Negative derivative of the net forces with respect to these translations
-    force_by_stretch: Float[Array, "free stretches"]
+    force_by_translation: Float[Array, "free translations"]
     # Derivative of the violations with respect to displacements
     jacobian: Float[Array, "entries free"]
 
@@ -143,18 +143,18 @@ class MotionSystem(eqx.Module):
         time: Scalar,
         position: Array,
         rate: Array,
-        stretches: Array | None = None,
+        translations: Array | None = None,
         multipliers: Array | None = None,
     ) -> Forces:
         """Compute the forces on the free degrees of freedom.
 
         The forces of the hinges are computed for given mid-frame translations, the
-        `stretches` (m), by default those of the position.
+        `translations` (m), by default those of the position.
         """
         displacements, rates = self.expand(time, position, rate)
-        stretches = None if stretches is None else stretches.reshape(-1, 2)
+        translations = None if translations is None else translations.reshape(-1, 2)
         resisting, excess, _ = self.hinges(time).forces_in_motion(
-            displacements, rates, stretches
+            displacements, rates, translations
         )
         applied, _ = self.load_set(time).apply(displacements)
         net = (applied - resisting).reshape(-1)[self.free]
@@ -168,14 +168,14 @@ class MotionSystem(eqx.Module):
         time: Scalar,
         position: Array,
         rate: Array,
-        stretches: Array,
+        translations: Array,
         multipliers: Array,
     ) -> MotionTangent:
         """Compute the derivatives of the `forces`, for the same arguments."""
         displacements, rates = self.expand(time, position, rate)
         free = self.dofs.free
         tangent = self.hinges(time).tangent_in_motion(
-            displacements, rates, free, stretches.reshape(-1, 2)
+            displacements, rates, free, translations.reshape(-1, 2)
         )
         loads = self.load_set(time)
         stiffness = tangent.stiffness
@@ -192,8 +192,8 @@ class MotionSystem(eqx.Module):
         return MotionTangent(
             stiffness=stiffness,
             damping=tangent.damping,
-            stretch_by_displacement=tangent.stretch_by_displacement,
-            force_by_stretch=tangent.force_by_stretch,
+            translation_by_displacement=tangent.translation_by_displacement,
+            force_by_translation=tangent.force_by_translation,
             jacobian=self.jacobian(time, position),
         )
 

@@ -1,16 +1,17 @@
 """Derivatives of an equilibrium by the implicit function theorem."""
 
-import equinox as eqx
+from collections.abc import Sequence
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._utils.pytrees import jvp_of_varied
+from ..._utils.pytrees import jvp_of_varied, with_derivative
 from ..._utils.types import Flag
 from ..equations.system import System
 
 
-@eqx.filter_custom_jvp
 def differentiable_root(
     system: System, root: Array, found: Flag
 ) -> Float[Array, " unknowns"]:
@@ -31,14 +32,12 @@ def differentiable_root(
             constraint forces; rad, m, N m, N.
         found: Whether it is one.
     """
-    del system, found
-    return root
+    return with_derivative(_root_change, root, system, found)
 
 
-@differentiable_root.def_jvp
-def _(primals, tangents):
-    system, root, found = primals
-    root = differentiable_root(*primals)
+def _root_change(root: Array, arguments: Sequence[Any], tangents: Any) -> Array:
+    """Return the change of the solution with the system; see `differentiable_root`."""
+    system, found = arguments
     count = len(system.free)
 
     def residual(system: System) -> Array:
@@ -54,4 +53,4 @@ def _(primals, tangents):
     # They solve for the negative change of the constraint forces; see
     # `ConstrainedTangent`.
     sign = jnp.where(np.arange(root.size) < count, -1.0, 1.0)
-    return root, sign * factors.solve(rate)
+    return sign * factors.solve(rate)

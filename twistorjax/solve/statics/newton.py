@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
+from ..._utils.pytrees import select
 from ..._utils.types import Count, Entries, Flag, Poses, Scalar
 from ..equations.system import System
 
@@ -221,9 +222,6 @@ def solve_in_increments(
         is_last = _LONGER_AT_THE_END * growth * increment > remaining
         longer = jnp.where(is_last, remaining, growth * increment)
 
-        def select(flag: Flag, chosen, other):
-            return jax.tree.map(lambda a, b: jnp.where(flag, a, b), chosen, other)
-
         return _State(
             current=select(rejected, state.last_equilibrium, step.reached),
             last_equilibrium=select(converged, step.reached, state.last_equilibrium),
@@ -243,10 +241,10 @@ def solve_in_increments(
 
     zero, no_steps = jnp.zeros(()), jnp.zeros((), int)
     unknowns = jnp.zeros(len(system.free) + entries)
-    at_start = _Iterate(start, multipliers, predicted)
+    first = _Iterate(start, multipliers, predicted)
     state = _State(
-        current=at_start,
-        last_equilibrium=at_start,
+        current=first,
+        last_equilibrium=first,
         fraction=zero,
         increment=zero + 1,
         tries=no_steps,
@@ -292,37 +290,37 @@ def _newton_step(
     goal = state.fraction + state.increment
     is_first = state.tries == 0
     misfit_fraction = jnp.where(is_first, state.fraction, goal)
-    begin, multipliers, predicted = state.current
+    displacements, multipliers, predicted = state.current
     unbalanced, tangent, hinge_tangents = system.tangent(
-        begin, goal, predicted, multipliers, misfit_fraction
+        displacements, goal, predicted, multipliers, misfit_fraction
     )
-    flat = begin.reshape(-1)
-    at_start = start.reshape(-1)[system.prescribed]
-    prescribed = at_start + goal * (system.targets - at_start)
+    flat = displacements.reshape(-1)
+    prescribed_at_start = start.reshape(-1)[system.prescribed]
+    travel = system.targets - prescribed_at_start
+    prescribed = prescribed_at_start + goal * travel
     prescribed_change = prescribed - flat[system.prescribed]
-    residual = system.residual(unbalanced, begin) - (1 - goal) * initial_residual
+    residual = system.residual(unbalanced, displacements) - (1 - goal) * initial_residual
     # The forces due to misfits and prescribed displacements follow from the tangent.
     misfit_forces, misfit_stress = system.misfit_response(
-        begin, misfit_fraction, state.increment
+        displacements, misfit_fraction, state.increment
     )
     right = -(residual + tangent.prescribed_forces(prescribed_change))
     right = jnp.where(is_first, right - misfit_forces, right)
     imbalance = jnp.where(is_first, -residual, state.imbalance)
-    whole_change = state.increment * (system.targets - at_start)
-    forcing = imbalance - misfit_forces - tangent.prescribed_forces(whole_change)
-    rights = jax.lax.optimization_barrier(jnp.stack([right, forcing]))
-    right, _ = rights
+    whole_change = tangent.prescribed_forces(state.increment * travel)
+    forcing = imbalance - misfit_forces - whole_change
+    rights = jnp.stack([right, forcing])
     (step, response), stable = tangent.solve_and_check(rights, system.conservative)
     free = flat[system.free] + step[: len(system.free)]
-    displacements = system.dofs.expand(free, prescribed)
+    reached = system.dofs.expand(free, prescribed)
     if multipliers is not None:
         multipliers = multipliers - step[len(system.free) :]
-    change = displacements - begin
+    change = reached - displacements
     predicted = hinge_tangents.predicted_stress(change)
     predicted = predicted + jnp.where(is_first, misfit_stress, 0.0)
     imposed = jnp.all(prescribed_change == 0)
     return _Step(
-        reached=_Iterate(displacements, multipliers, predicted),
+        reached=_Iterate(reached, multipliers, predicted),
         change=change,
         energies=jnp.abs(step * right),
         work=hinge_tangents.work,

@@ -33,9 +33,9 @@ def solve(
 ) -> Equilibrium:
     """Compute the equilibrium from a start, or its failure; see `equilibrium`."""
     mechanism, constraints = problem.mechanism, problem.constraints
-    begin = np.zeros(mechanism.reference.shape)
+    displacements = np.zeros(mechanism.reference.shape)
     if start is not None:
-        begin = displacements_at_start(mechanism, start)
+        displacements = displacements_at_start(mechanism, start)
     # A call takes half the time (`benchmarks.statics`) by `jax.jit` instead of
     # `eqx.filter_jit`, which only constraints need, because they may contain functions,
     # and with parts of a system as arguments instead of a `System`.
@@ -43,7 +43,7 @@ def solve(
     return compiled(
         mechanism.hinge_assembly,
         mechanism.reference,
-        begin,
+        displacements,
         LoadState.of(mechanism, start, problem.loads, constraints),
         problem.loads,
         constraints,

@@ -26,6 +26,10 @@ def main(
     release: Annotated[
         bool, typer.Option("--release", help="Include the long notebooks.")
     ] = False,
+    part: Annotated[
+        str,
+        typer.Option(help="Only one of n parts of the notebooks: k/n."),
+    ] = "1/1",
     names: Annotated[
         list[str] | None,
         typer.Argument(help="Paths of notebooks. [default: all short ones]"),
@@ -42,6 +46,8 @@ def main(
         for path in sorted(folder.glob("*.ipynb"))
         if release or not is_long(path)
     ]
+    chosen, count = map(int, part.split("/"))
+    paths = paths[chosen - 1 :: count]
     failed = False
     with ProcessPoolExecutor(2) as pool:
         for path, job in [

@@ -14,6 +14,7 @@ from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
 from ..energies.natural_curvature import NaturallyCurved
 from ..geometry.twistors import Displacement
+from ..linalg.block_factors import Layout
 from ..linalg.sums import gather_entries, sum_entries
 from . import forces as hinge_forces, motion_forces
 from .groups import DampedEnergy, HingeGroup
@@ -282,13 +283,14 @@ class HingeAssembly(eqx.Module):
         rates: Poses,
         free: tuple[int, ...],
         translations: Float[Array, "members 2"] | None = None,
+        layout: Layout | None = None,
     ) -> AssemblyMotionTangent:
         """Compute the derivatives of `forces_in_motion` among some degrees of freedom."""
         per_member = self._motion_arguments(rates, translations)
         local = self._evaluate(
             motion_forces.tangent_in_motion, displacements, *per_member, damped=True
         )
-        return AssemblyMotionTangent.of(local, self.ends, self._order(), free)
+        return AssemblyMotionTangent.of(local, self.ends, self._order(), free, layout)
 
     def translations(self, displacements: Poses) -> Float[Array, "members 2"]:
         """Compute the mid-frame translation of each member; m."""

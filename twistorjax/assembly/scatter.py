@@ -45,11 +45,27 @@ def matrix_entries(
 
 
 @lru_cache(maxsize=256)
+def vector_entries(
+    ends: tuple[tuple[int, int], ...], order: tuple[int, ...], rows: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the positions of the six entries of each hinge in a vector of a mechanism.
+
+    Arguments and results are as in `matrix_entries`.
+    """
+    dofs = hinge_dofs(ends, order)
+    row_of = np.full(1 + max(dofs.max(initial=0), *rows, 0), -1)
+    row_of[list(rows)] = np.arange(len(rows))
+    row = row_of[dofs].reshape(-1)
+    source = np.flatnonzero(row >= 0)
+    return source, row[source]
+
+
+@lru_cache(maxsize=256)
 def row_entries(
     ends: tuple[tuple[int, int], ...],
     order: tuple[int, ...],
     rows: tuple[int, ...],
-    lines: int = 2,
+    lines: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the positions of the rows of hinges, with 6 entries each, in a matrix.
 

@@ -1,7 +1,6 @@
 """Derivatives of the forces of all hinges, for Newton's method and for motions."""
 
 import math
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,10 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Poses, Scalar
+from ..linalg.block_factors import Layout
 from ..linalg.sums import sum_entries
 from .forces import FOUR_INDEX_AND_SIGN, HingeTangent, predicted_stress, UPPER_TRIANGLE
 from .motion_forces import HingeMotionTangent
-from .scatter import hinge_dofs, matrix_entries, row_entries
+from .scatter import hinge_dofs, matrix_entries, vector_entries
 
 
 # Position of each entry of a 4 by 4 matrix of displacements in the upper triangle.
@@ -87,16 +87,6 @@ def _of_pairs(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return pairs.reshape(-1), np.outer(sign, sign).reshape(-1)
 
 
-def _of_rows(rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Find the entry of one of the four for each entry of flat rows of six.
-
-    The second result is the sign with which it enters.
-    """
-    one_of_four, sign = FOUR_INDEX_AND_SIGN
-    position = 4 * np.arange(rows)[:, None] + one_of_four
-    return position.reshape(-1), np.tile(sign, rows)
-
-
 def _sum_entries(
     entries: Float[Array, "*four members"],
     indices: tuple[np.ndarray, np.ndarray],
@@ -108,7 +98,7 @@ def _sum_entries(
 
     Args:
         indices: Index of each entry for the six displacements, and its index in the sum;
-            see `matrix_entries` and `row_entries`.
+            see `matrix_entries` and `vector_entries`.
         position: Index among the four displacements, for each index among the six.
         signs: The sign with which this entry enters.
     """
@@ -118,17 +108,18 @@ def _sum_entries(
     return sum_entries(flat, source, indices[1], size, signs).reshape(shape)
 
 
-class AssemblyMotionTangent(NamedTuple):
+class AssemblyMotionTangent(eqx.Module):
     """Derivatives of the forces of all hinges with respect to free degrees of freedom."""
 
-    # Derivatives with respect to displacements; N m/rad, N/rad, N/m
-    stiffness: Float[Array, "free free"]
+    # Derivatives with respect to displacements, in the shape of the layout; N m/rad,
+    # N/rad, N/m
+    stiffness: Float[Array, "*matrix"]
     # Derivatives with respect to rates; N m s/rad, N s/rad, N s/m
-    damping: Float[Array, "free free"]
-    # Derivatives of the mid-frame translations; m/rad, -
-    translation_by_displacement: Float[Array, "free translations"]
-    # Derivatives of the forces with respect to the mid-frame translations; N, N/m
-    force_by_translation: Float[Array, "free translations"]
+    damping: Float[Array, "*matrix"]
+    each: HingeMotionTangent  # The tangent of each member; its arrays begin with members
+    ends: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    order: tuple[int, ...] = eqx.field(static=True)
+    free: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
     def of(
@@ -137,28 +128,51 @@ class AssemblyMotionTangent(NamedTuple):
         ends: tuple[tuple[int, int], ...],
         order: tuple[int, ...],
         free: tuple[int, ...],
+        layout: Layout | None = None,
     ) -> "AssemblyMotionTangent":
         """Sum the derivatives of all hinges among the free degrees of freedom.
 
-        The arguments are as in `AssemblyTangent`.
+        The matrices are dense without a `layout`. The other arguments are as in
+        `AssemblyTangent`.
         """
-        pairs = matrix_entries(ends, order, free, free)
-        lines = row_entries(ends, order, free)
-        count, translations = len(free), 2 * len(order)
+        count = len(free)
+        source, target = matrix_entries(ends, order, free, free)
+        shape = (count, count) if layout is None else layout.shape
+        if layout is not None:
+            target = layout.flat_indices(*np.divmod(target, count))
 
-        def by_dofs(entries: Array) -> Float[Array, "free free"]:
+        def by_dofs(entries: Array) -> Float[Array, "*matrix"]:
             entries = jnp.moveaxis(entries, 0, -1)
-            return _sum_entries(entries, pairs, *_of_pairs(_WHOLE), (count, count))
+            return _sum_entries(entries, (source, target), *_of_pairs(_WHOLE), shape)
 
-        def by_translations(entries: Array) -> Float[Array, "free translations"]:
-            entries = jnp.moveaxis(entries, 0, -1)
-            return _sum_entries(entries, lines, *_of_rows(2), (count, translations))
+        stiffness, damping = by_dofs(tangent.stiffness), by_dofs(tangent.damping)
+        return cls(stiffness, damping, tangent, ends, order, free)
 
-        return cls(
-            stiffness=by_dofs(tangent.stiffness),
-            damping=by_dofs(tangent.damping),
-            translation_by_displacement=by_translations(
-                tangent.translation_by_displacement
-            ),
-            force_by_translation=by_translations(tangent.force_by_translation),
-        )
+    def translation_change(self, change: Poses) -> Float[Array, " translations"]:
+        """Compute the change of the mid-frame translations with displacements; m."""
+        rows = self.each.translation_by_displacement
+        return jnp.sum(rows * self._of_four(change)[:, None], axis=2).reshape(-1)
+
+    def forces_of_translations(
+        self, change: Float[Array, " translations"]
+    ) -> Float[Array, " free"]:
+        """Compute the change of the forces with the mid-frame translations; N m, N."""
+        rows = self.each.force_by_translation
+        return self._sum(jnp.sum(rows * change.reshape(-1, 2, 1), axis=1))
+
+    def damping_forces(self, rates: Poses) -> Float[Array, " free"]:
+        """Compute viscous forces at rates of the bodies (rad/s, m/s, m/s); N m, N."""
+        rows = self.each.damping
+        return self._sum(jnp.sum(rows * self._of_four(rates)[:, None], axis=2))
+
+    def _of_four(self, change: Poses) -> Float[Array, "members 4"]:
+        """Return the change of the four displacements of each member."""
+        first, second = np.array(self.ends).reshape(-1, 2)[list(self.order)].T
+        a, b = change[first].T, change[second].T
+        return jnp.stack([a[0], b[0], b[1] - a[1], b[2] - a[2]], axis=1)
+
+    def _sum(self, of_four: Float[Array, "members 4"]) -> Float[Array, " free"]:
+        """Sum forces on the four displacements of all members."""
+        one_of_four, sign = FOUR_INDEX_AND_SIGN
+        indices = vector_entries(self.ends, self.order, self.free)
+        return _sum_entries(of_four.T, indices, one_of_four, sign, (len(self.free),))

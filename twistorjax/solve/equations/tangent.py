@@ -1,5 +1,7 @@
 """Tangent stiffness of a mechanism: dense, with constraints, or in blocks."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,16 +18,18 @@ from .dofs import DofPartition
 
 
 def add_load_stiffness(
-    matrix: Float[Array, "rows columns"],
+    matrix: Float[Array, "*matrix"],
     by_angle: Float[Array, " dofs"],
     conservative: bool,
     rows: tuple[int, ...],
     columns: tuple[int, ...],
-) -> Float[Array, "rows columns"]:
+    layout: Layout | None = None,
+) -> Float[Array, "*matrix"]:
     """Add the stiffness of loads, whose moments or directions change with the angle.
 
     Args:
-        matrix: Stiffness to which that of the loads is added; N m/rad, N/rad, N/m.
+        matrix: Stiffness to which that of the loads is added, in the shape of the layout
+            if there is one; N m/rad, N/rad, N/m.
         by_angle: Derivative of the load on each degree of freedom with respect to the
             angle of its body, the only coordinate on which it depends; N m/rad, N/rad.
         conservative: Whether the loads have a potential, so that only their moments
@@ -43,7 +47,10 @@ def add_load_stiffness(
     if not entries:
         return matrix
     row, column, dof = np.array(entries).T
-    return matrix.at[row, column].add(-by_angle[dof])
+    if layout is None:
+        return matrix.at[row, column].add(-by_angle[dof])
+    flat = matrix.reshape(-1).at[layout.flat_indices(row, column)].add(-by_angle[dof])
+    return flat.reshape(matrix.shape)
 
 
 class DenseTangent(eqx.Module):
@@ -143,12 +150,11 @@ class BlockTangent(eqx.Module):
 
     def factors(self, symmetric: bool) -> BlockFactors:
         """Factorize the stiffness of the free degrees of freedom."""
-        layout, count = self.layout, 3 * self.layout.blocks * self.layout.size**2
+        layout = self.layout
         source, target = self._block_entries()
         entries = jnp.concatenate([self.hinge_stiffness.reshape(-1), -self.by_angle])
-        blocks = sum_entries(entries, source, target, count)
-        shape = (3, layout.blocks, layout.size, layout.size)
-        return BlockFactors.of(blocks.reshape(shape), layout, symmetric)
+        blocks = sum_entries(entries, source, target, math.prod(layout.shape))
+        return BlockFactors.of(blocks.reshape(layout.shape), layout, symmetric)
 
     def solve_and_check(
         self, rights: Float[Array, "rights free"], symmetric: bool

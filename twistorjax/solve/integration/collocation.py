@@ -28,6 +28,7 @@ A step has four parts:
 Three iterations are sufficient for steps six times as long as those of Rodas5P.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
@@ -35,10 +36,12 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 from ..._utils.pytrees import select, stop_gradient
 from ..._utils.types import Scalar
+from ...linalg.block_factors import BlockInverses
 from ...linalg.elimination import inverse
 from ...linalg.products import product
 from .polynomials import DenseOutput, StepHistory
@@ -163,11 +166,16 @@ def _step(
     )
     tangent = frozen.tangent(*(values[middle] for values in stages))
     frozen_step = jax.lax.stop_gradient(step)
-    inverses = _StageInverses.of(scheme, tangent, frozen_step, frozen.mass)
+    stages_solver = _stage_solver(scheme, tangent, frozen_step, frozen)
     to_components = jnp.asarray(scheme.to_components)
     from_components = jnp.asarray(scheme.from_components)
     # The accelerations of a change that removes a violation at the stages.
     from_violation = jnp.asarray(-scheme.differentiate_twice) / frozen_step**2
+
+    @jax.vmap
+    def translations_by_position(change: Array) -> Array:
+        still = jnp.zeros(len(system.dofs.prescribed))
+        return tangent.hinges.translation_change(system.dofs.expand(change, still))
 
     def iterate(_, unknowns: tuple[Array, ...]) -> tuple[Array, ...]:
         """Correct the stages once; the last result is the correction."""
@@ -177,16 +185,14 @@ def _step(
             times, positions, rates, translations, multipliers
         )
         residual = forces.net - mass[None] * accelerations
-        residual = residual - product(forces.excess, tangent.force_by_translation.T)
+        residual -= jax.vmap(tangent.hinges.forces_of_translations)(forces.excess)
         right = product(to_components, residual)
         if multipliers.size:
             removal = product(from_violation, forces.violation)
             right = jnp.concatenate([right, removal], axis=1)
-        solution = product(from_components, inverses.solve(right))
+        solution = product(from_components, stages_solver.solve(right))
         change, multiplier_change = solution[:, :size], solution[:, size:]
-        translation_change = product(
-            product(matrix_squared, change), tangent.translation_by_displacement
-        )
+        translation_change = translations_by_position(product(matrix_squared, change))
         translations = translations + forces.excess + translation_change
         return (
             accelerations + change,
@@ -235,7 +241,7 @@ def _step(
     error = None
     if scheme.stiffly_accurate:
         error = _error(
-            scheme, inverses, tangent,
+            scheme, stages_solver, tangent,
             *stop_gradient(
                 (step, state, system, history, rates, accelerations, change)
             ),
@@ -243,6 +249,36 @@ def _step(
         # diffrax reports the result of an accepted step only.
         error = jax.tree.map(lambda value: jnp.where(failed, 0.0, value), error)
     return end, error, dense, new_history, result
+
+
+def _stage_solver(
+    scheme: Scheme, tangent: MotionTangent, step: Scalar, system: MotionSystem
+) -> "_StageInverses | _BlockStageInverses":
+    """Invert the matrices of the decoupled stages for a step; s."""
+    layout = system.layout
+    if layout is None:
+        inertia = jnp.diag(system.mass)
+    else:
+        each = np.arange(system.mass.size)
+        inertia = jnp.zeros(math.prod(layout.shape))
+        inertia = inertia.at[layout.flat_indices(each, each)].set(system.mass)
+        inertia = inertia.reshape(layout.shape)
+
+    def matrix(eigenvalue: Inexact[Array, ""]) -> Inexact[Array, "*matrix"]:
+        parts = inertia, tangent.damping, tangent.stiffness
+        inertial, damping, stiffness = (part.astype(eigenvalue.dtype) for part in parts)
+        return inertial + eigenvalue * damping + eigenvalue**2 * stiffness
+
+    real = None
+    if scheme.real_eigenvalue is not None:
+        real = matrix(scheme.real_eigenvalue * step)
+    pair = matrix(step.astype(complex) * jnp.asarray(scheme.complex_eigenvalue))
+    if layout is None:
+        return _StageInverses.of(real, pair, tangent.jacobian)
+    return _BlockStageInverses(
+        None if real is None else BlockInverses.of(real, layout),
+        BlockInverses.of(pair, layout),
+    )
 
 
 class _StageInverses(NamedTuple):
@@ -258,19 +294,21 @@ class _StageInverses(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        scheme: Scheme,
-        tangent: MotionTangent,
-        step: Scalar,
-        mass: Float[Array, " free"],
+        cls, real: Array | None, pair: Array, jacobian: Float[Array, "entries free"]
     ) -> "_StageInverses":
-        """Invert the matrices for a step of given length; s."""
-        real = None
-        if scheme.real_eigenvalue is not None:
-            real = _inverse(tangent, scheme.real_eigenvalue * step, mass)
-        eigenvalue = step.astype(complex) * jnp.asarray(scheme.complex_eigenvalue)
-        pair = _inverse(tangent, eigenvalue, mass)
-        return cls(real, (jnp.real(pair), jnp.imag(pair)))
+        """Invert both matrices with the constraints."""
+
+        def inverted(matrix: Inexact[Array, "free free"]) -> Array:
+            transposed, entries = matrix.T, len(jacobian)
+            if entries:
+                rows, zero = jacobian.astype(matrix.dtype), jnp.zeros((entries, entries))
+                zero = zero.astype(matrix.dtype)
+                transposed = jnp.block([[transposed, rows.T], [-rows, zero]])
+            return inverse(transposed)
+
+        inverse_pair = inverted(pair)
+        parts = jnp.real(inverse_pair), jnp.imag(inverse_pair)
+        return cls(None if real is None else inverted(real), parts)
 
     def solve(
         self, right: Float[Array, "stages unknowns"]
@@ -282,31 +320,35 @@ class _StageInverses(NamedTuple):
             return pair
         return jnp.concatenate([product(right[:1], self.real), pair])
 
+    def solve_real(self, right: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Solve the linear system of the real eigenvalue, without constraint forces."""
+        assert self.real is not None
+        return right @ self.real[: right.size, : right.size]
 
-def _inverse(
-    tangent: MotionTangent, eigenvalue: Inexact[Array, ""], mass: Float[Array, " free"]
-) -> Inexact[Array, "unknowns unknowns"]:
-    """Invert the matrix of a decoupled stage, and transpose the inverse.
 
-    `eigenvalue` is that of the collocation matrix times the step; s.
-    """
-    inertia, damping, stiffness, jacobian = (
-        part.astype(eigenvalue.dtype)
-        for part in (
-            jnp.diag(mass), tangent.damping, tangent.stiffness, tangent.jacobian,
-        )
-    )  # fmt: skip
-    transposed = inertia + (eigenvalue * damping + eigenvalue**2 * stiffness).T
-    entries = len(jacobian)
-    if entries:
-        zero = jnp.zeros((entries, entries), eigenvalue.dtype)
-        transposed = jnp.block([[transposed, jacobian.T], [-jacobian, zero]])
-    return inverse(transposed)
+class _BlockStageInverses(NamedTuple):
+    """Those of a mechanism of many bodies, which are block tridiagonal."""
+
+    real: BlockInverses | None
+    pair: BlockInverses  # Complex
+
+    def solve(self, right: Float[Array, "stages free"]) -> Float[Array, "stages free"]:
+        """Solve the linear systems of all components; see `Scheme`."""
+        pair = self.pair.solve(jax.lax.complex(right[-2], right[-1]))
+        solutions = [jnp.real(pair), jnp.imag(pair)]
+        if self.real is not None:
+            solutions.insert(0, self.real.solve(right[0]))
+        return jnp.stack(solutions)
+
+    def solve_real(self, right: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Solve the linear system of the real eigenvalue."""
+        assert self.real is not None
+        return self.real.solve(right)
 
 
 def _error(
     scheme: Scheme,
-    inverses: _StageInverses,
+    stages_solver: _StageInverses | _BlockStageInverses,
     tangent: MotionTangent,
     step: Scalar,
     state: State,
@@ -327,19 +369,17 @@ def _error(
         and IV.8.20. Their program RADAU5 compares ten times the estimate with the
         tolerance to the power 2/3, which is the same.
     """
-    assert scheme.real_eigenvalue is not None and inverses.real is not None
+    assert scheme.real_eigenvalue is not None
     embedded = scheme.embedded_weights()
     position = step * (scheme.real_eigenvalue * state.rate + embedded @ rates)
     rate = step * (
         scheme.real_eigenvalue * history.last_acceleration + embedded @ accelerations
     )
     eigenvalue = scheme.real_eigenvalue * step
-    right = (
-        system.mass * (eigenvalue * rate + position)
-        + eigenvalue * tangent.damping @ position
-    )
-    size = position.size
-    filtered = right @ inverses.real[:size, :size]
+    still = jnp.zeros(len(system.dofs.prescribed))
+    damping = tangent.hinges.damping_forces(system.dofs.expand(position, still))
+    right = system.mass * (eigenvalue * rate + position) + eigenvalue * damping
+    filtered = stages_solver.solve_real(right)
     estimate = State(filtered, (filtered - position) / eigenvalue, state.work * 0)
     estimate = jax.tree.map(jnp.abs, estimate)
     factor = 10**1.5 * jnp.sqrt(system.norm(estimate))

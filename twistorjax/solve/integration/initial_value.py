@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._utils.pytrees import stop_gradient
 from ..._utils.types import Count, Flag, Poses, Scalar
+from ...linalg.block_factors import BlockInverses
 from ...linalg.elimination import inverse
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
@@ -148,10 +149,15 @@ def _scales(
     hinges, mass = system.hinges(time), system.mass
     translations = hinges.translations(start)
     no_velocities = jnp.zeros_like(start)
-    tangent = hinges.tangent_in_motion(
-        start, no_velocities, system.dofs.free, translations
-    )
-    diagonal = jnp.diagonal(tangent.stiffness)
+    free, layout = system.dofs.free, system.layout
+    tangent = hinges.tangent_in_motion(start, no_velocities, free, translations, layout)
+    stiffness = tangent.stiffness
+    if layout is None:
+        diagonal, compliance = jnp.diagonal(stiffness), jnp.diagonal(inverse(stiffness))
+    else:
+        each = np.arange(len(free))
+        diagonal = stiffness.reshape(-1)[layout.flat_indices(each, each)]
+        compliance = BlockInverses.of(stiffness, layout).diagonal()
     rotations = system.free % 3 == 0
     rotational, translational = (
         jnp.sum(jnp.where(chosen, diagonal, 0.0)) for chosen in (rotations, ~rotations)
@@ -160,7 +166,7 @@ def _scales(
     ratio = jnp.sqrt(rotational / translational)
     # A distance that consists of rounding errors is not used.
     length = jnp.where(jnp.isfinite(ratio) & (distance <= 1e-9 * ratio), ratio, distance)
-    slowest = jnp.sum(jnp.diagonal(inverse(tangent.stiffness)) * mass)
+    slowest = jnp.sum(compliance * mass)
     fastest = jnp.sum(diagonal / mass)
     # Without stiffness there is no period, and the duration replaces it.
     limited = (slowest > 0) & (slowest < duration**2)

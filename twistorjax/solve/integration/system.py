@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 
 from ..._utils.types import Entries, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
+from ...assembly.tangent import AssemblyMotionTangent
+from ...linalg.block_factors import block_layout, Layout
 from ...linalg.elimination import inverse
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
@@ -44,17 +46,17 @@ class Forces(NamedTuple):
 
 
 class MotionTangent(NamedTuple):
-    """Derivatives of `Forces` with respect to the free degrees of freedom."""
+    """Derivatives of `Forces` with respect to the free degrees of freedom.
+
+    The matrices have the shape of the system's layout.
+    """
 
     # Negative derivative of the net forces with respect to displacements; N m/rad, N/rad,
     # N/m
-    stiffness: Float[Array, "free free"]
+    stiffness: Float[Array, "*matrix"]
     # Negative derivative of the net forces with respect to rates
-    damping: Float[Array, "free free"]
-    # Derivative of the mid-frame translations
-    translation_by_displacement: Float[Array, "free translations"]
-    # Negative derivative of the net forces with respect to these translations
-    force_by_translation: Float[Array, "free translations"]
+    damping: Float[Array, "*matrix"]
+    hinges: AssemblyMotionTangent  # Derivatives of the forces of the hinges
     # Derivative of the violations with respect to displacements
     jacobian: Float[Array, "entries free"]
 
@@ -97,6 +99,13 @@ class MotionSystem(eqx.Module):
     def free(self) -> np.ndarray:
         """Indices of the free degrees of freedom."""
         return np.array(self.dofs.free, int)
+
+    @property
+    def layout(self) -> Layout | None:
+        """Layout of the matrices of many bodies; None if the matrices are dense."""
+        if self.constraints.size:
+            return None
+        return block_layout(self.mechanism.hinge_assembly.ends, self.dofs.free)
 
     @property
     def mass(self) -> Float[Array, " free"]:
@@ -173,16 +182,16 @@ class MotionSystem(eqx.Module):
     ) -> MotionTangent:
         """Compute the derivatives of the `forces`, for the same arguments."""
         displacements, rates = self.expand(time, position, rate)
-        free = self.dofs.free
+        free, layout = self.dofs.free, self.layout
         tangent = self.hinges(time).tangent_in_motion(
-            displacements, rates, free, translations.reshape(-1, 2)
+            displacements, rates, free, translations.reshape(-1, 2), layout
         )
         loads = self.load_set(time)
         stiffness = tangent.stiffness
         if loads.present:
             _, by_angle = loads.apply(displacements)
             stiffness = add_load_stiffness(
-                stiffness, by_angle.reshape(-1), loads.conservative, free, free
+                stiffness, by_angle.reshape(-1), loads.conservative, free, free, layout
             )
         if multipliers.size:
             geometric = self.constraints.geometric_stiffness(
@@ -192,8 +201,7 @@ class MotionSystem(eqx.Module):
         return MotionTangent(
             stiffness=stiffness,
             damping=tangent.damping,
-            translation_by_displacement=tangent.translation_by_displacement,
-            force_by_translation=tangent.force_by_translation,
+            hinges=tangent,
             jacobian=self.jacobian(time, position),
         )
 

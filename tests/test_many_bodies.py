@@ -1,14 +1,16 @@
-"""Mechanisms of many bodies, whose stiffness is factored in blocks."""
+"""Mechanisms of many bodies, whose matrices are eliminated in blocks."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import some_stiffness
+import scipy.linalg
+from helpers import assert_close, some_stiffness
 
 import twistorjax as tj
 from twistorjax.linalg.block_factors import block_layout
 from twistorjax.solve.equations.problem import Problem
+from twistorjax.solve.integration import system
 
 
 COUNT = 60
@@ -27,11 +29,11 @@ def chain(stiffness):
     return tj.Mechanism(bodies, hinges, fixed=["0"])
 
 
-def lattice(columns, rows, fixed):
+def lattice(columns, rows, fixed, **inertia):
     """Return bodies on a grid, with hinges of full stiffness between neighbors."""
     grid = [(i, j) for i in range(rows) for j in range(columns)]
     energies = [tj.Quadratic(some_stiffness(k)) for k in range(rows + columns)]
-    bodies = [tj.Body(f"{i} {j}", (0.0, i, j)) for i, j in grid]
+    bodies = [tj.Body(f"{i} {j}", (0.0, i, j), **inertia) for i, j in grid]
     hinges = []
     for i, j in grid:
         energy = energies[i + j]
@@ -103,6 +105,74 @@ def test_block_factorization_agrees_with_a_dense_one(follower):
     np.testing.assert_allclose(solution, expected, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(forces, by_prescribed @ move, rtol=1e-12, atol=1e-12)
     assert bool(stable) == bool(np.linalg.slogdet(by_free)[0] > 0)
+
+
+def masses_on_springs(stiffness=100.0):
+    """Return a row of equal masses on springs, the first of which is fixed."""
+    spring = tj.Quadratic(jnp.diag(jnp.stack([1.0, stiffness, 1.0])), "twist")
+    bodies = [
+        tj.Body(str(k), (0.0, float(k), 0.0), mass=2.0, inertia=1.0)
+        for k in range(COUNT + 1)
+    ]
+    hinges = [
+        tj.Hinge(str(k), str(k), str(k + 1), spring, (0.0, k + 0.5, 0.0), damping=0.05)
+        for k in range(COUNT)
+    ]
+    return tj.Mechanism(bodies, hinges, fixed=["0"])
+
+
+def wave(stiffness=100.0):
+    """Return the displacements along the row 1 s after a push on its end."""
+    mechanism, velocities = masses_on_springs(stiffness), {str(COUNT): (0.0, 1.0, 0.0)}
+    motion = tj.simulate(
+        mechanism, [0.0, 1.0], velocities=velocities, tolerance=1e-9, energies=False
+    )
+    return motion.displacements[-1, 1:, 1]
+
+
+def exact_wave(stiffness=100.0):
+    springs = np.diff(np.eye(COUNT + 1), axis=0)[:, 1:]  # Their elongations
+    rate = -stiffness / 2.0 * springs.T @ springs
+    zero, one = np.zeros_like(rate), np.eye(COUNT)
+    solution = scipy.linalg.expm(np.block([[zero, one], [rate, 0.05 * rate]]))
+    return solution[:COUNT, -1]
+
+
+def test_a_wave_along_masses_on_springs_is_the_exponential_of_a_matrix():
+    assert_close(wave(), exact_wave(), digits=8)
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_wave_by_the_stiffness():
+    by_reverse = jax.grad(lambda stiffness: wave(stiffness)[-1])(100.0)
+    step = 1e-3
+    difference = (exact_wave(100.0 + step) - exact_wave(100.0 - step)) / (2 * step)
+    assert_close(1e3 * by_reverse, 1e3 * difference[-1], digits=6)
+
+
+@pytest.mark.slow
+def test_motions_with_blocks_agree_with_those_of_dense_matrices(monkeypatch):
+    """One body can only rotate; one is driven; follower loads act off the origins."""
+
+    def motion():
+        fixed = {"0 0": ("angle", "x", "y"), "7 1": ("x", "y")}
+        mechanism = lattice(3, 24, fixed, mass=1.0, inertia=0.2)
+        load = tj.Load("12 2", force=(0.0, 0.5), at=(12.3, 2.1), follower=True)
+        return tj.simulate(
+            mechanism,
+            [0.0, 1.0],
+            loads=[load],
+            drives=lambda time: [tj.Drive("23 2", angle=0.1 * time**2, y=0.2 * time**3)],
+            tolerance=1e-8,
+        )
+
+    in_blocks = motion()
+    monkeypatch.setattr(system, "block_layout", lambda *_: None)
+    jax.clear_caches()
+    dense = motion()
+    assert dense.steps == in_blocks.steps
+    assert_close(in_blocks.displacements, dense.displacements, digits=10)
+    assert_close(in_blocks.velocities, dense.velocities, digits=9)
 
 
 def test_chain_above_the_load_of_euler_is_unstable():

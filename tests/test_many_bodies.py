@@ -5,12 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import assert_close, some_stiffness
+from helpers import assert_close, mostly_slow, some_stiffness
 
 import twistorjax as tj
 from twistorjax.linalg.block_factors import block_layout
+from twistorjax.solve.equations.dofs import DofPartition
 from twistorjax.solve.equations.problem import Problem
 from twistorjax.solve.integration import system
+from twistorjax.solve.integration.choice import chosen_solver, largest_rate
 
 
 COUNT = 60
@@ -121,13 +123,13 @@ def masses_on_springs(stiffness=100.0):
     return tj.Mechanism(bodies, hinges, fixed=["0"])
 
 
-def wave(stiffness=100.0):
-    """Return the displacements along the row 1 s after a push on its end."""
-    mechanism, velocities = masses_on_springs(stiffness), {str(COUNT): (0.0, 1.0, 0.0)}
-    motion = tj.simulate(
-        mechanism, [0.0, 1.0], velocities=velocities, tolerance=1e-9, energies=False
+def wave(stiffness=100.0, **settings):
+    """Return the motion of the row for 1 s after a push on its end."""
+    settings = {"tolerance": 1e-9, "energies": False} | settings
+    velocities = {str(COUNT): (0.0, 1.0, 0.0)}
+    return tj.simulate(
+        masses_on_springs(stiffness), [0.0, 1.0], velocities=velocities, **settings
     )
-    return motion.displacements[-1, 1:, 1]
 
 
 def exact_wave(stiffness=100.0):
@@ -138,13 +140,45 @@ def exact_wave(stiffness=100.0):
     return solution[:COUNT, -1]
 
 
-def test_a_wave_along_masses_on_springs_is_the_exponential_of_a_matrix():
-    assert_close(wave(), exact_wave(), digits=8)
+@pytest.mark.parametrize("solver", mostly_slow([tj.solve.Radau(), None]))
+def test_a_wave_along_masses_on_springs_is_the_exponential_of_a_matrix(solver):
+    motion = wave(solver=solver)
+    assert motion.method == ("Radau" if solver else "Tsit5")
+    assert_close(motion.displacements[-1, 1:, 1], exact_wave(), digits=8)
+
+
+def test_a_motion_is_explicit_if_a_thousand_steps_are_stable():
+    mechanism = masses_on_springs()
+    rest = jnp.zeros_like(mechanism.reference)
+    at_start = mechanism.inertia(), DofPartition.of(mechanism), rest
+    rate = largest_rate(mechanism.hinge_assembly, at_start[0], rest)
+    springs = np.diff(np.eye(COUNT + 1), axis=0)[:, 1:]
+    largest = np.linalg.eigvalsh(100.0 / 2.0 * springs.T @ springs)[-1]
+    assert np.sqrt(largest) <= rate < 2 * np.sqrt(largest)
+
+    def method(mechanism, steps):
+        solver = chosen_solver(mechanism, *at_start, steps * 2.5 / rate)
+        return type(solver).__name__
+
+    assert method(mechanism, 990.0) == "Tsit5"
+    assert method(mechanism, 1010.0) == "Radau"
+
+    def in_batch(steps):
+        assert method(mechanism, steps) == "Radau"
+        return steps
+
+    jax.vmap(in_batch)(jnp.ones(2))
 
 
 @pytest.mark.slow
-def test_derivatives_of_a_wave_by_the_stiffness():
-    by_reverse = jax.grad(lambda stiffness: wave(stiffness)[-1])(100.0)
+@pytest.mark.parametrize("solver", [tj.solve.Radau(), None])
+def test_derivatives_of_a_wave_by_the_stiffness(solver):
+    """The explicit motion is differentiated by diffrax, the implicit one step by step."""
+
+    def end(stiffness):
+        return wave(stiffness, solver=solver).displacements[-1, -1, 1]
+
+    by_reverse = jax.grad(end)(100.0)
     step = 1e-3
     difference = (exact_wave(100.0 + step) - exact_wave(100.0 - step)) / (2 * step)
     assert_close(1e3 * by_reverse, 1e3 * difference[-1], digits=6)
@@ -164,6 +198,7 @@ def test_motions_with_blocks_agree_with_those_of_dense_matrices(monkeypatch):
             loads=[load],
             drives=lambda time: [tj.Drive("23 2", angle=0.1 * time**2, y=0.2 * time**3)],
             tolerance=1e-8,
+            solver=tj.solve.Radau(),
         )
 
     in_blocks = motion()

@@ -306,11 +306,11 @@ class Mechanism(eqx.Module):
         Raises:
             ValueError: A body that can move has no mass or no inertia.
         """
-        rows = []
-        for body, name in enumerate(self.names):
-            mass, inertia = self.masses[body], self.inertias[body]
-            if self.is_fixed(body):
-                rows.append(jnp.full(3, jnp.inf))
+        entries, fixed = [], set(self.fixed)
+        bodies = zip(self.names, self.masses, self.inertias, strict=True)
+        for body, (name, mass, inertia) in enumerate(bodies):
+            if {3 * body, 3 * body + 1, 3 * body + 2} <= fixed:
+                entries += 3 * [np.inf]
             elif mass is None or inertia is None:
                 values = {"mass": mass, "inertia": inertia}
                 missing = [f"`{key}`" for key, value in values.items() if value is None]
@@ -320,8 +320,9 @@ class Mechanism(eqx.Module):
                     "frame must be its center of mass."
                 )
             else:
-                rows.append(jnp.stack([inertia, mass, mass]))
-        return jnp.stack(rows)
+                entries += [inertia, mass, mass]
+        xp, entries = on_host(*entries)
+        return as_float(xp.stack(entries).reshape(-1, 3))
 
     def dof_name(self, dof: int) -> str:
         """Return the name of a degree of freedom, such as "angle of 'stage'"."""

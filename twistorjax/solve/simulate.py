@@ -27,6 +27,7 @@ from .integration.arguments import (
     explain_compilation,
     pad_times,
 )
+from .integration.choice import chosen_solver
 from .integration.collocation import Gauss, Radau
 from .integration.errors import StartOfMotion
 from .integration.program import (
@@ -99,8 +100,12 @@ def simulate(
             divided by 2 pi, and at most the duration of the motion. The error of a whole
             motion is about ten times larger, and more if the motion is sensitive to its
             initial state.
-        solver: Solver: `Radau()` by default; `Gauss()` with a `step` for motion without
-            damping; or any solver of diffrax.
+        solver: Solver: `Gauss()` with a `step` for motion without damping, or any solver
+            of diffrax. By default it is the implicit `Radau()`, or the explicit
+            `diffrax.Tsit5()` if there are neither constraints nor a `step`, the matrices
+            of the mechanism are large enough to be solved in blocks (40 bodies or more),
+            and about a thousand explicit steps are enough for their stability. In a batch
+            and inside `jax.jit` it is `Radau()`. `Motion.method` is its name.
         step: Constant length of the steps; by default the tolerance determines them; s.
         controller: Step size controller of diffrax, which replaces the tolerance.
         saveat: `SaveAt` of diffrax, which replaces the `times` between the first and the
@@ -176,6 +181,8 @@ def simulate(
         displacements = displacements_at_start(mechanism, start)
         check_finite("start", displacements)
     rates = check_velocities(mechanism, velocities, dofs.free)
+    # In a program, thousands of masses that are gathered one by one take long to compile.
+    inertia = mechanism.inertia()
     constraint_set = gather_constraints(mechanism, constraints)
     start_of_motion = StartOfMotion(
         mechanism, drives, constraint_set, displacements, first, dofs, rates is not None
@@ -186,7 +193,11 @@ def simulate(
     arguments = mechanism, instants, loads, drives, strokes, constraint_set, displacements
     pad = saveat is None and not is_traced((*arguments, tolerance))
     time_count = len(instants)
-    solver = Radau() if solver is None else solver
+    if solver is None:
+        solver = Radau()
+        if step is None and controller is None and not constraint_set.size:
+            duration = as_float(host_instants[-1] - host_instants[0])
+            solver = chosen_solver(mechanism, inertia, dofs, displacements, duration)
     has_defaults = all(
         setting is None for setting in (adjoint, controller, saveat, event)
     )
@@ -197,6 +208,7 @@ def simulate(
     with explain_compilation(first, **functions):
         motion = solve(
             mechanism,
+            inertia,
             pad_times(instants) if pad else instants,
             traced(loads) if callable(loads) else load_set,
             traced(drives) if callable(drives) else tuple(drives),

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._utils.host import as_float, concrete, padded_size
+from ..._utils.host import as_float, concrete, on_host, padded_size
 from ..._utils.types import NumberLike, NumbersLike, Poses, VelocityLike
 from ..._utils.validation import compilation_error, index_of, require_row
 from ...mechanism.mechanism import Mechanism
@@ -102,7 +102,7 @@ def check_velocities(
             f"`velocities` is {given!r}, but must be a mapping from names of bodies to "
             'velocities (angle, x, y), such as {"link": (0, 1, 0)}.'
         )
-    rows = [jnp.zeros(3)] * len(mechanism.names)
+    rows = {}
     for name, velocity in given.items():
         body = index_of("`velocities`", "body", name, mechanism.names)
         where = f"`velocities` of the body {name!r}"
@@ -115,4 +115,10 @@ def check_velocities(
                     f"{where} has a velocity for the {mechanism.dof_name(dof)}, but this "
                     "coordinate is fixed or prescribed, which determines its velocity."
                 )
-    return jnp.stack(rows)
+    xp, given_rows = on_host(*rows.values())
+    if xp is np:
+        velocities = np.zeros(mechanism.reference.shape)
+        velocities[list(rows)] = np.reshape(given_rows, (-1, 3))
+        return as_float(velocities)
+    velocities = jnp.zeros(mechanism.reference.shape)
+    return velocities.at[np.array(list(rows))].set(jnp.stack(given_rows))

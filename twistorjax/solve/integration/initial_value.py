@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.pytrees import stop_gradient
-from ..._utils.types import Count, Flag, Poses, Scalar
+from ..._utils.types import Count, Flag, Poses, Scalar, Wrenches
 from ...linalg.block_factors import BlockInverses
 from ...linalg.elimination import inverse
 from ...mechanism.changes import HingeChanges
@@ -43,6 +43,7 @@ class InitialValueProblem(NamedTuple):
 
 def initial_value_problem(
     mechanism: Mechanism,
+    inertia: Wrenches,
     times: Float[Array, " times"],
     loads,
     drives,
@@ -66,7 +67,7 @@ def initial_value_problem(
     which a motion is saved instead are those of `saveat`; s. The accelerations at the
     start are checked only on request, because some solvers check them as well.
     """
-    inertia = mechanism.inertia().reshape(-1)
+    inertia = inertia.reshape(-1)
     system = MotionSystem(
         mechanism=mechanism,
         loads=loads,

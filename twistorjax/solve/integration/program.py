@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from ..._compile.compilation import fast_compile
-from ..._utils.types import Count, PoseLike, Poses, Scalar
+from ..._utils.types import Count, PoseLike, Poses, Scalar, Wrenches
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import Drive, Load, LoadSet
@@ -48,6 +48,7 @@ Strokes = TypeAliasType(
 
 def _solve(
     mechanism: Mechanism,
+    inertia: Wrenches,
     times: Float[Array, " times"],
     loads: LoadSet | Callable[[Scalar], Sequence[Load]],
     drives: Driving,
@@ -69,10 +70,10 @@ def _solve(
     time_count: Count,
 ) -> Motion:
     """Integrate the equations of motion; see `simulate`."""
-    collocation = isinstance(solver, Radau | Gauss)
+    method, collocation = type(solver).__name__, isinstance(solver, Radau | Gauss)
     saveat = dfx.SaveAt() if saveat is None else saveat
     problem = initial_value_problem(
-        mechanism, times, loads, drives, changes, constraints, start, velocities,
+        mechanism, inertia, times, loads, drives, changes, constraints, start, velocities,
         energies, dofs, tolerance, step, check_accelerations=not collocation,
         time_count=time_count, saved_times=getattr(saveat.subs, "ts", None),
     )  # fmt: skip
@@ -160,6 +161,7 @@ def _solve(
         temperature=hinge_states.temperature,
         names=mechanism.names,
         constraint_names=constraints.names(),
+        method=method,
     )
 
 

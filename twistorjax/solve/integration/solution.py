@@ -77,8 +77,10 @@ class Motion(PoseSolution):
         system: Equations of motion with `SaveAt(dense=True)`; otherwise None.
         strokes: Strokes of all hinges, if `simulate` had strokes; rad, m, m.
         temperature: Changes of the temperature, if `simulate` had them; K, K/m.
+        method: Name of the solver.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
+        method: Name of the solver.
     """
 
     times: Float[Array, "*batch times"]
@@ -98,6 +100,7 @@ class Motion(PoseSolution):
     temperature: Temperature | None
     names: tuple[str, ...] = eqx.field(static=True)
     constraint_names: tuple[str, ...] = eqx.field(static=True)
+    method: str = eqx.field(static=True)
     _plural: ClassVar[str] = "motions"
 
     def first_times(self, count: int) -> "Motion":
@@ -175,7 +178,7 @@ class Motion(PoseSolution):
         times, displacements = map(np.asarray, (self.times, self.displacements))
         title = (
             f"{names}: {float(times[0]):g} to {float(self.reached):.6g} s in "
-            f"{int(self.steps)} steps, {int(self.rejected)} rejected; "
+            f"{int(self.steps)} steps of {self.method}, {int(self.rejected)} rejected; "
             f"{times.size} saved times"
         )
         if np.any(self.energies.dissipated):

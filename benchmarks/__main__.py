@@ -20,6 +20,7 @@ from . import (
     condensed,
     first_calls,
     identification,
+    lattices,
     leaves,
     motion,
     paths,
@@ -37,7 +38,8 @@ MODULES = {
     module.__name__.rpartition(".")[2]: module
     for module in (
         statics, peers, chains, peers_chains, leaves, condensed, motion, peers_motion,
-        paths, identification, peers_identification, sweeps, first_calls, analyses,
+        lattices, paths, identification, peers_identification, sweeps, first_calls,
+        analyses,
     )
 }  # fmt: skip
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")

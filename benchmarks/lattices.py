@@ -1,0 +1,202 @@
+"""Motion of lattices of rotating squares, and the same motion by EXUDYN.
+
+Squares of 15 mm are joined at their corners, and one in the middle is pushed.
+"""
+# The stubs of EXUDYN contain wrong types.
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportCallIssue=false
+
+import time
+from collections.abc import Iterator
+from functools import partial
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import twistorjax as tj
+
+from .measure import at_most, Row, seconds
+
+
+SIDE, MASS = 15e-3, 1e-3  # m, kg
+INERTIA = MASS * SIDE**2 / 6  # kg m2
+STIFFNESS = np.array([1.5e-3, 1.2e5, 1.2e3])  # of a corner; N m/rad, N/m, N/m
+SPEED, DURATION = 1.0, 0.02  # m/s, s
+PEER_STEP = 1e-5  # s
+
+
+def corners(count: int) -> Iterator[tuple[tuple[int, int], tuple[int, int], np.ndarray]]:
+    """Yield both squares of each corner, and its pose; rad, m, m."""
+    for i in range(count):
+        for j in range(count):
+            shift = 0.2 * (1 if (i + j) % 2 == 0 else -1)
+            if i + 1 < count:
+                yield (
+                    (i, j),
+                    (i + 1, j),
+                    np.array([0, (i + 0.5) * SIDE, (j + shift) * SIDE]),
+                )
+            if j + 1 < count:
+                at = [np.pi / 2, (i - shift) * SIDE, (j + 0.5) * SIDE]
+                yield (i, j), (i, j + 1), np.array(at)
+
+
+def lattice(count: int, stiffness: jax.Array | None = None) -> tj.Mechanism:
+    """Return `count` by `count` squares between two walls, of which one may move along y.
+
+    Args:
+        stiffness: Factor of the stiffness of each corner.
+    """
+    squares = [(i, j) for i in range(count) for j in range(count)]
+    bodies = [
+        tj.Body(f"{i} {j}", (0.0, i * SIDE, j * SIDE), mass=MASS, inertia=INERTIA)
+        for i, j in squares
+    ]
+    corner = tj.Quadratic(np.diag(STIFFNESS))
+    hinges = [
+        tj.Hinge(
+            f"{k}",
+            "{} {}".format(*first),
+            "{} {}".format(*second),
+            corner if stiffness is None else stiffness[k] * corner,
+            at,
+        )
+        for k, (first, second, at) in enumerate(corners(count))
+    ]
+    fixed = {f"{i} 0": ["angle", "x", "y"] for i in range(count)}
+    fixed |= {f"{i} {count - 1}": ["angle", "x"] for i in range(count)}
+    return tj.Mechanism(bodies, hinges, fixed=fixed)
+
+
+def motion(count: int, mechanism: tj.Mechanism, **settings) -> tj.Motion:
+    """Simulate a lattice after a push on its middle."""
+    middle = f"{count // 2} {count // 2}"
+    return tj.simulate(
+        mechanism,
+        np.linspace(0, DURATION, 21),
+        velocities={middle: (0.0, 0.0, -SPEED)},
+        energies=False,
+        **settings,
+    )
+
+
+def exudyn_motion(count: int, step: float) -> tuple[float, np.ndarray]:
+    """Simulate a lattice by EXUDYN, which is sparse and implicit.
+
+    Returns:
+        The time of the simulation (s), and the positions of the squares at its end; m.
+    """
+    import exudyn as exu
+    from exudyn import itemInterface as items
+
+    system = exu.SystemContainer().AddSystem()
+    ground = items.NodePointGround()
+    wall = system.AddMarker(
+        items.MarkerNodeCoordinate(nodeNumber=system.AddNode(ground), coordinate=0)
+    )
+    nodes, bodies = {}, {}
+    for i in range(count):
+        for j in range(count):
+            pushed = (i, j) == (count // 2, count // 2)
+            nodes[i, j] = system.AddNode(
+                items.NodeRigidBody2D(
+                    referenceCoordinates=[i * SIDE, j * SIDE, 0.0],
+                    initialVelocities=[0.0, -SPEED if pushed else 0.0, 0.0],
+                )
+            )
+            bodies[i, j] = system.AddObject(
+                items.ObjectRigidBody2D(
+                    mass=MASS, inertia=INERTIA, nodeNumber=nodes[i, j]
+                )
+            )
+    rotation, along, across = STIFFNESS
+    for first, second, (angle, x, y) in corners(count):
+        markers = [
+            system.AddMarker(
+                items.MarkerBodyRigid(
+                    bodyNumber=bodies[i, j],
+                    localPosition=[x - i * SIDE, y - j * SIDE, 0],
+                )
+            )
+            for i, j in (first, second)
+        ]
+        cos, sin = np.cos(angle), np.sin(angle)
+        axes = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        system.AddObject(
+            items.ObjectConnectorRigidBodySpringDamper(
+                markerNumbers=markers,
+                stiffness=np.diag([along, across, 0, 0, 0, rotation]),
+                rotationMarker0=axes,
+                rotationMarker1=axes,
+            )
+        )
+    for i in range(count):
+        for j, coordinates in ((0, (0, 1, 2)), (count - 1, (0, 2))):
+            for coordinate in coordinates:
+                marker = items.MarkerNodeCoordinate(
+                    nodeNumber=nodes[i, j], coordinate=coordinate
+                )
+                held = [wall, system.AddMarker(marker)]
+                system.AddObject(items.ObjectConnectorCoordinate(markerNumbers=held))
+    system.Assemble()
+    settings = exu.SimulationSettings()
+    settings.solutionSettings.writeSolutionToFile = False
+    settings.linearSolverType = exu.LinearSolverType.EigenSparse
+    settings.timeIntegration.endTime = DURATION
+    settings.timeIntegration.numberOfSteps = round(DURATION / step)
+    settings.timeIntegration.verboseMode = 0
+    settings.timeIntegration.newton.useModifiedNewton = True
+    settings.timeIntegration.generalizedAlpha.spectralRadius = 1.0
+    start = time.perf_counter()
+    assert exu.MainSolverImplicitSecondOrder().SolveSystem(system, settings)
+    elapsed = time.perf_counter() - start
+    position = exu.OutputVariableType.Position
+    ends = [system.GetNodeOutput(node, position)[:2] for node in nodes.values()]
+    return elapsed, np.array(ends)
+
+
+def run() -> Iterator[Row]:
+    """Yield the rows of the table."""
+    per_body = {}
+    for count in (10, 20, 40):
+        name = f"lattice of {count} x {count} squares"
+        mechanism = lattice(count)
+        start = time.perf_counter()
+        jax.block_until_ready(motion(count, mechanism).displacements)
+        yield Row(f"{name}: first motion", time.perf_counter() - start, "s")
+        elapsed = seconds(motion, count, mechanism, repeats=5)
+        found = motion(count, mechanism)
+        yield Row(f"{name}: motion for 20 ms", elapsed, "s")
+        per_body[count] = elapsed / int(found.steps) / count**2
+        if count == 40:
+            continue
+        exact = motion(count, mechanism, solver=dfx.Tsit5(), tolerance=1e-10)
+        largest = np.max(np.abs(exact.displacements[-1, :, 1:]))
+
+        def error(positions: np.ndarray, exact=exact, largest=largest) -> float:
+            return float(np.max(np.abs(positions - exact.poses[-1, :, 1:])) / largest)
+
+        yield Row(
+            f"{name}: relative error at the end", error(found.poses[-1, :, 1:]), "1"
+        )
+        of_peer, positions = exudyn_motion(count, PEER_STEP)
+        yield Row(f"EXUDYN: {name}: motion for 20 ms", of_peer, "s")
+        yield Row(f"EXUDYN: {name}: relative error at the end", error(positions), "1")
+        what = f"{name}: time over that of EXUDYN"
+        yield at_most(what, elapsed / of_peer, "x", 0.5)
+        implicit = partial(motion, solver=tj.solve.Radau(), tolerance=1e-3)
+        elapsed = seconds(implicit, count, mechanism, repeats=3)
+        yield Row(f"{name}: motion for 20 ms, Radau, tolerance 1e-3", elapsed, "s")
+    what = "lattices: time per step and body, 40 x 40 over 10 x 10"
+    yield at_most(what, per_body[40] / per_body[10], "x", 2.0)
+    factors = jnp.ones(180)
+
+    def end(factors: jax.Array) -> jax.Array:
+        return motion(10, lattice(10, factors)).displacements[-1, 55, 2]
+
+    once = seconds(end, factors, repeats=3)
+    ratio = seconds(jax.grad(end), factors, repeats=3) / once
+    what = "lattice of 10 x 10 squares: gradient by 180 stiffnesses, over the motion"
+    yield at_most(what, ratio, "x", 5.0)

@@ -119,7 +119,8 @@ class Mechanism(eqx.Module):
             return index_of(where, "body", getattr(hinge, end), self.names)
 
         ends = tuple((body(hinge, "first"), body(hinge, "second")) for hinge in hinges)
-        for hinge in hinges:
+        # An energy that many hinges share is checked once, for the first of them.
+        for hinge in {id(hinge.energy): hinge for hinge in reversed(hinges)}.values():
             check_energy(hinge)
         frames, misfits = zip(
             *(

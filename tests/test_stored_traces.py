@@ -599,7 +599,7 @@ def decorated(value):
         push, decorated, lambda: None, eqx.Partial(push, 1), functools.partial(push),
         jax.jit(push), Color.RED, object(), np.array([object()]), type("A", (), {})(),
         jax.random.key(0), np.ma.array([1.0]), np.dtype([("a", float)]),
-        jax.tree.structure(Softer(np.eye(3))),
+        jax.tree.structure(Softer(np.eye(3))),  # pyright: ignore[reportCallIssue]
     ],
 )  # fmt: skip
 def test_functions_and_objects_of_users_have_no_text(value):

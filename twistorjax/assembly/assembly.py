@@ -1,5 +1,6 @@
 """All hinges of a mechanism: their energy, forces, and stiffness."""
 
+import math
 from dataclasses import replace
 
 import equinox as eqx
@@ -211,13 +212,6 @@ class HingeAssembly(eqx.Module):
         of_hinges = vector[self._dofs()]
         return self._gather(jnp.sum(stiffness * of_hinges[None], axis=1))
 
-    def stiffness_dofs(self) -> Int[np.ndarray, "2 entries"]:
-        """Return the row and the column of each entry of a flat 6 by 6 stiffness."""
-        dofs = self._dofs()
-        shape = (6, *dofs.shape)
-        rows = np.broadcast_to(dofs[:, None], shape).reshape(-1)
-        return np.stack([rows, np.broadcast_to(dofs[None], shape).reshape(-1)])
-
     def factored(
         self, displacements: Poses, free: tuple[int, ...]
     ) -> tuple[
@@ -235,7 +229,7 @@ class HingeAssembly(eqx.Module):
         size = (len(free), 3 * len(self._order()))
         entries = jnp.moveaxis(local.rows, 0, -1).reshape(-1)
         rows = sum_entries(entries, source, target, size[0] * size[1])
-        remainder = self._assemble(jnp.moveaxis(local.remainder, 0, -1), free, free)
+        remainder = self.assemble(jnp.moveaxis(local.remainder, 0, -1), free)
         return rows.reshape(size).T, local.weights.reshape(-1), remainder
 
     def rows_and_stiffness(
@@ -313,14 +307,20 @@ class HingeAssembly(eqx.Module):
         entries = jnp.stack([*forces]).reshape(-1)
         return sum_entries(entries, np.arange(target.size), target, 3 * self.bodies)
 
-    def _assemble(
-        self, matrices: Array, rows: tuple[int, ...], columns: tuple[int, ...]
-    ) -> Float[Array, "rows columns"]:
-        """Sum the 6 by 6 matrices of all members among some degrees of freedom."""
-        source, target = matrix_entries(self.ends, self._order(), rows, columns)
-        size = (len(rows), len(columns))
-        summed = sum_entries(matrices.reshape(-1), source, target, size[0] * size[1])
-        return summed.reshape(size)
+    def assemble(
+        self,
+        matrices: Float[Array, "6 6 members"],
+        dofs: tuple[int, ...],
+        layout: Layout | None = None,
+    ) -> Float[Array, "*matrix"]:
+        """Sum the matrices of all members among some degrees of freedom.
+
+        The sum is dense, or has the shape of a layout.
+        """
+        indices = matrix_entries(self.ends, self._order(), dofs, dofs, layout)
+        shape = 2 * (len(dofs),) if layout is None else layout.shape
+        summed = sum_entries(matrices.reshape(-1), *indices, math.prod(shape))
+        return summed.reshape(shape)
 
     def _order(self) -> tuple[int, ...]:
         """Return the index of the hinge of each member."""

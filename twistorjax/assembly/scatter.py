@@ -5,6 +5,8 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Int
 
+from ..linalg.block_factors import Layout
+
 
 @lru_cache(maxsize=256)
 def hinge_dofs(
@@ -21,12 +23,14 @@ def matrix_entries(
     order: tuple[int, ...],
     rows: tuple[int, ...],
     columns: tuple[int, ...],
+    layout: Layout | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the positions of the 6 by 6 matrices of hinges in the matrix of a mechanism.
 
     Args:
         ends: Indices of the two bodies of each hinge.
         order: Index of the hinge of each 6 by 6 matrix.
+        layout: Layout of the blocks of the matrix of a mechanism, if it is not dense.
 
     Returns:
         The indices of the entries that are used, in the flat array of shape (6, 6,
@@ -40,8 +44,10 @@ def matrix_entries(
     row = np.broadcast_to(row_of[dofs][:, None], (6, *dofs.shape))
     column = np.broadcast_to(column_of[dofs][None], (6, *dofs.shape))
     source = np.flatnonzero((row >= 0) & (column >= 0))
-    target = row.reshape(-1)[source] * len(columns) + column.reshape(-1)[source]
-    return source, target
+    row, column = row.reshape(-1)[source], column.reshape(-1)[source]
+    if layout is not None:
+        return source, layout.flat_indices(row, column)
+    return source, row * len(columns) + column
 
 
 @lru_cache(maxsize=256)

@@ -10,10 +10,10 @@ from jaxtyping import Array, Float
 
 from .._utils.types import Flag, Poses, Scalar
 from ..linalg.block_factors import Layout
-from ..linalg.sums import sum_entries
+from ..linalg.sums import gather_entries, sum_entries
 from .forces import FOUR_INDEX_AND_SIGN, HingeTangent, predicted_stress, UPPER_TRIANGLE
 from .motion_forces import HingeMotionTangent
-from .scatter import hinge_dofs, matrix_entries, vector_entries
+from .scatter import matrix_entries, vector_entries
 
 
 # Position of each entry of a 4 by 4 matrix of displacements in the upper triangle.
@@ -45,11 +45,9 @@ class AssemblyTangent(eqx.Module):
 
     def forces(self) -> Float[Array, " dofs"]:
         """Sum the forces of all hinges on each degree of freedom; N m, N."""
-        one_of_four, sign = FOUR_INDEX_AND_SIGN
-        dofs = hinge_dofs(self.ends, self.order).reshape(-1)
-        indices = np.arange(dofs.size), dofs
+        all_dofs = tuple(range(3 * self.bodies))
         forces = jnp.stack(self.each.forces)
-        return _sum_entries(forces, indices, one_of_four, sign, (3 * self.bodies,))
+        return _sum_forces(forces, self.ends, self.order, all_dofs)
 
     def matrix(
         self, rows: tuple[int, ...], columns: tuple[int, ...]
@@ -135,20 +133,19 @@ class AssemblyMotionTangent(eqx.Module):
         The matrices are dense without a `layout`. The other arguments are as in
         `AssemblyTangent`.
         """
-        count = len(free)
-        source, target = matrix_entries(ends, order, free, free)
-        shape = (count, count) if layout is None else layout.shape
-        if layout is not None:
-            target = layout.flat_indices(*np.divmod(target, count))
+        indices = matrix_entries(ends, order, free, free, layout)
+        shape = 2 * (len(free),) if layout is None else layout.shape
 
         def by_dofs(entries: Array) -> Float[Array, "*matrix"]:
             entries = jnp.moveaxis(entries, 0, -1)
-            return _sum_entries(entries, (source, target), *_of_pairs(_WHOLE), shape)
+            return _sum_entries(entries, indices, *_of_pairs(_WHOLE), shape)
 
         stiffness, damping = by_dofs(tangent.stiffness), by_dofs(tangent.damping)
         return cls(stiffness, damping, tangent, ends, order, free)
 
-    def translation_change(self, change: Poses) -> Float[Array, " translations"]:
+    def translation_change(
+        self, change: Float[Array, " free"]
+    ) -> Float[Array, " translations"]:
         """Compute the change of the mid-frame translations with displacements; m."""
         rows = self.each.translation_by_displacement
         return jnp.sum(rows * self._of_four(change)[:, None], axis=2).reshape(-1)
@@ -160,19 +157,30 @@ class AssemblyMotionTangent(eqx.Module):
         rows = self.each.force_by_translation
         return self._sum(jnp.sum(rows * change.reshape(-1, 2, 1), axis=1))
 
-    def damping_forces(self, rates: Poses) -> Float[Array, " free"]:
-        """Compute viscous forces at rates of the bodies (rad/s, m/s, m/s); N m, N."""
+    def damping_forces(self, rates: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Compute the viscous forces at rates (rad/s, m/s); N m, N."""
         rows = self.each.damping
         return self._sum(jnp.sum(rows * self._of_four(rates)[:, None], axis=2))
 
-    def _of_four(self, change: Poses) -> Float[Array, "members 4"]:
+    def _of_four(self, change: Float[Array, " free"]) -> Float[Array, "members 4"]:
         """Return the change of the four displacements of each member."""
-        first, second = np.array(self.ends).reshape(-1, 2)[list(self.order)].T
-        a, b = change[first].T, change[second].T
+        source, target = vector_entries(self.ends, self.order, self.free)
+        position = np.full(6 * len(self.order), len(self.free))
+        position[source] = target
+        of_six = gather_entries(jnp.append(change, 0.0), position).reshape(6, -1)
+        a, b = of_six[:3], of_six[3:]
         return jnp.stack([a[0], b[0], b[1] - a[1], b[2] - a[2]], axis=1)
 
     def _sum(self, of_four: Float[Array, "members 4"]) -> Float[Array, " free"]:
-        """Sum forces on the four displacements of all members."""
-        one_of_four, sign = FOUR_INDEX_AND_SIGN
-        indices = vector_entries(self.ends, self.order, self.free)
-        return _sum_entries(of_four.T, indices, one_of_four, sign, (len(self.free),))
+        return _sum_forces(of_four.T, self.ends, self.order, self.free)
+
+
+def _sum_forces(
+    of_four: Float[Array, "4 members"],
+    ends: tuple[tuple[int, int], ...],
+    order: tuple[int, ...],
+    dofs: tuple[int, ...],
+) -> Float[Array, " dofs"]:
+    """Sum forces on the four displacements of all members on degrees of freedom."""
+    indices = vector_entries(ends, order, dofs)
+    return _sum_entries(of_four, indices, *FOUR_INDEX_AND_SIGN, (len(dofs),))

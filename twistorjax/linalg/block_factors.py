@@ -187,7 +187,8 @@ class BlockInverses(eqx.Module):
     """A block tridiagonal matrix whose eliminated blocks on the diagonal are inverted.
 
     The matrix may be complex. It is eliminated without pivoting; see `inverse`. Its
-    linear systems are solved in half the time of `BlockFactors` (`benchmarks.motion`).
+    linear systems, of which a step of a motion solves several, take half the time of
+    `BlockFactors` (`benchmarks.lattices`).
     """
 
     layout: Layout = eqx.field(static=True)

@@ -307,6 +307,7 @@ class Mechanism(eqx.Module):
         Raises:
             ValueError: A body that can move has no mass or no inertia.
         """
+        # `is_fixed` would take long for each of many bodies.
         entries, fixed = [], set(self.fixed)
         bodies = zip(self.names, self.masses, self.inertias, strict=True)
         for body, (name, mass, inertia) in enumerate(bodies):

@@ -397,8 +397,8 @@ def _corrected(
     work in the mode, the mechanism snaps at a limit point: the load factor then follows
     from the equilibrium in this mode.
 
-    The flags tell whether the load does work in the mode, whether the iteration has
-    converged, and whether a hinge is outside the validity range of its energy.
+    Three flags are returned: whether the load does work in the mode, whether the
+    iteration has converged, and whether a hinge is outside its validity range.
     """
     free, units = len(linear.basis), metric.units[: len(linear.basis)]
     estimate = linear.factors[row]

@@ -40,8 +40,8 @@ def fit_mixed(
 ) -> tuple[MixedEnergy, ConstrainedSolution, bool] | None:
     """Fit a mixed energy to trials.
 
-    The result tells whether the iteration converged. It is None if no energy with a
-    positive axial compliance at all trials and in the reference configuration was found.
+    The flag is true if the iteration converged. There is no result if no energy was found
+    with a positive axial compliance at all trials and in the reference configuration.
     The reference length `scale` (m) is by default the largest transverse displacement.
     """
     if trials.wrenches is None or trials.wrench_deviations is None:

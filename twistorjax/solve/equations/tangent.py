@@ -1,7 +1,5 @@
 """Tangent stiffness of a mechanism: dense, with constraints, or in blocks."""
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +11,6 @@ from ...assembly.assembly import HingeAssembly
 from ...linalg.block_factors import BlockFactors, Layout
 from ...linalg.constraints import AllowedDisplacements, ConstrainedFactors
 from ...linalg.factors import Elimination, factorize, Factors, solve_once
-from ...linalg.sums import sum_entries
 from .dofs import DofPartition
 
 
@@ -150,11 +147,11 @@ class BlockTangent(eqx.Module):
 
     def factors(self, symmetric: bool) -> BlockFactors:
         """Factorize the stiffness of the free degrees of freedom."""
-        layout = self.layout
-        source, target = self._block_entries()
-        entries = jnp.concatenate([self.hinge_stiffness.reshape(-1), -self.by_angle])
-        blocks = sum_entries(entries, source, target, math.prod(layout.shape))
-        return BlockFactors.of(blocks.reshape(layout.shape), layout, symmetric)
+        layout, free = self.layout, self.dofs.free
+        blocks = self.hinges.assemble(self.hinge_stiffness, free, layout)
+        # Without follower loads, the matrix is symmetric.
+        blocks = add_load_stiffness(blocks, self.by_angle, symmetric, free, free, layout)
+        return BlockFactors.of(blocks, layout, symmetric)
 
     def solve_and_check(
         self, rights: Float[Array, "rights free"], symmetric: bool
@@ -168,20 +165,6 @@ class BlockTangent(eqx.Module):
         stiffness = jnp.where(found, self.hinge_stiffness, identity)
         by_angle = jnp.where(found, self.by_angle, 0.0)
         return BlockTangent(self.hinges, stiffness, by_angle, self.dofs, self.layout)
-
-    def _block_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """Find the entries that are used, and the position of each among the blocks.
-
-        Entries are those of `hinge_stiffness`, then those of `by_angle`.
-        """
-        all_dofs = np.arange(self.dofs.total)
-        of_loads = np.stack([all_dofs, 3 * (all_dofs // 3)])
-        dofs = np.concatenate([self.hinges.stiffness_dofs(), of_loads], axis=1)
-        row = np.full(self.dofs.total, -1)
-        row[list(self.dofs.free)] = np.arange(len(self.dofs.free))
-        rows, columns = row[dofs]
-        source = np.flatnonzero((rows >= 0) & (columns >= 0))
-        return source, self.layout.flat_indices(rows[source], columns[source])
 
 
 def _solve_with_factors(

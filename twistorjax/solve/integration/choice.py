@@ -3,6 +3,7 @@
 import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
 from ..._utils.host import is_traced
@@ -19,7 +20,7 @@ from .collocation import Radau
 # largest frequency (rad/s) and by the largest rate of decay (1/s).
 _STABLE = 2.5
 # A step of the implicit method takes as long as ten explicit ones for 100 bodies, and 30
-# for 400, and it needs at least a hundred steps (`benchmarks.motion`).
+# for 400, and it needs at least a hundred steps (`benchmarks.lattices`).
 _MOST_EXPLICIT_STEPS = 1000
 
 
@@ -64,10 +65,11 @@ def largest_rate(
     counts = np.bincount(np.concatenate([first, second]), minlength=hinges.bodies)
     share = jnp.asarray(counts.astype(float))[:, None] / inertia
     a, b = share[first].T, share[second].T
-    of_four = jnp.sqrt(jnp.stack([a[0], b[0], a[1] + b[1], a[2] + b[2]], axis=1))
+    # Reciprocal square roots of the inertia against the four displacements of a hinge
+    scale = jnp.sqrt(jnp.stack([a[0], b[0], a[1] + b[1], a[2] + b[2]], axis=1))
 
-    def largest(matrices):
-        scaled = of_four[:, :, None] * matrices * of_four[:, None]
+    def largest(matrices: Float[Array, "members 4 4"]) -> Scalar:
+        scaled = scale[:, :, None] * matrices * scale[:, None]
         return jnp.max(jnp.sqrt(jnp.sum(scaled**2, axis=(1, 2))))
 
     frequency = jnp.sqrt(largest(tangent.each.stiffness))

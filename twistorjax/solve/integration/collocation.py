@@ -28,7 +28,6 @@ A step has four parts:
 Three iterations are sufficient for steps six times as long as those of Rodas5P.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
@@ -36,7 +35,6 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 from ..._utils.pytrees import select, stop_gradient
@@ -166,16 +164,11 @@ def _step(
     )
     tangent = frozen.tangent(*(values[middle] for values in stages))
     frozen_step = jax.lax.stop_gradient(step)
-    stages_solver = _stage_solver(scheme, tangent, frozen_step, frozen)
+    inverses = _stage_inverses(scheme, tangent, frozen_step, frozen)
     to_components = jnp.asarray(scheme.to_components)
     from_components = jnp.asarray(scheme.from_components)
     # The accelerations of a change that removes a violation at the stages.
     from_violation = jnp.asarray(-scheme.differentiate_twice) / frozen_step**2
-
-    @jax.vmap
-    def translations_by_position(change: Array) -> Array:
-        still = jnp.zeros(len(system.dofs.prescribed))
-        return tangent.hinges.translation_change(system.dofs.expand(change, still))
 
     def iterate(_, unknowns: tuple[Array, ...]) -> tuple[Array, ...]:
         """Correct the stages once; the last result is the correction."""
@@ -190,9 +183,10 @@ def _step(
         if multipliers.size:
             removal = product(from_violation, forces.violation)
             right = jnp.concatenate([right, removal], axis=1)
-        solution = product(from_components, stages_solver.solve(right))
+        solution = product(from_components, inverses.solve(right))
         change, multiplier_change = solution[:, :size], solution[:, size:]
-        translation_change = translations_by_position(product(matrix_squared, change))
+        position_change = product(matrix_squared, change)
+        translation_change = jax.vmap(tangent.hinges.translation_change)(position_change)
         translations = translations + forces.excess + translation_change
         return (
             accelerations + change,
@@ -241,7 +235,7 @@ def _step(
     error = None
     if scheme.stiffly_accurate:
         error = _error(
-            scheme, stages_solver, tangent,
+            scheme, inverses, tangent,
             *stop_gradient(
                 (step, state, system, history, rates, accelerations, change)
             ),
@@ -251,7 +245,7 @@ def _step(
     return end, error, dense, new_history, result
 
 
-def _stage_solver(
+def _stage_inverses(
     scheme: Scheme, tangent: MotionTangent, step: Scalar, system: MotionSystem
 ) -> "_StageInverses | _BlockStageInverses":
     """Invert the matrices of the decoupled stages for a step; s."""
@@ -259,13 +253,11 @@ def _stage_solver(
     if layout is None:
         inertia = jnp.diag(system.mass)
     else:
-        each = np.arange(system.mass.size)
-        inertia = jnp.zeros(math.prod(layout.shape))
-        inertia = inertia.at[layout.flat_indices(each, each)].set(system.mass)
-        inertia = inertia.reshape(layout.shape)
+        of_blocks = jax.vmap(jnp.diag)(layout.rows(system.mass))
+        inertia = jnp.zeros(layout.shape).at[0].set(of_blocks)
 
     def matrix(eigenvalue: Inexact[Array, ""]) -> Inexact[Array, "*matrix"]:
-        parts = inertia, tangent.damping, tangent.stiffness
+        parts = inertia, tangent.hinges.damping, tangent.stiffness
         inertial, damping, stiffness = (part.astype(eigenvalue.dtype) for part in parts)
         return inertial + eigenvalue * damping + eigenvalue**2 * stiffness
 
@@ -348,7 +340,7 @@ class _BlockStageInverses(NamedTuple):
 
 def _error(
     scheme: Scheme,
-    stages_solver: _StageInverses | _BlockStageInverses,
+    inverses: _StageInverses | _BlockStageInverses,
     tangent: MotionTangent,
     step: Scalar,
     state: State,
@@ -376,10 +368,9 @@ def _error(
         scheme.real_eigenvalue * history.last_acceleration + embedded @ accelerations
     )
     eigenvalue = scheme.real_eigenvalue * step
-    still = jnp.zeros(len(system.dofs.prescribed))
-    damping = tangent.hinges.damping_forces(system.dofs.expand(position, still))
+    damping = tangent.hinges.damping_forces(position)
     right = system.mass * (eigenvalue * rate + position) + eigenvalue * damping
-    filtered = stages_solver.solve_real(right)
+    filtered = inverses.solve_real(right)
     estimate = State(filtered, (filtered - position) / eigenvalue, state.work * 0)
     estimate = jax.tree.map(jnp.abs, estimate)
     factor = 10**1.5 * jnp.sqrt(system.norm(estimate))

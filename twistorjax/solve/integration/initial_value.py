@@ -156,8 +156,7 @@ def _scales(
     if layout is None:
         diagonal, compliance = jnp.diagonal(stiffness), jnp.diagonal(inverse(stiffness))
     else:
-        each = np.arange(len(free))
-        diagonal = stiffness.reshape(-1)[layout.flat_indices(each, each)]
+        diagonal = layout.vector(jnp.diagonal(stiffness[0], axis1=1, axis2=2))
         compliance = BlockInverses.of(stiffness, layout).diagonal()
     rotations = system.free % 3 == 0
     rotational, translational = (

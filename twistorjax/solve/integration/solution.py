@@ -77,7 +77,6 @@ class Motion(PoseSolution):
         system: Equations of motion with `SaveAt(dense=True)`; otherwise None.
         strokes: Strokes of all hinges, if `simulate` had strokes; rad, m, m.
         temperature: Changes of the temperature, if `simulate` had them; K, K/m.
-        method: Name of the solver.
         names: Names of the bodies.
         constraint_names: Name of the constraint to which each scalar equation belongs.
         method: Name of the solver.

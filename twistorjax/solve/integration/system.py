@@ -48,15 +48,14 @@ class Forces(NamedTuple):
 class MotionTangent(NamedTuple):
     """Derivatives of `Forces` with respect to the free degrees of freedom.
 
-    The matrices have the shape of the system's layout.
+    The stiffness has the shape of the system's layout.
     """
 
     # Negative derivative of the net forces with respect to displacements; N m/rad, N/rad,
     # N/m
     stiffness: Float[Array, "*matrix"]
-    # Negative derivative of the net forces with respect to rates
-    damping: Float[Array, "*matrix"]
-    hinges: AssemblyMotionTangent  # Derivatives of the forces of the hinges
+    # Derivatives of the forces of the hinges, also with respect to rates
+    hinges: AssemblyMotionTangent
     # Derivative of the violations with respect to displacements
     jacobian: Float[Array, "entries free"]
 
@@ -200,7 +199,6 @@ class MotionSystem(eqx.Module):
             stiffness = stiffness + geometric[self.free[:, None], self.free]
         return MotionTangent(
             stiffness=stiffness,
-            damping=tangent.damping,
             hinges=tangent,
             jacobian=self.jacobian(time, position),
         )

@@ -2,9 +2,9 @@
 
 Squares of 15 mm are joined at their corners, and one in the middle is pushed.
 """
-# The stubs of EXUDYN contain wrong types.
+# The stubs of EXUDYN contain wrong types, and only benchmarks install it.
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportMissingImports=false
 
 import time
 from collections.abc import Iterator

@@ -114,7 +114,7 @@ def test_masses_and_outlines_are_optional(tmp_path):
     tj.io.save_mechanism(mechanism, tmp_path / "h.json")
     loaded = tj.io.load_mechanism(tmp_path / "h.json")
     assert_same_mechanism(loaded, mechanism)
-    assert loaded.masses == (None, None)
+    assert tuple(loaded.masses) == (None, None)
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,10 @@ A `Mechanism` consists of rigid bodies that are connected by elastic hinges.
 response to loads and prescribed displacements. Their results are differentiable. A solver
 that fails raises an error, or with `throw=False` returns NaN and a `result`.
 
-The namespaces contain the rest: `energies` and `flexures` for hinges, `solve` for results
-and solvers of motion, `identification` and `sweeps` for studies, `io` and `plotting` for
-files and figures, `geometry` for poses and twistors, and `examples` for the mechanisms of
-the dissertation on which the library is based.
+The namespaces contain the rest: `energies` and `flexures` for hinges, `lattices` for
+repeated cells, `solve` for results and solvers of motion, `identification` and `sweeps`
+for studies, `io` and `plotting` for files and figures, `geometry` for poses and twistors,
+and `examples` for the mechanisms of the dissertation on which the library is based.
 """
 
 import lazy_loader

@@ -5,6 +5,7 @@ from . import (
     geometry as geometry,
     identification as identification,
     io as io,
+    lattices as lattices,
     plotting as plotting,
     solve as solve,
     sweeps as sweeps,

@@ -39,6 +39,14 @@ MatrixLike = TypeAliasType("MatrixLike", Float[ArrayLike, "3 3"])
 PosesLike = TypeAliasType(
     "PosesLike", Float[ArrayLike, "bodies 3"] | Sequence[Sequence[ArrayLike]]
 )
+# Vectors (x, y) from a cell of a lattice to the next ones; m
+VectorsLike = TypeAliasType(
+    "VectorsLike", Float[ArrayLike, "directions 2"] | Sequence[PointLike]
+)
+# Derivatives of (x, y) by (x, y)
+GradientLike = TypeAliasType(
+    "GradientLike", Float[ArrayLike, "2 2"] | Sequence[Sequence[ArrayLike]]
+)
 # A closed polygon, in order; m
 CornersLike = TypeAliasType(
     "CornersLike", Float[ArrayLike, "corners 2"] | Sequence[Sequence[ArrayLike]]

@@ -1,6 +1,5 @@
 """All hinges of a mechanism: their energy, forces, and stiffness."""
 
-import math
 from dataclasses import replace
 
 import equinox as eqx
@@ -11,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._compile.batching import map_rows
 from .._utils.host import as_float, on_host
+from .._utils.stacking import PerPart
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
 from ..energies.natural_curvature import NaturallyCurved
@@ -18,9 +18,10 @@ from ..geometry.twistors import Displacement
 from ..linalg.block_factors import Layout
 from ..linalg.sums import gather_entries, sum_entries
 from . import forces as hinge_forces, motion_forces
+from .factored import FactoredStiffness
 from .groups import DampedEnergy, HingeGroup
 from .kinematics import Axis, End, mid_frame, Misfit, misfit_numbers
-from .scatter import hinge_dofs, matrix_entries, row_entries
+from .scatter import hinge_dofs, sum_matrices
 from .tangent import AssemblyMotionTangent, AssemblyTangent
 
 
@@ -45,7 +46,7 @@ class HingeAssembly(eqx.Module):
     misfits: Float[Array, "hinges 6"] | None
     groups: tuple[HingeGroup, ...]  # Groups of hinges with the same kind of energy
     # Energy and damping of each hinge whose energy is a sum; None for others
-    sums: tuple[DampedEnergy | None, ...]
+    sums: PerPart
     # Time derivatives of the misfits; None if they are constant
     misfit_rates: Float[Array, "hinges 6"] | None = None
 
@@ -213,24 +214,14 @@ class HingeAssembly(eqx.Module):
         return self._gather(jnp.sum(stiffness * of_hinges[None], axis=1))
 
     def factored(
-        self, displacements: Poses, free: tuple[int, ...]
-    ) -> tuple[
-        Float[Array, "rows free"], Float[Array, " rows"], Float[Array, "free free"]
-    ]:
-        """Compute the stiffness among some degrees of freedom in factors.
-
-        Returns:
-            Three rows for each term of each hinge; the stiffness against each row; and
-            the remainder. The matrix of the `tangent` is
-            `rows.T diag(stiffness) rows + remainder`.
-        """
-        local = self._evaluate(hinge_forces.factored, displacements)
-        source, target = row_entries(self.ends, self._order(), free, 3)
-        size = (len(free), 3 * len(self._order()))
-        entries = jnp.moveaxis(local.rows, 0, -1).reshape(-1)
-        rows = sum_entries(entries, source, target, size[0] * size[1])
-        remainder = self.assemble(jnp.moveaxis(local.remainder, 0, -1), free)
-        return rows.reshape(size).T, local.weights.reshape(-1), remainder
+        self,
+        displacements: Poses,
+        of_loads: Float[Array, " free"],
+        free: tuple[int, ...],
+    ) -> FactoredStiffness:
+        """Compute the stiffness of hinges and loads in factors."""
+        each = self._evaluate(hinge_forces.factored, displacements)
+        return FactoredStiffness(each, of_loads, self.ends, self._order(), free)
 
     def rows_and_stiffness(
         self, displacements: Poses
@@ -313,14 +304,8 @@ class HingeAssembly(eqx.Module):
         dofs: tuple[int, ...],
         layout: Layout | None = None,
     ) -> Float[Array, "*matrix"]:
-        """Sum the matrices of all members among some degrees of freedom.
-
-        The sum is dense, or has the shape of a layout.
-        """
-        indices = matrix_entries(self.ends, self._order(), dofs, dofs, layout)
-        shape = 2 * (len(dofs),) if layout is None else layout.shape
-        summed = sum_entries(matrices.reshape(-1), *indices, math.prod(shape))
-        return summed.reshape(shape)
+        """Sum the matrices of all members; see `sum_matrices`."""
+        return sum_matrices(matrices, self.ends, self._order(), dofs, layout)
 
     def _order(self) -> tuple[int, ...]:
         """Return the index of the hinge of each member."""

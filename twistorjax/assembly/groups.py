@@ -5,12 +5,11 @@ from functools import partial
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import all_concrete, as_float
-from .._utils.pytrees import group_by_structure
+from .._utils.host import as_float
+from .._utils.stacking import Copies, PerPart, stack
 from .._utils.types import Scalar
 from ..energies.base import AbstractEnergy, parallel_terms
 from ..energies.damping import ViscousDamping
@@ -49,32 +48,30 @@ class HingeGroup(eqx.Module):
 DampedEnergy = tuple[AbstractEnergy, ViscousDamping | Scalar | None]
 
 
-def group_hinges(hinges: Sequence[DampedEnergy]) -> tuple[HingeGroup, ...]:
-    """Stack the energies of hinges of the same kind.
+def group_hinges(hinges: Sequence[Copies]) -> tuple[HingeGroup, ...]:
+    """Stack the energies of hinges of the same kind, and their damping.
 
     The terms of a sum act in parallel. Each of them has its own damping, coordinates, and
     model for Newton's method.
     """
-    rows, pairs = [], []
-    for row, (energy, damping) in enumerate(hinges):
-        terms = parallel_terms(energy)
-        rows += [row] * len(terms)
-        pairs += zip(terms, _distribute(damping, terms), strict=True)
+    rows, terms, start = [], [], 0
+    for copies in hinges:
+        of_terms = [
+            Copies(pair, copies.number, jax.tree.leaves(varies))
+            for pair, varies in zip(
+                _terms(copies.value), _terms(copies.varies_tree()), strict=True
+            )
+        ]
+        rows += len(of_terms) * list(range(start, start + copies.number))
+        terms += of_terms
+        start += copies.number
     groups = []
-    for indices in group_by_structure(pairs):
-        tree = jax.tree.structure(pairs[indices[0]])
-        columns = zip(*(jax.tree.leaves(pairs[k]) for k in indices), strict=True)
-        leaves, batch_axes = [], []
-        for column in columns:
-            shared = all(leaf is column[0] for leaf in column)
-            batch_axes.append(None if shared else 0)
-            leaves.append(column[0] if shared else _stack(column))
-        energy, damping = jax.tree.unflatten(tree, leaves)
+    for indices, (energy, damping), axes in stack(terms, share=True):
         if eqx.is_array(damping):  # a time
-            damping = _proportional(energy, damping, tuple(batch_axes))
-            batch_axes[-1] = None if damping.damping.ndim == 2 else 0
+            damping = _proportional(energy, damping, axes)
+            axes = (*axes[:-1], None if damping.damping.ndim == 2 else 0)
         members = tuple(rows[k] for k in indices)
-        groups.append(HingeGroup(members, energy, damping, tuple(batch_axes)))
+        groups.append(HingeGroup(members, energy, damping, axes))
     return tuple(groups)
 
 
@@ -111,9 +108,23 @@ def dilate_groups(
     return tuple(new)
 
 
-def sums_of(hinges: Sequence[DampedEnergy]) -> tuple[DampedEnergy | None, ...]:
+def sums_of(hinges: Sequence[Copies]) -> PerPart:
     """Return energy and damping of each hinge whose energy is a sum; None for others."""
-    return tuple(hinge if len(parallel_terms(hinge[0])) > 1 else None for hinge in hinges)
+    return PerPart.of(
+        [
+            hinge
+            if len(parallel_terms(hinge.value[0])) > 1
+            else Copies(None, hinge.number)
+            for hinge in hinges
+        ]
+    )
+
+
+def _terms(hinge: DampedEnergy) -> list[DampedEnergy]:
+    """Return the terms of an energy, each with its part of the damping."""
+    energy, damping = hinge
+    terms = parallel_terms(energy)
+    return list(zip(terms, _distribute(damping, terms), strict=True))
 
 
 def _distribute(
@@ -160,9 +171,3 @@ def _curvature_loads(
         return curvature_loads(jax.tree.unflatten(tree, leaves), free)
 
     return jax.vmap(loads, in_axes=(list(batch_axes), 0))(leaves, free)
-
-
-def _stack(row: Sequence[Array]) -> Array:
-    """Stack arrays, without a compilation if they are not traced."""
-    values = all_concrete(row)
-    return jnp.stack(row) if values is None else jnp.asarray(np.stack(values))

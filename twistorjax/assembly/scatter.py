@@ -1,11 +1,29 @@
 """Entries of all hinges in the vectors and matrices of a mechanism."""
 
+import math
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Array, Float, Int
 
 from ..linalg.block_factors import Layout
+from ..linalg.sums import sum_entries
+
+
+def sum_matrices(
+    matrices: Float[Array, "6 6 members"],
+    ends: tuple[tuple[int, int], ...],
+    order: tuple[int, ...],
+    dofs: tuple[int, ...],
+    layout: Layout | None = None,
+) -> Float[Array, "*matrix"]:
+    """Sum the matrices of hinges among some degrees of freedom; see `matrix_entries`.
+
+    The sum is dense, or has the shape of a layout.
+    """
+    indices = matrix_entries(ends, order, dofs, dofs, layout)
+    shape = 2 * (len(dofs),) if layout is None else layout.shape
+    return sum_entries(matrices.reshape(-1), *indices, math.prod(shape)).reshape(shape)
 
 
 @lru_cache(maxsize=256)

@@ -1,6 +1,7 @@
 from .axial_spring import AxialSpring as AxialSpring
 from .base import AbstractEnergy as AbstractEnergy
 from .beam_column import BeamColumn as BeamColumn
+from .contact import CornerContact as CornerContact, Stop as Stop
 from .damping import ViscousDamping as ViscousDamping
 from .fitting import (
     EnergyFit as EnergyFit,

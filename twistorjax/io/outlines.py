@@ -9,6 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._utils.stacking import PerPart
 from .._utils.types import PosesLike
 from .._utils.validation import require_package, require_simple_polygon
 from ..mechanism.hinge import AbstractOutline
@@ -79,10 +80,8 @@ def save_outline(
     if poses is not None:
         current = current + np.asarray(mechanism.displacements(poses))
         # The outlines of hinges are deformed.
-        fine = tuple(map(_with_fine_arcs, mechanism.hinge_outlines))
-        mechanism = eqx.tree_at(
-            lambda new: new.hinge_outlines, mechanism, fine, is_leaf=lambda x: x is None
-        )
+        fine = PerPart.of_each(list(map(_with_fine_arcs, mechanism.hinge_outlines)))
+        mechanism = eqx.tree_at(lambda new: new.hinge_outlines, mechanism, fine)
     parts = [shape for shape in shapes(mechanism, current) if shape.kind in _STYLES]
     if not parts:
         raise ValueError(

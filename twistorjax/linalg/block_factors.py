@@ -59,16 +59,20 @@ class Layout(NamedTuple):
         unused = np.eye(self.size)[None] * ~used.reshape(self.blocks, self.size, 1)
         return blocks.at[0].add(jnp.asarray(unused, blocks.dtype))
 
-    def rows(self, vector: Inexact[Array, " free"]) -> Inexact[Array, "blocks size"]:
-        """Arrange a vector by blocks; unused entries are zero."""
+    def rows(
+        self, vectors: Inexact[Array, "free ..."]
+    ) -> Inexact[Array, "blocks size ..."]:
+        """Arrange vectors by blocks; unused entries are zero."""
         source = np.full(self.blocks * self.size, len(self.order))
         source[list(self.order)] = np.arange(len(self.order))
-        padded = jnp.concatenate([vector, jnp.zeros(1, vector.dtype)])
-        return padded[source].reshape(self.blocks, self.size)
+        padded = jnp.concatenate([vectors, jnp.zeros_like(vectors[:1])])
+        return padded[source].reshape(self.blocks, self.size, *vectors.shape[1:])
 
-    def vector(self, rows: Inexact[Array, "blocks size"]) -> Inexact[Array, " free"]:
-        """Arrange the rows of blocks as a vector again."""
-        return rows.reshape(-1)[np.array(self.order)]
+    def vector(
+        self, rows: Inexact[Array, "blocks size ..."]
+    ) -> Inexact[Array, "free ..."]:
+        """Arrange the rows of blocks as vectors again."""
+        return rows.reshape(-1, *rows.shape[2:])[np.array(self.order)]
 
 
 @lru_cache(maxsize=256)
@@ -213,10 +217,17 @@ class BlockInverses(eqx.Module):
         _, (inverses, above) = jax.lax.scan(eliminate, identity, tuple(blocks))
         return cls(layout, inverses, blocks[1], above)
 
-    def solve(self, right: Inexact[Array, " free"]) -> Inexact[Array, " free"]:
+    def solve(self, right: Inexact[Array, "free ..."]) -> Inexact[Array, "free ..."]:
         rows = self.layout.rows(right)
         solution = _substitute(jnp.matmul, self.inverses, self.below, self.above, rows)
         return self.layout.vector(solution)
+
+    def is_positive(self) -> Flag:
+        """Decide whether a symmetric matrix is positive definite.
+
+        It is if all eliminated blocks are.
+        """
+        return jnp.all(jnp.isfinite(jnp.linalg.cholesky(self.inverses)))
 
     def diagonal(self) -> Inexact[Array, " free"]:
         """Compute the diagonal of the inverse of the matrix.
@@ -243,8 +254,8 @@ def _substitute(
     factors: Any,
     below: Inexact[Array, "blocks size size"],
     above: Inexact[Array, "blocks size size"],
-    rows: Inexact[Array, "blocks size"],
-) -> Inexact[Array, "blocks size"]:
+    rows: Inexact[Array, "blocks size ..."],
+) -> Inexact[Array, "blocks size ..."]:
     """Solve with eliminated blocks, forward with `solve_block`, then backward."""
 
     def forward(solution_before, block):

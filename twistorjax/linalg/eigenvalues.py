@@ -34,21 +34,41 @@ class Stiffness(NamedTuple):
         remainder = basis.T @ self.remainder @ basis
         return Stiffness(self.rows @ basis, self.weights, remainder)
 
+    def plus(self, matrix: Float[Array, "n n"]) -> "Stiffness":
+        """Add a matrix whose small entries need not be accurate."""
+        return self._replace(remainder=self.remainder + matrix)
+
+    def rounding_errors(
+        self, displacements: Float[Array, "n modes"]
+    ) -> Float[Array, " modes"]:
+        """Bound the errors of the stiffness against each displacement."""
+        rows, weights, remainder = self
+        sizes = jnp.abs(displacements)
+        of_remainder = jnp.sum(sizes * (jnp.abs(remainder) @ sizes), axis=0)
+        strains, bounds = rows @ displacements, jnp.abs(rows) @ sizes
+        return rounding_errors(weights, strains, bounds, of_remainder)
+
 
 def rounding_errors(
-    stiffness: Stiffness, vectors: Float[Array, "n modes"]
+    weights: Float[Array, " rows"],
+    strains: Float[Array, "rows modes"],
+    bounds: Float[Array, "rows modes"],
+    of_remainder: Float[Array, " modes"],
 ) -> Float[Array, " modes"]:
     """Bound the rounding errors of the stiffness against each of several displacements.
 
     A displacement may be softer than others by any factor, so the bound follows from the
     terms of its own stiffness, not from the largest eigenvalue.
+
+    Args:
+        weights: Stiffness against each row of the factors.
+        strains: Products of the rows and the displacements.
+        bounds: The same products of the absolute values.
+        of_remainder: Products of the absolute values of the remainder and of the
+            displacements.
     """
-    rows, weights, remainder = stiffness
-    sizes = jnp.abs(vectors)
-    rounding = _ROUNDING * (jnp.abs(rows) @ sizes)
-    of_remainder = jnp.sum(sizes * (jnp.abs(remainder) @ sizes), axis=0)
-    terms = weights @ (rows @ vectors) ** 2 + of_remainder
-    return _LARGEST_ERROR * terms + weights @ rounding**2
+    terms = weights @ strains**2 + of_remainder
+    return _LARGEST_ERROR * terms + weights @ (_ROUNDING * bounds) ** 2
 
 
 class Modes(NamedTuple):
@@ -87,13 +107,13 @@ def modes(stiffness: Stiffness) -> Modes:
     rows, _, remainder = stiffness.reduced(basis)
     matrix = rows.T @ (weights[:, None] * rows) + (remainder + remainder.T) / 2
     matrix = jnp.where(finite, matrix, jnp.eye(len(matrix)))
-    squares, vectors = _jacobi_eigenvalues(matrix)
+    squares, vectors = jacobi_eigenvalues(matrix)
     root = jnp.sign(squares) * jnp.sqrt(jnp.abs(squares))
     nan_if_failed = jnp.where(finite, 0.0, jnp.nan)
     return Modes(jnp.diag(root + nan_if_failed), basis @ vectors + nan_if_failed)
 
 
-def _jacobi_eigenvalues(
+def jacobi_eigenvalues(
     matrix: Float[Array, "n n"],
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
     """Compute eigenvalues and eigenvectors of a symmetric matrix by Jacobi's method.
@@ -172,13 +192,25 @@ def _(primals, tangents):
     half = rows.T @ (weights[:, None] * row_changes)
     derivative = half + half.T + rows.T @ (change.weights[:, None] * rows)
     derivative = derivative + vectors.T @ change.remainder @ vectors
-    derivative = _root_derivative(root, derivative)
+    root_change, rotation = change_of_modes(root, derivative)
+    return solution, Modes(root_change, vectors @ rotation)
+
+
+def change_of_modes(
+    root: Float[Array, "n n"], change: Float[Array, "n n"]
+) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
+    """Compute the change of `Modes` from that of the matrix in their basis.
+
+    Returns:
+        The change of the root, and that of the vectors in their basis.
+    """
+    derivative = _root_derivative(root, change)
     frequencies = jnp.diagonal(root)
     difference = frequencies[None] - frequencies[:, None]
     size = jnp.abs(frequencies[None]) + jnp.abs(frequencies[:, None])
     equal = jnp.abs(difference) <= _EQUAL * size
     rotation = jnp.where(equal, 0.0, derivative / jnp.where(equal, 1.0, difference))
-    return solution, Modes(jnp.where(equal, derivative, 0.0), vectors @ rotation)
+    return jnp.where(equal, derivative, 0.0), rotation
 
 
 def _root_derivative(

@@ -1,6 +1,7 @@
 """Mechanisms of rigid bodies that are connected by elastic hinges."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 
 import equinox as eqx
@@ -10,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.host import all_concrete, as_float, on_host
+from .._utils.host import as_float, on_host
+from .._utils.stacking import PerPart
 from .._utils.types import (
     Corners,
     Displaced,
@@ -29,8 +31,6 @@ from .._utils.validation import (
     PLURAL,
     quote,
     require_distinct,
-    require_kind,
-    require_same_precision,
 )
 from ..assembly.assembly import HingeAssembly
 from ..assembly.groups import group_hinges, sums_of
@@ -38,7 +38,17 @@ from ..assembly.kinematics import Misfit
 from ..energies.base import range_message
 from ..geometry import se2
 from .body import Body
-from .hinge import AbstractOutline, check_energy, frame_and_misfit, Hinge
+from .copies import (
+    check_energies,
+    copies_of,
+    distinct_names,
+    frames_and_misfits,
+    indices_of_ends,
+    joined,
+    PartCopies,
+    per_part,
+)
+from .hinge import AbstractOutline, Hinge
 from .material import Expansion
 from .misfits import expanded, HingeState, stroke_rows, Temperature
 from .placement import warn_if_misplaced
@@ -82,67 +92,48 @@ class Mechanism(eqx.Module):
     hinge_names: tuple[str, ...] = eqx.field(static=True)
     fixed: tuple[int, ...] = eqx.field(static=True)
     reference: Poses
-    masses: tuple[Scalar | None, ...]
-    inertias: tuple[Scalar | None, ...]
-    outlines: tuple[Corners | None, ...]
-    expansions: tuple[Scalar | None, ...]
+    masses: PerPart[Scalar]
+    inertias: PerPart[Scalar]
+    outlines: PerPart[Corners]
+    expansions: PerPart[Scalar]
     at: Float[Array, "hinges 3"]
-    hinge_outlines: tuple[Corners | AbstractOutline | None, ...]
-    hinge_expansions: tuple[Expansion | None, ...]
+    hinge_outlines: PerPart[Corners | AbstractOutline]
+    hinge_expansions: PerPart[Expansion]
     hinge_assembly: HingeAssembly
 
     def __init__(
         self,
-        bodies: Sequence[Body],
-        hinges: Sequence[Hinge],
+        bodies: Sequence[Body | PartCopies[Body]],
+        hinges: Sequence[Hinge | PartCopies[Hinge]],
         fixed: Sequence[str] | Mapping[str, Sequence[str]] = (),
     ):
-        require_kind("bodies", bodies, Body)
-        require_kind("hinges", hinges, Hinge)
-        for kind, parts in (("body", bodies), ("hinge", hinges)):
-            for part in parts:
-                require_same_precision(f"The {kind} {part.name!r}", part)
-        self.names = require_distinct("body", [body.name for body in bodies])
-        self.hinge_names = require_distinct("hinge", [hinge.name for hinge in hinges])
-        self.reference = _rows([body.pose for body in bodies])
-        self.masses = tuple(body.mass for body in bodies)
-        self.inertias = tuple(body.inertia for body in bodies)
-        self.outlines = tuple(body.outline for body in bodies)
-        self.expansions = tuple(body.expansion for body in bodies)
-        self.hinge_outlines = tuple(hinge.outline for hinge in hinges)
-        self.hinge_expansions = tuple(hinge.expansion for hinge in hinges)
-        if not hinges:
+        body_copies = copies_of("bodies", bodies, Body)
+        hinge_copies = copies_of("hinges", hinges, Hinge)
+        self.names = distinct_names("body", body_copies)
+        self.hinge_names = distinct_names("hinge", hinge_copies)
+        if not hinge_copies:
             raise ValueError("`hinges` is empty, but a mechanism needs at least one.")
-
-        def body(hinge: Hinge, end: str) -> int:
-            where = f"`{end}` of the hinge {hinge.name!r}"
-            return index_of(where, "body", getattr(hinge, end), self.names)
-
-        ends = tuple((body(hinge, "first"), body(hinge, "second")) for hinge in hinges)
-        # An energy that many hinges share is checked once, for the first of them.
-        for hinge in {id(hinge.energy): hinge for hinge in reversed(hinges)}.values():
-            check_energy(hinge)
-        frames, misfits = zip(
-            *(
-                frame_and_misfit(hinge, bodies[first].pose, bodies[second].pose)
-                for hinge, (first, second) in zip(hinges, ends, strict=True)
-            ),
-            strict=True,
-        )
-        self.at = _rows(frames)
+        ends = indices_of_ends(hinge_copies, self.names)
+        check_energies(hinge_copies)
+        self.reference = joined([body.rows("pose") for body in body_copies])
+        self.at, misfits = frames_and_misfits(hinge_copies, ends, self.reference)
+        self.masses = per_part("mass", body_copies)
+        self.inertias = per_part("inertia", body_copies)
+        self.outlines = per_part("outline", body_copies)
+        self.expansions = per_part("expansion", body_copies)
+        self.hinge_outlines = per_part("outline", hinge_copies)
+        self.hinge_expansions = per_part("expansion", hinge_copies)
         self.fixed = self.dofs_of("fixed", fixed)
+        warn_if_misplaced(hinge_copies, body_copies, ends, self.at)
         xp, (at, reference) = on_host(self.at, self.reference)
-        if (known := all_concrete([at])) is not None:
-            pairs = [(bodies[first], bodies[second]) for first, second in ends]
-            warn_if_misplaced(hinges, pairs, known[0])
         origins = reference[np.array(ends, int).reshape(-1, 2), 1:]
-        energies = [(hinge.energy, hinge.damping) for hinge in hinges]
+        energies = [copies.values("energy", "damping") for copies in hinge_copies]
         self.hinge_assembly = HingeAssembly(
-            bodies=len(bodies),
+            bodies=len(self.names),
             ends=ends,
             arms=as_float(at[:, None, 1:] - origins),
             directions=as_float(xp.stack([xp.cos(at[:, 0]), xp.sin(at[:, 0])], axis=1)),
-            misfits=_misfits(misfits),
+            misfits=misfits,
             groups=group_hinges(energies),
             sums=sums_of(energies),
         )
@@ -257,7 +248,7 @@ class Mechanism(eqx.Module):
 
     def is_fixed(self, body: int) -> bool:
         """Decide whether no coordinate of a body can move, by its index."""
-        return {3 * body, 3 * body + 1, 3 * body + 2} <= set(self.fixed)
+        return body in _fixed_bodies(self.fixed)
 
     def energy(self, poses: Poses) -> Scalar:
         """Compute the energy that is stored in all hinges.
@@ -307,24 +298,22 @@ class Mechanism(eqx.Module):
         Raises:
             ValueError: A body that can move has no mass or no inertia.
         """
-        # `is_fixed` would take long for each of many bodies.
-        entries, fixed = [], set(self.fixed)
-        bodies = zip(self.names, self.masses, self.inertias, strict=True)
-        for body, (name, mass, inertia) in enumerate(bodies):
-            if {3 * body, 3 * body + 1, 3 * body + 2} <= fixed:
-                entries += 3 * [np.inf]
-            elif mass is None or inertia is None:
-                values = {"mass": mass, "inertia": inertia}
-                missing = [f"`{key}`" for key, value in values.items() if value is None]
-                raise ValueError(
-                    f"The body {name!r} can move, but has no {' and no '.join(missing)}. "
-                    "Give it `mass` and `inertia`, or fix the body. The origin of its "
-                    "frame must be its center of mass."
-                )
-            else:
-                entries += [inertia, mass, mass]
-        xp, entries = on_host(*entries)
-        return as_float(xp.stack(entries).reshape(-1, 3))
+        fixed = np.zeros(len(self.names), bool)
+        fixed[list(_fixed_bodies(self.fixed))] = True
+        columns = {"mass": self.masses, "inertia": self.inertias}
+        missing = {name: ~fixed & values.is_none() for name, values in columns.items()}
+        if np.any(lacking := missing["mass"] | missing["inertia"]):
+            body = int(np.argmax(lacking))
+            fields = [f"`{name}`" for name, rows in missing.items() if rows[body]]
+            raise ValueError(
+                f"The body {self.names[body]!r} can move, but has no "
+                f"{' and no '.join(fields)}. Give it `mass` and `inertia`, or fix the "
+                "body. The origin of its frame must be its center of mass."
+            )
+        mass, inertia = (values.numbers(np.inf) for values in columns.values())
+        xp, (mass, inertia) = on_host(mass, inertia)
+        rows = xp.stack([inertia, mass, mass], axis=1)
+        return as_float(xp.where(fixed[:, None], np.inf, rows))
 
     def dof_name(self, dof: int) -> str:
         """Return the name of a degree of freedom, such as "angle of 'stage'"."""
@@ -618,20 +607,14 @@ class Mechanism(eqx.Module):
         return tuple(sorted(dofs))
 
 
-def _misfits(
-    rows: Sequence[Float[Array, "6"] | None],
-) -> Float[Array, "hinges 6"] | None:
-    """Stack the numbers of misfits; None if there are none."""
-    if all(row is None for row in rows):
-        return None
-    xp, arrays = on_host(*(np.zeros(6) if row is None else row for row in rows))
-    return as_float(xp.stack(arrays))
-
-
-def _rows(poses: Sequence[Pose]) -> Poses:
-    """Stack poses."""
-    xp, arrays = on_host(*poses)
-    return as_float(xp.reshape(xp.stack(arrays), (-1, 3)) if arrays else np.zeros((0, 3)))
+@lru_cache(maxsize=256)
+def _fixed_bodies(fixed: tuple[int, ...]) -> frozenset[int]:
+    """Return the indices of the bodies of which no coordinate can move."""
+    dofs = set(fixed)
+    bodies = {dof // 3 for dof in fixed}
+    return frozenset(
+        body for body in bodies if {3 * body, 3 * body + 1, 3 * body + 2} <= dofs
+    )
 
 
 def _hinge_pose(

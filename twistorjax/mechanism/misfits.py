@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
+from .._utils.stacking import PerPart
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import index_of, quote, require_finite, require_pose, warn
 from ..assembly.assembly import HingeAssembly
@@ -157,7 +158,7 @@ def expanded(
         assembly,
         arms=as_float(arms + middle[:, None]),
         groups=dilate_groups(assembly.groups, scales, free_turns, bool(gradients)),
-        sums=tuple(map(_dilated_sum, assembly.sums, scales)),
+        sums=PerPart.of_each(list(map(_dilated_sum, assembly.sums, scales))),
     )
     warm = warm.with_more_misfit(as_float(xp.stack(columns, axis=1)))
     moved_at = xp.concatenate([poses[:, :1], poses[:, 1:] + middle], axis=1)

@@ -6,30 +6,42 @@ import numpy as np
 from jaxtyping import Float
 
 from .._utils.host import all_concrete, concrete
+from .._utils.types import Poses
 from .._utils.validation import warn
 from .body import Body
+from .copies import PartCopies
 from .hinge import AbstractOutline, Hinge
 
 
 def warn_if_misplaced(
-    hinges: Sequence[Hinge],
-    bodies: Sequence[tuple[Body, Body]],
-    frames: Float[np.ndarray, "hinges 3"],
+    hinges: Sequence[PartCopies[Hinge]],
+    bodies: Sequence[PartCopies[Body]],
+    ends: Sequence[tuple[int, int]],
+    frames: Poses,
 ) -> None:
     """Warn of flexures that end far from the outlines of both of their bodies.
 
     A flexure is reported if the distance of its ends from both outlines is more than its
-    length. Bodies without an outline, and flexures of unknown length, are not checked.
+    length. Bodies without an outline, flexures of unknown length, and copies are not
+    checked.
     """
-    for hinge, pair, (angle, *center) in zip(hinges, bodies, frames, strict=True):
-        if any(body.outline is None for body in pair):
+    known = concrete(frames)
+    if known is None:
+        return
+    rows = [copies.part for copies in bodies for _ in copies.names]
+    start = 0
+    for copies in hinges:
+        hinge, pair = copies.part, [rows[end] for end in ends[start]]
+        angle, *center = known[start]
+        start += len(copies)
+        if len(copies) > 1 or any(body.outline is None for body in pair):
             continue
         length = _length(hinge)
         if length is None:
             continue
         along = np.array([np.cos(angle), np.sin(angle)]) * length / 2
-        ends = np.array(center) - along, np.array(center) + along
-        gaps = [min(_distance(body, end) for end in ends) for body in pair]
+        tips = np.array(center) - along, np.array(center) + along
+        gaps = [min(_distance(body, tip) for tip in tips) for body in pair]
         if min(gaps) > length:
             warn(
                 f"The ends of the hinge {hinge.name!r}, of length {length:.4g} m, are "

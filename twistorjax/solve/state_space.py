@@ -214,13 +214,7 @@ def state_space(
     held = sorted({*held, *(dof for row in moved.values() for dof in row)})
     problem = Problem.of(mechanism, loads, (), constraints, time, held=held)
     problem.loads.require_potential("`frequency_response`, or `simulate` the motion")
-    dofs = problem.dofs
-    count = len(dofs.free) - problem.constraints.size
-    if modes is not None and not (isinstance(modes, int) and 1 <= modes <= count):
-        raise ValueError(
-            f"`modes` is {modes!r}, but the mechanism has {count} modes: give an integer "
-            f"from 1 to {count}."
-        )
+    dofs, count = problem.dofs, problem.mode_count(modes)
     columns = [
         _excitation(mechanism, name, given, dofs, moved.get(name, {}))
         for name, given in inputs.items()
@@ -228,9 +222,7 @@ def state_space(
     rows = tuple(_output_dof(mechanism, name, given) for name, given in outputs.items())
     state = problem.state(about)
     names = tuple(inputs), tuple(outputs)
-    model = _state_space(
-        mechanism, problem.system, columns, rows, modes or count, state, names
-    )
+    model = _state_space(mechanism, problem.system, columns, rows, count, state, names)
     return problem.finish(model, throw, state)
 
 
@@ -289,7 +281,8 @@ def _state_space(
     coordinates y of the modes satisfy `y'' + D y' + W y = k u + h u'`.
     """
     free, size = system.free, system.dofs.total
-    angular, shapes, _ = natural_modes(mechanism, system, displacements)
+    every = len(free) - system.constraints.size
+    angular, shapes, _ = natural_modes(mechanism, system, displacements, every)
     modal = jnp.zeros((size, shapes.shape[1])).at[free].set(shapes)
     stiffness, jacobian = system.whole_stiffness(displacements)
     tangent = system.hinges.tangent_in_motion(

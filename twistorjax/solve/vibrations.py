@@ -67,6 +67,7 @@ def vibrations(
     mechanism: Mechanism,
     prescribed: Sequence[str] | Mapping[str, Sequence[str]] = (),
     *,
+    modes: int | None = None,
     about: StateLike | None = None,
     loads: Sequence[Load] = (),
     constraints: Sequence[AbstractConstraint] = (),
@@ -78,7 +79,8 @@ def vibrations(
     Damping is neglected; `frequency_response` includes it. Hinges have no mass: divide a
     flexure whose mass matters by `flexures.chain`. The result is differentiable.
     If some frequencies are equal, only symmetric functions of them have first
-    derivatives, and only their sum has second derivatives.
+    derivatives, and only their sum has second derivatives. A few `modes` of a mechanism
+    of many bodies without constraints take a small part of the time of all modes.
 
     Args:
         mechanism: The mechanism. Bodies that can move need mass and inertia, and the
@@ -86,6 +88,7 @@ def vibrations(
         prescribed: Coordinates that do not vibrate because their displacement is
             prescribed: names of bodies for all three coordinates, or a mapping from names
             to some of "angle", "x", "y".
+        modes: Number of modes, from the lowest frequency; by default all.
         about: The equilibrium, or its poses; by default the reference configuration;
             rad, m, m.
         loads: Loads that act at this equilibrium, but no follower loads. They contribute
@@ -103,8 +106,8 @@ def vibrations(
     Raises:
         ValueError: Double precision is disabled, a name is unknown, a body that moves has
             no mass, a load is a follower load, which has no potential, no coordinate is
-            free, the state is not an equilibrium under the loads, or the constraints are
-            not independent or not satisfied.
+            free, `modes` is invalid, the state is not an equilibrium under the loads, or
+            the constraints are not independent or not satisfied.
         RuntimeError: The equilibrium is not stable, or a value is not finite.
 
     Source:
@@ -130,15 +133,18 @@ def vibrations(
             "No coordinate can vibrate: all of them are fixed, prescribed, or determined "
             "by constraints. Leave at least one coordinate free."
         )
+    count = problem.mode_count(modes)
     state = problem.state(about)
-    solution = _vibrations(mechanism, problem.system, state)
+    solution = _vibrations(mechanism, problem.system, state, count)
     return problem.finish(solution, throw, state)
 
 
 @fast_compile
-def _vibrations(mechanism: Mechanism, system: System, displacements: Poses) -> Vibrations:
+def _vibrations(
+    mechanism: Mechanism, system: System, displacements: Poses, count: int
+) -> Vibrations:
     """Solve the eigenvalue problem of `vibrations`."""
-    angular, vectors, unstable = natural_modes(mechanism, system, displacements)
+    angular, vectors, unstable = natural_modes(mechanism, system, displacements, count)
     is_consistent = consistent(system, displacements)
     finite = jnp.all(jnp.isfinite(angular))
     stable = ~jnp.any(unstable)

@@ -2,13 +2,17 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..._utils.pytrees import stop_gradient
-from ..._utils.types import Poses
+from ..._utils.types import Poses, Scalar
+from ...assembly.factored import FactoredStiffness
+from ...linalg.block_factors import block_layout, BlockInverses, Layout
 from ...linalg.constraints import null_space
-from ...linalg.eigenvalues import modes, rounding_errors, Stiffness
+from ...linalg.eigenvalues import modes, Stiffness
+from ...linalg.lowest_modes import has_subspace, lowest_modes
 from ...mechanism.mechanism import Mechanism
 from .system import System
 
@@ -25,23 +29,72 @@ class NaturalModes(NamedTuple):
 
 
 def natural_modes(
-    mechanism: Mechanism, system: System, displacements: Poses
+    mechanism: Mechanism, system: System, displacements: Poses, count: int
 ) -> NaturalModes:
-    """Compute the modes at given displacements (rad, m, m), without follower loads."""
+    """Compute the lowest modes at displacements (rad, m, m), without follower loads."""
     free = system.free
     units = 1 / jnp.sqrt(mechanism.inertia().reshape(-1)[free])
-    rows, weights, remainder = system.hinges.factored(displacements, system.dofs.free)
     _, by_angle = system.loads.apply(displacements)
     # Without follower loads, only the moments of the loads depend on the angles.
-    remainder = remainder - jnp.diag(by_angle.reshape(-1)[free])
-    basis = jnp.diag(units)
+    of_loads = jnp.where(free % 3 == 0, -by_angle.reshape(-1)[free], 0.0)
+    stiffness = system.hinges.factored(displacements, of_loads, system.dofs.free)
+    layout = block_layout(system.hinges.ends, system.dofs.free)
+    few = has_subspace(len(free), count) and not system.constraints.size
+    if few and layout is not None:
+        root, vectors = lowest_modes(
+            ScaledStiffness(stiffness, units, layout), count=count
+        )
+        return _natural_modes(root, units[:, None] * vectors, stiffness)
+    stiffness, basis = stiffness.dense(), jnp.diag(units)
     if system.constraints.size:
         geometric = system.constraint_stiffness(displacements)
-        remainder = remainder + geometric[free[:, None], free]
+        stiffness = stiffness.plus(geometric[free[:, None], free])
         jacobian = system.jacobian(displacements)[:, free]
         basis = basis @ null_space(jacobian * units[None])[1]
-    stiffness = Stiffness(rows, weights, remainder)
     root, vectors = modes(stiffness.reduced(basis))
-    angular, shapes = jnp.diagonal(root), basis @ vectors
-    errors = rounding_errors(*stop_gradient((stiffness, shapes)))
+    return _natural_modes(root[:count, :count], basis @ vectors[:, :count], stiffness)
+
+
+def _natural_modes(
+    root: Float[Array, "modes modes"],
+    shapes: Float[Array, "free modes"],
+    stiffness: FactoredStiffness | Stiffness,
+) -> NaturalModes:
+    """Decide which modes are unstable."""
+    constant, moved = stop_gradient((stiffness, shapes))
+    errors, angular = constant.rounding_errors(moved), jnp.diagonal(root)
     return NaturalModes(angular, shapes, (angular < 0) & (angular**2 > errors))
+
+
+class ScaledStiffness(eqx.Module):
+    """Stiffness of many bodies, in units in which their inertia is one."""
+
+    stiffness: FactoredStiffness
+    units: Float[Array, " free"]  # Reciprocal square roots of the inertia
+    layout: Layout = eqx.field(static=True)
+
+    def diagonal(self) -> Float[Array, " free"]:
+        return self.layout.vector(jnp.diagonal(self._blocks()[0], axis1=1, axis2=2))
+
+    def times(
+        self, vectors: Float[Array, "free vectors"]
+    ) -> Float[Array, "free vectors"]:
+        units = self.units[:, None]
+        return units * self.stiffness.times(units * vectors)
+
+    def gram(
+        self, vectors: Float[Array, "free vectors"]
+    ) -> Float[Array, "vectors vectors"]:
+        return self.stiffness.gram(self.units[:, None] * vectors)
+
+    def inverse(self, shift: Scalar) -> BlockInverses:
+        shifts = shift * jnp.eye(self.layout.size)
+        return BlockInverses.of(self._blocks().at[0].add(shifts), self.layout)
+
+    def _blocks(self) -> Float[Array, "3 blocks size size"]:
+        """Arrange the scaled stiffness in blocks on, below, and above the diagonal."""
+        units = self.layout.rows(self.units)
+        before = jnp.roll(units, 1, axis=0)
+        rows = jnp.stack([units, units, before])[..., None]
+        columns = jnp.stack([units, before, units])[..., None, :]
+        return rows * self.stiffness.blocks(self.layout) * columns

@@ -113,6 +113,22 @@ class Problem(NamedTuple):
         groups = self.mechanism.hinge_assembly.groups
         return all(group.energy.is_unloaded for group in groups)
 
+    def mode_count(self, modes: int | None) -> int:
+        """Return a number of modes, by default that of all modes.
+
+        Raises:
+            ValueError: There are fewer modes, or none.
+        """
+        count = len(self.dofs.free) - self.constraints.size
+        if modes is None:
+            return count
+        if not (isinstance(modes, int) and 1 <= modes <= count):
+            raise ValueError(
+                f"`modes` is {modes!r}, but the mechanism has {count} modes: give an "
+                f"integer from 1 to {count}."
+            )
+        return modes
+
     def inconsistency(self, displacements: Poses) -> Exception:
         """Return the error of constraints that are not consistent with displacements."""
         details = constraint_error(

@@ -1,0 +1,165 @@
+"""Values of many parts, stacked in groups of the same structure.
+
+Many parts then have few arrays, so that a compiled program of a mechanism of a thousand
+bodies has few arguments.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from .host import all_concrete, concrete
+
+
+Value = TypeVar("Value")
+
+
+class Copies(NamedTuple):
+    """A value of one or several parts."""
+
+    value: Any
+    number: int = 1  # of parts
+    # For each array: whether it has a first axis with an entry for each part
+    varies: Sequence[bool] | None = None
+
+    def varies_tree(self) -> Any:
+        """Return a pytree like the value, with True for arrays that vary."""
+        leaves, structure = jax.tree.flatten(self.value)
+        varies = len(leaves) * [False] if self.varies is None else self.varies
+        return jax.tree.unflatten(structure, varies)
+
+    def part(self, select: Callable[[Any], Any]) -> "Copies":
+        """Return a part of the value."""
+        varies = jax.tree.leaves(select(self.varies_tree()))
+        return Copies(select(self.value), self.number, varies)
+
+
+class Group(NamedTuple):
+    """Values of the same structure."""
+
+    members: tuple[int, ...]  # Index of the part of each value
+    value: Any  # The values, stacked; an array that all of them share is not stacked
+    axes: tuple[int | None, ...]  # For each array: 0 if it is stacked, None if shared
+
+
+def stack(entries: Sequence[Copies], *, share: bool = False) -> list[Group]:
+    """Stack the values of parts that have the same structure, shapes, and dtypes.
+
+    With `share`, an array is kept once if it is the same object in all entries.
+    """
+    found: dict[Any, list[tuple[int, int, list[Any], Sequence[bool]]]] = {}
+    start = 0
+    for value, count, varies in entries:
+        leaves, structure = jax.tree.flatten(value)
+        varies = len(leaves) * (False,) if varies is None else varies
+        kinds = tuple(
+            (np.shape(leaf)[bool(batched) :], jnp.result_type(leaf))
+            for leaf, batched in zip(leaves, varies, strict=True)
+        )
+        parts = found.setdefault((structure, kinds), [])
+        parts.append((start, count, leaves, varies))
+        start += count
+    groups = []
+    for (structure, _), parts in found.items():
+        members = tuple(first + k for first, count, _, _ in parts for k in range(count))
+        columns, axes = [], []
+        for k in range(structure.num_leaves):
+            column = [(leaves[k], varies[k], count) for _, count, leaves, varies in parts]
+            shared = (share or len(column) == 1) and all(
+                leaf is column[0][0] and not varies for leaf, varies, _ in column
+            )
+            columns.append(column[0][0] if shared else _stacked(column))
+            axes.append(None if shared else 0)
+        groups.append(Group(members, jax.tree.unflatten(structure, columns), tuple(axes)))
+    return groups
+
+
+def _stacked(column: Sequence[tuple[Any, bool, int]]) -> Array:
+    """Join arrays of some parts, without a compilation if they are not traced."""
+    known = all_concrete([leaf for leaf, _, _ in column])
+    xp: Any = jnp if known is None else np
+    leaves = [leaf for leaf, _, _ in column] if known is None else known
+    rows = [
+        leaf if varies else xp.broadcast_to(leaf, (count, *np.shape(leaf)))
+        for leaf, (_, varies, count) in zip(leaves, column, strict=True)
+    ]
+    return jnp.asarray(xp.concatenate(rows))
+
+
+class PerPart(eqx.Module, Generic[Value]):
+    """One value for each of many parts, or None, as a sequence."""
+
+    members: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    values: tuple[Any, ...]
+    axes: tuple[tuple[int | None, ...], ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, entries: Sequence[Copies]) -> "PerPart":
+        """Stack the values."""
+        members, values, axes = zip(*stack(entries), strict=True) if entries else 3 * [()]
+        return cls(tuple(members), tuple(values), tuple(axes))
+
+    @classmethod
+    def of_each(cls, values: Sequence[Any]) -> "PerPart":
+        """Stack one value for each part."""
+        return cls.of([Copies(value) for value in values])
+
+    def __len__(self) -> int:
+        return sum(map(len, self.members))
+
+    def __getitem__(self, part: int | slice) -> Any:
+        if isinstance(part, slice):
+            return tuple(self[k] for k in range(len(self))[part])
+        group, member = _positions(self.members)[part]
+        leaves, structure = jax.tree.flatten(self.values[group])
+        return jax.tree.unflatten(
+            structure,
+            [
+                leaf if axis is None else _row(leaf, member)
+                for leaf, axis in zip(leaves, self.axes[group], strict=True)
+            ],
+        )
+
+    def __iter__(self) -> Iterator[Any]:
+        return (self[part] for part in range(len(self)))
+
+    def numbers(self, missing: float) -> Array:
+        """Return all numbers as an array, with a number for parts that have none."""
+        known = all_concrete(jax.tree.leaves(self.values))
+        xp: Any = jnp if known is None else np
+        array = xp.full(len(self), missing)
+        for members, value in zip(self.members, self.values, strict=True):
+            if value is not None and known is None:
+                array = array.at[np.array(members)].set(value)
+            elif value is not None:
+                array[np.array(members)] = np.asarray(value)
+        return array
+
+    def is_none(self) -> Bool[np.ndarray, " parts"]:
+        """Decide whether each part has no value."""
+        none = np.zeros(len(self), bool)
+        for members, value in zip(self.members, self.values, strict=True):
+            none[list(members)] = value is None
+        return none
+
+
+def _row(leaf: Any, member: int) -> Array:
+    known = concrete(leaf)
+    return leaf[member] if known is None else jax.device_put(known[member])
+
+
+@lru_cache(maxsize=256)
+def _positions(members: tuple[tuple[int, ...], ...]) -> list[tuple[int, int]]:
+    """Return the group of each part, and its index in this group."""
+    positions = {
+        part: (group, k)
+        for group, parts in enumerate(members)
+        for k, part in enumerate(parts)
+    }
+    return [positions[part] for part in range(len(positions))]

@@ -1,0 +1,231 @@
+"""The lowest modes of a symmetric operator with many unknowns."""
+
+from typing import Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._utils.pytrees import stop_gradient
+from .._utils.types import Flag, Scalar
+from .eigenvalues import change_of_modes, jacobi_eigenvalues, Modes
+
+
+# Vectors that converge together: a multiple of `_MULTIPLE`, with some more than are asked
+# for, because the last ones converge slowly.
+_MORE, _MULTIPLE = 4, 8
+_BLOCKS = 4  # Blocks of vectors in a subspace
+# Largest residual of the inverse, relative to its eigenvalue; eigenvalues err by its
+# square.
+_LARGEST_RESIDUAL, _MOST_CYCLES = 1e-9, 100
+# The first shift, relative to the largest entry on the diagonal, and the factor by which
+# it grows until the shifted operator is positive definite.
+_SHIFT, _SHIFT_GROWTH, _MOST_SHIFTS = 1e-12, 100.0, 8
+# Largest residual of a response, relative to its right-hand side.
+_LARGEST_RESPONSE_RESIDUAL, _MOST_STEPS = 1e-12, 500
+
+
+class Inverse(Protocol):
+    """Inverse of an operator plus a multiple of the identity."""
+
+    def solve(self, right: Float[Array, "n rights"]) -> Float[Array, "n rights"]: ...
+
+    def is_positive(self) -> Flag:
+        """Decide whether the operator is positive definite."""
+        ...
+
+
+class Operator(Protocol):
+    """A symmetric operator; its derivatives are those by its arrays."""
+
+    def diagonal(self) -> Float[Array, " n"]: ...
+
+    def times(self, vectors: Float[Array, "n vectors"]) -> Float[Array, "n vectors"]: ...
+
+    def gram(self, vectors: Float[Array, "n vectors"]) -> Float[Array, "vectors vectors"]:
+        """Compute `vectors.T @ times(vectors)`, with accurate small entries."""
+        ...
+
+    def inverse(self, shift: Scalar) -> Inverse: ...
+
+
+def has_subspace(size: int, count: int) -> bool:
+    """Decide whether an operator is large enough for `lowest_modes`."""
+    return _BLOCKS * _width(count) <= size
+
+
+@eqx.filter_custom_jvp
+def lowest_modes(operator: Operator, *, count: int) -> Modes:
+    """Compute the lowest angular frequencies, and their vectors; see `modes`.
+
+    The results are NaN if the operator is not finite. Derivatives of the vectors are NaN
+    if the last frequency is equal to the next one, because then they do not exist.
+
+    The vectors are those of the inverse in Krylov subspaces of several vectors, so that
+    equal eigenvalues are found.
+
+    Source:
+        Golub and Underwood, The block Lanczos method for computing eigenvalues, in:
+        Mathematical Software III, 1977.
+    """
+    inverse = _positive_inverse(operator)
+    size = len(operator.diagonal())
+    vectors, converged = _largest_modes(inverse, size, count)
+    squares, rotation = jacobi_eigenvalues(operator.gram(vectors))
+    root = jnp.sign(squares) * jnp.sqrt(jnp.abs(squares))
+    nan_unless_found = jnp.where(converged, 0.0, jnp.nan)
+    root, vectors = root[:count], (vectors @ rotation)[:, :count]
+    return Modes(jnp.diag(root + nan_unless_found), vectors + nan_unless_found)
+
+
+@lowest_modes.def_jvp
+def _(primals, tangents, *, count):
+    solution = lowest_modes(*primals, count=count)
+    root, vectors = solution
+
+    def products(operator: Operator) -> tuple[Array, Array]:
+        return operator.times(vectors), operator.gram(vectors)
+
+    _, (change, gram_change) = eqx.filter_jvp(products, primals, tangents)
+    root_change, rotation = change_of_modes(root, gram_change)
+    squares = jnp.diagonal(root) * jnp.abs(jnp.diagonal(root))
+    outside = response(primals[0], vectors, squares, -change)
+    return solution, Modes(root_change, vectors @ rotation + outside)
+
+
+def response(
+    operator: Operator,
+    vectors: Float[Array, "n modes"],
+    squares: Float[Array, " rights"],
+    right: Float[Array, "n rights"],
+) -> Float[Array, "n rights"]:
+    """Solve `(operator - square) x = right` for each column, orthogonal to given modes.
+
+    The modes are all those with smaller eigenvalues than the squares. Only the part of
+    the right-hand side that is orthogonal to the modes enters. A response that does not
+    exist is NaN.
+    """
+    inverse = _positive_inverse(stop_gradient(operator))
+
+    def project(columns: Array) -> Array:
+        return columns - vectors @ (vectors.T @ columns)
+
+    def apply(columns: Array) -> Array:
+        outside = project(columns)
+        image = project(operator.times(outside) - outside * squares)
+        return image + (columns - outside)
+
+    def precondition(columns: Array) -> Array:
+        return project(inverse.solve(columns))
+
+    def solve(apply, right: Array) -> Array:
+        return _conjugate_gradients(apply, precondition, right)
+
+    return jax.lax.custom_linear_solve(apply, project(right), solve, symmetric=True)
+
+
+def _width(count: int) -> int:
+    """Number of vectors that converge together."""
+    return -(-(count + _MORE) // _MULTIPLE) * _MULTIPLE
+
+
+def _positive_inverse(operator: Operator) -> Inverse:
+    """Invert an operator with a shift for which it is positive definite.
+
+    The first shift is negligible, unless the operator is singular.
+    """
+
+    def unfinished(state: tuple[Inverse, Array, Array]) -> Array:
+        inverse, _, trials = state
+        return ~inverse.is_positive() & (trials < _MOST_SHIFTS)
+
+    def shift_more(state: tuple[Inverse, Array, Array]) -> tuple[Inverse, Array, Array]:
+        _, shift, trials = state
+        shift = _SHIFT_GROWTH * shift
+        return operator.inverse(shift), shift, trials + 1
+
+    shift = _SHIFT * jnp.max(jnp.abs(operator.diagonal()))
+    state = operator.inverse(shift), shift, jnp.zeros((), int)
+    return jax.lax.while_loop(unfinished, shift_more, state)[0]
+
+
+def _largest_modes(
+    inverse: Inverse, size: int, count: int
+) -> tuple[Float[Array, "n width"], Bool[Array, ""]]:
+    """Compute eigenvectors of the largest eigenvalues, of which `count` converge."""
+    width = _width(count)
+    start = np.random.default_rng(0).normal(size=(size, width))
+    start = jnp.linalg.qr(jnp.asarray(start))[0]
+
+    def cycle(state: tuple[Array, Array, Array, Array]):
+        """Solve the eigenvalue problem in a subspace that begins with the vectors."""
+        vectors, image, _, cycles = state
+        basis, images = [vectors], [image]
+        for _ in range(_BLOCKS - 1):
+            basis.append(_orthonormal(images[-1], jnp.concatenate(basis, axis=1)))
+            images.append(inverse.solve(basis[-1]))
+        basis, images = (jnp.concatenate(part, axis=1) for part in (basis, images))
+        gram = basis.T @ images
+        values, rotation = jnp.linalg.eigh((gram + gram.T) / 2)
+        values, rotation = values[::-1][:width], rotation[:, ::-1][:, :width]
+        vectors, image = basis @ rotation, images @ rotation
+        residual = jnp.linalg.norm(image - vectors * values, axis=0) / values
+        return vectors, image, jnp.max(residual[:count]), cycles + 1
+
+    def unfinished(state: tuple[Array, Array, Array, Array]) -> Array:
+        _, _, residual, cycles = state
+        return (residual > _LARGEST_RESIDUAL) & (cycles < _MOST_CYCLES)
+
+    state = start, inverse.solve(start), jnp.array(jnp.inf), jnp.zeros((), int)
+    vectors, _, residual, _ = jax.lax.while_loop(unfinished, cycle, state)
+    return vectors, residual <= _LARGEST_RESIDUAL
+
+
+def _orthonormal(
+    columns: Float[Array, "n width"], basis: Float[Array, "n others"]
+) -> Float[Array, "n width"]:
+    """Make columns orthonormal to each other and to a basis.
+
+    This is done twice, because columns that are nearly in the span of the basis leave
+    rounding errors at first.
+    """
+    for _ in range(2):
+        columns = columns - basis @ (basis.T @ columns)
+        columns, _ = jnp.linalg.qr(columns)
+    return columns
+
+
+def _conjugate_gradients(
+    apply, precondition, right: Float[Array, "n rights"]
+) -> Float[Array, "n rights"]:
+    """Solve with the same operator for several columns; NaN if a column fails."""
+
+    def unfinished(state) -> Array:
+        *_, product, steps = state
+        return jnp.any(product > bound) & (steps < _MOST_STEPS)
+
+    def step(state):
+        solution, residual, direction, product, steps = state
+        image = apply(direction)
+        length = _ratio(product, jnp.sum(direction * image, axis=0))
+        solution = solution + length * direction
+        residual = residual - length * image
+        improved = precondition(residual)
+        next_product = jnp.sum(residual * improved, axis=0)
+        direction = improved + _ratio(next_product, product) * direction
+        return solution, residual, direction, next_product, steps + 1
+
+    direction = precondition(right)
+    product = jnp.sum(right * direction, axis=0)
+    bound = _LARGEST_RESPONSE_RESIDUAL**2 * product
+    state = jnp.zeros_like(right), right, direction, product, jnp.zeros((), int)
+    solution, *_, product, _ = jax.lax.while_loop(unfinished, step, state)
+    return jnp.where(product <= bound, solution, jnp.nan)
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """Divide; zero if the denominator is zero."""
+    zero = denominator == 0
+    return jnp.where(zero, 0.0, numerator / jnp.where(zero, 1.0, denominator))

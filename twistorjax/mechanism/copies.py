@@ -1,0 +1,168 @@
+"""Bodies and hinges that occur several times, with values that may vary."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, Generic, TypeVar
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._utils.host import as_float, on_host
+from .._utils.stacking import Copies, PerPart
+from .._utils.types import Poses
+from .._utils.validation import (
+    index_of,
+    require_distinct,
+    require_instance,
+    require_same_precision,
+)
+from ..assembly.kinematics import misfit_numbers
+from .body import Body
+from .hinge import check_energy, frame_and_misfit, Hinge
+
+
+Part = TypeVar("Part", Body, Hinge)
+
+
+@dataclass(frozen=True, repr=False)
+class PartCopies(Generic[Part]):
+    """Copies of a body or of a hinge, which `lattices.repeat` creates.
+
+    Args:
+        part: The body or hinge; arrays that vary have a first axis of copies.
+        names: Names of the copies.
+        ends: Names of the two bodies of each hinge; empty for bodies.
+        varies: Whether each array of the part varies.
+    """
+
+    part: Part
+    names: tuple[str, ...]
+    ends: tuple[tuple[str, str], ...]
+    varies: tuple[bool, ...]
+
+    @classmethod
+    def of_one(cls, part: Part) -> "PartCopies[Part]":
+        """Return a single part as one copy."""
+        ends = ((part.first, part.second),) if isinstance(part, Hinge) else ()
+        return cls(part, (part.name,), ends, len(jax.tree.leaves(part)) * (False,))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __iter__(self) -> Iterator[Part]:
+        return iter(PerPart.of([self._whole()]))
+
+    def __repr__(self) -> str:
+        return f"{len(self)} copies of the {type(self.part).__name__} {self.part.name!r}"
+
+    def values(self, *fields: str) -> Copies:
+        """Return a field of all copies, or several fields."""
+        if not any(self.varies):
+            return Copies(attrgetter(*fields)(self.part), len(self))
+        return self._whole().part(attrgetter(*fields))
+
+    def rows(self, field: str) -> Float[Array | np.ndarray, "copies _"]:
+        """Return an array in a field, with a row for each copy."""
+        value, count, varies = self.values(field)
+        if varies and any(varies):
+            return value
+        xp, (array,) = on_host(value)
+        return xp.broadcast_to(array, (count, *array.shape))
+
+    def _whole(self) -> Copies:
+        return Copies(self.part, len(self), self.varies)
+
+
+def copies_of(name: str, parts: Any, kind: type[Part]) -> list[PartCopies[Part]]:
+    """Check the bodies or hinges of a user; `name` is that of the argument."""
+    if isinstance(parts, kind | PartCopies):
+        raise ValueError(f"`{name}` is one {kind.__name__}: put it in a list, [...].")
+    checked = []
+    for index, part in enumerate(parts):
+        if not isinstance(part, PartCopies) or not isinstance(part.part, kind):
+            part = PartCopies.of_one(require_instance(f"{name}[{index}]", part, kind))
+        noun = kind.__name__.lower()
+        require_same_precision(f"The {noun} {part.names[0]!r}", part.part)
+        checked.append(part)
+    return checked
+
+
+def distinct_names(noun: str, copies: Sequence[PartCopies]) -> tuple[str, ...]:
+    """Join the names of all parts, which must differ."""
+    return require_distinct(noun, [name for part in copies for name in part.names])
+
+
+def per_part(field: str, copies: Sequence[PartCopies]) -> PerPart:
+    """Join a field of all parts."""
+    return PerPart.of([part.values(field) for part in copies])
+
+
+def indices_of_ends(
+    hinges: Sequence[PartCopies[Hinge]], names: Sequence[str]
+) -> tuple[tuple[int, int], ...]:
+    """Find the two bodies of each hinge, by their index in the names of the bodies."""
+    rows = {name: row for row, name in enumerate(names)}
+
+    def row(hinge: str, end: str, body: str) -> int:
+        if body not in rows:
+            index_of(f"`{end}` of the hinge {hinge!r}", "body", body, names)
+        return rows[body]
+
+    return tuple(
+        (row(hinge, "first", first), row(hinge, "second", second))
+        for copies in hinges
+        for hinge, (first, second) in zip(copies.names, copies.ends, strict=True)
+    )
+
+
+def check_energies(hinges: Sequence[PartCopies[Hinge]]) -> None:
+    """Check the energies of all hinges; one that many hinges share is checked once."""
+    different = {id(copies.part.energy): copies for copies in reversed(hinges)}
+    for copies in different.values():
+        if any(copies.values("energy").varies or ()):
+            for hinge in copies:
+                check_energy(hinge)
+        else:
+            check_energy(copies.part)
+
+
+def frames_and_misfits(
+    hinges: Sequence[PartCopies[Hinge]],
+    ends: Sequence[tuple[int, int]],
+    reference: Poses,
+) -> tuple[Poses, Float[Array, "hinges 6"] | None]:
+    """Compute the poses of all hinges in the reference configuration, and misfits.
+
+    The misfits are None if no hinge has one.
+    """
+    _, (poses,) = on_host(reference)
+    frames, misfits, start = [], [], 0
+    for copies in hinges:
+        if copies.part.ports is None:
+            frames.append(copies.rows("at"))
+            misfit = copies.part.misfit
+            if misfit is not None:
+                misfit = misfit_numbers(as_float(copies.rows("misfit")))
+            misfits.append(misfit)
+        else:
+            first, second = ends[start]
+            frame, misfit = frame_and_misfit(copies.part, poses[first], poses[second])
+            frames.append(frame[None])
+            misfits.append(None if misfit is None else misfit[None])
+        start += len(copies)
+    at = joined(frames)
+    if all(misfit is None for misfit in misfits):
+        return at, None
+    rows = [
+        np.zeros((len(copies), 6)) if misfit is None else misfit
+        for copies, misfit in zip(hinges, misfits, strict=True)
+    ]
+    return at, joined(rows)
+
+
+def joined(rows: Sequence[Array | np.ndarray]) -> Float[Array, "_ _"]:
+    """Join rows of several parts; there must be at least one part."""
+    xp, arrays = on_host(*rows)
+    return as_float(xp.concatenate(arrays))

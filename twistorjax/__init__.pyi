@@ -41,6 +41,8 @@ from .solve import (
     Buckling as Buckling,
     buckling as buckling,
     constraint_analysis as constraint_analysis,
+    Dispersion as Dispersion,
+    dispersion as dispersion,
     Equilibrium as Equilibrium,
     equilibrium as equilibrium,
     Fatigue as Fatigue,

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from .host import all_concrete, concrete
 
@@ -129,7 +129,7 @@ class PerPart(eqx.Module, Generic[Value]):
     def __iter__(self) -> Iterator[Any]:
         return (self[part] for part in range(len(self)))
 
-    def numbers(self, missing: float) -> Array:
+    def numbers(self, missing: float) -> Float[Array | np.ndarray, " parts"]:
         """Return all numbers as an array, with a number for parts that have none."""
         known = all_concrete(jax.tree.leaves(self.values))
         xp: Any = jnp if known is None else np

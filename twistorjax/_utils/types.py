@@ -43,6 +43,15 @@ PosesLike = TypeAliasType(
 VectorsLike = TypeAliasType(
     "VectorsLike", Float[ArrayLike, "directions 2"] | Sequence[PointLike]
 )
+# Wave vectors (x, y); rad/m
+WaveVectorsLike = TypeAliasType(
+    "WaveVectorsLike", Float[ArrayLike, "waves 2"] | Sequence[Sequence[ArrayLike]]
+)
+# Wave vectors in units of the reciprocal lattice
+ReducedVectorsLike = TypeAliasType(
+    "ReducedVectorsLike",
+    Float[ArrayLike, "corners directions"] | Sequence[Sequence[ArrayLike]],
+)
 # Derivatives of (x, y) by (x, y)
 GradientLike = TypeAliasType(
     "GradientLike", Float[ArrayLike, "2 2"] | Sequence[Sequence[ArrayLike]]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -120,16 +121,17 @@ def sums_of(hinges: Sequence[Copies]) -> PerPart:
     )
 
 
-def _terms(hinge: DampedEnergy) -> list[DampedEnergy]:
-    """Return the terms of an energy, each with its part of the damping."""
+def _terms(hinge: tuple[AbstractEnergy, Any]) -> list[tuple[AbstractEnergy, Any]]:
+    """Return the terms of an energy, each with its part of the damping.
+
+    In both, anything may stand for the numbers.
+    """
     energy, damping = hinge
     terms = parallel_terms(energy)
     return list(zip(terms, _distribute(damping, terms), strict=True))
 
 
-def _distribute(
-    damping: ViscousDamping | Scalar | None, terms: Sequence[AbstractEnergy]
-) -> list[ViscousDamping | Scalar | None]:
+def _distribute(damping: Any, terms: Sequence[AbstractEnergy]) -> list[Any]:
     """Distribute the damping of a hinge among the terms of its energy.
 
     A time (s) multiplies the stiffness of each term. A `ViscousDamping` acts only once:

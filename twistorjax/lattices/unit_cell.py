@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from .._utils.host import as_float, concrete, is_traced, on_host, take_rows
 from .._utils.stacking import Copies, stack
-from .._utils.types import GradientLike, Pose, VectorsLike
+from .._utils.types import GradientLike, Pose, ReducedVectorsLike, VectorsLike
 from .._utils.validation import (
     index_of,
     listing,
@@ -125,6 +125,50 @@ class UnitCell(eqx.Module):
                 f"{_count(self.directions, 'whole number')} in brackets."
             )
         return body, offset
+
+    def wave_vectors(
+        self, corners: ReducedVectorsLike, count: int
+    ) -> Float[np.ndarray, "waves 2"]:
+        """Return wave vectors along a path in the Brillouin zone.
+
+        Args:
+            corners: Corners of the path. Each has a number for each direction of the
+                lattice: the wave vector k in units of the reciprocal lattice, for which
+                the phase between neighboring cells is 2 pi times the number. The edge of
+                the zone is at 0.5.
+            count: Number of wave vectors between two corners.
+
+        Returns:
+            The wave vectors, from the first corner to the last one; rad/m.
+
+        Raises:
+            ValueError: There are fewer than two corners, a corner has the wrong length,
+                `count` is not positive, or the vectors of the cell are traced.
+
+        Example:
+            >>> import twistorjax as tj
+            >>> joint = tj.Quadratic(np.diag([1.5e-3, 1.2e5, 1.2e3]))
+            >>> cell = tj.lattices.rotating_squares(joint, pitch=0.5, angle=0.4)
+            >>> cell.wave_vectors([(0, 0), (0.5, 0)], 2)
+            array([[0.        , 0.        ],
+                   [1.57079633, 0.        ],
+                   [3.14159265, 0.        ]])
+        """
+        points, vectors = np.asarray(corners, float), concrete(self.vectors)
+        if points.ndim != 2 or len(points) < 2 or points.shape[1] != self.directions:
+            raise ValueError(
+                f"`corners` has shape {points.shape}, but must be two or more corners "
+                f"with {_count(self.directions, 'number')} each, such as "
+                f"{[self.directions * (0,), self.directions * (0.5,)]}."
+            )
+        if not isinstance(count, int) or count < 1:
+            raise ValueError(f"`count` is {count!r}, but must be a positive integer.")
+        if vectors is None:
+            raise ValueError("The vectors of the cell are traced, so they are not known.")
+        steps = np.linspace(points[:-1], points[1:], count, endpoint=False, axis=1)
+        path = np.concatenate([steps.reshape(-1, self.directions), points[-1:]])
+        # k . vector = 2 pi times the number, without a component across a row of cells
+        return 2 * np.pi * path @ np.linalg.pinv(vectors).T
 
     def images(self) -> dict[str, tuple[Body, tuple[int, ...]]]:
         """Return bodies of other cells to which hinges of this cell are attached.

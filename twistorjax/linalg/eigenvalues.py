@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 
 # Two frequencies are treated as equal if their relative difference is at most this.
@@ -211,6 +211,30 @@ def change_of_modes(
     equal = jnp.abs(difference) <= _EQUAL * size
     rotation = jnp.where(equal, 0.0, derivative / jnp.where(equal, 1.0, difference))
     return jnp.where(equal, derivative, 0.0), rotation
+
+
+@jax.custom_jvp
+def hermitian_modes(
+    matrix: Complex[Array, "n n"],
+) -> tuple[Float[Array, " n"], Complex[Array, "n n"]]:
+    """Compute eigenvalues in ascending order, and orthonormal eigenvectors in columns.
+
+    Derivatives of equal eigenvalues and of their vectors are as those of `modes`.
+    """
+    values, vectors = jnp.linalg.eigh(matrix)
+    return values, vectors
+
+
+@hermitian_modes.defjvp
+def _(primals, tangents):
+    values, vectors = hermitian_modes(*primals)
+    change = vectors.conj().T @ tangents[0] @ vectors
+    difference = values[None] - values[:, None]
+    size = jnp.abs(values[None]) + jnp.abs(values[:, None])
+    equal = jnp.abs(difference) <= _EQUAL * size
+    divisor = jnp.where(equal, 1.0, difference).astype(change.dtype)
+    rotation = jnp.where(equal, jnp.zeros_like(change), change / divisor)
+    return (values, vectors), (jnp.real(jnp.diagonal(change)), vectors @ rotation)
 
 
 def _root_derivative(

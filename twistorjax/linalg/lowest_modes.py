@@ -1,6 +1,6 @@
 """The lowest modes of a symmetric operator with many unknowns."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -27,6 +27,7 @@ _SHIFT, _SHIFT_GROWTH, _MOST_SHIFTS = 1e-12, 100.0, 8
 _LARGEST_RESPONSE_RESIDUAL, _MOST_STEPS = 1e-12, 500
 
 
+@runtime_checkable
 class Inverse(Protocol):
     """Inverse of an operator plus a multiple of the identity."""
 
@@ -37,6 +38,7 @@ class Inverse(Protocol):
         ...
 
 
+@runtime_checkable
 class Operator(Protocol):
     """A symmetric operator; its derivatives are those by its arrays."""
 

@@ -132,7 +132,7 @@ def frames_and_misfits(
     hinges: Sequence[PartCopies[Hinge]],
     ends: Sequence[tuple[int, int]],
     reference: Poses,
-) -> tuple[Poses, Float[Array, "hinges 6"] | None]:
+) -> tuple[Float[Array, "hinges 3"], Float[Array, "hinges 6"] | None]:
     """Compute the poses of all hinges in the reference configuration, and misfits.
 
     The misfits are None if no hinge has one.
@@ -147,8 +147,8 @@ def frames_and_misfits(
                 misfit = misfit_numbers(as_float(copies.rows("misfit")))
             misfits.append(misfit)
         else:
-            first, second = ends[start]
-            frame, misfit = frame_and_misfit(copies.part, poses[first], poses[second])
+            first, second = (as_float(poses[row]) for row in ends[start])
+            frame, misfit = frame_and_misfit(copies.part, first, second)
             frames.append(frame[None])
             misfits.append(None if misfit is None else misfit[None])
         start += len(copies)

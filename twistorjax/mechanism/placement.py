@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .._utils.host import all_concrete, concrete
-from .._utils.types import Poses
 from .._utils.validation import warn
 from .body import Body
 from .copies import PartCopies
@@ -17,7 +16,7 @@ def warn_if_misplaced(
     hinges: Sequence[PartCopies[Hinge]],
     bodies: Sequence[PartCopies[Body]],
     ends: Sequence[tuple[int, int]],
-    frames: Poses,
+    frames: Float[Array, "hinges 3"],
 ) -> None:
     """Warn of flexures that end far from the outlines of both of their bodies.
 

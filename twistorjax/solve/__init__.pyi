@@ -7,6 +7,7 @@ from .continuation.solution import (
     Path as Path,
     PathPoint as PathPoint,
 )
+from .dispersion import Dispersion as Dispersion, dispersion as dispersion
 from .equations.mobility import ConstraintAnalysis as ConstraintAnalysis
 from .equations.stresses import Stresses as Stresses
 from .equilibrium import (

@@ -13,6 +13,7 @@ from .._utils.host import as_float, on_host
 from .._utils.stacking import PerPart
 from .._utils.types import Poses, Scalar, Wrenches
 from ..energies.base import AbstractEnergy, out_of_range, range_share
+from ..energies.contact import is_contact
 from ..energies.natural_curvature import NaturallyCurved
 from ..geometry.twistors import Displacement
 from ..linalg.block_factors import Layout
@@ -105,6 +106,12 @@ class HingeAssembly(eqx.Module):
     def member_count(self) -> int:
         """Number of hinges, of which one with a sum of energies counts for each term."""
         return len(self._order())
+
+    @property
+    def contacts(self) -> Int[np.ndarray, " contacts"]:
+        """Indices of the members that are contacts."""
+        flags = [len(group.members) * [is_contact(group.energy)] for group in self.groups]
+        return np.flatnonzero(np.concatenate([np.zeros(0, bool), *flags]))
 
     def with_more_misfit(
         self, numbers: Float[Array, "hinges 6"], rates: Array | None = None

@@ -1,12 +1,13 @@
 """Derivatives of the forces of all hinges, for Newton's method and for motions."""
 
 import math
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._utils.types import Flag, Poses, Scalar
 from ..linalg.block_factors import Layout
@@ -37,6 +38,13 @@ class AssemblyTangent(eqx.Module):
     def stiffness(self) -> Float[Array, "10 members"]:
         """Upper triangle of the stiffness of each hinge; N m/rad, N/rad, N/m."""
         return jnp.stack(self.each.stiffness)
+
+    def with_stiffness(
+        self, members: Int[np.ndarray, " chosen"], stiffness: Float[Array, "10 chosen"]
+    ) -> "AssemblyTangent":
+        """Replace the stiffness of some members."""
+        replaced = self.stiffness.at[:, members].set(stiffness)
+        return replace(self, each=self.each._replace(stiffness=tuple(replaced)))
 
     @property
     def work(self) -> Scalar:

@@ -19,7 +19,7 @@ from .._utils.validation import (
 )
 from ..geometry import se2
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy
+from .base import AbstractEnergy, nested
 from .dilation import multiply_fields
 
 
@@ -64,6 +64,11 @@ class AbstractContact(AbstractEnergy):
             if value is not None and not np.all((value > 0) & np.isfinite(value)):
                 return f"`{name}` must be positive and finite, but is {value}."
         return None
+
+
+def is_contact(energy: AbstractEnergy) -> bool:
+    """Decide whether an energy is that of a contact, or a multiple of it."""
+    return any(isinstance(part, AbstractContact) for part in nested(energy))
 
 
 class Stop(AbstractContact):

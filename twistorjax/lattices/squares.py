@@ -6,6 +6,7 @@ from .._utils.host import as_float, on_host
 from .._utils.types import NumberLike
 from .._utils.validation import require_interval, require_positive
 from ..energies.base import AbstractEnergy
+from ..energies.contact import Stop
 from ..energies.damping import DampingLike
 from ..mechanism.body import Body
 from ..mechanism.hinge import Hinge
@@ -26,6 +27,8 @@ def rotating_squares(
     angle: NumberLike,
     mass: NumberLike | None = None,
     damping: DampingLike | None = None,
+    stop_stiffness: NumberLike | None = None,
+    stop_smoothing: NumberLike = 0.01,
 ) -> UnitCell:
     """Create a cell of four squares that are joined at their corners.
 
@@ -40,6 +43,9 @@ def rotating_squares(
             lattice, with alternating sign, from 0 to pi / 4; rad.
         mass: Mass of a square; its moment of inertia is that of a uniform plate; kg.
         damping: Damping of a joint; see `Hinge`.
+        stop_stiffness: Stiffness against the penetration of neighbors, which touch if
+            their edges are parallel; by default they do not touch; N m/rad.
+        stop_smoothing: Penetration over which this stiffness grows from zero; rad.
 
     Returns:
         The cell, which is repeated in two directions. Its squares are "a" and "b" below,
@@ -78,12 +84,25 @@ def rotating_squares(
         pose = (0.0, column * pitch, row * pitch)
         return Body(name, as_float(pose), mass, inertia, outline=as_float(corners))
 
+    energies = dict.fromkeys((1, -1), energy)
+    if stop_stiffness is not None:
+        for sign in energies:
+            # Neighbors turn in opposite directions.
+            for direction, gap in (("-", np.pi / 4 - turn), ("+", np.pi / 4 + turn)):
+                closing = direction if sign > 0 else {"+": "-", "-": "+"}[direction]
+                energies[sign] += Stop(
+                    f"{closing}angle",
+                    gap=2 * gap,
+                    stiffness=stop_stiffness,
+                    smoothing=stop_smoothing,
+                )
+
     def joint(first: str, second: str, along_x: bool) -> Hinge:
         column, row, sign = _SQUARES[first]
         x, y = (half, sign * offset) if along_x else (-sign * offset, half)
         at = 0.0 if along_x else np.pi / 2, column * pitch + x, row * pitch + y
         name = f"{first}{second[0]}{'x' if along_x else 'y'}"
-        return Hinge(name, first, second, energy, as_float(at), damping=damping)
+        return Hinge(name, first, second, energies[sign], as_float(at), damping=damping)
 
     hinges = [joint(*pair, along_x=True) for pair in _ALONG_X]
     hinges += [joint(*pair, along_x=False) for pair in _ALONG_Y]

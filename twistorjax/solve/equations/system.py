@@ -204,6 +204,7 @@ class System(eqx.Module):
         predicted: Float[Array, "3 members"] | None = None,
         multipliers: Entries | None = None,
         misfit_fraction: Scalar | None = None,
+        contact_stiffness: Float[Array, "10 contacts"] | None = None,
     ) -> tuple[Float[Array, " dofs"], Tangent, AssemblyTangent]:
         """Compute unbalanced forces at a fraction of the loads, and their derivatives.
 
@@ -212,6 +213,8 @@ class System(eqx.Module):
                 `tangent` of a hinge; by default that at these displacements; N m, N, N.
             multipliers: Constraint forces, if there are constraints; N m, N.
             misfit_fraction: Fraction of the misfits, by default that of the loads.
+            contact_stiffness: Stiffness of the contacts of another state, in the order of
+                `HingeAssembly.contacts`; by default that of this one.
 
         Returns:
             The unbalanced forces, the tangent stiffness of the free degrees of freedom,
@@ -221,6 +224,10 @@ class System(eqx.Module):
             misfit_fraction = jnp.asarray(fraction)
         hinges = self.hinges_at(misfit_fraction)
         hinge_tangents = hinges.tangent(displacements, predicted)
+        if contact_stiffness is not None:
+            hinge_tangents = hinge_tangents.with_stiffness(
+                hinges.contacts, contact_stiffness
+            )
         layout = block_layout(self.hinges.ends, self.dofs.free)
         if not self.constraints.size and layout is not None:
             applied, by_angle = (

@@ -56,6 +56,9 @@ _ROUNDING_OF_POSES = 16 * np.finfo(float).eps
 # Nothing moves in an increment whose energy changes are below this fraction of the work
 # of the hinges.
 _NO_MOTION = 1e-20
+# A contact closes or opens if its stiffness changes by more, as a fraction of the largest
+# stiffness of a contact.
+_CONTACT_CHANGE = 0.1
 _LARGEST_ROTATION = 1.0  # of a body in one increment; rad
 _LARGEST_VIOLATION = 1e-10  # of a constraint; rad, and lengths of the mechanism
 _STEPS_PER_INCREMENT = 12
@@ -94,6 +97,8 @@ class _State(NamedTuple):
     # Response to this imbalance, to the change of misfits, and to the prescribed
     # displacements, by the tangent at the start of the increment
     response: Array
+    # Stiffness of the contacts before the last step; see `AssemblyTangent`
+    contact_stiffness: Array
     # Largest nonlinearity that was observed in this increment, as a fraction of its bound
     nonlinearity: Scalar
     steps: Count  # Total number of Newton steps
@@ -153,17 +158,26 @@ def solve_in_increments(
         """Take one Newton step, and accept, reject, or continue the increment."""
         step = _newton_step(system, start, initial_residual, state)
         is_first = state.tries == 0
-        error, energy, energy_scale = _predicted_error(step, state)
+        # A contact that closes or opens changes the mechanism. Its corrections contract
+        # from this step on, and no fold is between it and the other one.
+        begins = is_first | _contact_changed(step, state)
+        error, energy, energy_scale = _predicted_error(step, state, begins)
         length = _length(step.change, units)
-        longest = jnp.where(is_first, length, state.first_correction)
-        ratio = jnp.where(is_first, 0.0, length / state.last_correction)
+        longest = jnp.where(begins, length, state.first_correction)
+        ratio = jnp.where(begins, 0.0, length / state.last_correction)
         rounded = length <= _ROUNDING * _length(step.reached.displacements, units)
         small = rounded | (length <= _SMALL_CORRECTION * longest) | (length <= floor)
         over_bound = jnp.where(small, 0.0, ratio / _LARGEST_CONTRACTION)
         response = jnp.where(is_first, step.response, state.response)
+        size = longest
+        if step.response_at_start is not None:
+            response = step.response_at_start
+            # The first correction may pass through a gap that the contact then closes.
+            travel = step.reached.displacements - state.last_equilibrium.displacements
+            size = _length(travel, units)
         difference = (step.response - response)[: len(system.free)] / free_units
         difference = jnp.sqrt(jnp.sum(difference**2))
-        difference /= jnp.where(longest > floor, longest, 1.0)
+        difference /= jnp.where(size > floor, size, 1.0)
         if system.changes_misfits:
             # After the first step, a stiff hinge that turns by its misfit is stretched.
             difference = jnp.where(state.tries == 1, 0.0, difference)
@@ -234,6 +248,7 @@ def solve_in_increments(
             last_correction=length,
             imbalance=step.imbalance,
             response=response,
+            contact_stiffness=step.contact_stiffness,
             nonlinearity=jnp.where(converged | rejected, 0.0, nonlinearity),
             steps=steps,
             status=status,
@@ -254,6 +269,7 @@ def solve_in_increments(
         last_correction=zero,
         imbalance=unknowns,
         response=unknowns,
+        contact_stiffness=jnp.zeros((10, len(system.hinges.contacts))),
         nonlinearity=zero,
         steps=no_steps,
         status=jnp.zeros((), int),
@@ -276,6 +292,10 @@ class _Step(NamedTuple):
     work: Scalar
     imbalance: Array  # Residual at the start of the increment, as in `_State`
     response: Array  # Response to the whole increment by the tangent before the step
+    # The same by the tangent at the start of the increment, but with the contacts of the
+    # tangent before the step; None without contacts
+    response_at_start: Array | None
+    contact_stiffness: Array  # As in `_State`
     goal: Scalar  # Fraction at the end of the increment
     stable: Flag  # Whether the tangent stiffness indicates a stable equilibrium
     finite: Flag  # Whether residual and tangent are finite
@@ -319,6 +339,22 @@ def _newton_step(
     predicted = hinge_tangents.predicted_stress(change)
     predicted = predicted + jnp.where(is_first, misfit_stress, 0.0)
     imposed = jnp.all(prescribed_change == 0)
+    contacts, response_at_start = system.hinges.contacts, None
+    contact_stiffness = hinge_tangents.stiffness[:, contacts]
+    if contacts.size:
+        _, at_start, _ = system.tangent(
+            state.last_equilibrium.displacements,
+            goal,
+            state.last_equilibrium.predicted,
+            state.last_equilibrium.multipliers,
+            misfit_fraction,
+            contact_stiffness,
+        )
+        whole_change = at_start.prescribed_forces(state.increment * travel)
+        forcing = imbalance - misfit_forces - whole_change
+        (response_at_start,), _ = at_start.solve_and_check(
+            forcing[None], system.conservative
+        )
     return _Step(
         reached=_Iterate(reached, multipliers, predicted),
         change=change,
@@ -326,6 +362,8 @@ def _newton_step(
         work=hinge_tangents.work,
         imbalance=imbalance,
         response=response,
+        response_at_start=response_at_start,
+        contact_stiffness=contact_stiffness,
         goal=goal,
         stable=stable,
         finite=hinge_tangents.finite() & jnp.all(jnp.isfinite(right)),
@@ -333,20 +371,33 @@ def _newton_step(
     )
 
 
-def _predicted_error(step: _Step, state: _State) -> tuple[Scalar, Scalar, Scalar]:
+def _contact_changed(step: _Step, state: _State) -> Flag | bool:
+    """Decide whether a contact closed or opened in the last step."""
+    now, before = step.contact_stiffness, state.contact_stiffness
+    if not now.size:
+        return False
+    change, largest = jnp.max(jnp.abs(now - before)), jnp.max(jnp.abs(now))
+    return change > _CONTACT_CHANGE * jnp.maximum(largest, jnp.max(jnp.abs(before)))
+
+
+def _predicted_error(
+    step: _Step, state: _State, begins: Flag
+) -> tuple[Scalar, Scalar, Scalar]:
     """Predict the error after a step from the observed convergence rate.
 
     Each unknown has its own rate, because those of compliant hinges may still converge
     when those of stiff hinges have converged already.
 
+    Args:
+        begins: Whether the corrections begin to contract with this step.
+
     Returns:
         Relative error, the square root of a ratio of energies; energy change of the step;
-        and energy change of the first step of this increment; J.
+        and energy change of the step with which the corrections begin to contract; J.
     """
-    is_first = state.tries == 0
     energy = jnp.sum(step.energies)
-    scale = jnp.where(is_first, energy, state.energy_scale)
-    rates = jnp.where(is_first, 1.0, step.energies / state.energies)
+    scale = jnp.where(begins, energy, state.energy_scale)
+    rates = jnp.where(begins, 1.0, step.energies / state.energies)
     fast = rates < 0.0625  # the square of the ratio of errors
     remaining_share = rates / (1 - jnp.sqrt(jnp.where(fast, rates, 0.0))) ** 2
     remaining = jnp.where(fast, step.energies * remaining_share, step.energies)

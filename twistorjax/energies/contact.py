@@ -1,9 +1,10 @@
 """Contact between two bodies, as a one-sided energy."""
 
 from abc import abstractmethod
-from typing import get_args, Literal
+from typing import Any, get_args, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -64,6 +65,29 @@ class AbstractContact(AbstractEnergy):
             if value is not None and not np.all((value > 0) & np.isfinite(value)):
                 return f"`{name}` must be positive and finite, but is {value}."
         return None
+
+
+class _ClosedContact(AbstractEnergy):
+    """A contact with its full stiffness and without force, at any displacement."""
+
+    contact: AbstractContact
+
+    def stored_energy(self, displacement: Displacement) -> Scalar:
+        depth = self.contact.penetration(displacement)
+        change = depth - jax.lax.stop_gradient(depth)
+        return self.contact.stiffness * change**2 / 2
+
+
+def with_closed_contacts(energy: AbstractEnergy) -> AbstractEnergy:
+    """Give contacts their full stiffness, and no force, at any displacement."""
+
+    def is_leaf(part: Any) -> bool:
+        return isinstance(part, AbstractContact)
+
+    def closed(part: Any) -> Any:
+        return _ClosedContact(part) if is_leaf(part) else part
+
+    return jax.tree.map(closed, energy, is_leaf=is_leaf)
 
 
 def is_contact(energy: AbstractEnergy) -> bool:

@@ -1,5 +1,7 @@
 """Choice of the method of a motion: implicit, or explicit for many bodies."""
 
+from dataclasses import replace
+
 import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from ..._utils.host import is_traced
 from ..._utils.pytrees import stop_gradient
 from ..._utils.types import Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
+from ...energies.contact import with_closed_contacts
 from ...linalg.block_factors import block_layout
 from ...mechanism.mechanism import Mechanism
 from ..equations.dofs import DofPartition
@@ -53,13 +56,18 @@ def largest_rate(
     """Bound the largest frequency and the largest rate of decay of vibrations; 1/s.
 
     Both are at most those of one hinge between two bodies that have their share of the
-    inertia: the inertia of a body is divided among its hinges.
+    inertia: the inertia of a body is divided among its hinges. Contacts are closed.
 
     Source:
         Fried, Bounds on the extremal eigenvalues of the finite element stiffness and mass
         matrices, Journal of Sound and Vibration 22, 1972.
     """
     no_rates = jnp.zeros_like(displacements)
+    groups = [
+        replace(group, energy=with_closed_contacts(group.energy))
+        for group in hinges.groups
+    ]
+    hinges = replace(hinges, groups=tuple(groups))
     tangent = hinges.tangent_in_motion(displacements, no_rates, ())
     first, second = np.array(tangent.ends)[list(tangent.order)].T
     counts = np.bincount(np.concatenate([first, second]), minlength=hinges.bodies)

@@ -98,9 +98,9 @@ class TestVonMisesTruss:
     def test_the_animation_goes_through_the_points(self, snap):
         animation = tj.animate(truss(), snap)
         draw_frame = animation._func  # pyright: ignore[reportAttributeAccessIssue]
-        patches = draw_frame(len(snap.load_factors) - 1)
+        collections = draw_frame(len(snap.load_factors) - 1)
         animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
-        assert patches[0].axes.get_title() == "load factor 1.000"
+        assert collections[0].axes.get_title() == "load factor 1.000"
 
     def test_bars_are_drawn_from_the_supports_to_the_apex(self, snap):
         drawn = shapes(truss(), np.asarray(snap.poses[20]))

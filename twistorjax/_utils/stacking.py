@@ -89,7 +89,8 @@ def _stacked(column: Sequence[tuple[Any, bool, int]]) -> Array:
         leaf if varies else xp.broadcast_to(leaf, (count, *np.shape(leaf)))
         for leaf, (_, varies, count) in zip(leaves, column, strict=True)
     ]
-    return jnp.asarray(xp.concatenate(rows))
+    joined = xp.concatenate(rows)
+    return jnp.asarray(joined, joined.dtype)  # without a dtype, a program is compiled
 
 
 class PerPart(eqx.Module, Generic[Value]):
@@ -128,6 +129,22 @@ class PerPart(eqx.Module, Generic[Value]):
 
     def __iter__(self) -> Iterator[Any]:
         return (self[part] for part in range(len(self)))
+
+    def on_host(self) -> list[Any]:
+        """Return all values, with arrays of NumPy; they must not be traced."""
+        values: list[Any] = len(self) * [None]
+        for members, value, axes in zip(
+            self.members, self.values, self.axes, strict=True
+        ):
+            leaves, structure = jax.tree.flatten(value)
+            leaves = list(map(np.asarray, leaves))
+            for k, part in enumerate(members):
+                of_part = [
+                    leaf if axis is None else leaf[k]
+                    for leaf, axis in zip(leaves, axes, strict=True)
+                ]
+                values[part] = jax.tree.unflatten(structure, of_part)
+        return values
 
     def numbers(self, missing: float) -> Float[Array | np.ndarray, " parts"]:
         """Return all numbers as an array, with a number for parts that have none."""

@@ -144,15 +144,19 @@ class HingeAssembly(eqx.Module):
 
     def energy(self, displacements: Poses) -> Scalar:
         """Compute the energy that is stored in all hinges; J."""
+        return jnp.sum(self.energies(displacements))
+
+    def energies(self, displacements: Poses) -> Float[Array, " hinges"]:
+        """Compute the energy that is stored in each hinge; J."""
 
         def stored_energy(energy, first, second, axis):
             return energy.stored_energy(mid_frame(first, second, axis).displacement)
 
-        parts = [
-            jnp.sum(self.map_members(stored_energy, group, displacements))
-            for group in self.groups
-        ]
-        return sum(parts, start=jnp.zeros(()))
+        energies = jnp.zeros(len(self.ends))
+        for group in self.groups:
+            of_members = self.map_members(stored_energy, group, displacements)
+            energies = energies.at[np.array(group.members)].add(of_members)
+        return energies
 
     def forces(self, displacements: Poses) -> Wrenches:
         """Differentiate the energy with respect to the displacements; N m, N, N."""

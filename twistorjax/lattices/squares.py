@@ -84,15 +84,15 @@ def rotating_squares(
         pose = (0.0, column * pitch, row * pitch)
         return Body(name, as_float(pose), mass, inertia, outline=as_float(corners))
 
-    energies = dict.fromkeys((1, -1), energy)
+    energies: dict[int, AbstractEnergy] = {1: energy, -1: energy}
     if stop_stiffness is not None:
-        for sign in energies:
-            # Neighbors turn in opposite directions.
-            for direction, gap in (("-", np.pi / 4 - turn), ("+", np.pi / 4 + turn)):
-                closing = direction if sign > 0 else {"+": "-", "-": "+"}[direction]
-                energies[sign] += Stop(
-                    f"{closing}angle",
-                    gap=2 * gap,
+        # Neighbors turn in opposite directions.
+        gaps = 2 * (np.pi / 4 - turn), 2 * (np.pi / 4 + turn)
+        for gap, sign in zip(gaps, (1, -1), strict=True):
+            for first, direction in ((sign, "-angle"), (-sign, "+angle")):
+                energies[first] += Stop(
+                    direction,
+                    gap=gap,
                     stiffness=stop_stiffness,
                     smoothing=stop_smoothing,
                 )

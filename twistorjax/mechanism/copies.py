@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 import jax
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, on_host
 from .._utils.stacking import Copies, PerPart
@@ -73,6 +74,11 @@ class PartCopies(Generic[Part]):
 
     def _whole(self) -> Copies:
         return Copies(self.part, len(self), self.varies)
+
+
+# A body or a hinge, or several copies of one
+BodyLike = TypeAliasType("BodyLike", Body | PartCopies[Body])
+HingeLike = TypeAliasType("HingeLike", Hinge | PartCopies[Hinge])
 
 
 def copies_of(name: str, parts: Any, kind: type[Part]) -> list[PartCopies[Part]]:

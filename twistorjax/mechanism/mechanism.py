@@ -39,13 +39,14 @@ from ..energies.base import range_message
 from ..geometry import se2
 from .body import Body
 from .copies import (
+    BodyLike,
     check_energies,
     copies_of,
     distinct_names,
     frames_and_misfits,
+    HingeLike,
     indices_of_ends,
     joined,
-    PartCopies,
     per_part,
 )
 from .hinge import AbstractOutline, Hinge
@@ -103,8 +104,8 @@ class Mechanism(eqx.Module):
 
     def __init__(
         self,
-        bodies: Sequence[Body | PartCopies[Body]],
-        hinges: Sequence[Hinge | PartCopies[Hinge]],
+        bodies: Sequence[BodyLike],
+        hinges: Sequence[HingeLike],
         fixed: Sequence[str] | Mapping[str, Sequence[str]] = (),
     ):
         body_copies = copies_of("bodies", bodies, Body)

@@ -13,7 +13,7 @@ from ..results.solutions import BodyPoses
 from ..solve.continuation.solution import Path
 from ..solve.integration.solution import Motion
 from ..solve.vibrations import Vibrations
-from .drawing import draw, draw_reference, figure_size
+from .drawing import ARE_CLOSED, draw, draw_reference, figure_size, grouped_corners
 from .figure_style import length_unit, new_axes
 from .shapes import mechanism_size, shapes
 
@@ -21,8 +21,8 @@ from .shapes import mechanism_size, shapes
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
-    from matplotlib.patches import Polygon
 
 
 _AMPLITUDE = 0.08  # of a vibration, relative to the size of the mechanism
@@ -95,22 +95,23 @@ def animate(
     from matplotlib.animation import FuncAnimation
 
     unit, _ = length_unit(mechanism_size(mechanism))
-    first_patch = len(axes.patches)
+    first = len(axes.collections)
     draw(mechanism, sequence.poses[0], reference=False, names=False, axes=axes)
-    patches = cast("list[Polygon]", list(axes.patches)[first_patch:])
+    collections = cast("list[PolyCollection]", list(axes.collections)[first:])
     draw_reference(mechanism, axes)
     corners = [
         shape.corners for poses in sequence.poses for shape in shapes(mechanism, poses)
     ]
     axes.set(**_limits(unit * np.concatenate(corners)))
 
-    def update(k: int) -> list["Polygon"]:
-        for patch, shape in zip(
-            patches, shapes(mechanism, sequence.poses[k]), strict=True
+    def update(k: int) -> list["PolyCollection"]:
+        groups = grouped_corners(shapes(mechanism, sequence.poses[k]))
+        for collection, corners, closed in zip(
+            collections, groups, ARE_CLOSED, strict=True
         ):
-            patch.set_xy(unit * shape.corners)
+            collection.set_verts([unit * part for part in corners], closed=closed)
         axes.set_title(sequence.titles[k], fontsize="medium")
-        return patches
+        return collections
 
     figure = cast("Figure", axes.get_figure(root=True))
     animation = FuncAnimation(

@@ -1,14 +1,16 @@
 """Drawings of a mechanism at given poses, on matplotlib axes."""
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, TYPE_CHECKING
+from typing import Any, Literal, TYPE_CHECKING
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from typing_extensions import TypeAliasType
 
 from .._utils.types import NamedNumbers, PosesLike
 from .._utils.validation import index_of, quote
+from ..assembly.assembly import HingeAssembly
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
@@ -37,6 +39,7 @@ from .shapes import hinge_frames, mechanism_size, Shape, shapes, to_world
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
 
 
 Color = tuple[float, ...]  # red, green, blue, opacity
@@ -44,8 +47,12 @@ Color = tuple[float, ...]  # red, green, blue, opacity
 
 # What can be drawn; poses in rad, m, m
 Drawn = TypeAliasType("Drawn", PosesLike | Equilibrium | LinearResponse | Motion)
-# The stored energy (J), or a number for each hinge
-HingeColors = TypeAliasType("HingeColors", Literal["energy"] | NamedNumbers)
+# The stored energy (J), the rotation of each body, or a number for each hinge
+Colors = TypeAliasType("Colors", Literal["energy", "angle"] | NamedNumbers)
+
+Part = tuple[str, int]  # "body" or "hinge", and its index in the mechanism
+_MOST_NAMES = 40  # of bodies that are labeled by default
+_COLORS = {**FILLS, "line": "#7f9fba", "spring": ORANGE}
 
 
 def draw(
@@ -54,12 +61,12 @@ def draw(
     *,
     magnify: float | int = 1.0,
     reference: bool = True,
-    names: bool = True,
+    names: bool | None = None,
     frames: bool = False,
     loads: Sequence[Load] = (),
     reactions: bool = False,
     constraints: Sequence[AbstractConstraint] = (),
-    color: HingeColors | None = None,
+    color: Colors | None = None,
     label: str = "",
     axes: "Axes | None" = None,
 ) -> "Axes":
@@ -76,7 +83,8 @@ def draw(
             last pose is drawn. By default the reference configuration is drawn.
         magnify: Factor on all displacements, including angles. It is stated in the title.
         reference: Whether the reference configuration is shown by dotted lines.
-        names: Whether bodies and hinges are labeled with their names.
+        names: Whether bodies and hinges are labeled with their names; by default only if
+            there are few of them.
         frames: Whether the frames of bodies and hinges are shown. Axis 1 is thicker.
         loads: Loads to show as arrows with their values. A force or moment is left out if
             its effect is below a thousandth of the largest one. The effect of a force is
@@ -85,7 +93,8 @@ def draw(
             shown in the same way.
         constraints: Pins and sliders to show.
         color: "energy" colors the hinges by their stored energies. A mapping colors them
-            by one number for each hinge name, for example a stress.
+            by one number for each hinge name, for example a stress. "angle" colors the
+            bodies by their rotations.
         label: Label of the color bar, with the unit of the numbers in `color`.
         axes: Axes to draw on. By default new ones are created.
 
@@ -109,16 +118,16 @@ def draw(
     drawn_poses = undeformed + magnify * displacements
     size = mechanism_size(mechanism)
     unit, unit_name = length_unit(size)
-    values, label = _hinge_values(mechanism, undeformed + displacements, color, label)
+    values, label = _values(mechanism, displacements, color, label)
     if axes is None:
         axes = new_axes(figure_size(mechanism, drawn_poses, bool(values)))
     reference = reference and bool(np.any(displacements))
     if reference:
         draw_reference(mechanism, axes)
     fills = _color_bar(axes, values, label) if values else {}
-    for shape in shapes(mechanism, drawn_poses):
-        is_hinge = shape.kind in ("hinge", "spring")
-        _draw_shape(axes, shape, unit, fills.get(shape.row) if is_hinge else None)
+    draw_shapes(axes, shapes(mechanism, drawn_poses), unit, fills)
+    if names is None:
+        names = len(mechanism.names) <= _MOST_NAMES
     if frames:
         mark_frames(axes, mechanism, drawn_poses, unit)
     mark_constraints(axes, mechanism, drawn_poses, constraints, unit)
@@ -155,41 +164,61 @@ def figure_size(
 
 def draw_reference(mechanism: Mechanism, axes: "Axes") -> None:
     """Draw the bodies in the reference configuration by dotted lines."""
-    from matplotlib.patches import Polygon
+    from matplotlib.collections import PolyCollection
 
     unit, _ = length_unit(mechanism_size(mechanism))
-    for shape in shapes(mechanism, np.asarray(mechanism.reference)):
-        if shape.kind in ("body", "fixed", "line"):
-            axes.add_patch(
-                Polygon(
-                    unit * shape.corners, closed=shape.kind != "line", fill=False,
-                    edgecolor=GRAY, linestyle=":", zorder=3,
-                )
-            )  # fmt: skip
+    drawn = shapes(mechanism, np.asarray(mechanism.reference))
+    for kinds in (("body", "fixed"), ("line",)):
+        corners = [unit * shape.corners for shape in drawn if shape.kind in kinds]
+        axes.add_collection(
+            PolyCollection(
+                corners, closed=kinds != ("line",), facecolors="none", edgecolors=GRAY,
+                linestyles=":", zorder=3,
+            )
+        )  # fmt: skip
 
 
-def _draw_shape(
-    axes: "Axes", shape: Shape, unit: float, fill: Color | None = None
-) -> None:
-    """Draw one part of a mechanism, by default in the color of its kind."""
-    from matplotlib.patches import Polygon
+# Kinds of shapes that are drawn together, and their style
+_STYLES: dict[tuple[str, ...], dict[str, Any]] = {
+    ("body", "fixed"): {"edgecolors": "#404040", "linewidths": 0.8, "zorder": 1},
+    ("line",): {"edgecolors": "#7f9fba", "linewidths": 3.0, "zorder": 1},
+    ("hinge",): {"linewidths": 0.8, "zorder": 2},
+    ("spring",): {"linewidths": 1.4, "zorder": 2.5},
+}
+ARE_CLOSED = True, False, True, False  # Whether the shapes of each kind are closed
 
-    if shape.kind in ("line", "spring"):
-        spring = shape.kind == "spring"
-        style = {
-            "closed": False, "fill": False, "linewidth": 1.4 if spring else 3.0,
-            "edgecolor": fill or ORANGE if spring else "#7f9fba",
-            "zorder": 2.5 if spring else 1, "capstyle": "round",
-        }  # fmt: skip
-    else:
-        hinge = shape.kind == "hinge"
-        color = fill or FILLS[shape.kind]
-        style = {
-            "closed": True, "facecolor": color, "linewidth": 0.8,
-            "edgecolor": color if hinge else "#404040",
-            "zorder": 2 if hinge else 1,
-        }  # fmt: skip
-    axes.add_patch(Polygon(unit * shape.corners, **style))
+
+def draw_shapes(
+    axes: "Axes", drawn: Sequence[Shape], unit: float, fills: Mapping[Part, Color]
+) -> "list[PolyCollection]":
+    """Draw the parts of a mechanism, by default in the color of their kind.
+
+    The collections have the shapes in the order of `grouped_corners`.
+    """
+    from matplotlib.collections import PolyCollection
+
+    collections = []
+    for (kinds, style), corners, closed in zip(
+        _STYLES.items(), grouped_corners(drawn), ARE_CLOSED, strict=True
+    ):
+        group = [shape for shape in drawn if shape.kind in kinds]
+        colors = [fills.get(shape.part) or _COLORS[shape.kind] for shape in group]
+        if closed:
+            style = {"edgecolors": colors, **style, "facecolors": colors}
+        else:
+            style = {"edgecolors": colors, **style, "facecolors": "none"}
+            style["capstyle"] = "round"
+        scaled = [unit * part for part in corners]
+        collections.append(PolyCollection(scaled, closed=closed, **style))
+        axes.add_collection(collections[-1])
+    return collections
+
+
+def grouped_corners(drawn: Sequence[Shape]) -> list[list[np.ndarray]]:
+    """Return the corners (m) of the shapes in each collection of `draw_shapes`."""
+    return [
+        [shape.corners for shape in drawn if shape.kind in kinds] for kinds in _STYLES
+    ]
 
 
 def _displacements(mechanism: Mechanism, poses: Drawn | None) -> np.ndarray:
@@ -225,36 +254,39 @@ def _reactions(poses: Drawn | None) -> np.ndarray:
     )
 
 
-def _hinge_values(
-    mechanism: Mechanism,
-    poses: np.ndarray,
-    color: HingeColors | None,
-    label: str,
-) -> tuple[dict[int, float], str]:
-    """Return a number for each hinge index, and the label of their color bar."""
+def _values(
+    mechanism: Mechanism, displacements: np.ndarray, color: Colors | None, label: str
+) -> tuple[dict[Part, float], str]:
+    """Return a number for each part that is colored, and the label of the color bar."""
     if color is None:
         return {}, ""
-    if isinstance(color, str):
-        if color != "energy":
-            raise ValueError(
-                f"`color` is {quote(color)}, but must be 'energy' or a mapping from "
-                "hinge names to numbers."
-            )
-        poses_array, energies = jnp.asarray(poses), {}
-        for row, name in enumerate(mechanism.hinge_names):
-            energies[row] = float(mechanism.energy_of(name, poses_array))
-        factor, unit = prefixed_unit("J", max(map(abs, energies.values())))
-        scaled = {row: factor * energy for row, energy in energies.items()}
-        return scaled, f"energy ({unit})"
-    values = {}
-    for name, value in color.items():
-        row = index_of("`color`", "hinge", name, mechanism.hinge_names)
-        values[row] = float(np.asarray(value))
-    return values, label
+    if not isinstance(color, str):
+        values = {}
+        for name, value in color.items():
+            row = index_of("`color`", "hinge", name, mechanism.hinge_names)
+            values["hinge", row] = float(np.asarray(value))
+        return values, label
+    if color == "angle":
+        angles = np.degrees(displacements[:, 0])
+        return {("body", row): angle for row, angle in enumerate(angles)}, "angle (°)"
+    if color != "energy":
+        raise ValueError(
+            f"`color` is {quote(color)}, but must be 'energy', 'angle', or a mapping "
+            "from hinge names to numbers."
+        )
+    energies = np.asarray(_energies(mechanism.hinge_assembly, jnp.asarray(displacements)))
+    factor, unit = prefixed_unit("J", np.max(np.abs(energies)))
+    scaled = {("hinge", row): factor * energy for row, energy in enumerate(energies)}
+    return scaled, f"energy ({unit})"
 
 
-def _color_bar(axes: "Axes", values: Mapping[int, float], label: str) -> dict[int, Color]:
-    """Draw a color bar beside the axes, and return the color of each hinge index."""
+_energies = jax.jit(HingeAssembly.energies)
+
+
+def _color_bar(
+    axes: "Axes", values: Mapping[Part, float], label: str
+) -> dict[Part, Color]:
+    """Draw a color bar beside the axes, and return the color of each part."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize

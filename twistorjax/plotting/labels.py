@@ -7,8 +7,10 @@ from typing import Any, cast, TYPE_CHECKING
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.patches import FancyArrowPatch, Patch
+from matplotlib.patches import FancyArrowPatch
+from matplotlib.path import Path
 from matplotlib.text import Annotation
+from matplotlib.transforms import Transform
 
 
 if TYPE_CHECKING:
@@ -87,9 +89,13 @@ class Labels(Artist):
             if drawn and axes.contains_point(tuple(anchor)):
                 shown.append((label, direction, anchor / pixels))
                 marks += [anchor[None] / pixels] if np.any(direction) else []
+        for collection in axes.collections:
+            for path in collection.get_paths():
+                edges.append(_outline_points(path, collection.get_transform(), pixels))
         for patch in axes.patches:
             is_arrow = isinstance(patch, FancyArrowPatch)
-            (marks if is_arrow else edges).append(_outline_points(patch, pixels))
+            points = _outline_points(patch.get_path(), patch.get_transform(), pixels)
+            (marks if is_arrow else edges).append(points)
         mark_counts = _Counts(np.concatenate([*marks, np.zeros((0, 2))]), frame)
         edge_counts = _Counts(np.concatenate([*edges, np.zeros((0, 2))]), frame)
         offsets = _candidate_offsets()
@@ -160,12 +166,12 @@ def _offset_beside(direction: np.ndarray, half_size: np.ndarray) -> np.ndarray:
         return unit * (_GAP + np.min(half_size / np.abs(unit)))
 
 
-def _outline_points(patch: Patch, pixels: float) -> np.ndarray:
-    """Compute positions on the outline of a patch, about one point apart; points.
+def _outline_points(path: Path, transform: Transform, pixels: float) -> np.ndarray:
+    """Compute positions on an outline in a drawing, about one point apart; points.
 
     `pixels` is the number of pixels in a point.
     """
-    path = patch.get_path().transformed(patch.get_transform())
+    path = path.transformed(transform)
     points = [np.zeros((0, 2))]
     for corners in map(np.asarray, path.to_polygons(closed_only=False)):
         lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)

@@ -31,6 +31,12 @@ class Shape(NamedTuple):
     corners: np.ndarray  # Corners in world coordinates; m
     row: int  # Index of the body or hinge in the mechanism
 
+    @property
+    def part(self) -> tuple[str, int]:
+        """Whether it is a "body" or a "hinge", and its index."""
+        is_hinge = self.kind in ("hinge", "spring")
+        return "hinge" if is_hinge else "body", self.row
+
 
 def mechanism_size(mechanism: Mechanism) -> float:
     """Compute the longer side of the box around origins, hinges, and outlines; m.
@@ -39,19 +45,19 @@ def mechanism_size(mechanism: Mechanism) -> float:
     """
     points = [np.concatenate([mechanism.reference, mechanism.at])[:, 1:]]
     for pose, outline in zip(
-        np.asarray(mechanism.reference), mechanism.outlines, strict=True
+        np.asarray(mechanism.reference), mechanism.outlines.on_host(), strict=True
     ):
         if outline is not None:
             points.append(to_world(pose, outline))
     for pose, outline in zip(
-        np.asarray(mechanism.at), mechanism.hinge_outlines, strict=True
+        np.asarray(mechanism.at), mechanism.hinge_outlines.on_host(), strict=True
     ):
         if isinstance(outline, SubMechanism):
             inner = shapes(outline.mechanism, np.asarray(outline.mechanism.reference))
             corners = np.concatenate([shape.corners for shape in inner])
             points.append(to_world(pose, corners))
-    for hinge, pose in enumerate(np.asarray(mechanism.at)):
-        half = _half_length(mechanism, hinge)
+    halves = _half_lengths(mechanism)
+    for half, pose in zip(halves, np.asarray(mechanism.at), strict=True):
         points.append(to_world(pose, np.array([[-half, 0.0], [half, 0.0]])))
     return float(np.ptp(np.concatenate(points), axis=0).max()) or 1.0
 
@@ -59,7 +65,8 @@ def mechanism_size(mechanism: Mechanism) -> float:
 def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
     """Compute outlines: of bodies, then lines of bodies without one, then of hinges."""
     bodies, lines, hinges = [], [], []
-    for body, outline in enumerate(mechanism.outlines):
+    outlines, halves = mechanism.outlines.on_host(), _half_lengths(mechanism)
+    for body, outline in enumerate(outlines):
         fixed = mechanism.is_fixed(body)
         if outline is not None:
             corners = to_world(poses[body], outline)
@@ -67,23 +74,27 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
     radius = _SPRING_RADIUS * mechanism_size(mechanism)
     spiral = radius * _unit_spiral()
     for hinge, (ends, outline) in enumerate(
-        zip(mechanism.hinge_assembly.ends, mechanism.hinge_outlines, strict=True)
+        zip(
+            mechanism.hinge_assembly.ends,
+            mechanism.hinge_outlines.on_host(),
+            strict=True,
+        )
     ):
         frames = hinge_frames(mechanism, poses, hinge)
         if isinstance(outline, SubMechanism):
             parts, attached = _parts(outline, frames, hinge)
             hinges.extend(parts)
             for body, tips in zip(ends, attached, strict=True):
-                if mechanism.outlines[body] is None:
+                if outlines[body] is None:
                     arm = np.stack([poses[body][1:], np.mean(tips, axis=0)])
                     lines += [Shape("line", tips, body), Shape("line", arm, body)]
             continue
-        half = _half_length(mechanism, hinge)
+        half = halves[hinge]
         ends_on_axis = np.array([[-half, 0.0], [half, 0.0]])
         corners = ends_on_axis if outline is None else np.asarray(outline)
         extent = np.array([corners[:, 0].min(), corners[:, 0].max()])
         for body, frame, end in zip(ends, frames, extent, strict=True):
-            if mechanism.outlines[body] is None:
+            if outlines[body] is None:
                 (tip,) = to_world(frame, np.array([[end, _axis_at(corners, end)]]))
                 lines.append(Shape("line", np.stack([poses[body][1:], tip]), body))
         if outline is None and half > 0:
@@ -169,15 +180,18 @@ def _axis_at(corners: np.ndarray, end: float) -> float:
     return float(np.mean(corners[near, 1]))
 
 
-def _half_length(mechanism: Mechanism, hinge: int) -> float:
-    """Return half of the length of an axial spring without an outline; m.
+def _half_lengths(mechanism: Mechanism) -> np.ndarray:
+    """Return half of the lengths of axial springs without an outline; m.
 
-    It is zero for another hinge.
+    They are zero for other hinges.
     """
-    energy = mechanism.hinge_assembly.energy_of(hinge)
-    if isinstance(energy, AxialSpring) and mechanism.hinge_outlines[hinge] is None:
-        return float(energy.length) / 2
-    return 0.0
+    hinges = mechanism.hinge_assembly
+    halves = np.zeros(len(hinges.ends))
+    for group in hinges.groups:
+        if isinstance(group.energy, AxialSpring):
+            halves[list(group.members)] = np.asarray(group.energy.length) / 2
+    has_outline = ~mechanism.hinge_outlines.is_none()
+    return np.where(has_outline | ~hinges.sums.is_none(), 0.0, halves)
 
 
 def _zigzag(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:

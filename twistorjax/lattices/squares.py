@@ -87,15 +87,11 @@ def rotating_squares(
     energies: dict[int, AbstractEnergy] = {1: energy, -1: energy}
     if stop_stiffness is not None:
         # Neighbors turn in opposite directions.
-        gaps = 2 * (np.pi / 4 - turn), 2 * (np.pi / 4 + turn)
-        for gap, sign in zip(gaps, (1, -1), strict=True):
-            for first, direction in ((sign, "-angle"), (-sign, "+angle")):
-                energies[first] += Stop(
-                    direction,
-                    gap=gap,
-                    stiffness=stop_stiffness,
-                    smoothing=stop_smoothing,
-                )
+        wide, narrow = 2 * (np.pi / 4 + turn), 2 * (np.pi / 4 - turn)
+        settings = {"stiffness": stop_stiffness, "smoothing": stop_smoothing}
+        for sign, negative, positive in ((1, narrow, wide), (-1, wide, narrow)):
+            energies[sign] += Stop("-angle", gap=negative, **settings)
+            energies[sign] += Stop("+angle", gap=positive, **settings)
 
     def joint(first: str, second: str, along_x: bool) -> Hinge:
         column, row, sign = _SQUARES[first]

@@ -16,7 +16,9 @@ from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
 
 
-_SPRING_RADIUS = 0.015  # relative to the size of the mechanism
+# Largest radius of a spring, relative to the size of the mechanism, and to the distances
+# from the origins of bodies to their hinges
+_SPRING_RADIUS, _SPRING_SHARE = 0.015, 0.15
 _WINDINGS = 8  # of the zigzag line of an axial spring
 
 
@@ -71,7 +73,9 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
         if outline is not None:
             corners = to_world(poses[body], outline)
             bodies.append(Shape("fixed" if fixed else "body", corners, body))
+    arms = np.linalg.norm(np.asarray(mechanism.hinge_assembly.arms), axis=-1)
     radius = _SPRING_RADIUS * mechanism_size(mechanism)
+    radius = min(radius, _SPRING_SHARE * float(np.median(arms)) or radius)
     spiral = radius * _unit_spiral()
     for hinge, (ends, outline) in enumerate(
         zip(

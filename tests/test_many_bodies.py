@@ -1,5 +1,6 @@
 """Mechanisms of many bodies, whose matrices are eliminated in blocks."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -241,3 +242,132 @@ def test_derivatives_of_a_long_chain_agree_with_differences():
     second_difference = (after[0] - 2 * value + before[0]) / step**2
     assert abs(first / first_difference - 1) < 1e-5
     assert abs(second / second_difference - 1) < 1e-4
+
+
+def vibrating_lattice(stiffness=1.0):
+    """Return a lattice of bodies, of which the first two can only rotate."""
+    fixed = {"0 0": ("angle", "x", "y"), "7 1": ("x", "y")}
+    mechanism = lattice(3, 24, fixed, mass=1.5, inertia=0.2)
+    factors = jnp.where(np.arange(len(mechanism.hinge_names)) % 5 == 0, stiffness, 1.0)
+    (group,) = mechanism.hinge_assembly.groups
+    matrices = factors[np.array(group.members), None, None] * group.energy.stiffness
+    return eqx.tree_at(
+        lambda new: new.hinge_assembly.groups[0].energy.stiffness, mechanism, matrices
+    )
+
+
+def exact_modes(mechanism, count):
+    """Frequencies (Hz) and shapes by LAPACK, from the matrix of all bodies."""
+    size = mechanism.reference.size
+    free = [dof for dof in range(size) if dof not in mechanism.fixed]
+    stiffness = np.asarray(mechanism.stiffness(mechanism.reference)).reshape(size, size)
+    inertia = np.asarray(mechanism.inertia()).reshape(-1)
+    inertia = np.where(np.isinf(inertia), 1.5, inertia)[free]
+    stiffness = stiffness[np.ix_(free, free)]
+    squares, vectors = scipy.linalg.eigh(stiffness, np.diag(inertia))
+    shapes = np.zeros((count, size))
+    shapes[:, free] = vectors[:, :count].T
+    return np.sqrt(squares[:count]) / (2 * np.pi), shapes.reshape(count, -1, 3)
+
+
+def test_few_modes_of_many_bodies_are_the_lowest_ones():
+    mechanism = vibrating_lattice()
+    found = tj.vibrations(mechanism, modes=6)
+    frequencies, shapes = exact_modes(mechanism, 6)
+    np.testing.assert_allclose(found.frequencies, frequencies, rtol=1e-10)
+    signs = np.sign(np.sum(shapes * np.asarray(found.shapes), axis=(1, 2)))
+    assert_close(signs[:, None, None] * found.shapes, shapes, digits=8)
+
+
+def test_frequencies_and_shapes_of_few_modes_are_differentiable():
+    def modes(stiffness):
+        found = tj.vibrations(vibrating_lattice(stiffness), modes=4)
+        shape = found.shapes[2, -1, 1]
+        return jnp.stack([found.frequencies[2], shape * jnp.sign(shape)])
+
+    def exact(stiffness):
+        frequencies, shapes = exact_modes(vibrating_lattice(stiffness), 4)
+        return np.array([frequencies[2], abs(shapes[2, -1, 1])])
+
+    step = 1e-4
+    before, now, after = (exact(1.3 + k * step) for k in (-1, 0, 1))
+    value, first = modes(1.3), jax.jacfwd(modes)(1.3)
+    assert_close(value / now, [1, 1], digits=9)
+    assert_close(first / ((after - before) / (2 * step)), [1, 1], digits=5)
+    assert_close(jax.jacrev(modes)(1.3) / first, [1, 1], digits=7)
+
+
+@pytest.mark.slow
+def test_second_derivatives_of_few_modes_agree_with_differences():
+    def modes(stiffness):
+        found = tj.vibrations(vibrating_lattice(stiffness), modes=4)
+        shape = found.shapes[2, -1, 1]
+        return jnp.stack([found.frequencies[2], shape * jnp.sign(shape)])
+
+    step = 1e-3
+    slope = jax.jit(jax.jacfwd(modes))
+    second = jax.jacfwd(jax.jacfwd(modes))(1.3)
+    difference = (slope(1.3 + step) - slope(1.3 - step)) / (2 * step)
+    assert_close(second / difference, [1, 1], digits=4)
+
+
+def test_bodies_without_support_have_three_motions_without_a_frequency():
+    mechanism = lattice(3, 24, (), mass=1.5, inertia=0.2)
+    frequencies = np.asarray(tj.vibrations(mechanism, modes=5).frequencies)
+    assert np.all(frequencies[:3] < 1e-6 * frequencies[3])
+    exact = scipy.linalg.eigvalsh(
+        np.asarray(mechanism.stiffness(mechanism.reference)).reshape(216, 216),
+        np.diag(np.asarray(mechanism.inertia()).reshape(-1)),
+    )
+    assert_close(frequencies[3:], np.sqrt(exact[3:5]) / (2 * np.pi), digits=9)
+
+
+def test_equal_frequencies_are_all_found():
+    """Two directions of a row of masses on equal springs: each frequency occurs twice."""
+    spring = tj.Quadratic(np.diag([0.0, 100.0, 100.0]), "twist")
+    bodies = [tj.Body(str(k), (0, 0, 0), mass=2.0, inertia=1.0) for k in range(COUNT + 1)]
+    hinges = [
+        tj.Hinge(str(k), str(k), str(k + 1), spring, (0, 0, 0)) for k in range(COUNT)
+    ]
+    fixed = {str(k): ["angle"] for k in range(1, COUNT + 1)} | {"0": ["angle", "x", "y"]}
+    found = tj.vibrations(tj.Mechanism(bodies, hinges, fixed), modes=6)
+    numbers = np.repeat(np.arange(1, 4), 2)
+    sines = np.sin((2 * numbers - 1) * np.pi / (2 * (2 * COUNT + 1)))
+    assert_close(2 * np.pi * found.frequencies, 2 * np.sqrt(50.0) * sines, digits=10)
+
+
+def test_unstable_modes_of_many_bodies_are_found():
+    """A column of links under 1.5 times the load of Euler has one of them."""
+    force = 1.5 * np.pi**2 / 4
+    links = chain(SLENDER)
+    bodies = [
+        tj.Body(name, pose, mass=1.0, inertia=1e-4)
+        for name, pose in zip(links.names, np.asarray(links.reference), strict=True)
+    ]
+    energy = tj.Quadratic(SLENDER, "twist")
+    hinges = [
+        tj.Hinge(name, *ends, energy, at)
+        for name, ends, at in zip(
+            links.hinge_names,
+            zip(links.names, links.names[1:], strict=False),
+            np.asarray(links.at),
+            strict=True,
+        )
+    ]
+    column = tj.Mechanism(bodies, hinges, fixed=["0"])
+    loads = [tj.Load(str(COUNT), force=(-force, 0.0))]
+    poses = np.array(column.reference)
+    # The strain of all links is the same.
+    poses[:, 1] -= force / 1e6 / COUNT * np.arange(COUNT + 1)
+    with pytest.raises(RuntimeError, match="without an increase of the energy"):
+        tj.vibrations(column, modes=3, about=poses, loads=loads)
+    found = tj.vibrations(column, modes=3, about=poses, loads=loads, throw=False)
+    assert list(np.isnan(found.frequencies)) == [True, False, False]
+
+
+@pytest.mark.parametrize("modes", [0, 301, 2.0])
+@pytest.mark.untyped
+def test_the_number_of_modes_is_checked(modes):
+    mechanism = lattice(4, 25, (), mass=1.5, inertia=0.2)
+    with pytest.raises(ValueError, match="but the mechanism has 300 modes"):
+        tj.vibrations(mechanism, modes=modes)

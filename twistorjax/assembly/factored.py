@@ -39,7 +39,7 @@ class FactoredStiffness(eqx.Module):
         weighted = weights[:, :, None, None] * rows[:, :, :, None]
         matrices = jnp.sum(weighted * rows[:, :, None], axis=1) + remainder
         blocks = self._assemble(matrices, layout)
-        of_loads = layout.rows(self.of_loads)[:, None] * np.eye(layout.size)
+        of_loads = layout.rows(self.of_loads)[:, None] * np.eye(layout.size)[None]
         return blocks.at[0].add(of_loads)
 
     def times(

@@ -23,6 +23,7 @@ _LARGEST_RESIDUAL, _MOST_CYCLES = 1e-9, 100
 # The first shift, relative to the largest entry on the diagonal, and the factor by which
 # it grows until the shifted operator is positive definite.
 _SHIFT, _SHIFT_GROWTH, _MOST_SHIFTS = 1e-12, 100.0, 8
+_SHIFT_SHARE = 0.01  # Shift as a fraction of the largest eigenvalue that is sought
 # Largest residual of a response, relative to its right-hand side.
 _LARGEST_RESPONSE_RESIDUAL, _MOST_STEPS = 1e-12, 500
 
@@ -72,9 +73,7 @@ def lowest_modes(operator: Operator, *, count: int) -> Modes:
         Golub and Underwood, The block Lanczos method for computing eigenvalues, in:
         Mathematical Software III, 1977.
     """
-    inverse = _positive_inverse(operator)
-    size = len(operator.diagonal())
-    vectors, converged = _largest_modes(inverse, size, count)
+    vectors, converged = _converged_modes(operator, count)
     squares, rotation = jacobi_eigenvalues(operator.gram(vectors))
     root = jnp.sign(squares) * jnp.sqrt(jnp.abs(squares))
     nan_unless_found = jnp.where(converged, 0.0, jnp.nan)
@@ -109,18 +108,20 @@ def response(
     the right-hand side that is orthogonal to the modes enters. A response that does not
     exist is NaN.
     """
-    inverse = _positive_inverse(stop_gradient(operator))
+    known, largest = stop_gradient((operator, jnp.max(squares)))
+    inverse, _ = _positive_inverse(known, _SHIFT_SHARE * largest)
 
     def project(columns: Array) -> Array:
         return columns - vectors @ (vectors.T @ columns)
 
     def apply(columns: Array) -> Array:
         outside = project(columns)
-        image = project(operator.times(outside) - outside * squares)
+        image = project(operator.times(outside) - outside * squares[None])
         return image + (columns - outside)
 
     def precondition(columns: Array) -> Array:
-        return project(inverse.solve(columns))
+        outside = project(columns)
+        return project(inverse.solve(outside)) + (columns - outside)
 
     def solve(apply, right: Array) -> Array:
         return _conjugate_gradients(apply, precondition, right)
@@ -133,10 +134,10 @@ def _width(count: int) -> int:
     return -(-(count + _MORE) // _MULTIPLE) * _MULTIPLE
 
 
-def _positive_inverse(operator: Operator) -> Inverse:
+def _positive_inverse(operator: Operator, smallest: Scalar) -> tuple[Inverse, Scalar]:
     """Invert an operator with a shift for which it is positive definite.
 
-    The first shift is negligible, unless the operator is singular.
+    The shift is the smallest one or a negligible one, if that is enough.
     """
 
     def unfinished(state: tuple[Inverse, Array, Array]) -> Array:
@@ -148,41 +149,65 @@ def _positive_inverse(operator: Operator) -> Inverse:
         shift = _SHIFT_GROWTH * shift
         return operator.inverse(shift), shift, trials + 1
 
-    shift = _SHIFT * jnp.max(jnp.abs(operator.diagonal()))
+    negligible = _SHIFT * jnp.max(jnp.abs(operator.diagonal()))
+    shift = jnp.maximum(negligible, smallest)
     state = operator.inverse(shift), shift, jnp.zeros((), int)
-    return jax.lax.while_loop(unfinished, shift_more, state)[0]
+    inverse, shift, _ = jax.lax.while_loop(unfinished, shift_more, state)
+    return inverse, shift
 
 
-def _largest_modes(
-    inverse: Inverse, size: int, count: int
+def _converged_modes(
+    operator: Operator, count: int
 ) -> tuple[Float[Array, "n width"], Bool[Array, ""]]:
-    """Compute eigenvectors of the largest eigenvalues, of which `count` converge."""
-    width = _width(count)
+    """Compute the vectors of the lowest eigenvalues, of which `count` converge."""
+    size, width = len(operator.diagonal()), _width(count)
     start = np.random.default_rng(0).normal(size=(size, width))
     start = jnp.linalg.qr(jnp.asarray(start))[0]
+    inverse, shift = _positive_inverse(operator, jnp.zeros(()))
+    vectors, _, values, _ = _cycle(inverse, start, inverse.solve(start), count)
+    # With a shift that is not small compared with the eigenvalues, rigid motions do not
+    # dominate the rounding errors of all vectors.
+    shift = jnp.maximum(shift, _SHIFT_SHARE * (1 / values[count - 1] - shift))
+    inverse = operator.inverse(shift)
 
-    def cycle(state: tuple[Array, Array, Array, Array]):
-        """Solve the eigenvalue problem in a subspace that begins with the vectors."""
+    def advance(state: tuple[Array, Array, Array, Array]):
         vectors, image, _, cycles = state
-        basis, images = [vectors], [image]
-        for _ in range(_BLOCKS - 1):
-            basis.append(_orthonormal(images[-1], jnp.concatenate(basis, axis=1)))
-            images.append(inverse.solve(basis[-1]))
-        basis, images = (jnp.concatenate(part, axis=1) for part in (basis, images))
-        gram = basis.T @ images
-        values, rotation = jnp.linalg.eigh((gram + gram.T) / 2)
-        values, rotation = values[::-1][:width], rotation[:, ::-1][:, :width]
-        vectors, image = basis @ rotation, images @ rotation
-        residual = jnp.linalg.norm(image - vectors * values, axis=0) / values
-        return vectors, image, jnp.max(residual[:count]), cycles + 1
+        vectors, image, _, residual = _cycle(inverse, vectors, image, count)
+        return vectors, image, residual, cycles + 1
 
     def unfinished(state: tuple[Array, Array, Array, Array]) -> Array:
         _, _, residual, cycles = state
         return (residual > _LARGEST_RESIDUAL) & (cycles < _MOST_CYCLES)
 
-    state = start, inverse.solve(start), jnp.array(jnp.inf), jnp.zeros((), int)
-    vectors, _, residual, _ = jax.lax.while_loop(unfinished, cycle, state)
+    infinite, none = jnp.array(jnp.inf), jnp.zeros((), int)
+    state = vectors, inverse.solve(vectors), infinite, none
+    vectors, _, residual, _ = jax.lax.while_loop(unfinished, advance, state)
     return vectors, residual <= _LARGEST_RESIDUAL
+
+
+def _cycle(
+    inverse: Inverse,
+    vectors: Float[Array, "n width"],
+    image: Float[Array, "n width"],
+    count: int,
+) -> tuple[Array, Array, Array, Array]:
+    """Solve the eigenvalue problem in a Krylov subspace that begins with some vectors.
+
+    Returns:
+        Better vectors, their images by the inverse, its eigenvalues, and the largest
+        relative residual of the first `count` ones.
+    """
+    basis, images, width = [vectors], [image], vectors.shape[1]
+    for _ in range(_BLOCKS - 1):
+        basis.append(_orthonormal(images[-1], jnp.concatenate(basis, axis=1)))
+        images.append(inverse.solve(basis[-1]))
+    basis, images = (jnp.concatenate(part, axis=1) for part in (basis, images))
+    gram = basis.T @ images
+    values, rotation = jnp.linalg.eigh((gram + gram.T) / 2)
+    values, rotation = values[::-1][:width], rotation[:, ::-1][:, :width]
+    vectors, image = basis @ rotation, images @ rotation
+    residual = jnp.linalg.norm(image - vectors * values[None], axis=0) / values
+    return vectors, image, values, jnp.max(residual[:count])
 
 
 def _orthonormal(
@@ -212,11 +237,11 @@ def _conjugate_gradients(
         solution, residual, direction, product, steps = state
         image = apply(direction)
         length = _ratio(product, jnp.sum(direction * image, axis=0))
-        solution = solution + length * direction
-        residual = residual - length * image
+        solution = solution + length[None] * direction
+        residual = residual - length[None] * image
         improved = precondition(residual)
         next_product = jnp.sum(residual * improved, axis=0)
-        direction = improved + _ratio(next_product, product) * direction
+        direction = improved + _ratio(next_product, product)[None] * direction
         return solution, residual, direction, next_product, steps + 1
 
     direction = precondition(right)
@@ -224,7 +249,7 @@ def _conjugate_gradients(
     bound = _LARGEST_RESPONSE_RESIDUAL**2 * product
     state = jnp.zeros_like(right), right, direction, product, jnp.zeros((), int)
     solution, *_, product, _ = jax.lax.while_loop(unfinished, step, state)
-    return jnp.where(product <= bound, solution, jnp.nan)
+    return jnp.where((product <= bound)[None], solution, jnp.nan)
 
 
 def _ratio(numerator: Array, denominator: Array) -> Array:

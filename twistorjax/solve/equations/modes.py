@@ -88,7 +88,7 @@ class ScaledStiffness(eqx.Module):
         return self.stiffness.gram(self.units[:, None] * vectors)
 
     def inverse(self, shift: Scalar) -> BlockInverses:
-        shifts = shift * jnp.eye(self.layout.size)
+        shifts = shift * jnp.eye(self.layout.size)[None]
         return BlockInverses.of(self._blocks().at[0].add(shifts), self.layout)
 
     def _blocks(self) -> Float[Array, "3 blocks size size"]:

@@ -13,11 +13,13 @@ import twistorjax as tj
 from twistorjax.energies import (
     AxialSpring,
     BeamColumn,
+    CornerContact,
     MixedEnergy,
     OneFreedomEnergy,
     PointCharges,
     Polynomial,
     Rational,
+    Stop,
     SumOfSquares,
     WithValidityRange,
 )
@@ -194,7 +196,13 @@ def _of_layout_6():
         stress_model=COLUMN,
     )
     quadratic = tj.Quadratic(np.diag([2.0, 3e5, 400.0]), stress_model=pivot)
-    return {"mechanism stress": quadratic, "quartic": quartic}
+    edge = ((1.0, 0.1), (-1.0, 0.3))
+    return {
+        "mechanism stress": quadratic,
+        "quartic": quartic,
+        "stop": Stop("-y", gap=0.1, stiffness=1e6, smoothing=1e-6),
+        "corner": CornerContact((0.1, 0.2), edge, stiffness=1e6, smoothing=1e-6),
+    }
 
 
 _ENERGIES = {

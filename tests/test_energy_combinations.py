@@ -64,6 +64,13 @@ ENERGIES = {
         [1e-6, -1e-6], [[0.0, 0.1], [0.3, 0.0]], [1e-6], [[0.5, 0.5]]
     ),
     "axial spring": tj.energies.AxialSpring(500.0, length=0.8),
+    "stop": tj.energies.Stop("-y", gap=-0.4, stiffness=80.0, smoothing=0.1),
+    "stop of the angle": tj.energies.Stop(
+        "+angle", gap=-2.0, stiffness=3.0, smoothing=0.1
+    ),
+    "corner and edge": tj.energies.CornerContact(
+        (0.1, 0.2), ((1.0, 0.7), (-1.0, 0.9)), stiffness=50.0, smoothing=0.1
+    ),
     "user-defined": Quartic(jnp.array(3.0)),
 }
 

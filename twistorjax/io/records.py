@@ -25,6 +25,7 @@ from .._utils.types import Point, Scalar
 from ..energies.axial_spring import AxialSpring
 from ..energies.base import AbstractEnergy, Scaled, Sum
 from ..energies.beam_column import BeamColumn
+from ..energies.contact import CornerContact, Stop
 from ..energies.mixed import MixedEnergy
 from ..energies.one_freedom import OneFreedomEnergy
 from ..energies.point_charges import PointCharges
@@ -61,6 +62,8 @@ _CLASSES = {
         Condensed,
         PointCharges,
         AxialSpring,
+        Stop,
+        CornerContact,
         Sum,
         Scaled,
         SectionStress,

@@ -1,6 +1,6 @@
-"""Motion of lattices of rotating squares, and the same motion by EXUDYN.
+"""Motion, statics, and modes of lattices of rotating squares, beside EXUDYN and SciPy.
 
-Squares of 15 mm are joined at their corners, and one in the middle is pushed.
+Squares of 15 mm are joined at their corners. In a motion, one in the middle is pushed.
 """
 # The stubs of EXUDYN contain wrong types, and only benchmarks install it.
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false
@@ -14,6 +14,8 @@ import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.sparse import csc_array, diags_array
+from scipy.sparse.linalg import eigsh
 
 import twistorjax as tj
 
@@ -200,3 +202,78 @@ def run() -> Iterator[Row]:
     ratio = seconds(jax.grad(end), factors, repeats=3) / once
     what = "lattice of 10 x 10 squares: gradient by 180 stiffnesses, over the motion"
     yield at_most(what, ratio, "x", 5.0)
+    yield from modes(30, 20)
+    yield from statics()
+
+
+def modes(count: int, number: int) -> Iterator[Row]:
+    """Yield the time of the lowest frequencies, and that of SciPy's Lanczos method."""
+    mechanism, name = lattice(count), f"lattice of {count} x {count} squares"
+
+    def frequencies() -> jax.Array:
+        return tj.vibrations(mechanism, modes=number).frequencies
+
+    what = f"{name}: {number} lowest modes"
+    start = time.perf_counter()
+    found = np.asarray(frequencies())
+    yield Row(f"{what}: first call", time.perf_counter() - start, "s")
+    yield at_most(what, seconds(frequencies, repeats=5), "s", 0.5)
+    free = np.setdiff1d(np.arange(3 * count**2), mechanism.fixed)
+    size = mechanism.reference.size
+    stiffness = mechanism.stiffness(mechanism.reference).reshape(size, size)
+    sparse = csc_array(np.asarray(stiffness)[np.ix_(free, free)])
+    inertia = np.asarray(mechanism.inertia()).reshape(-1)[free]
+    inertia = np.where(np.isinf(inertia), MASS, inertia)
+    start = time.perf_counter()
+    squares = eigsh(sparse, number, diags_array(inertia), sigma=0, tol=0)[0]
+    yield Row(f"SciPy eigsh: {what}", time.perf_counter() - start, "s")
+    exact = np.sqrt(np.sort(squares)) / (2 * np.pi)
+    what = f"{what}: relative difference from SciPy"
+    yield at_most(what, float(np.max(np.abs(found / exact - 1))), "1", 1e-9)
+
+
+def statics() -> Iterator[Row]:
+    """Yield times of building, and of equilibria compressed by 10 %."""
+    corner = tj.Quadratic(np.diag(STIFFNESS))
+
+    def squares(count: int, angle: jax.Array | float, stops: float | None):
+        def cell(angle) -> tj.lattices.UnitCell:
+            return tj.lattices.rotating_squares(
+                corner, pitch=SIDE, angle=angle, mass=MASS, stop_stiffness=stops
+            )
+
+        field = None if isinstance(angle, float) else angle
+        made = cell(angle) if field is None else cell
+        return tj.lattices.repeat(made, (count // 2, count // 2), field)
+
+    def build(count: int, angle: jax.Array | float = 0.5, stops: float | None = None):
+        parts = squares(count, angle, stops)
+        fixed = {name: ["angle", "x", "y"] for name in parts.border("bottom")}
+        fixed |= {name: ["angle", "x"] for name in parts.border("top")}
+        return tj.Mechanism(parts.bodies, parts.hinges, fixed=fixed), parts.border("top")
+
+    def energy(mechanism: tj.Mechanism, top: tuple[str, ...], count: int) -> jax.Array:
+        travel = -0.1 * (count - 1) * SIDE
+        drives = [tj.Drive(name, y=travel) for name in top]
+        return tj.equilibrium(mechanism, drives=drives).energy
+
+    start = time.perf_counter()
+    build(40)
+    what = "lattice of 40 x 40 squares: building"
+    yield at_most(what, time.perf_counter() - start, "s", 1.0)
+    for count, stops, goal in ((30, None, 0.2), (30, 0.5, 1.0), (100, None, 60.0)):
+        touching = "" if stops is None else ", with contact"
+        what = f"lattice of {count} x {count} squares{touching}: compressed by 10 %"
+        mechanism, top = build(count, stops=stops)
+        start = time.perf_counter()
+        jax.block_until_ready(energy(mechanism, top, count))
+        yield Row(f"{what}: first call", time.perf_counter() - start, "s")
+        elapsed = seconds(partial(energy, mechanism, top, count), repeats=3)
+        yield at_most(what, elapsed, "s", goal)
+
+    @jax.jit
+    def gradient(angles: jax.Array) -> jax.Array:
+        return jax.grad(lambda angles: energy(*build(30, angles), 30))(angles)
+
+    what = "lattice of 30 x 30 squares: derivatives by all angles, compressed by 10 %"
+    yield at_most(what, seconds(gradient, jnp.full((15, 15), 0.5), repeats=3), "s", 2.0)

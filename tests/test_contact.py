@@ -1,5 +1,7 @@
 """Contact energies, and how the solvers pass a gap that closes."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +16,7 @@ from twistorjax.geometry.twistors import Displacement
 GAP, STIFFNESS, SMOOTHING, SPRING = 1e-3, 1e6, 1e-6, 100.0
 
 
-def block(direction="+x", gap=GAP, smoothing=SMOOTHING, size=0.0):
+def block(direction: Any = "+x", gap=GAP, smoothing=SMOOTHING, size=0.0):
     """Return a block on a spring, and a stop that limits one of its displacements.
 
     The size is the distance from the middle of the block to the spring; m.

@@ -122,6 +122,16 @@ def test_errors_of_cells_say_what_to_do():
         tj.lattices.repeat(
             lambda k: make([tj.Body(f"mass{k}")], [], [(1, 0)]), 2, np.arange(2.0)
         )
+
+    def cell(pitch):
+        return make([body], [], jnp.stack([jnp.stack([pitch, 0.0])]))
+
+    with pytest.raises(ValueError, match="have different vectors"):
+        tj.lattices.repeat(cell, 2, np.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match="vectors of the cell depend on the entries"):
+        jax.jit(lambda pitches: tj.lattices.repeat(cell, 2, pitches).bodies[0].part)(
+            jnp.ones(2)
+        )
     lattice = tj.lattices.repeat(row_of_masses(), 3)
     with pytest.raises(ValueError, match="sides are 'left', 'right'"):
         lattice.border("top")

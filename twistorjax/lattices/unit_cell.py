@@ -451,17 +451,24 @@ def _traced_cells(
     first_leaves, structure = jax.tree.flatten(first)
     varies: list[bool] = []
 
-    def leaves_of(row: Any) -> list[Array]:
+    def leaves_of(row: Any) -> tuple[list[Array], Array]:
         other = _created(cell, row)
         _require_same_structure(first, other)
         leaves = jax.tree.leaves(other)
         # Values that do not depend on the field are the same objects.
-        varies[:] = [
-            new is not old for new, old in zip(leaves, first_leaves, strict=True)
-        ]
-        return leaves
+        pairs = zip(leaves, first_leaves, strict=True)
+        varies[:] = [new is not old for new, old in pairs]
+        return leaves, other.vectors
 
-    stacked = jax.vmap(leaves_of)(rows)
+    try:
+        stacked, _ = jax.vmap(leaves_of, out_axes=(0, None))(rows)
+    except ValueError as error:
+        if "out_axes" not in str(error):
+            raise
+        raise ValueError(
+            "The vectors of the cell depend on the entries of `field`, but all cells "
+            "must have the same ones."
+        ) from None
     leaves = [
         new if varied else old
         for new, old, varied in zip(stacked, first_leaves, varies, strict=True)

@@ -159,7 +159,10 @@ def dispersion(
         free,
         count,
     )
-    message = "The lattice is not stable with respect to waves of some wave vectors."
+    message = (
+        "The lattice is not stable with respect to waves of some wave vectors. With "
+        "`throw=False`, their frequencies are NaN."
+    )
     return problem.finish(solution, throw, state, {"unstable": message})
 
 

@@ -28,11 +28,16 @@ class Copies(NamedTuple):
     # For each array: whether it has a first axis with an entry for each part
     varies: Sequence[bool] | None = None
 
+    @property
+    def flags(self) -> Sequence[bool]:
+        """Whether each array varies."""
+        if self.varies is None:
+            return len(jax.tree.leaves(self.value)) * (False,)
+        return self.varies
+
     def varies_tree(self) -> Any:
         """Return a pytree like the value, with True for arrays that vary."""
-        leaves, structure = jax.tree.flatten(self.value)
-        varies = len(leaves) * [False] if self.varies is None else self.varies
-        return jax.tree.unflatten(structure, varies)
+        return jax.tree.unflatten(jax.tree.structure(self.value), self.flags)
 
     def part(self, select: Callable[[Any], Any]) -> "Copies":
         """Return a part of the value."""
@@ -55,9 +60,9 @@ def stack(entries: Sequence[Copies], *, share: bool = False) -> list[Group]:
     """
     found: dict[Any, list[tuple[int, int, list[Any], Sequence[bool]]]] = {}
     start = 0
-    for value, count, varies in entries:
-        leaves, structure = jax.tree.flatten(value)
-        varies = len(leaves) * (False,) if varies is None else varies
+    for copies in entries:
+        (leaves, structure), count = jax.tree.flatten(copies.value), copies.number
+        varies = copies.flags
         kinds = tuple(
             (np.shape(leaf)[bool(batched) :], jnp.result_type(leaf))
             for leaf, batched in zip(leaves, varies, strict=True)

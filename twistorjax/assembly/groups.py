@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -57,11 +56,12 @@ def group_hinges(hinges: Sequence[Copies]) -> tuple[HingeGroup, ...]:
     """
     rows, terms, start = [], [], 0
     for copies in hinges:
+        # The terms have the same arrays as their sum.
+        leaves = map(id, jax.tree.leaves(copies.value))
+        varies = dict(zip(leaves, copies.flags, strict=True))
         of_terms = [
-            Copies(pair, copies.number, jax.tree.leaves(varies))
-            for pair, varies in zip(
-                _terms(copies.value), _terms(copies.varies_tree()), strict=True
-            )
+            Copies(pair, copies.number, [varies[id(x)] for x in jax.tree.leaves(pair)])
+            for pair in _terms(copies.value)
         ]
         rows += len(of_terms) * list(range(start, start + copies.number))
         terms += of_terms
@@ -121,17 +121,16 @@ def sums_of(hinges: Sequence[Copies]) -> PerPart:
     )
 
 
-def _terms(hinge: tuple[AbstractEnergy, Any]) -> list[tuple[AbstractEnergy, Any]]:
-    """Return the terms of an energy, each with its part of the damping.
-
-    In both, anything may stand for the numbers.
-    """
+def _terms(hinge: DampedEnergy) -> list[DampedEnergy]:
+    """Return the terms of an energy, each with its part of the damping."""
     energy, damping = hinge
     terms = parallel_terms(energy)
     return list(zip(terms, _distribute(damping, terms), strict=True))
 
 
-def _distribute(damping: Any, terms: Sequence[AbstractEnergy]) -> list[Any]:
+def _distribute(
+    damping: ViscousDamping | Scalar | None, terms: Sequence[AbstractEnergy]
+) -> list[ViscousDamping | Scalar | None]:
     """Distribute the damping of a hinge among the terms of its energy.
 
     A time (s) multiplies the stiffness of each term. A `ViscousDamping` acts only once:

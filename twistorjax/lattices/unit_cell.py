@@ -534,7 +534,7 @@ def _take(copies: Copies, rows: Int[np.ndarray, " rows"]) -> Copies:
     leaves, structure = jax.tree.flatten(copies.value)
     leaves = [
         take_rows(leaf, rows) if varies else leaf
-        for leaf, varies in zip(leaves, copies.varies or (), strict=True)
+        for leaf, varies in zip(leaves, copies.flags, strict=True)
     ]
     return copies._replace(value=jax.tree.unflatten(structure, leaves), number=len(rows))
 
@@ -542,7 +542,7 @@ def _take(copies: Copies, rows: Int[np.ndarray, " rows"]) -> Copies:
 def _named(
     copies: Copies, names: tuple[str, ...], ends: tuple[tuple[str, str], ...] = ()
 ) -> PartCopies[Any]:
-    return PartCopies(copies.value, names, ends, tuple(copies.varies or ()))
+    return PartCopies(copies.value, names, ends, tuple(copies.flags))
 
 
 def _indexed(name: str, indices: Int[np.ndarray, "cells directions"]) -> tuple[str, ...]:

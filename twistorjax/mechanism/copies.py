@@ -127,7 +127,7 @@ def check_energies(hinges: Sequence[PartCopies[Hinge]]) -> None:
     """Check the energies of all hinges; one that many hinges share is checked once."""
     different = {id(copies.part.energy): copies for copies in reversed(hinges)}
     for copies in different.values():
-        if any(copies.values("energy").varies or ()):
+        if any(copies.values("energy").flags):
             for hinge in copies:
                 check_energy(hinge)
         else:

@@ -268,3 +268,44 @@ def test_dispersions_are_tables():
     table = found.to_xarray()
     assert table["frequency"].dims == ("wave", "mode")
     assert table["shape_x"].shape == (3, 2, 1)
+
+
+def test_waves_in_both_states_of_a_bistable_chain_have_the_closed_form():
+    """The stiffness in both states is 32 barrier / distance^2."""
+    distance, barrier, link = 5e-3, 1e-3, 80.0
+    cell = tj.lattices.bistable_chain(
+        tj.Quadratic(np.diag([1.0, link, 1.0])),
+        pitch=PITCH, distance=distance, barrier=barrier, mass=MASS,
+    )  # fmt: skip
+    fixed = {"ground": ["angle", "x", "y"], "mass": ["angle", "y"]}
+    waves = cell.wave_vectors([(0.0,), (0.5,)], 4)
+    sines = np.sin(waves[:, 0] * PITCH / 2) ** 2
+    expected = np.sqrt((32 * barrier / distance**2 + 4 * link * sines) / MASS)
+    switched = np.array(cell.mechanism().reference)
+    switched[[0, 2], 1] += distance
+    for about in (None, switched):
+        found = tj.dispersion(cell, waves, fixed=fixed, about=about).frequencies[:, 0]
+        assert_close(2 * np.pi * np.asarray(found) / expected, np.ones(5), digits=9)
+    spring = cell.hinges[0].energy
+    assert_close(spring([0.0, distance / 2, 0.0]) / barrier, 1.0)
+
+
+def test_corners_of_kagome_triangles_coincide_and_the_lattice_is_just_rigid():
+    """Without stiffness against rotation, a periodic cell has two free translations."""
+    joint = tj.Quadratic(np.diag([0.0, 1e3, 1e3]))
+    cell = tj.lattices.kagome(joint, side=PITCH, mass=MASS)
+    lattice = tj.lattices.repeat(cell, (4, 3))
+    mechanism = tj.Mechanism(lattice.bodies, lattice.hinges)
+    outlines = (
+        np.array(list(mechanism.outlines)) + np.asarray(mechanism.reference)[:, None, 1:]
+    )
+    ends = np.array(mechanism.hinge_assembly.ends)
+    for joint_at, pair in zip(np.asarray(mechanism.at), ends, strict=True):
+        distances = np.linalg.norm(outlines[pair] - joint_at[1:], axis=-1)
+        assert np.all(distances.min(axis=1) < 1e-12)
+    zero, inside = (
+        np.asarray(tj.dispersion(cell, waves).frequencies[0])
+        for waves in ([[0.0, 0.0]], [[9.0, 4.0]])
+    )
+    assert np.sum(zero < 1e-6 * zero.max()) == 3  # and the rotation of all triangles
+    assert np.sum(inside < 1e-6 * inside.max()) == 0

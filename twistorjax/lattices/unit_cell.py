@@ -214,7 +214,7 @@ class UnitCell(eqx.Module):
         bodies = list(self.bodies)
         for name, (body, offset) in self.images().items():
             xp, (pose, vectors) = on_host(body.pose, self.vectors)
-            shift = xp.concatenate([np.zeros(1), np.array(offset) @ vectors])
+            shift = xp.concatenate([np.zeros(1), np.array(offset, float) @ vectors])
             bodies.append(Body(name, as_float(pose + shift), outline=body.outline))
         return Mechanism(bodies, self.hinges, fixed)
 
@@ -234,7 +234,9 @@ class UnitCell(eqx.Module):
         _, (gradient, vectors) = on_host(gradient, self.vectors)
         return tuple(
             Periodicity(
-                name, (body.name, name), as_float(gradient @ (np.array(offset) @ vectors))
+                name,
+                (body.name, name),
+                as_float(gradient @ (np.array(offset, float) @ vectors)),
             )
             for name, (body, offset) in self.images().items()
         )
@@ -356,7 +358,9 @@ def repeat(
         )
     indices = np.array(list(np.ndindex(*counts)))
     xp, (vectors,) = on_host(first.vectors)
-    shifts = xp.concatenate([np.zeros((len(indices), 1)), indices @ vectors], axis=1)
+    shifts = xp.concatenate(
+        [np.zeros((len(indices), 1)), indices.astype(float) @ vectors], axis=1
+    )
     bodies = []
     for copies in cells.bodies:
         placed = _place(copies, "pose", shifts)
@@ -374,7 +378,8 @@ def repeat(
         if len(rows):
             hinges.append(_named(_take(placed, rows), names, ends))
         xp, (at, vectors) = on_host(placed.value.at, first.vectors)
-        before = at - xp.concatenate([np.zeros(1), np.array(offset) @ vectors])
+        step = xp.concatenate([np.zeros(1), np.array(offset, float) @ vectors])
+        before = at - step[None]
         for sign, body, poses in ((1, hinge.first, at), (-1, second, before)):
             beyond = indices + sign * np.array(offset)
             outside = (beyond < 0) | (beyond >= counts)
@@ -521,10 +526,13 @@ def _stacked(parts: Sequence[Body] | Sequence[Hinge]) -> Copies:
 def _place(copies: Copies, field: str, shifts: Float[Any, "cells 3"]) -> Copies:
     """Move the copies of a part to their cells."""
     varies = copies.varies_tree()
-    _, (pose, by) = on_host(getattr(copies.value, field), shifts)
+    xp, (pose, by) = on_host(getattr(copies.value, field), shifts)
     part, varies = (
         eqx.tree_at(lambda part: getattr(part, field), tree, value)
-        for tree, value in ((copies.value, as_float(pose + by)), (varies, True))
+        for tree, value in (
+            (copies.value, as_float(xp.broadcast_to(pose, by.shape) + by)),
+            (varies, True),
+        )
     )
     return Copies(part, copies.number, jax.tree.leaves(varies))
 

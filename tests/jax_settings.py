@@ -71,6 +71,7 @@ _SLOW_EXAMPLES = (
     "plotting.animation.animate",
     "plotting.path_plots.draw_path",
     "plotting.port_plots.draw_port_motion",
+    "plotting.wave_plots.draw_dispersion",
     "solve.bistability.bistability",
     "solve.fatigue.fatigue",
     "solve.port_motion.port_motion",

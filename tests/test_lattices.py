@@ -2,9 +2,16 @@
 
 import jax
 import jax.numpy as jnp
+import matplotlib as mpl
 import numpy as np
 import pytest
+
+
+mpl.use("agg")
+
+import matplotlib.pyplot as plt
 from helpers import assert_close
+from matplotlib.patches import Rectangle
 
 import twistorjax as tj
 
@@ -153,29 +160,36 @@ def test_waves_along_masses_on_springs_have_the_frequencies_of_closed_forms():
     assert_close(velocity, np.sqrt(100.0 / MASS) * PITCH * np.cos(0.35), digits=10)
 
 
+def two_masses(light, count):
+    """Return the waves at the edge of the zone, and between it and its center.
+
+    A cell has two masses, which springs join in a row.
+    """
+    spring = tj.Quadratic(np.diag([1.0, 100.0, 1.0]))
+    hinges = [
+        tj.Hinge("inner", "light", "heavy", spring, (0, PITCH / 4, 0)),
+        tj.Hinge("outer", "heavy", "light[1]", spring, (0, 3 * PITCH / 4, 0)),
+    ]
+    bodies = [
+        tj.Body("light", mass=light, inertia=INERTIA),
+        tj.Body("heavy", (0, PITCH / 2, 0), mass=3.0, inertia=INERTIA),
+    ]
+    cell = tj.lattices.UnitCell(bodies, hinges, [(PITCH, 0)])
+    fixed = {name: ["angle", "y"] for name in ("light", "heavy")}
+    waves = cell.wave_vectors([(0.5,), (0.0,)], 20)[:count]
+    return tj.dispersion(cell, waves, fixed=fixed)
+
+
+GAP = np.sqrt(200.0 / np.array([3.0, 1.0]))  # (2 k / m)^0.5 of both masses; rad/s
+
+
 def test_two_masses_in_a_cell_have_the_band_gap_of_the_closed_form():
-    """Its edges are (2 k / m)^0.5 of both masses; the gap is differentiated."""
-    waves = row_of_masses().wave_vectors([(0.5,), (0.499,)], 1)
-
     def edges(light):
-        spring = tj.Quadratic(np.diag([1.0, 100.0, 1.0]))
-        at = ((0, PITCH / 4, 0), (0, 3 * PITCH / 4, 0))
-        hinges = [
-            tj.Hinge("inner", "light", "heavy", spring, at[0]),
-            tj.Hinge("outer", "heavy", "light[1]", spring, at[1]),
-        ]
-        bodies = [
-            tj.Body("light", mass=light, inertia=INERTIA),
-            tj.Body("heavy", (0, PITCH / 2, 0), mass=3.0, inertia=INERTIA),
-        ]
-        cell = tj.lattices.UnitCell(bodies, hinges, [(PITCH, 0)])
-        fixed = {name: ["angle", "y"] for name in ("light", "heavy")}
-        return 2 * np.pi * tj.dispersion(cell, waves, fixed=fixed).frequencies[0]
+        return 2 * np.pi * two_masses(light, 1).frequencies[0]
 
-    expected = np.sqrt(200.0 / np.array([3.0, 1.0]))
-    assert_close(edges(1.0), expected, digits=10)
+    assert_close(edges(1.0), GAP, digits=10)
     gap = jax.grad(lambda light: jnp.diff(edges(light))[0])(1.0)
-    assert_close(gap, -expected[1] / 2, digits=9)
+    assert_close(gap, -GAP[1] / 2, digits=9)
 
 
 def test_waves_along_rotating_squares_agree_with_equations_of_motion_by_hand():
@@ -211,6 +225,18 @@ def test_waves_along_rotating_squares_agree_with_equations_of_motion_by_hand():
         expected = np.linalg.eigvalsh(scaled)
         squares = (2 * np.pi * row) ** 2
         np.testing.assert_allclose(squares, expected, rtol=0, atol=1e-13 * expected[-1])
+
+
+def test_band_gaps_are_drawn_between_the_bands():
+    axes = tj.plotting.draw_dispersion(two_masses(1.0, 21))
+    assert len(axes.lines) == 2
+    (shown,) = axes.patches
+    assert isinstance(shown, Rectangle)
+    edges = np.array([shown.get_y(), shown.get_y() + shown.get_height()])
+    assert_close(2 * np.pi * edges, GAP, digits=9)
+    plt.close("all")
+    with pytest.raises(ValueError, match="two wave vectors or more"):
+        tj.plotting.draw_dispersion(two_masses(1.0, 1))
 
 
 def stretched_string(strain):

@@ -4,3 +4,4 @@ from .hinge_plots import draw_energy as draw_energy
 from .optimum_plots import draw_optimum as draw_optimum
 from .path_plots import draw_path as draw_path
 from .port_plots import draw_port_motion as draw_port_motion
+from .wave_plots import draw_dispersion as draw_dispersion

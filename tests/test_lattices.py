@@ -335,3 +335,21 @@ def test_corners_of_kagome_triangles_coincide_and_the_lattice_is_just_rigid():
     )
     assert np.sum(zero < 1e-6 * zero.max()) == 3  # and the rotation of all triangles
     assert np.sum(inside < 1e-6 * inside.max()) == 0
+
+
+def test_a_leaf_far_from_a_copy_in_a_lattice_is_reported():
+    """Its length and the outlines of its bodies are known."""
+    squares = tj.lattices.repeat(
+        tj.lattices.rotating_squares(JOINT, pitch=PITCH, angle=0.3), (2, 2)
+    )
+    wall = tj.Body("wall", outline=[(-1.0, -1.0), (5.0, -1.0), (5.0, -0.9), (-1.0, -0.9)])
+    steel = tj.Material(210e9, 0.3)
+    leaf = tj.flexures.linear_leaf(steel, length=0.02, thickness=1e-4, width=0.01)
+
+    def build(y):
+        hinge = tj.Hinge("leaf", "wall", "a[1, 0]", leaf, at=(np.pi / 2, 2 * PITCH, y))
+        return tj.Mechanism([*squares.bodies, wall], [*squares.hinges, hinge], ["wall"])
+
+    with pytest.warns(UserWarning, match="The ends of the hinge 'leaf'"):
+        build(3.0)
+    build(-0.895)  # at the wall

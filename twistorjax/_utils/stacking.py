@@ -5,7 +5,8 @@ bodies has few arguments.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
+from operator import itemgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -85,6 +86,16 @@ def stack(entries: Sequence[Copies], *, share: bool = False) -> list[Group]:
     return groups
 
 
+def member_of(value: Any, axes: Sequence[int | None], take: Callable[[Any], Any]) -> Any:
+    """Return one of several stacked values; `take` selects its row of an array."""
+    leaves, structure = jax.tree.flatten(value)
+    of_member = [
+        leaf if axis is None else take(leaf)
+        for leaf, axis in zip(leaves, axes, strict=True)
+    ]
+    return jax.tree.unflatten(structure, of_member)
+
+
 def _stacked(column: Sequence[tuple[Any, bool, int]]) -> Array:
     """Join arrays of some parts, without a compilation if they are not traced."""
     known = all_concrete([leaf for leaf, _, _ in column])
@@ -123,14 +134,7 @@ class PerPart(eqx.Module, Generic[Value]):
         if isinstance(part, slice):
             return tuple(self[k] for k in range(len(self))[part])
         group, member = _positions(self.members)[part]
-        leaves, structure = jax.tree.flatten(self.values[group])
-        return jax.tree.unflatten(
-            structure,
-            [
-                leaf if axis is None else _row(leaf, member)
-                for leaf, axis in zip(leaves, self.axes[group], strict=True)
-            ],
-        )
+        return member_of(self.values[group], self.axes[group], partial(_row, member))
 
     def __iter__(self) -> Iterator[Any]:
         return (self[part] for part in range(len(self)))
@@ -141,14 +145,9 @@ class PerPart(eqx.Module, Generic[Value]):
         for members, value, axes in zip(
             self.members, self.values, self.axes, strict=True
         ):
-            leaves, structure = jax.tree.flatten(value)
-            leaves = list(map(np.asarray, leaves))
+            known = jax.tree.map(np.asarray, value)
             for k, part in enumerate(members):
-                of_part = [
-                    leaf if axis is None else leaf[k]
-                    for leaf, axis in zip(leaves, axes, strict=True)
-                ]
-                values[part] = jax.tree.unflatten(structure, of_part)
+                values[part] = member_of(known, axes, itemgetter(k))
         return values
 
     def numbers(self, missing: float) -> Float[Array | np.ndarray, " parts"]:
@@ -171,7 +170,7 @@ class PerPart(eqx.Module, Generic[Value]):
         return none
 
 
-def _row(leaf: Any, member: int) -> Array:
+def _row(member: int, leaf: Any) -> Array:
     known = concrete(leaf)
     return leaf[member] if known is None else jax.device_put(known[member])
 

@@ -8,9 +8,14 @@ from jaxtyping import Array, Float
 
 from ..linalg.block_factors import Layout
 from ..linalg.eigenvalues import rounding_errors, Stiffness
-from ..linalg.sums import gather_entries, sum_entries
+from ..linalg.sums import sum_entries
 from .forces import Factored
-from .scatter import row_entries, sum_matrices, vector_entries
+from .scatter import (
+    displacements_of_members,
+    row_entries,
+    sum_matrices,
+    vector_entries,
+)
 
 
 class FactoredStiffness(eqx.Module):
@@ -89,12 +94,8 @@ class FactoredStiffness(eqx.Module):
         self, vectors: Float[Array, "free vectors"]
     ) -> Float[Array, "members 6 vectors"]:
         """Return the six displacements of each member."""
-        source, target = vector_entries(self.ends, self.order, self.free)
-        position = np.full(6 * len(self.order), len(self.free))
-        position[source] = target
-        padded = jnp.concatenate([vectors, jnp.zeros_like(vectors[:1])])
-        position = position.reshape(6, -1).T.reshape(-1)
-        return gather_entries(padded, position).reshape(-1, 6, vectors.shape[1])
+        moved = displacements_of_members(vectors, self.ends, self.order, self.free)
+        return jnp.swapaxes(moved, 0, 1)
 
 
 def _product(

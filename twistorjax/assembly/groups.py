@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from operator import itemgetter
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float
-from .._utils.stacking import Copies, PerPart, stack
+from .._utils.stacking import Copies, member_of, PerPart, stack
 from .._utils.types import Scalar
 from ..energies.base import AbstractEnergy, parallel_terms
 from ..energies.damping import ViscousDamping
@@ -36,12 +37,8 @@ class HingeGroup(eqx.Module):
 
     def of_member(self, member: int) -> "DampedEnergy":
         """Return the energy of one member and its damping."""
-        leaves, tree = jax.tree.flatten((self.energy, self.damping))
-        of_member = [
-            leaf if axis is None else leaf[member]
-            for leaf, axis in zip(leaves, self.batch_axes, strict=True)
-        ]
-        return jax.tree.unflatten(tree, of_member)
+        hinges = self.energy, self.damping
+        return member_of(hinges, self.batch_axes, itemgetter(member))
 
 
 # Energy and damping of a hinge

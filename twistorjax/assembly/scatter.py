@@ -3,11 +3,12 @@
 import math
 from functools import lru_cache
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..linalg.block_factors import Layout
-from ..linalg.sums import sum_entries
+from ..linalg.sums import gather_entries, sum_entries
 
 
 def sum_matrices(
@@ -24,6 +25,20 @@ def sum_matrices(
     indices = matrix_entries(ends, order, dofs, dofs, layout)
     shape = 2 * (len(dofs),) if layout is None else layout.shape
     return sum_entries(matrices.reshape(-1), *indices, math.prod(shape)).reshape(shape)
+
+
+def displacements_of_members(
+    vectors: Float[Array, "free ..."],
+    ends: tuple[tuple[int, int], ...],
+    order: tuple[int, ...],
+    free: tuple[int, ...],
+) -> Float[Array, "6 members ..."]:
+    """Return the six displacements of each hinge; those that are not free are zero."""
+    source, target = vector_entries(ends, order, free)
+    position = np.full(6 * len(order), len(free))
+    position[source] = target
+    padded = jnp.concatenate([vectors, jnp.zeros_like(vectors[:1])])
+    return gather_entries(padded, position).reshape(6, -1, *vectors.shape[1:])
 
 
 @lru_cache(maxsize=256)

@@ -11,10 +11,10 @@ from jaxtyping import Array, Float, Int
 
 from .._utils.types import Flag, Poses, Scalar
 from ..linalg.block_factors import Layout
-from ..linalg.sums import gather_entries, sum_entries
+from ..linalg.sums import sum_entries
 from .forces import FOUR_INDEX_AND_SIGN, HingeTangent, predicted_stress, UPPER_TRIANGLE
 from .motion_forces import HingeMotionTangent
-from .scatter import matrix_entries, vector_entries
+from .scatter import displacements_of_members, matrix_entries, vector_entries
 
 
 # Position of each entry of a 4 by 4 matrix of displacements in the upper triangle.
@@ -172,10 +172,7 @@ class AssemblyMotionTangent(eqx.Module):
 
     def _of_four(self, change: Float[Array, " free"]) -> Float[Array, "members 4"]:
         """Return the change of the four displacements of each member."""
-        source, target = vector_entries(self.ends, self.order, self.free)
-        position = np.full(6 * len(self.order), len(self.free))
-        position[source] = target
-        of_six = gather_entries(jnp.append(change, 0.0), position).reshape(6, -1)
+        of_six = displacements_of_members(change, self.ends, self.order, self.free)
         a, b = of_six[:3], of_six[3:]
         return jnp.stack([a[0], b[0], b[1] - a[1], b[2] - a[2]], axis=1)
 

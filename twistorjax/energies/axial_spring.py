@@ -2,14 +2,12 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import concrete
 from .._utils.types import NumberLike, Scalar
 from .._utils.validation import require_positive
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy, Stress
+from .base import AbstractEnergy, positive_error, Stress
 from .dilation import multiply_fields
 
 
@@ -48,11 +46,7 @@ class AxialSpring(AbstractEnergy):
 
     def validation_error(self) -> str | None:
         """Describe the first value that is not positive; None if both are."""
-        for name in ("stiffness", "length"):
-            value = concrete(getattr(self, name))
-            if value is not None and not np.all((value > 0) & np.isfinite(value)):
-                return f"`{name}` must be positive and finite, but is {value}."
-        return None
+        return positive_error(self, "stiffness", "length")
 
     @property
     def is_unloaded(self) -> bool:

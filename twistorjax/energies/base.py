@@ -492,6 +492,15 @@ def validation_error(energy: AbstractEnergy) -> str | None:
     return next((error for error in errors if error), None)
 
 
+def positive_error(energy: AbstractEnergy, *names: str) -> str | None:
+    """Describe the first of some fields that is known and not positive."""
+    for name in names:
+        value = concrete(getattr(energy, name))
+        if value is not None and not np.all((value > 0) & np.isfinite(value)):
+            return f"`{name}` must be positive and finite, but is {value}."
+    return None
+
+
 class _RangeOnly(AbstractEnergy):
     """The validity range of a sum, without its energy."""
 

@@ -20,7 +20,7 @@ from .._utils.validation import (
 )
 from ..geometry import se2
 from ..geometry.twistors import Displacement
-from .base import AbstractEnergy, nested
+from .base import AbstractEnergy, nested, positive_error
 from .dilation import multiply_fields
 
 
@@ -60,11 +60,7 @@ class AbstractContact(AbstractEnergy):
 
     def validation_error(self) -> str | None:
         """Describe the first value that is not positive; None if all are."""
-        for name in ("stiffness", "smoothing"):
-            value = concrete(getattr(self, name))
-            if value is not None and not np.all((value > 0) & np.isfinite(value)):
-                return f"`{name}` must be positive and finite, but is {value}."
-        return None
+        return positive_error(self, "stiffness", "smoothing")
 
 
 class _ClosedContact(AbstractEnergy):

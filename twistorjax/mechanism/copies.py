@@ -52,6 +52,9 @@ class PartCopies(Generic[Part]):
     def __len__(self) -> int:
         return len(self.names)
 
+    def __getitem__(self, copy: int) -> Part:
+        return PerPart.of([self._whole()])[copy]
+
     def __iter__(self) -> Iterator[Part]:
         return iter(PerPart.of([self._whole()]))
 

@@ -27,16 +27,16 @@ def warn_if_misplaced(
     known = concrete(frames)
     if known is None:
         return
-    rows = [copies.part for copies in bodies for _ in copies.names]
+    rows = [(copies, k) for copies in bodies for k in range(len(copies))]
     start = 0
     for copies in hinges:
-        hinge, pair = copies.part, [rows[end] for end in ends[start]]
-        angle, *center = known[start]
+        hinge, of_bodies, (angle, *center) = copies.part, ends[start], known[start]
         start += len(copies)
-        if len(copies) > 1 or any(body.outline is None for body in pair):
-            continue
-        length = _length(hinge)
+        length = _length(hinge) if len(copies) == 1 else None
         if length is None:
+            continue
+        pair = [rows[body][0][rows[body][1]] for body in of_bodies]
+        if any(body.outline is None for body in pair):
             continue
         along = np.array([np.cos(angle), np.sin(angle)]) * length / 2
         tips = np.array(center) - along, np.array(center) + along

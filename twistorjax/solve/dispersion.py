@@ -19,7 +19,7 @@ from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..results.codes import RESULTS, Solution
 from ..results.tables import Column, Columns, columns, Tabular
 from .equations.consistency import consistent
-from .equations.problem import Problem
+from .equations.problem import mode_count, Problem
 from .equations.system import System
 from .statics.solution import StateLike
 
@@ -139,12 +139,7 @@ def dispersion(
         raise ValueError(
             "No coordinate can vibrate, because all are fixed. Leave one of them free."
         )
-    count = len(free) if modes is None else modes
-    if not (isinstance(count, int) and 1 <= count <= len(free)):
-        raise ValueError(
-            f"`modes` is {modes!r}, but the cell has {len(free)} waves for each wave "
-            f"vector: give an integer from 1 to {len(free)}."
-        )
+    count = mode_count(modes, len(free))
     # The inertia of an image is that of its body.
     images = dict.fromkeys(one.names[bodies:], COORDINATES)
     given = fixed if isinstance(fixed, Mapping) else dict.fromkeys(fixed, COORDINATES)

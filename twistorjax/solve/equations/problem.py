@@ -119,15 +119,7 @@ class Problem(NamedTuple):
         Raises:
             ValueError: There are fewer modes, or none.
         """
-        count = len(self.dofs.free) - self.constraints.size
-        if modes is None:
-            return count
-        if not (isinstance(modes, int) and 1 <= modes <= count):
-            raise ValueError(
-                f"`modes` is {modes!r}, but the mechanism has {count} modes: give an "
-                f"integer from 1 to {count}."
-            )
-        return modes
+        return mode_count(modes, len(self.dofs.free) - self.constraints.size)
 
     def inconsistency(self, displacements: Poses) -> Exception:
         """Return the error of constraints that are not consistent with displacements."""
@@ -158,3 +150,15 @@ class Problem(NamedTuple):
             return result_error(name, batch_index)
 
         return finish(solution, throw, error)
+
+
+def mode_count(modes: int | None, count: int) -> int:
+    """Return a number of modes, by default that of all modes, `count`."""
+    if modes is None:
+        return count
+    if not (isinstance(modes, int) and 1 <= modes <= count):
+        raise ValueError(
+            f"`modes` is {modes!r}, but the mechanism has {count} modes: give an integer "
+            f"from 1 to {count}."
+        )
+    return modes

@@ -27,6 +27,8 @@ _FAST = {
     **({"xla_cpu_use_fusion_emitters": False} if _JAXLIB < (0, 11) else {}),
     "xla_backend_optimization_level": 1,
     "xla_disable_hlo_passes": "reshape-mover,while-loop-invariant-code-motion",
+    # Parts of a program that are compiled side by side make it slower to load.
+    "xla_cpu_parallel_codegen_split_count": 1,
 }
 _NOT_OPTIMIZED = {**_FAST, "xla_backend_optimization_level": 0}
 
@@ -49,7 +51,7 @@ def fast_compile(
     Args:
         optimize: Whether XLA optimizes the program. Without optimization, the compilation
             of a simulation takes half the time, and a run at least twice the time, which
-            pays off for a program that runs once.
+            pays off for a program that runs once. Its gradient computes the value again.
         store: Whether traces are stored. Those with callbacks to Python cannot be stored.
         jit: `equinox.filter_jit`, or `jax.jit`, whose calls take less time.
         settings: Arguments of `jit`.
@@ -58,9 +60,13 @@ def fast_compile(
     in_program = jit(function, **settings)
     if store:
         in_program = with_gradient(
-            function, in_program, partial(_part, optimize=optimize)
+            function,
+            in_program,
+            partial(_part, optimize=optimize),
+            None if optimize else lambda *positional, **named: compiled(*positional, **named),
         )
-    return _compile(function, in_program, optimize, store, jit, **settings)
+    compiled = _compile(function, in_program, optimize, store, jit, **settings)
+    return compiled
 
 
 def _part(function: Callable, optimize: bool) -> Callable:

@@ -9,12 +9,15 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
-from ..._utils.types import Matrix, Pose, Scalar, Wrench
+from ..._utils.types import Count, Matrix, Pose, Scalar, Wrench
 from ..beams.beam import Beam, load_units
 from ..beams.under_load import end_section, pose_and_wrench, reference_ends
 
 
 SAMPLES = 800  # for the fit; half as many more are for the error estimate
+_STEPS = 10  # of Newton's method
+# Error of the rotations after which one more step of Newton's method is exact; rad
+_CORRECTED = 1e-8
 
 
 class Samples(NamedTuple):
@@ -31,6 +34,14 @@ class Samples(NamedTuple):
     force: Scalar  # Largest force; N
     # Stiffness of the beam in the reference configuration; N m/rad, N/rad, N/m
     stiffness: Matrix
+
+
+class _Search(NamedTuple):
+    """State of the search for the moments that cause the rotations of the samples."""
+
+    moments: Float[Array, " samples"]  # Over their unit
+    error: Scalar  # Largest error of a rotation before the last step; rad
+    steps: Count
 
 
 @fast_compile
@@ -58,34 +69,38 @@ def sample_beam(beam: Beam, rotation: Scalar, force: Scalar | None) -> Samples:
         )
     )
 
-    def angle(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
+    for_fit = low_discrepancy_points(SAMPLES)
+    for_error = low_discrepancy_points(SAMPLES // 2, start=0.5)
+    points = jnp.asarray(np.concatenate([for_fit, for_error]))
+    targets = largest_rotation * (2 * points[:, 0] - 1)
+    directions = 2 * np.pi * points[:, 2]
+    directions = jnp.stack([jnp.cos(directions), jnp.sin(directions)], axis=1)
+    forces = (largest_force * jnp.sqrt(points[:, 1]))[:, None] * directions
+
+    def rotation_at(moment: Scalar, force: Float[Array, "2"]) -> Scalar:
         load = jnp.concatenate([moment[None], force])
         end = end_section(constant_beam, load, constant_ends)
         return end.angle - constant_ends.second[0]
 
-    def find_load(point: Float[Array, "3"]) -> tuple[Wrench, Scalar]:
-        """Find the load of a point in the unit cube, and the error of its rotation."""
-        target = largest_rotation * (2 * point[0] - 1)
-        direction_angle = 2 * np.pi * point[2]
-        direction = jnp.stack([jnp.cos(direction_angle), jnp.sin(direction_angle)])
-        force = largest_force * jnp.sqrt(point[1]) * direction
+    def correct(state: _Search) -> _Search:
+        """Correct all moments by a step of Newton's method."""
+        moments, _, steps = state
+        ones = jnp.ones_like(moments)
+        rotations, slopes = jax.jvp(
+            lambda moments: jax.vmap(rotation_at)(moments, forces), (moments,), (ones,)
+        )
+        # A larger step could lead to a solution with another number of windings.
+        changes = jnp.clip(targets - rotations, -1.0, 1.0)
+        moments = moments + changes / jnp.maximum(slopes, 0.03 * compliance)
+        return _Search(moments, jnp.max(jnp.abs(changes)), steps + 1)
 
-        def newton_step(_, moment: Scalar) -> Scalar:
-            one = jnp.ones_like(moment)
-            value, slope = jax.jvp(lambda m: angle(m, force), (moment,), (one,))
-            # A larger step could lead to a solution with another number of windings.
-            residual = jnp.clip(target - value, -1.0, 1.0)
-            return moment + residual / jnp.maximum(slope, 0.03 * compliance)
-
-        moment = lax.fori_loop(0, 10, newton_step, target / compliance)
-        rotation_error = jnp.abs(angle(moment, force) - target)
-        return jnp.concatenate([moment[None], force]), rotation_error
-
-    for_fit = low_discrepancy_points(SAMPLES)
-    for_error = low_discrepancy_points(SAMPLES // 2, start=0.5)
-    points = jnp.asarray(np.concatenate([for_fit, for_error]))
-    loads, errors = jax.vmap(find_load)(points)
+    start = _Search(targets / compliance, jnp.array(jnp.inf), jnp.zeros((), int))
+    moments = lax.while_loop(
+        lambda state: ~(state.error <= _CORRECTED) & (state.steps < _STEPS), correct, start
+    ).moments
+    loads = jnp.concatenate([moments[:, None], forces], axis=1)
     poses, wrenches = jax.vmap(displace)(lax.stop_gradient(loads))
+    errors = jnp.abs(lax.stop_gradient(poses[:, 0]) - targets)
     errors = jnp.where(jnp.isfinite(errors), errors, jnp.inf)
     forces = units[1] * jnp.linalg.norm(loads[:, 1:], axis=1)
     least_failed_force = jnp.min(jnp.where(errors < 1e-6, jnp.inf, forces))

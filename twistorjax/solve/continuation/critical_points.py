@@ -70,6 +70,8 @@ class _Search(NamedTuple):
     # Place on each segment that separates opposite changes of stability, as a fraction of
     # its length; zero if there is none
     between: Float[Array, " segments"]
+    # Rows of the first of the points whose stability is not known yet, and behind the last
+    unknown: tuple[Count, Count]
     criticals: Criticals  # Critical points that were found
     row: Count  # Index of the point that precedes the current segment
     done: Count  # Number of critical points that were found on this segment
@@ -153,21 +155,35 @@ def locate_points(
     changed its sign at the end of the path.
     """
     rows = jnp.arange(len(trace.points))
+    unknown = jax.tree.map(
+        lambda shape: jnp.zeros(shape.shape),
+        jax.eval_shape(partial(_stability, system, metric), trace.points[0]),
+    )
 
-    def evaluate(
-        row: Count, arrays: tuple[Array, Array, _Stability]
-    ) -> tuple[Array, Array, _Stability]:
-        values, between, last = arrays
-        current = _stability(system, metric, trace.points[row])
-        segment = jnp.where(row > 0, row - 1, len(rows))
-        place = _fraction_between(last, current)
-        return (
-            values.at[row].set(current.values),
-            between.at[segment].set(place, mode="drop"),
-            current,
+    def evaluate(search: _Search) -> _Search:
+        """Compute the stability of the points where it is not known."""
+        first, end = search.unknown
+
+        def one(
+            row: Count, state: tuple[Array, Array, _Stability]
+        ) -> tuple[Array, Array, _Stability]:
+            values, between, last = state
+            current = _stability(system, metric, search.trace.points[row])
+            segment = jnp.where(row > first, row - 1, len(rows))
+            place = _fraction_between(last, current)
+            return (
+                values.at[row].set(current.values),
+                between.at[segment].set(place, mode="drop"),
+                current,
+            )
+
+        values, between, _ = jax.lax.fori_loop(
+            first, end, one, (search.values, search.between, unknown)
         )
+        return search._replace(values=values, between=between)
 
     def improve(search: _Search) -> _Search:
+        search = evaluate(search)
         trace, found = search.trace, search.criticals
         # The next segment with a critical point or a dip
         again = (rows[:-1] == search.row) & (search.done > 0)
@@ -271,19 +287,9 @@ def locate_points(
                 (search.values, root.other_values),
             )
         ]
-        # The two parts of a segment with a new point
-        ends = jax.lax.map(
-            partial(_stability, system, metric),
-            jax.lax.dynamic_slice_in_dim(arrays[0], row, 3),
-        )
-        first_ends, last_ends = (
-            jax.tree.map(lambda array, part=part: array[part], ends)
-            for part in (slice(2), slice(1, 3))
-        )
-        fractions = jax.vmap(_fraction_between)(first_ends, last_ends)
-        between = search.between[source[:-1]]
-        split = jnp.where(inserts, row, len(rows)) + np.arange(2)
-        between = between.at[split].set(fractions, mode="drop")
+        # The last segment, or the two parts of one with a new point
+        known = search.ended & ~inserts
+        behind = row + jnp.where(known, 0, 2 + inserts.astype(int))
         number = trace.number + inserts.astype(int)
         number = jnp.where(resolved, number, row + 1)
         undefined = jnp.any(jnp.isnan(root.values)) & ~search.ended & by_event
@@ -298,7 +304,8 @@ def locate_points(
         return _Search(
             trace,
             arrays[3],
-            between,
+            search.between[source[:-1]],
+            (row, behind),
             found,
             jnp.where(search.ended, row, search.row),
             jnp.where(recorded, done + 1, 0),
@@ -311,15 +318,10 @@ def locate_points(
     found = Criticals(nothing, jnp.zeros(largest_count, bool), none, none, zero)
     located = (trace.status != AT_LIMIT) & (trace.status != AT_EVENT)
     values = jnp.zeros((len(rows), count_of_values(system)))
-    between = jnp.zeros(len(rows) - 1)
-    start = jax.tree.map(
-        lambda shape: jnp.zeros(shape.shape),
-        jax.eval_shape(partial(_stability, system, metric), trace.points[0]),
-    )
-    values, between, _ = jax.lax.fori_loop(
-        0, trace.number, evaluate, (values, between, start)
-    )
-    search = _Search(trace, values, between, found, zero, zero, located, zero > 0)
+    search = _Search(
+        trace, values, jnp.zeros(len(rows) - 1), (zero, trace.number), found, zero, zero,
+        located, zero > 0,
+    )  # fmt: skip
     search = jax.lax.while_loop(lambda search: ~search.finished, improve, search)
     return search.trace, search.criticals, search.negative()
 

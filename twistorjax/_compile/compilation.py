@@ -63,7 +63,7 @@ def fast_compile(
             function,
             in_program,
             partial(_part, optimize=optimize),
-            None if optimize else lambda *positional, **named: compiled(*positional, **named),
+            None if optimize else lambda *values, **named: compiled(*values, **named),
         )
     compiled = _compile(function, in_program, optimize, store, jit, **settings)
     return compiled

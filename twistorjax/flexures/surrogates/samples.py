@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
-from ..._utils.types import Count, Matrix, Pose, Scalar, Wrench
+from ..._utils.types import Count, Flag, Matrix, Pose, Scalar, Wrench
 from ..beams.beam import Beam, load_units
 from ..beams.under_load import end_section, pose_and_wrench, reference_ends
 
@@ -94,10 +94,11 @@ def sample_beam(beam: Beam, rotation: Scalar, force: Scalar | None) -> Samples:
         moments = moments + changes / jnp.maximum(slopes, 0.03 * compliance)
         return _Search(moments, jnp.max(jnp.abs(changes)), steps + 1)
 
+    def unfinished(state: _Search) -> Flag:
+        return ~(state.error <= _CORRECTED) & (state.steps < _STEPS)
+
     start = _Search(targets / compliance, jnp.array(jnp.inf), jnp.zeros((), int))
-    moments = lax.while_loop(
-        lambda state: ~(state.error <= _CORRECTED) & (state.steps < _STEPS), correct, start
-    ).moments
+    moments = lax.while_loop(unfinished, correct, start).moments
     loads = jnp.concatenate([moments[:, None], forces], axis=1)
     poses, wrenches = jax.vmap(displace)(lax.stop_gradient(loads))
     errors = jnp.abs(lax.stop_gradient(poses[:, 0]) - targets)

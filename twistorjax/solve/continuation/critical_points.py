@@ -70,7 +70,7 @@ class _Search(NamedTuple):
     # Place on each segment that separates opposite changes of stability, as a fraction of
     # its length; zero if there is none
     between: Float[Array, " segments"]
-    # Rows of the first of the points whose stability is not known yet, and behind the last
+    # Rows at the begin and behind the end of the points whose stability is not known yet
     unknown: tuple[Count, Count]
     criticals: Criticals  # Critical points that were found
     row: Count  # Index of the point that precedes the current segment

@@ -308,6 +308,8 @@ def test_options_that_xla_does_not_know_are_left_out(monkeypatch):
     doubled = fast_compile(lambda value: 2 * value, jit=jit)
     assert [doubled(jnp.asarray(x)) for x in (1.5, 2.0)] == [3.0, 4.0]
     assert attempts == [True, False, False]
+    lowered = jax.jit(lambda value: 3 * value).lower(1.0)
+    assert compilation.compile_lowered(lowered, "cpu")(2.0) == 6.0
 
 
 def test_the_garbage_collection_pauses_only_while_a_program_is_traced():

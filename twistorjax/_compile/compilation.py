@@ -86,16 +86,8 @@ def _compile(
 
     `in_program` is called instead if JAX is tracing an argument.
     """
-    options = _FAST if optimize else _NOT_OPTIMIZED
-    given = os.environ.get("XLA_FLAGS", "")
-    # An option that is given with the same value is kept, so that the programs in the
-    # cache do not depend on whether `configure` was called before this import.
-    options = {
-        name: value
-        for name, value in options.items()
-        if name not in given or f"{name}={value}".lower() in given
-    }
     traced = stored(function) if store else function
+    options = _options(_FAST if optimize else _NOT_OPTIMIZED)
     fast = jit(traced, compiler_options=options, **settings)
 
     @wraps(function)
@@ -109,13 +101,42 @@ def _compile(
             if "top-level" not in str(error):
                 raise
         except jax.errors.JaxRuntimeError as error:
-            # The options are not a stable interface of XLA.
-            if "No such compile option" not in str(error):
+            if not _are_unknown(error):
                 raise
             fast = in_program
         return in_program(*arguments, **static)
 
     return compiled
+
+
+def compile_lowered(lowered: jax.stages.Lowered, platform: str) -> jax.stages.Compiled:
+    """Compile a program with the settings of `fast_compile`."""
+    if platform == "cpu":
+        try:
+            return lowered.compile(compiler_options=_options(_FAST))
+        except jax.errors.JaxRuntimeError as error:
+            if not _are_unknown(error):
+                raise
+    return lowered.compile()
+
+
+def _options(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of XLA that `XLA_FLAGS` does not replace.
+
+    An option that is given with the same value is kept, so that the programs in the cache
+    do not depend on whether `configure` was called before.
+    """
+    given = os.environ.get("XLA_FLAGS", "")
+    return {
+        name: value
+        for name, value in options.items()
+        if name not in given or f"{name}={value}".lower() in given
+    }
+
+
+def _are_unknown(error: jax.errors.JaxRuntimeError) -> bool:
+    """Decide whether XLA does not know an option; they are not a stable interface."""
+    return "No such compile option" in str(error)
 
 
 # JAX does not accept options of `fast_compile` in programs that it differentiates or

@@ -15,6 +15,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from .._compile.batching import CPU_BATCH_SIZE, single_threaded_batch_size
+from .._compile.compilation import compile_lowered
 from .._compile.program_key import program_key
 from .._utils.host import padded_size
 from ..designs.designs import Designs, DesignStructure
@@ -197,7 +198,10 @@ class Program:
 
     def _compile(self) -> None:
         """Compile the program, and determine the memory that it needs on a device."""
-        if self.mesh is None:
+        if self.mesh is None and self.chunk_size == 1:
+            # It compiles for longer than it runs.
+            self._compiled = compile_lowered(self._lowered, self.platform)
+        elif self.mesh is None:
             self._compiled = self._lowered.compile()
         else:
             self._compiled = self._compile_for_mesh(self.mesh)

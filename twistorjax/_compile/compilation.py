@@ -27,8 +27,8 @@ _FAST = {
     **({"xla_cpu_use_fusion_emitters": False} if _JAXLIB < (0, 11) else {}),
     "xla_backend_optimization_level": 1,
     "xla_disable_hlo_passes": "reshape-mover,while-loop-invariant-code-motion",
-    # Parts of a program that are compiled side by side make it slower to load.
-    "xla_cpu_parallel_codegen_split_count": 1,
+    # The more parts of a program are compiled side by side, the slower it is loaded.
+    "xla_cpu_parallel_codegen_split_count": 4,
 }
 _NOT_OPTIMIZED = {**_FAST, "xla_backend_optimization_level": 0}
 

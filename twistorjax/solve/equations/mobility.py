@@ -104,12 +104,12 @@ def analyze(
         stiff.append(row / max(np.linalg.norm(row), np.finfo(float).tiny))
         names.append(f"constraint {name!r}")
     matrix = np.array(stiff).reshape(len(names), len(dofs.free))
-    free_motions = _sparse_null_space(matrix)
+    free_motions, self_stresses = _null_spaces(matrix)
     motions = np.zeros((len(free_motions), dofs.total))
     motions[:, list(dofs.free)] = free_motions
     return ConstraintAnalysis(
         motions=motions.reshape(-1, len(mechanism.names), 3),
-        self_stresses=_sparse_null_space(matrix.T),
+        self_stresses=self_stresses,
         directions=tuple(names),
         length=length,
         names=mechanism.names,
@@ -125,26 +125,25 @@ def _nonzero(names: Sequence[str], values: np.ndarray) -> tuple[str, ...]:
     )
 
 
-def _sparse_null_space(
+def _null_spaces(
     matrix: Float[np.ndarray, "rows columns"],
-) -> Float[np.ndarray, "vectors columns"]:
-    """Compute a basis of the null space whose vectors have many zeros.
-
-    The orthonormal basis is reduced to row echelon form, with the largest entries as
-    pivots.
-    """
-    columns = matrix.shape[1]
+) -> tuple[Float[np.ndarray, "right columns"], Float[np.ndarray, "left rows"]]:
+    """Compute bases of the right and the left null space, with many zeros."""
     if not matrix.size:
-        return np.eye(columns)
-    _, values, rows = np.linalg.svd(matrix)
+        rows, columns = matrix.shape
+        return np.eye(columns), np.eye(rows)
+    left, values, right = np.linalg.svd(matrix)
     rank = int(np.sum(values > _ROUNDING * max(values[0], np.finfo(float).tiny)))
-    basis = rows[rank:].copy()
-    for k in range(len(basis)):
-        rest = np.abs(basis[k:])
-        row, pivot = np.unravel_index(np.argmax(rest), rest.shape)
-        basis[[k, k + row]] = basis[[k + row, k]]
-        basis[k] /= basis[k, pivot]
-        others = np.arange(len(basis)) != k
-        basis[others] -= basis[others, pivot][:, None] * basis[k]
+    return _with_zeros(right[rank:]), _with_zeros(left[:, rank:].T)
+
+
+def _with_zeros(
+    basis: Float[np.ndarray, "vectors entries"],
+) -> Float[np.ndarray, "vectors entries"]:
+    """Return a basis of the same space in reduced row echelon form."""
+    from scipy.linalg import qr  # takes 0.1 s to load
+
+    _, pivots = qr(basis, mode="r", pivoting=True)
+    basis = np.linalg.solve(basis[:, pivots[: len(basis)]], basis)
     basis[np.abs(basis) < _ROUNDING] = 0.0
     return basis / np.max(np.abs(basis), axis=1, keepdims=True, initial=0.0)

@@ -326,18 +326,106 @@ def test_bodies_without_support_have_three_motions_without_a_frequency():
     assert_close(frequencies[3:], np.sqrt(exact[3:5]) / (2 * np.pi), digits=9)
 
 
-def test_equal_frequencies_are_all_found():
-    """Two directions of a row of masses on equal springs: each frequency occurs twice."""
-    spring = tj.Quadratic(np.diag([0.0, 100.0, 100.0]), "twist")
+def row_of_masses(stiffness=100.0, damping=0.0):
+    """Return masses of 2 kg on equal springs along x and y, the first of which is fixed.
+
+    The springs have two directions, so that each frequency occurs twice.
+    """
+    factors = jnp.array([0.0, 1.0, 1.0])
+    spring = tj.Quadratic(jnp.diag(stiffness * factors), "twist")
+    damper = tj.energies.ViscousDamping(jnp.diag(damping * factors), "twist")
     bodies = [tj.Body(str(k), (0, 0, 0), mass=2.0, inertia=1.0) for k in range(COUNT + 1)]
     hinges = [
-        tj.Hinge(str(k), str(k), str(k + 1), spring, (0, 0, 0)) for k in range(COUNT)
+        tj.Hinge(str(k), str(k), str(k + 1), spring, (0, 0, 0), damping=damper)
+        for k in range(COUNT)
     ]
     fixed = {str(k): ["angle"] for k in range(1, COUNT + 1)} | {"0": ["angle", "x", "y"]}
-    found = tj.vibrations(tj.Mechanism(bodies, hinges, fixed), modes=6)
-    numbers = np.repeat(np.arange(1, 4), 2)
-    sines = np.sin((2 * numbers - 1) * np.pi / (2 * (2 * COUNT + 1)))
-    assert_close(2 * np.pi * found.frequencies, 2 * np.sqrt(50.0) * sines, digits=10)
+    return tj.Mechanism(bodies, hinges, fixed)
+
+
+def frequency_of_row(number):
+    """Return a natural frequency of the row; Hz."""
+    sines = np.sin((2 * number - 1) * np.pi / (2 * (2 * COUNT + 1)))
+    return 2 * np.sqrt(100.0 / 2.0) * sines / (2 * np.pi)
+
+
+def amplitude_of_row(stiffness, damping, frequency):
+    """Return the amplitude of the last mass for a force of 1 N; m.
+
+    The amplitudes of the masses are `a sin(k t)`, which satisfies the equations of all
+    masses but the last one.
+    """
+    with jax.numpy_dtype_promotion("standard"):
+        omega = 2 * np.pi * frequency
+        spring = stiffness + 1j * omega * damping
+        # From the cosine, because JAX has no arcsine of complex numbers.
+        cosine = 1 - omega**2 * 2.0 / (2 * spring)
+        angle = -1j * jnp.log(cosine + 1j * jnp.sqrt(1 - cosine**2))
+        last, before = (jnp.sin(k * angle) for k in (COUNT, COUNT - 1))
+        return last / (spring * (last - before) - omega**2 * 2.0 * last)
+
+
+PUSH_ALONG_X = tj.Load(str(COUNT), force=(1.0, 0.0))
+
+
+def test_equal_frequencies_are_all_found():
+    found = tj.vibrations(row_of_masses(), modes=6)
+    assert_close(
+        found.frequencies, frequency_of_row(np.repeat(np.arange(1, 4), 2)), digits=10
+    )
+
+
+def test_harmonic_response_of_a_row_and_its_derivative():
+    frequencies = np.array([0.0, 0.02, 0.3, 2.0])
+
+    def response(stiffness):
+        row = row_of_masses(stiffness, 0.5)
+        found = tj.frequency_response(row, frequencies, loads=[PUSH_ALONG_X])
+        free = DofPartition.of(row).free
+        assert block_layout(row.hinge_assembly.ends, free) is not None
+        return jnp.abs(found.displacement(str(COUNT))[1:, 1])
+
+    def exact(stiffness):
+        return jnp.abs(amplitude_of_row(stiffness, 0.5, frequencies[1:]))
+
+    assert_close(response(100.0), exact(100.0), digits=10)
+    assert_close(jax.jacrev(response)(100.0), jax.jacrev(exact)(100.0), digits=9)
+
+
+def test_reverse_derivatives_of_a_response_under_a_follower_load():
+    """Its stiffness is not symmetric."""
+    mechanism = lattice(3, 24, ["0 0"], mass=1.5, inertia=0.2)
+
+    def response(force):
+        load = tj.Load("23 2", force=(force, 0.5), follower=True)
+        state = tj.equilibrium(mechanism, loads=[load])
+        found = tj.frequency_response(
+            mechanism, [0.01], loads=[tj.Load("23 0", force=(0.0, 1.0))], about=state,
+            static_loads=[load],
+        )  # fmt: skip
+        return found.displacement("12 1")[0].real
+
+    forward = jax.jacfwd(response)(0.3)
+    assert_close(jax.jacrev(response)(0.3) / forward, np.ones(3), digits=8)
+
+
+def test_resonance_of_many_bodies_without_damping_is_found():
+    with pytest.raises(RuntimeError, match="there is a resonance without damping"):
+        tj.frequency_response(
+            row_of_masses(), [0.1, frequency_of_row(3)], loads=[PUSH_ALONG_X]
+        )
+
+
+def test_model_of_few_modes_has_the_static_response_of_all():
+    model = tj.state_space(
+        row_of_masses(damping=0.5),
+        {"force": PUSH_ALONG_X},
+        {"x": (str(COUNT), "x"), "y": (str(COUNT), "y")},
+        modes=12,
+    )
+    assert_close(model.static_gain[:, 0], np.array([COUNT / 100.0, 0.0]), digits=9)
+    found = model.frequency_response(np.array([0.01]))[0, 0, 0]
+    assert_close(found / amplitude_of_row(100.0, 0.5, 0.01), 1.0 + 0j, digits=5)
 
 
 def test_unstable_modes_of_many_bodies_are_found():

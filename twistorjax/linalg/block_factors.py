@@ -63,10 +63,36 @@ class Layout(NamedTuple):
         self, vectors: Inexact[Array, "free ..."]
     ) -> Inexact[Array, "blocks size ..."]:
         """Arrange vectors by blocks; unused entries are zero."""
-        source = np.full(self.blocks * self.size, len(self.order))
-        source[list(self.order)] = np.arange(len(self.order))
         padded = jnp.concatenate([vectors, jnp.zeros_like(vectors[:1])])
-        return padded[source].reshape(self.blocks, self.size, *vectors.shape[1:])
+        return padded[self._dofs()]
+
+    def of_dense(
+        self, matrix: Inexact[Array, "free free"]
+    ) -> Inexact[Array, "3 blocks size size"]:
+        """Arrange a block tridiagonal matrix in blocks."""
+        padded = jnp.pad(matrix, (0, 1))
+        dofs = self._dofs()
+        before = np.concatenate([np.full((1, self.size), len(self.order)), dofs[:-1]])
+        pairs = (dofs, dofs), (dofs, before), (before, dofs)
+        return jnp.stack(
+            [padded[rows[:, :, None], columns[:, None]] for rows, columns in pairs]
+        )
+
+    def scaled(
+        self, blocks: Inexact[Array, "3 blocks size size"], units: Float[Array, " free"]
+    ) -> Inexact[Array, "3 blocks size size"]:
+        """Multiply the rows and the columns of a matrix by units."""
+        of_blocks = self.rows(units)
+        before = jnp.roll(of_blocks, 1, axis=0)
+        rows = jnp.stack([of_blocks, of_blocks, before])[..., None]
+        columns = jnp.stack([of_blocks, before, of_blocks])[..., None, :]
+        return (rows * columns).astype(blocks.dtype) * blocks
+
+    def _dofs(self) -> Int[np.ndarray, "blocks size"]:
+        """Return the degree of freedom of each row; their number if it is not used."""
+        dofs = np.full(self.blocks * self.size, len(self.order))
+        dofs[list(self.order)] = np.arange(len(self.order))
+        return dofs.reshape(self.blocks, self.size)
 
     def vector(
         self, rows: Inexact[Array, "blocks size ..."]
@@ -247,6 +273,33 @@ class BlockInverses(eqx.Module):
         parts = (self.inverses, *following)
         _, diagonals = jax.lax.scan(block, zero, parts, reverse=True)
         return self.layout.vector(diagonals)
+
+
+def solve_in_blocks(
+    apply: Callable[[Array], Array],
+    blocks: Inexact[Array, "3 blocks size size"],
+    layout: Layout,
+    right: Inexact[Array, " free"],
+) -> Inexact[Array, " free"]:
+    """Solve a linear system whose matrix is given by its product and by its blocks.
+
+    The solution is improved once, because the blocks are eliminated without pivoting. It
+    has the derivatives of the product.
+    """
+    known = jax.lax.stop_gradient(blocks)
+
+    def solve(apply, right: Array) -> Array:
+        inverses = BlockInverses.of(known, layout)
+        solution = inverses.solve(right)
+        return solution + inverses.solve(right - apply(solution))
+
+    def solve_transposed(apply, right: Array) -> Array:
+        diagonal, below, above = jnp.swapaxes(known, -1, -2)
+        inverses = BlockInverses.of(jnp.stack([diagonal, above, below]), layout)
+        solution = inverses.solve(right)
+        return solution + inverses.solve(right - apply(solution))
+
+    return jax.lax.custom_linear_solve(apply, right, solve, solve_transposed)
 
 
 def _substitute(

@@ -1,6 +1,7 @@
 """Harmonic response of a mechanism about an equilibrium."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -12,7 +13,8 @@ from jaxtyping import Array, Complex, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
-from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses
+from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses, Scalar
+from ..linalg.block_factors import Layout, solve_in_blocks
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -28,6 +30,8 @@ from .statics.solution import StateLike
 
 # A frequency is a resonance if the condition number of the dynamic stiffness is larger.
 _LARGEST_CONDITION = 1e13
+# Largest residual of many equations, relative to the product of matrix and solution
+_LARGEST_ERROR = 1e-12
 
 
 class FrequencyResponse(BodySolution):
@@ -207,15 +211,30 @@ def _frequency_response(
     jacobian, allowed, moved = jax.tree.map(
         lambda array: array.astype(complex), (jacobian, allowed, moved)
     )
+    layout, square = system.layout, (free[:, None], free)
+    if layout is not None:
+        parts = stiffness, jnp.diag(inertia), damping
+        blocks = [layout.of_dense(part[square]) for part in parts]
 
-    def amplitudes_at(frequency: Array) -> tuple[Array, Array, Array]:
-        """Compute displacements, reactions, and constraint forces at a frequency; Hz."""
-        omega = 2 * jnp.pi * frequency
-        real = stiffness - omega**2 * jnp.diag(inertia)
-        matrix = jax.lax.complex(real, omega * damping)
-        exciting = jax.lax.complex(force, omega * viscous)
-        right = allowed.projected((exciting - matrix @ moved)[free])
-        reduced = allowed.reduced(matrix[free[:, None], free])
+    def product(
+        omega: Scalar, amplitude: Complex[Array, " dofs"]
+    ) -> Complex[Array, " dofs"]:
+        """Compute the forces that cause an amplitude."""
+        parts = jnp.stack([amplitude.real, amplitude.imag], axis=1)
+        elastic = stiffness @ parts - omega**2 * inertia[:, None] * parts
+        by_rate = omega * (damping @ parts)
+        return jax.lax.complex(
+            elastic[:, 0] - by_rate[:, 1], elastic[:, 1] + by_rate[:, 0]
+        )
+
+    def unbalanced(
+        omega: Scalar, amplitude: Complex[Array, " dofs"]
+    ) -> Complex[Array, " dofs"]:
+        """Compute the forces that an amplitude needs in addition to the excitation."""
+        return product(omega, amplitude) - jax.lax.complex(force, omega * viscous)
+
+    def amplitude_at(omega: Scalar) -> Complex[Array, " dofs"]:
+        right = -allowed.projected(unbalanced(omega, moved)[free])
         # Rows and columns are scaled by their sizes, so that units do not matter.
         size = (
             jnp.diagonal(stiffness) + omega**2 * inertia + omega * jnp.diagonal(damping)
@@ -224,22 +243,35 @@ def _frequency_response(
         if allowed.basis is not None:
             size = jnp.sum(jnp.abs(allowed.basis) ** 2 * size[:, None], axis=0)
         size = jnp.sqrt(size)
-        size = jnp.where(size > 0, size, 1.0).astype(complex)
-        scaled = reduced / (size[:, None] * size[None])
-        inverse = jnp.linalg.inv(scaled)
-        condition = jnp.linalg.norm(scaled) * jnp.linalg.norm(inverse)
-        solved = inverse @ (right / size) / size
-        solved = jnp.where(condition < _LARGEST_CONDITION, solved, jnp.nan)
-        amplitude = moved.at[free].add(allowed.expanded(solved))
-        unbalanced = matrix @ amplitude - exciting
-        multipliers = jnp.zeros(0, complex)
-        if system.constraints.size:
-            multipliers = allowed.multipliers(unbalanced[free])
-            unbalanced = unbalanced - multipliers @ jacobian
-        amplitude = amplitude.reshape(displacements.shape)
-        return amplitude, dofs.reactions(unbalanced), multipliers
+        units = 1 / jnp.where(size > 0, size, 1.0)
+        if layout is None:
+            real = stiffness - omega**2 * jnp.diag(inertia)
+            matrix = allowed.reduced(jax.lax.complex(real, omega * damping)[square])
+            return moved.at[free].add(allowed.expanded(_solve(matrix, units, right)))
 
-    amplitudes, reactions, multipliers = jax.vmap(amplitudes_at)(frequencies)
+        def of_free(change: Complex[Array, " free"]) -> Complex[Array, " free"]:
+            amplitude = jnp.zeros_like(moved).at[free].set(change, unique_indices=True)
+            return product(omega, amplitude)[free]
+
+        elastic, inertial, by_rate = blocks
+        matrix = jax.lax.complex(elastic - omega**2 * inertial, omega * by_rate)
+        change = _solve_in_blocks(of_free, matrix, layout, units, right)
+        return moved.at[free].add(change)
+
+    def forces_at(omega: Scalar, amplitude: Array) -> tuple[Array, Array]:
+        """Compute reactions and constraint forces."""
+        forces, multipliers = unbalanced(omega, amplitude), jnp.zeros(0, complex)
+        if system.constraints.size:
+            multipliers = allowed.multipliers(forces[free])
+            forces = forces - multipliers @ jacobian
+        return dofs.reactions(forces), multipliers
+
+    omegas = 2 * jnp.pi * frequencies
+    # The matrices of many bodies at all frequencies would take too much memory.
+    at_each = jax.vmap if layout is None else partial(partial, jax.lax.map)
+    amplitudes = at_each(amplitude_at)(omegas)
+    reactions, multipliers = jax.vmap(forces_at)(omegas, amplitudes)
+    amplitudes = amplitudes.reshape(-1, *displacements.shape)
     is_finite = jnp.all(jnp.isfinite(amplitudes))
     result = RESULTS.where(is_finite, RESULTS.successful, RESULTS.not_finite)
     is_consistent = consistent(system, displacements)
@@ -253,3 +285,40 @@ def _frequency_response(
         names=mechanism.names,
         constraint_names=system.constraints.names(),
     )
+
+
+def _solve(
+    matrix: Complex[Array, "n n"], units: Float[Array, " n"], right: Complex[Array, " n"]
+) -> Complex[Array, " n"]:
+    """Solve a linear system in units; NaN if the matrix is nearly singular."""
+    factors = units.astype(complex)
+    scaled = factors[:, None] * matrix * factors[None]
+    inverse = jnp.linalg.inv(scaled)
+    condition = jnp.linalg.norm(scaled) * jnp.linalg.norm(inverse)
+    solution = factors * (inverse @ (factors * right))
+    return jnp.where(condition < _LARGEST_CONDITION, solution, jnp.nan)
+
+
+def _solve_in_blocks(
+    product: Callable[[Array], Array],
+    blocks: Complex[Array, "3 blocks size size"],
+    layout: Layout,
+    units: Float[Array, " free"],
+    right: Complex[Array, " free"],
+) -> Complex[Array, " free"]:
+    """Solve a linear system in units; NaN if the matrix is nearly singular.
+
+    The condition is estimated by the growth of the solution.
+    """
+    factors = units.astype(complex)
+
+    def apply(scaled: Complex[Array, " free"]) -> Complex[Array, " free"]:
+        return factors * product(factors * scaled)
+
+    matrix, scaled = layout.scaled(blocks, units), factors * right
+    solution = solve_in_blocks(apply, matrix, layout, scaled)
+    size, error = jnp.linalg.norm(matrix), scaled - apply(solution)
+    growth = size * jnp.linalg.norm(solution)
+    usable = growth <= _LARGEST_CONDITION * jnp.linalg.norm(scaled)
+    usable &= jnp.linalg.norm(error) <= _LARGEST_ERROR * growth
+    return jnp.where(usable, factors * solution, jnp.nan)

@@ -22,7 +22,7 @@ from ..mechanism.misfits import stroke_rows
 from ..results.codes import RESULTS, Solution
 from .equations.consistency import consistent
 from .equations.dofs import DofPartition
-from .equations.modes import natural_modes
+from .equations.modes import few_are_computed, natural_modes, static_rest
 from .equations.problem import Problem
 from .equations.system import System
 from .frequency_response import Excitation
@@ -282,7 +282,9 @@ def _state_space(
     """
     free, size = system.free, system.dofs.total
     every = len(free) - system.constraints.size
-    angular, shapes, _ = natural_modes(mechanism, system, displacements, every)
+    few = modes < every and few_are_computed(system, modes)
+    natural = natural_modes(mechanism, system, displacements, modes if few else every)
+    angular, shapes, _ = natural
     modal = jnp.zeros((size, shapes.shape[1])).at[free].set(shapes)
     stiffness, jacobian = system.whole_stiffness(displacements)
     tangent = system.hinges.tangent_in_motion(
@@ -297,7 +299,7 @@ def _state_space(
     squares = jnp.abs(angular) * angular
     damping = modal.T @ tangent.damping @ modal
     by_inertia = -modal.T @ (inertia[:, None] * moved)
-    by_value = modal.T @ (forces - stiffness @ moved)
+    by_value = modal.T @ (at_rest := forces - stiffness @ moved)
     by_rate = modal.T @ (viscous - tangent.damping @ moved)
     statics = by_value / squares[:, None]  # response of each mode
     by_value = by_value - squares[:, None] * by_inertia
@@ -311,7 +313,10 @@ def _state_space(
     seen = modal[np.array(rows)]
     c = jnp.concatenate([seen[:, kept], jnp.zeros((len(rows), modes))], axis=1)
     d = moved[np.array(rows)] + seen[:, kept] @ by_inertia[kept]
-    if modes < len(squares):
+    if few:
+        rest = static_rest(mechanism, system, displacements, natural, at_rest[free])
+        d = d + jnp.zeros_like(at_rest).at[free].set(rest)[np.array(rows)]
+    elif modes < every:
         d = d + seen[:, modes:] @ statics[modes:]
     finite = (
         jnp.all(jnp.isfinite(a)) & jnp.all(jnp.isfinite(b)) & jnp.all(jnp.isfinite(d))

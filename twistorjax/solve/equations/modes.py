@@ -9,10 +9,10 @@ from jaxtyping import Array, Bool, Float
 from ..._utils.pytrees import stop_gradient
 from ..._utils.types import Poses, Scalar
 from ...assembly.factored import FactoredStiffness
-from ...linalg.block_factors import block_layout, BlockInverses, Layout
+from ...linalg.block_factors import BlockInverses, Layout
 from ...linalg.constraints import null_space
 from ...linalg.eigenvalues import modes, Stiffness
-from ...linalg.lowest_modes import has_subspace, lowest_modes
+from ...linalg.lowest_modes import has_subspace, lowest_modes, response
 from ...mechanism.mechanism import Mechanism
 from .system import System
 
@@ -32,18 +32,11 @@ def natural_modes(
     mechanism: Mechanism, system: System, displacements: Poses, count: int
 ) -> NaturalModes:
     """Compute the lowest modes at displacements (rad, m, m), without follower loads."""
-    free = system.free
-    units = 1 / jnp.sqrt(mechanism.inertia().reshape(-1)[free])
-    _, by_angle = system.loads.apply(displacements)
-    # Without follower loads, only the moments of the loads depend on the angles.
-    of_loads = jnp.where(free % 3 == 0, -by_angle.reshape(-1)[free], 0.0)
-    stiffness = system.hinges.factored(displacements, of_loads, system.dofs.free)
-    layout = block_layout(system.hinges.ends, system.dofs.free)
-    few = has_subspace(len(free), count) and not system.constraints.size
-    if few and layout is not None:
-        root, vectors = lowest_modes(
-            ScaledStiffness(stiffness, units, layout), count=count
-        )
+    free, units = system.free, _units(mechanism, system)
+    stiffness = _stiffness(system, displacements)
+    if few_are_computed(system, count):
+        scaled = ScaledStiffness(stiffness, units, system.layout)
+        root, vectors = lowest_modes(scaled, count=count)
         return _natural_modes(root, units[:, None] * vectors, stiffness)
     stiffness, basis = stiffness.dense(), jnp.diag(units)
     if system.constraints.size:
@@ -53,6 +46,40 @@ def natural_modes(
         basis = basis @ null_space(jacobian * units[None])[1]
     root, vectors = modes(stiffness.reduced(basis))
     return _natural_modes(root[:count, :count], basis @ vectors[:, :count], stiffness)
+
+
+def few_are_computed(system: System, count: int) -> bool:
+    """Decide whether `natural_modes` computes no other modes than the lowest ones."""
+    return system.layout is not None and has_subspace(len(system.free), count)
+
+
+def static_rest(
+    mechanism: Mechanism,
+    system: System,
+    displacements: Poses,
+    lowest: NaturalModes,
+    forces: Float[Array, "free rights"],
+) -> Float[Array, "free rights"]:
+    """Compute the static response of all modes but the lowest ones; rad, m, m."""
+    units = _units(mechanism, system)
+    scaled = ScaledStiffness(_stiffness(system, displacements), units, system.layout)
+    vectors, rights = lowest.shapes / units[:, None], units[:, None] * forces
+    zero = jnp.zeros(forces.shape[1])
+    return units[:, None] * response(scaled, vectors, zero, rights)
+
+
+def _units(mechanism: Mechanism, system: System) -> Float[Array, " free"]:
+    """Return the reciprocal square roots of the inertia."""
+    return 1 / jnp.sqrt(mechanism.inertia().reshape(-1)[system.free])
+
+
+def _stiffness(system: System, displacements: Poses) -> FactoredStiffness:
+    """Compute the stiffness without that of the constraints."""
+    _, by_angle = system.loads.apply(displacements)
+    free = system.free
+    # Without follower loads, only the moments of the loads depend on the angles.
+    of_loads = jnp.where(free % 3 == 0, -by_angle.reshape(-1)[free], 0.0)
+    return system.hinges.factored(displacements, of_loads, system.dofs.free)
 
 
 def _natural_modes(
@@ -93,8 +120,4 @@ class ScaledStiffness(eqx.Module):
 
     def _blocks(self) -> Float[Array, "3 blocks size size"]:
         """Arrange the scaled stiffness in blocks on, below, and above the diagonal."""
-        units = self.layout.rows(self.units)
-        before = jnp.roll(units, 1, axis=0)
-        rows = jnp.stack([units, units, before])[..., None]
-        columns = jnp.stack([units, before, units])[..., None, :]
-        return rows * self.stiffness.blocks(self.layout) * columns
+        return self.layout.scaled(self.stiffness.blocks(self.layout), self.units)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..._utils.types import Entries, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
 from ...assembly.tangent import AssemblyTangent
-from ...linalg.block_factors import block_layout
+from ...linalg.block_factors import block_layout, Layout
 from ...linalg.constraints import AllowedDisplacements, ConstrainedFactors
 from ...linalg.factors import Elimination, factorize, Factors
 from ...mechanism.constraints import ConstraintSet
@@ -50,6 +50,13 @@ class System(eqx.Module):
     def free(self) -> np.ndarray:
         """Indices of the free degrees of freedom."""
         return np.array(self.dofs.free, int)
+
+    @property
+    def layout(self) -> Layout | None:
+        """Layout of the matrices of many bodies; None if the matrices are dense."""
+        if self.constraints.size:
+            return None
+        return block_layout(self.hinges.ends, self.dofs.free)
 
     @property
     def prescribed(self) -> np.ndarray:
@@ -228,8 +235,8 @@ class System(eqx.Module):
             hinge_tangents = hinge_tangents.with_stiffness(
                 hinges.contacts, contact_stiffness
             )
-        layout = block_layout(self.hinges.ends, self.dofs.free)
-        if not self.constraints.size and layout is not None:
+        layout = self.layout
+        if layout is not None:
             applied, by_angle = (
                 value.reshape(-1)
                 for value in self.loads_at(fraction).apply(displacements)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.sparse import csc_array, diags_array
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import eigsh, spsolve
 
 import twistorjax as tj
 
@@ -230,6 +230,33 @@ def modes(count: int, number: int) -> Iterator[Row]:
     exact = np.sqrt(np.sort(squares)) / (2 * np.pi)
     what = f"{what}: relative difference from SciPy"
     yield at_most(what, float(np.max(np.abs(found / exact - 1))), "1", 1e-9)
+
+    body, inputs = f"{count // 2} {count // 2}", np.linspace(1.0, 20.0, 10)  # Hz
+    push = tj.Load(body, force=(0.0, 1.0))
+
+    def harmonic() -> jax.Array:
+        found = tj.frequency_response(mechanism, inputs, loads=[push])
+        return found.displacement(body)[:, 2]
+
+    def by_scipy() -> np.ndarray:
+        row = int(np.flatnonzero(free == 3 * mechanism.names.index(body) + 2)[0])
+        force = np.eye(len(free))[row]
+        masses = diags_array(inertia, format="csc")
+        systems = (sparse - (2 * np.pi * f) ** 2 * masses for f in inputs)
+        return np.array([spsolve(system, force)[row] for system in systems])
+
+    what = f"{name}: harmonic response at 10 frequencies"
+    yield Row(what, seconds(harmonic, repeats=3), "s")
+    yield Row(f"SciPy spsolve: {what}", seconds(by_scipy, repeats=3), "s")
+    difference = np.max(np.abs(np.asarray(harmonic()) / by_scipy() - 1))
+    yield at_most(f"{what}: relative difference from SciPy", difference, "1", 1e-9)
+
+    def model() -> jax.Array:
+        return tj.state_space(
+            mechanism, {"force": push}, {"y": (body, "y")}, modes=number
+        ).b
+
+    yield Row(f"{name}: model of {number} modes", seconds(model, repeats=3), "s")
 
 
 def statics() -> Iterator[Row]:

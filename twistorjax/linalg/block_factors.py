@@ -88,6 +88,18 @@ class Layout(NamedTuple):
         columns = jnp.stack([of_blocks, before, of_blocks])[..., None, :]
         return (rows * columns).astype(blocks.dtype) * blocks
 
+    def times(
+        self,
+        blocks: Inexact[Array, "3 blocks size size"],
+        vector: Inexact[Array, " free"],
+    ) -> Inexact[Array, " free"]:
+        """Multiply a matrix and a vector."""
+        rows = self.rows(vector)
+        parts = jnp.stack([rows, jnp.roll(rows, 1, axis=0), rows])
+        diagonal, below, above = jnp.sum(blocks * parts[..., None, :], axis=-1)
+        # The first block has none above it, so that the last row gets zeros.
+        return self.vector(diagonal + below + jnp.roll(above, -1, axis=0))
+
     def _dofs(self) -> Int[np.ndarray, "blocks size"]:
         """Return the degree of freedom of each row; their number if it is not used."""
         dofs = np.full(self.blocks * self.size, len(self.order))
@@ -276,17 +288,18 @@ class BlockInverses(eqx.Module):
 
 
 def solve_in_blocks(
-    apply: Callable[[Array], Array],
     blocks: Inexact[Array, "3 blocks size size"],
     layout: Layout,
     right: Inexact[Array, " free"],
 ) -> Inexact[Array, " free"]:
-    """Solve a linear system whose matrix is given by its product and by its blocks.
+    """Solve a linear system whose matrix is given by its blocks.
 
-    The solution is improved once, because the blocks are eliminated without pivoting. It
-    has the derivatives of the product.
+    The solution is improved once, because the blocks are eliminated without pivoting.
     """
     known = jax.lax.stop_gradient(blocks)
+
+    def apply(vector: Array) -> Array:
+        return layout.times(blocks, vector)
 
     def solve(apply, right: Array) -> Array:
         inverses = BlockInverses.of(known, layout)

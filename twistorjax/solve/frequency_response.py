@@ -1,7 +1,6 @@
 """Harmonic response of a mechanism about an equilibrium."""
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -216,25 +215,17 @@ def _frequency_response(
         parts = stiffness, jnp.diag(inertia), damping
         blocks = [layout.of_dense(part[square]) for part in parts]
 
-    def product(
-        omega: Scalar, amplitude: Complex[Array, " dofs"]
-    ) -> Complex[Array, " dofs"]:
-        """Compute the forces that cause an amplitude."""
-        parts = jnp.stack([amplitude.real, amplitude.imag], axis=1)
-        elastic = stiffness @ parts - omega**2 * inertia[:, None] * parts
-        by_rate = omega * (damping @ parts)
-        return jax.lax.complex(
-            elastic[:, 0] - by_rate[:, 1], elastic[:, 1] + by_rate[:, 0]
-        )
-
     def unbalanced(
         omega: Scalar, amplitude: Complex[Array, " dofs"]
     ) -> Complex[Array, " dofs"]:
         """Compute the forces that an amplitude needs in addition to the excitation."""
-        return product(omega, amplitude) - jax.lax.complex(force, omega * viscous)
+        parts = jnp.stack([amplitude.real, amplitude.imag], axis=1)
+        elastic = stiffness @ parts - omega**2 * inertia[:, None] * parts
+        by_rate = omega * (damping @ parts)
+        real, imaginary = elastic[:, 0] - by_rate[:, 1], elastic[:, 1] + by_rate[:, 0]
+        return jax.lax.complex(real - force, imaginary - omega * viscous)
 
-    def amplitude_at(omega: Scalar) -> Complex[Array, " dofs"]:
-        right = -allowed.projected(unbalanced(omega, moved)[free])
+    def amplitude_at(omega: Scalar, right: Complex[Array, " free"]) -> Array:
         # Rows and columns are scaled by their sizes, so that units do not matter.
         size = (
             jnp.diagonal(stiffness) + omega**2 * inertia + omega * jnp.diagonal(damping)
@@ -245,18 +236,15 @@ def _frequency_response(
         size = jnp.sqrt(size)
         units = 1 / jnp.where(size > 0, size, 1.0)
         if layout is None:
-            real = stiffness - omega**2 * jnp.diag(inertia)
-            matrix = allowed.reduced(jax.lax.complex(real, omega * damping)[square])
-            return moved.at[free].add(allowed.expanded(_solve(matrix, units, right)))
-
-        def of_free(change: Complex[Array, " free"]) -> Complex[Array, " free"]:
-            amplitude = jnp.zeros_like(moved).at[free].set(change, unique_indices=True)
-            return product(omega, amplitude)[free]
-
-        elastic, inertial, by_rate = blocks
-        matrix = jax.lax.complex(elastic - omega**2 * inertial, omega * by_rate)
-        change = _solve_in_blocks(of_free, matrix, layout, units, right)
-        return moved.at[free].add(change)
+            matrix = jax.lax.complex(
+                stiffness - omega**2 * jnp.diag(inertia), omega * damping
+            )
+            change = _solve(allowed.reduced(matrix[square]), units, right)
+        else:
+            elastic, inertial, by_rate = blocks
+            matrix = jax.lax.complex(elastic - omega**2 * inertial, omega * by_rate)
+            change = _solve_in_blocks(matrix, layout, units, right)
+        return moved.at[free].add(allowed.expanded(change))
 
     def forces_at(omega: Scalar, amplitude: Array) -> tuple[Array, Array]:
         """Compute reactions and constraint forces."""
@@ -267,9 +255,13 @@ def _frequency_response(
         return dofs.reactions(forces), multipliers
 
     omegas = 2 * jnp.pi * frequencies
-    # The matrices of many bodies at all frequencies would take too much memory.
-    at_each = jax.vmap if layout is None else partial(partial, jax.lax.map)
-    amplitudes = at_each(amplitude_at)(omegas)
+    forces = jax.vmap(lambda omega: -unbalanced(omega, moved)[free])(omegas)
+    rights = jax.vmap(allowed.projected)(forces)
+    if layout is None:
+        amplitudes = jax.vmap(amplitude_at)(omegas, rights)
+    else:  # The matrices at all frequencies would take too much memory.
+        each = omegas, rights
+        amplitudes = jax.lax.map(lambda arguments: amplitude_at(*arguments), each)
     reactions, multipliers = jax.vmap(forces_at)(omegas, amplitudes)
     amplitudes = amplitudes.reshape(-1, *displacements.shape)
     is_finite = jnp.all(jnp.isfinite(amplitudes))
@@ -300,8 +292,7 @@ def _solve(
 
 
 def _solve_in_blocks(
-    product: Callable[[Array], Array],
-    blocks: Complex[Array, "3 blocks size size"],
+    matrix: Complex[Array, "3 blocks size size"],
     layout: Layout,
     units: Float[Array, " free"],
     right: Complex[Array, " free"],
@@ -310,15 +301,12 @@ def _solve_in_blocks(
 
     The condition is estimated by the growth of the solution.
     """
+    scaled = layout.scaled(matrix, units)
     factors = units.astype(complex)
-
-    def apply(scaled: Complex[Array, " free"]) -> Complex[Array, " free"]:
-        return factors * product(factors * scaled)
-
-    matrix, scaled = layout.scaled(blocks, units), factors * right
-    solution = solve_in_blocks(apply, matrix, layout, scaled)
-    size, error = jnp.linalg.norm(matrix), scaled - apply(solution)
-    growth = size * jnp.linalg.norm(solution)
-    usable = growth <= _LARGEST_CONDITION * jnp.linalg.norm(scaled)
-    usable &= jnp.linalg.norm(error) <= _LARGEST_ERROR * growth
+    right = factors * right
+    solution = solve_in_blocks(scaled, layout, right)
+    error = jnp.linalg.norm(right - layout.times(scaled, solution))
+    growth = jnp.linalg.norm(scaled) * jnp.linalg.norm(solution)
+    usable = growth <= _LARGEST_CONDITION * jnp.linalg.norm(right)
+    usable &= error <= _LARGEST_ERROR * growth
     return jnp.where(usable, factors * solution, jnp.nan)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
@@ -48,6 +48,7 @@ _NEGLIGIBLE = 1e-11  # change after which the iteration ends
 _CONVERGED = 1e-7  # largest last change that is accepted
 _ITERATIONS = 30
 _SAME_FACTOR = 1e-8  # difference of load factors that are equal, as a fraction of them
+_NEAR = 1.1  # ratio of the linearized load factors of modes that may have the same one
 # The equilibrium is followed in steps to this share of the first load factor, where the
 # stiffness in one direction must be below this share of its initial value.
 _NEARLY_CRITICAL, _SMALL_STIFFNESS = 0.98, 0.5
@@ -252,7 +253,8 @@ class _Modes(NamedTuple):
 
     point: Float[Array, " n"]  # The equilibrium about which the equations are linearized
     rate: Float[Array, " n"]  # Change of this point with the load factor
-    matrix: Float[Array, "unknowns unknowns"]  # Derivative of the residual there
+    # Factors of the derivative of the residual there, and exchanged rows
+    factored: tuple[Float[Array, "unknowns unknowns"], Int[Array, " unknowns"]]
     # Displacements that the constraints allow as columns, divided by the units
     basis: Float[Array, "free allowed"]
     # Product of the modes, as rows, and the stiffness
@@ -290,21 +292,29 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     # Modes with the same load factor as the last one are needed as well.
     count_with_copies = min(count + LARGEST_MULTIPLICITY - 1, len(linear.factors))
     rows = jnp.arange(count_with_copies)
+    estimates = jnp.abs(linear.factors[:count_with_copies])
+    wanted = (rows < count) | (estimates <= _NEAR * estimates[count - 1])
     points, coupled, converged, outside = jax.lax.map(
-        lambda row: _corrected(fixed, metric, linear, row), rows
+        lambda mode: _corrected(fixed, metric, linear, *mode), (rows, wanted)
     )
 
     factors, valid = points[:, -1], converged & ~outside
     sizes = jnp.where(valid, jnp.abs(factors), jnp.inf)
     positive = jnp.where(factors > 0, sizes, jnp.inf)
-    followed = jax.lax.map(
-        lambda row: _is_first(fixed, metric, linear, points[row]) | ~valid[row],
-        jnp.stack([jnp.argmin(sizes), jnp.argmin(positive)]),
+    lowest = jnp.stack([jnp.argmin(sizes), jnp.argmin(positive)])
+    followed = jax.lax.fori_loop(
+        jnp.where(lowest[0] == lowest[1], 1, 0),
+        2,
+        lambda k, followed: (
+            followed
+            & (_is_first(fixed, metric, linear, points[lowest[k]]) | ~valid[lowest[k]])
+        ),
+        jnp.ones((), bool),
     )
     # Under loads in the opposite direction, a mechanism may not buckle.
     first, reached = linear.factors[0], points[0]
     missing = jnp.isfinite(first) & ~valid[0] & ((first > 0) | ~jnp.any(valid))
-    missing |= ~jnp.all(followed)
+    missing |= ~followed
     distances = jnp.abs(factors[:, None] - factors[None])
     same = distances <= _SAME_FACTOR * jnp.abs(factors)[:, None]
     same = (same & valid[:, None] & valid[None]) | jnp.eye(count_with_copies, dtype=bool)
@@ -376,7 +386,7 @@ def _linearized(
         _Modes(
             point=point,
             rate=rate,
-            matrix=tangent.jacobian,
+            factored=jax.scipy.linalg.lu_factor(tangent.jacobian),
             basis=basis,
             dual=(lower @ vectors).T,
             vectors=jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False),
@@ -388,21 +398,21 @@ def _linearized(
 
 
 def _corrected(
-    system: PathSystem, metric: Metric, linear: _Modes, row: Count
+    system: PathSystem, metric: Metric, linear: _Modes, row: Count, wanted: Flag
 ) -> tuple[Array, Flag, Flag, Flag]:
     """Find the equilibrium with a singular stiffness to which a linearized mode belongs.
 
     The amplitudes of this mode, and of those that buckle before, are extrapolated from
     the linearized equations; the other displacements are in equilibrium. If the load does
     work in the mode, the mechanism snaps at a limit point: the load factor then follows
-    from the equilibrium in this mode.
+    from the equilibrium in this mode. A mode that is not `wanted` is left out.
 
     Three flags are returned: whether the load does work in the mode, whether the
     iteration has converged, and whether a hinge is outside its validity range.
     """
     free, units = len(linear.basis), metric.units[: len(linear.basis)]
     estimate = linear.factors[row]
-    buckles = jnp.isfinite(estimate)
+    buckles = wanted & jnp.isfinite(estimate)
     estimate = jnp.where(buckles, estimate, 0.0)
     earlier = jnp.arange(len(linear.factors)) < row
     index = jnp.sum(earlier & (linear.factors * estimate > 0))
@@ -436,7 +446,7 @@ def _corrected(
         work, slope = mode @ tangent.residual[:free], mode @ tangent.by_factor[:free]
         by_factor = jnp.where(coupled, -work / jnp.where(coupled, slope, 1.0), change)
         # The matrix at the start is regular.
-        correction = -jnp.linalg.solve(linear.matrix, tangent.residual)
+        correction = -jax.scipy.linalg.lu_solve(linear.factored, tangent.residual)
         correction = jnp.append(correction, 0.0)
         correction -= of_held(correction)
         correction += by_factor * linear.rate + (change - by_factor) * held_rate

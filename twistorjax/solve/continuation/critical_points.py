@@ -155,7 +155,7 @@ def locate_points(
     changed its sign at the end of the path.
     """
     rows = jnp.arange(len(trace.points))
-    unknown = jax.tree.map(
+    no_stability = jax.tree.map(
         lambda shape: jnp.zeros(shape.shape),
         jax.eval_shape(partial(_stability, system, metric), trace.points[0]),
     )
@@ -178,7 +178,7 @@ def locate_points(
             )
 
         values, between, _ = jax.lax.fori_loop(
-            first, end, one, (search.values, search.between, unknown)
+            first, end, one, (search.values, search.between, no_stability)
         )
         return search._replace(values=values, between=between)
 

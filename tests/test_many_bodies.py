@@ -205,6 +205,36 @@ def test_motions_with_blocks_agree_with_those_of_dense_matrices(monkeypatch):
             solver=tj.solve.Radau(),
         )
 
+    assert_blocks_agree_with_dense_matrices(motion, monkeypatch)
+
+
+@pytest.mark.slow
+def test_constrained_motions_with_blocks_agree_with_those_of_dense_matrices(monkeypatch):
+    """A pin couples bodies that are far from each other, a slider moves with time."""
+
+    def motion():
+        mechanism = lattice(3, 24, ["0 0"], mass=1.0, inertia=0.2)
+        distance = tj.Constraint(
+            "distance",
+            ("2 2", "9 0"),
+            lambda first, second, time: (
+                jnp.linalg.norm(second[1:] - first[1:])
+                - jnp.hypot(7.0, 2.0)
+                - 0.01 * time**2
+            ),
+        )
+        return tj.simulate(
+            mechanism,
+            [0.0, 1.0],
+            constraints=[tj.Pin("pin", "12 1", "13 1", at=(12.4, 1.3)), distance],
+            loads=[tj.Load("23 2", moment=0.1, force=(0.1, 0.5))],
+            tolerance=1e-8,
+        )
+
+    assert_blocks_agree_with_dense_matrices(motion, monkeypatch)
+
+
+def assert_blocks_agree_with_dense_matrices(motion, monkeypatch):
     in_blocks = motion()
     monkeypatch.setattr(system, "block_layout", lambda *_: None)
     jax.clear_caches()

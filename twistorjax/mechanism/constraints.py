@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import equinox as eqx
 import jax
@@ -209,6 +210,11 @@ class ConstraintSet(eqx.Module):
         """Number of scalar equations, each of which removes one degree of freedom."""
         return sum(self.sizes)
 
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Indices of each two bodies that a constraint couples."""
+        return tuple(pair for rows in self.bodies for pair in combinations(rows, 2))
+
     def violation(self, displacements: Poses, time: Scalar) -> Entries:
         """Compute the violation of all constraints at a time (s); rad or m."""
         poses = self.reference + displacements
@@ -246,12 +252,21 @@ class ConstraintSet(eqx.Module):
         Constraint forces contribute to the stiffness, because their directions change if
         the bodies move.
         """
-        size = displacements.size
+        poses, size = self.reference + displacements, displacements.size
+        total, first = jnp.zeros((size, size)), 0
+        for constraint, bodies, count in zip(
+            self.constraints, self.bodies, self.sizes, strict=True
+        ):
+            rows, own = np.array(bodies), multipliers[first : first + count]
 
-        def forces(flat: Array) -> Array:
-            return self.forces(flat.reshape(displacements.shape), time, multipliers)
+            def work(at: Poses, constraint=constraint, rows=rows, own=own) -> Scalar:
+                return own @ constraint.violation(at, self.reference[rows], time)
 
-        return -jax.jacfwd(forces)(displacements.reshape(size))
+            dofs = (3 * rows[:, None] + np.arange(3)).reshape(-1)
+            matrix = jax.hessian(work)(poses[rows]).reshape(2 * (dofs.size,))
+            total = total.at[dofs[:, None], dofs].add(-matrix)
+            first += count
+        return total
 
     def names(self) -> tuple[str, ...]:
         """Return the name of the constraint of each scalar equation."""

@@ -39,7 +39,7 @@ from jaxtyping import Array, Float, Inexact
 
 from ..._utils.pytrees import select, stop_gradient
 from ..._utils.types import Scalar
-from ...linalg.block_factors import BlockInverses
+from ...linalg.block_factors import BlockInverses, Layout
 from ...linalg.elimination import inverse
 from ...linalg.products import product
 from .polynomials import DenseOutput, StepHistory
@@ -267,9 +267,10 @@ def _stage_inverses(
     pair = matrix(step.astype(complex) * jnp.asarray(scheme.complex_eigenvalue))
     if layout is None:
         return _StageInverses.of(real, pair, tangent.jacobian)
+    jacobian = tangent.jacobian
     return _BlockStageInverses(
-        None if real is None else BlockInverses.of(real, layout),
-        BlockInverses.of(pair, layout),
+        None if real is None else _ConstrainedInverse.of(real, layout, jacobian),
+        _ConstrainedInverse.of(pair, layout, jacobian),
     )
 
 
@@ -321,10 +322,12 @@ class _StageInverses(NamedTuple):
 class _BlockStageInverses(NamedTuple):
     """Those of a mechanism of many bodies, which are block tridiagonal."""
 
-    real: BlockInverses | None
-    pair: BlockInverses  # Complex
+    real: "_ConstrainedInverse | None"
+    pair: "_ConstrainedInverse"  # Complex
 
-    def solve(self, right: Float[Array, "stages free"]) -> Float[Array, "stages free"]:
+    def solve(
+        self, right: Float[Array, "stages unknowns"]
+    ) -> Float[Array, "stages unknowns"]:
         """Solve the linear systems of all components; see `Scheme`."""
         pair = self.pair.solve(jax.lax.complex(right[-2], right[-1]))
         solutions = [jnp.real(pair), jnp.imag(pair)]
@@ -333,9 +336,38 @@ class _BlockStageInverses(NamedTuple):
         return jnp.stack(solutions)
 
     def solve_real(self, right: Float[Array, " free"]) -> Float[Array, " free"]:
-        """Solve the linear system of the real eigenvalue."""
+        """Solve the linear system of the real eigenvalue, without constraint forces."""
         assert self.real is not None
-        return self.real.solve(right)
+        no_violation = jnp.zeros(len(self.real.jacobian))
+        return self.real.solve(jnp.concatenate([right, no_violation]))[: right.size]
+
+
+class _ConstrainedInverse(NamedTuple):
+    """Inverse of a matrix in blocks, and the constraint forces that a violation needs."""
+
+    blocks: BlockInverses
+    jacobian: Inexact[Array, "entries free"]  # Derivatives of the violation
+    # Accelerations for unit constraint forces, in columns
+    response: Inexact[Array, "free entries"]
+    by_violation: Inexact[Array, "entries entries"]  # Forces for unit violations
+
+    @classmethod
+    def of(
+        cls, matrix: Inexact[Array, "3 blocks size size"], layout: Layout, jacobian: Array
+    ) -> "_ConstrainedInverse":
+        blocks, jacobian = BlockInverses.of(matrix, layout), jacobian.astype(matrix.dtype)
+        if not len(jacobian):
+            return cls(blocks, jacobian, jacobian.T, jacobian[:, :0])
+        response = blocks.solve(jacobian.T)
+        return cls(blocks, jacobian, response, inverse(jacobian @ response))
+
+    def solve(self, right: Inexact[Array, " unknowns"]) -> Inexact[Array, " unknowns"]:
+        free = right.size - len(self.jacobian)
+        if free == right.size:
+            return self.blocks.solve(right)
+        change = self.blocks.solve(right[:free])
+        forces = self.by_violation @ (right[free:] - self.jacobian @ change)
+        return jnp.concatenate([change + self.response @ forces, forces])
 
 
 def _error(

@@ -102,9 +102,8 @@ class MotionSystem(eqx.Module):
     @property
     def layout(self) -> Layout | None:
         """Layout of the matrices of many bodies; None if the matrices are dense."""
-        if self.constraints.size:
-            return None
-        return block_layout(self.mechanism.hinge_assembly.ends, self.dofs.free)
+        pairs = self.mechanism.hinge_assembly.ends + self.constraints.pairs
+        return block_layout(pairs, self.dofs.free)
 
     @property
     def mass(self) -> Float[Array, " free"]:
@@ -196,7 +195,10 @@ class MotionSystem(eqx.Module):
             geometric = self.constraints.geometric_stiffness(
                 displacements, time, multipliers
             )
-            stiffness = stiffness + geometric[self.free[:, None], self.free]
+            geometric = geometric[self.free[:, None], self.free]
+            stiffness = stiffness + (
+                geometric if layout is None else layout.of_dense(geometric)
+            )
         return MotionTangent(
             stiffness=stiffness,
             hinges=tangent,

@@ -39,9 +39,9 @@ def test_copies_are_named_by_the_index_of_their_cell():
         mechanism.hinge_names.index("bax[1, 0]")
     ]
     assert mechanism.names[first] == "b[1, 0]" and mechanism.names[second] == "a[2, 0]"
-    assert lattice.border("left") == ("a[0, 0]", "a[0, 1]", "c[0, 0]", "c[0, 1]")
-    assert lattice.border("top") == ("c[0, 1]", "c[1, 1]", "c[2, 1]", "d[0, 1]",
-                                     "d[1, 1]", "d[2, 1]")  # fmt: skip
+    assert lattice.border("left") == ("a[0, 0]", "c[0, 0]", "a[0, 1]", "c[0, 1]")
+    assert lattice.border("top") == ("c[0, 1]", "d[0, 1]", "c[1, 1]", "d[1, 1]",
+                                     "c[2, 1]", "d[2, 1]")  # fmt: skip
     # Squares at the left and the right border have joints at the same height.
     left, right = (lattice.ports[side][0] for side in ("left", "right"))
     assert (left.body, right.body, right.hinge) == ("a[0, 0]", "b[2, 0]", "bax")
@@ -104,12 +104,27 @@ def test_neighbors_touch_where_their_edges_are_parallel():
     [
         ((3,), "repeated in 2 directions"),
         ((3, 0), "positive whole numbers"),
+        (2.5, "positive whole numbers"),
     ],
 )
 def test_counts_of_cells_are_checked(arguments, message):
     cell = tj.lattices.rotating_squares(JOINT, pitch=PITCH, angle=0.3)
     with pytest.raises(ValueError, match=message):
         tj.lattices.repeat(cell, arguments)
+
+
+@pytest.mark.parametrize(
+    ("waves", "fixed", "message"),
+    [
+        (np.zeros((0, 2)), (), "is empty, but must be wave vectors"),
+        ([1.0, 2.0], (), "has shape \\(2,\\), but must be wave vectors"),
+        ([[np.nan, 0.0]], (), "nan, 0.0\\] at index 0, but must be finite"),
+        ([[1.0, 0.0]], ["mass[1]"], "names the body 'mass\\[1\\]', but"),
+    ],
+)
+def test_arguments_of_dispersion_are_checked(waves, fixed, message):
+    with pytest.raises(ValueError, match=message):
+        tj.dispersion(row_of_masses(100.0), waves, fixed=fixed)
 
 
 def test_errors_of_cells_say_what_to_do():
@@ -119,6 +134,10 @@ def test_errors_of_cells_say_what_to_do():
         make([body], [tj.Hinge("h", "mass", "spring[1]", JOINT, at)], [(1, 0)])
     with pytest.raises(ValueError, match="repeated in 1 direction: give 1 whole number"):
         make([body], [tj.Hinge("h", "mass", "mass[1, 0]", JOINT, at)], [(1, 0)])
+    with pytest.raises(ValueError, match=r"is 'mass\[0\]', but must be written 'mass'"):
+        make([body], [tj.Hinge("h", "mass", "mass[0]", JOINT, at)], [(1, 0)])
+    with pytest.raises(ValueError, match=r"is 'mass\[1,0\]', but .* 'mass\[1, 0\]'"):
+        make([body], [tj.Hinge("h", "mass", "mass[1,0]", JOINT, at)], np.eye(2))
     with pytest.raises(ValueError, match="ends with an index"):
         make([tj.Body("mass[0]")], [], [(1, 0)])
     with pytest.raises(ValueError, match="must be independent vectors"):

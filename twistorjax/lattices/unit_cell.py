@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -44,7 +45,8 @@ class UnitCell(eqx.Module):
 
     Raises:
         ValueError: A name is unknown, occurs twice, or has an index that does not belong
-            there; there are not one or two independent vectors; or a hinge has `ports`.
+            there or is not written as the lattice does; there are not one or two
+            independent vectors; or a hinge has `ports`.
 
     Example:
         >>> import twistorjax as tj
@@ -99,8 +101,14 @@ class UnitCell(eqx.Module):
                 )
             where = f"`first` of the hinge {hinge.name!r}"
             index_of(where, "body", hinge.first, names)
-            body, _ = self.second_of(hinge)
-            index_of(f"`second` of the hinge {hinge.name!r}", "body", body, names)
+            where = f"`second` of the hinge {hinge.name!r}"
+            body, offset = self.second_of(hinge)
+            index_of(where, "body", body, names)
+            name = _name(body, offset) if any(offset) else body
+            if hinge.second != name:
+                raise ValueError(
+                    f"{where} is {quote(hinge.second)}, but must be written {name!r}."
+                )
 
     @property
     def directions(self) -> int:
@@ -275,7 +283,8 @@ class Lattice:
     def border(self, side: Literal["left", "right", "bottom", "top"]) -> tuple[str, ...]:
         """Return the names of the bodies at a border.
 
-        They are the bodies to which more cells beyond the border would be attached.
+        They are the bodies to which more cells beyond the border would be attached, from
+        cell to cell along the border.
 
         Args:
             side: The border.
@@ -330,8 +339,8 @@ def repeat(
         >>> tj.lattices.repeat(cell, 3, np.array([1.0, 2.0, 3.0]))
         Lattice of 3 bodies and 2 hinges
     """
-    counts = (counts,) if isinstance(counts, int) else tuple(counts)
-    if not counts or any(not isinstance(n, int) or n < 1 for n in counts):
+    counts = (counts,) if np.ndim(counts) == 0 else tuple(counts)
+    if not counts or any(not isinstance(n, int | np.integer) or n < 1 for n in counts):
         raise ValueError(
             f"`counts` is {quote(counts)}, but must be the number of cells in each "
             "direction: positive whole numbers, such as (10, 10)."
@@ -365,7 +374,11 @@ def repeat(
     for copies in cells.bodies:
         placed = _place(copies, "pose", shifts)
         bodies.append(_named(placed, _indexed(copies.value.name, indices)))
-    hinges, ports = [], {side: [] for pair in _SIDES[: len(counts)] for side in pair}
+    hinges: list[PartCopies[Hinge]] = []
+    # Those of each side, with their places along it
+    ports: dict[str, list[tuple[tuple[int, ...], Port]]] = {
+        side: [] for pair in _SIDES[: len(counts)] for side in pair
+    }
     for copies in cells.hinges:
         placed, hinge = _place(copies, "at", shifts), copies.value
         second, offset = first.second_of(hinge)
@@ -387,8 +400,13 @@ def repeat(
                 direction = int(np.argmax(outside[row]))
                 side = _SIDES[direction][int(beyond[row, direction] >= 0)]
                 (name,) = _indexed(body, indices[[row]])
-                ports[side].append(Port(name, hinge.name, as_float(poses[row])))
-    found = {side: tuple(of_side) for side, of_side in ports.items()}
+                place = tuple(np.delete(indices[row], direction).tolist())
+                port = Port(name, hinge.name, as_float(poses[row]))
+                ports[side].append((place, port))
+    found = {
+        side: tuple(port for _, port in sorted(of_side, key=itemgetter(0)))
+        for side, of_side in ports.items()
+    }
     return Lattice(tuple(bodies), tuple(hinges), found)
 
 
@@ -555,7 +573,11 @@ def _named(
 
 def _indexed(name: str, indices: Int[np.ndarray, "cells directions"]) -> tuple[str, ...]:
     """Return the names of a part in some cells."""
-    return tuple(f"{name}[{', '.join(map(str, index))}]" for index in indices.tolist())
+    return tuple(_name(name, index) for index in indices.tolist())
+
+
+def _name(part: str, index: Sequence[int]) -> str:
+    return f"{part}[{', '.join(map(str, index))}]"
 
 
 def _count(number: int, noun: str) -> str:

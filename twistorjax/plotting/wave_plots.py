@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 def draw_dispersion(dispersion: Dispersion, axes: "Axes | None" = None) -> "Axes":
     """Draw the frequencies of waves over a path of wave vectors, and the band gaps.
 
-    A band gap is a range of frequencies that no wave of the path has.
+    A band gap is a range of frequencies that none of the given waves has. Between them,
+    bands may touch.
 
     Args:
         dispersion: Result of `dispersion` for a path, such as `UnitCell.wave_vectors`.

@@ -12,6 +12,7 @@ from jaxtyping import Array, Complex, Float
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import Point, Poses, WaveVectorsLike
+from .._utils.validation import index_of, require_array, require_instance
 from ..lattices.periodicity import Periodicity
 from ..lattices.unit_cell import UnitCell
 from ..linalg.eigenvalues import hermitian_modes
@@ -124,12 +125,13 @@ def dispersion(
         >>> 2 * np.pi * dispersion(cell, edge, modes=1).frequencies  # 2 (k / m)^0.5
         Array([[20.]], dtype=float64)
     """
-    waves = jnp.asarray(wave_vectors, float)
-    if waves.ndim != 2 or waves.shape[1] != 2:
-        raise ValueError(
-            f"`wave_vectors` has shape {waves.shape}, but must be a list of wave vectors "
-            "(x, y), such as those of `UnitCell.wave_vectors`; rad/m."
-        )
+    require_instance("cell", cell, UnitCell)
+    requirement = "be wave vectors (x, y), such as those of `UnitCell.wave_vectors`"
+    waves = require_array("`wave_vectors`", wave_vectors, (None, 2), requirement)
+    if not len(waves):
+        raise ValueError(f"`wave_vectors` is empty, but must {requirement}; rad/m.")
+    for name in fixed:
+        index_of("`fixed`", "body", name, [body.name for body in cell.bodies])
     one = cell.mechanism(fixed)
     constraints = _periodicity(cell, one, about)
     problem = Problem.of(one, (), (), constraints, supported=False)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Complex, Float
 from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import FrequenciesLike, NumberLike, PoseLike, Poses, Scalar
+from .._utils.validation import require_array
 from ..linalg.block_factors import Layout, solve_in_blocks
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
@@ -134,12 +135,11 @@ def frequency_response(
         >>> abs(response.displacement("block")[0, 1])  # 1 N over 400 N/m
         Array(0.0025, dtype=float64)
     """
-    values = jnp.asarray(frequencies, float)
-    if values.ndim != 1:
-        raise ValueError(
-            f"`frequencies` has shape {values.shape}, but must be a list or a "
-            "one-dimensional array, such as [100.0] or jnp.linspace(0, 100, 11)."
-        )
+    requirement = (
+        "be a list or a one-dimensional array, such as [100.0] or "
+        "jnp.linspace(0, 100, 11)"
+    )
+    values = require_array("`frequencies`", frequencies, (None,), requirement)
     held, prescribed = prescribed_dofs(mechanism, drives)
     problem = Problem.of(
         mechanism, static_loads, (), constraints, time, held=held, supported=False

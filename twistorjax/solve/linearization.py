@@ -139,7 +139,8 @@ class Linearization(eqx.Module):
         if sorted(prescribed) != sorted(self.dofs.prescribed):
             raise ValueError(
                 f"`drives` prescribes {_listed(mechanism, prescribed)}, but this map was "
-                f"made by `linearize` for {_listed(mechanism, self.dofs.prescribed)}."
+                f"made by `linearize` for {_listed(mechanism, self.dofs.prescribed)}. "
+                "Name the coordinates of all drives as `prescribed` of `linearize`."
             )
         load_set = LoadSet.of(mechanism, loads)
         rows = stroke_rows(mechanism.hinge_names, strokes) if strokes else None

@@ -61,6 +61,23 @@ def test_a_stop_limits_the_angle(sign):
     assert_close(resisting / 5.0, 1.0, digits=9)
 
 
+def test_stiffness_at_the_smoothing_length_is_whole():
+    """This also holds for the force inside a program with a constant stop."""
+    smoothing = 2.0**-19
+    stop = tj.energies.Stop("+x", gap=0.0, stiffness=STIFFNESS, smoothing=smoothing)
+    pose = jnp.array([0.0, smoothing, 0.0])
+    assert_close(jax.hessian(stop)(pose)[1, 1] / STIFFNESS, 1.0)
+    mechanism = block(gap=1e-4, smoothing=2e-6)
+
+    @jax.jit
+    def reaction(x):
+        drives = [tj.Drive("block", x=x)]
+        return tj.equilibrium(mechanism, drives=drives).reaction("block")[1]
+
+    x = 1e-4 + 2e-6
+    assert_close(reaction(x) / (SPRING * x + STIFFNESS * 1e-6), 1.0, digits=9)
+
+
 def test_force_and_stiffness_of_a_contact_are_continuous():
     stop = tj.energies.Stop("-y", gap=GAP, stiffness=STIFFNESS, smoothing=SMOOTHING)
 

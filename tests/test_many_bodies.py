@@ -380,7 +380,7 @@ def frequency_of_row(number):
 
 
 def amplitude_of_row(stiffness, damping, frequency):
-    """Return the amplitude of the last mass for a force of 1 N; m.
+    """Return the amplitudes of the masses for a force of 1 N on the last one; m.
 
     The amplitudes of the masses are `a sin(k t)`, which satisfies the equations of all
     masses but the last one.
@@ -391,8 +391,9 @@ def amplitude_of_row(stiffness, damping, frequency):
         # From the cosine, because JAX has no arcsine of complex numbers.
         cosine = 1 - omega**2 * 2.0 / (2 * spring)
         angle = -1j * jnp.log(cosine + 1j * jnp.sqrt(1 - cosine**2))
-        last, before = (jnp.sin(k * angle) for k in (COUNT, COUNT - 1))
-        return last / (spring * (last - before) - omega**2 * 2.0 * last)
+        shape = jnp.sin(np.arange(1, COUNT + 1) * angle)
+        force = spring * (shape[-1] - shape[-2]) - omega**2 * 2.0 * shape[-1]
+        return shape / force
 
 
 PUSH_ALONG_X = tj.Load(str(COUNT), force=(1.0, 0.0))
@@ -416,7 +417,8 @@ def test_harmonic_response_of_a_row_and_its_derivative():
         return jnp.abs(found.displacement(str(COUNT))[1:, 1])
 
     def exact(stiffness):
-        return jnp.abs(amplitude_of_row(stiffness, 0.5, frequencies[1:]))
+        rows = [amplitude_of_row(stiffness, 0.5, f)[-1] for f in frequencies[1:]]
+        return jnp.abs(jnp.stack(rows))
 
     assert_close(response(100.0), exact(100.0), digits=10)
     assert_close(jax.jacrev(response)(100.0), jax.jacrev(exact)(100.0), digits=9)
@@ -439,11 +441,26 @@ def test_reverse_derivatives_of_a_response_under_a_follower_load():
     assert_close(jax.jacrev(response)(0.3) / forward, np.ones(3), digits=8)
 
 
-def test_resonance_of_many_bodies_without_damping_is_found():
+@pytest.mark.parametrize(("mass", "number"), [(COUNT, 3), (11, 6)])
+def test_resonance_of_many_bodies_without_damping_is_found(mass, number):
+    """Mass 11 is a node of the sixth mode."""
     with pytest.raises(RuntimeError, match="there is a resonance without damping"):
         tj.frequency_response(
-            row_of_masses(), [0.1, frequency_of_row(3)], loads=[PUSH_ALONG_X]
-        )
+            row_of_masses(), [0.1, frequency_of_row(number)],
+            loads=[tj.Load(str(mass), force=(1.0, 0.0))],
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("part", [1, 2, 3, 6, 7, 12])
+def test_resonance_of_a_part_of_many_bodies_is_none(part):
+    """The first masses of the row, up to a body that does not move, are eliminated."""
+    sine = np.sin(np.pi / (2 * (part + 1)))
+    frequency = 2 * np.sqrt(100.0 / 2.0) * sine / (2 * np.pi)
+    found = tj.frequency_response(row_of_masses(), [frequency], loads=[PUSH_ALONG_X])
+    exact = np.asarray(amplitude_of_row(100.0, 0.0, frequency))
+    amplitudes = np.asarray(found.displacements)[0, 1:, 1]
+    size = np.max(np.abs(exact))
+    assert_close(amplitudes / size, exact / size, digits=9)
 
 
 def test_model_of_few_modes_has_the_static_response_of_all():
@@ -455,7 +472,7 @@ def test_model_of_few_modes_has_the_static_response_of_all():
     )
     assert_close(model.static_gain[:, 0], np.array([COUNT / 100.0, 0.0]), digits=9)
     found = model.frequency_response(np.array([0.01]))[0, 0, 0]
-    assert_close(found / amplitude_of_row(100.0, 0.5, 0.01), 1.0 + 0j, digits=5)
+    assert_close(found / amplitude_of_row(100.0, 0.5, 0.01)[-1], 1.0 + 0j, digits=5)
 
 
 def test_unstable_modes_of_many_bodies_are_found():

@@ -134,7 +134,7 @@ def _options(options: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _are_unknown(error: jax.errors.JaxRuntimeError) -> bool:
+def _are_unknown(error: Exception) -> bool:
     """Decide whether XLA does not know an option; they are not a stable interface."""
     return "No such compile option" in str(error)
 

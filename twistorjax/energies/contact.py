@@ -52,11 +52,11 @@ class AbstractContact(AbstractEnergy):
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         depth, smoothing = self.penetration(displacement), self.smoothing
-        inside = jnp.clip(depth, 0.0, smoothing)
-        beyond = jnp.maximum(depth - smoothing, 0.0)
-        # The energy at the smoothing length, and the work of the force beyond it.
-        cubic = inside**3 / (6 * smoothing)
-        return self.stiffness * (cubic + beyond * (smoothing + beyond) / 2)
+        within = depth**3 / (6 * smoothing)
+        beyond = depth * (depth - smoothing) / 2 + smoothing**2 / 6
+        # `clip` and `maximum` have half of a derivative where their arguments are equal.
+        closed = jnp.where(depth < smoothing, within, beyond)
+        return self.stiffness * jnp.where(depth > 0, closed, 0.0)
 
     def validation_error(self) -> str | None:
         """Describe the first value that is not positive; None if all are."""

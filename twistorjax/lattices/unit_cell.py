@@ -339,8 +339,8 @@ def repeat(
         >>> tj.lattices.repeat(cell, 3, np.array([1.0, 2.0, 3.0]))
         Lattice of 3 bodies and 2 hinges
     """
-    counts = (counts,) if np.ndim(counts) == 0 else tuple(counts)
-    if not counts or any(not isinstance(n, int | np.integer) or n < 1 for n in counts):
+    counts = tuple(np.atleast_1d(np.asarray(counts)).tolist())
+    if not counts or any(not isinstance(n, int) or n < 1 for n in counts):
         raise ValueError(
             f"`counts` is {quote(counts)}, but must be the number of cells in each "
             "direction: positive whole numbers, such as (10, 10)."
@@ -374,7 +374,7 @@ def repeat(
     for copies in cells.bodies:
         placed = _place(copies, "pose", shifts)
         bodies.append(_named(placed, _indexed(copies.value.name, indices)))
-    hinges: list[PartCopies[Hinge]] = []
+    hinges = []
     # Those of each side, with their places along it
     ports: dict[str, list[tuple[tuple[int, ...], Port]]] = {
         side: [] for pair in _SIDES[: len(counts)] for side in pair

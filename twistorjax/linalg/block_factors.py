@@ -1,16 +1,16 @@
 """Factors of the tangent stiffness of a mechanism of many bodies, in blocks."""
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Inexact, Int
+from jaxtyping import Array, Complex, Float, Inexact, Int
 
-from .._utils.types import Flag
+from .._utils.types import Flag, Scalar
 from .elimination import inverse
 from .factors import diagonal_scale, Factors, is_stable
 
@@ -21,6 +21,9 @@ _LEAST_DOFS = 120
 _LEAST_BLOCKS = 8
 # Smaller blocks take more time, because each block costs several calls of LAPACK.
 _LEAST_BLOCK_SIZE = 12
+# Of complex matrices: improvements of a solution, its largest residual relative to the
+# product of matrix and solution, and what is added to the diagonal if this is exceeded.
+_REFINEMENTS, _LARGEST_ERROR, _SHIFT = 3, 1e-13, 1e-9
 
 
 class Layout(NamedTuple):
@@ -288,31 +291,57 @@ class BlockInverses(eqx.Module):
 
 
 def solve_in_blocks(
-    blocks: Inexact[Array, "3 blocks size size"],
+    blocks: Complex[Array, "3 blocks size size"],
     layout: Layout,
-    right: Inexact[Array, " free"],
-) -> Inexact[Array, " free"]:
-    """Solve a linear system whose matrix is given by its blocks.
+    right: Complex[Array, " free"],
+) -> tuple[Complex[Array, " free"], Scalar]:
+    """Solve a complex linear system, and estimate its condition number.
 
-    The solution is improved once, because the blocks are eliminated without pivoting.
+    The diagonal of the matrix is of the order of one. The matrix is eliminated without
+    pivoting, and the solution is improved. If a leading part of the matrix is singular,
+    imaginary numbers are added to the diagonal before. The condition number is the growth
+    of the solution for random numbers; infinite if there is no accurate one.
     """
     known = jax.lax.stop_gradient(blocks)
+    size = jnp.linalg.norm(known)
+    probe = np.random.default_rng(0).normal(size=(2, len(layout.order)))
+    probe = jnp.asarray(probe[0] + 1j * probe[1])
 
-    def apply(vector: Array) -> Array:
-        return layout.times(blocks, vector)
+    def inverted(matrix: Array, shift: Scalar) -> BlockInverses:
+        shifts = jax.lax.complex(0.0, shift) * jnp.eye(layout.size, dtype=complex)
+        return BlockInverses.of(matrix.at[0].add(shifts), layout)
 
-    def solve(apply, right: Array) -> Array:
-        inverses = BlockInverses.of(known, layout)
-        solution = inverses.solve(right)
-        return solution + inverses.solve(right - apply(solution))
+    def improved(inverses: BlockInverses, apply: Callable, right: Array) -> Array:
+        def improve(_, solution: Array) -> Array:
+            return solution + inverses.solve(right - apply(solution))
 
-    def solve_transposed(apply, right: Array) -> Array:
+        return jax.lax.fori_loop(0, _REFINEMENTS, improve, inverses.solve(right))
+
+    def attempt(shift: Scalar) -> tuple[BlockInverses, Scalar, Scalar]:
+        inverses = inverted(known, shift)
+        solution = improved(inverses, partial(layout.times, known), probe)
+        growth = size * jnp.linalg.norm(solution)
+        error = jnp.linalg.norm(probe - layout.times(known, solution))
+        accurate = error <= _LARGEST_ERROR * growth
+        condition = jnp.where(accurate, growth / jnp.linalg.norm(probe), jnp.inf)
+        return inverses, condition, shift
+
+    first = attempt(jnp.zeros(()))
+    inverses, condition, shift = jax.lax.cond(
+        jnp.isfinite(first[1]), lambda: first, lambda: attempt(jnp.asarray(_SHIFT))
+    )
+
+    def solve(apply: Callable, right: Array) -> Array:
+        return improved(inverses, apply, right)
+
+    def solve_transposed(apply: Callable, right: Array) -> Array:
         diagonal, below, above = jnp.swapaxes(known, -1, -2)
-        inverses = BlockInverses.of(jnp.stack([diagonal, above, below]), layout)
-        solution = inverses.solve(right)
-        return solution + inverses.solve(right - apply(solution))
+        transposed = inverted(jnp.stack([diagonal, above, below]), shift)
+        return improved(transposed, apply, right)
 
-    return jax.lax.custom_linear_solve(apply, right, solve, solve_transposed)
+    apply = partial(layout.times, blocks)
+    solution = jax.lax.custom_linear_solve(apply, right, solve, solve_transposed)
+    return solution, condition
 
 
 def _substitute(

@@ -34,8 +34,9 @@ def natural_modes(
     """Compute the lowest modes at displacements (rad, m, m), without follower loads."""
     free, units = system.free, _units(mechanism, system)
     stiffness = _stiffness(system, displacements)
-    if few_are_computed(system, count):
-        scaled = ScaledStiffness(stiffness, units, system.layout)
+    layout = system.layout
+    if layout is not None and has_subspace(len(free), count):
+        scaled = ScaledStiffness(stiffness, units, layout)
         root, vectors = lowest_modes(scaled, count=count)
         return _natural_modes(root, units[:, None] * vectors, stiffness)
     stiffness, basis = stiffness.dense(), jnp.diag(units)
@@ -61,8 +62,9 @@ def static_rest(
     forces: Float[Array, "free rights"],
 ) -> Float[Array, "free rights"]:
     """Compute the static response of all modes but the lowest ones; rad, m, m."""
-    units = _units(mechanism, system)
-    scaled = ScaledStiffness(_stiffness(system, displacements), units, system.layout)
+    units, layout = _units(mechanism, system), system.layout
+    assert layout is not None
+    scaled = ScaledStiffness(_stiffness(system, displacements), units, layout)
     vectors, rights = lowest.shapes / units[:, None], units[:, None] * forces
     zero = jnp.zeros(forces.shape[1])
     return units[:, None] * response(scaled, vectors, zero, rights)

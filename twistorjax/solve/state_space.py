@@ -299,7 +299,8 @@ def _state_space(
     squares = jnp.abs(angular) * angular
     damping = modal.T @ tangent.damping @ modal
     by_inertia = -modal.T @ (inertia[:, None] * moved)
-    by_value = modal.T @ (at_rest := forces - stiffness @ moved)
+    at_rest = forces - stiffness @ moved
+    by_value = modal.T @ at_rest
     by_rate = modal.T @ (viscous - tangent.damping @ moved)
     statics = by_value / squares[:, None]  # response of each mode
     by_value = by_value - squares[:, None] * by_inertia

@@ -36,7 +36,7 @@ def draw_dispersion(dispersion: Dispersion, axes: "Axes | None" = None) -> "Axes
         >>> cell = tj.lattices.rotating_squares(joint, pitch=0.1, angle=0.4, mass=1e-3)
         >>> waves = cell.wave_vectors([(0, 0), (0.5, 0), (0.5, 0.5), (0, 0)], 10)
         >>> draw_dispersion(tj.dispersion(cell, waves)).get_ylabel()
-        'frequency (Hz)'
+        'frequency (kHz)'
     """
     if dispersion.frequencies.ndim != 2 or len(dispersion.frequencies) < 2:
         raise ValueError(

@@ -3,7 +3,6 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..linalg.block_factors import Layout
@@ -43,9 +42,7 @@ class FactoredStiffness(eqx.Module):
         rows, weights, remainder = self.each
         weighted = weights[:, :, None, None] * rows[:, :, :, None]
         matrices = jnp.sum(weighted * rows[:, :, None], axis=1) + remainder
-        blocks = self._assemble(matrices, layout)
-        of_loads = layout.rows(self.of_loads)[:, None] * np.eye(layout.size)[None]
-        return blocks.at[0].add(of_loads)
+        return self._assemble(matrices, layout) + layout.of_diagonal(self.of_loads)
 
     def times(
         self, vectors: Float[Array, "free vectors"]

@@ -81,6 +81,19 @@ class Layout(NamedTuple):
             [padded[rows[:, :, None], columns[:, None]] for rows, columns in pairs]
         )
 
+    def of_diagonal(
+        self, diagonal: Float[Array, " free"]
+    ) -> Float[Array, "3 blocks size size"]:
+        """Arrange a diagonal matrix in blocks."""
+        on_diagonal = self.rows(diagonal)[:, None] * np.eye(self.size)[None]
+        return jnp.zeros(self.shape).at[0].set(on_diagonal)
+
+    def diagonal(
+        self, blocks: Inexact[Array, "3 blocks size size"]
+    ) -> Inexact[Array, " free"]:
+        """Return the diagonal of a matrix."""
+        return self.vector(jnp.diagonal(blocks[0], axis1=1, axis2=2))
+
     def scaled(
         self, blocks: Inexact[Array, "3 blocks size size"], units: Float[Array, " free"]
     ) -> Inexact[Array, "3 blocks size size"]:
@@ -171,7 +184,7 @@ class BlockFactors(eqx.Module):
     """
 
     layout: Layout = eqx.field(static=True)
-    scale: Float[Array, "blocks size"]  # Reciprocal square roots of the diagonal
+    scale: Float[Array, " free"]  # Reciprocal square roots of the diagonal
     below: Float[Array, "blocks size size"]  # The first one is zero
     # Factors of each block on the diagonal after elimination
     triangles: Float[Array, "blocks size size"]
@@ -186,14 +199,9 @@ class BlockFactors(eqx.Module):
         cls, blocks: Float[Array, "3 blocks size size"], layout: Layout, symmetric: bool
     ) -> "BlockFactors":
         """Factorize a matrix, given by its blocks on, below, and above the diagonal."""
-        size = layout.size
-        diagonal, below, above = layout.complete(blocks)
-        scale = diagonal_scale(jnp.diagonal(diagonal, axis1=1, axis2=2))
-        scale_before = jnp.concatenate([jnp.ones((1, size)), scale[:-1]])
-        diagonal = scale[:, :, None] * diagonal * scale[:, None]
-        below = scale[:, :, None] * below * scale_before[:, None]
-        above = scale_before[:, :, None] * above * scale[:, None]
-        one = jnp.ones(size)
+        scale = diagonal_scale(layout.diagonal(blocks))
+        diagonal, below, above = layout.complete(layout.scaled(blocks, scale))
+        one = jnp.ones(layout.size)
 
         def eliminate(factors_before: Factors, blocks):
             diagonal, below, above = blocks
@@ -201,7 +209,7 @@ class BlockFactors(eqx.Module):
             factors = Factors.of_scaled(diagonal - below @ above, symmetric, one)
             return factors, (factors.triangle, factors.pivots, above)
 
-        identity = Factors.of_scaled(jnp.eye(size), symmetric, one)
+        identity = Factors.of_scaled(jnp.eye(layout.size), symmetric, one)
         _, (triangles, pivots, above) = jax.lax.scan(
             eliminate, identity, (diagonal, below, above)
         )
@@ -213,10 +221,10 @@ class BlockFactors(eqx.Module):
         def solve_block(factors: tuple[Array, Array | None], right: Array) -> Array:
             return Factors(one, *factors).solve_scaled(right)
 
-        rows = self.scale * self.layout.rows(right)
+        rows = self.layout.rows(self.scale * right)
         factors = self.triangles, self.pivots
         solution = _substitute(solve_block, factors, self.below, self.above, rows)
-        return self.layout.vector(self.scale * solution)
+        return self.scale * self.layout.vector(solution)
 
     def solve_and_check(
         self, right: Float[Array, " free"]

@@ -210,8 +210,10 @@ def _frequency_response(
     )
     layout, square, blocks = system.layout, (free[:, None], free), []
     if layout is not None:
-        parts = stiffness, jnp.diag(inertia), damping
-        blocks = [layout.of_dense(part[square]) for part in parts]
+        elastic, by_rate = (
+            layout.of_dense(part[square]) for part in (stiffness, damping)
+        )
+        blocks = [elastic, layout.of_diagonal(inertia[free]), by_rate]
 
     def unbalanced(
         omega: Scalar, amplitude: Complex[Array, " dofs"]

@@ -22,7 +22,7 @@ from ..mechanism.misfits import stroke_rows
 from ..results.codes import RESULTS, Solution
 from .equations.consistency import consistent
 from .equations.dofs import DofPartition
-from .equations.modes import few_are_computed, natural_modes, static_rest
+from .equations.modes import natural_modes, static_rest, subspace_layout
 from .equations.problem import Problem
 from .equations.system import System
 from .frequency_response import Excitation
@@ -282,7 +282,7 @@ def _state_space(
     """
     free, size = system.free, system.dofs.total
     every = len(free) - system.constraints.size
-    few = modes < every and few_are_computed(system, modes)
+    few = modes < every and subspace_layout(system, modes) is not None
     natural = natural_modes(mechanism, system, displacements, modes if few else every)
     angular, shapes, _ = natural
     modal = jnp.zeros((size, shapes.shape[1])).at[free].set(shapes)

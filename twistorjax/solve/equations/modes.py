@@ -34,8 +34,8 @@ def natural_modes(
     """Compute the lowest modes at displacements (rad, m, m), without follower loads."""
     free, units = system.free, _units(mechanism, system)
     stiffness = _stiffness(system, displacements)
-    layout = system.layout
-    if layout is not None and has_subspace(len(free), count):
+    layout = subspace_layout(system, count)
+    if layout is not None:
         scaled = ScaledStiffness(stiffness, units, layout)
         root, vectors = lowest_modes(scaled, count=count)
         return _natural_modes(root, units[:, None] * vectors, stiffness)
@@ -49,9 +49,12 @@ def natural_modes(
     return _natural_modes(root[:count, :count], basis @ vectors[:, :count], stiffness)
 
 
-def few_are_computed(system: System, count: int) -> bool:
-    """Decide whether `natural_modes` computes no other modes than the lowest ones."""
-    return system.layout is not None and has_subspace(len(system.free), count)
+def subspace_layout(system: System, count: int) -> Layout | None:
+    """Return the layout with which `natural_modes` computes only the lowest modes.
+
+    It is None if all modes are computed.
+    """
+    return system.layout if has_subspace(len(system.free), count) else None
 
 
 def static_rest(
@@ -103,7 +106,7 @@ class ScaledStiffness(eqx.Module):
     layout: Layout = eqx.field(static=True)
 
     def diagonal(self) -> Float[Array, " free"]:
-        return self.layout.vector(jnp.diagonal(self._blocks()[0], axis1=1, axis2=2))
+        return self.layout.diagonal(self._blocks())
 
     def times(
         self, vectors: Float[Array, "free vectors"]

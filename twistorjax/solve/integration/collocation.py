@@ -250,11 +250,8 @@ def _stage_inverses(
 ) -> "_StageInverses | _BlockStageInverses":
     """Invert the matrices of the decoupled stages for a step; s."""
     layout = system.layout
-    if layout is None:
-        inertia = jnp.diag(system.mass)
-    else:
-        of_blocks = jax.vmap(jnp.diag)(layout.rows(system.mass))
-        inertia = jnp.zeros(layout.shape).at[0].set(of_blocks)
+    arrange = jnp.diag if layout is None else layout.of_diagonal
+    inertia = arrange(system.mass)
 
     def matrix(eigenvalue: Inexact[Array, ""]) -> Inexact[Array, "*matrix"]:
         parts = inertia, tangent.hinges.damping, tangent.stiffness

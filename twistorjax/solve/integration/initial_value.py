@@ -156,7 +156,7 @@ def _scales(
     if layout is None:
         diagonal, compliance = jnp.diagonal(stiffness), jnp.diagonal(inverse(stiffness))
     else:
-        diagonal = layout.vector(jnp.diagonal(stiffness[0], axis1=1, axis2=2))
+        diagonal = layout.diagonal(stiffness)
         compliance = BlockInverses.of(stiffness, layout).diagonal()
     rotations = system.free % 3 == 0
     rotational, translational = (

@@ -354,13 +354,13 @@ class TestBuckling:
         assert_close(second, np.zeros(3), digits=6)
 
     def test_a_limit_point_far_from_the_linearized_equations_is_refused(self):
-        """At the rise 1.4 it is found. A link beside it must not hide it either."""
+        """At the rise 1.6 it is found. A link beside it must not hide it either."""
         push = [tj.Load("apex", force=(0.0, -1.0))]
-        found = tj.buckling(supported_truss(1.4), loads=push, modes=1)
-        limit = von_mises_limit_force(1.4)
+        found = tj.buckling(supported_truss(1.6), loads=push, modes=1)
+        limit = von_mises_limit_force(1.6)
         np.testing.assert_allclose(found.load_factors[0], limit, rtol=1e-8)
         with pytest.raises(RuntimeError, match="use `path`"):
-            tj.buckling(supported_truss(1.5), loads=push, modes=1)
+            tj.buckling(supported_truss(2.0), loads=push, modes=1)
 
     @pytest.mark.slow
     def test_a_branch_point_does_not_hide_a_lower_limit_point(self):

@@ -215,16 +215,17 @@ class BlockFactors(eqx.Module):
         )
         return cls(layout, scale, below, triangles, pivots, above)
 
-    def solve(self, right: Float[Array, " free"]) -> Float[Array, " free"]:
+    def solve(self, right: Float[Array, "free ..."]) -> Float[Array, "free ..."]:
         one = jnp.ones(self.layout.size)
+        scale = self.scale.reshape(-1, *(1,) * (right.ndim - 1))
 
         def solve_block(factors: tuple[Array, Array | None], right: Array) -> Array:
             return Factors(one, *factors).solve_scaled(right)
 
-        rows = self.layout.rows(self.scale * right)
+        rows = self.layout.rows(scale * right)
         factors = self.triangles, self.pivots
         solution = _substitute(solve_block, factors, self.below, self.above, rows)
-        return self.scale * self.layout.vector(solution)
+        return scale * self.layout.vector(solution)
 
     def solve_and_check(
         self, right: Float[Array, " free"]

@@ -46,8 +46,9 @@ class Factors(NamedTuple):
             return cls(scale, jnp.linalg.cholesky(matrix, symmetrize_input=False), None)
         return cls(scale, *jax.scipy.linalg.lu_factor(matrix))
 
-    def solve(self, right: Float[Array, " n"]) -> Float[Array, " n"]:
-        return self.scale * self.solve_scaled(self.scale * right)
+    def solve(self, right: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
+        scale = self.scale.reshape(-1, *(1,) * (right.ndim - 1))
+        return scale * self.solve_scaled(scale * right)
 
     def solve_scaled(self, right: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
         """Solve the scaled linear system for one or more right-hand sides."""

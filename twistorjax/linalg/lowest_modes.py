@@ -1,6 +1,7 @@
 """The lowest modes of a symmetric operator with many unknowns."""
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -160,54 +161,102 @@ def _converged_modes(
     operator: Operator, count: int
 ) -> tuple[Float[Array, "n width"], Bool[Array, ""]]:
     """Compute the vectors of the lowest eigenvalues, of which `count` converge."""
-    size, width = len(operator.diagonal()), _width(count)
-    start = np.random.default_rng(0).normal(size=(size, width))
-    start = jnp.linalg.qr(jnp.asarray(start))[0]
+    size = len(operator.diagonal())
     inverse, shift = _positive_inverse(operator, jnp.zeros(()))
-    vectors, _, values, _ = _cycle(inverse, start, inverse.solve(start), count)
+    vectors, values = _first_cycle(inverse.solve, size, count)
     # With a shift that is not small compared with the eigenvalues, rigid motions do not
     # dominate the rounding errors of all vectors.
     shift = jnp.maximum(shift, _SHIFT_SHARE * (1 / values[count - 1] - shift))
     inverse = operator.inverse(shift)
+    _, vectors, converged = _improved(inverse.solve, vectors, count)
+    return vectors, converged
 
-    def advance(state: tuple[Array, Array, Array, Array]):
-        vectors, image, _, cycles = state
-        vectors, image, _, residual = _cycle(inverse, vectors, image, count)
-        return vectors, image, residual, cycles + 1
 
-    def unfinished(state: tuple[Array, Array, Array, Array]) -> Array:
-        _, _, residual, cycles = state
-        return (residual > _LARGEST_RESIDUAL) & (cycles < _MOST_CYCLES)
+def dominant_modes(
+    apply: Callable[[Array], Array], size: int, count: int, negligible: float = 0.0
+) -> tuple[Float[Array, " count"], Float[Array, "n count"], Flag]:
+    """Compute the eigenvalues of largest magnitude of a symmetric matrix.
 
-    infinite, none = jnp.array(jnp.inf), jnp.zeros((), int)
-    state = vectors, inverse.solve(vectors), infinite, none
-    vectors, _, residual, _ = jax.lax.while_loop(unfinished, advance, state)
-    return vectors, residual <= _LARGEST_RESIDUAL
+    Args:
+        apply: Function that multiplies the matrix and several columns.
+        size: Number of rows of the matrix, for which `has_subspace` holds.
+        negligible: Smaller eigenvalues, as a fraction of the largest one, need not be
+            accurate.
+
+    Returns:
+        The eigenvalues, the largest magnitude first; their vectors as columns; and
+        whether they have converged.
+    """
+    vectors, _ = _first_cycle(apply, size, count)
+    values, vectors, converged = _improved(apply, vectors, count, negligible)
+    return values[:count], vectors[:, :count], converged
+
+
+def _first_cycle(
+    apply: Callable[[Array], Array], size: int, count: int
+) -> tuple[Float[Array, "n width"], Float[Array, " width"]]:
+    """Compute vectors and eigenvalues of a first Krylov subspace."""
+    start = np.random.default_rng(0).normal(size=(size, _width(count)))
+    start = jnp.linalg.qr(jnp.asarray(start))[0]
+    cycle = _cycle(apply, start, apply(start))
+    return cycle.vectors, cycle.values
+
+
+def _improved(
+    apply: Callable[[Array], Array],
+    vectors: Float[Array, "n width"],
+    count: int,
+    negligible: float = 0.0,
+) -> tuple[Float[Array, " width"], Float[Array, "n width"], Flag]:
+    """Repeat Krylov subspaces until `count` vectors have converged."""
+
+    def errors(cycle: _Cycle) -> Array:
+        sizes = jnp.abs(cycle.values[:count])
+        sizes = jnp.maximum(sizes, negligible * sizes[0])
+        return cycle.residuals[:count] - _LARGEST_RESIDUAL * sizes
+
+    def advance(state: tuple[_Cycle, Array]) -> tuple[_Cycle, Array]:
+        cycle, cycles = state
+        return _cycle(apply, cycle.vectors, cycle.images), cycles + 1
+
+    def unfinished(state: tuple[_Cycle, Array]) -> Array:
+        cycle, cycles = state
+        return jnp.any(errors(cycle) > 0) & (cycles < _MOST_CYCLES)
+
+    infinite = jnp.full(vectors.shape[1], jnp.inf)
+    start = _Cycle(vectors, apply(vectors), jnp.zeros_like(infinite), infinite)
+    state = start, jnp.zeros((), int)
+    cycle, _ = jax.lax.while_loop(unfinished, advance, state)
+    return cycle.values, cycle.vectors, jnp.all(errors(cycle) <= 0)
+
+
+class _Cycle(NamedTuple):
+    """Approximate eigenvectors of a matrix."""
+
+    vectors: Float[Array, "n width"]
+    images: Float[Array, "n width"]  # Products of the matrix and the vectors
+    values: Float[Array, " width"]  # Eigenvalues, the largest magnitude first
+    residuals: Float[Array, " width"]
 
 
 def _cycle(
-    inverse: Inverse,
+    apply: Callable[[Array], Array],
     vectors: Float[Array, "n width"],
     image: Float[Array, "n width"],
-    count: int,
-) -> tuple[Array, Array, Array, Array]:
-    """Solve the eigenvalue problem in a Krylov subspace that begins with some vectors.
-
-    Returns:
-        Better vectors, their images by the inverse, its eigenvalues, and the largest
-        relative residual of the first `count` ones.
-    """
+) -> _Cycle:
+    """Solve the eigenvalue problem in a Krylov subspace that begins with some vectors."""
     basis, images, width = [vectors], [image], vectors.shape[1]
     for _ in range(_BLOCKS - 1):
         basis.append(_orthonormal(images[-1], jnp.concatenate(basis, axis=1)))
-        images.append(inverse.solve(basis[-1]))
+        images.append(apply(basis[-1]))
     basis, images = (jnp.concatenate(part, axis=1) for part in (basis, images))
     gram = basis.T @ images
     values, rotation = jnp.linalg.eigh((gram + gram.T) / 2)
-    values, rotation = values[::-1][:width], rotation[:, ::-1][:, :width]
-    vectors, image = basis @ rotation, images @ rotation
-    residual = jnp.linalg.norm(image - vectors * values[None], axis=0) / values
-    return vectors, image, values, jnp.max(residual[:count])
+    order = jnp.argsort(-jnp.abs(values))[:width]
+    values, rotation = values[order], rotation[:, order]
+    vectors, images = basis @ rotation, images @ rotation
+    residuals = jnp.linalg.norm(images - vectors * values[None], axis=0)
+    return _Cycle(vectors, images, values, residuals)
 
 
 def _orthonormal(

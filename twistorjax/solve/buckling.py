@@ -1,13 +1,14 @@
 """Buckling of a mechanism: critical points near those of the linearized equations."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
@@ -15,6 +16,8 @@ from .._utils.progress import announced
 from .._utils.pytrees import stop_gradient
 from .._utils.types import Count, Flag, NumberLike, Poses, Scalar
 from .._utils.validation import warn
+from ..linalg.factors import Factors
+from ..linalg.lowest_modes import dominant_modes, has_subspace
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
@@ -41,8 +44,11 @@ _SINGULAR = 10 * np.finfo(float).eps
 # A mode whose geometric stiffness is below this share of the largest one does not buckle.
 _NO_GEOMETRIC_STIFFNESS = 1e-9
 _COUPLED = 0.1  # share of a mode in the first displacements that leads to a limit point
-_FIRST_CHANGE = 1e-3  # of the amplitude of a mode, as a fraction of it
-_LARGEST_CHANGE = 0.5
+_LARGEST_CHANGE = 0.5  # of the amplitude of a mode, as a fraction of it
+_SMALL_DIFFERENCE = 1e-5  # of eigenvalues that are one without loads
+# Fraction of the stiffness without loads that is added to a stiffness which may be
+# singular, and the number of solutions that remove the effect
+_SHIFT, _REFINEMENTS = 1e-3, 3
 _NO_DISPLACEMENT = 1e-6  # in a mode at the estimated load; rad, or of the length
 _NEGLIGIBLE = 1e-11  # change after which the iteration ends
 _CONVERGED = 1e-7  # largest last change that is accepted
@@ -253,16 +259,49 @@ class _Modes(NamedTuple):
 
     point: Float[Array, " n"]  # The equilibrium about which the equations are linearized
     rate: Float[Array, " n"]  # Change of this point with the load factor
-    # Factors of the derivative of the residual there, and exchanged rows
-    factored: tuple[Float[Array, "unknowns unknowns"], Int[Array, " unknowns"]]
-    # Displacements that the constraints allow as columns, divided by the units
-    basis: Float[Array, "free allowed"]
-    # Product of the modes, as rows, and the stiffness
-    dual: Float[Array, "modes allowed"]
-    # Modes as columns, in this basis, orthonormal in energy
-    vectors: Float[Array, "allowed modes"]
+    # Square root of twice the energy of this change; J^0.5
+    rate_size: Scalar
+    # Modes as columns, orthonormal in energy; rad, m
+    vectors: Float[Array, "unknowns modes"]
+    # Products of the stiffness and the modes; N m, N
+    forces: Float[Array, "unknowns modes"]
     # Load factors; infinite if a mode has no geometric stiffness
     factors: Float[Array, " modes"]
+
+    # Derivatives of the residual at this point, but without constraints
+    stiffness: Float[Array, "unknowns unknowns"]
+
+    def reduced(
+        self, tangent: PathTangent, right: Float[Array, " unknowns"], held: Array
+    ) -> tuple[Float[Array, "modes modes"], Float[Array, " unknowns"]]:
+        """Eliminate all displacements but the amplitudes of the modes.
+
+        Returns:
+            The stiffness against the amplitudes, which is singular where the whole one
+            is; and the displacements that balance the forces `right` if the amplitudes of
+            the modes that are `held` stay zero.
+        """
+        # Factors of a singular stiffness would be useless.
+        shifted = tangent.jacobian + _SHIFT * self.stiffness
+        factors = replace(tangent, jacobian=shifted).factors(symmetric=False)
+        moved = factors.solve(self.forces)
+        flexibility = self.forces.T @ moved
+
+        def balanced(right: Array, held: Array) -> Array:
+            both = held[:, None] & held[None]
+            matrix = jnp.where(both, flexibility, jnp.eye(len(held)))
+            found = jnp.zeros_like(right)
+            for _ in range(_REFINEMENTS):
+                change = factors.solve(right - tangent.jacobian @ found)
+                amplitudes = jnp.where(held[:, None], self.forces.T @ change, 0.0)
+                found += change - moved @ jnp.linalg.solve(matrix, amplitudes)
+            return found
+
+        forces = -tangent.jacobian @ self.vectors
+        shapes = self.vectors + balanced(forces, jnp.ones_like(held))
+        stiffness = shapes.T @ tangent.jacobian @ shapes
+        displacements = balanced(right[:, None], held)[:, 0]
+        return (stiffness + stiffness.T) / 2, displacements
 
 
 class _Iteration(NamedTuple):
@@ -271,6 +310,7 @@ class _Iteration(NamedTuple):
     point: Float[Array, " n"]  # Current point
     amplitude: Scalar  # Load factor at which the linearized equations have the same modes
     last: Float[Array, "2"]  # Amplitude and eigenvalue at the last iterate
+    rate: Scalar  # Change of the eigenvalue with the amplitude
     # Last change of the amplitude or of the point, whichever is larger, as a fraction of
     # it
     change: Scalar
@@ -287,12 +327,12 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     point = first_point(fixed, fixed.start, jnp.zeros(()))
     tangent = fixed.tangent(point)
     metric = metric_of(fixed, tangent, point)
-    linear, stable, finite = _linearized(fixed, metric, point, tangent)
-    count = min(modes, len(linear.factors))
     # Modes with the same load factor as the last one are needed as well.
-    count_with_copies = min(count + LARGEST_MULTIPLICITY - 1, len(linear.factors))
-    rows = jnp.arange(count_with_copies)
-    estimates = jnp.abs(linear.factors[:count_with_copies])
+    count_with_copies = modes + LARGEST_MULTIPLICITY - 1
+    linear, stable, finite = _linearized(fixed, metric, point, tangent, count_with_copies)
+    count_with_copies = len(linear.factors)
+    count = min(modes, count_with_copies)
+    rows, estimates = jnp.arange(count_with_copies), jnp.abs(linear.factors)
     wanted = (rows < count) | (estimates <= _NEAR * estimates[count - 1])
     points, coupled, converged, outside = jax.lax.map(
         lambda mode: _corrected(fixed, metric, linear, *mode), (rows, wanted)
@@ -330,8 +370,8 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     null = differentiable_null_vectors(system, metric, known, null)
     places = jnp.sum(same & (rows[None] < rows[:, None]), axis=1)
     vectors = jax.vmap(lambda vectors, place: vectors[:, place])(null, places)
-    vectors = vectors[:, : len(linear.basis)]
-    units = metric.units[: len(linear.basis)]
+    free = len(fixed.dofs.free)
+    vectors, units = vectors[:, :free], metric.units[:free]
     vectors = vectors / jnp.linalg.norm(vectors, axis=1, keepdims=True)
     shapes = jax.vmap(lambda mode: fixed.mode_displacements(units * mode))(vectors)
 
@@ -358,8 +398,9 @@ def _linearized(
     metric: Metric,
     point: Float[Array, " n"],
     tangent: PathTangent,
+    count: int,
 ) -> tuple[_Modes, Flag, Flag]:
-    """Compute the modes of linearized buckling.
+    """Compute the first modes of linearized buckling, of which there may be fewer.
 
     The other results are whether the equilibrium is stable, and all values are finite.
     """
@@ -376,21 +417,37 @@ def _linearized(
     usable = stable & finite
     lower = jnp.where(usable, lower, jnp.eye(len(lower)))
     geometric = jnp.where(usable, geometric, 0.0)
-    half = jax.scipy.linalg.solve_triangular(lower, geometric, lower=True)
-    matrix = jax.scipy.linalg.solve_triangular(lower, half.T, lower=True)
-    values, vectors = jnp.linalg.eigh(-(matrix + matrix.T) / 2)
-    order = jnp.argsort(-jnp.abs(values))
-    values, vectors = values[order], vectors[:, order]
+    geometric = (geometric + geometric.T) / 2
+
+    def apply(columns: Array) -> Array:
+        moved = jax.scipy.linalg.solve_triangular(lower.T, columns, lower=False)
+        return -jax.scipy.linalg.solve_triangular(lower, geometric @ moved, lower=True)
+
+    size = len(lower)
+    if has_subspace(size, count):
+        values, vectors, converged = dominant_modes(
+            apply, size, count, _NO_GEOMETRIC_STIFFNESS
+        )
+        finite &= converged
+    else:
+        values, vectors = jnp.linalg.eigh(apply(jnp.eye(size)))
+        order = jnp.argsort(-jnp.abs(values))[:count]
+        values, vectors = values[order], vectors[:, order]
     buckles = jnp.abs(values) > _NO_GEOMETRIC_STIFFNESS * jnp.abs(values[0])
+    modes = jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False)
+    units = metric.units[: len(basis), None]
+    strain = lower.T @ (basis.T @ (rate[: len(basis)] / units[:, 0]))
+    others = (0, system.constraints.size)
+    free = tangent.jacobian[: len(basis), : len(basis)]
     return (
         _Modes(
             point=point,
             rate=rate,
-            factored=jax.scipy.linalg.lu_factor(tangent.jacobian),
-            basis=basis,
-            dual=(lower @ vectors).T,
-            vectors=jax.scipy.linalg.solve_triangular(lower.T, vectors, lower=False),
+            rate_size=jnp.linalg.norm(strain),
+            vectors=jnp.pad(units * (basis @ modes), (others, (0, 0))),
+            forces=jnp.pad(basis @ (lower @ vectors) / units, (others, (0, 0))),
             factors=jnp.where(buckles, 1 / jnp.where(buckles, values, 1.0), jnp.inf),
+            stiffness=jnp.pad(free, others),
         ),
         stable,
         finite,
@@ -410,7 +467,6 @@ def _corrected(
     Three flags are returned: whether the load does work in the mode, whether the
     iteration has converged, and whether a hinge is outside its validity range.
     """
-    free, units = len(linear.basis), metric.units[: len(linear.basis)]
     estimate = linear.factors[row]
     buckles = wanted & jnp.isfinite(estimate)
     estimate = jnp.where(buckles, estimate, 0.0)
@@ -419,36 +475,30 @@ def _corrected(
     held = jnp.abs(linear.factors) <= 2 * jnp.abs(estimate)
 
     def in_modes(change: Float[Array, " n"]) -> Float[Array, " modes"]:
-        return linear.dual @ (linear.basis.T @ (change[:free] / units))
+        return linear.forces.T @ change[:-1]
 
-    def of_held(change: Float[Array, " n"]) -> Float[Array, " n"]:
-        part = linear.vectors @ jnp.where(held, in_modes(change), 0.0)
-        return jnp.pad(units * (linear.basis @ part), (0, len(change) - free))
-
-    shares, held_rate = in_modes(linear.rate), of_held(linear.rate)
-    coupled = jnp.abs(shares[row]) > _COUPLED * jnp.linalg.norm(shares)
+    shares = in_modes(linear.rate)
+    held_rate = jnp.append(linear.vectors @ jnp.where(held, shares, 0.0), 0.0)
+    mode = linear.vectors[:, row]
+    coupled = jnp.abs(shares[row]) > _COUPLED * linear.rate_size
     # In these units, all displacements of a rigid column are rounding errors.
-    size = jnp.linalg.norm(linear.vectors[:, row])
+    size = metric.length(jnp.append(mode, 0.0) / metric.units)
     coupled &= jnp.abs(estimate * shares[row]) * size > _NO_DISPLACEMENT
-    mode = units * (linear.basis @ linear.vectors[:, row])
 
     def improve(state: _Iteration) -> _Iteration:
         point, amplitude = state.point, state.amplitude
         tangent = system.tangent(point)
-        stiffness, _ = allowed_stiffness(system, metric, tangent)
+        stiffness, correction = linear.reduced(tangent, -tangent.residual, held)
         value = jnp.linalg.eigvalsh(stiffness)[index]
-        difference = value - state.last[1]
-        secant = value * (amplitude - state.last[0])
-        secant = -secant / jnp.where(difference == 0, 1.0, difference)
+        secant = (value - state.last[1]) / (amplitude - state.last[0])
+        # Small differences may be rounding errors.
+        known = jnp.abs(value - state.last[1]) > _SMALL_DIFFERENCE
+        rate = jnp.where(known, secant, state.rate)
         limit = _LARGEST_CHANGE * jnp.abs(amplitude)
-        change = jnp.clip(secant, -limit, limit)
-        change = jnp.where(state.iterations == 0, _FIRST_CHANGE * amplitude, change)
-        work, slope = mode @ tangent.residual[:free], mode @ tangent.by_factor[:free]
+        change = jnp.clip(-value / rate, -limit, limit)
+        work, slope = mode @ tangent.residual, mode @ tangent.by_factor
         by_factor = jnp.where(coupled, -work / jnp.where(coupled, slope, 1.0), change)
-        # The matrix at the start is regular.
-        correction = -jax.scipy.linalg.lu_solve(linear.factored, tangent.residual)
         correction = jnp.append(correction, 0.0)
-        correction -= of_held(correction)
         correction += by_factor * linear.rate + (change - by_factor) * held_rate
         moved = metric.length((point - linear.point) / metric.units)
         share = metric.length(correction / metric.units) / moved
@@ -456,6 +506,7 @@ def _corrected(
             point + correction,
             amplitude + change,
             jnp.stack([amplitude, value]),
+            rate,
             jnp.maximum(jnp.abs(change / amplitude), share),
             state.iterations + 1,
         )
@@ -465,7 +516,9 @@ def _corrected(
 
     start = linear.point + estimate * linear.rate
     change, none = jnp.where(buckles, 1.0, 0.0), jnp.zeros((), int)
-    state = _Iteration(start, estimate, jnp.zeros(2), change, none)
+    # Without loads, the stiffness against the amplitude is one.
+    last, rate = jnp.array([0.0, 1.0]), -1 / estimate
+    state = _Iteration(start, estimate, last, rate, change, none)
     state = jax.lax.while_loop(unfinished, improve, state)
     converged = buckles & (state.change <= _CONVERGED)
     point = jnp.where(converged, state.point, start)
@@ -486,7 +539,7 @@ def _is_first(
     def correct(state: tuple[Array, Scalar, Count]) -> tuple[Array, Scalar, Count]:
         point, _, count = state
         tangent = system.tangent(point)
-        change = -jnp.linalg.solve(tangent.jacobian, tangent.residual)
+        change = -tangent.factors(symmetric=False).solve(tangent.residual)
         change = jnp.append(change, 0.0)
         return point + change, metric.length(change / metric.units), count + 1
 
@@ -501,11 +554,11 @@ def _is_first(
             (start, jnp.ones(()), jnp.zeros((), int)),
         )
         tangent = system.tangent(point)
-        stiffness, basis = allowed_stiffness(system, metric, tangent)
-        # In these modes, the initial stiffness is the unit matrix.
-        modes = basis.T @ (linear.basis @ linear.vectors)
-        lowest = jnp.linalg.eigvalsh(modes.T @ stiffness @ modes)[0]
-        stable &= (lowest > 0) & (size <= _FOLLOWED)
+        # The initial stiffness against the amplitudes is the unit matrix.
+        none = jnp.zeros(linear.factors.shape, bool)
+        stiffness, _ = linear.reduced(tangent, tangent.residual, none)
+        lowest = jnp.linalg.eigvalsh(stiffness)[0]
+        stable &= _is_stable(system, metric, tangent) & (size <= _FOLLOWED)
         return (point, _rate(tangent), stable), lowest
 
     shares = jnp.linspace(0.0, _NEARLY_CRITICAL, _LOAD_STEPS + 1)[1:]
@@ -516,7 +569,16 @@ def _is_first(
 
 def _rate(tangent: PathTangent) -> Float[Array, " n"]:
     """Return the change of a point of the equilibrium with the load factor."""
-    return jnp.append(-jnp.linalg.solve(tangent.jacobian, tangent.by_factor), 1.0)
+    change = -tangent.factors(symmetric=False).solve(tangent.by_factor)
+    return jnp.append(change, 1.0)
+
+
+def _is_stable(system: PathSystem, metric: Metric, tangent: PathTangent) -> Flag:
+    """Decide whether the stiffness resists all displacements that are allowed."""
+    if not system.constraints.size:
+        return tangent.factors(symmetric=True).is_stable()
+    matrix, _ = allowed_stiffness(system, metric, tangent)
+    return Factors.of(matrix, symmetric=True).is_stable()
 
 
 def _cholesky(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Flag]:

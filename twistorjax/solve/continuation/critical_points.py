@@ -7,6 +7,7 @@ and computation of generalized turning points, SIAM J. Numer. Anal. 21, 1984).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._utils.pytrees import jvp_of_varied, with_derivative
 from ..._utils.types import Count, Flag, Scalar
 from ...linalg.elimination import pivoted_inverse, solve
+from ...linalg.lowest_modes import dominant_modes, has_subspace
 from .arc_length import (
     AT_EVENT,
     AT_LIMIT,
@@ -425,30 +427,50 @@ def null_vectors_of(
         right = jnp.where(largest < 0, -1.0, 1.0) * right
         size = metric.length(jnp.append(right, 0.0))
         return NullVectors(left[:, None], right[:, None] / size)
-    matrix, basis = allowed_stiffness(system, metric, tangent)
-    load = metric.units[: len(basis)] * tangent.by_factor[: len(basis)]
+    softest = _softest_displacements(system, metric, tangent)
+    load = metric.units[: len(softest)] * tangent.by_factor[: len(softest)]
     load = jnp.where(is_branch, 0.0, load)
-    found = basis_of_null_space(matrix, basis, load, multiplicity)
-    found = jnp.pad(found, ((0, system.unknowns - len(basis)), (0, 0)))
+    found = basis_of_null_space(softest, load, multiplicity)
+    found = jnp.pad(found, ((0, system.unknowns - len(softest)), (0, 0)))
     return NullVectors(found, found)
 
 
+def _softest_displacements(
+    system: PathSystem, metric: Metric, tangent: PathTangent
+) -> Float[Array, "free vectors"]:
+    """Compute the eigenvectors of the stiffness whose eigenvalues are closest to zero."""
+    size = system.unknowns
+    if tangent.layout is None or not has_subspace(size, LARGEST_MULTIPLICITY):
+        matrix, basis = allowed_stiffness(system, metric, tangent)
+        values, vectors = jnp.linalg.eigh(matrix)
+        closest = jnp.argsort(jnp.abs(values))[:LARGEST_MULTIPLICITY]
+        return basis @ vectors[:, closest]
+    units = metric.units[:-1, None]
+    # The eigenvectors are those of a matrix that is not quite singular.
+    shift = _SHIFT * jnp.max(jnp.abs(units * tangent.jacobian * units.T))
+    shifted = tangent.jacobian + jnp.diag(shift / units[:, 0] ** 2)
+    factors = replace(tangent, jacobian=shifted).factors(symmetric=False)
+    _, vectors, _ = dominant_modes(
+        lambda columns: factors.solve(columns / units) / units,
+        size,
+        LARGEST_MULTIPLICITY,
+    )
+    return vectors
+
+
 def basis_of_null_space(
-    matrix: Float[Array, "allowed allowed"],
-    basis: Float[Array, "free allowed"],
+    softest: Float[Array, "free vectors"],
     load: Float[Array, " free"],
     multiplicity: Count,
 ) -> Float[Array, "free vectors"]:
-    """Compute an orthonormal basis of a null space; see `null_vectors`.
+    """Choose an orthonormal basis of a null space; see `null_vectors`.
 
-    `matrix` is the stiffness for the displacements `basis`, which the constraints allow.
-    The `load`, which is zero at a branch point, does work in the first vector only.
+    It is spanned by the first ones of the `softest` displacements. The `load`, which is
+    zero at a branch point, does work in the first vector only.
     """
-    values, vectors = jnp.linalg.eigh(matrix)
-    count = min(LARGEST_MULTIPLICITY, len(values))
-    chosen = vectors[:, jnp.argsort(jnp.abs(values))[:count]]
+    count = softest.shape[1]
     used = np.arange(count) < jnp.maximum(multiplicity, 1)
-    chosen = basis @ jnp.where(used[None], chosen, 0.0)
+    chosen = jnp.where(used[None], softest, 0.0)
 
     def add(k: Count, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         projection, load, found = state

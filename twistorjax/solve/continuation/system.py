@@ -10,6 +10,8 @@ from ..._utils.host import as_float
 from ..._utils.types import Entries, Flag, Poses, Scalar
 from ...assembly.stress import largest_stresses
 from ...assembly.tangent import AssemblyTangent
+from ...linalg.block_factors import BlockFactors, Layout
+from ...linalg.factors import Factors
 from ...mechanism.changes import HingeChanges
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import LoadSet
@@ -31,6 +33,15 @@ class PathTangent(eqx.Module):
     # Derivatives of the residual with respect to the load factor
     by_factor: Float[Array, " unknowns"]
     hinges: AssemblyTangent
+    # Layout of the derivatives of many bodies in blocks
+    layout: Layout | None = eqx.field(static=True)
+
+    def factors(self, symmetric: bool) -> Factors | BlockFactors:
+        """Factorize the derivatives by the unknowns."""
+        if self.layout is None:
+            return Factors.of(self.jacobian, symmetric)
+        blocks = self.layout.of_dense(self.jacobian)
+        return BlockFactors.of(blocks, self.layout, symmetric)
 
 
 class PathSystem(eqx.Module):
@@ -152,6 +163,7 @@ class PathSystem(eqx.Module):
             jacobian=matrix,
             by_factor=by_factor,
             hinges=hinges,
+            layout=system.layout,
         )
 
     def _by_changes(self, factor: Scalar, displacements: Poses) -> Float[Array, " dofs"]:

@@ -358,17 +358,17 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     distances = jnp.abs(factors[:, None] - factors[None])
     same = distances <= _SAME_FACTOR * jnp.abs(factors)[:, None]
     same = (same & valid[:, None] & valid[None]) | jnp.eye(count_with_copies, dtype=bool)
-    multiplicities = jnp.sum(same, axis=1)
+    chosen = jnp.argsort(sizes)[:count]
     # Those with the same load factor are modes of one point.
-    leading = jnp.argmax(same, axis=1)
-    points = jnp.where(valid[:, None], points, jnp.nan)[leading]
+    leading = jnp.argmax(same, axis=1)[chosen]
+    places = jnp.sum(same & (rows[None] < rows[:, None]), axis=1)[chosen]
+    is_branch, valid = ~coupled[leading], valid[chosen]
+    points = jnp.where(valid[:, None], points[leading], jnp.nan)
     known = jnp.where(valid[:, None], points, linear.point[None])
-    is_branch = ~coupled[leading]
-    null = null_vectors(fixed, metric, known, is_branch, multiplicities)
+    null = null_vectors(fixed, metric, known, is_branch, jnp.sum(same, axis=1)[chosen])
     at = differentiable_critical_points(system, metric, points, is_branch, null)
     known = jnp.where(valid[:, None], at, linear.point[None])
     null = differentiable_null_vectors(system, metric, known, null)
-    places = jnp.sum(same & (rows[None] < rows[:, None]), axis=1)
     vectors = jax.vmap(lambda vectors, place: vectors[:, place])(null, places)
     free = len(fixed.dofs.free)
     vectors, units = vectors[:, :free], metric.units[:free]
@@ -376,7 +376,6 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     shapes = jax.vmap(lambda mode: fixed.mode_displacements(units * mode))(vectors)
 
     factors = jnp.where(valid, at[:, -1], jnp.inf)
-    order = jnp.argsort(jnp.abs(factors))[:count]
     result = RESULTS.where(missing, RESULTS.critical_point_not_found, RESULTS.successful)
     result = RESULTS.where(missing & outside[0], RESULTS.out_of_range, result)
     result = RESULTS.where(stable, result, RESULTS.unstable)
@@ -384,8 +383,8 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     valid = result == RESULTS.successful
     at_factor, displacements, _ = fixed.split(reached)
     solution = Buckling(
-        load_factors=jnp.where(valid, factors[order], jnp.nan),
-        shapes=jnp.where(valid, shapes[order], jnp.nan),
+        load_factors=jnp.where(valid, factors, jnp.nan),
+        shapes=jnp.where(valid, shapes, jnp.nan),
         result=result,
         names=system.mechanism.names,
         range_shares=at_factor.hinges.range_shares(displacements),

@@ -36,6 +36,7 @@ from .system import PathSystem, PathTangent
 
 
 _SHIFT = 1e-12  # of a matrix, relative to its largest entry
+_NO_NULL_VECTOR = 1e-6  # of the flexibility, as a fraction of that of a null vector
 _SAME_POINT = 1e-8  # largest distance of critical points that are one multiple point
 LARGEST_MULTIPLICITY = 6  # null vectors that are computed
 # On the path that branches off, the load factor is stationary at a branch point. Both are
@@ -454,6 +455,7 @@ def _softest_displacements(
         lambda columns: factors.solve(columns / units) / units,
         size,
         LARGEST_MULTIPLICITY,
+        _NO_NULL_VECTOR,
     )
     return vectors
 
@@ -550,36 +552,6 @@ def bordered_inverse(
     return found, found[size:, size:], found[size:, :size]
 
 
-def _extended_residual(
-    system: PathSystem,
-    metric: Metric,
-    borders: tuple[Array, Array],
-    branch: Flag,
-    unknowns: Array,
-) -> Float[Array, " n_and_vectors"]:
-    """Residual, condition of singularity, and closing conditions of a critical point.
-
-    The unknowns are a point, divided by the units, and an unfolding: additional forces
-    along the left null vectors, by which the equations of a branch point are regular.
-    They are zero at a simple limit point. At a branch point, the load factor has no part
-    in the left null vectors. At a multiple point, the mean of the eigenvalues is zero,
-    and those of a limit point are not coupled with the one in which the load does work.
-    The borders are the left and the right null vectors near the point.
-    """
-    left, right = borders
-    count = left.shape[1]
-    row_units, unfolding = metric.units[:-1], unknowns[-count:]
-    tangent = system.tangent(metric.units * unknowns[:-count])
-    _, singular, null = bordered_inverse(scaled_jacobian(metric, tangent), left, right)
-    used = jnp.any(right != 0, axis=0)
-    rate = null @ (row_units * tangent.by_factor)
-    coupling = jnp.concatenate([unfolding[:1], singular[0, 1:]])
-    closing = jnp.where(used, jnp.where(branch, rate, coupling), unfolding)
-    residual = row_units * tangent.residual + left @ unfolding
-    mean = jnp.sum(jnp.where(used, jnp.diagonal(singular), 0.0))
-    return jnp.concatenate([residual, mean[None], closing])
-
-
 def differentiable_critical_points(
     system: PathSystem, metric: Metric, points: Array, is_branch: Array, null: NullVectors
 ) -> Float[Array, "critical n"]:
@@ -595,20 +567,57 @@ def differentiable_critical_points(
 
 
 def _point_change(point: Array, arguments: Sequence[Any], tangents: Any) -> Array:
-    """Differentiate the equations of a point; see `differentiable_critical_points`."""
+    """Differentiate the equations of a critical point.
+
+    The equations are the residual, the condition of singularity, and closing conditions.
+    The unknowns are the point, divided by the units, and an unfolding: additional forces
+    along the left null vectors, by which the equations of a branch point are regular.
+    They are zero at a simple limit point. At a branch point, the load factor has no part
+    in the left null vectors. At a multiple point, the mean of the eigenvalues is zero,
+    and those of a limit point are not coupled with the one in which the load does work.
+    """
     system, metric, branch, borders = arguments
-    found = jnp.all(jnp.isfinite(point))
     metric = jax.lax.stop_gradient(metric)
+    found = jnp.all(jnp.isfinite(point))
+    at = jnp.where(found, point, 0.0) / metric.units
+    row_units, count = metric.units[:-1], borders.right.shape[1]
+    used = jnp.any(borders.right != 0, axis=0)
+    tangent = system.tangent(metric.units * at)
+    matrix, by_factor = scaled_jacobian(metric, tangent), row_units * tangent.by_factor
+    inverse, _, null = bordered_inverse(matrix, *borders)
+    inverse = inverse[: len(matrix)]
+    # A condition changes with the derivatives of the residual in these directions.
+    by_load = -inverse[:, :-count] @ by_factor
+    directions = jnp.concatenate([inverse[:, -count:].T, by_load[None]])
+    directions = jnp.pad(directions, ((0, 0), (0, 1))).at[-1, -1].set(1.0)
 
-    def equations(system: PathSystem, unknowns: Array) -> Array:
-        return _extended_residual(system, metric, borders, branch, unknowns)
+    def residual(system: PathSystem, point: Array) -> Array:
+        return row_units * system.residual(metric.units * point)
 
-    scaled, count = jnp.where(found, point, 0.0) / metric.units, borders[0].shape[1]
-    unknowns = jnp.concatenate([scaled, jnp.zeros(count)])
-    _, rate = jvp_of_varied(
-        lambda system: equations(system, unknowns), (system,), tangents[:1]
+    def conditions(system: PathSystem, point: Array) -> Array:
+        def derivative(direction: Array) -> Array:
+            return null @ jax.jvp(partial(residual, system), (point,), (direction,))[1]
+
+        products = jax.vmap(derivative, out_axes=1)(directions)
+        singular, rate = -products[:, :-1], products[:, -1]
+        mean = jnp.sum(jnp.where(used, jnp.diagonal(singular), 0.0))
+        coupling = jnp.append(jnp.zeros(1), singular[0, 1:])
+        closing = jnp.where(used, jnp.where(branch, rate, coupling), 0.0)
+        return jnp.append(mean, closing)
+
+    def equations(system: PathSystem) -> Array:
+        return jnp.append(residual(system, at), conditions(system, at))
+
+    _, rate = jvp_of_varied(equations, (system,), tangents[:1])
+    of_point = jax.jacrev(partial(conditions, system))(at)
+    limit = ~branch & (np.arange(count) == 0)
+    of_unfolding = jnp.diag(jnp.where(used, jnp.where(limit, 1.0, 0.0), 1.0))
+    matrix = jnp.block(
+        [
+            [matrix, by_factor[:, None], borders.left],
+            [of_point, jnp.pad(of_unfolding, ((1, 0), (0, 0)))],
+        ]
     )
-    matrix = jax.jacfwd(partial(equations, system))(unknowns)
     matrix = jnp.where(found, matrix, jnp.eye(len(matrix)))
     change = -solve(matrix, rate)
     return jnp.where(found, metric.units * change[:-count], 0.0)

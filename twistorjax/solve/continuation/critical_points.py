@@ -582,31 +582,28 @@ def _point_change(point: Array, arguments: Sequence[Any], tangents: Any) -> Arra
     at = jnp.where(found, point, 0.0) / metric.units
     row_units, count = metric.units[:-1], borders.right.shape[1]
     used = jnp.any(borders.right != 0, axis=0)
-    tangent = system.tangent(metric.units * at)
-    matrix, by_factor = scaled_jacobian(metric, tangent), row_units * tangent.by_factor
+
+    def derivatives(system: PathSystem, point: Array) -> tuple[Array, Array]:
+        tangent = system.tangent(metric.units * point)
+        return scaled_jacobian(metric, tangent), row_units * tangent.by_factor
+
+    matrix, by_factor = derivatives(system, at)
     inverse, _, null = bordered_inverse(matrix, *borders)
     inverse = inverse[: len(matrix)]
-    # A condition changes with the derivatives of the residual in these directions.
-    by_load = -inverse[:, :-count] @ by_factor
-    directions = jnp.concatenate([inverse[:, -count:].T, by_load[None]])
-    directions = jnp.pad(directions, ((0, 0), (0, 1))).at[-1, -1].set(1.0)
-
-    def residual(system: PathSystem, point: Array) -> Array:
-        return row_units * system.residual(metric.units * point)
+    # The derivatives of the conditions are those of the stiffness in these directions.
+    shapes, response = inverse[:, -count:], inverse[:, :-count] @ by_factor
 
     def conditions(system: PathSystem, point: Array) -> Array:
-        def derivative(direction: Array) -> Array:
-            return null @ jax.jvp(partial(residual, system), (point,), (direction,))[1]
-
-        products = jax.vmap(derivative, out_axes=1)(directions)
-        singular, rate = -products[:, :-1], products[:, -1]
+        matrix, by_factor = derivatives(system, point)
+        singular, rate = -null @ matrix @ shapes, null @ (by_factor - matrix @ response)
         mean = jnp.sum(jnp.where(used, jnp.diagonal(singular), 0.0))
         coupling = jnp.append(jnp.zeros(1), singular[0, 1:])
         closing = jnp.where(used, jnp.where(branch, rate, coupling), 0.0)
         return jnp.append(mean, closing)
 
     def equations(system: PathSystem) -> Array:
-        return jnp.append(residual(system, at), conditions(system, at))
+        residual = row_units * system.residual(metric.units * at)
+        return jnp.append(residual, conditions(system, at))
 
     _, rate = jvp_of_varied(equations, (system,), tangents[:1])
     of_point = jax.jacrev(partial(conditions, system))(at)

@@ -263,18 +263,23 @@ def statics() -> Iterator[Row]:
     """Yield times of building, and of equilibria compressed by 10 %."""
     corner = tj.Quadratic(np.diag(STIFFNESS))
 
-    def squares(count: int, angle: jax.Array | float, stops: float | None):
+    def squares(count: int, angle: jax.Array | float, stops: float | None, factor):
         def cell(angle) -> tj.lattices.UnitCell:
             return tj.lattices.rotating_squares(
-                corner, pitch=SIDE, angle=angle, mass=MASS, stop_stiffness=stops
+                factor * corner, pitch=SIDE, angle=angle, mass=MASS, stop_stiffness=stops
             )
 
         field = None if isinstance(angle, float) else angle
         made = cell(angle) if field is None else cell
         return tj.lattices.repeat(made, (count // 2, count // 2), field)
 
-    def build(count: int, angle: jax.Array | float = 0.5, stops: float | None = None):
-        parts = squares(count, angle, stops)
+    def build(
+        count: int,
+        angle: jax.Array | float = 0.5,
+        stops: float | None = None,
+        factor: jax.Array | float = 1.0,
+    ):
+        parts = squares(count, angle, stops, factor)
         fixed = {name: ["angle", "x", "y"] for name in parts.border("bottom")}
         fixed |= {name: ["angle", "x"] for name in parts.border("top")}
         return tj.Mechanism(parts.bodies, parts.hinges, fixed=fixed), parts.border("top")
@@ -304,3 +309,13 @@ def statics() -> Iterator[Row]:
 
     what = "lattice of 30 x 30 squares: derivatives by all angles, compressed by 10 %"
     yield at_most(what, seconds(gradient, jnp.full((15, 15), 0.5), repeats=3), "s", 2.0)
+
+    def buckling_load(factor: jax.Array | float) -> jax.Array:
+        mechanism, top = build(30, 0.0, factor=factor)
+        loads = [tj.Load(name, force=(0.0, -1.0)) for name in top]
+        return tj.buckling(mechanism, loads=loads, modes=1).load_factors[0]
+
+    what = "lattice of 30 x 30 squares: buckling load"
+    yield Row(what, seconds(buckling_load, 1.0, repeats=3), "s")
+    slope = jax.grad(buckling_load)
+    yield Row(f"{what}, and its derivative", seconds(slope, 1.0, repeats=3), "s")

@@ -282,8 +282,6 @@ class TestPrescribedDisplacements:
 
 
 class TestBuckling:
-    COUNT = 6
-
     def found(self, force=1.0, constant=0.0, rotational=1.0, about=None):
         return tj.buckling(
             column(rotational=rotational),
@@ -292,8 +290,7 @@ class TestBuckling:
             about=about,
         )
 
-    def exact(self, rotational=1.0):
-        count = self.COUNT
+    def exact(self, rotational=1.0, count=6):
         springs = 2 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
         springs[-1, -1] = 1.0
         return rotational * count * np.linalg.eigh(springs)[0]
@@ -304,6 +301,19 @@ class TestBuckling:
         bottom, top = np.asarray(found.shapes)[0, [1, -1], 0]
         assert abs(top) > abs(bottom) > 0 and top * bottom > 0
         assert repr(found).splitlines()[2].split() == ["0.348698", "link", "5"]
+
+    @pytest.mark.slow
+    def test_column_of_many_links(self):
+        """Only a few of its 180 modes are computed."""
+
+        def factors(rotational):
+            links, load = column(60, rotational), column_load(60)
+            return tj.buckling(links, loads=[load], modes=3).load_factors
+
+        found, slopes = jax.jvp(factors, (2.0,), (1.0,))
+        exact = self.exact(count=60)[:3]
+        np.testing.assert_allclose(found, 2.0 * exact, rtol=1e-5)
+        np.testing.assert_allclose(slopes, exact, rtol=1e-5)
 
     @pytest.mark.parametrize("tilt", mostly_slow([0.3, 1e-3, np.pi]))
     def test_a_column_on_pins_in_any_direction(self, tilt):

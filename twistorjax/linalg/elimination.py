@@ -12,6 +12,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
 
+# LAPACK inverts a larger matrix with row exchanges in a fraction of the time
+# (`benchmarks.lattices`).
+_LARGEST_WITHOUT_LAPACK = 100
+
 # Real numbers, or their real and imaginary parts; rows, columns, batch.
 _Parts = tuple[Inexact[Array, "_ _ _"], ...]
 
@@ -182,7 +186,8 @@ def pivoted_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Invert a matrix by Gauss-Jordan elimination with row exchanges.
 
     It replaces LAPACK where several batches of calls could run at the same time; see
-    `inverse`. If there is no inverse, the result is not finite.
+    `inverse`. Large matrices are inverted by LAPACK, one after the other. If there is no
+    inverse, the result is not finite.
 
     Example:
         >>> pivoted_inverse(jnp.array([[0.0, 1.0], [2.0, 0.0]]))
@@ -190,6 +195,8 @@ def pivoted_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
                [1. , 0. ]], dtype=float64)
     """
     size = len(matrix)
+    if size > _LARGEST_WITHOUT_LAPACK:
+        return _one_inverse(matrix)
     rows = jnp.arange(size)
 
     def step(k: Array, augmented: Array) -> Array:
@@ -210,6 +217,17 @@ def _(primals, tangents):
     (matrix,), (change,) = primals, tangents
     found = pivoted_inverse(matrix)
     return found, -found @ change @ found
+
+
+@jax.custom_batching.custom_vmap
+def _one_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    return jnp.linalg.inv(matrix)
+
+
+@_one_inverse.def_vmap
+def _(axis_size: int, in_batched: Sequence[bool], matrices: Array):
+    del axis_size, in_batched
+    return jax.lax.map(_one_inverse, matrices), True
 
 
 def solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -259,6 +259,42 @@ def test_hinges_are_colored_by_their_energies():
         tj.draw(mechanism, solution, color={"h": 1.0})
 
 
+def test_an_animation_is_colored_by_stresses():
+    """Of two equal leaves under moments, one bears twice the stress of the other."""
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+    bodies = [tj.Body("wall"), tj.Body("a", (0, 0.1, 0)), tj.Body("b", (0, 0.2, 0))]
+    hinges = [
+        tj.Hinge(name, "wall", name, leaf, at=(np.pi / 2, x, 0.0))
+        for name, x in (("a", 0.1), ("b", 0.2))
+    ]
+    pair = tj.Mechanism(bodies, hinges, fixed=["wall"])
+
+    def bent(moment):
+        loads = [tj.Load("a", moment=moment), tj.Load("b", moment=2 * moment)]
+        return tj.equilibrium(pair, loads=loads).poses
+
+    poses = np.stack([np.asarray(bent(moment)) for moment in (0.01, 0.02)])
+    animation = tj.animate(pair, poses, color="stress")
+    animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
+    axes, bar = animation._fig.axes  # pyright: ignore[reportAttributeAccessIssue]
+    largest = 6 * 0.04 / (10e-3 * 0.5e-3**2)  # Pa
+    assert bar.get_ylabel() == "stress (MPa)"
+    assert_close(bar.get_ylim(), [0.0, 1e-6 * largest], digits=6)
+
+    def colors(frame):
+        animation._func(frame)  # pyright: ignore[reportAttributeAccessIssue]
+        return axes.collections[3].get_edgecolor()
+
+    (half, whole), (quarter, same) = colors(1), colors(0)
+    assert_close(same, half)
+    assert not np.allclose(half, whole) and not np.allclose(quarter, half)
+    with pytest.raises(ValueError, match="The stress is not known in any hinge"):
+        bodies = [tj.Body("a"), tj.Body("b")]
+        spring = tj.Hinge("h", "a", "b", tj.Quadratic(np.eye(3)), at=(0.0, 0.0, 0.0))
+        tj.draw(tj.Mechanism(bodies, [spring], fixed=["a"]), color="stress")
+
+
 def test_pins_and_sliders_are_drawn_on_the_displaced_bodies():
     linkage = four_bar.four_bar()
     poses = np.array(linkage.reference)

@@ -13,7 +13,17 @@ from ..results.solutions import BodyPoses
 from ..solve.continuation.solution import Path
 from ..solve.integration.solution import Motion
 from ..solve.vibrations import Vibrations
-from .drawing import ARE_CLOSED, draw, draw_reference, figure_size, grouped_corners
+from .drawing import (
+    ARE_CLOSED,
+    color_bar,
+    Colors,
+    draw,
+    draw_reference,
+    figure_size,
+    grouped_corners,
+    paint,
+    part_values,
+)
 from .figure_style import length_unit, new_axes
 from .shapes import mechanism_size, shapes
 
@@ -52,6 +62,8 @@ def animate(
     magnify: float | int = 1.0,
     slower: float | int = 1.0,
     frames: int = 120,
+    color: Colors | None = None,
+    label: str = "",
     axes: "Axes | None" = None,
 ) -> "FuncAnimation":
     """Animate a motion, a vibration mode, a path, or a batch of equilibria.
@@ -69,6 +81,9 @@ def animate(
         slower: Factor by which the animation is slower than the motion.
         frames: Maximum number of frames, which are chosen evenly. Drawing a frame takes
             about 0.1 s.
+        color: What colors the hinges or the bodies, as in `draw`. The color bar holds for
+            all frames.
+        label: Label of the color bar, with the unit of the numbers in `color`.
         axes: Axes to draw on. By default new ones are created.
 
     Returns:
@@ -89,8 +104,10 @@ def animate(
         True
     """
     sequence = _frames(mechanism, motion, mode, magnify, slower, frames)
+    displacements = (sequence.poses - np.asarray(mechanism.reference)) / magnify
+    values, label = part_values(mechanism, displacements, color, label)
     if axes is None:
-        width, height = figure_size(mechanism, sequence.poses[0])
+        width, height = figure_size(mechanism, sequence.poses[0], bool(values))
         axes = new_axes((5.0, 5.0 * height / width))
     from matplotlib.animation import FuncAnimation
 
@@ -99,17 +116,21 @@ def animate(
     draw(mechanism, sequence.poses[0], reference=False, names=False, axes=axes)
     collections = cast("list[PolyCollection]", list(axes.collections)[first:])
     draw_reference(mechanism, axes)
+    fills = color_bar(axes, values, label) if values else None
     corners = [
         shape.corners for poses in sequence.poses for shape in shapes(mechanism, poses)
     ]
     axes.set(**_limits(unit * np.concatenate(corners)))
 
     def update(k: int) -> list["PolyCollection"]:
-        groups = grouped_corners(shapes(mechanism, sequence.poses[k]))
+        drawn = shapes(mechanism, sequence.poses[k])
+        groups = grouped_corners(drawn)
         for collection, corners, closed in zip(
             collections, groups, ARE_CLOSED, strict=True
         ):
             collection.set_verts([unit * part for part in corners], closed=closed)
+        if fills is not None:
+            paint(collections, drawn, fills[k])
         axes.set_title(sequence.titles[k], fontsize="medium")
         return collections
 

@@ -17,6 +17,7 @@ from ..mechanism.mechanism import Mechanism
 from ..solve.integration.solution import Motion
 from ..solve.linearization import LinearResponse
 from ..solve.statics.solution import Equilibrium
+from ..solve.stresses import stresses
 from .figure_style import (
     FILLS,
     GRAY,
@@ -47,8 +48,9 @@ Color = tuple[float, ...]  # red, green, blue, opacity
 
 # What can be drawn; poses in rad, m, m
 Drawn = TypeAliasType("Drawn", PosesLike | Equilibrium | LinearResponse | Motion)
-# The stored energy (J), the rotation of each body, or a number for each hinge
-Colors = TypeAliasType("Colors", Literal["energy", "angle"] | NamedNumbers)
+# The stored energy or the stress of each hinge, the rotation of each body, or a number
+# for each hinge
+Colors = TypeAliasType("Colors", Literal["energy", "stress", "angle"] | NamedNumbers)
 
 Part = tuple[str, int]  # "body" or "hinge", and its index in the mechanism
 _MOST_NAMES = 40  # of bodies that are labeled by default
@@ -92,9 +94,9 @@ def draw(
         reactions: Whether the reactions of the equilibrium or motion given as `poses` are
             shown in the same way.
         constraints: Pins and sliders to show.
-        color: "energy" colors the hinges by their stored energies. A mapping colors them
-            by one number for each hinge name, for example a stress. "angle" colors the
-            bodies by their rotations.
+        color: "energy" colors the hinges by their stored energies, and "stress" by their
+            largest stresses; see `stresses`. A mapping colors them by one number for each
+            hinge name. "angle" colors the bodies by their rotations.
         label: Label of the color bar, with the unit of the numbers in `color`.
         axes: Axes to draw on. By default new ones are created.
 
@@ -105,7 +107,8 @@ def draw(
     Raises:
         ImportError: Matplotlib is not installed.
         ValueError: Reactions are requested, but `poses` is not a result that has them;
-            the poses are a batch or not finite; or a name is unknown.
+            the stress is not known in any hinge; the poses are a batch or not finite; or
+            a name is unknown.
 
     Example:
         >>> from twistorjax.examples import stage
@@ -118,13 +121,13 @@ def draw(
     drawn_poses = undeformed + magnify * displacements
     size = mechanism_size(mechanism)
     unit, unit_name = length_unit(size)
-    values, label = _values(mechanism, displacements, color, label)
+    values, label = part_values(mechanism, displacements[None], color, label)
     if axes is None:
         axes = new_axes(figure_size(mechanism, drawn_poses, bool(values)))
     reference = reference and bool(np.any(displacements))
     if reference:
         draw_reference(mechanism, axes)
-    fills = _color_bar(axes, values, label) if values else {}
+    (fills,) = color_bar(axes, values, label) if values else [{}]
     draw_shapes(axes, shapes(mechanism, drawn_poses), unit, fills)
     if names is None:
         names = len(mechanism.names) <= _MOST_NAMES
@@ -181,7 +184,7 @@ def draw_reference(mechanism: Mechanism, axes: "Axes") -> None:
 # Kinds of shapes that are drawn together, and their style
 _STYLES: dict[tuple[str, ...], dict[str, Any]] = {
     ("body", "fixed"): {"edgecolors": "#404040", "linewidths": 0.8, "zorder": 1},
-    ("line",): {"edgecolors": "#7f9fba", "linewidths": 3.0, "zorder": 1},
+    ("line",): {"linewidths": 3.0, "zorder": 1},
     ("hinge",): {"linewidths": 0.8, "zorder": 2},
     ("spring",): {"linewidths": 1.4, "zorder": 2.5},
 }
@@ -198,20 +201,33 @@ def draw_shapes(
     from matplotlib.collections import PolyCollection
 
     collections = []
-    for (kinds, style), corners, closed in zip(
-        _STYLES.items(), grouped_corners(drawn), ARE_CLOSED, strict=True
+    for style, corners, closed in zip(
+        _STYLES.values(), grouped_corners(drawn), ARE_CLOSED, strict=True
+    ):
+        ends = {} if closed else {"capstyle": "round"}
+        scaled, settings = [unit * part for part in corners], {**style, **ends}
+        settings["facecolors"] = "none"
+        collections.append(PolyCollection(scaled, closed=closed, **settings))
+        axes.add_collection(collections[-1])
+    paint(collections, drawn, fills)
+    return collections
+
+
+def paint(
+    collections: "Sequence[PolyCollection]",
+    drawn: Sequence[Shape],
+    fills: Mapping[Part, Color],
+) -> None:
+    """Change the colors of the collections of `draw_shapes`."""
+    for collection, (kinds, style), closed in zip(
+        collections, _STYLES.items(), ARE_CLOSED, strict=True
     ):
         group = [shape for shape in drawn if shape.kind in kinds]
-        colors = [fills.get(shape.part) or _COLORS[shape.kind] for shape in group]
+        colors: Any = [fills.get(shape.part) or _COLORS[shape.kind] for shape in group]
         if closed:
-            style = {"edgecolors": colors, **style, "facecolors": colors}
-        else:
-            style = {"edgecolors": colors, **style, "facecolors": "none"}
-            style["capstyle"] = "round"
-        scaled = [unit * part for part in corners]
-        collections.append(PolyCollection(scaled, closed=closed, **style))
-        axes.add_collection(collections[-1])
-    return collections
+            collection.set_facecolor(colors)
+        if "edgecolors" not in style:
+            collection.set_edgecolor(colors)
 
 
 def grouped_corners(drawn: Sequence[Shape]) -> list[list[np.ndarray]]:
@@ -254,50 +270,69 @@ def _reactions(poses: Drawn | None) -> np.ndarray:
     )
 
 
-def _values(
-    mechanism: Mechanism, displacements: np.ndarray, color: Colors | None, label: str
-) -> tuple[dict[Part, float], str]:
-    """Return a number for each part that is colored, and the label of the color bar."""
+def part_values(
+    mechanism: Mechanism,
+    displacements: np.ndarray,
+    color: Colors | None,
+    label: str = "",
+) -> tuple[dict[Part, np.ndarray], str]:
+    """Return the numbers of each part that is colored, and the label of the color bar.
+
+    There is a number for each frame, in which the bodies have given displacements (rad,
+    m, m).
+    """
     if color is None:
         return {}, ""
     if not isinstance(color, str):
         values = {}
         for name, value in color.items():
             row = index_of("`color`", "hinge", name, mechanism.hinge_names)
-            values["hinge", row] = float(np.asarray(value))
+            values["hinge", row] = np.full(len(displacements), float(np.asarray(value)))
         return values, label
     if color == "angle":
-        angles = np.degrees(displacements[:, 0])
+        angles = np.degrees(displacements[:, :, 0]).T
         return {("body", row): angle for row, angle in enumerate(angles)}, "angle (°)"
-    if color != "energy":
+    if color == "energy":
+        assembly, names = mechanism.hinge_assembly, mechanism.hinge_names
+        of_hinges, unit = _energies(assembly, jnp.asarray(displacements)), "J"
+    elif color == "stress":
+        poses = np.asarray(mechanism.reference) + displacements
+        frames = [stresses(mechanism, of_frame) for of_frame in poses]
+        of_hinges = [frame.largest for frame in frames]
+        unit, names = "Pa", frames[0].names
+    else:
         raise ValueError(
-            f"`color` is {quote(color)}, but must be 'energy', 'angle', or a mapping "
-            "from hinge names to numbers."
+            f"`color` is {quote(color)}, but must be 'energy', 'stress', 'angle', or a "
+            "mapping from hinge names to numbers."
         )
-    energies = np.asarray(_energies(mechanism.hinge_assembly, jnp.asarray(displacements)))
-    factor, unit = prefixed_unit("J", np.max(np.abs(energies)))
-    scaled = {("hinge", row): factor * energy for row, energy in enumerate(energies)}
-    return scaled, f"energy ({unit})"
+    numbers = np.asarray(of_hinges)
+    factor, unit = prefixed_unit(unit, np.max(np.abs(numbers)))
+    rows = [mechanism.hinge_names.index(name) for name in names]
+    scaled = zip(rows, factor * numbers.T, strict=True)
+    return {("hinge", row): values for row, values in scaled}, f"{color} ({unit})"
 
 
-_energies = jax.jit(HingeAssembly.energies)
+_energies = jax.jit(jax.vmap(HingeAssembly.energies, in_axes=(None, 0)))
 
 
-def _color_bar(
-    axes: "Axes", values: Mapping[Part, float], label: str
-) -> dict[Part, Color]:
-    """Draw a color bar beside the axes, and return the color of each part."""
+def color_bar(
+    axes: "Axes", values: Mapping[Part, np.ndarray], label: str
+) -> list[dict[Part, Color]]:
+    """Draw a color bar beside the axes, and return the colors of parts in each frame."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
-    low = min(0.0, *values.values())
+    numbers = np.stack(list(values.values()), axis=1)
+    low = min(0.0, numbers.min())
     # The lightest colors are left out, because they are hard to see on white.
     dark = ListedColormap(colormaps["plasma"](np.linspace(0, 0.88, 256)))
-    scale = ScalarMappable(Normalize(low, max(values.values())), dark)
+    scale = ScalarMappable(Normalize(low, numbers.max()), dark)
     axes.figure.colorbar(scale, ax=axes, label=label, shrink=0.8)
-    rows, colors = list(values), scale.to_rgba(np.array(list(values.values())))
-    return {row: tuple(map(float, rgba)) for row, rgba in zip(rows, colors, strict=True)}
+    return [
+        {part: tuple(map(float, rgba)) for part, rgba in zip(values, colors, strict=True)}
+        for colors in (scale.to_rgba(row) for row in numbers)
+    ]
 
 
 def _label_parts(

@@ -1,6 +1,7 @@
 """Mechanisms of many bodies, whose matrices are eliminated in blocks."""
 
 from dataclasses import replace
+from functools import partial
 from operator import attrgetter
 
 import equinox as eqx
@@ -23,8 +24,8 @@ COUNT = 60
 SLENDER = np.diag([COUNT, 1e6 * COUNT, 12 * COUNT**3])
 
 
-def chain(stiffness):
-    """Return a row of equal links, the first of which is fixed."""
+def chain(stiffness, fixed=("0",)):
+    """Return a row of equal links, by default with the first one fixed."""
     size = 1 / COUNT
     energy = tj.Quadratic(stiffness, "twist")
     bodies = [tj.Body(str(k), (0.0, k * size, 0.0)) for k in range(COUNT + 1)]
@@ -32,7 +33,7 @@ def chain(stiffness):
         tj.Hinge(str(k), str(k), str(k + 1), energy, (0.0, (k + 0.5) * size, 0.0))
         for k in range(COUNT)
     ]
-    return tj.Mechanism(bodies, hinges, fixed=["0"])
+    return tj.Mechanism(bodies, hinges, fixed=fixed)
 
 
 def lattice(columns, rows, fixed, **inertia):
@@ -252,6 +253,44 @@ def test_chain_above_the_load_of_euler_is_unstable():
         return tj.equilibrium(chain(SLENDER), loads=[load], throw=False).succeeded
 
     assert is_stable(0.95 * euler) and not is_stable(1.05 * euler)
+
+
+def test_a_slider_raises_the_load_at_which_a_chain_buckles():
+    """Both ends are then clamped. Otherwise, it would buckle at a sixteenth."""
+    end, euler = str(COUNT), 4 * np.pi**2
+    rail = tj.Slider("rail", "0", end, at=(0.0, 1.0, 0.0))
+
+    def is_stable(force):
+        load = tj.Load(end, force=(-force, 0.0))
+        return tj.equilibrium(
+            chain(SLENDER), loads=[load], constraints=[rail], throw=False
+        ).succeeded
+
+    assert is_stable(0.97 * euler) and not is_stable(1.03 * euler)
+
+
+@pytest.mark.parametrize("solve", [tj.equilibrium, tj.linearize])
+def test_a_pin_of_a_chain_is_a_fixed_point(solve):
+    end = str(COUNT)
+    pin = tj.Pin("pin", "0", end, at=(1.0, 0.0))
+    start = {"0": ["angle", "x", "y"]}
+    loads = [tj.Load(str(COUNT // 2), force=(1.0, 40.0)), tj.Load(end, moment=2.0)]
+
+    def response(fixed, constraints, factor):
+        held = chain(factor * SLENDER, fixed)
+        if solve is tj.linearize:
+            found = solve(held, constraints=constraints)(loads=loads)
+        else:
+            found = solve(held, loads=loads, constraints=constraints)
+        return found.displacements, found
+
+    pinned, fixed = (
+        jax.jvp(partial(response, held, constraints), (1.0,), (1.0,), has_aux=True)
+        for held, constraints in ((start, [pin]), ({**start, end: ["x", "y"]}, []))
+    )
+    for first, second in zip(pinned[:2], fixed[:2], strict=True):
+        assert_close(first, second, digits=9)
+    assert_close(pinned[2].constraint_forces, fixed[2].reactions[-1, 1:], digits=9)
 
 
 @pytest.mark.release

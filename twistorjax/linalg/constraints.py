@@ -6,8 +6,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
+from .block_factors import BlockFactors, Layout
 from .elimination import inverse
-from .factors import Elimination, factorize, Factors
+from .factors import diagonal_scale, Elimination, factorize, Factors
+
+
+# Stiffness of the springs in place of constraints, relative to that of the bodies
+_SPRINGS = 1e3
 
 
 def null_space(
@@ -129,3 +134,63 @@ class ConstrainedFactors(NamedTuple):
         displacement = imposed + self.allowed.expanded(coordinates)
         rest = right[: len(self.stiffness)] - self.stiffness @ displacement
         return jnp.concatenate([displacement, self.allowed.multipliers(rest)])
+
+
+class BorderedFactors(NamedTuple):
+    """Factors of the stiffness of many bodies in blocks, and of its constraints.
+
+    They solve the same equations as `ConstrainedFactors`, by the constraint forces. The
+    stiffness is that of springs in place of the constraints, because without them it may
+    be singular (Nocedal and Wright, Numerical Optimization, 2006, section 17.3).
+    """
+
+    stiffness: Float[Array, "n n"]
+    jacobian: Float[Array, "entries n"]
+    springs: Float[Array, " entries"]
+    sprung: BlockFactors  # of the stiffness with the springs
+    response: Float[Array, "n entries"]  # Displacements under unit constraint forces
+    flexibility: Factors  # Changes of the violations under these
+
+    @classmethod
+    def of(
+        cls,
+        stiffness: Float[Array, "n n"],
+        jacobian: Float[Array, "entries n"],
+        layout: Layout,
+        symmetric: bool,
+    ) -> "BorderedFactors":
+        """Factorize a stiffness; N m/rad, N/rad, N/m.
+
+        The layout has the pairs of bodies that a constraint couples.
+        """
+        scaled = jacobian * diagonal_scale(jnp.diagonal(stiffness))[None]
+        size = jnp.sum(scaled**2, axis=1)
+        springs = _SPRINGS / jnp.where(size > 0, size, 1.0)
+        sprung = stiffness + jacobian.T @ (springs[:, None] * jacobian)
+        factors = BlockFactors.of(layout.of_dense(sprung), layout, symmetric)
+        response = factors.solve(jacobian.T)
+        flexibility = Factors.of(jacobian @ response, symmetric)
+        return cls(stiffness, jacobian, springs, factors, response, flexibility)
+
+    def solve(self, right: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
+        """Solve for displacements, then constraint forces, of one right-hand side."""
+        solution = self._solve(right)
+        count = len(self.stiffness)
+        displacement, forces = solution[:count], solution[count:]
+        product = self.stiffness @ displacement + forces @ self.jacobian
+        residual = right - jnp.append(product, self.jacobian @ displacement)
+        return solution + self._solve(residual)  # The springs are stiff.
+
+    def solve_and_check(
+        self, right: Float[Array, " unknowns"]
+    ) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
+        """Solve, and decide whether the stiffness resists all allowed displacements."""
+        stable = self.sprung.is_stable() & self.flexibility.is_stable()
+        return self.solve(right), stable
+
+    def _solve(self, right: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
+        force, violation = jnp.split(right, [len(self.stiffness)])
+        force = force + self.jacobian.T @ (self.springs * violation)
+        free = self.sprung.solve(force)
+        forces = self.flexibility.solve(self.jacobian @ free - violation)
+        return jnp.concatenate([free - self.response @ forces, forces])

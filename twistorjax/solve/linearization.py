@@ -13,7 +13,7 @@ from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.progress import announced
 from .._utils.types import Entries, Flag, NumberLike, PoseLike, Poses, Scalar, Wrenches
-from ..linalg.constraints import ConstrainedFactors
+from ..linalg.constraints import BorderedFactors, ConstrainedFactors
 from ..linalg.factors import Elimination, Factors
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet, prescribed_dofs
@@ -97,7 +97,7 @@ class Linearization(eqx.Module):
     about: Poses
     matrix: Float[Array, "dofs dofs"]
     jacobian: Float[Array, "entries dofs"]
-    factors: Factors | Elimination | ConstrainedFactors
+    factors: Factors | Elimination | ConstrainedFactors | BorderedFactors
     finite: Flag
     consistent: Flag
     dofs: DofPartition = eqx.field(static=True)

@@ -17,7 +17,11 @@ from ..._utils.types import Entries, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
 from ...assembly.tangent import AssemblyTangent
 from ...linalg.block_factors import block_layout, Layout
-from ...linalg.constraints import AllowedDisplacements, ConstrainedFactors
+from ...linalg.constraints import (
+    AllowedDisplacements,
+    BorderedFactors,
+    ConstrainedFactors,
+)
 from ...linalg.factors import Elimination, factorize, Factors
 from ...mechanism.constraints import ConstraintSet
 from ...mechanism.loads import LoadSet
@@ -54,9 +58,12 @@ class System(eqx.Module):
     @property
     def layout(self) -> Layout | None:
         """Layout of the matrices of many bodies; None if the matrices are dense."""
-        if self.constraints.size:
-            return None
-        return block_layout(self.hinges.ends, self.dofs.free)
+        return None if self.constraints.size else self.constrained_layout
+
+    @property
+    def constrained_layout(self) -> Layout | None:
+        """Layout of the stiffness of many bodies and of products of the constraints."""
+        return block_layout(self.hinges.ends + self.constraints.pairs, self.dofs.free)
 
     @property
     def prescribed(self) -> np.ndarray:
@@ -255,7 +262,8 @@ class System(eqx.Module):
         )
         if not self.constraints.size:
             return unbalanced, DenseTangent(matrix), hinge_tangents
-        tangent = ConstrainedTangent(matrix, jacobian, self.free_units())
+        units, layout = self.free_units(), self.constrained_layout
+        tangent = ConstrainedTangent(matrix, jacobian, units, layout)
         return unbalanced, tangent, hinge_tangents
 
     def dense_tangent(
@@ -317,11 +325,13 @@ class System(eqx.Module):
 
     def factors(
         self, stiffness: Float[Array, "free free"], jacobian: Float[Array, "entries free"]
-    ) -> Factors | Elimination | ConstrainedFactors:
+    ) -> Factors | Elimination | ConstrainedFactors | BorderedFactors:
         """Factorize the stiffness of the free degrees of freedom, with constraints."""
         symmetric = self.loads.conservative
         if not self.constraints.size:
             return factorize(stiffness, symmetric)
+        if (layout := self.constrained_layout) is not None:
+            return BorderedFactors.of(stiffness, jacobian, layout, symmetric)
         allowed = self.allowed_displacements(jacobian)
         return ConstrainedFactors.of(stiffness, allowed, symmetric)
 

@@ -9,7 +9,11 @@ from jaxtyping import Array, Float
 from ..._utils.types import Flag
 from ...assembly.assembly import HingeAssembly
 from ...linalg.block_factors import BlockFactors, Layout
-from ...linalg.constraints import AllowedDisplacements, ConstrainedFactors
+from ...linalg.constraints import (
+    AllowedDisplacements,
+    BorderedFactors,
+    ConstrainedFactors,
+)
 from ...linalg.factors import Elimination, factorize, Factors, solve_once
 from .dofs import DofPartition
 
@@ -92,6 +96,8 @@ class ConstrainedTangent(eqx.Module):
     # Derivatives of the violations with respect to the same
     jacobian: Float[Array, "entries free_and_prescribed"]
     units: Float[Array, " free"]  # Unit of each free degree of freedom; rad, m
+    # Layout of the stiffness of many bodies with constraints; None if it is dense
+    layout: Layout | None = eqx.field(static=True)
 
     def prescribed_forces(
         self, change: Float[Array, " prescribed"]
@@ -102,11 +108,14 @@ class ConstrainedTangent(eqx.Module):
             [self.stiffness[:, count:] @ change, self.jacobian[:, count:] @ change]
         )
 
-    def factors(self, symmetric: bool) -> ConstrainedFactors:
+    def factors(self, symmetric: bool) -> ConstrainedFactors | BorderedFactors:
         """Factorize the stiffness on the displacements that the constraints allow."""
         count = len(self.stiffness)
-        allowed = AllowedDisplacements.of(self.jacobian[:, :count], self.units)
-        return ConstrainedFactors.of(self.stiffness[:, :count], allowed, symmetric)
+        stiffness, jacobian = self.stiffness[:, :count], self.jacobian[:, :count]
+        if self.layout is not None:
+            return BorderedFactors.of(stiffness, jacobian, self.layout, symmetric)
+        allowed = AllowedDisplacements.of(jacobian, self.units)
+        return ConstrainedFactors.of(stiffness, allowed, symmetric)
 
     def solve_and_check(
         self, rights: Float[Array, "rights unknowns"], symmetric: bool
@@ -120,7 +129,7 @@ class ConstrainedTangent(eqx.Module):
             jnp.where(found, matrix, _identity(matrix))
             for matrix in (self.stiffness, self.jacobian)
         )
-        return ConstrainedTangent(stiffness, jacobian, self.units)
+        return ConstrainedTangent(stiffness, jacobian, self.units, self.layout)
 
 
 class BlockTangent(eqx.Module):
@@ -168,7 +177,8 @@ class BlockTangent(eqx.Module):
 
 
 def _solve_with_factors(
-    factors: ConstrainedFactors | BlockFactors, rights: Float[Array, "rights unknowns"]
+    factors: ConstrainedFactors | BorderedFactors | BlockFactors,
+    rights: Float[Array, "rights unknowns"],
 ) -> tuple[Float[Array, "rights unknowns"], Flag]:
     """Solve linear systems, and decide whether the stiffness is stable."""
     solutions, stable = jax.vmap(factors.solve_and_check)(rights)

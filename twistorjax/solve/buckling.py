@@ -267,7 +267,6 @@ class _Modes(NamedTuple):
     forces: Float[Array, "unknowns modes"]
     # Load factors; infinite if a mode has no geometric stiffness
     factors: Float[Array, " modes"]
-
     # Derivatives of the residual at this point, but without constraints
     stiffness: Float[Array, "unknowns unknowns"]
 
@@ -276,10 +275,14 @@ class _Modes(NamedTuple):
     ) -> tuple[Float[Array, "modes modes"], Float[Array, " unknowns"]]:
         """Eliminate all displacements but the amplitudes of the modes.
 
+        Args:
+            tangent: Stiffness at another point.
+            right: Forces (N m, N) and violations.
+            held: Whether the amplitude of each mode stays zero under these forces.
+
         Returns:
             The stiffness against the amplitudes, which is singular where the whole one
-            is; and the displacements that balance the forces `right` if the amplitudes of
-            the modes that are `held` stay zero.
+            is; and the displacements under the forces.
         """
         # Factors of a singular stiffness would be useless.
         shifted = tangent.jacobian + _SHIFT * self.stiffness

@@ -1,6 +1,7 @@
 from .actuator import piezo_stack as piezo_stack
 from .beams.at_pose import beam_at_pose as beam_at_pose, ExactBeam as ExactBeam
 from .beams.beam import Beam as Beam
+from .beams.out_of_plane import out_of_plane_stiffness as out_of_plane_stiffness
 from .beams.stress import (
     largest_stress as largest_stress,
     leaf_stress as leaf_stress,

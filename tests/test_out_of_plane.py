@@ -1,0 +1,183 @@
+"""Stiffness of beams out of their plane, against closed forms and finite elements."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+from scipy.integrate import quad, solve_bvp
+
+import twistorjax as tj
+from twistorjax.flexures.beams.out_of_plane import torsion_constant
+
+
+STEEL = tj.Material(modulus=210e9, poisson=0.3)
+ALUMINUM = tj.Material(modulus=69e9, poisson=0.33)
+LENGTH, THICKNESS = 0.1, 0.5e-3  # m
+
+
+def leaf(width, **settings):
+    sizes = {"length": LENGTH, "thickness": THICKNESS, "width": width, **settings}
+    return tj.flexures.Beam(STEEL, **sizes)
+
+
+def torsional_stiffness(width):
+    """Stiffness of a section by the series of Saint-Venant; N m2."""
+    odd = np.arange(1, 400, 2)
+    series = np.sum(np.tanh(odd * np.pi * width / (2 * THICKNESS)) / odd**5)
+    factor = 1 - 192 / np.pi**5 * THICKNESS / width * series
+    return STEEL.shear_modulus * THICKNESS**3 * width / 3 * factor
+
+
+def guided(beam, stroke):
+    """Return the state of a leaf whose end is displaced without rotation or tension."""
+    force = 12 * beam.rotational_stiffness / LENGTH**2 * stroke
+    load = np.array([0.0, 0.0, force])
+    bent = tj.flexures.beam_under_load(beam, load)
+    for _ in range(4):  # The moment is such that the end does not rotate.
+        load[0] -= beam.rotational_stiffness * bent.pose[0]
+        load[2] *= stroke / bent.pose[2]
+        bent = tj.flexures.beam_under_load(beam, load)
+    return bent
+
+
+def stiffness(beam, solution=None, **settings):
+    return np.asarray(tj.flexures.out_of_plane_stiffness(beam, solution, **settings))
+
+
+@pytest.mark.parametrize(
+    ("width", "stroke", "elements", "tolerance"),
+    [
+        (0.01, 0.0, 102364, 0.01),
+        (0.01, 0.005, 85019.5, 0.005),
+        (0.01, 0.01, 56500, 0.005),
+        (0.02, 0.0, 753965, 0.01),
+        (0.05, 0.0, 7549700, 0.02),
+        (0.05, 0.01, 1573930, 0.1),
+    ],
+)
+def test_support_stiffness_over_the_stroke(width, stroke, elements, tolerance, validated):
+    """Quadratic solid elements with large displacements; x of the moved end is free."""
+    beam = leaf(width)
+    bent = guided(beam, stroke) if stroke else tj.flexures.beam_under_load(beam, 3 * [0])
+    assert_close(bent.pose[::2], [0.0, stroke], digits=6)
+    found = stiffness(beam, bent)[0, 0]
+    assert abs(found / elements - 1) < tolerance
+    what = f"support stiffness of a leaf, w = {width / LENGTH:g} L, stroke {stroke:g} m"
+    validated("Out of the plane", what, found, elements, "solid finite elements")
+
+
+def test_force_on_a_bent_leaf_twists_it():
+    """The law of free torsion holds for small strokes."""
+    width, stroke = 0.02, 0.003
+    beam = leaf(width)
+    found = stiffness(beam, guided(beam, stroke), warping=False)[0, 0]
+    inertia = THICKNESS * width**3 / 12
+    shear = STEEL.shear_modulus * THICKNESS * width * 10 * 1.3 / (12 + 11 * 0.3)
+    bending = LENGTH**3 / (12 * STEEL.modulus * inertia)
+    twisting = LENGTH * stroke**2 / (28 * torsional_stiffness(width))
+    np.testing.assert_allclose(1 / found, bending + LENGTH / shear + twisting, rtol=3e-3)
+
+
+@pytest.mark.parametrize(("width", "warping"), [(0.05, 1.304436295101072), (0.005, None)])
+def test_torsion_of_a_straight_leaf(width, warping):
+    """Restrained warping increases the stiffness by 1 / (1 - tanh(a) / a)."""
+    beam = leaf(width)
+    free, restrained = (stiffness(beam, warping=each)[1, 1] for each in (False, True))
+    torsion = torsional_stiffness(width)
+    assert_close(free, torsion / LENGTH)
+    sectorial = (width * THICKNESS) ** 3 / 144
+    a = LENGTH / 2 * np.sqrt(torsion / (STEEL.modulus * sectorial))
+    factor = 1 / (1 - np.tanh(a) / a)
+    np.testing.assert_allclose(restrained / free, factor, rtol=1e-8)
+    if warping is not None:
+        np.testing.assert_allclose(factor, warping, rtol=1e-8)
+
+
+def test_torsion_constants_of_rectangles():
+    """Saint-Venant's constants, to the digits that tables have."""
+    known = {1.0: 0.1406, 2.0: 0.2287, 10.0: 0.3123}
+    sides = np.array(list(known))
+    found = torsion_constant(jnp.asarray(sides), jnp.ones(()))
+    np.testing.assert_allclose(found / sides, list(known.values()), atol=6e-5)
+    thin = torsion_constant(jnp.array([THICKNESS]), jnp.array(0.05))
+    np.testing.assert_allclose(thin, 2.0702031484108172e-12, rtol=1e-10)
+
+
+def test_an_arc_is_bent_and_twisted_by_a_force_at_its_end():
+    """Circular beam in closed form (Timoshenko, Strength of Materials, part 1)."""
+    radius, turn, width = 0.05, 1.2, 4e-3
+    beam = leaf(width, length=radius * turn, curvature=1 / radius)
+    # Displacements of the end are those of frame b and of its rotations.
+    x, y = radius * np.sin(turn / 2), radius * (1 - np.cos(turn / 2))
+    end = np.array([[1.0, y, -x], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    compliance = end @ np.linalg.inv(stiffness(beam, warping=False)) @ end.T
+    bending = STEEL.modulus * THICKNESS * width**3 / 12
+    torsion = torsional_stiffness(width)
+    shear = STEEL.shear_modulus * THICKNESS * width * 10 * 1.3 / (12 + 11 * 0.3)
+    sine = np.sin(2 * turn) / 4
+    by_bending = radius**3 / bending * (turn / 2 - sine)
+    by_torsion = radius**3 / torsion * (1.5 * turn - 2 * np.sin(turn) + sine)
+    exact = by_bending + by_torsion + radius * turn / shear
+    np.testing.assert_allclose(compliance[0, 0], exact, rtol=1e-7)
+
+
+def test_warping_under_an_uneven_torque():
+    """The twist rate of a bent leaf, by a boundary value problem."""
+    beam, width = leaf(0.03), 0.03
+    bent = guided(beam, 0.01)
+    _, x, y = np.asarray(bent.centerline).T
+    angle = np.asarray(bent.centerline)[:, 0]
+    position = LENGTH / 2 * np.sin(np.linspace(-np.pi / 2, np.pi / 2, len(x)))
+    at = bent.pose[1:]
+    torque = np.cos(angle) * (at[1] - y) - np.sin(angle) * (at[0] - x)
+    torsion = torsional_stiffness(width)
+    restraint = STEEL.modulus * (width * THICKNESS) ** 3 / 144
+
+    def rates(s, state):
+        load = np.polyval(fit, s)
+        return np.array([state[1], (torsion * state[0] - load) / restraint])
+
+    fit = np.polyfit(position, torque, 12)
+    mesh = np.linspace(-LENGTH / 2, LENGTH / 2, 101)
+    found = solve_bvp(
+        rates, lambda a, b: np.array([a[0], b[0]]), mesh, np.zeros((2, 101)), tol=1e-9
+    )
+    twisting = quad(lambda s: np.polyval(fit, s) * found.sol(s)[0], *mesh[[0, -1]])[0]
+    compliances = [
+        np.linalg.inv(stiffness(beam, bent, warping=warping))[0, 0]
+        for warping in (True, False)
+    ]
+    free = quad(lambda s: np.polyval(fit, s) ** 2 / torsion, *mesh[[0, -1]])[0]
+    np.testing.assert_allclose(
+        compliances[1] - compliances[0], free - twisting, rtol=1e-5
+    )
+
+
+def test_a_notch_by_integrals_along_its_profile():
+    """Values of the reference: a Timoshenko beam of variable thickness."""
+    profile = tj.flexures.notch_profile(hole=3e-3, web=0.25e-3)
+    beam = tj.flexures.Beam(
+        ALUMINUM, length=3e-3, thickness=profile, width=0.02, steps=48
+    )
+    found = 1 / np.diagonal(np.linalg.inv(stiffness(beam)))
+    exact = 78967921.9210205, 3.7881667381632855, 8257.211919636387
+    np.testing.assert_allclose(found, exact, rtol=1e-7)
+
+
+def test_derivatives_by_the_stroke_and_the_thickness():
+    def support(at):
+        stroke, thickness = at
+        beam = leaf(0.02, thickness=thickness)
+        pose = jnp.stack([0 * stroke, -0.6 * stroke**2 / LENGTH, stroke])
+        bent = tj.flexures.beam_at_pose(beam, pose)
+        return tj.flexures.out_of_plane_stiffness(beam, bent)[0, 0]
+
+    at, scale = np.array([0.008, THICKNESS]), np.array([1e-3, 1e-4])
+    value_and_slopes = jax.jit(jax.value_and_grad(support))
+    _, slopes = value_and_slopes(at)
+    for k in range(2):
+        step = 1e-4 * scale[k] * np.eye(2)[k]
+        above, below = (value_and_slopes(each)[0] for each in (at + step, at - step))
+        difference = (above - below) / (2e-4 * scale[k])
+        np.testing.assert_allclose(slopes[k], difference, rtol=1e-6)

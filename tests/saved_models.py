@@ -177,7 +177,12 @@ def _of_layout_5():
 
 
 def _of_layout_6():
-    thick = replace(COLUMN, thickness=jnp.asarray(1e-2), shear_ratio=jnp.asarray(0.32))
+    thick = replace(
+        COLUMN,
+        thickness=jnp.asarray(1e-2),
+        shear_ratio=jnp.asarray(0.32),
+        shear_modulus=jnp.asarray(81e9),
+    )
     pivot = MechanismStress(
         parts=(COLUMN, thick),
         coefficients=jnp.asarray(np.arange(24.0).reshape(2, 6, 2) / 7),

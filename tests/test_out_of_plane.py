@@ -8,7 +8,7 @@ from helpers import assert_close
 from scipy.integrate import quad, solve_bvp
 
 import twistorjax as tj
-from twistorjax.flexures.beams.out_of_plane import torsion_constant
+from twistorjax.energies.sections import torsion_constant
 
 
 STEEL = tj.Material(modulus=210e9, poisson=0.3)
@@ -160,7 +160,7 @@ def test_a_notch_by_integrals_along_its_profile():
     beam = tj.flexures.Beam(
         ALUMINUM, length=3e-3, thickness=profile, width=0.02, steps=48
     )
-    found = 1 / np.diagonal(np.linalg.inv(stiffness(beam)))
+    found = 1 / np.diagonal(np.linalg.inv(stiffness(beam, warping=False)))
     exact = 78967921.9210205, 3.7881667381632855, 8257.211919636387
     np.testing.assert_allclose(found, exact, rtol=1e-7)
 
@@ -181,3 +181,118 @@ def test_derivatives_by_the_stroke_and_the_thickness():
         above, below = (value_and_slopes(each)[0] for each in (at + step, at - step))
         difference = (above - below) / (2e-4 * scale[k])
         np.testing.assert_allclose(slopes[k], difference, rtol=1e-6)
+
+
+def turned_guide(turn=0.0, energy=None, origin=(0.0, 0.0)):
+    """Two parallel leaves between a wall and a table, turned in the plane."""
+    rotate = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+    def at(x, y):
+        return turn, *(rotate @ np.array([x, y]))
+
+    if energy is None:
+        energy = tj.flexures.leaf(STEEL, length=LENGTH, thickness=THICKNESS, width=0.02)
+    bodies = [tj.Body("wall"), tj.Body("table", at(LENGTH + origin[0], origin[1]))]
+    leaves = [
+        tj.Hinge(name, "wall", "table", energy, at=at(LENGTH / 2, y))
+        for name, y in (("lower", -0.03), ("upper", 0.03))
+    ]
+    return tj.Mechanism(bodies, leaves, fixed=["wall"])
+
+
+def test_a_guide_has_the_stiffness_of_both_leaves():
+    """Leaves in parallel, at their points on the table, in the numbers of the beam."""
+    guide = turned_guide(energy=tj.flexures.surrogate(leaf(0.02), rotation=0.3))
+    state = tj.equilibrium(guide, drives=[tj.Drive("table", y=0.01)])
+    expected = np.zeros((3, 3))
+    for height in (-0.03, 0.03):
+        pose = guide.displacement_of("lower" if height < 0 else "upper", state)
+        each = stiffness(leaf(0.02), tj.flexures.beam_at_pose(leaf(0.02), pose))
+        arm = np.array([-LENGTH / 2, height])
+        moved = np.array([[1.0, arm[1], -arm[0]], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        expected += moved.T @ each @ moved
+    found = tj.out_of_plane(guide, state).stiffness_at("table")
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-2)
+
+
+@pytest.mark.parametrize("turn", [0.7, -2.0])
+def test_stiffness_does_not_depend_on_the_axes_of_the_world(turn):
+    stroke = 0.008
+    results = []
+    for angle, origin in ((0.0, (0.0, 0.0)), (turn, (0.02, -0.01))):
+        guide = turned_guide(angle, origin=origin)
+        along = stroke * np.array([-np.sin(angle), np.cos(angle)])
+        drive = tj.Drive("table", angle=0.0, x=along[0], y=along[1])
+        state = tj.equilibrium(guide, drives=[drive])
+        port = 0.0, -origin[0], -origin[1]
+        results.append(tj.out_of_plane(guide, state).compliance_at("table", port))
+    np.testing.assert_allclose(results[1], results[0], rtol=1e-8, atol=1e-14)
+
+
+def test_leaves_and_surrogates_have_the_stiffness_of_the_beam():
+    """All hinges of one leaf at one pose; a notch and a linear leaf are straight."""
+    beam = leaf(0.02)
+    unit = beam.rotational_stiffness
+    bent = tj.flexures.beam_under_load(beam, [0.1 * unit, 0.0, 0.2 * unit / LENGTH])
+    pose = np.stack([np.zeros(3), bent.pose])
+    profile = tj.flexures.notch_profile(hole=3e-3, web=0.25e-3)
+    notch = tj.flexures.Beam(
+        ALUMINUM, length=3e-3, thickness=profile, width=0.02, steps=48
+    )
+    sizes = {"length": LENGTH, "thickness": THICKNESS, "width": 0.02}
+    necked = tj.flexures.notch(ALUMINUM, hole=3e-3, web=0.25e-3, width=0.02)
+    for energy, expected, solution, tolerance in (
+        (tj.flexures.leaf(STEEL, **sizes), beam, bent, 3e-4),
+        (tj.flexures.surrogate(beam, rotation=0.5), beam, bent, 1e-4),
+        (tj.flexures.ExactBeam(beam), beam, bent, 1e-7),
+        (tj.flexures.linear_leaf(STEEL, **sizes), beam, None, 1e-9),
+        (necked, notch, None, 1e-6),
+    ):
+        hinge = tj.Hinge("hinge", "wall", "block", energy, at=(0.0, 0.0, 0.0))
+        bodies = [tj.Body("wall"), tj.Body("block")]
+        mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+        found = tj.out_of_plane(mechanism, pose if solution else None)
+        exact = stiffness(expected, solution)
+        scale = np.sqrt(np.outer(np.diagonal(exact), np.diagonal(exact)))
+        error = (np.asarray(found.stiffness_at("block")) - exact) / scale
+        assert np.max(np.abs(error)) < tolerance
+
+
+def test_stiffness_that_is_not_known_is_asked_for():
+    spring = tj.Quadratic(np.eye(3))
+    guide = turned_guide(energy=spring)
+    with pytest.raises(ValueError, match="of 'lower', 'upper' is not known"):
+        tj.out_of_plane(guide)
+    given = np.diag([1e3, 2.0, 3.0])
+    found = tj.out_of_plane(guide, hinges={"lower": given, "upper": given})
+    about_x = 2 * (2.0 + 1e3 * 0.03**2)
+    expected = np.diag([2e3, about_x, 6.0])
+    port = 0.0, -LENGTH / 2, 0.0
+    assert_close(found.stiffness_at("table", port), expected, digits=9)
+    with pytest.raises(ValueError, match="names the hinge 'middle'"):
+        tj.out_of_plane(guide, hinges={"middle": given})
+    with pytest.raises(ValueError, match="'wall', which cannot move"):
+        found.compliance_at("wall")
+    with pytest.raises(RuntimeError, match="'table' can move out of the plane"):
+        tj.out_of_plane(guide, hinges=dict.fromkeys(["lower", "upper"], 0 * given))
+
+
+def test_segments_of_a_leaf_are_refused():
+    """Their cross-sections can warp where two segments meet."""
+    part = tj.flexures.chain("leaf", leaf(0.02), "wall", "table", at=(0.0, 0.05, 0.0))
+    bodies = [tj.Body("wall"), tj.Body("table", (0.0, LENGTH, 0.0)), *part.bodies]
+    divided = tj.Mechanism(bodies, part.hinges, fixed=["wall"])
+    with pytest.raises(ValueError, match="The stiffness out of the plane of 'leaf 1'"):
+        tj.out_of_plane(divided)
+
+
+def test_derivative_of_the_support_stiffness_by_the_stroke():
+    def support(stroke):
+        guide = turned_guide()
+        state = tj.equilibrium(guide, drives=[tj.Drive("table", y=stroke)])
+        return tj.out_of_plane(guide, state).compliance_at("table")[0, 0]
+
+    with_slope = jax.jit(jax.value_and_grad(support))
+    _, slope = with_slope(0.008)
+    above, below = (with_slope(0.008 + step)[0] for step in (1e-6, -1e-6))
+    np.testing.assert_allclose(slope, (above - below) / 2e-6, rtol=1e-6)

@@ -53,6 +53,8 @@ from .solve import (
     linearize as linearize,
     LinearResponse as LinearResponse,
     Motion as Motion,
+    out_of_plane as out_of_plane,
+    OutOfPlane as OutOfPlane,
     Path as Path,
     path as path,
     port_compliance as port_compliance,

@@ -7,11 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._utils.types import Scalar
+from .._utils.types import Matrix, Scalar
 from .._utils.validation import require_positive_fields
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
 from .natural_curvature import NaturallyCurved
+from .sections import out_of_plane_compliance, Sections
 
 
 # Moment, axial force, and transverse force in the mid-frame; N m, N, N
@@ -54,6 +55,18 @@ class AbstractStressModel(eqx.Module):
         force, and the transverse force, in the mid-frame; N m, N, N.
         """
 
+    @property
+    def knows_sections(self) -> bool:
+        """Whether `sections` can be called."""
+        return False
+
+    def sections(self, displacement: Displacement, wrench: MidWrench) -> Sections:
+        """Return the deformed cross-sections in the mid-frame.
+
+        The arguments are those of `surface_stresses`.
+        """
+        raise NotImplementedError
+
     @abstractmethod
     def dilated(self, scale: Float[Array, "*batch"]) -> "AbstractStressModel":
         """Return the model if all dimensions are multiplied by a factor."""
@@ -91,6 +104,28 @@ def surface_stresses(
     model = stress_model(energy)
     assert model is not None
     return model.surface_stresses(displacement, wrench_of_flexure(energy, wrench))
+
+
+def out_of_plane_stiffness(
+    energy: AbstractEnergy, displacement: Displacement, wrench: MidWrench, warping: bool
+) -> Matrix | None:
+    """Compute the stiffness of a flexure out of its plane; None if it is not known.
+
+    It is that of the mid-frame; see `out_of_plane_compliance`. The wrench is that of the
+    hinge; N m, N, N.
+    """
+    if isinstance(energy, NaturallyCurved):
+        deformed = energy.without_curvature(wrench)
+        return out_of_plane_stiffness(energy.energy, displacement, deformed, warping)
+    model, multiple, inner = stress_model(energy), jnp.ones(()), energy
+    if model is None or not model.knows_sections:
+        return None
+    sections = model.sections(displacement, wrench_of_flexure(energy, wrench))
+    while getattr(inner, "stress_model", None) is None:
+        multiple = multiple if inner.multiple is None else multiple * inner.multiple
+        inner = inner.energy
+    stiffness = jnp.linalg.inv(out_of_plane_compliance(sections, warping))
+    return multiple * stiffness
 
 
 def wrench_of_flexure(energy: AbstractEnergy, wrench: MidWrench) -> MidWrench:

@@ -75,6 +75,7 @@ def leaf(
             modulus=material.modulus,
             strengths=material.strengths,
             shear_ratio=as_float(shear / axial) if has_shear else None,
+            shear_modulus=as_float(material.shear_modulus),
         ),
     )
 
@@ -143,7 +144,9 @@ def linear_leaf(
         as_float(stiffness),
         coordinates,
         flexure=True,
-        stress_model=SectionStress.of_leaf(material.strengths, length, thickness, width),
+        stress_model=SectionStress.of_leaf(
+            material.strengths, length, thickness, width, material.moduli
+        ),
     )
 
 

@@ -113,7 +113,7 @@ def notch(
     scale = modulus * width
     units = xp.stack([scale * hole**2, scale, scale])
     stiffness = as_float(xp.diag(units * xp.stack(stiffnesses)))
-    stress = SectionStress.of_notch(material.strengths, hole, web, width)
+    stress = SectionStress.of_notch(material.strengths, hole, web, width, material.moduli)
     return Quadratic(stiffness, coordinates, flexure=True, stress_model=stress)
 
 

@@ -95,6 +95,11 @@ class Material(eqx.Module):
         """Shear modulus; Pa."""
         return self.modulus / (2 * (1 + self.poisson))
 
+    @property
+    def moduli(self) -> tuple[Scalar, Scalar]:
+        """Young's modulus and shear modulus; Pa."""
+        return self.modulus, as_float(self.shear_modulus)
+
 
 # Least and largest values of solids, their unit, and the usual mistake
 _STRENGTHS = 1e4, 1e12, "Pa", "500 MPa is 500e6 Pa"

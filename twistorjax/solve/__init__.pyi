@@ -29,6 +29,7 @@ from .linearization import (
     linearize as linearize,
     LinearResponse as LinearResponse,
 )
+from .out_of_plane import out_of_plane as out_of_plane, OutOfPlane as OutOfPlane
 from .path import path as path
 from .port_compliance import (
     port_compliance as port_compliance,

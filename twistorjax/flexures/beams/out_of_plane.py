@@ -1,28 +1,26 @@
 """Stiffness of a beam out of its plane, about its deformed planar state."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
-from numpy.polynomial import legendre
 
 from ..._compile.compilation import fast_compile
-from ..._utils.types import Matrix, Scalar
-from .beam import Beam, is_uniform, values_along
+from ..._utils.types import Matrix
+from ...energies.sections import (
+    between_sines,
+    NODES,
+    out_of_plane_compliance,
+    Sections,
+)
+from ...geometry import se2
+from .beam import Beam, values_along
 from .under_load import beam_under_load, BeamSolution
 
 
-# Positions along the axis from -1 to 1, and weights of the quadrature of Gauss
-_NODES, _WEIGHTS = legendre.leggauss(200)
-_TWISTS = 64  # polynomials by which the twist rate of a beam is approximated
-_TERMS = 10  # of the series of the torsion constant, after which they are below 1e-13
-# Sum of 1 / m^5 over all odd numbers m
-_ODD_SUM = 1.004523762795139616
-_DEGREE = 9  # of the polynomials between the cross-sections of a solution
-
-
 def out_of_plane_stiffness(
-    beam: Beam, solution: BeamSolution | None = None, *, warping: bool | None = None
+    beam: Beam, solution: BeamSolution | None = None, *, warping: bool = True
 ) -> Matrix:
     """Compute the stiffness of a beam against small displacements out of its plane.
 
@@ -44,9 +42,9 @@ def out_of_plane_stiffness(
         beam: The beam.
         solution: Its deformed state, from `beam_under_load` or `beam_at_pose`; by default
             the undeformed one.
-        warping: Whether the ends cannot warp. By default they cannot if the thickness is
-            uniform. The warping stiffness is that of a thin rectangle, which a notch is
-            not.
+        warping: Whether the ends cannot warp. The restraint is the bending of the fibers
+            of thin cross-sections, which is most of the torsional stiffness of a notch
+            that is wider than long.
 
     Returns:
         The forces on frame b, about its displaced origin and in its displaced axes, for
@@ -71,86 +69,23 @@ def out_of_plane_stiffness(
     """
     if solution is None:
         solution = beam_under_load(beam, [0.0, 0.0, 0.0])
-    if warping is None:
-        warping = is_uniform(beam)
-    thickness = values_along(beam.profile, beam.length / 2 * _NODES)
+    thickness = values_along(beam.profile, beam.length / 2 * NODES)
     return _stiffness(beam, solution, thickness, warping)
 
 
 @fast_compile
 def _stiffness(
-    beam: Beam, solution: BeamSolution, thickness: Float[Array, "200"], warping: bool
+    beam: Beam, solution: BeamSolution, thickness: Float[Array, " nodes"], warping: bool
 ) -> Matrix:
-    """Compute the stiffness for the thickness at the nodes of the quadrature (m)."""
-    modulus, shear_modulus = beam.material.modulus, beam.material.shear_modulus
-    weights = beam.length / 2 * _WEIGHTS
-    angle, x, y = (_between(len(solution.centerline)) @ solution.centerline).T
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    # Columns: moments in frame a for a unit force and unit moments on frame b
-    ones = jnp.ones_like(x)
-    b_cos, b_sin = jnp.cos(solution.pose[0]), jnp.sin(solution.pose[0])
-    moment_x = jnp.stack([solution.pose[2] - y, b_cos * ones, -b_sin * ones], axis=1)
-    moment_y = jnp.stack([x - solution.pose[1], b_sin * ones, b_cos * ones], axis=1)
-    torque = cos[:, None] * moment_x + sin[:, None] * moment_y
-    bending = cos[:, None] * moment_y - sin[:, None] * moment_x
-
-    poisson = beam.material.poisson
-    shear_factor = 10 * (1 + poisson) / (12 + 11 * poisson)
-    area, torsion = thickness * beam.width, torsion_constant(thickness, beam.width)
-    by_bending = weights / (modulus * thickness * beam.width**3 / 12)
-    by_shear = jnp.sum(weights / (shear_factor * shear_modulus * area))
-    compliance = bending.T @ (by_bending[:, None] * bending)
-    compliance = compliance.at[0, 0].add(by_shear)
-    if not warping:
-        by_torsion = weights / (shear_modulus * torsion)
-        return jnp.linalg.inv(compliance + torque.T @ (by_torsion[:, None] * torque))
-    # The twist rate is zero at both ends; its polynomials minimize the potential energy.
-    values, slopes = _twist_rates()
-    sectorial = (thickness * beam.width) ** 3 / 144
-    twisting = weights * shear_modulus * torsion
-    restraint = weights * modulus * sectorial * (2 / beam.length) ** 2
-    matrix = values @ (twisting[:, None] * values.T)
-    matrix = matrix + slopes @ (restraint[:, None] * slopes.T)
-    work = values @ (weights[:, None] * torque)
-    lower = jnp.linalg.cholesky(matrix)
-    strains = jax.scipy.linalg.solve_triangular(lower, work, lower=True)
-    return jnp.linalg.inv(compliance + strains.T @ strains)
-
-
-def torsion_constant(
-    thickness: Float[Array, "*sections"], width: Scalar
-) -> Float[Array, "*sections"]:
-    """Compute the torsion constant of rectangles, by its series; m^4."""
-    short, long = jnp.minimum(thickness, width), jnp.maximum(thickness, width)
-    odd = 2.0 * np.arange(_TERMS) + 1
-    decay = jnp.exp(-np.pi * (long / short)[..., None] * odd[None])
-    # tanh(u) = 1 - 2 exp(-2 u) / (1 + exp(-2 u))
-    rest = jnp.sum(2 * decay / (1 + decay) / odd[None] ** 5, axis=-1)
-    factor = 1 - 192 / np.pi**5 * short / long * (_ODD_SUM - rest)
-    return long * short**3 / 3 * factor
-
-
-def _between(sections: int) -> Float[np.ndarray, "200 sections"]:
-    """Return the matrix that interpolates values at the sections of a solution.
-
-    Their positions are sines of equally spaced angles. Polynomials of the angle through
-    the nearest sections are used.
-    """
-    degree = min(_DEGREE, sections - 1)
-    at = (np.arcsin(_NODES) / np.pi + 0.5) * (sections - 1)
-    first = np.clip(np.round(at - degree / 2).astype(int), 0, sections - 1 - degree)
-    local, points = at - first, np.arange(degree + 1)
-    matrix = np.zeros((len(_NODES), sections))
-    for k in points:
-        others = points[points != k]
-        share = np.prod((local[:, None] - others) / (k - others), axis=1)
-        matrix[np.arange(len(_NODES)), first + k] = share
-    return matrix
-
-
-def _twist_rates() -> tuple[np.ndarray, np.ndarray]:
-    """Return polynomials at the nodes that are zero at -1 and 1, and their slopes."""
-    vander = legendre.legvander(_NODES, _TWISTS + 1)
-    scale = 1 / np.sqrt(4 * np.arange(1, _TWISTS + 1) + 2)[:, None]
-    slopes = vander[:, 1:-1] * (2 * np.arange(1, _TWISTS + 1) + 1)
-    return scale * (vander[:, 2:] - vander[:, :-2]).T, scale * slopes.T
+    """Compute the stiffness for the thickness at the `NODES` (m)."""
+    material, poses = beam.material, solution.centerline
+    in_frame_b = jax.vmap(partial(se2.compose, se2.inverse(solution.pose)))(poses)
+    sections = Sections(
+        between_sines(len(poses)) @ in_frame_b,
+        thickness,
+        beam.length,
+        beam.width,
+        material.modulus,
+        material.shear_modulus,
+    )
+    return jnp.linalg.inv(out_of_plane_compliance(sections, warping))

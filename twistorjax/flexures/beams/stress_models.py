@@ -16,6 +16,7 @@ from ...energies.dilation import multiply_fields
 from ...energies.monomials import Powers
 from ...energies.one_freedom import Freedom, FREEDOM_VARIABLES
 from ...energies.polynomial import require_powers
+from ...energies.sections import between_sines, integrals_along, NODES, Sections
 from ...energies.strains import strain
 from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ...geometry import se2
@@ -49,6 +50,9 @@ class SectionStress(AbstractStressModel):
     width: Scalar  # Out-of-plane; m
     ratio: Scalar  # Half the thickness over the radius of the surface; zero for a leaf
     strengths: Strengths
+    # Young's modulus and shear modulus (Pa), if the thickness changes only by a circular
+    # surface along the notch, or not along the leaf
+    moduli: tuple[Scalar, Scalar] | None = None
 
     def __check_init__(self) -> None:
         require_positive_fields(self, "thickness", "width", or_zero=("arm", "ratio"))
@@ -60,6 +64,7 @@ class SectionStress(AbstractStressModel):
         length: NumberLike,
         thickness: NumberLike,
         width: NumberLike,
+        moduli: tuple[Scalar, Scalar] | None = None,
     ) -> "SectionStress":
         """Create the model of a leaf; m."""
         _, (length, thickness, width) = on_host(length, thickness, width)
@@ -69,11 +74,17 @@ class SectionStress(AbstractStressModel):
             width=as_float(width),
             ratio=as_float(np.zeros(np.shape(length))),
             strengths=strengths,
+            moduli=moduli,
         )
 
     @classmethod
     def of_notch(
-        cls, strengths: Strengths, hole: NumberLike, web: NumberLike, width: NumberLike
+        cls,
+        strengths: Strengths,
+        hole: NumberLike,
+        web: NumberLike,
+        width: NumberLike,
+        moduli: tuple[Scalar, Scalar] | None = None,
     ) -> "SectionStress":
         """Create the model of a notch; m."""
         _, (hole, web, width) = on_host(hole, web, width)
@@ -83,6 +94,7 @@ class SectionStress(AbstractStressModel):
             width=as_float(width),
             ratio=as_float(web / hole),
             strengths=strengths,
+            moduli=moduli,
         )
 
     def surface_stresses(
@@ -100,6 +112,27 @@ class SectionStress(AbstractStressModel):
             bending = bending_factor * (moment - arm * transverse) / modulus
             stresses += [tension - bending, tension + bending]
         return jnp.stack(stresses)
+
+    @property
+    def knows_sections(self) -> bool:
+        return self.moduli is not None
+
+    def sections(self, displacement: Displacement, wrench: MidWrench) -> Sections:
+        """Return the cross-sections, which are those of the undeformed flexure."""
+        del displacement, wrench
+        assert self.moduli is not None
+        is_leaf = self.ratio == 0
+        radius = self.thickness / jnp.where(is_leaf, 1.0, 2 * self.ratio)
+        half = jnp.where(is_leaf, self.arm, radius)
+        zero = jnp.zeros(NODES.shape)
+        surface = jnp.where(is_leaf, 0.0, 2 * radius * (1 - np.sqrt(1 - NODES**2)))
+        return Sections(
+            jnp.stack([zero, half * NODES, zero], axis=1),
+            self.thickness + surface,
+            2 * half,
+            self.width,
+            *self.moduli,
+        )
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
         return multiply_fields(self, scale, arm=1, thickness=1, width=1)
@@ -140,16 +173,58 @@ class BeamColumnStress(AbstractStressModel):
     modulus: Scalar  # Pa
     strengths: Strengths
     shear_ratio: Scalar | None = None  # As in `BeamStress`
+    shear_modulus: Scalar | None = None  # Pa
 
     def __check_init__(self) -> None:
         require_positive_fields(
-            self, "length", "thickness", "width", "modulus", "shear_ratio"
+            self,
+            "length",
+            "thickness",
+            "width",
+            "modulus",
+            "shear_ratio",
+            "shear_modulus",
         )
 
     def surface_stresses(
         self, displacement: Displacement, wrench: MidWrench
     ) -> Float[Array, "34"]:
         """Compute the stress on both sides of each cross-section; Pa."""
+        area = self.width * self.thickness
+        moments = self._moments(displacement, wrench, jnp.linspace(-0.5, 0.5, 17))
+        stress = 6 * moments / (area * self.thickness)
+        return wrench[1] / area + jnp.concatenate([-stress, stress])
+
+    @property
+    def knows_sections(self) -> bool:
+        return self.shear_modulus is not None
+
+    def sections(self, displacement: Displacement, wrench: MidWrench) -> Sections:
+        """Integrate the curvature from the first end, which is fixed to frame a."""
+        assert self.shear_modulus is not None
+        moments = self._moments(displacement, wrench, jnp.asarray(NODES / 2))
+        stiffness = self.modulus * self.width * self.thickness**3 / 12
+        along = self.length / 2 * jnp.asarray(integrals_along())
+        half, arm = displacement.angle / 2, self.length / 2
+        angles = along @ (moments / stiffness) - half
+        x = along @ jnp.cos(angles) - arm * displacement.sigma - displacement.x1
+        y = along @ jnp.sin(angles) + arm * displacement.xi - displacement.x2
+        return Sections(
+            jnp.stack([angles, x, y], axis=1),
+            jnp.full(NODES.shape, self.thickness),
+            self.length,
+            self.width,
+            self.modulus,
+            self.shear_modulus,
+        )
+
+    def _moments(
+        self,
+        displacement: Displacement,
+        wrench: MidWrench,
+        position: Float[Array, " sections"],
+    ) -> Float[Array, " sections"]:
+        """Compute the bending moments at positions from -1/2 to 1/2; N m."""
         moment, axial, transverse = wrench
         area = self.width * self.thickness
         bending = self.modulus * area * self.thickness**2 / 12
@@ -164,14 +239,12 @@ class BeamColumnStress(AbstractStressModel):
             )
         root = jnp.sqrt(jnp.maximum(jnp.abs(ratio), 1e-8))
         # At a larger tension, the hyperbolic functions would overflow.
-        position = jnp.minimum(root, 1000.0) * jnp.linspace(-0.5, 0.5, 17)
+        position = jnp.minimum(root, 1000.0) * jnp.append(position, 0.5)
         compressed = ratio < 0
         cos = jnp.where(compressed, jnp.cos(position), jnp.cosh(position))
         sin = jnp.where(compressed, jnp.sin(position), jnp.sinh(position))
         bowing = bending / self.length * displacement.angle * root / 2
-        moments = mean + (bowing * (cos - cos[-1]) + half * sin) / sin[-1]
-        stress = 6 * moments / (area * self.thickness)
-        return axial / area + jnp.concatenate([-stress, stress])
+        return mean + (bowing * (cos - cos[-1]) + half * sin)[:-1] / sin[-1]
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
         return multiply_fields(self, scale, length=1, thickness=1, width=1)
@@ -201,6 +274,7 @@ class BeamStress(AbstractStressModel):
     shear_ratio: Scalar | None
     strengths: Strengths
     law: Law = eqx.field(static=True)
+    shear_modulus: Scalar | None = None  # Pa
 
     def __check_init__(self) -> None:
         require_positive_fields(
@@ -211,6 +285,7 @@ class BeamStress(AbstractStressModel):
             "modulus",
             "bending_factor",
             "shear_ratio",
+            "shear_modulus",
         )
 
     @classmethod
@@ -230,12 +305,49 @@ class BeamStress(AbstractStressModel):
             shear_ratio=shear_ratio(beam),
             strengths=material.strengths,
             law=beam.law,
+            shear_modulus=as_float(material.shear_modulus),
         )
 
     def surface_stresses(
         self, displacement: Displacement, wrench: MidWrench
     ) -> Float[Array, "402"]:
         """Compute the stress on both sides of each cross-section; Pa."""
+        sections, load, poses = self._deformed(displacement, wrench)
+
+        def fibers(section: CrossSection, pose: Pose) -> Float[Array, "2"]:
+            _, _, strains = section_rates(section, self.law, load, pose)
+            return fiber_strains(section, self.law, strains)
+
+        along = jax.vmap(fibers, in_axes=(_ALONG, 0), out_axes=1)
+        return self.modulus * along(sections, poses).reshape(-1)
+
+    @property
+    def knows_sections(self) -> bool:
+        return self.shear_modulus is not None
+
+    def sections(self, displacement: Displacement, wrench: MidWrench) -> Sections:
+        """Return the cross-sections under the wrench."""
+        assert self.shear_modulus is not None
+        _, _, poses = self._deformed(displacement, wrench)
+        # Poses of the other sections are means, which are less accurate.
+        angle, x, y = (between_sines(len(poses[::2])) @ poses[::2]).T
+        cos, sin = displacement.sigma, displacement.xi
+        x, y = self.length * x, self.length * y
+        at_x = cos * x + sin * y - displacement.x1
+        at_y = cos * y - sin * x - displacement.x2
+        return Sections(
+            jnp.stack([angle - displacement.angle / 2, at_x, at_y], axis=1),
+            between_sines(len(_PARAMETERS)) @ self.thickness,
+            self.length,
+            self.width,
+            self.modulus,
+            self.shear_modulus,
+        )
+
+    def _deformed(
+        self, displacement: Displacement, wrench: MidWrench
+    ) -> tuple[CrossSection, Wrench, Float[Array, "201 3"]]:
+        """Compute sections, load, and poses of the sections, dimensionless in frame a."""
         height = self.thickness / self.length
         middle = height[len(height) // 2]
         area = self.modulus * self.width * self.length * middle
@@ -259,13 +371,7 @@ class BeamStress(AbstractStressModel):
             height / middle, middle, self.bending_factor, self.shear_ratio, curvature
         )
         poses = self._integrate(sections, load, self._first_end(sections))
-
-        def fibers(section: CrossSection, pose: Pose) -> Float[Array, "2"]:
-            _, _, strains = section_rates(section, self.law, load, pose)
-            return fiber_strains(section, self.law, strains)
-
-        along = jax.vmap(fibers, in_axes=(_ALONG, 0), out_axes=1)
-        return self.modulus * along(sections, poses).reshape(-1)
+        return sections, load, poses
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
         return multiply_fields(

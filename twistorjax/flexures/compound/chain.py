@@ -1,6 +1,7 @@
 """Flexures that are divided into segments, each with a surrogate of its own."""
 
 import math
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -355,13 +356,17 @@ def _energies(
             energies.append(of_share[shares[k]])
             continue
         try:
-            energies.append(surrogate(part, rotation=rotation, force=force, error=error))
-            of_share[shares[k]] = energies[-1]
+            energy = surrogate(part, rotation=rotation, force=force, error=error)
         except ValueError as found:
             raise ValueError(
                 f"Segment {k + 1} of the flexure {name!r}: {found} Or divide the flexure "
                 "into more `segments`."
             ) from None
+        # The ends of a segment can warp, so its stiffness out of the plane is not that of
+        # a leaf.
+        model = replace(energy.stress_model, shear_modulus=None)
+        energies.append(replace(energy, stress_model=model))
+        of_share[shares[k]] = energies[-1]
     return energies
 
 

@@ -1,0 +1,123 @@
+"""Compliance of a flexure out of its plane, from its deformed cross-sections."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.polynomial import legendre
+
+from .._utils.types import Matrix, Scalar
+
+
+# Positions along the axis from -1 to 1, and weights of the quadrature of Gauss
+NODES, _WEIGHTS = legendre.leggauss(200)
+_TWISTS = 64  # polynomials by which the twist rate of a flexure is approximated
+_TERMS = 10  # of the series of the torsion constant, after which they are below 1e-13
+# Sum of 1 / m^5 over all odd numbers m
+_ODD_SUM = 1.004523762795139616
+
+
+class Sections(NamedTuple):
+    """Cross-sections of a deformed flexure at the `NODES` along its axis."""
+
+    # Poses of the cross-sections in a frame, by which the compliance is described; rad,
+    # m, m
+    poses: Float[Array, "nodes 3"]
+    thickness: Float[Array, " nodes"]  # In-plane; m
+    length: Scalar  # Along the axis; m
+    width: Scalar  # Out of the plane; m
+    modulus: Scalar  # Pa
+    shear_modulus: Scalar  # Pa
+
+
+def out_of_plane_compliance(sections: Sections, warping: bool) -> Matrix:
+    """Compute the displacements out of the plane of one end, for unit forces on it.
+
+    They are z and the rotations about axes 1 and 2 of the frame of the sections, for a
+    force along z and moments about these axes, at its origin; m/N, rad/N, rad/(N m). With
+    `warping`, the ends of the flexure cannot warp.
+
+    Source:
+        See `flexures.out_of_plane_stiffness`.
+    """
+    poses, thickness, length, width, modulus, shear_modulus = sections
+    weights = length / 2 * _WEIGHTS
+    angle, x, y = poses.T
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    torque = jnp.stack([-cos * y + sin * x, cos, sin], axis=1)
+    bending = jnp.stack([sin * y + cos * x, -sin, cos], axis=1)
+
+    poisson = modulus / (2 * shear_modulus) - 1
+    shear_factor = 10 * (1 + poisson) / (12 + 11 * poisson)
+    area, torsion = thickness * width, torsion_constant(thickness, width)
+    by_bending = weights / (modulus * thickness * width**3 / 12)
+    by_shear = jnp.sum(weights / (shear_factor * shear_modulus * area))
+    compliance = bending.T @ (by_bending[:, None] * bending)
+    compliance = compliance.at[0, 0].add(by_shear)
+    if not warping:
+        by_torsion = weights / (shear_modulus * torsion)
+        return compliance + torque.T @ (by_torsion[:, None] * torque)
+    # The twist rate is zero at both ends; its polynomials minimize the potential energy.
+    values, slopes = _twist_rates()
+    sectorial = area**3 / 144
+    twisting = weights * shear_modulus * torsion
+    restraint = weights * modulus * sectorial * (2 / length) ** 2
+    matrix = values @ (twisting[:, None] * values.T)
+    matrix = matrix + slopes @ (restraint[:, None] * slopes.T)
+    work = values @ (weights[:, None] * torque)
+    lower = jnp.linalg.cholesky(matrix)
+    strains = jax.scipy.linalg.solve_triangular(lower, work, lower=True)
+    return compliance + strains.T @ strains
+
+
+def torsion_constant(
+    thickness: Float[Array, "*sections"], width: Scalar
+) -> Float[Array, "*sections"]:
+    """Compute the torsion constant of rectangles, by its series; m^4."""
+    short, long = jnp.minimum(thickness, width), jnp.maximum(thickness, width)
+    odd = 2.0 * np.arange(_TERMS) + 1
+    decay = jnp.exp(-np.pi * (long / short)[..., None] * odd[None])
+    # tanh(u) = 1 - 2 exp(-2 u) / (1 + exp(-2 u))
+    rest = jnp.sum(2 * decay / (1 + decay) / odd[None] ** 5, axis=-1)
+    factor = 1 - 192 / np.pi**5 * short / long * (_ODD_SUM - rest)
+    return long * short**3 / 3 * factor
+
+
+def _twist_rates() -> tuple[np.ndarray, np.ndarray]:
+    """Return polynomials at the nodes that are zero at -1 and 1, and their slopes."""
+    vander = legendre.legvander(NODES, _TWISTS + 1)
+    scale = 1 / np.sqrt(4 * np.arange(1, _TWISTS + 1) + 2)[:, None]
+    slopes = vander[:, 1:-1] * (2 * np.arange(1, _TWISTS + 1) + 1)
+    return scale * (vander[:, 2:] - vander[:, :-2]).T, scale * slopes.T
+
+
+def between_sines(count: int) -> Float[np.ndarray, "nodes sections"]:
+    """Return the matrix that interpolates values along the axis to the nodes.
+
+    The positions of the values are the sines of equally spaced angles. Polynomials of the
+    angle through the nearest ones are used.
+    """
+    degree = min(9, count - 1)
+    at = (np.arcsin(NODES) / np.pi + 0.5) * (count - 1)
+    first = np.clip(np.round(at - degree / 2).astype(int), 0, count - 1 - degree)
+    local, points = at - first, np.arange(degree + 1)
+    matrix = np.zeros((len(NODES), count))
+    for k in points:
+        others = points[points != k]
+        share = np.prod((local[:, None] - others) / (k - others), axis=1)
+        matrix[np.arange(len(NODES)), first + k] = share
+    return matrix
+
+
+def integrals_along() -> Float[np.ndarray, "nodes nodes"]:
+    """Return the matrix that integrates values at the nodes from -1 to each node."""
+    count = len(NODES)
+    vander = legendre.legvander(NODES, count)
+    # The integral of P_n is (P_(n+1) - P_(n-1)) / (2 n + 1), and that of P_0 is x + 1.
+    degrees = np.arange(1, count)
+    integrals = (vander[:, 2:] - vander[:, :-2]) / (2 * degrees + 1)
+    integrals = np.concatenate([NODES[:, None] + 1, integrals], axis=1)
+    coefficients = vander[:, :-1].T * _WEIGHTS * (np.arange(count) + 0.5)[:, None]
+    return integrals @ coefficients

@@ -1,5 +1,7 @@
 """Stiffness of beams out of their plane, against closed forms and finite elements."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -239,7 +241,11 @@ def test_leaves_and_surrogates_have_the_stiffness_of_the_beam():
     notch = tj.flexures.Beam(
         ALUMINUM, length=3e-3, thickness=profile, width=0.02, steps=48
     )
-    sizes = {"length": LENGTH, "thickness": THICKNESS, "width": 0.02}
+    sizes: dict[str, Any] = {
+        "length": LENGTH,
+        "thickness": THICKNESS,
+        "width": 0.02,
+    }
     necked = tj.flexures.notch(ALUMINUM, hole=3e-3, web=0.25e-3, width=0.02)
     for energy, expected, solution, tolerance in (
         (tj.flexures.leaf(STEEL, **sizes), beam, bent, 3e-4),

@@ -117,15 +117,11 @@ def out_of_plane_stiffness(
     if isinstance(energy, NaturallyCurved):
         deformed = energy.without_curvature(wrench)
         return out_of_plane_stiffness(energy.energy, displacement, deformed, warping)
-    model, multiple, inner = stress_model(energy), jnp.ones(()), energy
+    model = stress_model(energy)
     if model is None or not model.knows_sections:
         return None
     sections = model.sections(displacement, wrench_of_flexure(energy, wrench))
-    while getattr(inner, "stress_model", None) is None:
-        multiple = multiple if inner.multiple is None else multiple * inner.multiple
-        inner = inner.energy
-    stiffness = jnp.linalg.inv(out_of_plane_compliance(sections, warping))
-    return multiple * stiffness
+    return _multiple(energy) * jnp.linalg.inv(out_of_plane_compliance(sections, warping))
 
 
 def wrench_of_flexure(energy: AbstractEnergy, wrench: MidWrench) -> MidWrench:
@@ -134,11 +130,18 @@ def wrench_of_flexure(energy: AbstractEnergy, wrench: MidWrench) -> MidWrench:
     A multiple of an energy is that of several equal flexures in parallel, each of which
     carries its share of the wrench of the hinge.
     """
+    multiple = _multiple(energy)
+    share = jnp.where(multiple > 0, 1 / multiple, 0.0)
+    moment, axial, transverse = wrench
+    return share * moment, share * axial, share * transverse
+
+
+def _multiple(energy: AbstractEnergy) -> Scalar:
+    """Return the number of equal flexures in parallel that make up a hinge."""
     inner: Any = energy
+    multiple = jnp.ones(())
     while getattr(inner, "stress_model", None) is None:
         if inner.multiple is not None:
-            share = jnp.where(inner.multiple > 0, 1 / inner.multiple, 0.0)
-            moment, axial, transverse = wrench
-            wrench = share * moment, share * axial, share * transverse
+            multiple = multiple * inner.multiple
         inner = inner.energy
-    return wrench
+    return multiple

@@ -337,7 +337,7 @@ class BeamStress(AbstractStressModel):
         at_y = cos * y - sin * x - displacement.x2
         return Sections(
             jnp.stack([angle - displacement.angle / 2, at_x, at_y], axis=1),
-            between_sines(len(_PARAMETERS)) @ self.thickness,
+            jnp.asarray(between_sines(len(_PARAMETERS))) @ self.thickness,
             self.length,
             self.width,
             self.modulus,

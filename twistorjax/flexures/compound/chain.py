@@ -38,6 +38,7 @@ from ...mechanism.body import Body
 from ...mechanism.hinge import Hinge
 from ...mechanism.material import Expansion
 from ..beams.beam import arc_rotation, Beam, is_uniform, load_units, pose_units, Uniform
+from ..beams.stress_models import BeamStress
 from ..beams.under_load import (
     beam_under_load,
     end_section,
@@ -364,7 +365,9 @@ def _energies(
             ) from None
         # The ends of a segment can warp, so its stiffness out of the plane is not that of
         # a leaf.
-        model = replace(energy.stress_model, shear_modulus=None)
+        model = energy.stress_model
+        assert isinstance(model, BeamStress)
+        model = replace(model, shear_modulus=None)
         energies.append(replace(energy, stress_model=model))
         of_share[shares[k]] = energies[-1]
     return energies

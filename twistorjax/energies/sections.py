@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from numpy.polynomial import legendre
 
 from .._utils.types import Matrix, Scalar
+from ..geometry.twistors import Displacement
 
 
 # Positions along the axis from -1 to 1, and weights of the quadrature of Gauss
@@ -111,7 +112,21 @@ def between_sines(count: int) -> Float[np.ndarray, "nodes sections"]:
     return matrix
 
 
-def integrals_along() -> Float[np.ndarray, "nodes nodes"]:
+def bent_sections(
+    displacement: Displacement, length: Scalar, curvature: Float[Array, " nodes"]
+) -> Float[Array, "nodes 3"]:
+    """Integrate a curvature from the first end of a flexure, which is fixed to frame a.
+
+    The poses are in the mid-frame; rad, m, m.
+    """
+    along, arm = length / 2 * jnp.asarray(_integrals_along()), length / 2
+    angles = along @ curvature - displacement.angle / 2
+    x = along @ jnp.cos(angles) - arm * displacement.sigma - displacement.x1
+    y = along @ jnp.sin(angles) + arm * displacement.xi - displacement.x2
+    return jnp.stack([angles, x, y], axis=1)
+
+
+def _integrals_along() -> Float[np.ndarray, "nodes nodes"]:
     """Return the matrix that integrates values at the nodes from -1 to each node."""
     count = len(NODES)
     vander = legendre.legvander(NODES, count)

@@ -16,7 +16,7 @@ from ...energies.dilation import multiply_fields
 from ...energies.monomials import Powers
 from ...energies.one_freedom import Freedom, FREEDOM_VARIABLES
 from ...energies.polynomial import require_powers
-from ...energies.sections import between_sines, integrals_along, NODES, Sections
+from ...energies.sections import bent_sections, between_sines, NODES, Sections
 from ...energies.strains import strain
 from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ...geometry import se2
@@ -118,21 +118,17 @@ class SectionStress(AbstractStressModel):
         return self.moduli is not None
 
     def sections(self, displacement: Displacement, wrench: MidWrench) -> Sections:
-        """Return the cross-sections, which are those of the undeformed flexure."""
-        del displacement, wrench
+        """Bend the cross-sections by the moments of the undeformed flexure."""
         assert self.moduli is not None
         is_leaf = self.ratio == 0
         radius = self.thickness / jnp.where(is_leaf, 1.0, 2 * self.ratio)
         half = jnp.where(is_leaf, self.arm, radius)
-        zero = jnp.zeros(NODES.shape)
         surface = jnp.where(is_leaf, 0.0, 2 * radius * (1 - np.sqrt(1 - NODES**2)))
-        return Sections(
-            jnp.stack([zero, half * NODES, zero], axis=1),
-            self.thickness + surface,
-            2 * half,
-            self.width,
-            *self.moduli,
-        )
+        thickness = self.thickness + surface
+        moments = wrench[0] - half * NODES * wrench[2]
+        curvature = 12 * moments / (self.moduli[0] * self.width * thickness**3)
+        poses = bent_sections(displacement, 2 * half, curvature)
+        return Sections(poses, thickness, 2 * half, self.width, *self.moduli)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
         return multiply_fields(self, scale, arm=1, thickness=1, width=1)
@@ -200,17 +196,12 @@ class BeamColumnStress(AbstractStressModel):
         return self.shear_modulus is not None
 
     def sections(self, displacement: Displacement, wrench: MidWrench) -> Sections:
-        """Integrate the curvature from the first end, which is fixed to frame a."""
+        """Bend the cross-sections by the moments."""
         assert self.shear_modulus is not None
         moments = self._moments(displacement, wrench, jnp.asarray(NODES / 2))
         stiffness = self.modulus * self.width * self.thickness**3 / 12
-        along = self.length / 2 * jnp.asarray(integrals_along())
-        half, arm = displacement.angle / 2, self.length / 2
-        angles = along @ (moments / stiffness) - half
-        x = along @ jnp.cos(angles) - arm * displacement.sigma - displacement.x1
-        y = along @ jnp.sin(angles) + arm * displacement.xi - displacement.x2
         return Sections(
-            jnp.stack([angles, x, y], axis=1),
+            bent_sections(displacement, self.length, moments / stiffness),
             jnp.full(NODES.shape, self.thickness),
             self.length,
             self.width,

@@ -304,16 +304,16 @@ class TestBuckling:
 
     @pytest.mark.slow
     def test_column_of_many_links(self):
-        """Only a few of its 180 modes are computed."""
+        """Only a few of its 180 modes are computed. They are soft."""
 
         def factors(rotational):
-            links, load = column(60, rotational), column_load(60)
+            links, load = column(60, rotational, stiff=1e9), column_load(60)
             return tj.buckling(links, loads=[load], modes=3).load_factors
 
         found, slopes = jax.jvp(factors, (2.0,), (1.0,))
         exact = self.exact(count=60)[:3]
-        np.testing.assert_allclose(found, 2.0 * exact, rtol=1e-5)
-        np.testing.assert_allclose(slopes, exact, rtol=1e-5)
+        np.testing.assert_allclose(found, 2.0 * exact, rtol=1e-9)
+        np.testing.assert_allclose(slopes, exact, rtol=1e-6)
 
     @pytest.mark.parametrize("tilt", mostly_slow([0.3, 1e-3, np.pi]))
     def test_a_column_on_pins_in_any_direction(self, tilt):

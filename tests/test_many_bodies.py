@@ -26,6 +26,10 @@ SLENDER = np.diag([COUNT, 1e6 * COUNT, 12 * COUNT**3])
 
 def chain(stiffness, fixed=("0",)):
     """Return a row of equal links, by default with the first one fixed."""
+    return tj.Mechanism(*links(stiffness), fixed=fixed)
+
+
+def links(stiffness):
     size = 1 / COUNT
     energy = tj.Quadratic(stiffness, "twist")
     bodies = [tj.Body(str(k), (0.0, k * size, 0.0)) for k in range(COUNT + 1)]
@@ -33,7 +37,7 @@ def chain(stiffness, fixed=("0",)):
         tj.Hinge(str(k), str(k), str(k + 1), energy, (0.0, (k + 0.5) * size, 0.0))
         for k in range(COUNT)
     ]
-    return tj.Mechanism(bodies, hinges, fixed=fixed)
+    return bodies, hinges
 
 
 def lattice(columns, rows, fixed, **inertia):
@@ -267,6 +271,25 @@ def test_a_slider_raises_the_load_at_which_a_chain_buckles():
         ).succeeded
 
     assert is_stable(0.97 * euler) and not is_stable(1.03 * euler)
+
+
+@pytest.mark.parametrize("height", [1.9995, 2.0])
+def test_a_load_that_takes_the_stiffness_of_a_held_rotation(height):
+    """The first of two bars on springs cannot turn, so that its weight does nothing."""
+    spring = tj.Quadratic(np.diag([1.0, 1e3, 1e3]))
+    bodies, hinges = links(np.diag([1.0, 1e3, 1e3]))
+    bodies += [tj.Body("first"), tj.Body("second")]
+    hinges += [
+        tj.Hinge("lower", "0", "first", spring, at=(0.0, 0.0, 0.0)),
+        tj.Hinge("upper", "first", "second", spring, at=(0.0, 0.0, 0.0)),
+    ]
+    bars = tj.Mechanism(bodies, hinges, fixed=["0"])
+    held = [tj.Constraint("held", ["first"], lambda poses, time: poses[0])]
+    # The stiffness of the first bar against rotation is 2 N m/rad without the weight.
+    weight = tj.Load("first", force=(0.0, -1.0), at=(0.0, height))
+    loads = [weight, tj.Load("second", moment=1e-3)]
+    found = tj.equilibrium(bars, loads=loads, constraints=held)
+    np.testing.assert_allclose(found.displacement("second")[0], 1e-3, rtol=1e-5)
 
 
 @pytest.mark.parametrize("solve", [tj.equilibrium, tj.linearize])

@@ -75,7 +75,7 @@ def leaf(
             modulus=material.modulus,
             strengths=material.strengths,
             shear_ratio=as_float(shear / axial) if has_shear else None,
-            shear_modulus=as_float(material.shear_modulus),
+            shear_modulus=material.shear_modulus,
         ),
     )
 

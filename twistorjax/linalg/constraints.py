@@ -163,7 +163,11 @@ class BorderedFactors(NamedTuple):
 
         The layout has the pairs of bodies that a constraint couples.
         """
-        scaled = jacobian * diagonal_scale(jnp.diagonal(stiffness))[None]
+        # A diagonal entry may vanish under loads, but not its coupling with others.
+        diagonal = jnp.abs(jnp.diagonal(stiffness))
+        others = jnp.where(diagonal > 0, diagonal, jnp.inf)
+        resistance = jnp.max(stiffness**2 / others[None], axis=1)
+        scaled = jacobian * diagonal_scale(resistance)[None]
         size = jnp.sum(scaled**2, axis=1)
         springs = _SPRINGS / jnp.where(size > 0, size, 1.0)
         sprung = stiffness + jacobian.T @ (springs[:, None] * jacobian)

@@ -93,12 +93,13 @@ class Material(eqx.Module):
     @property
     def shear_modulus(self) -> Scalar:
         """Shear modulus; Pa."""
-        return self.modulus / (2 * (1 + self.poisson))
+        _, (modulus, poisson) = on_host(self.modulus, self.poisson)
+        return as_float(modulus / (2 * (1 + poisson)))
 
     @property
     def moduli(self) -> tuple[Scalar, Scalar]:
         """Young's modulus and shear modulus; Pa."""
-        return self.modulus, as_float(self.shear_modulus)
+        return self.modulus, self.shear_modulus
 
 
 # Least and largest values of solids, their unit, and the usual mistake

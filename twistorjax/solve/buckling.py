@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
@@ -271,18 +271,20 @@ class _Modes(NamedTuple):
     stiffness: Float[Array, "unknowns unknowns"]
 
     def reduced(
-        self, tangent: PathTangent, right: Float[Array, " unknowns"], held: Array
-    ) -> tuple[Float[Array, "modes modes"], Float[Array, " unknowns"]]:
+        self,
+        tangent: PathTangent,
+        held: Bool[Array, " modes"],
+    ) -> tuple[Float[Array, "unknowns modes"], Float[Array, " unknowns"]]:
         """Eliminate all displacements but the amplitudes of the modes.
 
         Args:
-            tangent: Stiffness at another point.
-            right: Forces (N m, N) and violations.
-            held: Whether the amplitude of each mode stays zero under these forces.
+            tangent: Residual and derivatives at another point.
+            held: Whether the amplitude of each mode does not change.
 
         Returns:
-            The stiffness against the amplitudes, which is singular where the whole one
-            is; and the displacements under the forces.
+            The displacements with unit amplitudes that the other forces do not resist, of
+            which the stiffness is singular where the whole one is; and those that balance
+            the residual otherwise.
         """
         # Factors of a singular stiffness would be useless.
         shifted = tangent.jacobian + _SHIFT * self.stiffness
@@ -302,9 +304,7 @@ class _Modes(NamedTuple):
 
         forces = -tangent.jacobian @ self.vectors
         shapes = self.vectors + balanced(forces, jnp.ones_like(held))
-        stiffness = shapes.T @ tangent.jacobian @ shapes
-        displacements = balanced(right[:, None], held)[:, 0]
-        return (stiffness + stiffness.T) / 2, displacements
+        return shapes, balanced(-tangent.residual[:, None], held)[:, 0]
 
 
 class _Iteration(NamedTuple):
@@ -342,6 +342,8 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     )
 
     factors, valid = points[:, -1], converged & ~outside
+    # A mode in which the load does no work buckles near its estimate.
+    lost = jnp.isfinite(estimates) & ~coupled & ~converged & ~outside
     sizes = jnp.where(valid, jnp.abs(factors), jnp.inf)
     positive = jnp.where(factors > 0, sizes, jnp.inf)
     lowest = jnp.stack([jnp.argmin(sizes), jnp.argmin(positive)])
@@ -357,7 +359,7 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     # Under loads in the opposite direction, a mechanism may not buckle.
     first, reached = linear.factors[0], points[0]
     missing = jnp.isfinite(first) & ~valid[0] & ((first > 0) | ~jnp.any(valid))
-    missing |= ~followed
+    missing |= ~followed | jnp.any(wanted & (rows < count) & lost)
     distances = jnp.abs(factors[:, None] - factors[None])
     same = distances <= _SAME_FACTOR * jnp.abs(factors)[:, None]
     same = (same & valid[:, None] & valid[None]) | jnp.eye(count_with_copies, dtype=bool)
@@ -490,7 +492,8 @@ def _corrected(
     def improve(state: _Iteration) -> _Iteration:
         point, amplitude = state.point, state.amplitude
         tangent = system.tangent(point)
-        stiffness, correction = linear.reduced(tangent, -tangent.residual, held)
+        shapes, correction = linear.reduced(tangent, held)
+        stiffness = system.stiffness_against(point, shapes)
         value = jnp.linalg.eigvalsh(stiffness)[index]
         secant = (value - state.last[1]) / (amplitude - state.last[0])
         # Small differences may be rounding errors.
@@ -558,8 +561,8 @@ def _is_first(
         tangent = system.tangent(point)
         # The initial stiffness against the amplitudes is the unit matrix.
         none = jnp.zeros(linear.factors.shape, bool)
-        stiffness, _ = linear.reduced(tangent, tangent.residual, none)
-        lowest = jnp.linalg.eigvalsh(stiffness)[0]
+        shapes, _ = linear.reduced(tangent, none)
+        lowest = jnp.linalg.eigvalsh(shapes.T @ tangent.jacobian @ shapes)[0]
         stable &= _is_stable(system, metric, tangent) & (size <= _FOLLOWED)
         return (point, _rate(tangent), stable), lowest
 

@@ -79,9 +79,10 @@ def vibrations(
     A mechanism may have lower modes out of its plane; `out_of_plane` returns its
     stiffness there. Damping is neglected; `frequency_response` includes it. Hinges have
     no mass: divide a flexure whose mass matters by `flexures.chain`. The result is
-    differentiable. If some frequencies are equal, only symmetric functions of them have first
-    derivatives, and only their sum has second derivatives. A few `modes` of a mechanism
-    of many bodies without constraints take a small part of the time of all modes.
+    differentiable. If some frequencies are equal, only symmetric functions of them have
+    first derivatives, and only their sum has second derivatives. A few `modes` of a
+    mechanism of many bodies without constraints take a small part of the time of all
+    modes.
 
     Args:
         mechanism: The mechanism. Bodies that can move need mass and inertia, and the

@@ -296,7 +296,7 @@ class BeamStress(AbstractStressModel):
             shear_ratio=shear_ratio(beam),
             strengths=material.strengths,
             law=beam.law,
-            shear_modulus=as_float(material.shear_modulus),
+            shear_modulus=material.shear_modulus,
         )
 
     def surface_stresses(

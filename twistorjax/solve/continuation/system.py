@@ -178,6 +178,25 @@ class PathSystem(eqx.Module):
 
         return jax.jvp(forces, (factor,), (jnp.ones_like(factor),))[1]
 
+    def stiffness_against(
+        self, point: Float[Array, " n"], shapes: Float[Array, "unknowns shapes"]
+    ) -> Float[Array, "shapes shapes"]:
+        """Compute the stiffness against some displacements; J.
+
+        It is accurate if it is a small part of that of some hinges. The loads have a
+        potential.
+        """
+        system, displacements, multipliers = self.split(point)
+        moved = shapes[: len(self.dofs.free)]
+        stiffness = system.factored_stiffness(displacements).gram(moved)
+        if not self.constraints.size:
+            return stiffness
+        geometric = self.constraints.geometric_stiffness(
+            displacements, system.time, multipliers
+        )
+        free = system.free
+        return stiffness + moved.T @ geometric[free[:, None], free] @ moved
+
     def drive_force(self, point: Float[Array, " n"]) -> Scalar:
         """Compute the work of the reactions for a unit of the load factor; J.
 

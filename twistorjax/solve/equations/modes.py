@@ -33,7 +33,7 @@ def natural_modes(
 ) -> NaturalModes:
     """Compute the lowest modes at displacements (rad, m, m), without follower loads."""
     free, units = system.free, _units(mechanism, system)
-    stiffness = _stiffness(system, displacements)
+    stiffness = system.factored_stiffness(displacements)
     layout = subspace_layout(system, count)
     if layout is not None:
         scaled = ScaledStiffness(stiffness, units, layout)
@@ -67,7 +67,7 @@ def static_rest(
     """Compute the static response of all modes but the lowest ones; rad, m, m."""
     units, layout = _units(mechanism, system), system.layout
     assert layout is not None
-    scaled = ScaledStiffness(_stiffness(system, displacements), units, layout)
+    scaled = ScaledStiffness(system.factored_stiffness(displacements), units, layout)
     vectors, rights = lowest.shapes / units[:, None], units[:, None] * forces
     zero = jnp.zeros(forces.shape[1])
     return units[:, None] * response(scaled, vectors, zero, rights)
@@ -76,15 +76,6 @@ def static_rest(
 def _units(mechanism: Mechanism, system: System) -> Float[Array, " free"]:
     """Return the reciprocal square roots of the inertia."""
     return 1 / jnp.sqrt(mechanism.inertia().reshape(-1)[system.free])
-
-
-def _stiffness(system: System, displacements: Poses) -> FactoredStiffness:
-    """Compute the stiffness without that of the constraints."""
-    _, by_angle = system.loads.apply(displacements)
-    free = system.free
-    # Without follower loads, only the moments of the loads depend on the angles.
-    of_loads = jnp.where(free % 3 == 0, -by_angle.reshape(-1)[free], 0.0)
-    return system.hinges.factored(displacements, of_loads, system.dofs.free)
 
 
 def _natural_modes(

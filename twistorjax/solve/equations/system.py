@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from ..._utils.types import Entries, Poses, Scalar, Wrenches
 from ...assembly.assembly import HingeAssembly
+from ...assembly.factored import FactoredStiffness
 from ...assembly.tangent import AssemblyTangent
 from ...linalg.block_factors import block_layout, Layout
 from ...linalg.constraints import (
@@ -265,6 +266,14 @@ class System(eqx.Module):
         units, layout = self.free_units(), self.constrained_layout
         tangent = ConstrainedTangent(matrix, jacobian, units, layout)
         return unbalanced, tangent, hinge_tangents
+
+    def factored_stiffness(self, displacements: Poses) -> FactoredStiffness:
+        """Compute the stiffness without that of the constraints and follower loads."""
+        _, by_angle = self.loads.apply(displacements)
+        # Without follower loads, only the moments of the loads depend on the angles.
+        rotations = self.free % 3 == 0
+        of_loads = jnp.where(rotations, -by_angle.reshape(-1)[self.free], 0.0)
+        return self.hinges.factored(displacements, of_loads, self.dofs.free)
 
     def dense_tangent(
         self,

@@ -76,7 +76,8 @@ class Buckling(Solution, Tabular):
             direction.
         shapes: Displacements of the bodies in each mode: rotations (rad) and translations
             (m). The rotations, and the translations over the characteristic length of the
-            mechanism, have unit norm.
+            mechanism, have unit norm. At most six modes with equal load factors are
+            different.
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.

@@ -272,6 +272,7 @@ def test_stiffness_that_is_not_known_is_asked_for():
         tj.out_of_plane(guide)
     given = np.diag([1e3, 2.0, 3.0])
     found = tj.out_of_plane(guide, hinges={"lower": given, "upper": given})
+    assert repr(found) == "stiffness out of the plane of 2 bodies; fixed: 'wall'"
     about_x = 2 * (2.0 + 1e3 * 0.03**2)
     expected = np.diag([2e3, about_x, 6.0])
     port = 0.0, -LENGTH / 2, 0.0

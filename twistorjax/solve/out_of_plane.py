@@ -43,6 +43,10 @@ class OutOfPlane(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     fixed: tuple[int, ...] = eqx.field(static=True)
 
+    def __repr__(self) -> str:
+        fixed = listing(self.names[row] for row in self.fixed)
+        return f"stiffness out of the plane of {len(self.names)} bodies; fixed: {fixed}"
+
     def compliance_at(
         self, body: str, at: PoseLike = (0.0, 0.0, 0.0)
     ) -> Float[Array, "*batch 3 3"]:

@@ -4,5 +4,5 @@ Internal. Start reading in `kinematics`, which computes the displacement of one 
 those of its two bodies. `forces` and, in motion, `motion_forces` differentiate its
 energy. `groups` stacks hinges of the same kind, `assembly` computes all hinges together,
 and `tangent` their stiffness, whose entries `scatter` adds up. `stress` computes the
-stresses.
+stresses, and `out_of_plane` the stiffness out of the plane.
 """

@@ -9,8 +9,9 @@ optional.
 `quadratic`, `polynomial` (also rational energies), `mixed`, `one_freedom`, `beam_column`
 (flexures), `axial_spring`, and `point_charges` contain the energies of this library.
 `damping` contains viscous damping, and `validity` the range in which an energy is valid.
-The package `fitting` determines energies from measured wrenches. The other files contain
-the coordinates, polynomials, and potentials that they share.
+The package `fitting` determines energies from measured wrenches. `stress_model` and
+`sections` describe the inside of a flexure: its stress, and its cross-sections. The other
+files contain the coordinates, polynomials, and potentials that they share.
 """
 
 import lazy_loader

@@ -260,7 +260,7 @@ def test_hinges_are_colored_by_their_energies():
 
 
 def test_an_animation_is_colored_by_stresses():
-    """Of two equal leaves under moments, one bears twice the stress of the other."""
+    """Of two equal leaves under moments, one has twice the stress of the other."""
     steel = tj.Material(modulus=210e9, poisson=0.3)
     leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
     bodies = [tj.Body("wall"), tj.Body("a", (0, 0.1, 0)), tj.Body("b", (0, 0.2, 0))]

@@ -1,19 +1,19 @@
 """Compliance of a flexure out of its plane, from its deformed cross-sections."""
 
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.polynomial import legendre
 
-from .._utils.types import Matrix, Scalar
+from .._utils.types import Matrix, Pose, Scalar
+from ..geometry import se2
 from ..geometry.twistors import Displacement
 
 
-# Positions along the axis from -1 to 1, and weights of the quadrature of Gauss
-NODES, _WEIGHTS = legendre.leggauss(200)
+_NODES = 200  # of the quadrature along the axis
 _TWISTS = 64  # polynomials by which the twist rate of a flexure is approximated
 _TERMS = 10  # of the series of the torsion constant, after which they are below 1e-13
 # Sum of 1 / m^5 over all odd numbers m
@@ -21,7 +21,7 @@ _ODD_SUM = 1.004523762795139616
 
 
 class Sections(NamedTuple):
-    """Cross-sections of a deformed flexure at the `NODES` along its axis."""
+    """Cross-sections of a deformed flexure at the `nodes` along its axis."""
 
     # Poses of the cross-sections in a frame, by which the compliance is described; rad,
     # m, m
@@ -31,6 +31,27 @@ class Sections(NamedTuple):
     width: Scalar  # Out of the plane; m
     modulus: Scalar  # Pa
     shear_modulus: Scalar  # Pa
+
+
+@cache
+def _quadrature() -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes from -1 to 1 and the weights of the quadrature of Gauss."""
+    # This package takes 20 ms to load, and few programs need it.
+    from numpy.polynomial import legendre
+
+    return legendre.leggauss(_NODES)
+
+
+def nodes() -> Float[np.ndarray, " nodes"]:
+    """Return the positions of the cross-sections along the axis, from -1 to 1."""
+    return _quadrature()[0]
+
+
+def _polynomials(degree: int) -> Float[np.ndarray, "nodes polynomials"]:
+    """Return the polynomials of Legendre at the nodes, up to a degree."""
+    from numpy.polynomial import legendre
+
+    return legendre.legvander(nodes(), degree)
 
 
 def out_of_plane_compliance(sections: Sections, warping: bool) -> Matrix:
@@ -44,7 +65,7 @@ def out_of_plane_compliance(sections: Sections, warping: bool) -> Matrix:
         See `flexures.out_of_plane_stiffness`.
     """
     poses, thickness, length, width, modulus, shear_modulus = sections
-    weights = length / 2 * _WEIGHTS
+    weights = length / 2 * _quadrature()[1]
     angle, x, y = poses.T
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     torque = jnp.stack([-cos * y + sin * x, cos, sin], axis=1)
@@ -88,28 +109,37 @@ def torsion_constant(
 
 def _twist_rates() -> tuple[np.ndarray, np.ndarray]:
     """Return polynomials at the nodes that are zero at -1 and 1, and their slopes."""
-    vander = legendre.legvander(NODES, _TWISTS + 1)
-    scale = 1 / np.sqrt(4 * np.arange(1, _TWISTS + 1) + 2)[:, None]
-    slopes = vander[:, 1:-1] * (2 * np.arange(1, _TWISTS + 1) + 1)
-    return scale * (vander[:, 2:] - vander[:, :-2]).T, scale * slopes.T
+    polynomials = _polynomials(_TWISTS + 1)
+    # The difference of those of degrees n + 1 and n - 1 has the slope (2 n + 1) P_n.
+    slopes = 2 * np.arange(1, _TWISTS + 1) + 1
+    values = (polynomials[:, 2:] - polynomials[:, :-2]) / np.sqrt(2 * slopes)
+    return values.T, (polynomials[:, 1:-1] * np.sqrt(slopes / 2)).T
 
 
-def between_sines(count: int) -> Float[np.ndarray, "nodes sections"]:
-    """Return the matrix that interpolates values along the axis to the nodes.
+def at_nodes(values: Float[Array, "sections ..."]) -> Float[Array, "nodes ..."]:
+    """Interpolate values along the axis to the nodes.
 
-    The positions of the values are the sines of equally spaced angles. Polynomials of the
-    angle through the nearest ones are used.
+    Their positions are the sines of equally spaced angles. Polynomials of the angle
+    through the nearest ones are used.
     """
+    count = len(values)
     degree = min(9, count - 1)
-    at = (np.arcsin(NODES) / np.pi + 0.5) * (count - 1)
+    at = (np.arcsin(nodes()) / np.pi + 0.5) * (count - 1)
     first = np.clip(np.round(at - degree / 2).astype(int), 0, count - 1 - degree)
     local, points = at - first, np.arange(degree + 1)
-    matrix = np.zeros((len(NODES), count))
+    matrix = np.zeros((_NODES, count))
     for k in points:
         others = points[points != k]
         share = np.prod((local[:, None] - others) / (k - others), axis=1)
-        matrix[np.arange(len(NODES)), first + k] = share
-    return matrix
+        matrix[np.arange(_NODES), first + k] = share
+    return jnp.asarray(matrix) @ values
+
+
+def seen_from(
+    frame: Pose, poses: Float[Array, "sections 3"]
+) -> Float[Array, "sections 3"]:
+    """Return poses as seen from a frame, which has a pose in the same frame as they."""
+    return jax.vmap(partial(se2.compose, se2.inverse(frame)))(poses)
 
 
 def bent_sections(
@@ -128,11 +158,9 @@ def bent_sections(
 
 def _integrals_along() -> Float[np.ndarray, "nodes nodes"]:
     """Return the matrix that integrates values at the nodes from -1 to each node."""
-    count = len(NODES)
-    vander = legendre.legvander(NODES, count)
+    at, weights = _quadrature()
+    polynomials, degrees = _polynomials(_NODES), np.arange(_NODES)
     # The integral of P_n is (P_(n+1) - P_(n-1)) / (2 n + 1), and that of P_0 is x + 1.
-    degrees = np.arange(1, count)
-    integrals = (vander[:, 2:] - vander[:, :-2]) / (2 * degrees + 1)
-    integrals = np.concatenate([NODES[:, None] + 1, integrals], axis=1)
-    coefficients = vander[:, :-1].T * _WEIGHTS * (np.arange(count) + 0.5)[:, None]
-    return integrals @ coefficients
+    integrals = (polynomials[:, 2:] - polynomials[:, :-2]) / (2 * degrees[1:] + 1)
+    integrals = np.concatenate([at[:, None] + 1, integrals], axis=1)
+    return integrals @ (polynomials[:, :-1].T * weights * (degrees + 0.5)[:, None])

@@ -145,7 +145,11 @@ def linear_leaf(
         coordinates,
         flexure=True,
         stress_model=SectionStress.of_leaf(
-            material.strengths, length, thickness, width, material.moduli
+            material.strengths,
+            length,
+            thickness,
+            width,
+            (material.modulus, material.shear_modulus),
         ),
     )
 

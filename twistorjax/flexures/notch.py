@@ -113,7 +113,8 @@ def notch(
     scale = modulus * width
     units = xp.stack([scale * hole**2, scale, scale])
     stiffness = as_float(xp.diag(units * xp.stack(stiffnesses)))
-    stress = SectionStress.of_notch(material.strengths, hole, web, width, material.moduli)
+    moduli = material.modulus, material.shear_modulus
+    stress = SectionStress.of_notch(material.strengths, hole, web, width, moduli)
     return Quadratic(stiffness, coordinates, flexure=True, stress_model=stress)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Complex, Float, Inexact, Int
 
 from .._utils.types import Flag, Scalar
 from .elimination import inverse
-from .factors import diagonal_scale, Factors, is_stable
+from .factors import diagonal_scale, Factors, is_stable, scale_rows
 
 
 # With fewer free degrees of freedom, or fewer blocks, a dense factorization is faster
@@ -217,15 +217,14 @@ class BlockFactors(eqx.Module):
 
     def solve(self, right: Float[Array, "free ..."]) -> Float[Array, "free ..."]:
         one = jnp.ones(self.layout.size)
-        scale = self.scale.reshape(-1, *(1,) * (right.ndim - 1))
 
         def solve_block(factors: tuple[Array, Array | None], right: Array) -> Array:
             return Factors(one, *factors).solve_scaled(right)
 
-        rows = self.layout.rows(scale * right)
+        rows = self.layout.rows(scale_rows(self.scale, right))
         factors = self.triangles, self.pivots
         solution = _substitute(solve_block, factors, self.below, self.above, rows)
-        return scale * self.layout.vector(solution)
+        return scale_rows(self.scale, self.layout.vector(solution))
 
     def solve_and_check(
         self, right: Float[Array, " free"]

@@ -47,8 +47,7 @@ class Factors(NamedTuple):
         return cls(scale, *jax.scipy.linalg.lu_factor(matrix))
 
     def solve(self, right: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
-        scale = self.scale.reshape(-1, *(1,) * (right.ndim - 1))
-        return scale * self.solve_scaled(scale * right)
+        return scale_rows(self.scale, self.solve_scaled(scale_rows(self.scale, right)))
 
     def solve_scaled(self, right: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
         """Solve the scaled linear system for one or more right-hand sides."""
@@ -158,6 +157,13 @@ def diagonal_scale(diagonal: Float[Array, "*blocks n"]) -> Float[Array, "*blocks
     """Compute the reciprocal square roots of a diagonal; 1 where it is zero."""
     size = jnp.abs(diagonal)
     return jax.lax.rsqrt(jnp.where(size > 0, size, 1.0))
+
+
+def scale_rows(
+    scale: Float[Array, " n"], columns: Float[Array, "n ..."]
+) -> Float[Array, "n ..."]:
+    """Multiply the rows of one or more columns."""
+    return scale.reshape(-1, *(1,) * (columns.ndim - 1)) * columns
 
 
 def is_stable(

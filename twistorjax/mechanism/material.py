@@ -96,11 +96,6 @@ class Material(eqx.Module):
         _, (modulus, poisson) = on_host(self.modulus, self.poisson)
         return as_float(modulus / (2 * (1 + poisson)))
 
-    @property
-    def moduli(self) -> tuple[Scalar, Scalar]:
-        """Young's modulus and shear modulus; Pa."""
-        return self.modulus, self.shear_modulus
-
 
 # Least and largest values of solids, their unit, and the usual mistake
 _STRENGTHS = 1e4, 1e12, "Pa", "500 MPa is 500e6 Pa"

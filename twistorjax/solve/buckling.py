@@ -272,9 +272,7 @@ class _Modes(NamedTuple):
     stiffness: Float[Array, "unknowns unknowns"]
 
     def reduced(
-        self,
-        tangent: PathTangent,
-        held: Bool[Array, " modes"],
+        self, tangent: PathTangent, held: Bool[Array, " modes"]
     ) -> tuple[Float[Array, "unknowns modes"], Float[Array, " unknowns"]]:
         """Eliminate all displacements but the amplitudes of the modes.
 
@@ -360,7 +358,7 @@ def _buckling(system: PathSystem, modes: int) -> tuple[Buckling, Poses]:
     # Under loads in the opposite direction, a mechanism may not buckle.
     first, reached = linear.factors[0], points[0]
     missing = jnp.isfinite(first) & ~valid[0] & ((first > 0) | ~jnp.any(valid))
-    missing |= ~followed | jnp.any(wanted & (rows < count) & lost)
+    missing |= ~followed | jnp.any(lost[:count])
     distances = jnp.abs(factors[:, None] - factors[None])
     same = distances <= _SAME_FACTOR * jnp.abs(factors)[:, None]
     same = (same & valid[:, None] & valid[None]) | jnp.eye(count_with_copies, dtype=bool)
@@ -478,11 +476,7 @@ def _corrected(
     earlier = jnp.arange(len(linear.factors)) < row
     index = jnp.sum(earlier & (linear.factors * estimate > 0))
     held = jnp.abs(linear.factors) <= 2 * jnp.abs(estimate)
-
-    def in_modes(change: Float[Array, " n"]) -> Float[Array, " modes"]:
-        return linear.forces.T @ change[:-1]
-
-    shares = in_modes(linear.rate)
+    shares = linear.forces.T @ linear.rate[:-1]
     held_rate = jnp.append(linear.vectors @ jnp.where(held, shares, 0.0), 0.0)
     mode = linear.vectors[:, row]
     coupled = jnp.abs(shares[row]) > _COUPLED * linear.rate_size

@@ -12,11 +12,12 @@ from jaxtyping import Array, Float
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.progress import announced
-from .._utils.types import MatrixLike, PoseLike, PosesOrResult
+from .._utils.types import MatrixLike, Pose, PoseLike, PosesOrResult
 from .._utils.validation import index_of, listing, require_array, require_pose
 from ..assembly.assembly import HingeAssembly
 from ..assembly.out_of_plane import assembled_stiffness, Given, hinges_without_stiffness
 from ..geometry import se2
+from ..linalg.factors import Factors
 from ..mechanism.mechanism import Mechanism
 
 
@@ -42,6 +43,17 @@ class OutOfPlane(eqx.Module):
     poses: Float[Array, "*batch bodies 3"]
     names: tuple[str, ...] = eqx.field(static=True)
     fixed: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def _free(self) -> list[int]:
+        """Indices of the bodies that can move out of the plane."""
+        return [row for row in range(len(self.names)) if row not in self.fixed]
+
+    @property
+    def _free_stiffness(self) -> Float[Array, "*batch free free"]:
+        """Stiffness of the bodies that can move out of the plane."""
+        dofs = np.ravel(3 * np.array(self._free)[:, None] + np.arange(3))
+        return self.stiffness[..., dofs[:, None], dofs]
 
     def __repr__(self) -> str:
         fixed = listing(self.names[row] for row in self.fixed)
@@ -70,14 +82,10 @@ class OutOfPlane(eqx.Module):
                 f"The port is on {body!r}, which cannot move, so its compliance has no "
                 "inverse. Choose another body."
             )
-        free = [k for k in range(len(self.names)) if k not in self.fixed]
-        dofs = np.ravel(3 * np.array(free)[:, None] + np.arange(3))
-        port = require_pose("`at`", at)
-        batch = self.stiffness.shape[:-2]
-        of_one = partial(_compliance, tuple(dofs.tolist()), free.index(row), row, port)
-        found = jax.vmap(of_one)(
-            self.stiffness.reshape(-1, *self.stiffness.shape[-2:]),
-            self.poses.reshape(-1, *self.poses.shape[-2:]),
+        port, stiffness = require_pose("`at`", at), self._free_stiffness
+        *batch, size, _ = stiffness.shape
+        found = jax.vmap(partial(_compliance, self._free.index(row), port))(
+            stiffness.reshape(-1, size, size), self.poses[..., row, :].reshape(-1, 3)
         )
         return found.reshape(*batch, 3, 3)
 
@@ -98,6 +106,25 @@ class OutOfPlane(eqx.Module):
             ValueError: There is no such body, or it cannot move.
         """
         return jnp.linalg.inv(self.compliance_at(body, at))
+
+    def _require_support(self) -> None:
+        """Raise an error if a body can move out of the plane without resistance."""
+        stiffness = concrete(self._free_stiffness)
+        if stiffness is None or not np.all(np.isfinite(stiffness)):
+            return
+        for matrix in stiffness.reshape(-1, *stiffness.shape[-2:]):
+            sizes = np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny)
+            scale = 1 / np.sqrt(sizes)
+            values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale[None])
+            if values[0] <= _SINGULAR:
+                parts = np.linalg.norm(vectors[:, 0].reshape(-1, 3), axis=1)
+                rows = np.flatnonzero(parts > 0.1 * np.max(parts))
+                moving = [self._free[k] for k in rows]
+                raise RuntimeError(
+                    f"{listing(self.names[row] for row in moving)} can move out of the "
+                    "plane without resistance. Connect it to fixed bodies by flexures, "
+                    "or name it in `fixed`."
+                )
 
 
 @announced("out-of-plane stiffness")
@@ -181,7 +208,7 @@ def out_of_plane(
     stiffness = mechanism.of_hinges(at, partial(_stiffness, given, warping))
     poses = mechanism.displacements(at, "about") + mechanism.reference
     result = OutOfPlane(stiffness, poses, mechanism.names, tuple(sorted(held)))
-    _require_support(result)
+    result._require_support()
     return result
 
 
@@ -192,41 +219,14 @@ def _stiffness(
     return assembled_stiffness(hinges, displacements, warping, given)
 
 
-def _compliance(
-    dofs: tuple[int, ...], index: int, body: int, port: Array, stiffness: Array, poses
-) -> Array:
-    """Compute the compliance of a port on a body, which is one of those that can move."""
-    rows = np.array(dofs)
-    matrix = stiffness[rows[:, None], rows]
-    scale = 1 / jnp.sqrt(jnp.abs(jnp.diagonal(matrix)))
-    lower = jnp.linalg.cholesky(scale[:, None] * matrix * scale[None])
-    columns = np.eye(len(rows))[:, 3 * index : 3 * index + 3] * scale[:, None]
-    half = jax.scipy.linalg.solve_triangular(lower, columns, lower=True)
-    compliance = half.T @ half
-    frame = se2.compose(poses[body] * jnp.array([1.0, 0.0, 0.0]), port)
+def _compliance(index: int, port: Pose, stiffness: Array, pose: Pose) -> Array:
+    """Compute the compliance of a port on one of the bodies that can move."""
+    rows = slice(3 * index, 3 * index + 3)
+    factors = Factors.of(stiffness, symmetric=True)
+    compliance = factors.solve(jnp.eye(len(stiffness))[:, rows])[rows]
+    frame = se2.compose(pose * jnp.array([1.0, 0.0, 0.0]), port)
     angle, x, y = frame
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     moved = jnp.array([[one, y, -x], [zero, cos, sin], [zero, -sin, cos]])
     return moved @ compliance @ moved.T
-
-
-def _require_support(result: OutOfPlane) -> None:
-    """Raise an error if a body can move out of the plane without resistance."""
-    stiffness = concrete(result.stiffness)
-    if stiffness is None or not np.all(np.isfinite(stiffness)):
-        return
-    free = [k for k in range(len(result.names)) if k not in result.fixed]
-    dofs = np.ravel(3 * np.array(free)[:, None] + np.arange(3))
-    for matrix in stiffness.reshape(-1, *stiffness.shape[-2:]):
-        part = matrix[np.ix_(dofs, dofs)]
-        scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(part)), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(scale[:, None] * part * scale[None])
-        if values[0] <= _SINGULAR:
-            sizes = np.linalg.norm(vectors[:, 0].reshape(-1, 3), axis=1)
-            moving = [free[k] for k in np.flatnonzero(sizes > 0.1 * np.max(sizes))]
-            raise RuntimeError(
-                f"{listing(result.names[row] for row in moving)} can move out of the "
-                "plane without resistance. Connect it to fixed bodies by flexures, or "
-                "name it in `fixed`."
-            )

@@ -1,20 +1,17 @@
 """Stiffness of a beam out of its plane, about its deformed planar state."""
 
-from functools import partial
-
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
 from ..._utils.types import Matrix
 from ...energies.sections import (
-    between_sines,
-    NODES,
+    at_nodes,
+    nodes,
     out_of_plane_compliance,
     Sections,
+    seen_from,
 )
-from ...geometry import se2
 from .beam import Beam, values_along
 from .under_load import beam_under_load, BeamSolution
 
@@ -69,7 +66,7 @@ def out_of_plane_stiffness(
     """
     if solution is None:
         solution = beam_under_load(beam, [0.0, 0.0, 0.0])
-    thickness = values_along(beam.profile, beam.length / 2 * NODES)
+    thickness = values_along(beam.profile, beam.length / 2 * nodes())
     return _stiffness(beam, solution, thickness, warping)
 
 
@@ -77,11 +74,10 @@ def out_of_plane_stiffness(
 def _stiffness(
     beam: Beam, solution: BeamSolution, thickness: Float[Array, " nodes"], warping: bool
 ) -> Matrix:
-    """Compute the stiffness for the thickness at the `NODES` (m)."""
-    material, poses = beam.material, solution.centerline
-    in_frame_b = jax.vmap(partial(se2.compose, se2.inverse(solution.pose)))(poses)
+    """Compute the stiffness for the thickness at the `nodes` (m)."""
+    material = beam.material
     sections = Sections(
-        between_sines(len(poses)) @ in_frame_b,
+        at_nodes(seen_from(solution.pose, solution.centerline)),
         thickness,
         beam.length,
         beam.width,

@@ -16,7 +16,13 @@ from ...energies.dilation import multiply_fields
 from ...energies.monomials import Powers
 from ...energies.one_freedom import Freedom, FREEDOM_VARIABLES
 from ...energies.polynomial import require_powers
-from ...energies.sections import bent_sections, between_sines, NODES, Sections
+from ...energies.sections import (
+    at_nodes,
+    bent_sections,
+    nodes,
+    Sections,
+    seen_from,
+)
 from ...energies.strains import strain
 from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ...geometry import se2
@@ -123,9 +129,9 @@ class SectionStress(AbstractStressModel):
         is_leaf = self.ratio == 0
         radius = self.thickness / jnp.where(is_leaf, 1.0, 2 * self.ratio)
         half = jnp.where(is_leaf, self.arm, radius)
-        surface = jnp.where(is_leaf, 0.0, 2 * radius * (1 - np.sqrt(1 - NODES**2)))
+        surface = jnp.where(is_leaf, 0.0, 2 * radius * (1 - np.sqrt(1 - nodes() ** 2)))
         thickness = self.thickness + surface
-        moments = wrench[0] - half * NODES * wrench[2]
+        moments = wrench[0] - half * nodes() * wrench[2]
         curvature = 12 * moments / (self.moduli[0] * self.width * thickness**3)
         poses = bent_sections(displacement, 2 * half, curvature)
         return Sections(poses, thickness, 2 * half, self.width, *self.moduli)
@@ -198,11 +204,11 @@ class BeamColumnStress(AbstractStressModel):
     def sections(self, displacement: Displacement, wrench: MidWrench) -> Sections:
         """Bend the cross-sections by the moments."""
         assert self.shear_modulus is not None
-        moments = self._moments(displacement, wrench, jnp.asarray(NODES / 2))
+        moments = self._moments(displacement, wrench, jnp.asarray(nodes() / 2))
         stiffness = self.modulus * self.width * self.thickness**3 / 12
         return Sections(
             bent_sections(displacement, self.length, moments / stiffness),
-            jnp.full(NODES.shape, self.thickness),
+            jnp.full(nodes().shape, self.thickness),
             self.length,
             self.width,
             self.modulus,
@@ -321,14 +327,12 @@ class BeamStress(AbstractStressModel):
         assert self.shear_modulus is not None
         _, _, poses = self._deformed(displacement, wrench)
         # Poses of the other sections are means, which are less accurate.
-        angle, x, y = (between_sines(len(poses[::2])) @ poses[::2]).T
-        cos, sin = displacement.sigma, displacement.xi
-        x, y = self.length * x, self.length * y
-        at_x = cos * x + sin * y - displacement.x1
-        at_y = cos * y - sin * x - displacement.x2
+        poses = poses[::2] * jnp.stack([jnp.ones(()), self.length, self.length])[None]
+        angle, x, y = displacement.pose()
+        middle = jnp.stack([angle / 2, x / 2, y / 2])
         return Sections(
-            jnp.stack([angle - displacement.angle / 2, at_x, at_y], axis=1),
-            jnp.asarray(between_sines(len(_PARAMETERS))) @ self.thickness,
+            at_nodes(seen_from(middle, poses)),
+            at_nodes(self.thickness),
             self.length,
             self.width,
             self.modulus,

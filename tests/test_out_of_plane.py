@@ -279,19 +279,55 @@ def test_stiffness_that_is_not_known_is_asked_for():
     assert_close(found.stiffness_at("table", port), expected, digits=9)
     with pytest.raises(ValueError, match="names the hinge 'middle'"):
         tj.out_of_plane(guide, hinges={"middle": given})
-    with pytest.raises(ValueError, match="'wall', which cannot move"):
+    with pytest.raises(ValueError, match="'wall' cannot move out"):
         found.compliance_at("wall")
     with pytest.raises(RuntimeError, match="'table' can move out of the plane"):
         tj.out_of_plane(guide, hinges=dict.fromkeys(["lower", "upper"], 0 * given))
 
 
-def test_segments_of_a_leaf_are_refused():
-    """Their cross-sections can warp where two segments meet."""
-    part = tj.flexures.chain("leaf", leaf(0.02), "wall", "table", at=(0.0, 0.05, 0.0))
+def test_a_divided_leaf_is_as_stiff_as_a_whole_one():
+    """Segments warp where they meet, and the ends of the leaf do not."""
+    beam, stroke = leaf(0.05), 0.01
+    part = tj.flexures.chain(
+        "leaf", beam, "wall", "table", at=(0.0, LENGTH / 2, 0.0), segments=3, error=0.1
+    )
     bodies = [tj.Body("wall"), tj.Body("table", (0.0, LENGTH, 0.0)), *part.bodies]
     divided = tj.Mechanism(bodies, part.hinges, fixed=["wall"])
-    with pytest.raises(ValueError, match="The stiffness out of the plane of 'leaf 1'"):
-        tj.out_of_plane(divided)
+    state = tj.equilibrium(divided, drives=[tj.Drive("table", angle=0.0, y=stroke)])
+    bent = tj.flexures.beam_at_pose(beam, state.displacement("table"))
+    middle = 0.0, -LENGTH / 2, 0.0
+    for about, solution, tolerance in ((None, None, 1e-9), (state, bent, 3e-4)):
+        for warping in (True, False):
+            found = tj.out_of_plane(divided, about, warping=warping)
+            exact = stiffness(beam, solution, warping=warping)
+            scale = np.sqrt(np.outer(np.diagonal(exact), np.diagonal(exact)))
+            error = (np.asarray(found.stiffness_at("table", middle)) - exact) / scale
+            assert np.max(np.abs(error)) < tolerance
+
+
+def test_hinges_consist_of_their_parts():
+    """A pivot as one hinge, by its energy, its outline, or as an argument."""
+    thin = tj.flexures.leaf(STEEL, length=LENGTH, thickness=THICKNESS, width=0.02)
+    pivot = tj.flexures.cross_spring_pivot(leaf(0.02), thin)
+    at = 0.4, 0.03, -0.02
+    wall, arm = tj.Body("wall"), tj.Body("arm", (0.2, 0.1, 0.05))
+    leaves = [
+        tj.Hinge(f"leaf {k}", "wall", "arm", thin, at=(0.4 + turn, *at[1:]))
+        for k, turn in enumerate((np.pi / 4, -np.pi / 4))
+    ]
+    whole = tj.Mechanism([wall, arm], leaves, fixed=["wall"])
+    state = tj.equilibrium(whole, drives=[tj.Drive("arm", angle=0.15)])
+    expected = tj.out_of_plane(whole, state).stiffness_at("arm")
+    fixed = tj.Quadratic(np.eye(3))
+    for energy, options, argument in (
+        (tj.flexures.Condensed(pivot), {}, None),
+        (fixed, {"outline": pivot}, None),
+        (fixed, {}, {"pivot": pivot}),
+    ):
+        hinge = tj.Hinge("pivot", "wall", "arm", energy, at=at, **options)
+        mechanism = tj.Mechanism([wall, arm], [hinge], fixed=["wall"])
+        found = tj.out_of_plane(mechanism, state, hinges=argument)
+        assert_close(found.stiffness_at("arm"), expected, digits=8)
 
 
 def test_derivative_of_the_support_stiffness_by_the_stroke():

@@ -150,11 +150,13 @@ class PerPart(eqx.Module, Generic[Value]):
                 values[part] = member_of(known, axes, itemgetter(k))
         return values
 
-    def numbers(self, missing: float) -> Float[Array | np.ndarray, " parts"]:
-        """Return all numbers as an array, with a number for parts that have none."""
+    def numbers(
+        self, missing: float, shape: tuple[int, ...] = ()
+    ) -> Float[Array | np.ndarray, "*values"]:
+        """Return all values of a shape as an array, with a number for those missing."""
         known = all_concrete(jax.tree.leaves(self.values))
         xp: Any = jnp if known is None else np
-        array = xp.full(len(self), missing)
+        array = xp.full((len(self), *shape), missing)
         for members, value in zip(self.members, self.values, strict=True):
             if value is not None and known is None:
                 array = array.at[np.array(members)].set(value)

@@ -35,6 +35,14 @@ VelocityLike = TypeAliasType("VelocityLike", Float[ArrayLike, "3"] | Sequence[Ar
 WrenchLike = TypeAliasType("WrenchLike", Float[ArrayLike, "3"] | Sequence[ArrayLike])
 # A linear map from twists to wrenches; N m, N/m, and N, or times s for damping
 MatrixLike = TypeAliasType("MatrixLike", Float[ArrayLike, "3 3"])
+# Inertia matrix against rotations about two axes; kg m^2
+InertiaLike = TypeAliasType(
+    "InertiaLike", Float[ArrayLike, "2 2"] | Sequence[Sequence[ArrayLike]]
+)
+# A force along z, and moments about x and y; N, N m, N m
+OutOfPlaneForceLike = TypeAliasType(
+    "OutOfPlaneForceLike", Float[ArrayLike, "3"] | Sequence[ArrayLike]
+)
 # A row (angle, x, y) for each body; rad, m, m
 PosesLike = TypeAliasType(
     "PosesLike", Float[ArrayLike, "bodies 3"] | Sequence[Sequence[ArrayLike]]

@@ -1,4 +1,4 @@
-"""Compliance of a flexure out of its plane, from its deformed cross-sections."""
+"""Stiffness of a flexure out of its plane, from its deformed cross-sections."""
 
 from functools import cache, partial
 from typing import NamedTuple
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.types import Matrix, Pose, Scalar
+from .._utils.types import Pose, Scalar
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 
@@ -23,14 +23,17 @@ _ODD_SUM = 1.004523762795139616
 class Sections(NamedTuple):
     """Cross-sections of a deformed flexure at the `nodes` along its axis."""
 
-    # Poses of the cross-sections in a frame, by which the compliance is described; rad,
-    # m, m
+    # Poses of the cross-sections in a frame, by which the stiffness is described; rad, m,
+    # m
     poses: Float[Array, "nodes 3"]
     thickness: Float[Array, " nodes"]  # In-plane; m
     length: Scalar  # Along the axis; m
     width: Scalar  # Out of the plane; m
     modulus: Scalar  # Pa
     shear_modulus: Scalar  # Pa
+    # For each end: 1 if another segment of the same flexure continues it, so that it can
+    # warp, and 0 if it is clamped; None if both are clamped
+    continues: Float[Array, "2"] | None = None
 
 
 @cache
@@ -54,17 +57,21 @@ def _polynomials(degree: int) -> Float[np.ndarray, "nodes polynomials"]:
     return legendre.legvander(nodes(), degree)
 
 
-def out_of_plane_compliance(sections: Sections, warping: bool) -> Matrix:
-    """Compute the displacements out of the plane of one end, for unit forces on it.
+def out_of_plane_stiffness(
+    sections: Sections, warping: bool
+) -> Float[Array, "displacements displacements"]:
+    """Compute the forces out of the plane on one end, for unit displacements of it.
 
-    They are z and the rotations about axes 1 and 2 of the frame of the sections, for a
-    force along z and moments about these axes, at its origin; m/N, rad/N, rad/(N m). With
-    `warping`, the ends of the flexure cannot warp.
+    They are the force along z and the moments about axes 1 and 2 of the frame of the
+    sections, for z and the rotations about these axes, at its origin; N/m, N/rad, N
+    m/rad. With `warping`, clamped ends of the flexure cannot warp. If it `continues` at
+    its ends, two more displacements are the twist rates at both ends (rad/m), and the
+    forces are bimoments; N m^2.
 
     Source:
         See `flexures.out_of_plane_stiffness`.
     """
-    poses, thickness, length, width, modulus, shear_modulus = sections
+    poses, thickness, length, width, modulus, shear_modulus, continues = sections
     weights = length / 2 * _quadrature()[1]
     angle, x, y = poses.T
     cos, sin = jnp.cos(angle), jnp.sin(angle)
@@ -80,8 +87,10 @@ def out_of_plane_compliance(sections: Sections, warping: bool) -> Matrix:
     compliance = compliance.at[0, 0].add(by_shear)
     if not warping:
         by_torsion = weights / (shear_modulus * torsion)
-        return compliance + torque.T @ (by_torsion[:, None] * torque)
-    # The twist rate is zero at both ends; its polynomials minimize the potential energy.
+        compliance = compliance + torque.T @ (by_torsion[:, None] * torque)
+        stiffness = jnp.linalg.inv(compliance)
+        return stiffness if continues is None else jnp.pad(stiffness, (0, 2))
+    # The twist rate minimizes the potential energy.
     values, slopes = _twist_rates()
     sectorial = area**3 / 144
     twisting = weights * shear_modulus * torsion
@@ -89,9 +98,21 @@ def out_of_plane_compliance(sections: Sections, warping: bool) -> Matrix:
     matrix = values @ (twisting[:, None] * values.T)
     matrix = matrix + slopes @ (restraint[:, None] * slopes.T)
     work = values @ (weights[:, None] * torque)
-    lower = jnp.linalg.cholesky(matrix)
-    strains = jax.scipy.linalg.solve_triangular(lower, work, lower=True)
-    return compliance + strains.T @ strains
+    at_ends, inside = slice(2), slice(2, None)
+    lower = jnp.linalg.cholesky(matrix[inside, inside])
+    right = jnp.concatenate([work, matrix[:, at_ends]], axis=1)[inside]
+    solved = jax.scipy.linalg.solve_triangular(lower, right, lower=True)
+    strains, imposed = solved[:, :3], solved[:, 3:]
+    stiffness = jnp.linalg.inv(compliance + strains.T @ strains)
+    if continues is None:
+        return stiffness
+    # Displacements by the twist rates at the ends, and bimoments for them
+    moved = (work[at_ends].T - strains.T @ imposed) * continues[None]
+    bimoments = matrix[at_ends, at_ends] - imposed.T @ imposed
+    bimoments = bimoments * continues[:, None] * continues[None]
+    coupling = -stiffness @ moved
+    bimoments = bimoments - moved.T @ coupling
+    return jnp.block([[stiffness, coupling], [coupling.T, bimoments]])
 
 
 def torsion_constant(
@@ -108,12 +129,18 @@ def torsion_constant(
 
 
 def _twist_rates() -> tuple[np.ndarray, np.ndarray]:
-    """Return polynomials at the nodes that are zero at -1 and 1, and their slopes."""
+    """Return polynomials at the nodes, and their slopes.
+
+    The first two are 1 at one of the ends -1 and 1, the others zero at both ends.
+    """
     polynomials = _polynomials(_TWISTS + 1)
     # The difference of those of degrees n + 1 and n - 1 has the slope (2 n + 1) P_n.
-    slopes = 2 * np.arange(1, _TWISTS + 1) + 1
-    values = (polynomials[:, 2:] - polynomials[:, :-2]) / np.sqrt(2 * slopes)
-    return values.T, (polynomials[:, 1:-1] * np.sqrt(slopes / 2)).T
+    odd = 2 * np.arange(1, _TWISTS + 1) + 1
+    values = (polynomials[:, 2:] - polynomials[:, :-2]) / np.sqrt(2 * odd)
+    slopes = (polynomials[:, 1:-1] * np.sqrt(odd / 2)).T
+    at, half = nodes(), np.full(_NODES, 0.5)
+    linear = [(1 - at) / 2, (1 + at) / 2]
+    return np.concatenate([linear, values.T]), np.concatenate([[-half, half], slopes])
 
 
 def at_nodes(values: Float[Array, "sections ..."]) -> Float[Array, "nodes ..."]:

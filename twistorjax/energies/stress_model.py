@@ -12,7 +12,7 @@ from .._utils.validation import require_positive_fields
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
 from .natural_curvature import NaturallyCurved
-from .sections import out_of_plane_compliance, Sections
+from .sections import out_of_plane_stiffness as stiffness_of_sections, Sections
 
 
 # Moment, axial force, and transverse force in the mid-frame; N m, N, N
@@ -111,8 +111,8 @@ def out_of_plane_stiffness(
 ) -> Matrix | None:
     """Compute the stiffness of a flexure out of its plane; None if it is not known.
 
-    It is that of the mid-frame; see `out_of_plane_compliance`. The wrench is that of the
-    hinge; N m, N, N.
+    It is that of the mid-frame; see `sections.out_of_plane_stiffness`. The wrench is that
+    of the hinge; N m, N, N.
     """
     if isinstance(energy, NaturallyCurved):
         deformed = energy.without_curvature(wrench)
@@ -121,7 +121,7 @@ def out_of_plane_stiffness(
     if model is None or not model.knows_sections:
         return None
     sections = model.sections(displacement, wrench_of_flexure(energy, wrench))
-    return _multiple(energy) * jnp.linalg.inv(out_of_plane_compliance(sections, warping))
+    return _multiple(energy) * stiffness_of_sections(sections, warping)
 
 
 def wrench_of_flexure(energy: AbstractEnergy, wrench: MidWrench) -> MidWrench:

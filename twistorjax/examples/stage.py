@@ -25,7 +25,7 @@ import numpy as np
 
 from .. import plotting
 from .._compile.compilation import fast_compile
-from .._utils.host import on_host
+from .._utils.host import as_float, on_host
 from .._utils.types import Corners, NumberLike, Scalar
 from ..energies.damping import DampingLike
 from ..energies.quadratic import Quadratic
@@ -315,21 +315,24 @@ def _moving_body(name: str, material: Material, width: float) -> Body:
     pose = (0.0, *center)
     if material.density is None:
         return Body(name, pose=pose, outline=outline, expansion=material.expansion)
-    area, second_moment = _areas(name)
+    area, second_moments = _areas(name)
     _, (density, width) = on_host(material.density, width)
     mass_per_area = density * width
+    polar = np.trace(second_moments)
+    about_axes = (polar + area * width**2 / 12) * np.eye(2) - second_moments
     return Body(
         name,
         pose=pose,
         mass=mass_per_area * area,
-        inertia=mass_per_area * second_moment,
+        inertia=mass_per_area * polar,
         outline=outline,
         expansion=material.expansion,
+        tilt_inertia=as_float(mass_per_area * about_axes),
     )
 
 
-def _areas(name: str) -> tuple[float, float]:
-    """Compute the area of a body and its polar second moment of area; m2, m4.
+def _areas(name: str) -> tuple[float, np.ndarray]:
+    """Compute the area of a body and its second moments of area; m2, m4.
 
     As in the listing, a body consists of rectangles. Each has an area (mm2), two sides
     (mm), and a center relative to the body's frame (mm).
@@ -347,10 +350,10 @@ def _areas(name: str) -> tuple[float, float]:
         "6": [(14 * 10, (7, 50), (0, 0))],
     }[name]
     total_area = sum(area for area, _, _ in rectangles)
-    moment = 0.0
-    for area, (width, height), (x, y) in rectangles:
-        moment += area * ((width**2 + height**2) / 12 + x**2 + y**2)
-    return total_area * _MM**2, moment * _MM**4
+    moments = np.zeros((2, 2))
+    for area, sides, center in rectangles:
+        moments += area * (np.diag(np.square(sides)) / 12 + np.outer(center, center))
+    return total_area * _MM**2, moments * _MM**4
 
 
 # Corners in the reference configuration, after figure 6.1; mm. The listing has no

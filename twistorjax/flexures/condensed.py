@@ -11,10 +11,9 @@ from jaxtyping import Array, Float
 from .._utils.types import Flag, Matrix, Pose, Poses, Scalar
 from ..energies.base import AbstractEnergy
 from ..geometry.twistors import Displacement
-from ..mechanism.loads import Drive
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
-from ..solve.equilibrium import equilibrium
+from ..solve.equilibrium import inner_displacements
 
 
 class Condensed(AbstractEnergy):
@@ -73,19 +72,6 @@ class Condensed(AbstractEnergy):
         """Compute the displacements of all bodies; rad, m, m."""
         mechanism = self.part.without_ranges()
         return inner_displacements(mechanism, self.part.second, displacement.pose())
-
-
-def inner_displacements(mechanism: Mechanism, second: str, pose: Pose) -> Poses:
-    """Compute the equilibrium of the inner bodies at a displacement of body B.
-
-    The mechanism is that of the sub-mechanism, without validity ranges, and displacements
-    are in its frame. They are NaN if there is no equilibrium.
-    """
-    if len(mechanism.names) == 2:
-        row = mechanism.index(second)
-        return jnp.zeros_like(mechanism.reference).at[row].set(pose)
-    moved = Drive(second, angle=pose[0], x=pose[1], y=pose[2])
-    return equilibrium(mechanism, drives=[moved], throw=False).displacements
 
 
 def reference_stiffness(part: SubMechanism) -> Matrix:

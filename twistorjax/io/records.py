@@ -142,6 +142,7 @@ def _fields_of_mechanism(mechanism: Mechanism) -> dict[str, Any]:
             "inertia": mechanism.inertias[row],
             "outline": mechanism.outlines[row],
             "expansion": mechanism.expansions[row],
+            "tilt_inertia": mechanism.tilt_inertias[row],
         }
         for row, name in enumerate(mechanism.names)
     ]

@@ -2,10 +2,20 @@
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
-from .._utils.types import Corners, CornersLike, NumberLike, Pose, PoseLike, Scalar
+from .._utils.types import (
+    Corners,
+    CornersLike,
+    InertiaLike,
+    NumberLike,
+    Pose,
+    PoseLike,
+    Scalar,
+)
 from .._utils.validation import (
+    require_array,
     require_corners,
     require_finite,
     require_pose,
@@ -30,10 +40,14 @@ class Body(eqx.Module):
             for cutting, in order, clockwise or counterclockwise; m.
         expansion: Coefficient of thermal expansion, by default zero; 1/K. At a change of
             temperature the body expands about the origin of its frame.
+        tilt_inertia: Inertia matrix against rotations about axes x and y of the frame,
+            about its origin; needed for vibrations out of the plane only; kg m^2. The
+            product of inertia is negative in it: [[Jxx, -Jxy], [-Jxy, Jyy]].
 
     Raises:
-        ValueError: A mass or a moment of inertia is not positive, a value is not finite,
-            a shape is wrong, or two edges of the outline cross each other.
+        ValueError: A mass or a moment of inertia is not positive, a matrix is not
+            positive definite, a value is not finite, a shape is wrong, or two edges of
+            the outline cross each other.
     """
 
     name: str = eqx.field(static=True)
@@ -42,6 +56,7 @@ class Body(eqx.Module):
     inertia: Scalar | None
     outline: Corners | None
     expansion: Scalar | None = None
+    tilt_inertia: Float[Array, "2 2"] | None = None
 
     def __init__(
         self,
@@ -51,6 +66,7 @@ class Body(eqx.Module):
         inertia: NumberLike | None = None,
         outline: CornersLike | None = None,
         expansion: NumberLike | None = None,
+        tilt_inertia: InertiaLike | None = None,
     ):
         self.name = require_text("The name of a body", name)
         owner = f"of the body {name!r}"
@@ -65,6 +81,26 @@ class Body(eqx.Module):
         self.expansion = None
         if expansion is not None:
             self.expansion = require_finite(f"`expansion` {owner}", expansion)
+        self.tilt_inertia = None
+        if tilt_inertia is not None:
+            self.tilt_inertia = _require_inertia(owner, tilt_inertia)
+
+
+def _require_inertia(owner: str, given: InertiaLike) -> Float[Array, "2 2"]:
+    """Check an inertia matrix; kg m^2."""
+    matrix = require_array(
+        f"`tilt_inertia` {owner}", given, (2, 2), "be a matrix with two rows"
+    )
+    known = concrete(matrix)
+    if known is None:
+        return matrix
+    skew = np.max(np.abs(known - known.T))
+    if skew > 1e-9 * np.max(np.abs(known)) or np.any(np.linalg.eigvalsh(known) <= 0):
+        raise ValueError(
+            f"`tilt_inertia` {owner} is {known.tolist()}, but must be symmetric and "
+            "positive definite: [[Jxx, -Jxy], [-Jxy, Jyy]], in kg m^2."
+        )
+    return matrix
 
 
 def plate(
@@ -76,7 +112,7 @@ def plate(
 ) -> Body:
     """Create a body that is cut from a plate.
 
-    Mass, moment of inertia, and center of mass follow from the outline.
+    Mass, moments of inertia, and center of mass follow from the outline.
 
     Args:
         name: Name of the body.
@@ -127,10 +163,16 @@ def plate(
     squares = xp.sum(start**2 + start * end + end**2, axis=1)
     gyration_squared = xp.sum(squares * cross) / (12 * area) - xp.sum(center**2)
     mass = density * width * xp.abs(area)
+    weights = (cross / (12 * area))[:, None]
+    mixed = start + end
+    moments = (mixed * weights).T @ mixed + (start * weights).T @ start
+    second = (moments + (end * weights).T @ end) / 2 - center[:, None] * center[None]
+    through_thickness = (gyration_squared + width**2 / 12) * np.eye(2)
     return Body(
         name,
         pose=as_float(xp.concatenate([np.zeros(1), middle + center])),
         mass=mass,
         inertia=mass * gyration_squared,
         outline=as_float(start - center[None]),
+        tilt_inertia=as_float(mass * (through_thickness - second)),
     )

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -59,7 +60,7 @@ COORDINATES = ("angle", "x", "y")
 
 
 # Function of the hinges and of the displacements of the bodies; rad, m, m
-HingeFunction = TypeAliasType("HingeFunction", Callable[[HingeAssembly, Poses], Array])
+HingeFunction = TypeAliasType("HingeFunction", Callable[[HingeAssembly, Poses], Any])
 
 
 class Mechanism(eqx.Module):
@@ -97,6 +98,7 @@ class Mechanism(eqx.Module):
     inertias: PerPart[Scalar]
     outlines: PerPart[Corners]
     expansions: PerPart[Scalar]
+    tilt_inertias: PerPart[Float[Array, "2 2"]]
     at: Float[Array, "hinges 3"]
     hinge_outlines: PerPart[Corners | AbstractOutline]
     hinge_expansions: PerPart[Expansion]
@@ -122,6 +124,7 @@ class Mechanism(eqx.Module):
         self.inertias = per_part("inertia", body_copies)
         self.outlines = per_part("outline", body_copies)
         self.expansions = per_part("expansion", body_copies)
+        self.tilt_inertias = per_part("tilt_inertia", body_copies)
         self.hinge_outlines = per_part("outline", hinge_copies)
         self.hinge_expansions = per_part("expansion", hinge_copies)
         self.fixed = self.dofs_of("fixed", fixed)
@@ -496,9 +499,7 @@ class Mechanism(eqx.Module):
         y1, y2 = d1 - cos * gap1, d2 - cos * gap2
         return as_float(xp.stack([angle, cos * y1 - sin * y2, cos * y2 + sin * y1]))
 
-    def of_hinges(
-        self, at: PosesOrResult, function: HingeFunction
-    ) -> Float[Array, "..."]:
+    def of_hinges(self, at: PosesOrResult, function: HingeFunction) -> Any:
         """Evaluate a function of the hinges at a solution, or at each one of a batch.
 
         The hinges have the strokes and the temperatures of the solution.
@@ -509,7 +510,7 @@ class Mechanism(eqx.Module):
                 m.
 
         Returns:
-            The values, with the axes of the batch in front.
+            Its array or its arrays, with the axes of the batch in front.
         """
         displacements = self.displacements(at, "at")
         batch = displacements.shape[:-2]
@@ -522,10 +523,13 @@ class Mechanism(eqx.Module):
         # One state is not traced, so that a value out of range raises an error.
         if len(flat) == 1:
             single = jax.tree.map(lambda values: values[0], state)
-            values = evaluate(flat[0], single)[None]
+            values = evaluate(flat[0], single)
+            if not batch:
+                return values
+            values = jax.tree.map(lambda array: array[None], values)
         else:
             values = jax.vmap(evaluate)(flat, state)
-        return values.reshape(*batch, *values.shape[1:])
+        return jax.tree.map(lambda array: array.reshape(*batch, *array.shape[1:]), values)
 
     def ports(self, hinge: str, poses: Poses) -> tuple[Pose, Pose]:
         """Compute the poses of the two frames of a hinge in the world.

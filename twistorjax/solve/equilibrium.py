@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
+
 from .._utils.progress import announced
-from .._utils.types import NumberLike
+from .._utils.types import NumberLike, Pose, Poses
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load
 from ..mechanism.mechanism import Mechanism
@@ -95,3 +97,16 @@ def equilibrium(
         return describe_critical_point(problem, start, solution)
 
     return finish_equilibrium(solution, throw, problem, first_critical_point)
+
+
+def inner_displacements(mechanism: Mechanism, second: str, pose: Pose) -> Poses:
+    """Compute the equilibrium of the inner bodies at a displacement of body B.
+
+    The mechanism is that of the sub-mechanism, without validity ranges, and displacements
+    are in its frame. They are NaN if there is no equilibrium.
+    """
+    if len(mechanism.names) == 2:
+        row = mechanism.index(second)
+        return jnp.zeros_like(mechanism.reference).at[row].set(pose)
+    moved = Drive(second, angle=pose[0], x=pose[1], y=pose[2])
+    return equilibrium(mechanism, drives=[moved], throw=False).displacements

@@ -1,6 +1,7 @@
 """Natural vibrations of a mechanism about an equilibrium."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -9,11 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
+from .._utils.host import is_traced
 from .._utils.progress import announced
 from .._utils.types import NumberLike, Poses
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
-from ..mechanism.mechanism import Mechanism
+from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..results.codes import RESULTS, Solution
 from ..results.tables import Column, Columns, columns, Tabular
 from .equations.consistency import consistent
@@ -35,31 +37,62 @@ class Vibrations(Solution, Tabular):
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
+        source: What vibrates, from which its modes out of the plane can be computed; None
+            if they cannot.
     """
 
     frequencies: Float[Array, "*batch modes"]
     shapes: Float[Array, "*batch modes bodies 3"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+    source: "VibrationSource | None" = None
     _plural: ClassVar[str] = "sets of vibrations"
+    _coordinates: ClassVar[tuple[str, ...]] = COORDINATES
+    _where: ClassVar[str] = "in the plane"
 
     def columns(self) -> Columns:
         axes = ("mode", "body")
-        entries = ("shape_angle", ""), ("shape_x", ""), ("shape_y", "")
+        entries = [(f"shape_{name}", "") for name in self._coordinates]
         return {
             "frequency": Column(self.frequencies, ("mode",), "Hz"),
             **columns(self.shapes, axes, *entries, body=self.names),
         }
 
     def _summary(self, names: np.ndarray) -> str:
-        title = f"{names}: {self.frequencies.size} vibrations"
+        title = f"{names}: {self.frequencies.size} vibrations {self._where}"
         lines = [title, "frequency (Hz)  largest translations"]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
-            travel = np.linalg.norm(np.asarray(shape)[:, 1:], axis=1)
+            translations = [name in ("x", "y", "z") for name in self._coordinates]
+            travel = np.linalg.norm(np.asarray(shape)[:, translations], axis=1)
             largest = [body for body in np.argsort(-travel)[:3] if travel[body] > 0]
             moving = ", ".join(self.names[body] for body in largest) or "rotations only"
             lines.append(f"{float(frequency):>14.6g}  {moving}")
+        lowest = None if self.source is None else self.source.lowest_out_of_plane()
+        if lowest is not None and lowest < float(self.frequencies[-1]):
+            lines.append(
+                f"It vibrates out of the plane from {lowest:.6g} Hz on: "
+                "`out_of_plane(mechanism).vibrations()`."
+            )
         return "\n".join(lines)
+
+
+class VibrationSource(eqx.Module):
+    """A mechanism and the equilibrium about which it vibrates."""
+
+    mechanism: Mechanism
+    about: StateLike | None
+    held: tuple[str, ...] = eqx.field(static=True)  # Bodies that do not move
+
+    def lowest_out_of_plane(self) -> float | None:
+        """Return the lowest natural frequency out of the plane (Hz), if it is known."""
+        # That module builds on this one.
+        from .out_of_plane import out_of_plane
+
+        try:
+            model = out_of_plane(self.mechanism, self.about, fixed=self.held)
+            return float(model.vibrations(modes=1).frequencies[0])
+        except (ValueError, RuntimeError):
+            return None
 
 
 @announced("vibrations")
@@ -76,13 +109,13 @@ def vibrations(
 ) -> Vibrations:
     """Compute the natural frequencies and mode shapes in the plane about an equilibrium.
 
-    A mechanism may have lower modes out of its plane; `out_of_plane` returns its
-    stiffness there. Damping is neglected; `frequency_response` includes it. Hinges have
-    no mass: divide a flexure whose mass matters by `flexures.chain`. The result is
-    differentiable. If some frequencies are equal, only symmetric functions of them have
-    first derivatives, and only their sum has second derivatives. A few `modes` of a
-    mechanism of many bodies without constraints take a small part of the time of all
-    modes.
+    A mechanism may have lower modes out of its plane, which `out_of_plane` computes; the
+    printed result says so if they are known. Damping is neglected; `frequency_response`
+    includes it. Hinges have no mass: divide a flexure whose mass matters by
+    `flexures.chain`. The result is differentiable. If some frequencies are equal, only
+    symmetric functions of them have first derivatives, and only their sum has second
+    derivatives. A few `modes` of a mechanism of many bodies without constraints take a
+    small part of the time of all modes.
 
     Args:
         mechanism: The mechanism. Bodies that can move need mass and inertia, and the
@@ -138,6 +171,15 @@ def vibrations(
     count = problem.mode_count(modes)
     state = problem.state(about)
     solution = _vibrations(mechanism, problem.system, state, count)
+    if not is_traced(solution) and not constraints:
+        dofs = set(held)
+        still = [
+            name
+            for row, name in enumerate(mechanism.names)
+            if {3 * row, 3 * row + 1, 3 * row + 2} <= dofs
+        ]
+        source = VibrationSource(mechanism, about, tuple(still))
+        solution = replace(solution, source=source)
     return problem.finish(solution, throw, state)
 
 

@@ -1,6 +1,5 @@
 """Stiffness of a beam out of its plane, about its deformed planar state."""
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
@@ -8,7 +7,7 @@ from ..._utils.types import Matrix
 from ...energies.sections import (
     at_nodes,
     nodes,
-    out_of_plane_compliance,
+    out_of_plane_stiffness as stiffness_of_sections,
     Sections,
     seen_from,
 )
@@ -84,4 +83,4 @@ def _stiffness(
         material.modulus,
         material.shear_modulus,
     )
-    return jnp.linalg.inv(out_of_plane_compliance(sections, warping))
+    return stiffness_of_sections(sections, warping)

@@ -272,6 +272,8 @@ class BeamStress(AbstractStressModel):
     strengths: Strengths
     law: Law = eqx.field(static=True)
     shear_modulus: Scalar | None = None  # Pa
+    # Whether other segments of the same flexure continue each end; see `Sections`
+    continues: Float[Array, "2"] | None = None
 
     def __check_init__(self) -> None:
         require_positive_fields(
@@ -337,6 +339,7 @@ class BeamStress(AbstractStressModel):
             self.width,
             self.modulus,
             self.shear_modulus,
+            self.continues,
         )
 
     def _deformed(

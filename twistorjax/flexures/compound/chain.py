@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from typing_extensions import TypeAliasType
 
 from ..._compile.compilation import fast_compile
-from ..._utils.host import all_concrete, as_float, concrete, is_traced
+from ..._utils.host import all_concrete, as_float, concrete, is_traced, on_host
 from ..._utils.progress import announced
 from ..._utils.types import (
     Corners,
@@ -363,14 +363,17 @@ def _energies(
                 f"Segment {k + 1} of the flexure {name!r}: {found} Or divide the flexure "
                 "into more `segments`."
             ) from None
-        # The ends of a segment can warp, so its stiffness out of the plane is not that of
-        # a leaf.
-        model = energy.stress_model
-        assert isinstance(model, BeamStress)
-        model = replace(model, shear_modulus=None)
-        energies.append(replace(energy, stress_model=model))
-        of_share[shares[k]] = energies[-1]
-    return energies
+        energies.append(energy)
+        of_share[shares[k]] = energy
+    return [_continued(energy, k, len(parts)) for k, energy in enumerate(energies)]
+
+
+def _continued(energy: WithValidityRange, segment: int, count: int) -> WithValidityRange:
+    """State at which ends of a segment others continue the flexure."""
+    model = energy.stress_model
+    assert isinstance(model, BeamStress)
+    continues = as_float(np.array([segment > 0, segment < count - 1], float))
+    return replace(energy, stress_model=replace(model, continues=continues))
 
 
 @fast_compile
@@ -437,10 +440,15 @@ def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list]:
 
 def _body(name: str, pose: Pose, before: Beam, mass: Scalar | None) -> Body:
     """Create the body after a segment, with the rotary inertia of its cross-section."""
-    inertia = None
+    inertia = tilt_inertia = None
     if mass is not None:
-        inertia = mass * before.profile(before.length / 2) ** 2 / 12
-    return Body(name, pose, mass, inertia, expansion=before.material.expansion)
+        xp, values = on_host(mass, before.profile(before.length / 2), before.width)
+        mass, thickness, width = values
+        inertia = as_float(mass * thickness**2 / 12)
+        polar = thickness**2 + width**2
+        tilt_inertia = as_float(mass / 12 * xp.diag(xp.stack([polar, width**2])))
+    expansion = before.material.expansion
+    return Body(name, pose, mass, inertia, expansion=expansion, tilt_inertia=tilt_inertia)
 
 
 def beam_outline(part: Beam) -> Corners:

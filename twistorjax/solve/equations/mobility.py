@@ -13,7 +13,7 @@ from ...mechanism.mechanism import COORDINATES, Mechanism
 from .system import System
 
 
-_DIRECTIONS = ("moment", "axial force", "transverse force")
+_FORCES = ("moment", "axial force", "transverse force")
 
 _hinge_rows = jax.jit(HingeAssembly.rows_and_stiffness)
 
@@ -34,6 +34,7 @@ class ConstraintAnalysis(NamedTuple):
         directions: Name of each stiff direction, such as "axial force of 'left'".
         length: Characteristic length of the mechanism; m.
         names: Names of the bodies.
+        coordinates: Names of the three coordinates of a body.
     """
 
     motions: Float[np.ndarray, "motions bodies 3"]
@@ -41,6 +42,7 @@ class ConstraintAnalysis(NamedTuple):
     directions: tuple[str, ...]
     length: float
     names: tuple[str, ...]
+    coordinates: tuple[str, ...] = COORDINATES
 
     @property
     def moving_bodies(self) -> tuple[tuple[str, ...], ...]:
@@ -60,7 +62,7 @@ class ConstraintAnalysis(NamedTuple):
             body, coordinate = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
             descriptions.append(
                 f"motion of {', '.join(map(repr, bodies))}, mainly "
-                f"{COORDINATES[coordinate]} of {self.names[body]!r}"
+                f"{self.coordinates[coordinate]} of {self.names[body]!r}"
             )
         return tuple(descriptions)
 
@@ -80,39 +82,80 @@ class ConstraintAnalysis(NamedTuple):
         return "\n".join(lines)
 
 
+class HingeStiffness(NamedTuple):
+    """Stiffness of all hinges against their coordinates, in the plane or out of it."""
+
+    # Derivatives of the coordinates of each hinge by those of the bodies
+    rows: Float[np.ndarray, "hinges 3 dofs"]
+    stiffness: Float[np.ndarray, "hinges 3 3"]
+    forces: tuple[str, ...]  # Names of the three forces of a hinge
+    coordinates: tuple[str, ...]  # Names of the three coordinates of a body
+    # Which of the coordinates, of hinges and of bodies, are rotations
+    rotations: tuple[bool, ...]
+
+
 def analyze(
     mechanism: Mechanism, system: System, state: Poses, ratio: float
 ) -> ConstraintAnalysis:
-    """Analyze displacements (rad, m, m); see `constraint_analysis`."""
-    dofs = system.dofs
+    """Analyze displacements (rad, m, m) in the plane; see `constraint_analysis`."""
     rows, stiffness = map(np.asarray, _hinge_rows(mechanism.hinge_assembly, state))
-    length = float(system.units()[1])
-    units = np.array([length, 1.0, 1.0])
-    scaled = stiffness / (units[:, None] * units)
+    hinges = HingeStiffness(
+        rows, stiffness, _FORCES, COORDINATES, rotations=(True, False, False)
+    )
+    length, free = float(system.units()[1]), system.dofs.free
+    jacobian = np.asarray(system.jacobian(state))
+    names = system.constraints.names()
+    bodies = mechanism.names, mechanism.hinge_names
+    return analyze_hinges(*bodies, hinges, free, length, ratio, jacobian, names)
+
+
+def analyze_hinges(
+    names: tuple[str, ...],
+    hinge_names: Sequence[str],
+    hinges: HingeStiffness,
+    free: Sequence[int] | np.ndarray,
+    length: float,
+    ratio: float,
+    jacobian: Float[np.ndarray, "entries dofs"] | None = None,
+    constraints: Sequence[str] = (),
+) -> ConstraintAnalysis:
+    """Find motions and self-stresses of the hinges and of further rigid constraints.
+
+    The first names are those of the bodies. The degrees of freedom that can move are
+    `free`, and the length (m) relates rotations and translations. The derivatives of the
+    constraints are in `jacobian`.
+    """
+    rotates = np.array(hinges.rotations)
+    units = np.where(rotates, length, 1.0)
+    scaled = hinges.stiffness / (units[:, None] * units)
     values, vectors = np.linalg.eigh(scaled)
-    column_units = np.where(np.array(dofs.free, int) % 3, length, 1.0)
-    stiff, names = [], []
+    dofs, total = np.array(free, int), 3 * len(names)
+    column_units = np.where(rotates[dofs % 3], 1.0, length)
+    stiff, directions = [], []
     largest = np.max(np.abs(values), initial=0.0)
-    for k, name in enumerate(mechanism.hinge_names):
+    for k, name in enumerate(hinge_names):
         for value, vector in zip(values[k], vectors[k].T, strict=True):
             if value >= ratio * largest:
-                row = (vector * units) @ rows[k][:, dofs.free] * column_units
+                row = (vector * units) @ hinges.rows[k][:, dofs] * column_units
                 stiff.append(row / length)
-                names.append(f"{_DIRECTIONS[np.argmax(np.abs(vector))]} of {name!r}")
-    jacobian = np.asarray(system.jacobian(state))[:, dofs.free] * column_units
-    for name, row in zip(system.constraints.names(), jacobian, strict=True):
-        stiff.append(row / max(np.linalg.norm(row), np.finfo(float).tiny))
-        names.append(f"constraint {name!r}")
-    matrix = np.array(stiff).reshape(len(names), len(dofs.free))
+                force = hinges.forces[np.argmax(np.abs(vector))]
+                directions.append(f"{force} of {name!r}")
+    if jacobian is not None:
+        rows = jacobian[:, dofs] * column_units
+        for name, row in zip(constraints, rows, strict=True):
+            stiff.append(row / max(np.linalg.norm(row), np.finfo(float).tiny))
+            directions.append(f"constraint {name!r}")
+    matrix = np.array(stiff).reshape(len(directions), len(dofs))
     free_motions, self_stresses = _null_spaces(matrix)
-    motions = np.zeros((len(free_motions), dofs.total))
-    motions[:, list(dofs.free)] = free_motions
+    motions = np.zeros((len(free_motions), total))
+    motions[:, dofs] = free_motions
     return ConstraintAnalysis(
-        motions=motions.reshape(-1, len(mechanism.names), 3),
+        motions=motions.reshape(-1, len(names), 3),
         self_stresses=self_stresses,
-        directions=tuple(names),
+        directions=tuple(directions),
         length=length,
-        names=mechanism.names,
+        names=names,
+        coordinates=hinges.coordinates,
     )
 
 

@@ -69,13 +69,16 @@ _SLOW_EXAMPLES = (
     "flexures.surrogates.surrogate.surrogate",
     "identification.experiment_design.rank_experiments",
     "plotting.animation.animate",
+    "plotting.oblique.draw_out_of_plane",
     "plotting.path_plots.draw_path",
     "plotting.port_plots.draw_port_motion",
+    "plotting.port_plots.draw_stiffness",
     "plotting.wave_plots.draw_dispersion",
     "solve.bistability.bistability",
     "solve.fatigue.fatigue",
     "solve.port_motion.port_motion",
     "solve.range_of_motion.range_of_motion",
+    "solve.stroke_stiffness.stiffness_over_stroke",
 )
 
 

@@ -39,7 +39,8 @@ def saved_mechanism(layout):
     """Create the mechanism in the file of a layout, 2 to 6."""
     pose = (0.1, 0.2, 1 / 3)
     expansion = None if layout == 2 else 12e-6
-    table = tj.Body("table", pose, 2.0, 0.5, TRIANGLE, expansion)
+    inertia = np.array([[0.3, -0.1], [-0.1, 0.4]]) if layout > 5 else None
+    table = tj.Body("table", pose, 2.0, 0.5, TRIANGLE, expansion, inertia)
     energies = {}
     for added in range(2, layout + 1):
         energies.update(_ENERGIES[added]())
@@ -141,6 +142,17 @@ COLUMN = BeamColumnStress(
     modulus=jnp.asarray(210e9),
     strengths=STRENGTHS,
 )
+BEAM = BeamStress(
+    thickness=jnp.asarray(np.linspace(1e-3, 2e-3, 201)),
+    curvature=jnp.asarray(np.linspace(0.0, 0.1, 201)),
+    length=COLUMN.length,
+    width=COLUMN.width,
+    modulus=COLUMN.modulus,
+    bending_factor=jnp.asarray(1.1),
+    shear_ratio=jnp.asarray(0.32),
+    strengths=STRENGTHS,
+    law="linear",
+)
 
 
 def _of_layout_5():
@@ -151,32 +163,28 @@ def _of_layout_5():
         ratio=jnp.asarray(0.05),
         strengths=STRENGTHS,
     )
-    beam = BeamStress(
-        thickness=jnp.asarray(np.linspace(1e-3, 2e-3, 201)),
-        curvature=jnp.asarray(np.linspace(0.0, 0.1, 201)),
-        length=COLUMN.length,
-        width=COLUMN.width,
-        modulus=COLUMN.modulus,
-        bending_factor=jnp.asarray(1.1),
-        shear_ratio=jnp.asarray(0.32),
-        strengths=STRENGTHS,
-        law="linear",
-    )
     stiffness = np.diag([2.0, 3e5, 400.0])
     return {
         "notch": tj.Quadratic(stiffness, flexure=True, stress_model=notch),
         "column": BeamColumn(0.1, 0.35, 4.2e6, 1.3e6, stress_model=COLUMN),
-        "beam": WithValidityRange(
-            tj.Quadratic(stiffness),
-            rotation=0.3,
-            force=2.0,
-            error=[0.0, 0.0, 0.0],
-            stress_model=beam,
-        ),
+        "beam": _beam(BEAM),
     }
 
 
+def _beam(model):
+    return WithValidityRange(
+        tj.Quadratic(np.diag([2.0, 3e5, 400.0])),
+        rotation=0.3,
+        force=2.0,
+        error=[0.0, 0.0, 0.0],
+        stress_model=model,
+    )
+
+
 def _of_layout_6():
+    segment = replace(
+        BEAM, shear_modulus=jnp.asarray(81e9), continues=jnp.array([1.0, 0.0])
+    )
     thick = replace(
         COLUMN,
         thickness=jnp.asarray(1e-2),
@@ -205,6 +213,7 @@ def _of_layout_6():
     return {
         "mechanism stress": quadratic,
         "quartic": quartic,
+        "segment": _beam(segment),
         "stop": Stop("-y", gap=0.1, stiffness=1e6, smoothing=1e-6),
         "corner": CornerContact((0.1, 0.2), edge, stiffness=1e6, smoothing=1e-6),
     }

@@ -289,3 +289,111 @@ def test_parallel_leaves_are_over_constrained_once():
     np.testing.assert_allclose(rotation @ across, 0.0, atol=1e-9)
     described = "motion of 'table', mainly rotation_x of 'table'"
     assert twist.motion_descriptions == (described,)
+
+
+def test_stiffness_of_a_guide_over_its_stroke():
+    """Forces, and small loads in addition to the drive, at the end of the stroke."""
+    mechanism, port = guide(), (0.3, -0.03, 5e-3)
+    stroke = tj.Drive("table", y=3e-3)
+    found = tj.stiffness_over_stroke(mechanism, stroke, port, positions=4)
+    assert set(found.support) == {"angle", "x", "z", "rotation_1", "rotation_2"}
+
+    def state(travel, loads=()):
+        drives = [tj.Drive("table", y=travel)]
+        return tj.equilibrium(mechanism, drives=drives, loads=loads)
+
+    end, step = state(3e-3), 1e-5
+    assert_close(found.force[-1], end.reaction("table")[2], digits=9)
+    forces = [state(3e-3 + side * step).reaction("table")[2] for side in (1, -1)]
+    slope = (forces[0] - forces[1]) / (2 * step)
+    np.testing.assert_allclose(found.driving[-1], slope, rtol=1e-5)
+    # A small force along axis 1 of the port, and the displacement in its direction
+    angle = float(end.displacement("table")[0]) + port[0]
+    axis, load = np.array([np.cos(angle), np.sin(angle)]), 1e-2
+    arm = np.array([port[1], port[2]])
+    displaced = []
+    for side in (1, -1):
+        push = tj.Load("table", force=side * load * axis, at=arm)
+        turn, x, y = state(3e-3, [push]).displacement("table")
+        cos, sin = np.cos(turn), np.sin(turn)
+        displaced.append(np.array([[cos, -sin], [sin, cos]]) @ arm + [x, y])
+    compliance = (displaced[0] - displaced[1]) @ axis / (2 * load)
+    np.testing.assert_allclose(found.in_plane[-1, 1, 1], compliance, rtol=1e-4)
+    expected = tj.out_of_plane(mechanism, end).compliance_at("table", port)
+    assert found.out_of_plane is not None
+    np.testing.assert_allclose(found.out_of_plane[-1], expected, rtol=1e-8, atol=1e-15)
+    columns = {"force", "driving", *(f"support_{name}" for name in found.support)}
+    assert set(found.to_xarray()) == columns
+    figure = tj.plotting.draw_stiffness(found)
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "stiffness (N/m)",
+        "stiffness (N m/rad)",
+    ]
+
+
+def test_stiffness_of_a_pivot_over_its_stroke():
+    """Its hinges are not known out of the plane; the port is on another body."""
+    spring = tj.Quadratic(np.diag([0.5, 4e5, 3e5]))
+    at = 0.0, 0.0, 0.0
+    hinges = [
+        tj.Hinge("pivot", "wall", "arm", spring, at=at),
+        tj.Hinge("arm", "arm", "tip", spring, at=(0.0, 0.1, 0.0)),
+    ]
+    bodies = [tj.Body("wall"), tj.Body("arm"), tj.Body("tip", (0.0, 0.1, 0.0))]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["wall"])
+    found = tj.stiffness_over_stroke(mechanism, tj.Drive("arm", angle=0.2), positions=2)
+    assert found.out_of_plane is None
+    assert "the stiffness of a hinge is not known" in repr(found)
+    # Its moment is that of the sine of the angle.
+    assert_close(found.driving, [0.5, 0.5 * np.cos(0.2)], digits=9)
+    assert set(found.support) == {"x", "y"}
+    of_tip = tj.stiffness_over_stroke(
+        mechanism, tj.Drive("arm", angle=0.2), body="tip", positions=2
+    )
+    assert set(of_tip.support) == {"angle", "x", "y"}
+    assert_close(of_tip.support["angle"], [0.5, 0.5], digits=9)
+    assert_close(of_tip.support["x"][0], 2e5, digits=9)
+    with pytest.raises(ValueError, match="the input is one coordinate"):
+        tj.stiffness_over_stroke(mechanism, tj.Drive("arm", angle=0.2, x=0.0))
+
+
+def test_spatial_compliance_has_both_blocks():
+    mechanism, port = guide(), (0.3, -0.03, 5e-3)
+    found = np.asarray(tj.spatial_compliance(mechanism, "table", port))
+    in_plane = tj.port_compliance(mechanism, "table", port).compliance
+    outside = tj.out_of_plane(mechanism).compliance_at("table", port)
+    assert_close(found[2:5, 2:5], in_plane)
+    assert_close(found[np.ix_([5, 0, 1], [5, 0, 1])], outside)
+    assert np.count_nonzero(found) <= 18
+
+
+def test_oblique_views():
+    """A tilted table; the ends of the leaves are on the wall and on the table."""
+    mechanism = guide()
+    model = tj.out_of_plane(mechanism)
+    tilted = model.response({"table": (0.0, 1.0, 0.0)})
+    axes = tj.plotting.draw_out_of_plane(mechanism, tilted, magnify=20.0)
+    assert axes.get_title() == "displacements out of the plane, magnified 20 times"
+    z, about_x, about_y = np.asarray(tilted.displacement("table"))
+    offsets = TABLE - np.asarray(mechanism.reference)[1, 1:]
+    heights = 20 * (z + about_x * offsets[:, 1] - about_y * offsets[:, 0])
+    table = axes.collections[2].get_paths()[0].vertices[:-1]
+    x, y = 1e3 * TABLE.T
+    expected = np.stack([x + 0.45 * y, 0.55 * y + 1e3 * heights], axis=1)
+    np.testing.assert_allclose(table, expected, atol=1e-6)
+    modes = model.vibrations()
+    axes = tj.plotting.draw_out_of_plane(mechanism, modes, mode=1)
+    assert axes.get_title().startswith("mode 2 out of the plane: ")
+    moving = axes.figure.add_subplot()
+    animation = tj.animate(mechanism, modes, mode=1, frames=4, axes=moving)
+    heights = [
+        np.ptp(animation._func(k)[0].get_paths()[0].vertices[:, 1]) for k in range(4)
+    ]
+    assert_close(heights[0], heights[2])  # The table is flat.
+    assert abs(heights[1] - heights[3]) > 1.0  # It is tilted to both sides; mm.
+    assert "mode 2 out of the plane" in moving.get_title()
+    response = model.frequency_response([10.0], {"table": (1.0, 0.0, 0.0)})
+    with pytest.raises(ValueError, match="a frequency response"):
+        tj.plotting.draw_out_of_plane(mechanism, response)
+    with pytest.raises(ValueError, match="there are 3 vibrations"):
+        tj.plotting.draw_out_of_plane(mechanism, modes, mode=3)

@@ -1,7 +1,11 @@
 from .animation import animate as animate
 from .drawing import draw as draw
 from .hinge_plots import draw_energy as draw_energy
+from .oblique import draw_out_of_plane as draw_out_of_plane
 from .optimum_plots import draw_optimum as draw_optimum
 from .path_plots import draw_path as draw_path
-from .port_plots import draw_port_motion as draw_port_motion
+from .port_plots import (
+    draw_port_motion as draw_port_motion,
+    draw_stiffness as draw_stiffness,
+)
 from .wave_plots import draw_dispersion as draw_dispersion

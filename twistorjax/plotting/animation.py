@@ -12,19 +12,21 @@ from ..mechanism.mechanism import Mechanism
 from ..results.solutions import BodyPoses
 from ..solve.continuation.solution import Path
 from ..solve.integration.solution import Motion
+from ..solve.out_of_plane import OutOfPlaneVibrations
 from ..solve.vibrations import Vibrations
 from .drawing import (
     ARE_CLOSED,
     color_bar,
     Colors,
-    draw,
     draw_reference,
+    draw_shapes,
     figure_size,
     grouped_corners,
     paint,
     part_values,
 )
 from .figure_style import length_unit, new_axes
+from .oblique import draw_flat, OBLIQUE_AXES, vibration_shapes
 from .shapes import mechanism_size, shapes
 
 
@@ -75,7 +77,8 @@ def animate(
         mechanism: The mechanism.
         motion: A motion, vibrations, an equilibrium path, states of a bistable mechanism,
             a batch of equilibria, or poses; rad, m, m. One mode of the vibrations is
-            shown. Its amplitude is 8 % of the size of the mechanism.
+            shown. Its amplitude is 8 % of the size of the mechanism. Vibrations out of
+            the plane are shown in an oblique view, colored by z.
         mode: Index of the vibration mode. Mode 0 has the lowest frequency.
         magnify: Factor on all displacements, including angles. It is stated in the title.
         slower: Factor by which the animation is slower than the motion.
@@ -103,43 +106,50 @@ def animate(
         >>> "<script" in animation.to_jshtml()
         True
     """
-    sequence = _frames(mechanism, motion, mode, magnify, slower, frames)
-    displacements = (sequence.poses - np.asarray(mechanism.reference)) / magnify
-    values, label = part_values(mechanism, displacements, color, label)
-    if axes is None:
-        width, height = figure_size(mechanism, sequence.poses[0], bool(values))
-        axes = new_axes((5.0, 5.0 * height / width))
     from matplotlib.animation import FuncAnimation
 
-    unit, _ = length_unit(mechanism_size(mechanism))
-    first = len(axes.collections)
-    draw(mechanism, sequence.poses[0], reference=False, names=False, axes=axes)
-    collections = cast("list[PolyCollection]", list(axes.collections)[first:])
-    draw_reference(mechanism, axes)
+    unit, unit_name = length_unit(mechanism_size(mechanism))
+    if isinstance(motion, OutOfPlaneVibrations):
+        count = min(_FRAMES_PER_PERIOD, frames)
+        drawn, values, title = vibration_shapes(mechanism, motion, mode, magnify, count)
+        titles, interval = count * [title], 2000 / count
+        label, names = "z, relative to the largest", OBLIQUE_AXES
+    else:
+        sequence = _frames(mechanism, motion, mode, magnify, slower, frames)
+        displacements = (sequence.poses - np.asarray(mechanism.reference)) / magnify
+        values, label = part_values(mechanism, displacements, color, label)
+        drawn = [shapes(mechanism, poses) for poses in sequence.poses]
+        titles, interval, names = sequence.titles, sequence.interval, ("x", "y")
+    corners = np.concatenate([shape.corners for frame in drawn for shape in frame])
+    if axes is None:
+        width, height = figure_size(corners, bool(values))
+        axes = new_axes((5.0, 5.0 * height / width))
+    if isinstance(motion, OutOfPlaneVibrations):
+        draw_flat(mechanism, np.asarray(motion.poses), axes)
+    collections = draw_shapes(axes, drawn[0], unit, {})
+    if not isinstance(motion, OutOfPlaneVibrations):
+        draw_reference(mechanism, axes)
     fills = color_bar(axes, values, label) if values else None
-    corners = [
-        shape.corners for poses in sequence.poses for shape in shapes(mechanism, poses)
-    ]
-    axes.set(**_limits(unit * np.concatenate(corners)))
+    axes.set(aspect="equal", **_limits(unit * corners))
+    for axis, name in zip("xy", names, strict=True):
+        axes.set(**{f"{axis}label": f"{name} ({unit_name})"})
 
     def update(k: int) -> list["PolyCollection"]:
-        drawn = shapes(mechanism, sequence.poses[k])
-        groups = grouped_corners(drawn)
-        for collection, corners, closed in zip(
-            collections, groups, ARE_CLOSED, strict=True
+        for collection, parts, closed in zip(
+            collections, grouped_corners(drawn[k]), ARE_CLOSED, strict=True
         ):
-            collection.set_verts([unit * part for part in corners], closed=closed)
+            collection.set_verts([unit * part for part in parts], closed=closed)
         if fills is not None:
-            paint(collections, drawn, fills[k])
-        axes.set_title(sequence.titles[k], fontsize="medium")
+            paint(collections, drawn[k], fills[k])
+        axes.set_title(titles[k], fontsize="medium")
         return collections
 
     figure = cast("Figure", axes.get_figure(root=True))
     animation = FuncAnimation(
         figure,
         update,
-        frames=len(sequence.poses),
-        interval=max(20.0, sequence.interval),
+        frames=len(drawn),
+        interval=max(20.0, interval),
     )
     animation._repr_html_ = lambda: _html(animation, figure)
     return animation

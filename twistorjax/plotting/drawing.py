@@ -122,13 +122,15 @@ def draw(
     size = mechanism_size(mechanism)
     unit, unit_name = length_unit(size)
     values, label = part_values(mechanism, displacements[None], color, label)
+    drawn = shapes(mechanism, drawn_poses)
     if axes is None:
-        axes = new_axes(figure_size(mechanism, drawn_poses, bool(values)))
+        corners = np.concatenate([shape.corners for shape in drawn])
+        axes = new_axes(figure_size(corners, bool(values)))
     reference = reference and bool(np.any(displacements))
     if reference:
         draw_reference(mechanism, axes)
     (fills,) = color_bar(axes, values, label) if values else [{}]
-    draw_shapes(axes, shapes(mechanism, drawn_poses), unit, fills)
+    draw_shapes(axes, drawn, unit, fills)
     if names is None:
         names = len(mechanism.names) <= _MOST_NAMES
     if frames:
@@ -155,11 +157,8 @@ def draw(
     return axes
 
 
-def figure_size(
-    mechanism: Mechanism, poses: np.ndarray, color_bar: bool = False
-) -> tuple[float, float]:
-    """Return the size (inches) of a figure that a mechanism at some poses fills."""
-    corners = np.concatenate([part.corners for part in shapes(mechanism, poses)])
+def figure_size(corners: np.ndarray, color_bar: bool = False) -> tuple[float, float]:
+    """Return the size (inches) of a figure that a drawing with these corners fills."""
     width, height = np.ptp(corners, axis=0)
     ratio = np.clip(height / width if width else 2.0, 0.25, 1.2)
     return 7.0 + 0.8 * color_bar, float(6.0 * ratio + 1.0)

@@ -29,7 +29,13 @@ from .linearization import (
     linearize as linearize,
     LinearResponse as LinearResponse,
 )
-from .out_of_plane import out_of_plane as out_of_plane, OutOfPlane as OutOfPlane
+from .out_of_plane import (
+    out_of_plane as out_of_plane,
+    OutOfPlane as OutOfPlane,
+    OutOfPlaneResponse as OutOfPlaneResponse,
+    OutOfPlaneVibrations as OutOfPlaneVibrations,
+    spatial_compliance as spatial_compliance,
+)
 from .path import path as path
 from .port_compliance import (
     port_compliance as port_compliance,
@@ -44,4 +50,8 @@ from .simulate import simulate as simulate
 from .state_space import state_space as state_space, StateSpace as StateSpace
 from .statics.solution import Equilibrium as Equilibrium
 from .stresses import stresses as stresses
+from .stroke_stiffness import (
+    stiffness_over_stroke as stiffness_over_stroke,
+    StrokeStiffness as StrokeStiffness,
+)
 from .vibrations import Vibrations as Vibrations, vibrations as vibrations

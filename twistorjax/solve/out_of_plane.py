@@ -44,6 +44,8 @@ from ..assembly.out_of_plane import (
     member_stiffness,
 )
 from ..geometry import se2
+from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
 from ..results.codes import finish, RESULTS
@@ -59,7 +61,9 @@ from .equations.out_of_plane import (
 )
 from .equations.problem import mode_count
 from .equilibrium import inner_displacements
+from .port_compliance import port_compliance
 from .state_space import StateSpace
+from .statics.solution import StateLike
 from .vibrations import Vibrations
 
 
@@ -83,11 +87,13 @@ class OutOfPlaneResponse(Tabular):
         displacements: z and the rotations about x and y of each body, at its displaced
             origin; complex amplitudes, if there are frequencies; m, rad, rad.
         frequencies: Frequencies of the excitation; None for constant loads; Hz.
+        poses: Poses of the bodies in the plane; rad, m, m.
         names: Names of the bodies.
     """
 
-    displacements: Inexact[Array, "*batch bodies 3"]
+    displacements: Inexact[Array, "..."]
     frequencies: Float[Array, " frequencies"] | None
+    poses: Float[Array, "*batch bodies 3"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     def displacement(self, body: str) -> Inexact[Array, "*batch 3"]:
@@ -136,8 +142,10 @@ class OutOfPlaneVibrations(Vibrations):
         result: `RESULTS.successful` or the reason of the failure; `result_names` returns
             its name.
         names: Names of the bodies.
+        poses: Poses of the bodies in the plane; rad, m, m.
     """
 
+    poses: Float[Array, "*batch bodies 3"] = eqx.field(kw_only=True)
     _coordinates: ClassVar[tuple[str, ...]] = COORDINATES
     _where: ClassVar[str] = "out of the plane"
 
@@ -246,16 +254,16 @@ class OutOfPlane(eqx.Module):
             >>> hinge = tj.Hinge("leaf", "wall", "table", leaf, at=(0.0, 0.0, 0.0))
             >>> cantilever = tj.Mechanism(bodies, [hinge], fixed=["wall"])
             >>> out_of_plane(cantilever).response({"table": (1.0, 0.0, 0.0)})
-                           z (m) about x (rad) about y (rad)
-            wall               0             0             0
-            table    4.13597e-06             0  -0.000152381
+                          z (m) about x (rad) about y (rad)
+            wall              0             0             0
+            table   4.25778e-06             0  -0.000152381
         """
         acceleration = require_finite("`gravity`", gravity)
         known = concrete(acceleration)
         if known is None or known != 0:
             self._require("`mass`", self.lacking[0])
         found = _response(self, self._forces(loads), acceleration)
-        return OutOfPlaneResponse(found, None, self.names)
+        return OutOfPlaneResponse(found, None, self.poses, self.names)
 
     def vibrations(self, modes: int | None = None) -> OutOfPlaneVibrations:
         """Compute the natural frequencies and mode shapes out of the plane.
@@ -315,7 +323,7 @@ class OutOfPlane(eqx.Module):
                 "a resonance without damping. Give a `damping_ratio`, such as 0.01, or "
                 "leave out the frequency."
             )
-        return OutOfPlaneResponse(found, values, self.names)
+        return OutOfPlaneResponse(found, values, self.poses, self.names)
 
     def state_space(
         self,
@@ -536,7 +544,7 @@ def _response(
 def _vibrations(model: OutOfPlane, count: int) -> OutOfPlaneVibrations:
     free = np.array(model._free)
 
-    def vibrate(stiffness: Array, inertia: Array) -> OutOfPlaneVibrations:
+    def vibrate(stiffness: Array, inertia: Array, poses: Poses) -> OutOfPlaneVibrations:
         natural = normal_modes(stiffness, inertia[free])
         frequencies = natural.angular[:count] / (2 * jnp.pi)
         finite = jnp.all(jnp.isfinite(frequencies))
@@ -545,9 +553,10 @@ def _vibrations(model: OutOfPlane, count: int) -> OutOfPlaneVibrations:
             shapes=model._of_all(natural.shapes.T[:count]),
             result=RESULTS.where(finite, RESULTS.successful, RESULTS.not_finite),
             names=model.names,
+            poses=poses,
         )
 
-    return model._for_each(vibrate, model.inertia)
+    return model._for_each(vibrate, model.inertia, model.poses)
 
 
 @fast_compile
@@ -648,18 +657,13 @@ def out_of_plane(
         >>> out_of_plane(guide, pushed).stiffness_at("table", middle)[0, 0].round(-3)
         Array(732000., dtype=float64)
     """
-    names, parts = mechanism.hinge_names, _parts_of_hinges(mechanism)
-    given: dict[int, Any] = {}
-    for name, each in (hinges or {}).items():
-        row = index_of("`hinges`", "hinge", name, names)
-        if isinstance(each, SubMechanism):
-            parts[row] = each
-            continue
-        parts.pop(row, None)
-        given[row] = require_array(
-            f"`hinges[{name!r}]`", each, (3, 3), "be a matrix with three rows"
+    if unknown := hinges_not_known(mechanism, hinges):
+        raise ValueError(
+            f"The stiffness out of the plane of {listing(unknown)} is not known. Create "
+            "the energies from dimensions, by `flexures.leaf`, `flexures.notch`, or "
+            "`flexures.surrogate`, or give it in `hinges`."
         )
-    _require_known(mechanism, parts, given)
+    given, parts = _given_and_parts(mechanism, hinges)
     held = {index_of("`fixed`", "body", name, mechanism.names) for name in fixed}
     held |= {row for row in range(len(mechanism.names)) if mechanism.is_fixed(row)}
     free = [row for row in range(len(mechanism.names)) if row not in held]
@@ -697,6 +701,73 @@ def out_of_plane(
     return model
 
 
+@announced("spatial compliance")
+def spatial_compliance(
+    mechanism: Mechanism,
+    body: str,
+    at: PoseLike = (0.0, 0.0, 0.0),
+    *,
+    about: StateLike | None = None,
+    loads: Sequence[Load] = (),
+    constraints: Sequence[AbstractConstraint] = (),
+    time: NumberLike = 0.0,
+    warping: bool = True,
+    hinges: HingesOutOfPlane | None = None,
+    fixed: Sequence[str] = (),
+) -> Float[Array, "6 6"]:
+    """Compute the compliance at a port against forces and moments in all directions.
+
+    It consists of the blocks of `port_compliance` in the plane and of `out_of_plane`,
+    which are independent of each other for a plate that is symmetric about its middle
+    plane.
+
+    Args:
+        mechanism: The mechanism.
+        body: Name of the body.
+        at: Pose of the port in the frame of its body; rad, m, m.
+        about: Equilibrium or poses; by default the reference configuration; rad, m, m.
+        loads: Loads that act at this equilibrium; see `port_compliance`.
+        constraints: Constraints between the bodies in the plane.
+        time: Time at which time-dependent constraints are evaluated; s.
+        warping: See `out_of_plane`.
+        hinges: See `out_of_plane`.
+        fixed: See `out_of_plane`.
+
+    Returns:
+        Rotations about axes 1, 2, and 3 of the port, and displacements along them, for
+        unit moments about these axes and unit forces along them; rad/(N m), rad/N, m/N.
+        Axis 3 is z.
+
+    Raises:
+        ValueError: A name is unknown, a coordinate of the body is fixed, or the stiffness
+            of a hinge out of the plane is not known.
+        RuntimeError: A body can move out of the plane without resistance.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> steel = tj.Material(modulus=210e9, poisson=0.3)
+        >>> leaf = tj.flexures.leaf(steel, length=40e-3, thickness=0.3e-3, width=10e-3)
+        >>> hinge = tj.Hinge("leaf", "wall", "table", leaf, at=(0.0, 0.0, 0.0))
+        >>> bodies = [tj.Body("wall"), tj.Body("table")]
+        >>> cantilever = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+        >>> compliance = spatial_compliance(cantilever, "table")
+        >>> compliance.diagonal()[:3].round(6)  # against moments about axes 1, 2, and z
+        Array([4.949757e+00, 7.619000e-03, 8.465608e+00], dtype=float64)
+    """
+    in_plane = port_compliance(
+        mechanism, body, at, about=about, loads=loads, constraints=constraints, time=time
+    )
+    model = out_of_plane(mechanism, about, warping=warping, hinges=hinges, fixed=fixed)
+    whole = jnp.zeros((6, 6))
+    for block, found in (
+        ((2, 3, 4), in_plane.compliance),
+        ((5, 0, 1), model.compliance_at(body, at)),
+    ):
+        index = np.array(block)
+        whole = whole.at[index[:, None], index].set(found)
+    return whole
+
+
 Parts = dict[int, SubMechanism]
 
 
@@ -712,21 +783,36 @@ def _parts_of_hinges(mechanism: Mechanism) -> Parts:
     return found
 
 
-def _require_known(mechanism: Mechanism, parts: Parts, given: Mapping[int, Any]) -> None:
-    """Require that the stiffness of all hinges and of their parts is known."""
-    for part in parts.values():
-        _require_known(part.mechanism, _parts_of_hinges(part.mechanism), {})
+def _given_and_parts(
+    mechanism: Mechanism, hinges: HingesOutOfPlane | None
+) -> tuple[dict[int, Any], Parts]:
+    """Arrange the matrices and the parts of hinges by the index of the hinge."""
+    parts, given = _parts_of_hinges(mechanism), {}
+    for name, each in (hinges or {}).items():
+        row = index_of("`hinges`", "hinge", name, mechanism.hinge_names)
+        if isinstance(each, SubMechanism):
+            parts[row] = each
+            continue
+        parts.pop(row, None)
+        given[row] = require_array(
+            f"`hinges[{name!r}]`", each, (3, 3), "be a matrix with three rows"
+        )
+    return given, parts
+
+
+def hinges_not_known(
+    mechanism: Mechanism, hinges: HingesOutOfPlane | None = None
+) -> list[str]:
+    """Return the names of hinges, or of their parts, whose stiffness is not known."""
+    given, parts = _given_and_parts(mechanism, hinges)
     unknown = [
         mechanism.hinge_names[row]
         for row in hinges_without_stiffness(mechanism.hinge_assembly)
         if row not in given and row not in parts
     ]
-    if unknown:
-        raise ValueError(
-            f"The stiffness out of the plane of {listing(unknown)} is not known. Create "
-            "the energies from dimensions, by `flexures.leaf`, `flexures.notch`, or "
-            "`flexures.surrogate`, or give it in `hinges`."
-        )
+    for part in parts.values():
+        unknown += hinges_not_known(part.mechanism)
+    return unknown
 
 
 @fast_compile

@@ -187,20 +187,26 @@ def port_compliance(
             f"The port is on {body!r}, but {names} cannot move, so its compliance has no "
             "inverse. Choose another body, or free this coordinate."
         )
-    return PortCompliance(_compliance(linear, row, frame), body)
+    return PortCompliance(compliance_in_port(linear, row, frame), body)
 
 
 @fast_compile
-def _compliance(linear: Linearization, body: int, frame: Pose) -> Matrix:
-    """Compute the compliance of a frame on a body, in the axes of the frame."""
+def compliance_in_port(linear: Linearization, body: int, frame: Pose) -> Matrix:
+    """Compute the compliance of a frame on a body, in the axes of the frame.
+
+    Coordinates of the body that are held do not move. The compliance is NaN if the
+    equilibrium is not stable.
+    """
     # The coordinates of a body are a twist about its origin, in the axes of the world.
     body_frame = linear.about[body] * jnp.array([1.0, 0.0, 0.0])
     rows = se2.adjoint(se2.inverse(se2.compose(body_frame, frame)))
     free = np.array(linear.dofs.free, int)
-    columns = [int(np.flatnonzero(free == 3 * body + k)[0]) for k in range(3)]
+    moving = [k for k in range(3) if 3 * body + k in linear.dofs.free]
+    columns = [int(np.flatnonzero(free == 3 * body + k)[0]) for k in moving]
+    rows = rows[:, np.array(moving, int)]
     size = len(free) + len(linear.constraint_names)
-    forces = jnp.zeros((3, size)).at[:, np.array(columns)].set(rows)
+    forces = jnp.zeros((3, size)).at[:, np.array(columns, int)].set(rows)
     response, stable = jax.vmap(linear.factors.solve_and_check)(forces)
-    compliance = response[:, np.array(columns)] @ rows.T
+    compliance = response[:, np.array(columns, int)] @ rows.T
     usable = jnp.all(stable) & linear.finite & linear.consistent
     return jnp.where(usable, (compliance + compliance.T) / 2, jnp.nan)

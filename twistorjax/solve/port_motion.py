@@ -291,6 +291,11 @@ def _input(
                 "travel. Give a stroke along axis 1 or axis 2."
             )
         return travel, None, rows
+    return *input_of_drive(mechanism, drive), None
+
+
+def input_of_drive(mechanism: Mechanism, drive: Drive) -> tuple[Scalar, int]:
+    """Return the displacement by a drive of one coordinate (rad or m), and its index."""
     dofs, targets = prescribed_dofs(mechanism, [drive])
     if len(dofs) != 1:
         raise ValueError(
@@ -302,7 +307,7 @@ def _input(
             f"The drive of {drive.body!r} prescribes the displacement zero, so the input "
             "has no travel. Give its displacement at the end of the travel."
         )
-    return targets[0], dofs[0], None
+    return targets[0], dofs[0]
 
 
 @fast_compile

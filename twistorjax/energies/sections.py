@@ -26,7 +26,7 @@ class Sections(NamedTuple):
     # Poses of the cross-sections in a frame, by which the stiffness is described; rad, m,
     # m
     poses: Float[Array, "nodes 3"]
-    thickness: Float[Array, " nodes"]  # In-plane; m
+    thickness: Float[Array, "*nodes"]  # In-plane; one number if it is uniform; m
     length: Scalar  # Along the axis; m
     width: Scalar  # Out of the plane; m
     modulus: Scalar  # Pa
@@ -48,6 +48,11 @@ def _quadrature() -> tuple[np.ndarray, np.ndarray]:
 def nodes() -> Float[np.ndarray, " nodes"]:
     """Return the positions of the cross-sections along the axis, from -1 to 1."""
     return _quadrature()[0]
+
+
+def _weighted(values: Float[np.ndarray, "rows nodes"]) -> np.ndarray:
+    """Multiply values at the nodes by the weights of the quadrature."""
+    return _quadrature()[1] * values
 
 
 def _polynomials(degree: int) -> Float[np.ndarray, "nodes polynomials"]:
@@ -92,11 +97,14 @@ def out_of_plane_stiffness(
         return stiffness if continues is None else jnp.pad(stiffness, (0, 2))
     # The twist rate minimizes the potential energy.
     values, slopes = _twist_rates()
-    sectorial = area**3 / 144
-    twisting = weights * shear_modulus * torsion
-    restraint = weights * modulus * sectorial * (2 / length) ** 2
-    matrix = values @ (twisting[:, None] * values.T)
-    matrix = matrix + slopes @ (restraint[:, None] * slopes.T)
+    twisting = length / 2 * shear_modulus * torsion
+    restraint = 2 / length * modulus * area**3 / 144
+    if thickness.ndim:
+        at_nodes = (values * twisting[None]) @ _weighted(values).T
+        matrix = at_nodes + (slopes * restraint[None]) @ _weighted(slopes).T
+    else:
+        matrix = twisting * (values @ _weighted(values).T)
+        matrix = matrix + restraint * (slopes @ _weighted(slopes).T)
     work = values @ (weights[:, None] * torque)
     at_ends, inside = slice(2), slice(2, None)
     lower = jnp.linalg.cholesky(matrix[inside, inside])
@@ -120,14 +128,15 @@ def torsion_constant(
 ) -> Float[Array, "*sections"]:
     """Compute the torsion constant of rectangles, by its series; m^4."""
     short, long = jnp.minimum(thickness, width), jnp.maximum(thickness, width)
-    odd = 2.0 * np.arange(_TERMS) + 1
-    decay = jnp.exp(-np.pi * (long / short)[..., None] * odd[None])
+    odd = np.reshape(2.0 * np.arange(_TERMS) + 1, (*thickness.ndim * (1,), -1))
+    decay = jnp.exp(-np.pi * (long / short)[..., None] * odd)
     # tanh(u) = 1 - 2 exp(-2 u) / (1 + exp(-2 u))
-    rest = jnp.sum(2 * decay / (1 + decay) / odd[None] ** 5, axis=-1)
+    rest = jnp.sum(2 * decay / (1 + decay) / odd**5, axis=-1)
     factor = 1 - 192 / np.pi**5 * short / long * (_ODD_SUM - rest)
     return long * short**3 / 3 * factor
 
 
+@cache
 def _twist_rates() -> tuple[np.ndarray, np.ndarray]:
     """Return polynomials at the nodes, and their slopes.
 
@@ -176,13 +185,15 @@ def bent_sections(
 
     The poses are in the mid-frame; rad, m, m.
     """
-    along, arm = length / 2 * jnp.asarray(_integrals_along()), length / 2
-    angles = along @ curvature - displacement.angle / 2
-    x = along @ jnp.cos(angles) - arm * displacement.sigma - displacement.x1
-    y = along @ jnp.sin(angles) + arm * displacement.xi - displacement.x2
+    # The same matrix for a whole batch: `benchmarks.sweeps`
+    integrals, arm = jnp.asarray(_integrals_along()), length / 2
+    angles = arm * (integrals @ curvature) - displacement.angle / 2
+    x = arm * (integrals @ jnp.cos(angles) - displacement.sigma) - displacement.x1
+    y = arm * (integrals @ jnp.sin(angles) + displacement.xi) - displacement.x2
     return jnp.stack([angles, x, y], axis=1)
 
 
+@cache
 def _integrals_along() -> Float[np.ndarray, "nodes nodes"]:
     """Return the matrix that integrates values at the nodes from -1 to each node."""
     at, weights = _quadrature()

@@ -208,7 +208,7 @@ class BeamColumnStress(AbstractStressModel):
         stiffness = self.modulus * self.width * self.thickness**3 / 12
         return Sections(
             bent_sections(displacement, self.length, moments / stiffness),
-            jnp.full(nodes().shape, self.thickness),
+            self.thickness,
             self.length,
             self.width,
             self.modulus,

@@ -81,6 +81,27 @@ def parallel_guide(design: dict[str, Any]) -> dict[str, Any]:
     return {"height_change": height_change, "result": solution.result}
 
 
+def support_stiffness(design: dict[str, Any]) -> dict[str, Any]:
+    """Compute the support stiffness along z of a guide at three strokes."""
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=40e-3, thickness=0.3e-3, width=design["width"])
+    hinges = [
+        tj.Hinge(name, "wall", "table", leaf, at=(0.0, 20e-3, y))
+        for name, y in (("lower", -20e-3), ("upper", 20e-3))
+    ]
+    bodies = [tj.Body("wall"), tj.Body("table", (0.0, 20e-3, 0.0))]
+    guide = tj.Mechanism(bodies, hinges, fixed=["wall"])
+
+    def at(stroke: jax.Array) -> tuple[jax.Array, Any]:
+        drives = [tj.Drive("table", y=stroke)]
+        solution = tj.equilibrium(guide, drives=drives, throw=False)
+        model = tj.out_of_plane(guide, solution)
+        return 1 / model.compliance_at("table")[0, 0], solution.result
+
+    stiffness, result = jax.vmap(at)(jnp.array([0.0, 2e-3, 4e-3]))
+    return {"stiffness": stiffness, "result": result}
+
+
 def released(design: dict[str, Any]) -> dict[str, Any]:
     """Simulate the motion of a released four-bar linkage for 0.2 s."""
     linkage = four_bar.four_bar(
@@ -134,6 +155,10 @@ def measure_sweeps() -> Iterator[Row]:
     repeated = timed(parallel_guide, "travel", 1e-5, 1e-3, 20_000)[1]
     what = "sweep: parallel guide with two surrogate leaves"
     yield Row(what, 20_000 / repeated, "/s")
+    widths = ("width", 5e-3, 20e-3)
+    repeated = timed(support_stiffness, *widths, 10_000)[1]
+    what = "sweep: parallel guide: support stiffness out of the plane at three strokes"
+    yield Row(what, 10_000 / repeated, "/s")
     count = 100_000 if accelerated else 500
     chunk_size = None if accelerated else 64
     thicknesses = ("thickness", 0.9e-3, 1e-3)

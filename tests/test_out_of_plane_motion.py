@@ -397,3 +397,25 @@ def test_oblique_views():
         tj.plotting.draw_out_of_plane(mechanism, response)
     with pytest.raises(ValueError, match="there are 3 vibrations"):
         tj.plotting.draw_out_of_plane(mechanism, modes, mode=3)
+
+
+def test_designs_in_sweeps_and_optimizations():
+    """A limit on the lowest frequency out of the plane, and its derivative."""
+
+    def study(design):
+        model = tj.out_of_plane(guide(design["thickness"]))
+        frequency = model.vibrations().frequencies[0]
+        return {"frequency": frequency, "stiffness": design["thickness"] ** 3}
+
+    thicknesses = np.array([0.2999e-3, 0.3e-3, 0.3001e-3])
+    swept = tj.sweep(study, {"thickness": thicknesses}, derivatives=("frequency",))
+    below, middle, above = swept["frequency"].values
+    difference = (above - below) / (thicknesses[2] - thicknesses[0])
+    slope = swept["frequency_by_thickness"].values[1]
+    np.testing.assert_allclose(slope, difference, rtol=1e-6)
+    start = tj.Parameter(0.4e-3, lower=0.1e-3, upper=1e-3)
+    found = tj.optimize(
+        study, {"thickness": start}, minimize="stiffness",
+        limits={"frequency": tj.Limit(lower=middle)},
+    )  # fmt: skip
+    np.testing.assert_allclose(found.parameters["thickness"], 0.3e-3, rtol=1e-6)

@@ -35,7 +35,7 @@ class Strengths(eqx.Module):
 
 
 class AbstractStressModel(eqx.Module):
-    """Stress at some points of the surface of a flexure.
+    """Stress at some points of the surface of a flexure, and its cross-sections.
 
     It is the normal stress. For a flexure under shear, it may be an equivalent stress,
     with a sign that changes with the load.

@@ -28,6 +28,7 @@ from . import (
     peers_chains,
     peers_identification,
     peers_motion,
+    peers_out_of_plane,
     statics,
     sweeps,
 )
@@ -37,9 +38,9 @@ from .measure import Row
 MODULES = {
     module.__name__.rpartition(".")[2]: module
     for module in (
-        statics, peers, chains, peers_chains, leaves, condensed, motion, peers_motion,
-        lattices, paths, identification, peers_identification, sweeps, first_calls,
-        analyses,
+        statics, peers, chains, peers_chains, leaves, condensed, peers_out_of_plane,
+        motion, peers_motion, lattices, paths, identification, peers_identification,
+        sweeps, first_calls, analyses,
     )
 }  # fmt: skip
 PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "exudyn")

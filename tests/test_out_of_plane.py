@@ -319,12 +319,12 @@ def test_hinges_consist_of_their_parts():
     state = tj.equilibrium(whole, drives=[tj.Drive("arm", angle=0.15)])
     expected = tj.out_of_plane(whole, state).stiffness_at("arm")
     fixed = tj.Quadratic(np.eye(3))
-    for energy, options, argument in (
-        (tj.flexures.Condensed(pivot), {}, None),
-        (fixed, {"outline": pivot}, None),
-        (fixed, {}, {"pivot": pivot}),
+    for energy, outline, argument in (
+        (tj.flexures.Condensed(pivot), None, None),
+        (fixed, pivot, None),
+        (fixed, None, {"pivot": pivot}),
     ):
-        hinge = tj.Hinge("pivot", "wall", "arm", energy, at=at, **options)
+        hinge = tj.Hinge("pivot", "wall", "arm", energy, at=at, outline=outline)
         mechanism = tj.Mechanism([wall, arm], [hinge], fixed=["wall"])
         found = tj.out_of_plane(mechanism, state, hinges=argument)
         assert_close(found.stiffness_at("arm"), expected, digits=8)

@@ -95,7 +95,7 @@ def _require_inertia(owner: str, given: InertiaLike) -> Float[Array, "2 2"]:
     if known is None:
         return matrix
     skew = np.max(np.abs(known - known.T))
-    if skew > 1e-9 * np.max(np.abs(known)) or np.any(np.linalg.eigvalsh(known) <= 0):
+    if skew > 1e-5 * np.max(np.abs(known)) or np.any(np.linalg.eigvalsh(known) <= 0):
         raise ValueError(
             f"`tilt_inertia` {owner} is {known.tolist()}, but must be symmetric and "
             "positive definite: [[Jxx, -Jxy], [-Jxy, Jyy]], in kg m^2."

@@ -12,8 +12,7 @@ from ..mechanism.mechanism import Mechanism
 from ..results.solutions import BodyPoses
 from ..solve.continuation.solution import Path
 from ..solve.integration.solution import Motion
-from ..solve.out_of_plane import OutOfPlaneVibrations
-from ..solve.vibrations import Vibrations
+from ..solve.vibration_results import OutOfPlaneVibrations, Vibrations
 from .drawing import (
     ARE_CLOSED,
     color_bar,

@@ -33,7 +33,6 @@ from .out_of_plane import (
     out_of_plane as out_of_plane,
     OutOfPlane as OutOfPlane,
     OutOfPlaneResponse as OutOfPlaneResponse,
-    OutOfPlaneVibrations as OutOfPlaneVibrations,
     spatial_compliance as spatial_compliance,
 )
 from .path import path as path
@@ -54,4 +53,8 @@ from .stroke_stiffness import (
     stiffness_over_stroke as stiffness_over_stroke,
     StrokeStiffness as StrokeStiffness,
 )
-from .vibrations import Vibrations as Vibrations, vibrations as vibrations
+from .vibration_results import (
+    OutOfPlaneVibrations as OutOfPlaneVibrations,
+    Vibrations as Vibrations,
+)
+from .vibrations import vibrations as vibrations

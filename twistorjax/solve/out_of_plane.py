@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -31,6 +31,7 @@ from .._utils.validation import (
     listing,
     require_array,
     require_finite,
+    require_float64,
     require_interval,
     require_pose,
     require_row,
@@ -64,7 +65,7 @@ from .equilibrium import inner_displacements
 from .port_compliance import port_compliance
 from .state_space import StateSpace
 from .statics.solution import StateLike
-from .vibrations import Vibrations
+from .vibration_results import OutOfPlaneVibrations
 
 
 # Smaller eigenvalues of a stiffness with ones on its diagonal may be rounding errors.
@@ -130,24 +131,6 @@ class OutOfPlaneResponse(Tabular):
             numbers = " ".join(f"{value:>13.6g}" for value in row)
             lines.append(f"{name:<{width}} {numbers}")
         return "\n".join(lines)
-
-
-class OutOfPlaneVibrations(Vibrations):
-    """Natural frequencies and mode shapes out of the plane.
-
-    Args:
-        frequencies: Natural frequencies in ascending order; Hz.
-        shapes: Mass-normalized mode shapes: z and the rotations about x and y of each
-            body; 1/kg^0.5, rad/(kg^0.5 m), rad/(kg^0.5 m).
-        result: `RESULTS.successful` or the reason of the failure; `result_names` returns
-            its name.
-        names: Names of the bodies.
-        poses: Poses of the bodies in the plane; rad, m, m.
-    """
-
-    poses: Float[Array, "*batch bodies 3"] = eqx.field(kw_only=True)
-    _coordinates: ClassVar[tuple[str, ...]] = COORDINATES
-    _where: ClassVar[str] = "out of the plane"
 
 
 class OutOfPlane(eqx.Module):
@@ -360,8 +343,16 @@ class OutOfPlane(eqx.Module):
         count, ratio = self._require_inertia(modes), _require_ratio(damping_ratio)
         forces = jnp.stack([self._forces(loads) for loads in inputs.values()])
         rows = tuple(self._output(name, *given) for name, given in outputs.items())
-        matrices = _state_space(self, forces, rows, count, ratio)
-        return StateSpace(*matrices, RESULTS.successful, tuple(inputs), tuple(outputs))
+        a, b, c, d = _state_space(self, forces, rows, count, ratio)
+        return StateSpace(
+            a=a,
+            b=b,
+            c=c,
+            d=d,
+            result=RESULTS.successful,
+            inputs=tuple(inputs),
+            outputs=tuple(outputs),
+        )
 
     def constraint_analysis(self, ratio: float = 1e-3) -> ConstraintAnalysis:
         """Find motions that no stiff direction resists, and over-constraints.
@@ -635,8 +626,8 @@ def out_of_plane(
         batch.
 
     Raises:
-        ValueError: The stiffness of a hinge is not known, a name is unknown, or all
-            bodies are fixed.
+        ValueError: Double precision is disabled, the stiffness of a hinge is not known, a
+            name is unknown, or all bodies are fixed.
         RuntimeError: A body can move out of the plane without resistance, or the deformed
             shape of a flexure is not known.
 
@@ -657,6 +648,7 @@ def out_of_plane(
         >>> out_of_plane(guide, pushed).stiffness_at("table", middle)[0, 0].round(-3)
         Array(732000., dtype=float64)
     """
+    require_float64(mechanism.reference)
     if unknown := hinges_not_known(mechanism, hinges):
         raise ValueError(
             f"The stiffness out of the plane of {listing(unknown)} is not known. Create "
@@ -673,7 +665,10 @@ def out_of_plane(
     matrix, rows, stiffness = mechanism.of_hinges(
         at, partial(_stiffness, given, parts, warping)
     )
-    lacking = mechanism.masses.is_none(), mechanism.tilt_inertias.is_none()
+    without_mass, without_inertia = (
+        tuple(mechanism.names[row] for row in free if values.is_none()[row])
+        for values in (mechanism.masses, mechanism.tilt_inertias)
+    )
     poses, inertia = _poses_and_inertia(
         mechanism.displacements(at, "about"),
         mechanism.reference,
@@ -693,9 +688,7 @@ def out_of_plane(
         hinge_names=mechanism.hinge_names,
         ends=assembly.ends,
         fixed=tuple(sorted(held)),
-        lacking=tuple(
-            tuple(mechanism.names[row] for row in free if none[row]) for none in lacking
-        ),
+        lacking=(without_mass, without_inertia),
     )
     model._require_support()
     return model

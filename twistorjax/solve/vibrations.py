@@ -2,12 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.host import is_traced
@@ -15,68 +12,18 @@ from .._utils.progress import announced
 from .._utils.types import NumberLike, Poses
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
-from ..mechanism.mechanism import COORDINATES, Mechanism
-from ..results.codes import RESULTS, Solution
-from ..results.tables import Column, Columns, columns, Tabular
+from ..mechanism.mechanism import Mechanism
+from ..results.codes import RESULTS
 from .equations.consistency import consistent
 from .equations.modes import natural_modes
 from .equations.problem import Problem
 from .equations.system import System
+from .out_of_plane import out_of_plane
 from .statics.solution import StateLike
+from .vibration_results import AbstractSource, Vibrations
 
 
-class Vibrations(Solution, Tabular):
-    """Natural frequencies and mode shapes of a mechanism.
-
-    If the equilibrium is unstable with respect to a mode, the frequency of this mode is
-    NaN.
-
-    Args:
-        frequencies: Natural frequencies in ascending order; Hz.
-        shapes: Mass-normalized mode shapes; rad/(kg^0.5 m), 1/kg^0.5, 1/kg^0.5.
-        result: `RESULTS.successful` or the reason of the failure; `result_names` returns
-            its name.
-        names: Names of the bodies.
-        source: What vibrates, from which its modes out of the plane can be computed; None
-            if they cannot.
-    """
-
-    frequencies: Float[Array, "*batch modes"]
-    shapes: Float[Array, "*batch modes bodies 3"]
-    result: RESULTS
-    names: tuple[str, ...] = eqx.field(static=True)
-    source: "VibrationSource | None" = None
-    _plural: ClassVar[str] = "sets of vibrations"
-    _coordinates: ClassVar[tuple[str, ...]] = COORDINATES
-    _where: ClassVar[str] = "in the plane"
-
-    def columns(self) -> Columns:
-        axes = ("mode", "body")
-        entries = [(f"shape_{name}", "") for name in self._coordinates]
-        return {
-            "frequency": Column(self.frequencies, ("mode",), "Hz"),
-            **columns(self.shapes, axes, *entries, body=self.names),
-        }
-
-    def _summary(self, names: np.ndarray) -> str:
-        title = f"{names}: {self.frequencies.size} vibrations {self._where}"
-        lines = [title, "frequency (Hz)  largest translations"]
-        for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
-            translations = [name in ("x", "y", "z") for name in self._coordinates]
-            travel = np.linalg.norm(np.asarray(shape)[:, translations], axis=1)
-            largest = [body for body in np.argsort(-travel)[:3] if travel[body] > 0]
-            moving = ", ".join(self.names[body] for body in largest) or "rotations only"
-            lines.append(f"{float(frequency):>14.6g}  {moving}")
-        lowest = None if self.source is None else self.source.lowest_out_of_plane()
-        if lowest is not None and lowest < float(self.frequencies[-1]):
-            lines.append(
-                f"It vibrates out of the plane from {lowest:.6g} Hz on: "
-                "`out_of_plane(mechanism).vibrations()`."
-            )
-        return "\n".join(lines)
-
-
-class VibrationSource(eqx.Module):
+class _Source(AbstractSource):
     """A mechanism and the equilibrium about which it vibrates."""
 
     mechanism: Mechanism
@@ -84,10 +31,6 @@ class VibrationSource(eqx.Module):
     held: tuple[str, ...] = eqx.field(static=True)  # Bodies that do not move
 
     def lowest_out_of_plane(self) -> float | None:
-        """Return the lowest natural frequency out of the plane (Hz), if it is known."""
-        # That module builds on this one.
-        from .out_of_plane import out_of_plane
-
         try:
             model = out_of_plane(self.mechanism, self.about, fixed=self.held)
             return float(model.vibrations(modes=1).frequencies[0])
@@ -178,7 +121,7 @@ def vibrations(
             for row, name in enumerate(mechanism.names)
             if {3 * row, 3 * row + 1, 3 * row + 2} <= dofs
         ]
-        source = VibrationSource(mechanism, about, tuple(still))
+        source = _Source(mechanism, about, tuple(still))
         solution = replace(solution, source=source)
     return problem.finish(solution, throw, state)
 

@@ -4,6 +4,7 @@ from jaxtyping import Array, Float
 
 from ..._compile.compilation import fast_compile
 from ..._utils.types import Matrix
+from ..._utils.validation import require_float64
 from ...energies.sections import (
     at_nodes,
     nodes,
@@ -32,7 +33,8 @@ def out_of_plane_stiffness(
     leaf is half as wide as long, and 0.2 % if it is a tenth as wide; without the
     restraint of warping, they would be 3.6 times and 17 % stiffer. The theory has neither
     the stress in the deformed beam, so no lateral buckling, nor the deformation of the
-    cross-sections of a short, wide leaf.
+    cross-sections of a short, wide leaf. At a stroke s of a guide of length L, the stress
+    makes it stiffer by about `0.43 (s / L)^2`.
 
     Args:
         beam: The beam.
@@ -63,6 +65,7 @@ def out_of_plane_stiffness(
         >>> support(0.0), support(0.1)  # N/m
         (Array(101900., dtype=float64), Array(56400., dtype=float64))
     """
+    require_float64(beam.length)
     if solution is None:
         solution = beam_under_load(beam, [0.0, 0.0, 0.0])
     thickness = values_along(beam.profile, beam.length / 2 * nodes())

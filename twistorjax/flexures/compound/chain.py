@@ -442,11 +442,11 @@ def _body(name: str, pose: Pose, before: Beam, mass: Scalar | None) -> Body:
     """Create the body after a segment, with the rotary inertia of its cross-section."""
     inertia = tilt_inertia = None
     if mass is not None:
-        xp, values = on_host(mass, before.profile(before.length / 2), before.width)
-        mass, thickness, width = values
-        inertia = as_float(mass * thickness**2 / 12)
-        polar = thickness**2 + width**2
-        tilt_inertia = as_float(mass / 12 * xp.diag(xp.stack([polar, width**2])))
+        end = before.profile(before.length / 2)
+        xp, (kilograms, thickness, width) = on_host(mass, end, before.width)
+        inertia = as_float(kilograms * thickness**2 / 12)
+        squares = xp.stack([thickness**2 + width**2, width**2])
+        tilt_inertia = as_float(kilograms / 12 * xp.diag(squares))
     expansion = before.material.expansion
     return Body(name, pose, mass, inertia, expansion=expansion, tilt_inertia=tilt_inertia)
 

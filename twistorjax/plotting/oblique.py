@@ -7,7 +7,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.validation import quote
 from ..mechanism.mechanism import Mechanism
-from ..solve.out_of_plane import OutOfPlaneResponse
+from ..solve.out_of_plane_model import OutOfPlaneResponse
 from ..solve.vibration_results import OutOfPlaneVibrations
 from .drawing import color_bar, draw_shapes, figure_size, Part
 from .figure_style import GRAY, length_unit, new_axes, prefixed_unit

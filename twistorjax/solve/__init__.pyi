@@ -31,9 +31,11 @@ from .linearization import (
 )
 from .out_of_plane import (
     out_of_plane as out_of_plane,
+    spatial_compliance as spatial_compliance,
+)
+from .out_of_plane_model import (
     OutOfPlane as OutOfPlane,
     OutOfPlaneResponse as OutOfPlaneResponse,
-    spatial_compliance as spatial_compliance,
 )
 from .path import path as path
 from .port_compliance import (

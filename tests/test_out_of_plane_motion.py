@@ -393,6 +393,7 @@ def test_oblique_views():
     assert axes.get_title().startswith("mode 2 out of the plane: ")
     moving = axes.figure.add_subplot()
     animation = tj.animate(mechanism, modes, mode=1, frames=4, axes=moving)
+    assert "<script" in animation.to_jshtml()
     heights = []
     for frame in range(4):
         animation._draw_frame(frame)  # pyright: ignore[reportAttributeAccessIssue]

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._utils.types import Matrix, Scalar
+from .._utils.types import Scalar
 from .._utils.validation import require_positive_fields
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
@@ -108,7 +108,7 @@ def surface_stresses(
 
 def out_of_plane_stiffness(
     energy: AbstractEnergy, displacement: Displacement, wrench: MidWrench, warping: bool
-) -> Matrix | None:
+) -> Float[Array, "displacements displacements"] | None:
     """Compute the stiffness of a flexure out of its plane; None if it is not known.
 
     It is that of the mid-frame; see `sections.out_of_plane_stiffness`. The wrench is that

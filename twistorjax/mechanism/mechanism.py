@@ -517,7 +517,7 @@ class Mechanism(eqx.Module):
         flat = displacements.reshape(-1, *self.reference.shape)
         state = HingeState.of_solution(at, batch)
 
-        def evaluate(displacements: Poses, state: HingeState) -> Array:
+        def evaluate(displacements: Poses, state: HingeState) -> Any:
             return function(self.hinges_in(state), displacements)
 
         # One state is not traced, so that a value out of range raises an error.

@@ -167,6 +167,26 @@ def test_a_notch_by_integrals_along_its_profile():
     np.testing.assert_allclose(found, exact, rtol=1e-7)
 
 
+@pytest.mark.parametrize(
+    ("row", "name", "elements", "tolerance"),
+    [
+        (0, "along z", 8.423e7, 0.07),
+        (1, "in torsion", 663.0, 0.3),
+        (2, "in bending", 8300.0, 0.01),
+    ],
+)
+def test_a_wide_notch_between_blocks(row, name, elements, tolerance, validated):
+    """Solid elements with quadratic shape functions, 77,409 unknowns, clamped ends."""
+    profile = tj.flexures.notch_profile(hole=3e-3, web=0.25e-3)
+    beam = tj.flexures.Beam(
+        ALUMINUM, length=3e-3, thickness=profile, width=0.02, steps=48
+    )
+    found = stiffness(beam)[row, row]
+    assert abs(found / elements - 1) < tolerance
+    what = f"stiffness {name} of a notch, hole 3 mm, web 0.25 mm, width 20 mm"
+    validated("Out of the plane", what, found, elements, "solid finite elements")
+
+
 def test_derivatives_by_the_stroke_and_the_thickness():
     def support(at):
         stroke, thickness = at

@@ -42,7 +42,7 @@ def out_of_plane_stiffness(
             the undeformed one.
         warping: Whether the ends cannot warp. The restraint is the bending of the fibers
             of thin cross-sections, which is most of the torsional stiffness of a notch
-            that is wider than long.
+            that is wider than long, and up to 25 % too large for it; see the manual.
 
     Returns:
         The forces on frame b, about its displaced origin and in its displaced axes, for

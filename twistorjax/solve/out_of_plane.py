@@ -235,13 +235,16 @@ Parts = dict[int, SubMechanism]
 
 def _parts_of_hinges(mechanism: Mechanism) -> Parts:
     """Return the sub-mechanisms that act as hinges, by the index of the hinge."""
-    assembly, found = mechanism.hinge_assembly, {}
-    for row, outline in enumerate(mechanism.hinge_outlines):
-        part = outline
-        if not isinstance(part, SubMechanism):
-            part = getattr(assembly.energy_of(row), "part", None)
-        if isinstance(part, SubMechanism):
-            found[row] = part
+    # The hinges of a lattice are not looked at one by one.
+    assembly, outlines, found = mechanism.hinge_assembly, mechanism.hinge_outlines, {}
+    for group in assembly.groups:
+        if isinstance(getattr(group.energy, "part", None), SubMechanism):
+            for row in group.members:
+                energy: Any = assembly.energy_of(row)
+                found[row] = energy.part
+    for rows, outline in zip(outlines.members, outlines.values, strict=True):
+        if isinstance(outline, SubMechanism):
+            found.update({row: outlines[row] for row in rows})
     return found
 
 

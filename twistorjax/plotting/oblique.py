@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Displacements in the picture for those along y, x being to the right and z upwards
 _ALONG_Y = np.array([0.45, 0.55])
-OBLIQUE_AXES = "x, and y to the back", "z upwards"
+OBLIQUE_AXES = "x, and y to the back", "y to the back, and z upwards"
 _AMPLITUDE = 0.15  # of the largest displacement, relative to the size of the mechanism
 
 # What can be drawn in an oblique view
@@ -40,6 +40,7 @@ def draw_out_of_plane(
     """Draw displacements or a mode out of the plane in an oblique view, colored by z.
 
     The view is an oblique projection: x is to the right, y to the back, and z upwards.
+    Hinges need an outline to be drawn as flexures, as in `draw`.
 
     Args:
         mechanism: The mechanism.

@@ -260,7 +260,10 @@ def _given_and_parts(
             continue
         parts.pop(row, None)
         given[row] = require_array(
-            f"`hinges[{name!r}]`", each, (3, 3), "be a matrix with three rows"
+            f"`hinges[{name!r}]`",
+            each,
+            (3, 3),
+            "be a matrix with rows for z and two rotations",
         )
     return given, parts
 

@@ -103,7 +103,8 @@ class StrokeStiffness(Solution, Tabular):
     def _summary(self, names: np.ndarray) -> str:
         del names
         table = self.columns()
-        lines = [f"driving and support stiffness on {self.body!r}, in N/m and N m/rad"]
+        title = f"stiffness at a port on {self.body!r}, which is free in other directions"
+        lines = [f"{title} (N/m, N m/rad)"]
         lines.append(" ".join(f"{_HEADS.get(name, name):>10}" for name in table))
         values = [np.asarray(column.values) for column in table.values()]
         for row in zip(*values, strict=True):
@@ -175,7 +176,7 @@ def stiffness_over_stroke(
         >>> guide = tj.Mechanism(bodies, leaves, fixed=["wall"])
         >>> stroke, middle = tj.Drive("table", y=4e-3), (0.0, -0.02, 0.0)
         >>> tj.stiffness_over_stroke(guide, stroke, middle, positions=3)
-        driving and support stiffness on 'table', in N/m and N m/rad
+        stiffness at a port on 'table', which is free in other directions (N/m, N m/rad)
             travel      force    driving      angle          x          z    about 1 ...
                  0          0       1772   1.26e+04   3.15e+07  1.653e+06      661.5 ...
              0.002      3.552       1785       7142  1.785e+07  1.255e+06      503.8 ...

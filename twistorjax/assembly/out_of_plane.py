@@ -14,6 +14,7 @@ from ..linalg.factors import Factors
 from . import forces as hinge_forces
 from .assembly import HingeAssembly, HingeGroup
 from .kinematics import HingeKinematics
+from .scatter import hinge_dofs
 
 
 # Stiffness of hinges in their mid-frames, by the index of the hinge
@@ -77,11 +78,11 @@ def assembled_stiffness(
     twists = any(rows.shape[2] > 6 for rows, _ in members)
     matrix = jnp.zeros(2 * (count + twists * hinges.bodies,))
     for group, (rows, stiffness) in zip(hinges.groups, members, strict=True):
-        of_both = ends[np.array(group.members)]
-        dofs = (3 * of_both[:, :, None] + np.arange(3)).reshape(-1, 6)
-        dofs = np.concatenate([dofs, count + of_both], axis=1)[:, : rows.shape[2]]
-        of_bodies = jnp.swapaxes(rows, 1, 2) @ stiffness @ rows
-        matrix = matrix.at[dofs[:, :, None], dofs[:, None]].add(of_bodies)
+        of_bodies = hinge_dofs(hinges.ends, group.members).T
+        twist_rates = count + ends[np.array(group.members)]
+        dofs = np.concatenate([of_bodies, twist_rates], axis=1)[:, : rows.shape[2]]
+        parts = jnp.swapaxes(rows, 1, 2) @ stiffness @ rows
+        matrix = matrix.at[dofs[:, :, None], dofs[:, None]].add(parts)
     if not twists:
         return matrix
     bimoments, coupling = matrix[count:, count:], matrix[count:, :count]

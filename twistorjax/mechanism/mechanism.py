@@ -252,7 +252,7 @@ class Mechanism(eqx.Module):
 
     def is_fixed(self, body: int) -> bool:
         """Decide whether no coordinate of a body can move, by its index."""
-        return body in _fixed_bodies(self.fixed)
+        return body in fixed_bodies(self.fixed)
 
     def energy(self, poses: Poses) -> Scalar:
         """Compute the energy that is stored in all hinges.
@@ -303,7 +303,7 @@ class Mechanism(eqx.Module):
             ValueError: A body that can move has no mass or no inertia.
         """
         fixed = np.zeros(len(self.names), bool)
-        fixed[list(_fixed_bodies(self.fixed))] = True
+        fixed[list(fixed_bodies(self.fixed))] = True
         columns = {"mass": self.masses, "inertia": self.inertias}
         missing = {name: ~fixed & values.is_none() for name, values in columns.items()}
         if np.any(lacking := missing["mass"] | missing["inertia"]):
@@ -613,8 +613,8 @@ class Mechanism(eqx.Module):
 
 
 @lru_cache(maxsize=256)
-def _fixed_bodies(fixed: tuple[int, ...]) -> frozenset[int]:
-    """Return the indices of the bodies of which no coordinate can move."""
+def fixed_bodies(fixed: tuple[int, ...]) -> frozenset[int]:
+    """Return the indices of the bodies of which all coordinates are fixed."""
     dofs = set(fixed)
     bodies = {dof // 3 for dof in fixed}
     return frozenset(

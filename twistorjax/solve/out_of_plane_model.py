@@ -32,6 +32,7 @@ from .._utils.validation import (
     require_pose,
     require_row,
 )
+from ..assembly.scatter import hinge_dofs
 from ..results.codes import finish, RESULTS
 from ..results.tables import Column, Columns, columns, Tabular
 from .equations.mobility import analyze_hinges, ConstraintAnalysis, HingeStiffness
@@ -44,7 +45,7 @@ from .equations.out_of_plane import (
     state_space_matrices,
 )
 from .equations.problem import mode_count
-from .state_space import StateSpace
+from .state_space import require_named, StateSpace
 from .vibration_results import OutOfPlaneVibrations
 
 
@@ -313,9 +314,8 @@ class OutOfPlane(eqx.Module):
             ValueError: A name is unknown, there are no inputs or outputs, a body that can
                 move has no mass or no `tilt_inertia`, or `modes` or the ratio is invalid.
         """
-        for name, given in (("inputs", inputs), ("outputs", outputs)):
-            if not given:
-                raise ValueError(f"`{name}` is empty, but must have at least one entry.")
+        require_named("inputs", inputs)
+        require_named("outputs", outputs)
         count, ratio = self._require_inertia(modes), _require_ratio(damping_ratio)
         forces = jnp.stack([self._forces(loads) for loads in inputs.values()])
         rows = tuple(self._output(name, *given) for name, given in outputs.items())
@@ -377,8 +377,7 @@ class OutOfPlane(eqx.Module):
                 "this one is a batch, or JAX traces it."
             )
         rows, stiffness, length = known
-        ends = np.array(self.ends)
-        dofs = (3 * ends[:, :, None] + np.arange(3)).reshape(-1, 6)
+        dofs = hinge_dofs(self.ends, tuple(range(len(rows)))).T
         dense = np.zeros((len(rows), 3, 3 * len(self.names)))
         np.put_along_axis(dense, np.repeat(dofs[:, None], 3, axis=1), rows, axis=2)
         names = self.names, self.hinge_names

@@ -196,12 +196,8 @@ def state_space(
         >>> model.static_gain  # 1 N over 400 N/m
         Array([[0.0025]], dtype=float64)
     """
-    for name, given in (("inputs", inputs), ("outputs", outputs)):
-        if not isinstance(given, Mapping) or not given:
-            raise ValueError(
-                f"`{name}` is {given!r}, but must be a mapping from names to {name}, "
-                "with at least one entry."
-            )
+    require_named("inputs", inputs)
+    require_named("outputs", outputs)
     held = mechanism.dofs_of("prescribed", prescribed)
     for name, given in inputs.items():
         if isinstance(given, Load | Drive):
@@ -224,6 +220,15 @@ def state_space(
     names = tuple(inputs), tuple(outputs)
     model = _state_space(mechanism, problem.system, columns, rows, count, state, names)
     return problem.finish(model, throw, state)
+
+
+def require_named(name: str, given: Any) -> None:
+    """Require a mapping of inputs or outputs by their names."""
+    if not isinstance(given, Mapping) or not given:
+        raise ValueError(
+            f"`{name}` is {given!r}, but must be a mapping from names to {name}, "
+            "with at least one entry."
+        )
 
 
 def _excitation(

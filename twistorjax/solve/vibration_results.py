@@ -57,8 +57,8 @@ class Vibrations(Solution, Tabular):
     def _summary(self, names: np.ndarray) -> str:
         title = f"{names}: {self.frequencies.size} vibrations {self._where}"
         lines = [title, "frequency (Hz)  largest translations"]
+        translations = [name in ("x", "y", "z") for name in self._coordinates]
         for frequency, shape in zip(self.frequencies[:20], self.shapes, strict=False):
-            translations = [name in ("x", "y", "z") for name in self._coordinates]
             travel = np.linalg.norm(np.asarray(shape)[:, translations], axis=1)
             largest = [body for body in np.argsort(-travel)[:3] if travel[body] > 0]
             moving = ", ".join(self.names[body] for body in largest) or "rotations only"

@@ -12,7 +12,7 @@ from .._utils.progress import announced
 from .._utils.types import NumberLike, Poses
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
-from ..mechanism.mechanism import Mechanism
+from ..mechanism.mechanism import fixed_bodies, Mechanism
 from ..results.codes import RESULTS
 from .equations.consistency import consistent
 from .equations.modes import natural_modes
@@ -115,13 +115,8 @@ def vibrations(
     state = problem.state(about)
     solution = _vibrations(mechanism, problem.system, state, count)
     if not is_traced(solution) and not constraints:
-        dofs = set(held)
-        still = [
-            name
-            for row, name in enumerate(mechanism.names)
-            if {3 * row, 3 * row + 1, 3 * row + 2} <= dofs
-        ]
-        source = _Source(mechanism, about, tuple(still))
+        still = tuple(mechanism.names[row] for row in sorted(fixed_bodies(held)))
+        source = _Source(mechanism, about, still)
         solution = replace(solution, source=source)
     return problem.finish(solution, throw, state)
 

@@ -17,6 +17,7 @@ from .drawing import (
     ARE_CLOSED,
     color_bar,
     Colors,
+    draw_dotted,
     draw_reference,
     draw_shapes,
     figure_size,
@@ -25,7 +26,7 @@ from .drawing import (
     part_values,
 )
 from .figure_style import length_unit, new_axes
-from .oblique import draw_flat, OBLIQUE_AXES, vibration_shapes
+from .oblique import FLAT, OBLIQUE_AXES, vibration_shapes
 from .shapes import mechanism_size, shapes
 
 
@@ -110,10 +111,13 @@ def animate(
     unit, unit_name = length_unit(mechanism_size(mechanism))
     if isinstance(motion, OutOfPlaneVibrations):
         count = min(_FRAMES_PER_PERIOD, frames)
-        drawn, values, title = vibration_shapes(mechanism, motion, mode, magnify, count)
+        drawn, flat, values, title = vibration_shapes(
+            mechanism, motion, mode, magnify, count
+        )
         titles, interval = count * [title], 2000 / count
         label, names = "z, relative to the largest", OBLIQUE_AXES
     else:
+        flat = []
         sequence = _frames(mechanism, motion, mode, magnify, slower, frames)
         displacements = (sequence.poses - np.asarray(mechanism.reference)) / magnify
         values, label = part_values(mechanism, displacements, color, label)
@@ -123,10 +127,10 @@ def animate(
     if axes is None:
         width, height = figure_size(corners, bool(values))
         axes = new_axes((5.0, 5.0 * height / width))
-    if isinstance(motion, OutOfPlaneVibrations):
-        draw_flat(mechanism, np.asarray(motion.poses), axes)
+    if flat:
+        draw_dotted(axes, flat, unit, **FLAT)
     collections = draw_shapes(axes, drawn[0], unit, {})
-    if not isinstance(motion, OutOfPlaneVibrations):
+    if not flat:
         draw_reference(mechanism, axes)
     fills = color_bar(axes, values, label) if values else None
     axes.set(aspect="equal", **_limits(unit * corners))

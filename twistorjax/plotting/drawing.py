@@ -166,16 +166,29 @@ def figure_size(corners: np.ndarray, color_bar: bool = False) -> tuple[float, fl
 
 def draw_reference(mechanism: Mechanism, axes: "Axes") -> None:
     """Draw the bodies in the reference configuration by dotted lines."""
+    drawn = shapes(mechanism, np.asarray(mechanism.reference))
+    bodies = [shape for shape in drawn if shape.part[0] == "body"]
+    draw_dotted(axes, bodies, length_unit(mechanism_size(mechanism))[0], zorder=3.0)
+
+
+def draw_dotted(
+    axes: "Axes", drawn: Sequence[Shape], unit: float, **style: float
+) -> None:
+    """Draw parts of a mechanism by dotted lines."""
     from matplotlib.collections import PolyCollection
 
-    unit, _ = length_unit(mechanism_size(mechanism))
-    drawn = shapes(mechanism, np.asarray(mechanism.reference))
-    for kinds in (("body", "fixed"), ("line",)):
-        corners = [unit * shape.corners for shape in drawn if shape.kind in kinds]
+    groups = grouped_corners(drawn)
+    for closed in (True, False):
+        corners = [
+            unit * part
+            for group, is_closed in zip(groups, ARE_CLOSED, strict=True)
+            for part in group
+            if is_closed == closed
+        ]
         axes.add_collection(
             PolyCollection(
-                corners, closed=kinds != ("line",), facecolors="none", edgecolors=GRAY,
-                linestyles=":", zorder=3,
+                corners, closed=closed, facecolors="none", edgecolors=GRAY,
+                linestyles=":", **style,
             )
         )  # fmt: skip
 

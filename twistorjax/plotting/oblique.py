@@ -9,9 +9,9 @@ from .._utils.validation import quote
 from ..mechanism.mechanism import Mechanism
 from ..solve.out_of_plane_model import OutOfPlaneResponse
 from ..solve.vibration_results import OutOfPlaneVibrations
-from .drawing import color_bar, draw_shapes, figure_size, Part
-from .figure_style import GRAY, length_unit, new_axes, prefixed_unit
-from .shapes import hinge_frames, mechanism_size, Shape, shapes
+from .drawing import color_bar, draw_dotted, draw_shapes, figure_size, Part
+from .figure_style import length_unit, new_axes, prefixed_unit
+from .shapes import cubic, hinge_frames, mechanism_size, Shape, shapes
 
 
 if TYPE_CHECKING:
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 # Displacements in the picture for those along y, x being to the right and z upwards
 _ALONG_Y = np.array([0.45, 0.55])
-OBLIQUE_AXES = "x, and y to the back", "y to the back, and z upwards"
+OBLIQUE_AXES = "x, and y to the back", "z, and y to the back"
+FLAT = {"linewidths": 0.8, "zorder": 0.5}  # style of the outlines at rest
 _AMPLITUDE = 0.15  # of the largest displacement, relative to the size of the mechanism
 
 # What can be drawn in an oblique view
@@ -65,17 +66,17 @@ def draw_out_of_plane(
     """
     poses, displacements, title = drawn_displacements(mechanism, found, mode)
     size = mechanism_size(mechanism)
-    drawn, heights = oblique_shapes(mechanism, poses, displacements)
+    flat, heights = shapes_and_heights(mechanism, poses, displacements)
     largest = max(np.max(np.abs(values)) for values in heights)
     factor = magnify
     if factor is None:
         factor = _AMPLITUDE * size / (largest or 1.0)
-    drawn, _ = oblique_shapes(mechanism, poses, factor * displacements)
+    drawn = oblique(flat, heights, factor)
     unit, unit_name = length_unit(size)
     if axes is None:
         corners = np.concatenate([shape.corners for shape in drawn])
         axes = new_axes(figure_size(corners, color_bar=True))
-    draw_flat(mechanism, poses, axes)
+    draw_dotted(axes, oblique(flat, heights, 0.0), unit, **FLAT)
     is_mode = isinstance(found, OutOfPlaneVibrations)
     scale, label = 1 / (largest or 1.0), "z, relative to the largest"
     if not is_mode:
@@ -132,25 +133,26 @@ def vibration_shapes(
     mode: int,
     magnify: float | int,
     frames: int,
-) -> tuple[list[list[Shape]], dict[Part, np.ndarray], str]:
-    """Return the shapes and relative heights in the frames of one period, and a title."""
+) -> tuple[list[list[Shape]], list[Shape], dict[Part, np.ndarray], str]:
+    """Return the shapes in the frames of one period, and what else is drawn of them.
+
+    These are the flat shapes, the relative heights in each frame, and the title.
+    """
     poses, displacements, title = drawn_displacements(mechanism, found, mode)
-    drawn, heights = oblique_shapes(mechanism, poses, displacements)
+    flat, heights = shapes_and_heights(mechanism, poses, displacements)
     largest = max(np.max(np.abs(values)) for values in heights) or 1.0
     amplitude = magnify * _AMPLITUDE * mechanism_size(mechanism) / largest
     phases = np.sin(2 * np.pi * np.arange(frames) / frames)
-    moved = [
-        oblique_shapes(mechanism, poses, amplitude * phase * displacements)[0]
-        for phase in phases
-    ]
-    relative = part_heights(drawn, heights, 1 / largest)
-    return moved, {part: values * phases for part, values in relative.items()}, title
+    moved = [oblique(flat, heights, amplitude * phase) for phase in phases]
+    relative = part_heights(flat, heights, 1 / largest)
+    colored = {part: values * phases for part, values in relative.items()}
+    return moved, oblique(flat, heights, 0.0), colored, title
 
 
-def oblique_shapes(
+def shapes_and_heights(
     mechanism: Mechanism, poses: np.ndarray, displacements: np.ndarray
 ) -> tuple[list[Shape], list[np.ndarray]]:
-    """Return outlines in an oblique view, and z at each of their corners; m.
+    """Return outlines in the plane, and z at each of their corners; m.
 
     The displacements of each body are z and the rotations about x and y; m, rad, rad.
     """
@@ -177,17 +179,16 @@ def oblique_shapes(
             length * (displacements[body, 1] * axis[1] - displacements[body, 2] * axis[0])
             for body in (first, second)
         )
-        heights.append(
-            (1 + 2 * u) * (1 - u) ** 2 * z_a
-            + u * (1 - u) ** 2 * slope_a
-            + u**2 * (3 - 2 * u) * z_b
-            - u**2 * (1 - u) * slope_b
-        )
-    projected = [
-        shape._replace(corners=_projected(shape.corners, z))
+        heights.append(cubic(u, z_a, slope_a, z_b, slope_b))
+    return drawn, heights
+
+
+def oblique(drawn: list[Shape], heights: list[np.ndarray], factor: float) -> list[Shape]:
+    """Return outlines in an oblique view, with z multiplied by a factor."""
+    return [
+        shape._replace(corners=_projected(shape.corners, factor * z))
         for shape, z in zip(drawn, heights, strict=True)
     ]
-    return projected, heights
 
 
 def part_heights(
@@ -198,24 +199,6 @@ def part_heights(
         shape.part: np.array([scale * float(np.mean(z))])
         for shape, z in zip(drawn, heights, strict=True)
     }
-
-
-def draw_flat(mechanism: Mechanism, poses: np.ndarray, axes: "Axes") -> None:
-    """Draw all parts in the plane by dotted lines."""
-    from matplotlib.collections import PolyCollection
-
-    unit, _ = length_unit(mechanism_size(mechanism))
-    still = np.zeros_like(poses)
-    flat, _ = oblique_shapes(mechanism, poses, still)
-    for closed in (True, False):
-        kinds = ("body", "fixed", "hinge") if closed else ("line", "spring")
-        corners = [unit * shape.corners for shape in flat if shape.kind in kinds]
-        axes.add_collection(
-            PolyCollection(
-                corners, closed=closed, facecolors="none", edgecolors=GRAY,
-                linestyles=":", linewidths=0.8, zorder=0.5,
-            )
-        )  # fmt: skip
 
 
 def _height(pose: np.ndarray, displacement: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -214,6 +214,22 @@ def _unit_spiral() -> np.ndarray:
     return angle[:, None] / angle[-1] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
+def cubic(
+    u: np.ndarray,
+    start: np.ndarray | float,
+    start_slope: np.ndarray | float,
+    end: np.ndarray | float,
+    end_slope: np.ndarray | float,
+) -> np.ndarray:
+    """Evaluate the cubic polynomial of Hermite between 0 and 1."""
+    return (
+        (1 + 2 * u) * (1 - u) ** 2 * start
+        + u * (1 - u) ** 2 * start_slope
+        + u**2 * (3 - 2 * u) * end
+        - u**2 * (1 - u) * end_slope
+    )
+
+
 def _deform(
     first: np.ndarray, second: np.ndarray, extent: np.ndarray, outline: np.ndarray
 ) -> np.ndarray:
@@ -230,12 +246,7 @@ def _deform(
     a, b = start[0], end[1]
     da, db = start[1] - start[0], end[1] - end[0]
     u = (outline[:, :1] - extent[0]) / length
-    center = (
-        (1 + 2 * u) * (1 - u) ** 2 * a
-        + u * (1 - u) ** 2 * da
-        + u**2 * (3 - 2 * u) * b
-        - u**2 * (1 - u) * db
-    )
+    center = cubic(u, a, da, b, db)
     slope = 6 * u * (1 - u) * (b - a) + (1 - u) * (1 - 3 * u) * da - u * (2 - 3 * u) * db
     normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
